@@ -1,0 +1,122 @@
+"""What identification hands on: every parameter with its uncertainty and a verdict."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from types import MappingProxyType
+
+
+class Status(StrEnum):
+    """How far a parameter may be trusted."""
+
+    IDENTIFIED = "identified"
+    WEAK = "weak"
+    UNIDENTIFIABLE = "unidentifiable"
+    GIVEN = "given"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """A scalar parameter; `std` is one standard deviation, both None where the log does not tell."""
+
+    value: float | None
+    std: float | None
+    status: Status
+    method: str = ""
+    note: str = ""
+    ci95: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class VectorEstimate:
+    """A vector parameter with one standard deviation per component."""
+
+    value: tuple[float, ...] | None
+    std: tuple[float, ...] | None
+    status: Status
+    method: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PayloadEstimate:
+    """Mass and centre of mass (sensor frame S)."""
+
+    mass_kg: Estimate
+    com_m: VectorEstimate
+
+
+@dataclass(frozen=True, kw_only=True)
+class CouplingEstimate:
+    """K_s and B_s; on a rotational axis in N·m/rad and N·m·s/rad."""
+
+    stiffness_n_per_m: Estimate
+    damping_n_s_per_m: Estimate
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvironmentEstimate:
+    """One surface: K_e alone, the secant (K_s and K_e in series), B_e, M_e, and its contacts."""
+
+    name: str
+    stiffness_n_per_m: Estimate
+    secant_stiffness_n_per_m: Estimate
+    damping_n_s_per_m: Estimate
+    mass_kg: Estimate
+    contacts: int
+    peak_force_n: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotEstimate:
+    """r(s) with coefficients in descending powers of s, r(0) = 1, and the delay T_d."""
+
+    numerator: VectorEstimate
+    denominator: VectorEstimate
+    delay_s: Estimate
+    bandwidth_hz: Estimate
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisEstimate:
+    """Everything that one axis of the control frame needs; `drag_n_s_per_m` is B_p."""
+
+    coupling: CouplingEstimate
+    drag_n_s_per_m: Estimate
+    environments: tuple[EnvironmentEstimate, ...]
+    robot: RobotEstimate
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorEstimate:
+    """The six-axis sensor at rest."""
+
+    force_bias_n: VectorEstimate
+    torque_bias_n_m: VectorEstimate
+    force_noise_rms_n: Estimate
+    gravity_residual_rms_n: Estimate
+    deadband_n: Estimate
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """Something the user should know; `severity` is `info`, `warning` or `error`."""
+
+    code: str
+    severity: str
+    message: str
+    advice: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identified:
+    """The plant as the log tells it; `axes` is keyed x y z rx ry rz of the control frame."""
+
+    sample_time_s: Estimate
+    payload: PayloadEstimate
+    axes: Mapping[str, AxisEstimate]
+    sensor: SensorEstimate
+    findings: tuple[Finding, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "axes", MappingProxyType(dict(self.axes)))
