@@ -1,0 +1,13 @@
+"""The one place where numba is named: typed, cached on disk, no fast-math (results must not depend on the machine)."""
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numba
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def compiled(function: _Function) -> _Function:
+    """Compile a kernel of floats and arrays; the straight Python version stays at `.py_func`."""
+    return cast(_Function, numba.njit(cache=True, error_model="numpy")(function))

@@ -1,0 +1,230 @@
+"""Evaluate a design over a set of scenarios: stability first, then every requirement as a number that must be ≤ 1."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .contact import SampledContact, build_sampled_contact, settling_samples, transient_from
+from .controller import AdmittanceController
+from .design import DesignProblem, Requirements, Scenario
+from .margins import Margins, RawMargins, find_margins, margins_on_grid
+from .response import controller_response, free_space_admittance, plant_response
+from .sampled import SampledPlant, build_loop, build_sampled_plant, stability_matrix
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_SCREENING_POINTS = 500
+_SCREENING_LOWEST_HZ = 0.2
+_ADMITTANCE_POINTS = 40
+
+
+@dataclass(frozen=True, kw_only=True)
+class Peak:
+    """The contact forces of one scenario."""
+
+    scenario: Scenario
+    peak_sensor_force_n: float
+    peak_contact_force_n: float
+    time_of_peak_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """A design against its problem.
+
+    `requirements` maps each requirement to required/achieved (≤ 1 is met), worst over the scenarios; it is empty
+    and `peaks` too when the loop is unstable. `peaks` is empty as well when a margin is missed: the peak of a design
+    that may not run is of no use.
+    """
+
+    controller: AdmittanceController
+    spectral_radius: float
+    requirements: Mapping[str, float]
+    peaks: tuple[Peak, ...]
+    objective_n: float
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether every scenario is stable in contact and in free space."""
+        return self.spectral_radius < 1.0
+
+    @property
+    def is_feasible(self) -> bool:
+        """Whether the design is stable and meets every requirement."""
+        return self.is_stable and all(value <= 1.0 for value in self.requirements.values())
+
+    @property
+    def violation(self) -> float:
+        """How far the worst requirement is missed: 0 when feasible."""
+        if not self.is_stable:
+            return math.inf
+        return max((value - 1.0 for value in self.requirements.values()), default=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreparedScenarios:
+    """Scenarios with everything that does not depend on the design already computed."""
+
+    problem: DesignProblem
+    scenarios: tuple[Scenario, ...]
+    pairs: tuple[SampledContact, ...]
+    free: tuple[SampledPlant, ...]
+    frequency_rad_per_s: FloatArray
+    z: ComplexArray
+    force: ComplexArray
+    position: ComplexArray
+
+    def evaluate(self, design: Sequence[float] | FloatArray) -> Evaluation:
+        """Evaluate the design vector (M_a, B_a, K_l, B_fb) over the scenarios on a fixed frequency grid."""
+        controller = self.problem.controller(design)
+        radius, contact_radii = self._radii(controller)
+        if not radius < 1.0:
+            return Evaluation(
+                controller=controller, spectral_radius=radius, requirements={}, peaks=(), objective_n=math.inf
+            )
+        requirements = self._requirements(controller, radius)
+        if any(value > 1.0 for value in requirements.values()):
+            return Evaluation(
+                controller=controller, spectral_radius=radius, requirements=requirements, peaks=(), objective_n=math.inf
+            )
+        peaks = self.peaks(controller, contact_radii)
+        return finish_evaluation(self.problem, controller, radius, requirements, peaks)
+
+    def _radii(self, controller: AdmittanceController) -> tuple[float, FloatArray]:
+        contact = np.array([stability_matrix(build_loop(pair.contact, controller)) for pair in self.pairs])
+        free = np.array([stability_matrix(build_loop(plant, controller)) for plant in self.free])
+        contact_radii = np.max(np.abs(np.linalg.eigvals(contact)), axis=-1)
+        free_radii = np.max(np.abs(np.linalg.eigvals(free)), axis=-1)
+        return float(max(np.max(contact_radii), np.max(free_radii))), contact_radii
+
+    def _requirements(self, controller: AdmittanceController, radius: float) -> dict[str, float]:
+        forward, feedback = controller_response(controller, self.z, self.problem.sample_time_s)
+        damped = feedback * self.position
+        at_force = -self.force * forward / (1.0 + damped)
+        at_command = damped - self.force * forward
+        both = margins_on_grid(self.frequency_rad_per_s, np.concatenate([at_force, at_command]))
+        worst = RawMargins(*(np.min(values) for values in both))
+        return normalise_margins(
+            self.problem.requirements,
+            Margins(
+                modulus=float(worst.modulus),
+                modulus_hz=math.nan,
+                gain_db=float(worst.gain_db),
+                phase_deg=float(worst.phase_deg),
+                delay_s=float(worst.delay_s),
+                spectral_radius=radius,
+            ),
+            self.problem.sample_time_s,
+        ) | normalise_admittance(self.problem.requirements, self.free[0], controller)
+
+    def peaks(self, controller: AdmittanceController, contact_radii: FloatArray) -> tuple[Peak, ...]:
+        """Simulate the contact of every scenario; the loops must be stable."""
+        found = []
+        for scenario, pair, radius in zip(self.scenarios, self.pairs, contact_radii, strict=True):
+            samples = settling_samples(float(radius), self.problem.sample_time_s)
+            run = transient_from(
+                pair, build_loop(pair.free, controller), controller, self.problem.approach, samples
+            )
+            found.append(
+                Peak(
+                    scenario=scenario,
+                    peak_sensor_force_n=run.peak_sensor_force_n,
+                    peak_contact_force_n=run.peak_contact_force_n,
+                    time_of_peak_s=run.time_of_peak_s,
+                )
+            )
+        return tuple(found)
+
+
+def build_scenarios(problem: DesignProblem, scenarios: Sequence[Scenario]) -> PreparedScenarios:
+    """Sample every scenario's plant, and the free-space plant of every payload mass, once."""
+    h = problem.sample_time_s
+    pairs = tuple(build_sampled_contact(build_sampled_plant(problem.plant(s), h)) for s in scenarios)
+    by_mass = {s.payload_mass_kg: pair.free for s, pair in zip(scenarios, pairs, strict=True)}
+    free = tuple(by_mass[mass] for mass in sorted(by_mass))
+    grid = np.geomspace(2.0 * np.pi * _SCREENING_LOWEST_HZ, np.pi / h, _SCREENING_POINTS)
+    responses = [plant_response(plant, grid) for plant in (*(pair.contact for pair in pairs), *free)]
+    return PreparedScenarios(
+        problem=problem,
+        scenarios=tuple(scenarios),
+        pairs=pairs,
+        free=free,
+        frequency_rad_per_s=grid,
+        z=responses[0].z,
+        force=np.array([r.force for r in responses]),
+        position=np.array([r.position for r in responses]),
+    )
+
+
+def normalise_margins(requirements: Requirements, margins: Margins, sample_time_s: float) -> dict[str, float]:
+    """Return required/achieved for every margin that is asked; ≤ 1 is met, an unlimited margin gives 0."""
+    decay = -math.log(margins.spectral_radius) / sample_time_s if margins.spectral_radius > 0.0 else math.inf
+    asked = {
+        "modulus_margin": (requirements.modulus_margin, margins.modulus),
+        "gain_margin_db": (requirements.gain_margin_db, margins.gain_db),
+        "phase_margin_deg": (requirements.phase_margin_deg, margins.phase_deg),
+        "delay_margin_s": (requirements.delay_margin_s, margins.delay_s),
+        "decay_rate_per_s": (requirements.decay_rate_per_s, decay),
+    }
+    return {
+        name: required / achieved if achieved > 0.0 else math.inf
+        for name, (required, achieved) in asked.items()
+        if required is not None
+    }
+
+
+def smallest_admittance(sampled: SampledPlant, controller: AdmittanceController, band_hz: tuple[float, float]) -> float:
+    """Return min |G| [m/s/N] over the band (ends included)."""
+    omega = 2.0 * np.pi * np.geomspace(band_hz[0], band_hz[1], _ADMITTANCE_POINTS)
+    return float(np.min(np.abs(free_space_admittance(sampled, controller, omega))))
+
+
+def normalise_admittance(
+    requirements: Requirements, free: SampledPlant, controller: AdmittanceController
+) -> dict[str, float]:
+    """Return required/achieved of the free-space admittance target, if there is one."""
+    target = requirements.free_space_admittance
+    if target is None:
+        return {}
+    return {"free_space_admittance": target.min_m_s_per_n / smallest_admittance(free, controller, target.band_hz)}
+
+
+def finish_evaluation(
+    problem: DesignProblem,
+    controller: AdmittanceController,
+    radius: float,
+    requirements: Mapping[str, float],
+    peaks: tuple[Peak, ...],
+) -> Evaluation:
+    """Add the objective, and the limit on it, to an evaluation of a stable design."""
+    contact = problem.objective == "contact_force"
+    objective = max(p.peak_contact_force_n if contact else p.peak_sensor_force_n for p in peaks)
+    limit = problem.requirements.max_peak_force_n
+    extra = {} if limit is None else {"max_peak_force_n": objective / limit}
+    return Evaluation(
+        controller=controller,
+        spectral_radius=radius,
+        requirements={**requirements, **extra},
+        peaks=peaks,
+        objective_n=objective,
+    )
+
+
+def evaluate_exactly(prepared: PreparedScenarios, controller: AdmittanceController) -> Evaluation:
+    """Evaluate a stable design with margins refined around every minimum, scenario by scenario.
+
+    Raises UnstableLoopError when any scenario is unstable.
+    """
+    problem = prepared.problem
+    plants = [*(pair.contact for pair in prepared.pairs), *prepared.free]
+    margins = [find_margins(plant, controller) for plant in plants]
+    values = [normalise_margins(problem.requirements, m, problem.sample_time_s) for m in margins]
+    requirements = {name: max(value[name] for value in values) for name in values[0]} if values else {}
+    requirements |= normalise_admittance(problem.requirements, prepared.free[0], controller)
+    radii = np.array([m.spectral_radius for m in margins])
+    peaks = prepared.peaks(controller, radii[: len(prepared.pairs)])
+    return finish_evaluation(problem, controller, float(np.max(radii)), requirements, peaks)

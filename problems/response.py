@@ -1,0 +1,86 @@
+"""Frequency response of the exact sampled loop at its two break points."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .controller import AdmittanceController, controller_blocks
+from .sampled import SampledPlant
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantResponse:
+    """From the command x^d to the sampled force and position, delay and hold included, at z = exp(jωh)."""
+
+    frequency_rad_per_s: FloatArray
+    z: ComplexArray
+    force: ComplexArray
+    position: ComplexArray
+
+
+def plant_response(sampled: SampledPlant, frequency_rad_per_s: FloatArray) -> PlantResponse:
+    """Evaluate F/x^d and X/x^d of the sampled plant; frequencies (n,) in rad/s up to π/h."""
+    omega = np.asarray(frequency_rad_per_s, dtype=np.float64)
+    z = np.exp(1j * omega * sampled.sample_time_s)
+    n = sampled.state_count
+    late = z ** (-sampled.whole_delay)
+    drive = (sampled.gamma[None, :] + sampled.gamma_old[None, :] / z[:, None])[..., None]
+    states = np.linalg.solve(z[:, None, None] * np.eye(n) - sampled.phi, drive)[..., 0]
+    # With a fraction, the hold still shows the older command at the tick.
+    held = 1.0 / z if sampled.fraction > 0.0 else np.ones_like(z)
+    return PlantResponse(
+        frequency_rad_per_s=omega,
+        z=z,
+        force=late * (states @ sampled.c_force + sampled.d_force * held),
+        position=late * (states @ sampled.c_position),
+    )
+
+
+def controller_response(controller: AdmittanceController, z: ComplexArray, h: float) -> tuple[ComplexArray, ComplexArray]:
+    """Return the Tustin forms of A(1 + C_ff) and of C_fb at the points `z`."""
+    blocks = controller_blocks(controller.parameters(), h)
+    values = [direct + gain / (z - pole) for direct, pole, gain in blocks]
+    return values[0] + values[1], values[2]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopResponse:
+    """Open-loop responses with negative feedback: 1 + L is what must stay away from zero."""
+
+    frequency_rad_per_s: FloatArray
+    at_force: ComplexArray
+    at_command: ComplexArray
+
+
+def loop_response(
+    sampled: SampledPlant, controller: AdmittanceController, frequency_rad_per_s: FloatArray
+) -> LoopResponse:
+    """Break the sampled loop at the force signal, L, and at the position command, L_x (MODEL.md, "Continuous blocks").
+
+    1 + L_x = (1 + C_fb X/X^d)(1 + L), as in the continuous form.
+    """
+    plant = plant_response(sampled, frequency_rad_per_s)
+    forward, feedback = controller_response(controller, plant.z, sampled.sample_time_s)
+    damped = feedback * plant.position
+    return LoopResponse(
+        frequency_rad_per_s=plant.frequency_rad_per_s,
+        at_force=-plant.force * forward / (1.0 + damped),
+        at_command=damped - plant.force * forward,
+    )
+
+
+def free_space_admittance(
+    sampled: SampledPlant, controller: AdmittanceController, frequency_rad_per_s: FloatArray
+) -> ComplexArray:
+    """Return the rendered admittance G = V/F [m/s/N] of the sampled controller and robot (MODEL.md, "F → V").
+
+    The robot ignores F, so the payload does not enter G.
+    """
+    plant = plant_response(sampled, frequency_rad_per_s)
+    forward, feedback = controller_response(controller, plant.z, sampled.sample_time_s)
+    velocity = 1j * plant.frequency_rad_per_s * plant.position
+    return np.asarray(forward * velocity / (1.0 + feedback * plant.position), dtype=np.complex128)
