@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ StampArray = NDArray[np.int64]
 
 
 def _frozen_array(values: NDArray[np.generic], dtype: type, width: int | None, name: str) -> NDArray[np.generic]:
-    array = np.array(values, dtype=dtype, order="C")
+    array: NDArray[Any] = np.array(values, dtype=dtype, order="C")
     expected = 1 if width is None else 2
     if array.ndim != expected or (width is not None and array.shape[1] != width):
         raise LogError(f"{name} must have {expected} dimension(s) of width {width}, found shape {array.shape}.")

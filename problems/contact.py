@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._checks import positive
-from ._contact_kernel import run_contact
+from .contact_kernel import run_contact
 from .controller import AdmittanceController, controller_blocks
 from .errors import ParameterError
 from .margins import UnstableLoopError

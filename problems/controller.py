@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._checks import non_negative, positive
-from ._compiled import compiled
+from .compiled import compiled
 from .errors import ParameterError
 
 FloatArray = NDArray[np.float64]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from ._checks import positive
-from ._compiled import compiled
+from .compiled import compiled
 from .controller import AdmittanceController, controller_blocks
 from .plant import Plant, build_plant_matrices
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ._compiled import compiled
+from .compiled import compiled
 
 FloatArray = NDArray[np.float64]
 Mode = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
@@ -14,8 +14,8 @@ _SWITCHES_PER_SAMPLE = 8
 
 
 @compiled
-def advance(rate: FloatArray, drive: FloatArray, state: FloatArray, u: float, duration: float) -> FloatArray:
-    """Integrate ds/dτ = rate·s + drive·u exactly over `duration` (≤ 1): Taylor series over short pieces."""
+def advance(rate: FloatArray, push: FloatArray, state: FloatArray, duration: float) -> FloatArray:
+    """Integrate ds/dτ = rate·s + push (constant) over `duration` (≤ 1), to rounding: Taylor series over short pieces."""
     size = 0.0
     for i in range(len(state)):
         size = max(size, np.sum(np.abs(rate[i])))
@@ -23,8 +23,8 @@ def advance(rate: FloatArray, drive: FloatArray, state: FloatArray, u: float, du
     step = duration / pieces
     out = state.copy()
     for _ in range(pieces):
-        # s(τ) = s + Σ τ^j/j! rate^(j−1)(rate·s + drive·u)
-        term = (rate @ out + drive * u) * step
+        # s(τ) = s + Σ τ^j/j! rate^(j−1)(rate·s + push)
+        term = (rate @ out + push) * step
         total = out + term
         for j in range(2, _TAYLOR_TERMS + 1):
             term = (rate @ term) * (step / j)
@@ -44,9 +44,8 @@ def wall_force(state: FloatArray, n: int, stiffness: float, damping: float) -> f
 @compiled
 def switch_within(
     rates: tuple[FloatArray, FloatArray],
-    drive: FloatArray,
+    pushes: tuple[FloatArray, FloatArray],
     state: FloatArray,
-    inputs: tuple[float, float],
     fraction: float,
     touching: bool,
     wall: tuple[float, float],
@@ -57,10 +56,10 @@ def switch_within(
     switches = 0
     for part in range(2):
         remaining = fraction if part == 0 else 1.0 - fraction
-        u = inputs[part]
+        push = pushes[part]
         while remaining > 0.0:
             rate = rates[0] if touching else rates[1]
-            end = advance(rate, drive, current, u, remaining)
+            end = advance(rate, push, current, remaining)
             outside = wall_force(end, n, wall[0], wall[1]) <= 0.0
             if outside != touching or switches >= _SWITCHES_PER_SAMPLE:
                 current = end
@@ -68,12 +67,12 @@ def switch_within(
             low, high = 0.0, remaining
             for _ in range(_BISECTIONS):
                 middle = 0.5 * (low + high)
-                trial = advance(rate, drive, current, u, middle)
+                trial = advance(rate, push, current, middle)
                 if (wall_force(trial, n, wall[0], wall[1]) <= 0.0) == touching:
                     high = middle
                 else:
                     low = middle
-            current = advance(rate, drive, current, u, high)
+            current = advance(rate, push, current, high)
             remaining -= high
             touching = not touching
             switches += 1
@@ -123,7 +122,7 @@ def run_contact(
         following = phi @ state + gamma * newer + gamma_old * older
         if (wall_force(following, n, wall[0], wall[1]) <= 0.0) == touching:
             following, touching = switch_within(
-                (contact[3], free[3]), drive, state, (older, newer), fraction, touching, wall
+                (contact[3], free[3]), (drive * older, drive * newer), state, fraction, touching, wall
             )
         state = following
         for i in range(chain - 1, 0, -1):

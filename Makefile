@@ -1,0 +1,75 @@
+# `make demo` and `make test` need Python 3.11 or later and nothing else; the first run installs into $(VENV).
+
+VENV ?= .venv
+PYTHON ?=
+DIR ?= autotune-demo
+
+BIN := $(VENV)/bin
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check
+RUNTIME := $(VENV)/.installed-runtime
+DEV := $(VENV)/.installed-dev
+
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+.PHONY: help demo test check lint types imports wheel coverage benchmarks clean
+
+help:
+	@echo "make demo        run the whole chain on the log of a simulated cell (DIR=$(DIR))"
+	@echo "make test        run the tests (ARGS=... goes to pytest)"
+	@echo "make check       format, lint, types, import contracts, tests and wheel content: what CI runs"
+	@echo "make coverage    run the tests and tell which lines they miss"
+	@echo "make benchmarks  measure how long things take"
+	@echo "make clean       remove the virtual environment and everything that was built"
+
+demo: $(RUNTIME)
+	@$(BIN)/autotune demo "$(DIR)"
+
+test: $(DEV)
+	@$(BIN)/python -m pytest $(ARGS)
+
+check: lint types imports test wheel
+
+lint: $(DEV)
+	@echo "== format and lint"
+	@$(BIN)/ruff format --check .
+	@$(BIN)/ruff check .
+
+types: $(DEV)
+	@echo "== types"
+	@$(BIN)/mypy
+
+imports: $(DEV)
+	@echo "== import contracts"
+	@$(BIN)/lint-imports --no-logo
+
+wheel: $(DEV)
+	@echo "== wheel content"
+	@$(BIN)/python tools/check_wheel.py
+
+coverage: $(DEV)
+	@$(BIN)/python -m pytest --cov --cov-report=term-missing:skip-covered $(ARGS)
+
+benchmarks: $(DEV)
+	@for script in benchmarks/bench_*.py; do \
+		echo "== $$script"; \
+		$(BIN)/python "$$script" || exit 1; \
+	done
+
+clean:
+	rm -rf .venv autotune-demo build dist *.egg-info .coverage htmlcov .hypothesis
+	rm -rf .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	find autotune identification problems tests examples benchmarks tools -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# Installed anew when the list of dependencies changes; a change of the code needs nothing.
+$(DEV): pyproject.toml $(BIN)/python
+	@echo "Installing autotune and its development tools into $(VENV) (some minutes the first time) ..."
+	@$(PIP_INSTALL) --editable '.[dev]'
+	@touch $(RUNTIME) $(DEV)
+
+$(RUNTIME): pyproject.toml $(BIN)/python
+	@echo "Installing autotune into $(VENV) (some minutes the first time) ..."
+	@$(PIP_INSTALL) --editable .
+	@touch $(RUNTIME)
+
+$(BIN)/python:
+	@sh tools/make_venv.sh "$(VENV)" $(PYTHON)

@@ -1,0 +1,170 @@
+"""What the operator and the program do with the cell: poses, hand-led jogging, a commanded sweep, contacts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, sosfilt
+
+from problems.errors import ParameterError
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_GUIDED_FORCE_N = 35.0
+_GUIDED_BAND_HZ = 1.5
+_HOME_GAIN_N_PER_M = 1200.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Script:
+    """Inputs per controller period: `rotation_rad` (n, 3) rotation vector of the tool from its working orientation,
+
+    `admittance` (n,) whether the admittance controller runs, `command_m` (n,) position command relative to the
+    phase's start where it does not, `desired_force_n` F^d and `hand_force_n` (n,), `homing_n_per_m` (n,) a gentle
+    spring in the operator's hand towards the start, so that jogging stays away from the wall.
+    """
+
+    rotation_rad: FloatArray
+    admittance: BoolArray
+    command_m: FloatArray
+    desired_force_n: FloatArray
+    hand_force_n: FloatArray
+    homing_n_per_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.admittance)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Program:
+    """How long and how strongly each phase runs."""
+
+    pose_count: int = 9
+    pose_hold_s: float = 1.0
+    pose_move_s: float = 0.8
+    largest_tilt_rad: float = 1.2
+    jogging_s: float = 9.0
+    sweep_s: float = 12.0
+    sweep_hz: tuple[float, float] = (0.4, 55.0)
+    sweep_speed_m_s: float = 0.015
+    contact_count: int = 4
+    contact_force_n: float = 30.0
+    contact_hold_s: float = 1.2
+    retract_s: float = 0.9
+    rest_s: float = 0.8
+
+    def __post_init__(self) -> None:
+        if self.pose_count < 1 or self.contact_count < 0:
+            raise ParameterError("program", (self.pose_count, self.contact_count), "at least one pose, no fewer than 0")
+        if not 0.0 < self.sweep_hz[0] < self.sweep_hz[1]:
+            raise ParameterError("sweep_hz", self.sweep_hz, "an increasing pair above 0")
+
+
+def build_script(program: Program, sample_time_s: float, rng: np.random.Generator) -> Script:
+    """Lay the phases one after the other, with a rest between them."""
+    h = sample_time_s
+    rest = _quiet(round(program.rest_s / h))
+    parts = [rest, _poses(program, h, rng), rest]
+    if program.jogging_s > 0.0:
+        parts += [_jogging(program, h, rng), rest]
+    if program.sweep_s > 0.0:
+        parts += [_sweep(program, h), rest]
+    for _ in range(program.contact_count):
+        parts.append(_contact(program, h))
+    parts.append(rest)
+    return _joined(parts)
+
+
+def _quiet(samples: int) -> Script:
+    zeros = np.zeros(samples)
+    return Script(
+        rotation_rad=np.zeros((samples, 3)),
+        admittance=np.zeros(samples, dtype=bool),
+        command_m=zeros,
+        desired_force_n=zeros,
+        hand_force_n=zeros,
+        homing_n_per_m=zeros,
+    )
+
+
+def _joined(parts: list[Script]) -> Script:
+    names = ("rotation_rad", "admittance", "command_m", "desired_force_n", "hand_force_n", "homing_n_per_m")
+    return Script(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+
+def _replaced(script: Script, **arrays: FloatArray | BoolArray) -> Script:
+    return Script(**{**script.__dict__, **arrays})
+
+
+def _smooth(samples: int) -> FloatArray:
+    """Return a minimum-jerk ramp from 0 to 1."""
+    t = np.linspace(0.0, 1.0, samples)
+    return np.asarray(t**3 * (10.0 - 15.0 * t + 6.0 * t * t))
+
+
+def _poses(program: Program, h: float, rng: np.random.Generator) -> Script:
+    """Tilt the tool to well spread orientations and stand still at each; the last move goes back."""
+    moving, holding = round(program.pose_move_s / h), round(program.pose_hold_s / h)
+    directions = 2.399963 * np.arange(program.pose_count)  # the golden angle spreads any number of them
+    tilts = program.largest_tilt_rad * (0.45 + 0.55 * rng.random(program.pose_count))
+    targets = np.column_stack([tilts * np.cos(directions), tilts * np.sin(directions), np.zeros(program.pose_count)])
+    if program.pose_count == 1:
+        targets[:] = 0.0
+    pieces, here = [], np.zeros(3)
+    for target in [*targets, np.zeros(3)]:
+        ramp = _smooth(moving)[:, None]
+        # Through the working orientation, so that every move turns about one fixed axis.
+        pieces += [here * (1.0 - ramp), target * ramp, np.tile(target, (holding, 1))]
+        here = target
+    rotation = np.concatenate(pieces)
+    return _replaced(_quiet(len(rotation)), rotation_rad=rotation)
+
+
+def _jogging(program: Program, h: float, rng: np.random.Generator) -> Script:
+    """Lead the payload by hand: slow pushes of random strength, homed softly, silent at both ends."""
+    samples = round(program.jogging_s / h)
+    sections = butter(2, _GUIDED_BAND_HZ, fs=1.0 / h, output="sos")
+    force = sosfilt(sections, rng.standard_normal(samples))
+    force *= _GUIDED_FORCE_N / max(float(np.std(force)), 1e-12)
+    edge = max(2, round(0.5 / h))
+    window = np.ones(samples)
+    window[:edge], window[-edge:] = _smooth(edge), _smooth(edge)[::-1]
+    window[-2 * edge :] *= np.concatenate([_smooth(edge)[::-1], np.zeros(edge)])
+    return _replaced(
+        _quiet(samples),
+        admittance=np.ones(samples, dtype=bool),
+        hand_force_n=np.asarray(force * window),
+        homing_n_per_m=_HOME_GAIN_N_PER_M * window,
+    )
+
+
+def _sweep(program: Program, h: float) -> Script:
+    """Command a logarithmic sweep of constant speed amplitude, tapered to rest at both ends."""
+    samples = round(program.sweep_s / h)
+    t = np.arange(samples) * h
+    low, high = program.sweep_hz
+    rate = np.log(high / low) / program.sweep_s
+    phase = 2.0 * np.pi * low * np.expm1(rate * t) / rate
+    frequency = low * np.exp(rate * t)
+    edge = max(2, samples // 20)
+    window = np.ones(samples)
+    window[:edge], window[-edge:] = _smooth(edge), _smooth(edge)[::-1]
+    # Constant command speed would leave nothing above the robot's bandwidth: let it grow with frequency.
+    speed = program.sweep_speed_m_s * np.sqrt(1.0 + (frequency / 3.0) ** 2)
+    return _replaced(_quiet(samples), command_m=np.asarray(window * speed / (2.0 * np.pi * frequency) * np.sin(phase)))
+
+
+def _contact(program: Program, h: float) -> Script:
+    """Press with F^d until the payload rests on the wall, then back off and stand still."""
+    pressing = round((program.contact_hold_s + 1.5) / h)
+    retracting, resting = round(program.retract_s / h), round(program.rest_s / h)
+    desired = np.concatenate(
+        [
+            np.full(pressing, program.contact_force_n),
+            np.full(retracting, -0.55 * program.contact_force_n),
+            np.zeros(resting),
+        ]
+    )
+    samples = len(desired)
+    return _replaced(_quiet(samples), admittance=np.ones(samples, dtype=bool), desired_force_n=desired)

@@ -1,0 +1,142 @@
+"""What every command shares: the options for its output and the object that carries them out."""
+
+import contextlib
+import functools
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Concatenate, ParamSpec, TypeVar
+
+import click
+
+_Parameters = ParamSpec("_Parameters")
+_Result = TypeVar("_Result")
+
+
+@dataclass(kw_only=True)
+class Delivery:
+    """Whether standard output already holds its one JSON object, so that an error does not add a second."""
+
+    done: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Output:
+    """Results go to standard output, messages and progress to standard error.
+
+    `as_json` and `quiet` mirror `--json` and `--quiet`; `delivery` is shared with the error report of the run.
+    """
+
+    as_json: bool = False
+    quiet: bool = False
+    delivery: Delivery = field(default_factory=Delivery)
+
+    def result(self, tree: Mapping[str, Any], text: Callable[[], None]) -> None:
+        """Print `tree` as the one JSON object, or let `text` print for people; with `--quiet` only JSON is printed.
+
+        A reader that closes the pipe early (`| head -1`) changes neither the outcome nor the exit code.
+
+        Raises ValueError when `tree` holds NaN or an infinity, which JSON cannot say.
+        """
+        if self.as_json:
+            document = json_text(tree)
+            self.delivery.done = True
+            with _reader_may_leave():
+                click.echo(document)
+                sys.stdout.flush()
+        elif not self.quiet:
+            with _reader_may_leave():
+                text()
+                sys.stdout.flush()
+
+    def note(self, message: str) -> None:
+        """Tell the user something that is not the result."""
+        if not self.quiet:
+            say(message)
+
+    @contextlib.contextmanager
+    def progress(self, description: str, total: float | None) -> Iterator[Callable[[float], None]]:
+        """Show a bar while the block runs, on a terminal only; yields `advance(n)`, n in the unit of `total`.
+
+        `total` None shows that work goes on without telling how much is left.
+        """
+        if self.quiet or not sys.stderr.isatty():
+            yield _advance_nothing
+            return
+        from rich.console import Console
+        from rich.progress import Progress
+
+        with Progress(console=Console(file=sys.stderr), transient=True) as bars:
+            bar = bars.add_task(description, total=total)
+
+            def advance(n: float) -> None:
+                bars.advance(bar, n)
+
+            yield advance
+
+
+def output_options(
+    function: Callable[Concatenate[Output, _Parameters], _Result],
+) -> Callable[..., _Result]:
+    """Add `--json`, `--quiet` and `--debug` to a command and hand it an `Output` as its first argument.
+
+    `--debug` is read by `autotune.cli.main`, which decides what an error looks like.
+    """
+
+    @click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
+    @click.option("--quiet", is_flag=True, help="Print no messages, no progress and no text result.")
+    @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+    @functools.wraps(function)
+    def command(*args: Any, as_json: bool, quiet: bool, debug: bool, **kwargs: Any) -> _Result:
+        del debug
+        delivery = click.get_current_context().find_object(Delivery) or Delivery()
+        return function(Output(as_json=as_json, quiet=quiet, delivery=delivery), *args, **kwargs)
+
+    return command
+
+
+def json_text(tree: Mapping[str, Any]) -> str:
+    """Return `tree` as JSON text; read-only mappings, numpy values and paths are written as what they stand for.
+
+    Raises ValueError on NaN or an infinity and TypeError on a value that has no JSON form.
+    """
+    return json.dumps(tree, indent=2, allow_nan=False, default=_plain)
+
+
+def say(message: str) -> None:
+    """Print a message on standard error; nobody listening there is no error."""
+    with contextlib.suppress(BrokenPipeError):
+        click.echo(message, err=True)
+
+
+def discard_output() -> None:
+    """Point standard output at nothing, so that no later flush fails on a closed pipe."""
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nothing, sys.stdout.fileno())
+    os.close(nothing)
+
+
+@contextlib.contextmanager
+def _reader_may_leave() -> Iterator[None]:
+    try:
+        yield
+    except BrokenPipeError:
+        discard_output()
+
+
+def _advance_nothing(_n: float) -> None:
+    """Count progress that nobody watches."""
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Mapping):
+        return dict(value)
+    if isinstance(value, Path):
+        return str(value)
+    to_list = getattr(value, "tolist", None)  # numpy arrays and scalars, without importing numpy
+    if callable(to_list):
+        return to_list()
+    raise TypeError(f"{type(value).__name__} has no JSON form.")

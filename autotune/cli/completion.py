@@ -1,0 +1,24 @@
+"""`autotune completion`: the script that teaches a shell to complete commands, options and file names."""
+
+import click
+
+COMPLETE_VARIABLE = "_AUTOTUNE_COMPLETE"
+
+
+@click.command(
+    epilog="Example: autotune completion bash > ~/.local/share/bash-completion/completions/autotune",
+)
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+@click.pass_context
+def command(context: click.Context, shell: str) -> None:
+    """Print the completion script for a shell.
+
+    Put the script where the shell looks for completions, or evaluate it in the shell's start-up file.
+    """
+    from click.shell_completion import get_completion_class
+
+    complete = get_completion_class(shell)
+    if complete is None:
+        raise click.UsageError(f"click knows no completion for {shell!r}; choose bash, zsh or fish.")
+    root = context.find_root()
+    click.echo(complete(root.command, {}, "autotune", COMPLETE_VARIABLE).source())

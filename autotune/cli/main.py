@@ -1,0 +1,217 @@
+"""The entry point: find the command, run it, turn whatever happens into an exit code."""
+
+import contextlib
+import importlib
+import io
+import os
+import sys
+import traceback
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from types import MappingProxyType
+from typing import Any
+
+import click
+from click.shell_completion import CompletionItem
+
+from autotune import __version__
+from autotune.cli._common import Delivery, discard_output, json_text, say
+from autotune.cli.completion import COMPLETE_VARIABLE
+from autotune.errors import CertificateError, InfeasibleError, UsageError
+from identification.errors import EstimateError, LogError
+from problems.errors import ParameterError
+
+PROGRAM = "autotune"
+
+
+class ExitCode(IntEnum):
+    """What the process tells its caller."""
+
+    GOOD = 0
+    UNFORESEEN = 1
+    USAGE = 2
+    LOG = 3
+    ESTIMATE = 4
+    INFEASIBLE = 5
+    CERTIFICATE = 6
+    INTERRUPTED = 130
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandEntry:
+    """Where a command lives (`module` holds `command: click.Command`) and what it does, in one line."""
+
+    module: str
+    help: str
+
+
+COMMANDS: Mapping[str, CommandEntry] = MappingProxyType(
+    {
+        "inspect": CommandEntry(
+            module="autotune.cli.inspect", help="Tell what a log holds and what it can be used for."
+        ),
+        "identify": CommandEntry(module="autotune.cli.identify", help="Turn logs into plant parameters."),
+        "optimize": CommandEntry(module="autotune.cli.optimize", help="Turn parameters into a validated controller."),
+        "validate": CommandEntry(module="autotune.cli.validate", help="Verify a controller file again, on its own."),
+        "export": CommandEntry(module="autotune.cli.export", help="Write a controller in another format."),
+        "demo": CommandEntry(module="autotune.cli.demo", help="Run the whole chain on the log of a simulated cell."),
+        "completion": CommandEntry(module="autotune.cli.completion", help="Print the completion script for a shell."),
+    }
+)
+
+EXIT_CODES: tuple[tuple[type[BaseException], ExitCode], ...] = (
+    (KeyboardInterrupt, ExitCode.INTERRUPTED),
+    (click.Abort, ExitCode.INTERRUPTED),
+    (click.ClickException, ExitCode.USAGE),
+    (UsageError, ExitCode.USAGE),
+    (ParameterError, ExitCode.USAGE),
+    (LogError, ExitCode.LOG),
+    (EstimateError, ExitCode.ESTIMATE),
+    (InfeasibleError, ExitCode.INFEASIBLE),
+    (CertificateError, ExitCode.CERTIFICATE),
+)
+
+
+class LazyGroup(click.Group):
+    """A group that knows its commands by name and imports one only when it runs."""
+
+    def __init__(self, *, entries: Mapping[str, CommandEntry], **options: Any) -> None:
+        super().__init__(**options)
+        self.entries = entries
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names in the order of the work."""
+        del ctx
+        return list(self.entries)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import and return the command, or None when there is none of that name."""
+        del ctx
+        if cmd_name not in self.entries:
+            return None
+        command = importlib.import_module(self.entries[cmd_name].module).command
+        if not isinstance(command, click.Command):
+            raise TypeError(f"{self.entries[cmd_name].module}.command must be a click.Command, found {command!r}.")
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the list of commands without importing any."""
+        del ctx
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, entry.help) for name, entry in self.entries.items()])
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Complete names without importing any command."""
+        names = [CompletionItem(n, help=e.help) for n, e in self.entries.items() if n.startswith(incomplete)]
+        return [*names, *click.Command.shell_complete(self, ctx, incomplete)]
+
+
+def build_cli(entries: Mapping[str, CommandEntry] = COMMANDS) -> click.Group:
+    """Build the command group over a table of commands."""
+    group = LazyGroup(
+        entries=entries,
+        name=PROGRAM,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        help="From the log of a contact experiment to a validated admittance controller.",
+        epilog="Example: autotune demo",
+    )
+    return click.version_option(__version__, prog_name=PROGRAM, message="%(prog)s %(version)s")(group)
+
+
+def main(argv: Sequence[str] | None = None, *, entries: Mapping[str, CommandEntry] = COMMANDS) -> int:
+    """Run the command line `argv` (default: that of the process) and return its exit code.
+
+    Never raises: an error becomes one line on standard error and its code of `EXIT_CODES`; with `--json` also
+    the object `{"error": {...}}` on standard output; with `--debug` the traceback as well.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    _tolerate_narrow_encodings()
+    delivery = Delivery()
+    try:
+        code = _run(build_cli(entries), arguments, delivery)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        discard_output()
+        code = ExitCode.GOOD
+    except BaseException as error:  # noqa: BLE001 - this is the border where every error becomes an exit code
+        code = _report(error, arguments, delivery)
+    _settle_output()
+    return int(code)
+
+
+def exit_code_of(error: BaseException) -> ExitCode:
+    """Return the exit code that stands for `error`."""
+    return next((code for kind, code in EXIT_CODES if isinstance(error, kind)), ExitCode.UNFORESEEN)
+
+
+def _run(cli: click.Group, arguments: list[str], delivery: Delivery) -> int:
+    instruction = os.environ.get(COMPLETE_VARIABLE)
+    if instruction:
+        from click.shell_completion import shell_complete
+
+        return shell_complete(cli, {}, PROGRAM, COMPLETE_VARIABLE, instruction)
+    # Not `cli.main`: it ends the process by itself on a closed pipe, with a code of its own.
+    try:
+        with cli.make_context(PROGRAM, arguments, obj=delivery) as context:
+            returned = cli.invoke(context)
+    except click.exceptions.Exit as leave:
+        return leave.exit_code
+    return returned if isinstance(returned, int) else ExitCode.GOOD
+
+
+def _report(error: BaseException, arguments: Sequence[str], delivery: Delivery) -> ExitCode:
+    if isinstance(error, click.exceptions.NoArgsIsHelpError):
+        say(error.format_message())
+        return ExitCode.USAGE
+    code = exit_code_of(error)
+    if _asked("--debug", arguments):
+        say("".join(traceback.format_exception(error)).rstrip())
+    message = _one_line(error, code)
+    hint = _hint(error, code)
+    say(f"{PROGRAM}: {message}" + (f" {hint}" if hint else ""))
+    if _asked("--json", arguments) and not delivery.done:
+        tree = {"error": {"kind": type(error).__name__, "message": message, "exit_code": int(code)}}
+        with contextlib.suppress(BrokenPipeError):
+            click.echo(json_text(tree))
+            sys.stdout.flush()
+    return code
+
+
+def _one_line(error: BaseException, code: ExitCode) -> str:
+    if code is ExitCode.INTERRUPTED:
+        return "Interrupted."
+    told = error.format_message() if isinstance(error, click.ClickException) else str(error)
+    sentence = " ".join(told.split())
+    if code is not ExitCode.UNFORESEEN:
+        return sentence
+    return f"Unforeseen {type(error).__name__}: {sentence or 'no further message'}".rstrip(".") + "."
+
+
+def _hint(error: BaseException, code: ExitCode) -> str:
+    if code is ExitCode.UNFORESEEN:
+        return "Run the command again with --debug to see where."
+    if isinstance(error, click.UsageError) and error.ctx is not None:
+        return f"See {error.ctx.command_path} --help."
+    return ""
+
+
+def _asked(option: str, arguments: Sequence[str]) -> bool:
+    """Tell whether `option` stands among the arguments, which an error may have kept from being parsed."""
+    before = arguments[: arguments.index("--")] if "--" in arguments else arguments
+    return option in before
+
+
+def _settle_output() -> None:
+    """Flush now, so that a full disk or a closed pipe cannot replace the exit code while the interpreter ends."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        discard_output()
+
+
+def _tolerate_narrow_encodings() -> None:
+    """Let a terminal without Greek letters show a question mark instead of ending the run."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")

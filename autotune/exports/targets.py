@@ -1,0 +1,55 @@
+"""The formats that a controller can be exported to; each turns a verified file into the whole text of another."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from autotune.errors import CertificateError, UsageError
+
+if TYPE_CHECKING:
+    from autotune.files.controller import Controller
+
+# The files are read and written by functions that import what they need, so that the list of targets costs nothing.
+
+
+def render_cell(controller: "Controller") -> str:
+    """Return the canonical `controller.yaml`, which the cell reads, checksum included."""
+    from autotune.files.controller import controller_tree  # noqa: PLC0415
+    from autotune.files.yaml12 import dump_yaml  # noqa: PLC0415
+
+    return dump_yaml(controller_tree(controller))
+
+
+def render_json(controller: "Controller") -> str:
+    """Return the JSON twin of `controller.yaml`: the same tree and checksum, as `controller.schema.json` tells it."""
+    from autotune.files.controller import controller_tree  # noqa: PLC0415
+    from autotune.files.dump import dump_json  # noqa: PLC0415
+
+    return dump_json(controller_tree(controller))
+
+
+TARGETS: Mapping[str, Callable[["Controller"], str]] = MappingProxyType({"cell": render_cell, "json": render_json})
+
+
+def export_controller(path: Path | str, target: str, out: Path | str) -> str:
+    """Verify the controller file `path`, write it to `out` in the format `target` and return its checksum.
+
+    The text is read back and must tell the same controller before `out` is touched.
+
+    Raises UsageError for an unknown target or a file that cannot be opened or written, CertificateError for a file
+    that is altered, not validated or not read back the same.
+    """
+    from autotune.files.atomic import write_atomic  # noqa: PLC0415
+    from autotune.files.controller import parse_controller, read_controller, short  # noqa: PLC0415
+
+    if target not in TARGETS:
+        raise UsageError(f"There is no export target {target}; targets: {', '.join(TARGETS)}.")
+    source = read_controller(path)
+    text = TARGETS[target](source.controller)
+    twin = parse_controller(text, out)
+    if twin.checksum != source.checksum or twin.controller != source.controller:
+        told = f"{short(twin.checksum)} instead of {short(source.checksum)}"
+        raise CertificateError(f"{path}: the {target} form does not read back as the same controller ({told}).")
+    write_atomic(out, text)
+    return source.checksum

@@ -1,0 +1,53 @@
+"""Write a file so that the name never stands for half of it."""
+
+import os
+import secrets
+from contextlib import suppress
+from pathlib import Path
+
+from autotune.errors import UsageError
+
+
+def write_atomic(path: Path | str, content: str | bytes) -> None:
+    """Write `content` (text as UTF-8) under `path`: the old file stays whole until the new one is.
+
+    The bytes go to a temporary file beside the target, are flushed to the disk, and take the name in one step.
+    A symbolic link is followed; the mode is that of a new file under the umask. A device or pipe is written directly.
+    Nothing is left behind on failure or interruption.
+
+    Raises UsageError: the target cannot be written.
+    """
+    data = content.encode() if isinstance(content, str) else content
+    target = Path(os.path.realpath(path))
+    try:
+        if target.exists() and not target.is_file() and not target.is_dir():
+            target.write_bytes(data)
+        else:
+            _replace(target, data)
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written: {error.strerror or error}.") from error
+
+
+def _replace(target: Path, data: bytes) -> None:
+    temporary = target.parent / f".autotune-{secrets.token_hex(8)}.tmp"
+    try:
+        with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.replace(target)
+    except BaseException:
+        with suppress(OSError):
+            temporary.unlink()
+        raise
+    _sync_directory(target.parent)
+
+
+def _sync_directory(directory: Path) -> None:
+    """Make the new name durable where the system lets a directory be opened; elsewhere the rename must do."""
+    with suppress(OSError):
+        descriptor = os.open(directory, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

@@ -1,0 +1,259 @@
+"""What `controller.yaml` holds, as values; on rx, ry, rz read N·m, rad and kg·m² for N, m and kg."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Any
+
+from problems.errors import ParameterError
+
+Vector = tuple[float, float, float]
+Interval = tuple[float, float]
+
+SMALLEST_FEEDBACK_DAMPING_S = 1e-4
+
+
+class ControllerStatus(StrEnum):
+    """Whether the certificate of a controller was found to hold."""
+
+    VALIDATED = "validated"
+    UNVALIDATED = "unvalidated"
+
+
+class DeadbandType(StrEnum):
+    """What happens to a force beyond the deadband: it passes whole, or less the deadband."""
+
+    THRESHOLD = "threshold"
+    SUBTRACTIVE = "subtractive"
+
+
+class CollisionResponse(StrEnum):
+    """What the runtime does on collision: nothing, the position reset of the paper's Algorithm 1, or a full stop."""
+
+    NONE = "none"
+    RESET = "reset"
+    STOP = "stop"
+
+
+def _freeze(record: object, *names: str) -> None:
+    for name in names:
+        object.__setattr__(record, name, MappingProxyType(dict(getattr(record, name))))
+
+
+def _check_interval(name: str, interval: Interval) -> None:
+    if not 0.0 <= interval[0] <= interval[1] < math.inf:
+        raise ParameterError(name, interval, "[lowest, highest] with 0 ≤ lowest ≤ highest")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisGains:
+    """M_a (kg), B_a (N·s/m), K_l (s), B_fb (s) and the deadband (N) of one axis.
+
+    Raises ParameterError unless M_a and B_a are positive, the others not negative, and B_fb is 0 or at least 1e-4 s:
+    the values printed in the paper (2e-5, 7.5e-6) cannot be seconds.
+    """
+
+    mass: float
+    damping: float
+    lead_s: float
+    feedback_damping_s: float
+    deadband: float
+    deadband_type: DeadbandType
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "damping"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ParameterError(name, getattr(self, name), "greater than 0")
+        for name in ("lead_s", "feedback_damping_s", "deadband"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ParameterError(name, getattr(self, name), "at least 0")
+        if 0.0 < self.feedback_damping_s < SMALLEST_FEEDBACK_DAMPING_S:
+            must = "0 or at least 1e-4 s (values as printed in the paper are not seconds; convert them first)"
+            raise ParameterError("feedback_damping_s", self.feedback_damping_s, must)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Filters:
+    """ω_v and ω_a, rad/s."""
+
+    velocity_rad_per_s: float
+    acceleration_rad_per_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Collision:
+    """The collision response and its force threshold (N); None exactly when there is no response."""
+
+    response: CollisionResponse
+    threshold_n: float | None
+
+    def __post_init__(self) -> None:
+        if (self.response == CollisionResponse.NONE) != (self.threshold_n is None):
+            raise ParameterError("threshold_n", self.threshold_n, "a force exactly when there is a collision response")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RuntimePayload:
+    """What the runtime's gravity compensation needs, in the sensor frame."""
+
+    mass_kg: float
+    com_m: Vector
+    force_bias_n: Vector
+    torque_bias_n_m: Vector
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScenarioPrediction:
+    """The peaks (N) of one contact and the time of the peak after touching (s)."""
+
+    name: str
+    environment_stiffness_n_per_m: float
+    payload_mass_kg: float
+    peak_sensor_force_n: float
+    peak_contact_force_n: float
+    time_of_peak_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreeSpaceAdmittance:
+    """The least |G| over the band (Hz), m/s per N, and the steady hand force per speed, N/(m/s)."""
+
+    band_hz: Interval
+    min_m_s_per_n: float
+    hand_force_n_per_m_s: float
+
+    def __post_init__(self) -> None:
+        _check_interval("band_hz", self.band_hz)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisPrediction:
+    """What the model predicts for one axis."""
+
+    scenarios: tuple[ScenarioPrediction, ...]
+    free_space_admittance: FreeSpaceAdmittance
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisDomain:
+    """The plants of one axis for which the certificate holds; r(s) in descending powers of s, r(0) = 1."""
+
+    environment_stiffness_n_per_m: Interval
+    payload_mass_kg: Interval
+    environment_damping_n_s_per_m: float
+    environment_mass_kg: float
+    coupling_stiffness_n_per_m: float
+    coupling_damping_n_s_per_m: float
+    drag_n_s_per_m: float
+    robot_numerator: tuple[float, ...]
+    robot_denominator: tuple[float, ...]
+    delay_s: float
+    approach_force_n: float | None = None
+    approach_speed_m_s: float | None = None
+
+    def __post_init__(self) -> None:
+        _check_interval("environment_stiffness_n_per_m", self.environment_stiffness_n_per_m)
+        _check_interval("payload_mass_kg", self.payload_mass_kg)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisMargins:
+    """The smallest margins over the domain; None where no finite limit exists (infinity is stored as None).
+
+    `worst` tells for each margin at which plant it was found.
+    """
+
+    gain_db: float | None
+    phase_deg: float | None
+    delay_s: float | None
+    modulus: float
+    worst: Mapping[str, Mapping[str, float | str]]
+
+    def __post_init__(self) -> None:
+        for name in ("gain_db", "phase_deg", "delay_s"):
+            if getattr(self, name) == math.inf:
+                object.__setattr__(self, name, None)
+        object.__setattr__(
+            self, "worst", MappingProxyType({key: MappingProxyType(dict(case)) for key, case in self.worst.items()})
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proof:
+    """What is proved, by which method, over which set; `numbers` are its figures by name, if it has any."""
+
+    claim: str
+    method: str
+    over: str | Mapping[str, Any]
+    numbers: Mapping[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.numbers is not None:
+            _freeze(self, "numbers")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdmittanceRequirement:
+    """The free-space target: at least `min_m_s_per_n` over the band (Hz)."""
+
+    min_m_s_per_n: float
+    band_hz: Interval
+
+    def __post_init__(self) -> None:
+        _check_interval("band_hz", self.band_hz)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """What was shown about the controller, and for which plants."""
+
+    domain: Mapping[str, AxisDomain]
+    sample_time_s: float
+    requirements: Mapping[str, float | bool | AdmittanceRequirement]
+    proved: tuple[Proof, ...]
+    margins: Mapping[str, AxisMargins]
+
+    def __post_init__(self) -> None:
+        _freeze(self, "domain", "requirements", "margins")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Controller:
+    """A tuned controller, what it is predicted to do, and what its certificate says.
+
+    Raises ParameterError when the certificate is for another sample time, or when a validated controller has an axis
+    without domain, margins or prediction, or proves nothing.
+    """
+
+    status: ControllerStatus
+    sample_time_s: float
+    discretization: str
+    delay_samples: float
+    axes: Mapping[str, AxisGains]
+    filters: Filters
+    compensation_mass_kg: float
+    collision: Collision
+    payload: RuntimePayload
+    predicted: Mapping[str, AxisPrediction]
+    certificate: Certificate
+    provenance: Mapping[str, Any]
+
+    def __post_init__(self) -> None:
+        _freeze(self, "axes", "predicted", "provenance")
+        if self.certificate.sample_time_s != self.sample_time_s:
+            must = f"the sample_time_s of the controller, {self.sample_time_s!r}"
+            raise ParameterError("certificate.sample_time_s", self.certificate.sample_time_s, must)
+        parts: dict[str, Mapping[str, object]] = {
+            "predicted": self.predicted,
+            "certificate.domain": self.certificate.domain,
+            "certificate.margins": self.certificate.margins,
+        }
+        for name, part in parts.items():
+            if set(part) - set(self.axes):
+                raise ParameterError(name, sorted(part), f"for tuned axes only, {', '.join(self.axes)}")
+            if self.status == ControllerStatus.VALIDATED and set(part) != set(self.axes):
+                raise ParameterError(name, sorted(part), f"given for all tuned axes, {', '.join(self.axes)}")
+        if self.status == ControllerStatus.VALIDATED and not self.certificate.proved:
+            raise ParameterError("certificate.proved", (), "at least one claim in a validated controller")

@@ -1,0 +1,71 @@
+"""`identified.yaml`: plant parameters on disk."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from autotune.errors import UsageError
+from identification.result import Identified
+
+from .atomic import write_atomic
+from .canonical import plain
+from .records import read_record, record_tree, rename_axis_keys
+from .schema import VERSION, check_document, check_format, check_tree
+from .yaml12 import dump_yaml, load_document
+
+FORMAT = "autotune/identified"
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentifiedFile:
+    """A file of plant parameters that was read and found whole; `sha256` is that of its bytes."""
+
+    result: Identified
+    provenance: Mapping[str, Any]
+    path: Path
+    sha256: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
+
+
+def identified_tree(result: Identified, provenance: Mapping[str, object]) -> dict[str, Any]:
+    """Return the plain tree of `identified.yaml`.
+
+    On rx, ry, rz the keys tell the rotational unit: `stiffness_n_m_per_rad`, `secant_stiffness_n_m_per_rad`,
+    `damping_n_m_s_per_rad`, `drag_n_m_s_per_rad`, `inertia_kg_m2`, `peak_torque_n_m`.
+
+    Raises ParameterError: a number is not finite, or an entry contradicts the format (an unidentifiable parameter
+    that has a value, an identified one that has none, a stiffness that is not positive).
+    """
+    body = record_tree(result)
+    body["axes"] = {axis: rename_axis_keys(axis, tree, reading=False) for axis, tree in body["axes"].items()}
+    tree = {"format": FORMAT, "version": VERSION, **body, "provenance": plain(provenance, "provenance")}
+    check_tree(tree, "identified")
+    return tree
+
+
+def write_identified(path: Path | str, result: Identified, provenance: Mapping[str, object]) -> None:
+    """Write `identified.yaml` in one step; raises as `identified_tree` and `write_atomic` do."""
+    write_atomic(path, dump_yaml(identified_tree(result, provenance)))
+
+
+def read_identified(path: Path | str) -> IdentifiedFile:
+    """Read `identified.yaml` (or its JSON twin), every number to the last bit.
+
+    Raises UsageError: the file cannot be read, is not of this format and version, or an entry is missing, unknown or
+    out of range; the text names file, line and reason.
+    """
+    document = load_document(path, error=UsageError)
+    check_format(document, "identified")
+    check_document(document, "identified")
+    body = {key: value for key, value in document.tree.items() if key not in ("format", "version", "provenance")}
+    body["axes"] = {axis: rename_axis_keys(axis, tree, reading=True) for axis, tree in body["axes"].items()}
+    return IdentifiedFile(
+        result=read_record(Identified, body),
+        provenance=document.tree["provenance"],
+        path=document.path,
+        sha256=document.sha256,
+    )

@@ -1,0 +1,123 @@
+"""Turn frozen dataclasses into plain trees and back: field by field, names kept, fields at their default left out."""
+
+import types
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from enum import Enum
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from problems.errors import ParameterError
+
+from .canonical import Place, plain, spell
+
+_Record = TypeVar("_Record")
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+ROTATIONAL_AXES = frozenset({"rx", "ry", "rz"})
+
+ROTATIONAL_KEYS: Mapping[str, str] = types.MappingProxyType(
+    {
+        "stiffness_n_per_m": "stiffness_n_m_per_rad",
+        "secant_stiffness_n_per_m": "secant_stiffness_n_m_per_rad",
+        "damping_n_s_per_m": "damping_n_m_s_per_rad",
+        "drag_n_s_per_m": "drag_n_m_s_per_rad",
+        "mass_kg": "inertia_kg_m2",
+        "peak_force_n": "peak_torque_n_m",
+        "environment_stiffness_n_per_m": "environment_stiffness_n_m_per_rad",
+        "environment_damping_n_s_per_m": "environment_damping_n_m_s_per_rad",
+        "environment_mass_kg": "environment_inertia_kg_m2",
+        "payload_mass_kg": "payload_inertia_kg_m2",
+        "coupling_stiffness_n_per_m": "coupling_stiffness_n_m_per_rad",
+        "coupling_damping_n_s_per_m": "coupling_damping_n_m_s_per_rad",
+        "approach_force_n": "approach_torque_n_m",
+        "approach_speed_m_s": "approach_speed_rad_s",
+        "peak_sensor_force_n": "peak_sensor_torque_n_m",
+        "peak_contact_force_n": "peak_contact_torque_n_m",
+        "min_m_s_per_n": "min_rad_s_per_n_m",
+        "hand_force_n_per_m_s": "hand_torque_n_m_per_rad_s",
+    }
+)
+"""What a key of a translational axis is called on a rotational one (rad, N·m, kg·m²)."""
+
+_TRANSLATIONAL_KEYS = {rotational: key for key, rotational in ROTATIONAL_KEYS.items()}
+
+
+def record_tree(record: object, name: str = "") -> Any:
+    """Return the plain tree of a dataclass; a field that has a default and equals it is left out.
+
+    Raises ParameterError, with the path of the entry, when a number is not finite or something has no plain form.
+    """
+    if is_dataclass(record) and not isinstance(record, type):
+        pairs = ((field, getattr(record, field.name)) for field in fields(record))
+        return {
+            field.name: record_tree(value, f"{name}.{field.name}")
+            for field, value in pairs
+            if field.default is MISSING or value != field.default
+        }
+    if isinstance(record, Mapping):
+        return {str(key): record_tree(value, f"{name}.{key}") for key, value in record.items()}
+    if isinstance(record, tuple | list):
+        return [record_tree(item, f"{name}[{index}]") for index, item in enumerate(record)]
+    return plain(record, name.lstrip("."))
+
+
+class EntryError(ParameterError):
+    """An entry of a tree that a record refuses; `place` is where it stands."""
+
+    def __init__(self, place: Place, refusal: ParameterError) -> None:
+        super().__init__(spell(place), refusal.value, refusal.must)
+        self.place = place
+
+
+def read_record(kind: type[_Record], tree: Mapping[str, Any], place: Place = ()) -> _Record:
+    """Return the dataclass `kind` that `tree` tells; the tree must satisfy the schema of `kind`.
+
+    Raises EntryError when the dataclass refuses a value.
+    """
+    hints = get_type_hints(kind)
+    arguments = {key: _read(hints[key], value, (*place, key)) for key, value in tree.items()}
+    try:
+        return kind(**arguments)
+    except ParameterError as refusal:
+        raise EntryError((*place, *refusal.name.split(".")), refusal) from refusal
+
+
+def _read(hint: Any, value: Any, place: Place) -> Any:
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin in (types.UnionType, Union):
+        return None if value is None else _read(_option(arguments, value), value, place)
+    if origin is tuple:
+        kinds = (arguments[0],) * len(value) if arguments[-1] is Ellipsis else arguments
+        parts = enumerate(zip(kinds, value, strict=True))
+        return tuple(_read(item, part, (*place, index)) for index, (item, part) in parts)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return {key: _read(arguments[1], part, (*place, key)) for key, part in value.items()}
+    if is_dataclass(hint) and isinstance(hint, type):
+        return read_record(hint, value, place)
+    return hint(value) if isinstance(hint, type) and issubclass(hint, float | Enum) else value
+
+
+def _option(options: tuple[Any, ...], value: Any) -> Any:
+    """Choose the member of a union that `value` is written as."""
+    if isinstance(value, bool):
+        return bool
+    if isinstance(value, int | float):
+        return float
+    if isinstance(value, str):
+        return next((option for option in options if isinstance(option, type) and issubclass(option, Enum)), str)
+    return next(option for option in options if is_dataclass(option) or get_origin(option) is not None)
+
+
+def rename_axis_keys(axis: str, tree: Any, *, reading: bool) -> Any:
+    """Rename the keys of one axis subtree to the axis's units, or with `reading` back to those of a translation."""
+    if axis not in ROTATIONAL_AXES:
+        return tree
+    return _rename(tree, _TRANSLATIONAL_KEYS if reading else ROTATIONAL_KEYS)
+
+
+def _rename(tree: Any, names: Mapping[str, str]) -> Any:
+    if isinstance(tree, Mapping):
+        return {names.get(key, key): _rename(value, names) for key, value in tree.items()}
+    if isinstance(tree, list):
+        return [_rename(item, names) for item in tree]
+    return tree

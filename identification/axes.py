@@ -1,0 +1,144 @@
+"""One axis of the sensor frame: what moved along it, who moved it, and what it touched."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+from scipy.spatial.transform import Rotation
+
+from .aligned import AlignedLog, check_regular
+from .coupling import FreeMotion
+from .gravity import orientation_spread_rad
+from .recording import PoseSignal, Recording
+from .segments import Motion, Span
+
+FloatArray = NDArray[np.float64]
+
+AXIS_NAMES = ("x", "y", "z")
+
+_TRAVELLING_M_S = 3e-3
+_ALONG_ONE_AXIS = 0.97
+_SMALLEST_TRAVEL_M = 2e-3
+_CONSTANT_ORIENTATION_RAD = np.radians(2.0)
+_EDGE_S = 0.12
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisMotion:
+    """Motion along one axis of S with constant orientation.
+
+    `position_m`, `force_n` (n,) on the log's clock, force without bias and weight; `spans` of motion along this axis.
+    """
+
+    name: str
+    direction_B: FloatArray
+    position_m: FloatArray
+    force_n: FloatArray
+    spans: tuple[Span, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Travel:
+    """The axes that moved, and the share of the travel that went along none of them."""
+
+    axes: tuple[AxisMotion, ...]
+    oblique_share: float
+
+
+def find_axes(log: AlignedLog, motion: Motion, force_S_n: FloatArray) -> Travel:
+    """Assign every span of translation to the axis of S along which it went."""
+    by_axis: dict[int, list[Span]] = {}
+    oblique = total = 0.0
+    for span in motion.moving:
+        velocity = motion.velocity_S_m_s[span.slice]
+        speed = np.linalg.norm(velocity, axis=1)
+        travelling = speed > _TRAVELLING_M_S
+        if not np.any(travelling) or orientation_spread_rad(log.orientation_BS[span.slice]) > _CONSTANT_ORIENTATION_RAD:
+            continue
+        axis = int(np.argmax(np.sum(np.abs(velocity), axis=0)))
+        along = np.abs(velocity[travelling, axis]) > _ALONG_ONE_AXIS * speed[travelling]
+        total += float(np.sum(speed[travelling]))
+        oblique += float(np.sum(speed[travelling][~along]))
+        if np.mean(along) > 0.5:
+            by_axis.setdefault(axis, []).append(span)
+    axes = [_axis_motion(log, axis, spans, force_S_n) for axis, spans in sorted(by_axis.items())]
+    kept = tuple(a for a in axes if float(np.ptp(a.position_m)) > _SMALLEST_TRAVEL_M)
+    return Travel(axes=kept, oblique_share=oblique / total if total > 0.0 else 0.0)
+
+
+def _axis_motion(log: AlignedLog, axis: int, spans: list[Span], force_S_n: FloatArray) -> AxisMotion:
+    orientation = Rotation.concatenate([log.orientation_BS[span.slice].mean() for span in spans]).mean()
+    direction_B = np.asarray(orientation.apply(np.eye(3)[axis]))
+    return AxisMotion(
+        name=AXIS_NAMES[axis],
+        direction_B=direction_B,
+        position_m=np.asarray((log.position_B_m - log.position_B_m[0]) @ direction_B),
+        force_n=np.array(force_S_n[:, axis]),
+        spans=tuple(spans),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SortedMotion:
+    """Spans by who moved the payload: `passive` (the robot alone), `guided` (a hand), `touching` (next to a hold)."""
+
+    passive: tuple[Span, ...]
+    guided: tuple[Span, ...]
+    touching: tuple[Span, ...]
+
+
+def sort_motion(axis: AxisMotion, holds: Sequence[Span], period_s: float) -> SortedMotion:
+    """Tell the spans apart by energy: a payload that nobody touches cannot put work into the flange.
+
+    ∫ F dx > 0 over a span from rest to rest means a hand pushed; next to a hold there was a contact.
+    """
+    passive, guided, touching = [], [], []
+    edge = round(_EDGE_S / period_s)
+    for span in axis.spans:
+        if any(hold.start <= span.stop + edge and span.start - edge <= hold.stop for hold in holds):
+            touching.append(span)
+            continue
+        steps = np.diff(axis.position_m[span.slice])
+        work = float(np.sum(axis.force_n[span.slice][:-1] * steps))
+        (guided if work > 0.0 else passive).append(span)
+    return SortedMotion(passive=tuple(passive), guided=tuple(guided), touching=tuple(touching))
+
+
+def free_motions(axis: AxisMotion, spans: Sequence[Span], period_s: float) -> tuple[FreeMotion, ...]:
+    """Cut the passive spans out, with a little of the rest on both sides."""
+    edge = round(_EDGE_S / period_s)
+    cuts = [slice(max(0, s.start - edge), min(len(axis.position_m), s.stop + edge)) for s in spans]
+    return tuple(FreeMotion(position_m=axis.position_m[cut], force_n=axis.force_n[cut]) for cut in cuts)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandedMotion:
+    """Command and measured position along one axis on the command's clock, (n,) each, from rest."""
+
+    command_m: FloatArray
+    position_m: FloatArray
+    period_s: float
+
+
+def commanded_motion(recording: Recording, command: PoseSignal, log: AlignedLog, axis: AxisMotion) -> CommandedMotion:
+    """Interpolate the measured position at the command's stamps, over the part of the log in which the axis moves."""
+    period = check_regular(command.topic, command.stamp_ns)
+    margin_ns = 0.3e9
+    first = log.start_ns + log.time_s[axis.spans[0].start] * 1e9 - margin_ns
+    last = log.start_ns + log.time_s[axis.spans[-1].stop - 1] * 1e9 + margin_ns
+    pose = recording.pose
+    first, last = max(first, pose.stamp_ns[0]), min(last, pose.stamp_ns[-1])
+    inside = (command.stamp_ns >= first) & (command.stamp_ns <= last)
+    stamps = command.stamp_ns[inside]
+    origin = log.position_B_m[0]
+    command_m = (command.position_m[inside] - origin) @ axis.direction_B
+    pose_time = (pose.stamp_ns - stamps[0]) * 1e-9
+    measured = (pose.position_m - origin) @ axis.direction_B
+    spline = make_interp_spline(pose_time, measured, k=3)
+    return CommandedMotion(
+        command_m=np.asarray(command_m),
+        position_m=np.asarray(spline((stamps - stamps[0]) * 1e-9)),
+        period_s=period,
+    )

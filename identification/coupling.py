@@ -1,0 +1,147 @@
+"""Coupling stiffness and damping, payload drag and the mass that moves, from free motion without a hand on the payload."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from .errors import EstimateError
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_LOWEST_HZ = 0.25
+_HIGHEST_HZ = 70.0
+_POSE_RATE_SHARE = 0.12
+_SHORTEST_S = 2.0
+_LINEAR_ROUNDS = 6
+_REWEIGHTINGS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreeMotion:
+    """One span of free motion that starts and ends at rest: flange position and force on the axis, (n,) each."""
+
+    position_m: FloatArray
+    force_n: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class CouplingFit:
+    """K_s, B_s, B_p and M_p with their covariance, in that order; `fit_error` is residual RMS over force RMS."""
+
+    stiffness_n_per_m: float
+    damping_n_s_per_m: float
+    drag_n_s_per_m: float
+    mass_kg: float
+    covariance: FloatArray
+    fit_error: float
+    band_hz: tuple[float, float]
+
+    @property
+    def std(self) -> FloatArray:
+        """Standard deviations of K_s, B_s, B_p, M_p."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def felt_impedance(parameters: FloatArray, s: ComplexArray) -> ComplexArray:
+    """Return X → F of a passive payload, −s Ē = −C_s (M s² + B_p s)/(M s² + B_p s + C_s s), C_s s = B_s s + K_s.
+
+    MODEL.md, "what the flange feels", with E = 0; `parameters` are K_s, B_s, B_p, M_p.
+    """
+    stiffness, damping, drag, mass = parameters
+    coupling = damping * s + stiffness
+    payload = (mass * s + drag) * s
+    return np.asarray(-coupling * payload / (payload + coupling))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """White measurement noise: `force_rms_n` of the force, `position_rms_m` of the pose."""
+
+    force_rms_n: float
+    position_rms_m: float
+
+
+def identify_coupling(motions: Sequence[FreeMotion], period_s: float, pose_rate_hz: float, noise: Noise) -> CouplingFit:
+    """Fit X → F over every span of free motion, in the frequency domain, up to what the pose's rate carries.
+
+    Bins are weighted by the noise that force and pose put there. The spans start and end at rest, so their
+    transforms have no leakage. Raises EstimateError without enough motion.
+    """
+    highest = min(_HIGHEST_HZ, _POSE_RATE_SHARE * pose_rate_hz, 0.2 / period_s)
+    length = sum(len(motion.position_m) for motion in motions) * period_s
+    if length < _SHORTEST_S:
+        raise EstimateError(
+            f"Only {length:.1f} s of free motion without a hand on the payload were found, {_SHORTEST_S:g} s at least are "
+            "needed to see the coupling; record a commanded sweep of 0.5 to 50 Hz in free space."
+        )
+    s, position, force = _spectra(motions, period_s, highest)
+    weight = np.ones(len(s))
+
+    def residual(logarithms: FloatArray) -> FloatArray:
+        difference = weight * (force - felt_impedance(np.exp(logarithms), s) * position)
+        return np.concatenate([difference.real, difference.imag])
+
+    parameters = np.log(_starting_point(s, position, force))
+    for _ in range(_REWEIGHTINGS):
+        # The pose's noise reaches the residual through the model; white noise of variance σ² puts σ²/2 on each part.
+        through = np.abs(felt_impedance(np.exp(parameters), s)) * noise.position_rms_m
+        weight = np.sqrt(2.0 / (noise.force_rms_n**2 + through**2))
+        found = least_squares(residual, parameters, bounds=(np.log(1e-3), np.log(1e12)))
+        parameters = found.x
+    values = np.exp(found.x)
+    variance = max(float(2.0 * found.cost) / (len(found.fun) - 4), 1.0)
+    jacobian = found.jac / values
+    unweighted = force - felt_impedance(values, s) * position
+    return CouplingFit(
+        stiffness_n_per_m=float(values[0]),
+        damping_n_s_per_m=float(values[1]),
+        drag_n_s_per_m=float(values[2]),
+        mass_kg=float(values[3]),
+        covariance=variance * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True),
+        fit_error=float(np.linalg.norm(unweighted) / np.linalg.norm(force)),
+        band_hz=(_LOWEST_HZ, highest),
+    )
+
+
+def _starting_point(s: ComplexArray, position: ComplexArray, force: ComplexArray) -> FloatArray:
+    """Return K_s, B_s, B_p, M_p from linear equations: F (s² + a1 s + a0) = −(b3 s³ + b2 s² + b1 s) X.
+
+    Reweighted by the last denominator (Sanathanan and Koerner 1963); K_s ≈ b2, M_p = K_s/a0, B_p = b1/a0, B_s = b3.
+    """
+    size = 2.0 * np.pi * 20.0  # one size for every column
+    p = s / size
+    weight = np.ones(len(s), dtype=complex)
+    solution = np.zeros(5)
+    for _ in range(_LINEAR_ROUNDS):
+        columns = np.column_stack([p * force, force, p**3 * position, p**2 * position, p * position])
+        rows, values = weight[:, None] * columns, -weight * p**2 * force
+        stacked = np.concatenate([rows.real, rows.imag])
+        solution = np.linalg.lstsq(stacked, np.concatenate([values.real, values.imag]), rcond=None)[0]
+        weight = 1.0 / (p**2 + solution[0] * p + solution[1])
+    _, a0, b3, b2, b1 = solution
+    stiffness, square = max(b2, 1.0), max(a0, 1e-6) * size**2
+    return np.maximum([stiffness, b3 / size, b1 * size / square, stiffness / square], [1.0, 1.0, 1.0, 1e-3])
+
+
+def _spectra(
+    motions: Sequence[FreeMotion], period_s: float, highest_hz: float
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Return s = jω and orthonormal transforms of position and force in the band."""
+    parts: list[tuple[ComplexArray, ComplexArray, ComplexArray]] = []
+    for motion in motions:
+        n = len(motion.position_m)
+        frequency = np.fft.rfftfreq(n, period_s)
+        band = (frequency >= _LOWEST_HZ) & (frequency <= highest_hz)
+        s = 2j * np.pi * frequency[band]
+        # The span may end elsewhere than it began: transform the steps, which begin and end at zero.
+        steps = np.diff(motion.position_m, append=motion.position_m[-1])
+        position = np.fft.rfft(steps, norm="ortho")[band] / np.expm1(s * period_s)
+        rest = 0.5 * (motion.force_n[0] + motion.force_n[-1])
+        force = np.fft.rfft(motion.force_n - rest, norm="ortho")[band]
+        parts.append((s, position, force))
+    s, position, force = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return s, position, force

@@ -1,0 +1,345 @@
+"""From a recording to plant parameters: one driver over the estimators of this floor."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .aligned import AlignedLog, align, check_regular
+from .axes import AxisMotion, commanded_motion, find_axes, free_motions, sort_motion
+from .coupling import CouplingFit, Noise, identify_coupling
+from .environment import Surface, find_holds, group_surfaces, identify_contact
+from .errors import EstimateError
+from .gravity import GravityFit, collect_static_poses, identify_gravity
+from .recording import Recording
+from .result import (
+    AxisEstimate,
+    CouplingEstimate,
+    EnvironmentEstimate,
+    Estimate,
+    Finding,
+    Identified,
+    PayloadEstimate,
+    RobotEstimate,
+    SensorEstimate,
+    Status,
+)
+from .robot import identify_robot
+from .segments import Motion, Span, find_motion
+from .verdicts import judged, unidentifiable, unidentifiable_vector, vector
+
+FloatArray = NDArray[np.float64]
+
+_HOLD_THRESHOLD_N = 4.0
+_HOLD_RESIDUALS = 6.0
+_MASS_DISAGREEMENT_STDS = 3.0
+_MASS_DISAGREEMENT_SHARE = 0.02
+_OBLIQUE_SHARE = 0.3
+_OBLIQUE_CONTACT_DEG = 10.0
+_POOR_COUPLING_FIT = 0.15
+# The continuous model is fitted to signals sampled behind a hold: measured on simulated cells, this is what it costs.
+_MODEL_STD_SHARE = 0.003
+_DELAY_STD_SAMPLES = 0.2
+_FIXED = "least squares over static poses"
+
+
+def identify_cell(recording: Recording) -> Identified:
+    """Estimate payload, sensor, and per axis robot, coupling and environments, each with a verdict.
+
+    What the log does not tell is `unidentifiable` and named by a finding of severity `error`. Raises EstimateError
+    when not even gravity can be told (nothing else can be without it), LogError when the channels do not fit together.
+    """
+    log = align(recording)
+    motion = find_motion(log)
+    gravity = identify_gravity(collect_static_poses(log, motion.still))
+    force = gravity.compensated_force_S_n(log)
+    findings: list[Finding] = []
+    travel = find_axes(log, motion, force)
+    if travel.oblique_share > _OBLIQUE_SHARE:
+        findings.append(_oblique(travel.oblique_share))
+    if not travel.axes:
+        findings.append(_no_travel())
+    axes = {}
+    for axis in travel.axes:
+        estimate, found = _identify_axis(recording, log, motion, gravity, force, axis)
+        axes[axis.name] = estimate
+        findings += found
+    sample_time, found = _sample_time(recording)
+    return Identified(
+        sample_time_s=sample_time,
+        payload=PayloadEstimate(
+            mass_kg=judged(gravity.mass_kg, gravity.mass_std_kg, method=_FIXED, note="includes the unknown local gravity"),
+            com_m=vector(gravity.com_S_m, gravity.com_std_m, method=_FIXED),
+        ),
+        axes=axes,
+        sensor=_sensor(recording, gravity),
+        findings=(*findings, *found, *_gravity_findings(gravity)),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _AxisInput:
+    """What the estimators of one axis share."""
+
+    axis: AxisMotion
+    period_s: float
+    holds: tuple[Span, ...]
+    noise: Noise
+
+
+def _identify_axis(
+    recording: Recording,
+    log: AlignedLog,
+    motion: Motion,
+    gravity: GravityFit,
+    force_S_n: FloatArray,
+    axis: AxisMotion,
+) -> tuple[AxisEstimate, list[Finding]]:
+    findings: list[Finding] = []
+    robot = _robot(recording, log, axis, findings)
+    threshold = max(_HOLD_THRESHOLD_N, _HOLD_RESIDUALS * gravity.residual_rms_n)
+    mine = tuple(s for s in find_holds(motion.still, axis.force_n, threshold) if _is_along(s, force_S_n, axis, findings))
+    noise = Noise(force_rms_n=gravity.noise_rms_n, position_rms_m=_position_noise(axis, motion.still))
+    shared = _AxisInput(axis=axis, period_s=log.period_s, holds=mine, noise=noise)
+    fit = _coupling(shared, log.pose_rate_hz, gravity, findings)
+    if fit is None:
+        missing = unidentifiable(note="no usable free motion")
+        coupling, drag = CouplingEstimate(stiffness_n_per_m=missing, damping_n_s_per_m=missing), missing
+        environments: tuple[EnvironmentEstimate, ...] = ()
+    else:
+        coupling, drag = _coupling_estimates(fit)
+        environments = _environments(shared, fit, findings)
+    return AxisEstimate(coupling=coupling, drag_n_s_per_m=drag, environments=environments, robot=robot), findings
+
+
+def _robot(recording: Recording, log: AlignedLog, axis: AxisMotion, findings: list[Finding]) -> RobotEstimate:
+    if recording.command is None:
+        findings.append(
+            _missing(
+                "no-command",
+                "The log has no commanded pose, so neither the robot's response nor its delay can be told.",
+                "Record the position command that the robot receives as a PoseStamped topic, or name it with "
+                "--command-topic.",
+            )
+        )
+        return _no_robot("no commanded pose in the log")
+    moved = commanded_motion(recording, recording.command, log, axis)
+    try:
+        fit = identify_robot(moved.command_m, moved.position_m, moved.period_s)
+    except EstimateError as error:
+        findings.append(_missing("robot", f"Axis {axis.name}: {error}", "Record a commanded sweep and its command."))
+        return _no_robot(str(error))
+    method = f"output error of r(s) behind a hold, residual {100.0 * fit.fit_error:.2g} % of the motion"
+    bandwidth_std = float(np.hypot(fit.bandwidth_std_hz, _MODEL_STD_SHARE * fit.bandwidth_hz))
+    delay_std = fit.delay_std_s
+    delay = judged(
+        fit.model.delay_s, delay_std, method=method, identified=np.inf if delay_std < 0.2 * moved.period_s else 0.05
+    )
+    return RobotEstimate(
+        numerator=vector(fit.model.numerator, fit.numerator_std, method=method),
+        denominator=vector(fit.model.denominator, fit.denominator_std, method=method),
+        delay_s=delay,
+        bandwidth_hz=judged(fit.bandwidth_hz, bandwidth_std, method=method),
+    )
+
+
+def _no_robot(note: str) -> RobotEstimate:
+    return RobotEstimate(
+        numerator=unidentifiable_vector(note),
+        denominator=unidentifiable_vector(note),
+        delay_s=unidentifiable(note=note),
+        bandwidth_hz=unidentifiable(note=note),
+    )
+
+
+def _coupling(
+    shared: _AxisInput, pose_rate_hz: float, gravity: GravityFit, findings: list[Finding]
+) -> CouplingFit | None:
+    axis = shared.axis
+    sorted_motion = sort_motion(axis, shared.holds, shared.period_s)
+    motions = free_motions(axis, sorted_motion.passive, shared.period_s)
+    try:
+        fit = identify_coupling(motions, shared.period_s, pose_rate_hz, shared.noise)
+    except EstimateError as error:
+        findings.append(_missing("coupling", f"Axis {axis.name}: {error}", "Record a commanded sweep in free space."))
+        return None
+    if fit.fit_error > _POOR_COUPLING_FIT:
+        findings.append(
+            _missing(
+                "coupling-fit",
+                f"Axis {axis.name}: a payload on a spring explains only {100.0 * (1.0 - fit.fit_error**2):.0f} % of the "
+                "force in free motion.",
+                "Record a sweep in free space with nobody touching the payload, and check that wrench and pose share one "
+                "clock.",
+            )
+        )
+        return None
+    fit = replace(fit, covariance=fit.covariance + np.diag((_MODEL_STD_SHARE * _values(fit)) ** 2))
+    apart = abs(fit.mass_kg - gravity.mass_kg)
+    std = float(np.hypot(fit.std[3], gravity.mass_std_kg))
+    if apart > max(_MASS_DISAGREEMENT_STDS * std, _MASS_DISAGREEMENT_SHARE * gravity.mass_kg):
+        findings.append(
+            Finding(
+                code="mass-disagreement",
+                severity="warning",
+                message=f"Axis {axis.name}: the mass from motion, {fit.mass_kg:.3f} ± {fit.std[3]:.3f} kg, and from gravity, "
+                f"{gravity.mass_kg:.3f} ± {gravity.mass_std_kg:.3f} kg, disagree.",
+                advice="Check force and length units, the clocks of wrench and pose, and that the payload was not changed.",
+            )
+        )
+    return fit
+
+
+def _values(fit: CouplingFit) -> FloatArray:
+    return np.array([fit.stiffness_n_per_m, fit.damping_n_s_per_m, fit.drag_n_s_per_m, fit.mass_kg])
+
+
+def _coupling_estimates(fit: CouplingFit) -> tuple[CouplingEstimate, Estimate]:
+    method = f"flange motion to force in free motion, {fit.band_hz[0]:.2g} to {fit.band_hz[1]:.3g} Hz"
+    stiffness_std, damping_std, drag_std, _ = (float(s) for s in fit.std)
+    # A damping matters beside the critical one; a tenth of that is the size below which nothing changes.
+    critical = 2.0 * float(np.sqrt(fit.stiffness_n_per_m * fit.mass_kg))
+    coupling = CouplingEstimate(
+        stiffness_n_per_m=judged(fit.stiffness_n_per_m, stiffness_std, method=method),
+        damping_n_s_per_m=judged(fit.damping_n_s_per_m, damping_std, method=method, floor=0.1 * critical),
+    )
+    return coupling, judged(fit.drag_n_s_per_m, drag_std, method=method, floor=0.1 * critical)
+
+
+def _environments(
+    shared: _AxisInput, fit: CouplingFit, findings: list[Finding]
+) -> tuple[EnvironmentEstimate, ...]:
+    axis = shared.axis
+    contacts = [
+        identify_contact(hold, axis.position_m, axis.force_n, shared.period_s, fit, shared.noise.force_rms_n)
+        for hold in shared.holds
+    ]
+    surfaces = group_surfaces([c for c in contacts if c is not None and c.stiffness_n_per_m > 0.0], fit)
+    if not surfaces:
+        findings.append(
+            _missing(
+                "no-contact",
+                f"Axis {axis.name}: no contact with an onset and a hold was found, so the environment's stiffness cannot be "
+                "told.",
+                "Record 3 or more contacts: approach at 1 to 3 cm/s, press with 20 to 50 N, hold for 1 s, back off.",
+            )
+        )
+    return tuple(_environment(surface, f"{axis.name}{i + 1}") for i, surface in enumerate(surfaces))
+
+
+def _environment(surface: Surface, name: str) -> EnvironmentEstimate:
+    method = "payload motion behind the coupling against contact force, onset to hold"
+    stiffness = judged(surface.stiffness_n_per_m, surface.stiffness_std_n_per_m, method=method)
+    known_mass = "taken as massless; the contact is not resolved finely enough to tell"
+    return EnvironmentEstimate(
+        name=name,
+        stiffness_n_per_m=stiffness,
+        secant_stiffness_n_per_m=judged(
+            surface.secant_n_per_m, surface.secant_std_n_per_m, method="K_s and K_e in series"
+        ),
+        damping_n_s_per_m=judged(surface.damping_n_s_per_m, surface.damping_std_n_s_per_m, method=method),
+        mass_kg=unidentifiable(note=known_mass),
+        contacts=len(surface.contacts),
+        peak_force_n=tuple(c.peak_force_n for c in surface.contacts),
+    )
+
+
+def _is_along(hold: Span, force_S_n: FloatArray, axis: AxisMotion, findings: list[Finding]) -> bool:
+    """Return whether the hold presses along this axis; an oblique normal is told with its direction."""
+    normal = np.median(force_S_n[hold.slice], axis=0)
+    normal = normal / np.linalg.norm(normal)
+    angle = float(np.degrees(np.arccos(np.clip(np.max(np.abs(normal)), 0.0, 1.0))))
+    along = axis.name == "xyz"[int(np.argmax(np.abs(normal)))]
+    if along and angle > _OBLIQUE_CONTACT_DEG:
+        text = ", ".join(f"{component:+.2f}" for component in normal)
+        findings.append(
+            Finding(
+                code="oblique-contact",
+                severity="warning",
+                message=f"A contact's normal lies {angle:.0f} degrees off axis {axis.name}: ({text}) in the sensor frame.",
+                advice="Touch a surface square to one axis, or turn the tool.",
+            )
+        )
+    return along
+
+
+def _position_noise(axis: AxisMotion, still: tuple[Span, ...]) -> float:
+    """Return the white noise of the position at rest, from second differences (they leave drift out)."""
+    longest = max(still, key=len)
+    second = np.diff(axis.position_m[longest.slice], n=2)
+    return max(float(np.std(second)) / np.sqrt(6.0), 1e-9)
+
+
+def _sensor(recording: Recording, gravity: GravityFit) -> SensorEstimate:
+    zeros = float(np.mean(recording.wrench.force_n == 0.0))
+    deadband = (
+        Estimate(value=0.0, std=0.0, status=Status.IDENTIFIED, method="share of exact zeros in the logged force")
+        if zeros < 1e-3
+        else unidentifiable(note=f"{100.0 * zeros:.1f} % of the logged forces are exactly 0: a deadband was applied")
+    )
+    rms = gravity.noise_rms_n
+    return SensorEstimate(
+        force_bias_n=vector(gravity.force_bias_S_n, gravity.force_bias_std_n, method=_FIXED),
+        torque_bias_n_m=vector(gravity.torque_bias_S_n_m, gravity.torque_bias_std_n_m, method=_FIXED),
+        force_noise_rms_n=Estimate(value=rms, std=0.02 * rms, status=Status.IDENTIFIED, method="spread within rests"),
+        gravity_residual_rms_n=Estimate(
+            value=gravity.residual_rms_n,
+            std=gravity.residual_rms_n / np.sqrt(6.0 * max(gravity.pose_count, 1)),
+            status=Status.IDENTIFIED,
+            method=_FIXED,
+        ),
+        deadband_n=deadband,
+    )
+
+
+def _gravity_findings(gravity: GravityFit) -> list[Finding]:
+    found = []
+    if gravity.rejected:
+        found.append(
+            Finding(
+                code="rests-with-contact",
+                severity="info",
+                message=f"{gravity.rejected} rests did not fit the payload's weight and were left out of gravity (contacts).",
+                advice="",
+            )
+        )
+    return found
+
+
+def _sample_time(recording: Recording) -> tuple[Estimate, list[Finding]]:
+    source = recording.command if recording.command is not None else recording.wrench
+    period = check_regular(source.topic, source.stamp_ns)
+    spread = float(np.std(np.diff(source.stamp_ns))) * 1e-9
+    note = f"period of `{source.topic}`, taken as the control period"
+    return (
+        Estimate(
+            value=period,
+            std=spread / np.sqrt(len(source.stamp_ns)),
+            status=Status.IDENTIFIED if recording.command is not None else Status.WEAK,
+            method="header stamps",
+            note=note,
+        ),
+        [],
+    )
+
+
+def _missing(code: str, message: str, advice: str) -> Finding:
+    return Finding(code=code, severity="error", message=message, advice=advice)
+
+
+def _oblique(share: float) -> Finding:
+    return Finding(
+        code="oblique-motion",
+        severity="warning",
+        message=f"{100.0 * share:.0f} % of the travel went along none of the sensor frame's axes and was not used.",
+        advice="Move along one axis of the tool at a time.",
+    )
+
+
+def _no_travel() -> Finding:
+    return _missing(
+        "no-travel",
+        "The tool never travels along one axis of the sensor frame with constant orientation, so neither robot, coupling "
+        "nor environment can be told.",
+        "Record a commanded sweep and contacts along one tool axis.",
+    )

@@ -1,0 +1,45 @@
+"""From a number and its standard deviation to a verdict."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .result import Estimate, Status, VectorEstimate
+
+FloatArray = NDArray[np.float64]
+
+_IDENTIFIED_SHARE = 0.05
+_WEAK_SHARE = 0.25
+
+
+def judged(
+    value: float, std: float, *, method: str, note: str = "", identified: float = _IDENTIFIED_SHARE, floor: float = 0.0
+) -> Estimate:
+    """Return an estimate whose status follows from std over value; nothing is claimed above `weak`'s limit.
+
+    `floor` is a size below which the value itself does not matter (a damping near zero is not badly known).
+    """
+    size = max(abs(value), floor)
+    share = std / size if size > 0.0 and np.isfinite(std) else np.inf
+    if share <= identified:
+        return Estimate(value=float(value), std=float(std), status=Status.IDENTIFIED, method=method, note=note)
+    if share <= max(_WEAK_SHARE, identified):
+        return Estimate(value=float(value), std=float(std), status=Status.WEAK, method=method, note=note)
+    told = f"standard deviation {std:.3g} for a value of {value:.3g}"
+    return unidentifiable(method=method, note=f"{note}; {told}" if note else told)
+
+
+def unidentifiable(*, method: str = "", note: str = "") -> Estimate:
+    """Return a parameter about which the log says nothing."""
+    return Estimate(value=None, std=None, status=Status.UNIDENTIFIABLE, method=method, note=note)
+
+
+def vector(values: FloatArray, stds: FloatArray, *, method: str, status: Status = Status.IDENTIFIED) -> VectorEstimate:
+    """Return a vector parameter with its standard deviations."""
+    return VectorEstimate(
+        value=tuple(float(v) for v in values), std=tuple(float(s) for s in stds), status=status, method=method
+    )
+
+
+def unidentifiable_vector(note: str) -> VectorEstimate:
+    """Return a vector about which the log says nothing."""
+    return VectorEstimate(value=None, std=None, status=Status.UNIDENTIFIABLE, note=note)

@@ -1,0 +1,71 @@
+"""`autotune inspect` through the real entry point."""
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from autotune.cli.main import main
+from tests.identification.logs.log_builder import complete, pose_stream, wrench_stream, write_mcap
+
+RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+def test_a_table_and_nothing_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_mcap(tmp_path / "run.mcap", complete())
+    assert main(["inspect", str(path)]) == 0
+    told = capsys.readouterr()
+    lines = told.out.splitlines()
+    heading = next(line for line in lines if line.startswith("topic"))
+    row = next(line for line in lines if line.startswith("/ft/wrench"))
+    assert row.index("500.00") + len("500.00") == heading.index("rate [Hz]") + len("rate [Hz]")
+    assert row.split()[1:3] == ["geometry_msgs/msg/WrenchStamped", "200"]
+    assert lines[-1] == "Every channel that identify needs is there."
+    assert told.err == ""
+
+
+def test_json_holds_the_whole_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_mcap(tmp_path / "run.mcap", [wrench_stream(), pose_stream()])
+    assert main(["inspect", str(path), "--json"]) == 0
+    tree = json.loads(capsys.readouterr().out)
+    assert tree["path"] == str(path)
+    assert tree["container"] == "mcap"
+    assert {channel["topic"]: channel["roles"] for channel in tree["channels"]} == {
+        "/camera/image": [],
+        "/ft/wrench": ["wrench"],
+        "/robot/pose": ["pose measured"],
+    }
+    assert len(tree["missing"]) == 1
+    assert "commanded pose" in tree["missing"][0]
+
+
+def test_a_damaged_file_is_one_line_and_code_3(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_mcap(tmp_path / "run.mcap", complete())
+    path.write_bytes(path.read_bytes()[:-1000])
+    assert main(["inspect", str(path)]) == 3
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert len(told.err.splitlines()) == 1
+    assert "run.mcap is truncated or damaged at byte" in told.err
+
+
+def test_control_characters_of_a_topic_do_not_reach_the_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_mcap(tmp_path / "run.mcap", [wrench_stream("/ft\x1b[2J")])
+    assert main(["inspect", str(path)]) == 0
+    assert "\x1b" not in capsys.readouterr().out
+
+
+def test_help_shows_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["inspect", "--help"]) == 0
+    assert "autotune inspect run7.mcap" in capsys.readouterr().out
+
+
+def test_recorded_bags_are_described(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["inspect", str(shared_data / "nj60" / "yellow_table_1.bag")]) == 0
+    told = capsys.readouterr().out
+    assert "/robot_state" in told
+    assert "record the force/torque sensor as geometry_msgs/msg/WrenchStamped" in told

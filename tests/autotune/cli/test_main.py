@@ -1,0 +1,357 @@
+"""The command line as a whole: exit codes, what goes to which stream, and what is imported when."""
+
+import importlib.util
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType, ModuleType
+from typing import Any
+
+import click
+import numpy as np
+import pytest
+
+from autotune import __version__
+from autotune.cli._common import Output, output_options
+from autotune.cli.main import COMMANDS, CommandEntry, ExitCode, exit_code_of, main
+from autotune.errors import CertificateError, InfeasibleError, UsageError
+from identification.errors import EstimateError, LogError
+from problems.errors import AutotuneError, ParameterError
+
+RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
+RunTiny = Callable[..., int]
+HEAVY = {"numpy", "scipy", "numba", "rich", "mcap", "rosbags", "ruamel"}
+
+TINY = """
+import sys, time
+import click
+from autotune.cli._common import output_options
+from autotune.cli.main import CommandEntry, main
+
+@click.command()
+@click.option("--wait", type=float, default=0.0)
+@click.option("--lines", type=int, default=1)
+@output_options
+def command(output, wait, lines):
+    with output.progress("Waiting", 3) as advance:
+        advance(1)
+        print("ready", file=sys.stderr, flush=True)
+        time.sleep(wait)
+    output.result({"lines": ["x" * 79] * lines}, lambda: print(*["x" * 79] * lines, sep="\\n"))
+    return 6
+
+sys.modules["tiny"] = sys.modules["__main__"]
+sys.exit(main(entries={"tiny": CommandEntry(module="tiny", help="Do little.")}))
+"""
+
+
+@pytest.fixture
+def run_tiny(monkeypatch: pytest.MonkeyPatch) -> RunTiny:
+    """Run `autotune tiny ARGUMENTS` in this process, where the command does `body(output)`."""
+
+    def run(body: Callable[[Output], int | None], *arguments: str) -> int:
+        @click.command()
+        @click.option("--mass", type=float)
+        @output_options
+        def tiny(output: Output, mass: float | None) -> int | None:
+            del mass
+            return body(output)
+
+        module = ModuleType("tiny_command")
+        module.__dict__["command"] = tiny
+        monkeypatch.setitem(sys.modules, "tiny_command", module)
+        entries = {"tiny": CommandEntry(module="tiny_command", help="Do little.")}
+        return main(["tiny", *arguments], entries=entries)
+
+    return run
+
+
+def raising(error: BaseException) -> Callable[[Output], None]:
+    def body(_output: Output) -> None:
+        raise error
+
+    return body
+
+
+# --- through the real entry point ---------------------------------------------------------------------------------
+
+
+def test_help_lists_every_command_in_the_order_of_the_work(run_cli: RunCli) -> None:
+    done = run_cli("--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    listed = [line.split()[0] for line in done.stdout.partition("Commands:")[2].splitlines() if line.startswith("  ")]
+    assert listed[: len(COMMANDS)] == list(COMMANDS)
+    assert list(COMMANDS)[:6] == ["inspect", "identify", "optimize", "validate", "export", "demo"]
+
+
+def test_help_imports_nothing_heavy() -> None:
+    script = (
+        "import sys; from autotune.cli.main import main; code = main(['--help'])\n"
+        "print(*sorted({name.split('.')[0] for name in sys.modules}), file=sys.stderr); sys.exit(code)"
+    )
+    done = _python(script)
+    assert done.returncode == 0
+    loaded = set(done.stderr.split())
+    assert {"click", "autotune", "identification", "problems"} <= loaded
+    assert not loaded & HEAVY
+
+
+def test_help_answers_at_once(run_cli: RunCli) -> None:
+    """0.3 s is promised; the best of five runs is asked, since a busy machine can only make a run slower."""
+    spent = []
+    for _ in range(5):
+        start = time.perf_counter()
+        assert run_cli("--help").returncode == 0
+        spent.append(time.perf_counter() - start)
+    assert min(spent) < 0.3
+
+
+def test_version(run_cli: RunCli) -> None:
+    done = run_cli("--version")
+    assert (done.returncode, done.stdout) == (0, f"autotune {__version__}\n")
+
+
+def test_no_arguments_show_the_help_as_a_usage_error(run_cli: RunCli) -> None:
+    done = run_cli()
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "Commands:" in done.stderr
+
+
+@pytest.mark.parametrize("arguments", [("no-such-command",), ("--no-such-option",), ("completion", "tcsh")])
+def test_usage_errors_are_one_line_and_exit_2(run_cli: RunCli, arguments: tuple[str, ...]) -> None:
+    done = run_cli(*arguments)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("autotune: ")
+    assert done.stderr.count("\n") == 1
+    assert "--help" in done.stderr
+
+
+@pytest.mark.parametrize("name", list(COMMANDS))
+def test_every_command_helps_with_an_example(run_cli: RunCli, name: str) -> None:
+    done = run_cli(name, "--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    _usage, _, rest = done.stdout.partition("\n")
+    assert f"autotune {name}" in rest
+
+
+@pytest.mark.parametrize("name", [name for name in COMMANDS if name != "completion"])
+def test_every_command_speaks_json_and_can_be_quiet(run_cli: RunCli, name: str) -> None:
+    told = run_cli(name, "--help").stdout
+    assert [option for option in ("--json", "--quiet", "--debug") if option not in told] == []
+
+
+@pytest.mark.parametrize("name", list(COMMANDS))
+def test_importing_a_command_imports_nothing_heavy(name: str) -> None:
+    done = _python(f"import sys, {COMMANDS[name].module}; print(*{{name.split('.')[0] for name in sys.modules}})")
+    assert done.returncode == 0, done.stderr
+    assert not set(done.stdout.split()) & HEAVY
+
+
+@pytest.mark.parametrize(("shell", "mark"), [("bash", "complete -o"), ("zsh", "compdef"), ("fish", "complete --")])
+def test_completion_script(run_cli: RunCli, shell: str, mark: str) -> None:
+    done = run_cli("completion", shell)
+    assert done.returncode == 0
+    assert mark in done.stdout
+    assert "_AUTOTUNE_COMPLETE" in done.stdout
+
+
+def test_completion_answers_the_shell() -> None:
+    words = {"COMP_WORDS": "autotune i", "COMP_CWORD": "1", "_AUTOTUNE_COMPLETE": "bash_complete"}
+    done = _python("import sys; from autotune.cli.main import main; sys.exit(main([]))", **words)
+    assert done.stdout.split() == ["plain,inspect", "plain,identify"]
+
+
+def test_a_reader_that_leaves_early_changes_nothing(tmp_path: Path) -> None:
+    """100 000 lines do not fit into a pipe, so the writer meets the closed end for certain."""
+    script = _tiny_script(tmp_path)
+    for option in ([], ["--json"]):
+        process = subprocess.Popen(
+            [sys.executable, script, "tiny", "--lines", "100000", *option],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=_environment(),
+        )
+        assert process.stdout is not None
+        process.stdout.close()
+        assert process.stderr is not None
+        told = process.stderr.read().decode()
+        process.stderr.close()
+        assert (process.wait(timeout=60), told) == (ExitCode.CERTIFICATE, "ready\n")
+
+
+def test_ctrl_c_exits_130(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, _tiny_script(tmp_path), "tiny", "--wait", "60"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=_environment(),
+    )
+    assert process.stderr is not None
+    assert process.stderr.readline() == "ready\n"
+    process.send_signal(signal.SIGINT)
+    out, told = process.communicate(timeout=60)
+    assert (process.returncode, out, told) == (130, "", "autotune: Interrupted.\n")
+
+
+@pytest.mark.parametrize(("option", "shown"), [((), True), (("--quiet",), False)])
+def test_progress_is_shown_on_a_terminal_only_and_never_when_quiet(
+    tmp_path: Path, option: tuple[str, ...], shown: bool
+) -> None:
+    ours, theirs = pty.openpty()
+    done = subprocess.run(
+        [sys.executable, _tiny_script(tmp_path), "tiny", *option],
+        stdout=subprocess.PIPE,
+        stderr=theirs,
+        env=_environment(TERM="xterm"),
+        timeout=60,
+        check=False,
+    )
+    os.close(theirs)
+    seen = os.read(ours, 65536).decode()
+    os.close(ours)
+    assert done.returncode == ExitCode.CERTIFICATE
+    assert "ready" in seen
+    assert ("Waiting" in seen) == shown
+
+
+# --- in this process, with a command made for the purpose ---------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (click.UsageError("Two logs, one cell."), 2),
+        (UsageError("Both masses are given."), 2),
+        (ParameterError("mass_kg", -1.0, "positive"), 2),
+        (LogError("run.mcap ends in the middle of a chunk."), 3),
+        (EstimateError("The log holds no contact."), 4),
+        (InfeasibleError("No controller keeps the peak below 100 N."), 5),
+        (CertificateError("controller.yaml was altered."), 6),
+        (KeyboardInterrupt(), 130),
+        (click.Abort(), 130),
+        (AutotuneError("An error of a branch that has no code."), 1),
+        (ZeroDivisionError("division by zero"), 1),
+        (SystemExit(0), 1),
+    ],
+)
+def test_every_error_is_one_line_and_has_its_code(
+    run_tiny: RunTiny, capsys: pytest.CaptureFixture[str], error: BaseException, code: int
+) -> None:
+    assert run_tiny(raising(error), "--json") == code
+    out, told = capsys.readouterr()
+    assert told.startswith("autotune: ")
+    assert told.count("\n") == 1
+    tree = json.loads(out)
+    assert tree["error"]["kind"] == type(error).__name__
+    assert tree["error"]["exit_code"] == code
+    assert tree["error"]["message"] in told
+    assert exit_code_of(error) == code
+
+
+def test_without_json_an_error_leaves_standard_output_alone(
+    run_tiny: RunTiny, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_tiny(raising(LogError("Two\nlines."))) == 3
+    assert capsys.readouterr() == ("", "autotune: Two lines.\n")
+
+
+def test_debug_shows_the_traceback_and_nothing_else_does(run_tiny: RunTiny, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_tiny(raising(ZeroDivisionError("no")), "--debug") == 1
+    assert "Traceback" in capsys.readouterr().err
+    assert run_tiny(raising(ZeroDivisionError("no"))) == 1
+    told = capsys.readouterr().err
+    assert "Traceback" not in told
+    assert "--debug" in told
+
+
+def test_a_usage_error_in_the_arguments_is_json_too(run_tiny: RunTiny, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_tiny(lambda _output: None, "--mass", "heavy", "--json") == 2
+    assert json.loads(capsys.readouterr().out)["error"]["kind"] == "BadParameter"
+
+
+def test_a_result_then_an_error_is_still_one_object(run_tiny: RunTiny, capsys: pytest.CaptureFixture[str]) -> None:
+    def body(output: Output) -> None:
+        output.result({"holds": False}, lambda: None)
+        raise CertificateError("The modulus margin does not hold.")
+
+    assert run_tiny(body, "--json") == 6
+    out, told = capsys.readouterr()
+    assert json.loads(out) == {"holds": False}
+    assert told == "autotune: The modulus margin does not hold.\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "out", "told"),
+    [
+        ((), "text\n", "note\n"),
+        (("--quiet",), "", ""),
+        (("--json",), '{\n  "mass_kg": 16.0\n}\n', "note\n"),
+        (("--json", "--quiet"), '{\n  "mass_kg": 16.0\n}\n', ""),
+    ],
+)
+def test_what_goes_to_which_stream(
+    run_tiny: RunTiny, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], out: str, told: str
+) -> None:
+    def body(output: Output) -> None:
+        output.note("note")
+        with output.progress("Working", 2) as advance:
+            advance(1)
+            advance(1)
+        output.result({"mass_kg": 16.0}, lambda: print("text"))
+
+    assert run_tiny(body, *arguments) == 0
+    assert capsys.readouterr() == (out, told)
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), np.float64("nan"), np.array([-np.inf])])
+def test_json_refuses_numbers_that_are_none(run_tiny: RunTiny, capsys: pytest.CaptureFixture[str], bad: object) -> None:
+    assert run_tiny(lambda output: output.result({"mass_kg": bad}, lambda: None), "--json") == 1
+    out, _ = capsys.readouterr()
+    assert json.loads(out)["error"]["kind"] == "ValueError"
+
+
+def test_json_takes_the_values_that_the_project_uses(run_tiny: RunTiny, capsys: pytest.CaptureFixture[str]) -> None:
+    tree: Mapping[str, Any] = MappingProxyType(
+        {"code": ExitCode.LOG, "axes": MappingProxyType({"z": np.arange(2.0)}), "n": np.int64(3), "log": Path("a.mcap")}
+    )
+    assert run_tiny(lambda output: output.result(tree, lambda: None), "--json") == 0
+    assert json.loads(capsys.readouterr().out) == {"code": 3, "axes": {"z": [0.0, 1.0]}, "n": 3, "log": "a.mcap"}
+
+
+@pytest.mark.parametrize("code", [0, 5])
+def test_an_integer_result_is_the_exit_code(run_tiny: RunTiny, code: int) -> None:
+    assert run_tiny(lambda _output: code) == code
+
+
+def test_the_table_names_modules_that_exist() -> None:
+    missing = [entry.module for entry in COMMANDS.values() if importlib.util.find_spec(entry.module) is None]
+    assert missing == []
+
+
+def _environment(**more: str) -> dict[str, str]:
+    root = Path(__file__).resolve().parents[3]
+    return {**os.environ, "PYTHONPATH": str(root), **more}
+
+
+def _python(script: str, **environment: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        env=_environment(**environment),
+        timeout=60,
+        check=False,
+    )
+
+
+def _tiny_script(folder: Path) -> str:
+    path = folder / "tiny_cli.py"
+    path.write_text(TINY, encoding="utf-8")
+    return str(path)

@@ -1,0 +1,71 @@
+"""What `inspect_log` tells about sound logs and about odd ones."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification.logs import Role, inspect_log
+from tests.identification.logs.log_builder import START_NS, complete, pose_stream, wrench_stream, write_mcap
+
+
+def test_a_complete_log_lacks_nothing(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "run.mcap", complete())
+    summary = inspect_log(path)
+    assert summary.missing == ()
+    assert summary.findings == ()
+    assert (summary.container, summary.size_bytes) == ("mcap", path.stat().st_size)
+    assert summary.start_ns == START_NS
+    channels = {channel.topic: channel for channel in summary.channels}
+    wrench = channels["/ft/wrench"]
+    assert (wrench.count, wrench.clock, wrench.frame_ids, wrench.roles) == (200, "header", ("tool0",), (Role.WRENCH,))
+    assert wrench.rate_hz == pytest.approx(500.0)
+    assert wrench.median_gap_s == pytest.approx(0.002)
+    assert wrench.max_gap_s == pytest.approx(0.002)
+    assert (wrench.backwards_steps, wrench.duplicates) == (0, 0)
+    assert wrench.header_minus_log_s == pytest.approx(-0.0003)
+    assert channels["/robot/pose"].roles == (Role.POSE,)
+    assert channels["/robot/pose_command"].roles == (Role.COMMAND,)
+    camera = channels["/camera/image"]
+    assert (camera.type, camera.count, camera.roles) == ("sensor_msgs/msg/Image", 3, ())
+    assert camera.rate_hz == pytest.approx(1.0)
+    assert camera.frame_ids == ("camera",)
+
+
+def test_dropped_samples_are_counted(tmp_path: Path) -> None:
+    full = wrench_stream()
+    kept = np.delete(np.arange(200), [*range(50, 54), 120])
+    holed = replace(full, stamp_ns=full.stamp_ns[kept], log_ns=full.log_ns[kept], values=full.values[kept])
+    summary = inspect_log(write_mcap(tmp_path / "run.mcap", [holed, pose_stream()]))
+    told = [finding.message for finding in summary.findings if finding.code == "gaps"]
+    assert len(told) == 1
+    assert "2 gaps" in told[0]
+    assert "the longest 0.0100 s; about 5 samples" in told[0]
+
+
+def test_clocks_that_differ_are_told(tmp_path: Path) -> None:
+    other = pose_stream()
+    late = other.with_stamps(other.stamp_ns - 40_000_000)
+    summary = inspect_log(write_mcap(tmp_path / "run.mcap", [wrench_stream(), late]))
+    spread = [finding.message for finding in summary.findings if finding.code == "clock-spread"]
+    # Stamps 40.2 ms before recording against 0.3 ms.
+    assert len(spread) == 1
+    assert "differ by 0.0399 s" in spread[0]
+    assert "clock-offset" not in [finding.code for finding in summary.findings]
+
+
+def test_ambiguous_channels_are_told_as_missing_decisions(tmp_path: Path) -> None:
+    streams = [wrench_stream("/a"), wrench_stream("/b"), pose_stream("/p"), pose_stream("/q")]
+    missing = inspect_log(write_mcap(tmp_path / "run.mcap", streams)).missing
+    assert ["--wrench-topic" in missing[0], "--pose-topic" in missing[1], "commanded pose" in missing[2]] == [True] * 3
+
+
+def test_steps_of_stamps_are_counted_per_channel(tmp_path: Path) -> None:
+    stream = wrench_stream()
+    stamps = stream.stamp_ns.copy()
+    stamps[100:] -= 10_000_000
+    stamps[3] = stamps[2]
+    summary = inspect_log(write_mcap(tmp_path / "run.mcap", [stream.with_stamps(stamps), pose_stream()]))
+    wrench = next(channel for channel in summary.channels if channel.topic == "/ft/wrench")
+    assert (wrench.backwards_steps, wrench.duplicates) == (1, 1)

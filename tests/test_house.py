@@ -1,0 +1,96 @@
+"""The rules of the house that no linter knows."""
+
+import ast
+import importlib
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from autotune import __version__
+
+PACKAGES = ("autotune", "identification", "problems")
+PUBLIC = {"autotune": ["__version__"], "identification": None, "problems": None}
+MOST_LINES_OF_A_MODULE = 450
+MOST_LINES_OF_A_FUNCTION = 60
+CODE = (*PACKAGES, "tests", "tools", "examples", "benchmarks")
+
+
+def _modules(repository: Path, folders: tuple[str, ...] = CODE) -> list[Path]:
+    return sorted(path for folder in folders for path in (repository / folder).rglob("*.py"))
+
+
+def _pyproject(repository: Path) -> dict[str, Any]:
+    return tomllib.loads((repository / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def test_no_module_is_too_long(repository: Path) -> None:
+    lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in _modules(repository)}
+    assert len(lengths) > 10
+    assert {path.name: n for path, n in lengths.items() if n > MOST_LINES_OF_A_MODULE} == {}
+
+
+def test_no_function_is_too_long(repository: Path) -> None:
+    too_long = [
+        f"{path.relative_to(repository)}:{node.lineno} {node.name}"
+        for path in _modules(repository)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and (node.end_lineno or 0) - node.lineno >= MOST_LINES_OF_A_FUNCTION
+    ]
+    assert too_long == []
+
+
+def test_the_listed_packages_are_those_on_disk(repository: Path) -> None:
+    on_disk = {path.parent.relative_to(repository) for path in _modules(repository, PACKAGES)}
+    listed = _pyproject(repository)["tool"]["setuptools"]["packages"]
+    assert listed == sorted(".".join(folder.parts) for folder in on_disk)
+
+
+def test_every_package_folder_has_an_init_and_every_floor_its_types(repository: Path) -> None:
+    folders = {path.parent for path in _modules(repository, PACKAGES)}
+    assert [folder for folder in sorted(folders) if not (folder / "__init__.py").is_file()] == []
+    assert [name for name in PACKAGES if not (repository / name / "py.typed").is_file()] == []
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_the_public_names_are_pinned(name: str) -> None:
+    package = importlib.import_module(name)
+    public = getattr(package, "__all__", None)
+    assert public == PUBLIC[name]
+    assert [each for each in public or [] if not hasattr(package, each)] == []
+
+
+@pytest.mark.parametrize("command", ["make demo", "make test"])
+def test_the_readme_names_a_command_that_the_makefile_has(repository: Path, command: str) -> None:
+    readme = (repository / "README.md").read_text(encoding="utf-8")
+    makefile = (repository / "Makefile").read_text(encoding="utf-8")
+    assert command in readme
+    assert re.search(rf"^{command.removeprefix('make ')}:", makefile, flags=re.MULTILINE)
+
+
+def test_the_installed_command_is_the_main_function(repository: Path) -> None:
+    scripts = _pyproject(repository)["project"]["scripts"]
+    assert list(scripts) == ["autotune"]
+    module, _, function = scripts["autotune"].partition(":")
+    assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_the_changelog_has_a_place_for_what_comes_next(repository: Path) -> None:
+    changelog = (repository / "CHANGELOG.md").read_text(encoding="utf-8")
+    headings = re.findall(r"^## \[(.+?)\]", changelog, flags=re.MULTILINE)
+    assert headings[0] == "Unreleased"
+    assert re.fullmatch(r"\d+\.\d+\.\d+", __version__)
+
+
+def test_contributing_stays_short(repository: Path) -> None:
+    assert len((repository / "CONTRIBUTING.md").read_text(encoding="utf-8").splitlines()) < 60
+
+
+def test_no_path_of_one_machine_is_in_the_project(repository: Path) -> None:
+    pattern = re.compile(r"""(?<![\w.])/(home|root|work|Users)/\w""")
+    texts = [*_modules(repository), repository / "Makefile", repository / "pyproject.toml"]
+    found = [path.name for path in texts if path != Path(__file__) and pattern.search(path.read_text(encoding="utf-8"))]
+    assert found == []
