@@ -80,34 +80,16 @@ def _axis_motion(log: AlignedLog, axis: int, spans: list[Span], force_S_n: Float
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class SortedMotion:
-    """Spans by who moved the payload: `passive` (the robot alone), `guided` (a hand), `touching` (next to a hold)."""
+def unguided_spans(axis: AxisMotion) -> tuple[Span, ...]:
+    """Leave out the spans in which a hand did work: a payload that nobody drives cannot push the flange along.
 
-    passive: tuple[Span, ...]
-    guided: tuple[Span, ...]
-    touching: tuple[Span, ...]
-
-
-def sort_motion(axis: AxisMotion, holds: Sequence[Span], period_s: float) -> SortedMotion:
-    """Tell the spans apart by energy: a payload that nobody touches cannot put work into the flange.
-
-    ∫ F dx > 0 over a span from rest to rest means a hand pushed; next to a hold there was a contact.
+    ∫ F dx over a span from rest to rest is at most zero for a passive payload, touching a wall or not.
     """
-    passive, guided, touching = [], [], []
-    edge = round(_EDGE_S / period_s)
-    for span in axis.spans:
-        if any(hold.start <= span.stop + edge and span.start - edge <= hold.stop for hold in holds):
-            touching.append(span)
-            continue
-        steps = np.diff(axis.position_m[span.slice])
-        work = float(np.sum(axis.force_n[span.slice][:-1] * steps))
-        (guided if work > 0.0 else passive).append(span)
-    return SortedMotion(passive=tuple(passive), guided=tuple(guided), touching=tuple(touching))
+    return tuple(s for s in axis.spans if float(np.sum(axis.force_n[s.slice][:-1] * np.diff(axis.position_m[s.slice]))) < 0)
 
 
 def free_motions(axis: AxisMotion, spans: Sequence[Span], period_s: float) -> tuple[FreeMotion, ...]:
-    """Cut the passive spans out, with a little of the rest on both sides."""
+    """Cut the spans out, with a little of the rest on both sides."""
     edge = round(_EDGE_S / period_s)
     cuts = [slice(max(0, s.start - edge), min(len(axis.position_m), s.stop + edge)) for s in spans]
     return tuple(FreeMotion(position_m=axis.position_m[cut], force_n=axis.force_n[cut]) for cut in cuts)

@@ -18,6 +18,7 @@ _POSE_RATE_SHARE = 0.12
 _SHORTEST_S = 2.0
 _LINEAR_ROUNDS = 6
 _REWEIGHTINGS = 3
+_POOR_FIT = 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,18 +67,38 @@ class Noise:
 
 
 def identify_coupling(motions: Sequence[FreeMotion], period_s: float, pose_rate_hz: float, noise: Noise) -> CouplingFit:
-    """Fit X → F over every span of free motion, in the frequency domain, up to what the pose's rate carries.
+    """Find the spans that one payload on one spring explains, and fit X → F over all of them.
 
-    Bins are weighted by the noise that force and pose put there. The spans start and end at rest, so their
-    transforms have no leakage. Raises EstimateError without enough motion.
+    Every span of 2 s or more is fitted alone; the best one chooses its like (prediction error below 15 %), so that
+    spans with a contact or a hand in them drop out. Raises EstimateError when no span is explained.
     """
     highest = min(_HIGHEST_HZ, _POSE_RATE_SHARE * pose_rate_hz, 0.2 / period_s)
-    length = sum(len(motion.position_m) for motion in motions) * period_s
-    if length < _SHORTEST_S:
+    long = [m for m in motions if len(m.position_m) * period_s >= _SHORTEST_S]
+    alone = [_fit_coupling([motion], period_s, highest, noise) for motion in long]
+    best = min(alone, key=lambda fit: fit.fit_error, default=None)
+    if best is None or best.fit_error > _POOR_FIT:
+        told = "none lasts that long" if best is None else f"the best is explained to {100 * (1 - best.fit_error**2):.0f} %"
         raise EstimateError(
-            f"Only {length:.1f} s of free motion without a hand on the payload were found, {_SHORTEST_S:g} s at least are "
-            "needed to see the coupling; record a commanded sweep of 0.5 to 50 Hz in free space."
+            f"The coupling shows in free motion without a hand on the payload, {_SHORTEST_S:g} s or more from rest to "
+            f"rest; of {len(motions)} spans {told}. Record a commanded sweep of 0.5 to 50 Hz in free space, away from "
+            "every surface, and check that wrench and pose share one clock."
         )
+    like = [m for m in long if prediction_error(best, m, period_s) < _POOR_FIT]
+    return best if len(like) == 1 else _fit_coupling(like, period_s, highest, noise)
+
+
+def prediction_error(fit: CouplingFit, motion: FreeMotion, period_s: float) -> float:
+    """Return residual over force (root of energies in the band) of a motion that the fit predicts."""
+    s, position, force = _spectra([motion], period_s, fit.band_hz[1])
+    parameters = np.array([fit.stiffness_n_per_m, fit.damping_n_s_per_m, fit.drag_n_s_per_m, fit.mass_kg])
+    return float(np.linalg.norm(force - felt_impedance(parameters, s) * position) / np.linalg.norm(force))
+
+
+def _fit_coupling(motions: Sequence[FreeMotion], period_s: float, highest: float, noise: Noise) -> CouplingFit:
+    """Fit by least squares in the frequency domain; bins are weighted by the noise that force and pose put there.
+
+    The spans start and end at rest, so their transforms have no leakage.
+    """
     s, position, force = _spectra(motions, period_s, highest)
     weight = np.ones(len(s))
 

@@ -24,6 +24,7 @@ class Contact:
     """One contact on one axis; `sign` is +1 when pressing towards +axis.
 
     `stiffness_n_per_m`, `damping_n_s_per_m`: K_e and B_e with the coupling taken out, `_std` from the fit alone;
+    `fit_error` is residual over spread of the contact force;
     `onset_s` from the start of the log.
     """
 
@@ -35,6 +36,7 @@ class Contact:
     stiffness_std_n_per_m: float
     damping_n_s_per_m: float
     damping_std_n_s_per_m: float
+    fit_error: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +101,7 @@ def identify_contact(
         stiffness_std_n_per_m=float(alone[1][0]),
         damping_n_s_per_m=float(alone[0][1]),
         damping_std_n_s_per_m=float(alone[1][1]),
+        fit_error=alone[2],
     )
 
 
@@ -126,17 +129,18 @@ def _onset(contact_force: FloatArray, hold_start: int, threshold: float) -> int 
     return int(below[-1]) + 1
 
 
-def _regress(columns: list[FloatArray], values: FloatArray, correlated: float) -> tuple[FloatArray, FloatArray]:
-    """Return coefficients and standard deviations of a linear fit with correlated samples."""
+def _regress(columns: list[FloatArray], values: FloatArray, correlated: float) -> tuple[FloatArray, FloatArray, float]:
+    """Return coefficients, standard deviations and residual over spread of a linear fit with correlated samples."""
     rows = np.column_stack(columns)
     size = np.maximum(np.max(np.abs(rows), axis=0), 1e-300)
     solution = np.linalg.lstsq(rows / size, values, rcond=None)[0]
     residual = values - rows / size @ solution
+    error = float(np.std(residual) / max(float(np.std(values)), 1e-300))
     freedom = max(len(values) / max(correlated, 1.0) - rows.shape[1], 1.0)
     variance = float(residual @ residual) / max(correlated, 1.0) / freedom
     information = (rows / size).T @ (rows / size) / max(correlated, 1.0)
     covariance = variance * np.linalg.pinv(information, hermitian=True)
-    return np.asarray(solution / size), np.asarray(np.sqrt(np.diag(covariance)) / size)
+    return np.asarray(solution / size), np.asarray(np.sqrt(np.diag(covariance)) / size), error
 
 
 def group_surfaces(contacts: Sequence[Contact], coupling: CouplingFit) -> tuple[Surface, ...]:

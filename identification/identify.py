@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .aligned import AlignedLog, align, check_regular
-from .axes import AxisMotion, commanded_motion, find_axes, free_motions, sort_motion
+from .axes import AxisMotion, commanded_motion, find_axes, free_motions, unguided_spans
 from .coupling import CouplingFit, Noise, identify_coupling
-from .environment import Surface, find_holds, group_surfaces, identify_contact
+from .environment import Contact, Surface, find_holds, group_surfaces, identify_contact
 from .errors import EstimateError
 from .gravity import GravityFit, collect_static_poses, identify_gravity
 from .recording import Recording
@@ -36,10 +36,10 @@ _MASS_DISAGREEMENT_STDS = 3.0
 _MASS_DISAGREEMENT_SHARE = 0.02
 _OBLIQUE_SHARE = 0.3
 _OBLIQUE_CONTACT_DEG = 10.0
-_POOR_COUPLING_FIT = 0.15
 # The continuous model is fitted to signals sampled behind a hold: measured on simulated cells, this is what it costs.
 _MODEL_STD_SHARE = 0.003
-_DELAY_STD_SAMPLES = 0.2
+_POOR_CONTACT_FIT = 0.5
+_POOR_CONTACT_STD = 0.2
 _FIXED = "least squares over static poses"
 
 
@@ -156,23 +156,11 @@ def _coupling(
     shared: _AxisInput, pose_rate_hz: float, gravity: GravityFit, findings: list[Finding]
 ) -> CouplingFit | None:
     axis = shared.axis
-    sorted_motion = sort_motion(axis, shared.holds, shared.period_s)
-    motions = free_motions(axis, sorted_motion.passive, shared.period_s)
+    motions = free_motions(axis, unguided_spans(axis), shared.period_s)
     try:
         fit = identify_coupling(motions, shared.period_s, pose_rate_hz, shared.noise)
     except EstimateError as error:
         findings.append(_missing("coupling", f"Axis {axis.name}: {error}", "Record a commanded sweep in free space."))
-        return None
-    if fit.fit_error > _POOR_COUPLING_FIT:
-        findings.append(
-            _missing(
-                "coupling-fit",
-                f"Axis {axis.name}: a payload on a spring explains only {100.0 * (1.0 - fit.fit_error**2):.0f} % of the "
-                "force in free motion.",
-                "Record a sweep in free space with nobody touching the payload, and check that wrench and pose share one "
-                "clock.",
-            )
-        )
         return None
     fit = replace(fit, covariance=fit.covariance + np.diag((_MODEL_STD_SHARE * _values(fit)) ** 2))
     apart = abs(fit.mass_kg - gravity.mass_kg)
@@ -214,7 +202,18 @@ def _environments(
         identify_contact(hold, axis.position_m, axis.force_n, shared.period_s, fit, shared.noise.force_rms_n)
         for hold in shared.holds
     ]
-    surfaces = group_surfaces([c for c in contacts if c is not None and c.stiffness_n_per_m > 0.0], fit)
+    good = [c for c in contacts if c is not None and _is_spring(c)]
+    if len(good) < len(contacts):
+        findings.append(
+            Finding(
+                code="rests-without-spring",
+                severity="warning",
+                message=f"Axis {axis.name}: {len(contacts) - len(good)} of {len(contacts)} rests under force do not look like "
+                "pressing on a surface (a hand, perhaps) and were left out.",
+                advice="Keep hands off the payload during contacts.",
+            )
+        )
+    surfaces = group_surfaces(good, fit)
     if not surfaces:
         findings.append(
             _missing(
@@ -225,6 +224,12 @@ def _environments(
             )
         )
     return tuple(_environment(surface, f"{axis.name}{i + 1}") for i, surface in enumerate(surfaces))
+
+
+def _is_spring(contact: Contact) -> bool:
+    """Return whether the rest looks like pressing on something elastic: a hand that holds does not."""
+    spread = contact.stiffness_std_n_per_m / contact.stiffness_n_per_m if contact.stiffness_n_per_m > 0.0 else np.inf
+    return contact.fit_error < _POOR_CONTACT_FIT and spread < _POOR_CONTACT_STD
 
 
 def _environment(surface: Surface, name: str) -> EnvironmentEstimate:

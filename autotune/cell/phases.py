@@ -14,6 +14,8 @@ BoolArray = NDArray[np.bool_]
 _GUIDED_FORCE_N = 35.0
 _GUIDED_BAND_HZ = 1.5
 _HOME_GAIN_N_PER_M = 1200.0
+_RETURN_GAIN_N_PER_M = 3000.0
+_HOMING_S = 2.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,10 +46,10 @@ class Program:
     pose_hold_s: float = 1.0
     pose_move_s: float = 0.8
     largest_tilt_rad: float = 1.2
-    jogging_s: float = 9.0
+    jogging_s: float = 11.0
     sweep_s: float = 12.0
     sweep_hz: tuple[float, float] = (0.4, 55.0)
-    sweep_speed_m_s: float = 0.015
+    sweep_speed_m_s: float = 0.012
     contact_count: int = 4
     contact_force_n: float = 30.0
     contact_hold_s: float = 1.2
@@ -127,15 +129,17 @@ def _jogging(program: Program, h: float, rng: np.random.Generator) -> Script:
     sections = butter(2, _GUIDED_BAND_HZ, fs=1.0 / h, output="sos")
     force = sosfilt(sections, rng.standard_normal(samples))
     force *= _GUIDED_FORCE_N / max(float(np.std(force)), 1e-12)
-    edge = max(2, round(0.5 / h))
-    window = np.ones(samples)
-    window[:edge], window[-edge:] = _smooth(edge), _smooth(edge)[::-1]
-    window[-2 * edge :] *= np.concatenate([_smooth(edge)[::-1], np.zeros(edge)])
+    edge, homing = max(2, round(0.5 / h)), min(round(_HOMING_S / h), samples // 2)
+    push, hold = np.ones(samples), np.ones(samples)
+    push[:edge], push[-homing:] = _smooth(edge), 0.0
+    push[-homing - edge : -homing] = _smooth(edge)[::-1]
+    hold[:edge], hold[-edge:] = _smooth(edge), _smooth(edge)[::-1]
+    gain = np.where(np.arange(samples) < samples - homing, _HOME_GAIN_N_PER_M, _RETURN_GAIN_N_PER_M)
     return _replaced(
         _quiet(samples),
         admittance=np.ones(samples, dtype=bool),
-        hand_force_n=np.asarray(force * window),
-        homing_n_per_m=_HOME_GAIN_N_PER_M * window,
+        hand_force_n=np.asarray(force * push),
+        homing_n_per_m=np.asarray(gain * hold),
     )
 
 
@@ -157,7 +161,7 @@ def _sweep(program: Program, h: float) -> Script:
 
 def _contact(program: Program, h: float) -> Script:
     """Press with F^d until the payload rests on the wall, then back off and stand still."""
-    pressing = round((program.contact_hold_s + 1.5) / h)
+    pressing = round((program.contact_hold_s + 1.8) / h)
     retracting, resting = round(program.retract_s / h), round(program.rest_s / h)
     desired = np.concatenate(
         [

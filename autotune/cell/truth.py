@@ -52,7 +52,7 @@ class Cell:
     position_noise_rms_m: float = 2e-6
     orientation_noise_rms_rad: float = 5e-6
     base_position_m: tuple[float, float, float] = (0.85, 0.10, 0.90)
-    wall_distance_m: float = 0.015
+    wall_distance_m: float = 0.025
 
     def __post_init__(self) -> None:
         if self.approach_axis not in AXES:
