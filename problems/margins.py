@@ -65,10 +65,11 @@ def margins_on_grid(frequency_rad_per_s: FloatArray, loop: ComplexArray) -> RawM
     Crossovers are interpolated linearly in log gain and phase between neighbours.
     """
     modulus = np.min(np.abs(1.0 + loop), axis=-1)
-    log_gain = np.log(np.abs(loop))
-    turn = np.angle(loop[..., 1:] / loop[..., :-1])
     start, stop = loop[..., :-1], loop[..., 1:]
+    # The Tustin form has a zero at z = −1, so the last point may be exactly 0.
     with np.errstate(divide="ignore", invalid="ignore"):
+        log_gain = np.log(np.abs(loop))
+        turn = np.angle(stop / start)
         # Phase crossovers: the segment passes the negative real axis.
         share = start.imag / (start.imag - stop.imag)
         crossing = (start.imag * stop.imag <= 0.0) & (start.imag != stop.imag)

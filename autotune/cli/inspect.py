@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output, output_options
+from ._table import printable, table_lines
 
 if TYPE_CHECKING:
     from identification.logs import ChannelSummary, LogSummary
@@ -44,20 +45,15 @@ def print_summary(summary: "LogSummary") -> None:
     )
     click.echo()
     rows = [_HEADINGS, *(_row(channel) for channel in summary.channels)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADINGS))]
-    for row in rows:
-        cells = (
-            text.ljust(width) if column in _LEFT else text.rjust(width)
-            for column, (text, width) in enumerate(zip(row, widths, strict=True))
-        )
-        click.echo(_printable("  ".join(cells).rstrip()))
+    for line in table_lines(rows, left=_LEFT):
+        click.echo(line)
     if summary.findings:
         click.echo("\nFindings")
         for finding in summary.findings:
-            click.echo(f"  {finding.severity}: {_printable(finding.message)} {finding.advice}")
+            click.echo(f"  {finding.severity}: {printable(finding.message)} {finding.advice}")
     click.echo("\nMissing for identify" if summary.missing else "\nEvery channel that identify needs is there.")
     for sentence in summary.missing:
-        click.echo(f"  - {_printable(sentence)}")
+        click.echo(f"  - {printable(sentence)}")
 
 
 _HEADINGS = (
@@ -94,11 +90,6 @@ def _row(channel: "ChannelSummary") -> tuple[str, ...]:
         ", ".join(name or "(empty)" for name in channel.frame_ids[:3]) or "-",
         ", ".join(channel.roles) or "-",
     )
-
-
-def _printable(text: str) -> str:
-    """Replace control characters, which a topic's name could otherwise send to the terminal."""
-    return "".join(character if character.isprintable() else "?" for character in text)
 
 
 def _number(value: float | None, scale: float, digits: int) -> str:

@@ -1,0 +1,114 @@
+"""`autotune demo`: the whole chain on the log of a simulated cell."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ._common import Output, output_options
+from ._table import table_lines
+
+if TYPE_CHECKING:
+    from autotune.demo import Comparison, DemoResult
+
+_EPILOG = """\b
+Example:
+  autotune demo first-try
+"""
+
+
+@click.command("demo", epilog=_EPILOG)
+@click.argument("directory", metavar="[DIR]", type=click.Path(path_type=Path, file_okay=False), default="autotune-demo")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Noise of the log, and search.")
+@output_options
+def command(output: Output, directory: Path, seed: int) -> None:
+    """Write the log of a simulated cell to DIR and run the whole chain on it.
+
+    DIR (default autotune-demo) then holds the log (MCAP), identified.yaml, controller.yaml and its JSON twin. The
+    summary puts what was identified beside the truth of the simulation.
+    """
+    from autotune.demo import STEPS, run_demo
+
+    with output.progress("demo", len(STEPS)) as advance:
+
+        def step(name: str) -> None:
+            output.note(f"{name} ...")
+            advance(1)
+
+        found = run_demo(directory, seed=seed, step=step)
+    output.result(_tree(found), lambda: _print(found))
+
+
+def _tree(found: "DemoResult") -> dict[str, Any]:
+    from autotune.files.controller import controller_tree
+
+    from .optimize import active_tree
+    from .validate import checks_tree
+
+    return {
+        "identified": [
+            {
+                "name": c.name,
+                "unit": c.unit,
+                "truth": c.truth * c.scale,
+                "value": None if c.estimate.value is None else c.estimate.value * c.scale,
+                "std": None if c.estimate.std is None else c.estimate.std * c.scale,
+                "status": c.estimate.status.value,
+            }
+            for c in found.comparisons
+        ],
+        "controller": controller_tree(found.optimized.controller),
+        "active": active_tree(found.optimized),
+        "checks": checks_tree(found.report),
+        "checksum": found.checksum,
+        "files": {name: str(getattr(found.files, name)) for name in ("log", "identified", "controller", "twin")},
+    }
+
+
+def _print(found: "DemoResult") -> None:
+    from autotune.files.canonical import short
+
+    from .optimize import active_lines
+
+    click.echo("\nIdentified from the log, beside the truth of the simulation")
+    rows = [("parameter", "identified", "± std", "truth", "error", "unit", "verdict")]
+    for line in table_lines([*rows, *map(_comparison, found.comparisons)], left=(0, 5, 6), indent="  "):
+        click.echo(line)
+    controller = found.optimized.controller
+    for name, gains in controller.axes.items():
+        click.echo(f"\nController chosen for axis {name}")
+        click.echo(
+            f"  M_a {gains.mass:g} kg, B_a {gains.damping:g} N·s/m, K_l {gains.lead_s:g} s, "
+            f"B_fb {gains.feedback_damping_s:g} s"
+        )
+        worst = max(controller.predicted[name].scenarios, key=lambda s: s.peak_contact_force_n)
+        click.echo(
+            f"  worst predicted peak {worst.peak_contact_force_n:.1f} N at the contact, {worst.peak_sensor_force_n:.1f} N "
+            f"at the sensor ({worst.name})"
+        )
+        for line in active_lines(found.optimized, name):
+            click.echo(f"  {line}")
+    click.echo("\nProved and verified, from the written file alone")
+    for check in found.report.checks:
+        click.echo(f"  {check.name}: {check.message}")
+    click.echo(f"\nFiles (checksum of the controller: {short(found.checksum)})")
+    for told, path in (
+        ("log", found.files.log),
+        ("identified plant", found.files.identified),
+        ("controller for the cell", found.files.controller),
+        ("its JSON twin", found.files.twin),
+    ):
+        click.echo(f"  {told:24}{path}")
+
+
+def _comparison(c: "Comparison") -> tuple[str, ...]:
+    value, std, error = c.estimate.value, c.estimate.std, c.error_share
+    return (
+        c.name,
+        "-" if value is None else f"{value * c.scale:.3f}",
+        "-" if std is None else f"{std * c.scale:.2g}",
+        f"{c.truth * c.scale:.3f}",
+        "-" if error is None else f"{100.0 * error:+.2f} %",
+        c.unit,
+        c.estimate.status.value,
+    )

@@ -1,0 +1,109 @@
+"""`autotune identify`: plant parameters from a log."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ._common import Output, output_options
+from ._table import printable, table_lines
+
+if TYPE_CHECKING:
+    from identification.result import Estimate, Identified, VectorEstimate
+
+_EPILOG = """\b
+Examples:
+  autotune identify run7.mcap -o identified.yaml
+  autotune identify run7.mcap --wrench-topic /ft/raw --command-topic /servo/target
+"""
+
+
+@click.command("identify", epilog=_EPILOG)
+@click.argument("log", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path("identified.yaml"),
+    show_default=True,
+    help="The file to write.",
+)
+@click.option("--wrench-topic", help="The wrench, if the log has several.")
+@click.option("--pose-topic", help="The measured flange pose, if the log has several.")
+@click.option("--command-topic", help="The commanded flange pose.")
+@click.option(
+    "--allow-partial", is_flag=True, help="Write the file even if a parameter is missing; it is marked unidentifiable."
+)
+@output_options
+def command(
+    output: Output,
+    log: Path,
+    out: Path,
+    wrench_topic: str | None,
+    pose_topic: str | None,
+    command_topic: str | None,
+    allow_partial: bool,
+) -> None:
+    """Estimate payload, sensor, robot, coupling and environment from LOG, each with its uncertainty and a verdict.
+
+    The log needs a wrench, the measured flange pose and the commanded one; in it: 6 to 12 tilted poses at rest, a
+    commanded sweep in free space, and contacts. Exit code 3: the log cannot be used. 4: it does not tell enough, and
+    nothing is written.
+    """
+    from autotune.files.identified import identified_tree, write_identified
+    from autotune.identifying import Topics, identify_log
+
+    topics = Topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
+    with output.progress(f"identifying {log.name}", None):
+        found = identify_log(log, topics, allow_partial=allow_partial)
+    write_identified(out, found.result, found.provenance)
+    output.result(identified_tree(found.result, found.provenance), lambda: print_identified(found.result, out))
+
+
+def print_identified(result: "Identified", out: Path) -> None:
+    """Print the parameters as a table, the findings below."""
+    rows = [("parameter", "value", "± std", "unit", "verdict"), *_rows(result)]
+    for line in table_lines(rows, left=(0, 3, 4)):
+        click.echo(line)
+    for finding in result.findings:
+        click.echo(printable(f"{finding.severity}: {finding.message} {finding.advice}".rstrip()))
+    click.echo(f"written: {out}")
+
+
+def _rows(result: "Identified") -> Iterator[tuple[str, ...]]:
+    yield _row("payload mass", result.payload.mass_kg, "kg")
+    yield from _vector_rows("centre of mass", result.payload.com_m, "mm", 1e3)
+    yield from _vector_rows("force bias", result.sensor.force_bias_n, "N", 1.0)
+    yield _row("force noise", result.sensor.force_noise_rms_n, "N rms")
+    yield _row("gravity residual", result.sensor.gravity_residual_rms_n, "N rms")
+    yield _row("control period", result.sample_time_s, "ms", 1e3)
+    for name, axis in result.axes.items():
+        yield _row(f"{name}: coupling K_s", axis.coupling.stiffness_n_per_m, "N/mm", 1e-3)
+        yield _row(f"{name}: coupling B_s", axis.coupling.damping_n_s_per_m, "N·s/m")
+        yield _row(f"{name}: drag B_p", axis.drag_n_s_per_m, "N·s/m")
+        yield _row(f"{name}: robot bandwidth", axis.robot.bandwidth_hz, "Hz")
+        yield _row(f"{name}: delay T_d", axis.robot.delay_s, "ms", 1e3)
+        for surface in axis.environments:
+            told = f"{name}: {surface.name}, {surface.contacts} contacts"
+            yield _row(f"{told}: K_e", surface.stiffness_n_per_m, "N/mm", 1e-3)
+            yield _row(f"{told}: secant", surface.secant_stiffness_n_per_m, "N/mm", 1e-3)
+            yield _row(f"{told}: B_e", surface.damping_n_s_per_m, "N·s/m")
+
+
+def _row(name: str, estimate: "Estimate", unit: str, scale: float = 1.0) -> tuple[str, ...]:
+    return (name, *_numbers(estimate.value, estimate.std, scale), unit, estimate.status.value)
+
+
+def _vector_rows(name: str, estimate: "VectorEstimate", unit: str, scale: float) -> Iterator[tuple[str, ...]]:
+    for i, axis in enumerate("xyz"):
+        value = None if estimate.value is None else estimate.value[i]
+        std = None if estimate.std is None else estimate.std[i]
+        yield (f"{name} {axis}", *_numbers(value, std, scale), unit, estimate.status.value)
+
+
+def _numbers(value: float | None, std: float | None, scale: float) -> tuple[str, str]:
+    if value is None:
+        return "-", "-"
+    return f"{value * scale:.4f}", "-" if std is None else f"{std * scale:.2g}"

@@ -1,0 +1,151 @@
+"""`autotune optimize`: a validated controller from identified parameters."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ._common import Output, output_options
+from ._table import table_lines
+
+if TYPE_CHECKING:
+    from autotune.tuning.optimize import Optimized
+
+_EPILOG = """\b
+Examples:
+  autotune optimize identified.yaml -o controller.yaml
+  autotune optimize identified.yaml --payload-mass 10,22 --environment-stiffness 2e4:5e5
+  autotune optimize identified.yaml --problem problem.yaml --json
+"""
+
+
+def _masses(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    numbers = [_number(part) for part in text.split(",")]
+    if len(numbers) > 2:
+        raise click.BadParameter("give one mass, or two as LOW,HIGH in kg.")
+    low, high = numbers[0], numbers[-1]
+    return _ordered(low, high, "a payload mass")
+
+
+def _stiffness(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    parts = text.split(":")
+    if len(parts) != 2:
+        raise click.BadParameter("give a range as LOW:HIGH in N/m, for example 2e4:5e5.")
+    return _ordered(_number(parts[0]), _number(parts[1]), "a stiffness")
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is not a number.") from None
+
+
+def _ordered(low: float, high: float, what: str) -> tuple[float, float]:
+    if not 0.0 < low <= high < float("inf"):
+        raise click.BadParameter(f"{what} must be finite and above 0, the lower one first; found {low:g} and {high:g}.")
+    return low, high
+
+
+@click.command("optimize", epilog=_EPILOG)
+@click.argument("identified", type=click.Path(path_type=Path, dir_okay=False))
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path("controller.yaml"),
+    show_default=True,
+    help="The file to write.",
+)
+@click.option("--problem", type=click.Path(path_type=Path, dir_okay=False), help="Requirements, bounds and ranges.")
+@click.option("--payload-mass", callback=_masses, metavar="KG[,KG]", help="One mass, or a range that must all be safe.")
+@click.option(
+    "--environment-stiffness", callback=_stiffness, metavar="LO:HI", help="A range [N/m] that must all be safe."
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same file.")
+@output_options
+def command(
+    output: Output,
+    identified: Path,
+    out: Path,
+    problem: Path | None,
+    payload_mass: tuple[float, float] | None,
+    environment_stiffness: tuple[float, float] | None,
+    seed: int,
+) -> None:
+    """Search the controller with the gentlest contact that stays stable and moves freely, and validate it.
+
+    Peak force, stability and margins are those of the exact sampled loop, over the whole range of payload mass and
+    environment stiffness. Exit code 5: no controller meets the requirements. 6: a claim could not be verified. Nothing
+    is written then.
+    """
+    from autotune.files.canonical import short
+    from autotune.files.controller import controller_tree, write_controller
+    from autotune.files.identified import read_identified
+    from autotune.files.problem import ProblemSpec, read_problem
+    from autotune.tuning.optimize import optimize
+    from autotune.tuning.problems import Wishes
+
+    plant = read_identified(identified)
+    spec = ProblemSpec() if problem is None else read_problem(problem)
+    wishes = Wishes(payload_mass_kg=payload_mass, environment_stiffness_n_per_m=environment_stiffness)
+    with output.progress("searching", 1.0) as advance:
+        found = optimize(plant, spec, wishes, seed=seed, problem_path=problem, progress=advance)
+    checksum = write_controller(out, found.controller)
+    tree = {**controller_tree(found.controller), "active": active_tree(found)}
+    output.result(tree, lambda: print_optimized(found, out, short(checksum)))
+
+
+def active_tree(found: "Optimized") -> dict[str, Any]:
+    """Return, per axis, the active requirements and bounds with the price of one percent in N."""
+    return {
+        name: [{"name": a.name, "price_n_per_percent": a.price_n} for a in active]
+        for name, active in found.active.items()
+    }
+
+
+def print_optimized(found: "Optimized", out: Path, checksum: str) -> None:
+    """Print the chosen gains, the predicted peaks, what holds them up, and what was verified."""
+    controller = found.controller
+    for name, gains in controller.axes.items():
+        click.echo(
+            f"axis {name}: M_a {gains.mass:g} kg, B_a {gains.damping:g} N·s/m, K_l {gains.lead_s:g} s, "
+            f"B_fb {gains.feedback_damping_s:g} s"
+        )
+        rows = [("K_e [N/mm]", "payload [kg]", "peak at contact [N]", "at sensor [N]", "after [ms]")]
+        rows += [
+            (
+                f"{s.environment_stiffness_n_per_m / 1e3:.1f}",
+                f"{s.payload_mass_kg:.2f}",
+                f"{s.peak_contact_force_n:.1f}",
+                f"{s.peak_sensor_force_n:.1f}",
+                f"{s.time_of_peak_s * 1e3:.0f}",
+            )
+            for s in controller.predicted[name].scenarios
+        ]
+        for line in table_lines(rows, left=(), indent="  "):
+            click.echo(line)
+        for line in active_lines(found, name):
+            click.echo(f"  {line}")
+    for check in found.report.checks:
+        click.echo(f"  {'ok' if check.passed else 'FAILED':6} {check.name}: {check.message}")
+    click.echo(f"written: {out}, checksum {checksum}")
+
+
+def active_lines(found: "Optimized", name: str) -> list[str]:
+    """Say in words what holds the peak of one axis up."""
+    active = found.active[name]
+    if not active:
+        return ["no requirement is active: the peak is the approach force itself"]
+    lines = []
+    for entry in active:
+        if entry.price_n > 1e-3:
+            lines.append(f"{entry.name} holds the peak up: easing it by 1 % saves {entry.price_n:.2f} N")
+        else:
+            lines.append(f"{entry.name} is active, easing it alone saves nothing")
+    return lines

@@ -1,0 +1,142 @@
+"""The whole chain on a simulated cell, beside the truth that only a simulation knows."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from autotune.cell.phases import Program
+from autotune.cell.simulate import simulate_cell
+from autotune.cell.truth import Cell
+from autotune.cell.write import write_mcap
+from autotune.exports.targets import export_controller
+from autotune.files.controller import read_controller, write_controller
+from autotune.files.identified import read_identified, write_identified
+from autotune.files.problem import ProblemSpec
+from autotune.identifying import IdentifiedLog, Topics, identify_log
+from autotune.tuning.optimize import Optimized, optimize
+from autotune.tuning.problems import Wishes
+from autotune.validation.validate import ValidationReport, validate_controller
+from identification.result import Estimate
+
+STEPS = ("simulating a cell", "writing its log", "identifying", "optimizing and proving", "validating the file", "exporting")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """One parameter: what was identified beside what is true; both in `unit`."""
+
+    name: str
+    unit: str
+    truth: float
+    estimate: Estimate
+    scale: float = 1.0
+
+    @property
+    def error_share(self) -> float | None:
+        """(identified − truth)/truth."""
+        value = self.estimate.value
+        return None if value is None else value / self.truth - 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoFiles:
+    """Where everything lies."""
+
+    log: Path
+    identified: Path
+    controller: Path
+    twin: Path
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoResult:
+    """What the chain found, step by step."""
+
+    comparisons: tuple[Comparison, ...]
+    optimized: Optimized
+    report: ValidationReport
+    checksum: str
+    files: DemoFiles
+
+
+def run_demo(directory: Path, *, seed: int = 0, step: Callable[[str], None] | None = None) -> DemoResult:
+    """Simulate the default cell, then identify, optimize, validate and export, through the files of a real run.
+
+    `step` is told the name of each step as it begins. Existing files of the same names are replaced.
+    """
+    begin = step if step is not None else _silent
+    directory.mkdir(parents=True, exist_ok=True)
+    files = DemoFiles(
+        log=directory / "cell.mcap",
+        identified=directory / "identified.yaml",
+        controller=directory / "controller.yaml",
+        twin=directory / "controller.json",
+    )
+    begin(STEPS[0])
+    cell = Cell()
+    run = simulate_cell(cell, Program(), seed=seed)
+    begin(STEPS[1])
+    write_mcap(run.recording, files.log)
+    begin(STEPS[2])
+    found = identify_log(files.log, Topics())
+    write_identified(files.identified, found.result, found.provenance)
+    begin(STEPS[3])
+    optimized = optimize(read_identified(files.identified), ProblemSpec(), Wishes(), seed=seed)
+    write_controller(files.controller, optimized.controller)
+    begin(STEPS[4])
+    read = read_controller(files.controller)
+    report = validate_controller(read.controller)
+    report.require()
+    begin(STEPS[5])
+    export_controller(files.controller, "json", files.twin)
+    return DemoResult(
+        comparisons=compare(cell, found),
+        optimized=optimized,
+        report=report,
+        checksum=read.checksum,
+        files=files,
+    )
+
+
+def _silent(_: str) -> None:
+    return None
+
+
+def compare(cell: Cell, found: IdentifiedLog) -> tuple[Comparison, ...]:
+    """Put the identified parameters of the approach axis beside the truth."""
+    axis = found.result.axes[cell.approach_axis]
+    rows = [
+        Comparison(name="payload mass M_p", unit="kg", truth=cell.payload_mass_kg, estimate=found.result.payload.mass_kg),
+        Comparison(
+            name="coupling stiffness K_s",
+            unit="N/mm",
+            truth=cell.coupling.stiffness_n_per_m,
+            estimate=axis.coupling.stiffness_n_per_m,
+            scale=1e-3,
+        ),
+        Comparison(
+            name="coupling damping B_s",
+            unit="N·s/m",
+            truth=cell.coupling.damping_n_s_per_m,
+            estimate=axis.coupling.damping_n_s_per_m,
+        ),
+        Comparison(name="payload drag B_p", unit="N·s/m", truth=cell.drag_n_s_per_m, estimate=axis.drag_n_s_per_m),
+        Comparison(
+            name="robot delay T_d",
+            unit="samples",
+            truth=cell.robot.delay_s,
+            estimate=axis.robot.delay_s,
+            scale=1.0 / cell.sample_time_s,
+        ),
+    ]
+    rows += [
+        Comparison(
+            name="environment stiffness K_e",
+            unit="N/mm",
+            truth=cell.environment.stiffness_n_per_m,
+            estimate=surface.stiffness_n_per_m,
+            scale=1e-3,
+        )
+        for surface in axis.environments
+    ]
+    return tuple(rows)

@@ -1,0 +1,199 @@
+"""Write a search result down as a controller with everything that the certificate claims."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from autotune.files.controller_record import (
+    AdmittanceRequirement,
+    AxisDomain,
+    AxisGains,
+    AxisMargins,
+    AxisPrediction,
+    Certificate,
+    Collision,
+    CollisionResponse,
+    Controller,
+    ControllerStatus,
+    DeadbandType,
+    Filters,
+    FreeSpaceAdmittance,
+    Proof,
+    RuntimePayload,
+    ScenarioPrediction,
+)
+from identification.result import Identified
+from problems.controller import AdmittanceController
+from problems.design import DesignProblem, Requirements
+from problems.evaluation import build_scenarios, smallest_admittance
+from problems.margins import find_margins
+from problems.plant import FREE_SPACE
+from problems.sampled import build_sampled_plant
+
+from .search import SearchResult
+
+_DEFAULT_DEADBAND_N = 5.0
+_ACCELERATION_FILTER_RAD_PER_S = 200.0
+_PREDICTED_STIFFNESS, _PREDICTED_MASS = 5, 2
+_MARGIN_STIFFNESS, _MARGIN_MASS = 33, 3
+_NAMES = ("modulus", "gain_db", "phase_deg", "delay_s")
+
+
+def build_controller(
+    results: Mapping[str, SearchResult],
+    identified: Identified,
+    proofs: Mapping[str, tuple[Proof, ...]],
+    provenance: Mapping[str, Any],
+) -> Controller:
+    """Assemble the controller of all tuned axes; `proofs` are what validation's code has shown, per axis.
+
+    The axes share h, filters, payload and requirements, which come from one identified file and one problem.
+    """
+    first = next(iter(results.values())).problem
+    controllers = {name: _controller(result) for name, result in results.items()}
+    return Controller(
+        status=ControllerStatus.VALIDATED,
+        sample_time_s=first.sample_time_s,
+        discretization="tustin",
+        delay_samples=max(r.problem.robot.delay_s for r in results.values()) / first.sample_time_s,
+        axes={name: _gains(controller) for name, controller in controllers.items()},
+        filters=Filters(
+            velocity_rad_per_s=first.velocity_filter_rad_per_s,
+            acceleration_rad_per_s=_ACCELERATION_FILTER_RAD_PER_S,
+        ),
+        compensation_mass_kg=0.0,
+        collision=Collision(response=CollisionResponse.NONE, threshold_n=None),
+        payload=_payload(identified),
+        predicted={name: _prediction(results[name].problem, c) for name, c in controllers.items()},
+        certificate=Certificate(
+            domain={name: build_domain(result.problem) for name, result in results.items()},
+            sample_time_s=first.sample_time_s,
+            requirements=_requirements(first.requirements),
+            proved=tuple(proof for of_axis in proofs.values() for proof in of_axis),
+            margins={name: _margins(results[name].problem, c) for name, c in controllers.items()},
+        ),
+        provenance=provenance,
+    )
+
+
+def _controller(result: SearchResult) -> AdmittanceController:
+    return result.problem.controller(result.design)
+
+
+def _gains(controller: AdmittanceController) -> AxisGains:
+    return AxisGains(
+        mass=controller.mass_kg,
+        damping=controller.damping_n_s_per_m,
+        lead_s=controller.lead_s,
+        feedback_damping_s=controller.feedback_damping_s,
+        deadband=_DEFAULT_DEADBAND_N,
+        deadband_type=DeadbandType.THRESHOLD,
+    )
+
+
+def _payload(identified: Identified) -> RuntimePayload:
+    com, force = identified.payload.com_m.value, identified.sensor.force_bias_n.value
+    torque, mass = identified.sensor.torque_bias_n_m.value, identified.payload.mass_kg.value
+    if com is None or force is None or torque is None or mass is None:
+        raise ValueError("gravity parameters are checked before tuning")
+    return RuntimePayload(
+        mass_kg=mass,
+        com_m=(com[0], com[1], com[2]),
+        force_bias_n=(force[0], force[1], force[2]),
+        torque_bias_n_m=(torque[0], torque[1], torque[2]),
+    )
+
+
+def _prediction(problem: DesignProblem, controller: AdmittanceController) -> AxisPrediction:
+    prepared = build_scenarios(problem, problem.scenarios(_PREDICTED_STIFFNESS, _PREDICTED_MASS))
+    radii = np.array([find_margins(pair.contact, controller).spectral_radius for pair in prepared.pairs])
+    target = problem.requirements.free_space_admittance
+    band = target.band_hz if target is not None else (0.1, 2.0)
+    return AxisPrediction(
+        scenarios=tuple(
+            ScenarioPrediction(
+                name=peak.scenario.name,
+                environment_stiffness_n_per_m=peak.scenario.environment_stiffness_n_per_m,
+                payload_mass_kg=peak.scenario.payload_mass_kg,
+                peak_sensor_force_n=peak.peak_sensor_force_n,
+                peak_contact_force_n=peak.peak_contact_force_n,
+                time_of_peak_s=peak.time_of_peak_s,
+            )
+            for peak in prepared.peaks(controller, radii)
+        ),
+        free_space_admittance=FreeSpaceAdmittance(
+            band_hz=band,
+            min_m_s_per_n=smallest_admittance(prepared.free[0], controller, band),
+            hand_force_n_per_m_s=controller.damping_n_s_per_m + problem.drag_n_s_per_m,
+        ),
+    )
+
+
+def build_domain(problem: DesignProblem) -> AxisDomain:
+    """Return the set of plants that a design problem asks to be safe."""
+    return AxisDomain(
+        environment_stiffness_n_per_m=problem.environment_stiffness_n_per_m,
+        payload_mass_kg=problem.payload_mass_kg,
+        environment_damping_n_s_per_m=problem.environment_damping_n_s_per_m,
+        environment_mass_kg=0.0,
+        coupling_stiffness_n_per_m=problem.coupling.stiffness_n_per_m,
+        coupling_damping_n_s_per_m=problem.coupling.damping_n_s_per_m,
+        drag_n_s_per_m=problem.drag_n_s_per_m,
+        robot_numerator=tuple(float(c) for c in problem.robot.numerator),
+        robot_denominator=tuple(float(c) for c in problem.robot.denominator),
+        delay_s=problem.robot.delay_s,
+        approach_force_n=problem.approach.force_n,
+        approach_speed_m_s=problem.approach.speed_m_s,
+    )
+
+
+def _requirements(requirements: Requirements) -> dict[str, float | bool | AdmittanceRequirement]:
+    out: dict[str, float | bool | AdmittanceRequirement] = {}
+    for name in (
+        "modulus_margin",
+        "gain_margin_db",
+        "phase_margin_deg",
+        "delay_margin_s",
+        "decay_rate_per_s",
+        "max_peak_force_n",
+    ):
+        value = getattr(requirements, name)
+        if value is not None:
+            out[name] = value
+    target = requirements.free_space_admittance
+    if target is not None:
+        out["free_space_admittance"] = AdmittanceRequirement(
+            min_m_s_per_n=target.min_m_s_per_n, band_hz=target.band_hz
+        )
+    return out
+
+
+def _margins(problem: DesignProblem, controller: AdmittanceController) -> AxisMargins:
+    """Find the smallest margins over a dense grid of the domain and free space, each with its plant."""
+    smallest: dict[str, float] = {}
+    worst: dict[str, dict[str, float | str]] = {}
+    free_done = set()
+    for scenario in problem.scenarios(_MARGIN_STIFFNESS, _MARGIN_MASS):
+        plant = problem.plant(scenario)
+        cases = [(scenario.environment_stiffness_n_per_m, plant)]
+        if scenario.payload_mass_kg not in free_done:
+            free_done.add(scenario.payload_mass_kg)
+            cases.append((0.0, plant.in_contact_with(FREE_SPACE)))
+        for stiffness, case in cases:
+            found = find_margins(build_sampled_plant(case, problem.sample_time_s), controller)
+            for name in _NAMES:
+                value = float(getattr(found, name))
+                if value < smallest.get(name, np.inf):
+                    smallest[name] = value
+                    worst[name] = {
+                        "environment_stiffness_n_per_m": stiffness,
+                        "payload_mass_kg": scenario.payload_mass_kg,
+                    }
+    return AxisMargins(
+        gain_db=smallest.get("gain_db"),
+        phase_deg=smallest.get("phase_deg"),
+        delay_s=smallest.get("delay_s"),
+        modulus=smallest["modulus"],
+        worst=worst,
+    )

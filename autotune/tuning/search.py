@@ -1,0 +1,312 @@
+"""Search the controller: a seeded global stage, a local polish, and worst-case scenario exchange."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import differential_evolution, minimize
+
+from autotune.errors import InfeasibleError
+from problems.design import VARIABLES, DesignProblem, Scenario
+from problems.controller import SMALLEST_FEEDBACK_DAMPING_S
+from problems.evaluation import Evaluation, PreparedScenarios, build_scenarios, evaluate_exactly
+from problems.margins import UnstableLoopError
+
+FloatArray = NDArray[np.float64]
+
+_POPULATION = 10
+_GENERATIONS = 60
+_ROUNDS = 8
+_POLISH_STARTS = 4
+_BACKOFF = 2e-5
+_UNSTABLE = 1e6
+_MISSED = 1e3
+_DENSE_STIFFNESS, _DENSE_MASS = 33, 3
+_WORSE_PEAK = 1e-3
+_LOGARITHMIC = np.array([True, True, False, False])
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchResult:
+    """The chosen design (M_a, B_a, K_l, B_fb) and how it stands.
+
+    `evaluation` is exact (refined margins) over the dense grid of `scenario_count` scenarios; `active` the scenarios
+    that the search worked with; `rounds` how often the worst of the rest was added; `evaluations` of designs.
+    """
+
+    problem: DesignProblem
+    design: FloatArray
+    evaluation: Evaluation
+    active: PreparedScenarios
+    scenario_count: int
+    rounds: int
+    evaluations: int
+
+
+class Box:
+    """Maps the unit cube to the bounds: M_a and B_a by equal ratios, K_l and B_fb by equal steps."""
+
+    def __init__(self, problem: DesignProblem) -> None:
+        bounds = np.array([problem.bounds[name] for name in VARIABLES])
+        self.low, self.high = bounds[:, 0], bounds[:, 1]
+
+    def design(self, unit: FloatArray) -> FloatArray:
+        """Return the design of a point in the unit cube."""
+        share = np.clip(unit, 0.0, 1.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            geometric = self.low * (self.high / np.where(self.low > 0.0, self.low, 1.0)) ** share
+        return np.where(_LOGARITHMIC, geometric, self.low + share * (self.high - self.low))
+
+    def unit(self, design: FloatArray) -> FloatArray:
+        """Return the point of the unit cube that `design` comes from; 0 where the bounds coincide."""
+        span = np.where(self.high > self.low, self.high - self.low, 1.0)
+        floor = np.where(_LOGARITHMIC, self.low, 1.0)
+        ratio = np.where(self.high > self.low, np.log(np.where(_LOGARITHMIC, self.high, np.e) / floor), 1.0)
+        geometric = np.log(np.where(_LOGARITHMIC, design, 1.0) / floor) / np.where(ratio > 0.0, ratio, 1.0)
+        return np.clip(np.where(_LOGARITHMIC, geometric, (design - self.low) / span), 0.0, 1.0)
+
+
+def solve_design(
+    problem: DesignProblem, *, seed: int = 0, progress: Callable[[float], None] | None = None
+) -> SearchResult:
+    """Find the design of least worst peak force that is stable and meets every requirement in every scenario.
+
+    Deterministic for a given seed. Nothing unstable or infeasible is returned: the result is evaluated again, exactly,
+    over a dense grid of the whole uncertainty. Raises InfeasibleError with the closest miss when there is none.
+    `progress` is called with the share of the work done since the last call.
+    """
+    report = progress if progress is not None else _silent
+    search = Search(problem, seed)
+    dense = build_scenarios(problem, problem.scenarios(_DENSE_STIFFNESS, _DENSE_MASS))
+    active = problem.scenarios(3, 2)
+    unit = search.explore(active, lambda share: report(0.6 * share))
+    for round_index in range(_ROUNDS):
+        unit = search.polish(active, unit)
+        design = presentable(problem, search.box.design(unit))
+        exact = _evaluated_exactly(dense, design)
+        report(0.4 / _ROUNDS)
+        worse = _worst_scenarios(exact, search.last, active)
+        missed = exact.violation
+        if not worse and missed <= 0.0:
+            return SearchResult(
+                problem=problem,
+                design=design,
+                evaluation=exact,
+                active=build_scenarios(problem, active),
+                scenario_count=len(dense.scenarios),
+                rounds=round_index + 1,
+                evaluations=search.evaluations,
+            )
+        active = (*active, *(_margin_scenarios(dense, search, unit, active) if missed > 0.0 else ()), *worse)
+        if missed > 0.0:
+            search.tighten(exact)
+    raise InfeasibleError(
+        f"No design was found that holds over the whole uncertainty within {_ROUNDS} rounds of adding the worst case; the "
+        f"last one misses {_told(exact)}. Ask for less, or narrow the ranges."
+    )
+
+
+def presentable(problem: DesignProblem, design: FloatArray) -> FloatArray:
+    """Return the design with six digits, inside its bounds: what is certified is what people read and type."""
+    rounded = np.array([float(f"{value:.6g}") for value in design])
+    if rounded[3] < SMALLEST_FEEDBACK_DAMPING_S and problem.bounds["feedback_damping_s"][0] == 0.0:
+        rounded[3] = 0.0
+    bounds = np.array([problem.bounds[name] for name in VARIABLES])
+    return np.clip(rounded, bounds[:, 0], bounds[:, 1])
+
+
+def _evaluated_exactly(dense: PreparedScenarios, design: FloatArray) -> Evaluation:
+    """Evaluate over the dense grid; an unstable scenario in it counts as an infinite miss."""
+    try:
+        return evaluate_exactly(dense, dense.problem.controller(design))
+    except UnstableLoopError:
+        return dense.evaluate(design)
+
+
+def _silent(_: float) -> None:
+    return None
+
+
+class Search:
+    """One run: the box, what was asked (tightened where a grid flattered), and the count of evaluations."""
+
+    def __init__(self, problem: DesignProblem, seed: int) -> None:
+        self.problem = problem
+        self.box = Box(problem)
+        self.seed = seed
+        self.evaluations = 0
+        self.backoff: dict[str, float] = {}
+        self.last: Evaluation | None = None
+        self.elite: list[FloatArray] = []
+
+    def explore(self, active: tuple[Scenario, ...], report: Callable[[float], None]) -> FloatArray:
+        """Run differential evolution on the active scenarios; return the best point, keep the best few."""
+        prepared = build_scenarios(self.problem, active)
+        seen: list[tuple[float, FloatArray]] = []
+
+        def cost(unit: FloatArray) -> float:
+            value = self._cost(prepared.evaluate(self.box.design(unit)))
+            seen.append((value, np.array(unit)))
+            return value
+
+        found = differential_evolution(
+            cost,
+            [(0.0, 1.0)] * len(VARIABLES),
+            popsize=_POPULATION,
+            maxiter=_GENERATIONS,
+            init="sobol",
+            rng=np.random.default_rng(self.seed),
+            polish=False,
+            tol=1e-5,
+            callback=lambda intermediate_result: report(1.0 / _GENERATIONS),  # noqa: ARG005 - scipy goes by the name
+        )
+        if found.fun >= _MISSED:
+            raise InfeasibleError(self._reason(prepared, np.asarray(found.x)))
+        self.elite = _spread([unit for value, unit in sorted(seen, key=lambda pair: pair[0]) if value < _MISSED])
+        return np.asarray(found.x)
+
+    def _cost(self, evaluation: Evaluation) -> float:
+        """Order designs: every feasible one before every infeasible one before every unstable one."""
+        self.evaluations += 1
+        if not evaluation.is_stable:
+            return _UNSTABLE * evaluation.spectral_radius
+        if not evaluation.is_feasible:
+            return _MISSED * (1.0 + min(evaluation.violation, 500.0))
+        return evaluation.objective_n
+
+    def polish(self, active: tuple[Scenario, ...], unit: FloatArray) -> FloatArray:
+        """Improve locally from `unit` and from the elite; return the best design that is feasible."""
+        prepared = build_scenarios(self.problem, active)
+        best, best_cost = unit, self._tightened_cost(prepared, unit)
+        for start in [unit, *self.elite]:
+            candidate = self.local(prepared, start)
+            cost = self._tightened_cost(prepared, candidate)
+            if cost < best_cost:
+                best, best_cost = candidate, cost
+        if best_cost >= _MISSED:
+            best = self._recover(prepared, best)
+        self.last = prepared.evaluate(self.box.design(best), peaks_if_missed=True)
+        return best
+
+    def _recover(self, prepared: PreparedScenarios, start: FloatArray) -> FloatArray:
+        """Search globally again when the added scenarios left no start feasible."""
+        found = differential_evolution(
+            lambda unit: self._tightened_cost(prepared, unit),
+            [(0.0, 1.0)] * len(VARIABLES),
+            popsize=_POPULATION,
+            maxiter=_GENERATIONS,
+            init="sobol",
+            x0=start,
+            rng=np.random.default_rng(self.seed + 1),
+            polish=False,
+            tol=1e-5,
+        )
+        if found.fun >= _MISSED:
+            raise InfeasibleError(self._reason(prepared, np.asarray(found.x)))
+        return self.local(prepared, np.asarray(found.x))
+
+    def _tightened_cost(self, prepared: PreparedScenarios, unit: FloatArray) -> float:
+        evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True)
+        if evaluation.is_stable and np.any(self._slack(evaluation) < 0.0):
+            self.evaluations += 1
+            return _MISSED * (1.0 - float(np.min(self._slack(evaluation))))
+        return self._cost(evaluation)
+
+    def _slack(self, evaluation: Evaluation) -> FloatArray:
+        """Return 1 − required/achieved per requirement, what the grid flattered taken off."""
+        return np.array(
+            [1.0 - value * (1.0 + self.backoff.get(name, 0.0)) for name, value in evaluation.requirements.items()]
+        )
+
+    def tighten(self, exact: Evaluation) -> None:
+        """Ask for more of what the exact evaluation misses by a hair although the grid was content."""
+        for name, value in exact.requirements.items():
+            if value > 1.0:
+                flattered = min(value - 1.0, 0.02)
+                self.backoff[name] = self.backoff.get(name, 0.0) + 1.5 * flattered + _BACKOFF
+
+    def local(self, prepared: PreparedScenarios, start: FloatArray) -> FloatArray:
+        """Run sequential quadratic programming on the worst peak; each requirement is one constraint."""
+        count = len(prepared.evaluate(self.box.design(start), peaks_if_missed=True).requirements)
+        scale = 1.0
+        cache: dict[bytes, tuple[float, FloatArray]] = {}
+
+        def both(unit: FloatArray) -> tuple[float, FloatArray]:
+            key = unit.tobytes()
+            if key not in cache:
+                evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True)
+                self.evaluations += 1
+                # An unstable trial has no numbers: report a plain wall, which the line search backs away from.
+                known = evaluation.is_stable
+                cache[key] = (
+                    evaluation.objective_n / scale if known else 1e3,
+                    self._slack(evaluation) - _BACKOFF if known else np.full(count, -1.0),
+                )
+            return cache[key]
+
+        first, _ = both(np.asarray(start))
+        scale, cache = max(first, 1e-9), {}
+        found = minimize(
+            lambda unit: both(unit)[0],
+            start,
+            method="SLSQP",
+            bounds=[(0.0, 1.0)] * len(start),
+            constraints=[{"type": "ineq", "fun": lambda unit: both(unit)[1]}],
+            options={"maxiter": 60, "ftol": 1e-8, "eps": 1e-6},
+        )
+        return np.clip(found.x, 0.0, 1.0)
+
+    def _reason(self, prepared: PreparedScenarios, unit: FloatArray) -> str:
+        """Say why nothing is feasible: the requirement that the closest design misses."""
+        evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True)
+        if not evaluation.is_stable:
+            return (
+                "No controller within the bounds is stable in every scenario (closest: largest |z| = "
+                f"{evaluation.spectral_radius:.4f}); raise the upper bound of the damping or narrow the ranges."
+            )
+        return (
+            "No controller within the bounds meets all requirements in every scenario; the closest one misses "
+            f"{_told(evaluation)}. Relax that requirement, narrow the ranges of stiffness and payload, or widen the bounds."
+        )
+
+
+def _told(evaluation: Evaluation) -> str:
+    missed = [(name, value) for name, value in evaluation.requirements.items() if value > 1.0]
+    return ", ".join(f"{name} (only {100.0 / value:.0f} % of what is asked)" for name, value in missed) or "a peak"
+
+
+def _spread(units: list[FloatArray]) -> list[FloatArray]:
+    """Return a few of the best points that lie apart."""
+    kept: list[FloatArray] = []
+    for unit in units:
+        if all(np.linalg.norm(unit - other) > 0.1 for other in kept):
+            kept.append(unit)
+        if len(kept) == _POLISH_STARTS:
+            break
+    return kept
+
+
+def _worst_scenarios(
+    exact: Evaluation, known: Evaluation | None, active: tuple[Scenario, ...]
+) -> tuple[Scenario, ...]:
+    """Return the scenario with the highest peak if it beats what the active ones showed."""
+    if known is None or not exact.peaks:
+        return ()
+    worst = max(exact.peaks, key=lambda peak: peak.peak_contact_force_n)
+    beaten = worst.peak_contact_force_n > (1.0 + _WORSE_PEAK) * max(p.peak_contact_force_n for p in known.peaks)
+    return (worst.scenario,) if beaten and worst.scenario not in active else ()
+
+
+def _margin_scenarios(
+    dense: PreparedScenarios, search: Search, unit: FloatArray, active: tuple[Scenario, ...]
+) -> tuple[Scenario, ...]:
+    """Return the dense scenario with the largest miss, if the search does not know it yet."""
+    design = search.box.design(unit)
+    missed = [
+        (build_scenarios(dense.problem, [scenario]).evaluate(design, peaks_if_missed=True).violation, i)
+        for i, scenario in enumerate(dense.scenarios)
+    ]
+    _, worst = max(missed)
+    scenario = dense.scenarios[worst]
+    return () if scenario in active else (scenario,)

@@ -1,0 +1,40 @@
+"""The rendered free-space admittance measured in time: push with a sine, read the steady velocity."""
+
+import numpy as np
+
+from problems.controller import AdmittanceController
+from problems.robot import RobotModel
+
+from .replay import DifferenceEquation, robot_stepper
+
+_FREQUENCIES = 5
+_SETTLE_S = 2.0
+_PERIODS = 2.0
+
+
+def sampled_admittance(
+    robot: RobotModel, controller: AdmittanceController, sample_time_s: float, band_hz: tuple[float, float]
+) -> float:
+    """Return the smallest |V/F| [m/s/N] at five frequencies of the band, ends included, from simulated sines."""
+    found = [
+        _gain(robot, controller, sample_time_s, float(f)) for f in np.unique(np.geomspace(*band_hz, _FREQUENCIES))
+    ]
+    return min(found)
+
+
+def _gain(robot: RobotModel, controller: AdmittanceController, h: float, frequency_hz: float) -> float:
+    law, step = DifferenceEquation(controller, h), robot_stepper(robot, h)
+    samples = round((_SETTLE_S + _PERIODS / frequency_hz) / h)
+    omega = 2.0 * np.pi * frequency_hz
+    force = np.sin(omega * h * np.arange(samples))
+    position = np.empty(samples)
+    x = 0.0
+    for k in range(samples):
+        position[k] = x
+        x = step(law.step(float(force[k]), x))
+    # Least squares on the steady part: sine, cosine, drift and offset of the position.
+    used = slice(round(_SETTLE_S / h), samples)
+    t = h * np.arange(samples)[used]
+    columns = np.column_stack([np.sin(omega * t), np.cos(omega * t), t, np.ones_like(t)])
+    sine, cosine, _, _ = np.linalg.lstsq(columns, position[used], rcond=None)[0]
+    return float(omega * np.hypot(sine, cosine))

@@ -1,0 +1,97 @@
+"""Margins from characteristic polynomials: another road than the frequency responses that the optimizer uses."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from problems.controller import AdmittanceController, controller_blocks
+from problems.margins import frequency_grid, margins_on_grid
+from problems.sampled import SampledPlant, assemble_loop, build_sampled_plant
+
+from .proof import UncertainPlant
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_GRID_POINTS = 6000
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweptMargins:
+    """The smallest margins over the swept plants; `worst` names the plant (M_p, K_e) of each."""
+
+    values: Mapping[str, float]
+    worst: Mapping[str, tuple[float, float]]
+    plants: int
+    largest_radius: float
+
+
+def sweep_margins(
+    plants: UncertainPlant, controller: AdmittanceController, sample_time_s: float, *, stiffness: int, mass: int
+) -> SweptMargins:
+    """Return the smallest margins over a grid of the set and over free space, at both break points."""
+    values: dict[str, float] = {}
+    worst: dict[str, tuple[float, float]] = {}
+    radius, count = 0.0, 0
+    low, high = plants.environment_stiffness_n_per_m
+    masses = np.unique(np.linspace(*plants.payload_mass_kg, mass))
+    grid = [(float(m), float(k)) for m in masses for k in np.unique(np.geomspace(low, high, stiffness))]
+    free = plants.in_free_space()
+    for m, k in [*grid, *((float(m), 0.0) for m in masses)]:
+        sampled = build_sampled_plant((plants if k > 0.0 else free).at(m, k), sample_time_s)
+        found, largest = _margins(sampled, controller)
+        radius, count = max(radius, largest), count + 1
+        for name, value in found.items():
+            if value < values.get(name, np.inf):
+                values[name], worst[name] = value, (m, k)
+    for name in ("gain_db", "phase_deg", "delay_s"):
+        values.setdefault(name, np.inf)
+    return SweptMargins(values=values, worst=worst, plants=count, largest_radius=radius)
+
+
+def _margins(sampled: SampledPlant, controller: AdmittanceController) -> tuple[dict[str, float], float]:
+    """Return the margins of one loop from 1 + L = ∏(z − λ_closed)/∏(z − λ_cut), and its largest |λ_closed| but 1.
+
+    The cut loop has the force (or the force and the position) disconnected from the controller; both polynomials are
+    monic, and only a loop without delay has a factor before them.
+    """
+    blocks = controller_blocks(controller.parameters(), sampled.sample_time_s)
+    grid = frequency_grid(sampled, _GRID_POINTS)
+    z = np.exp(1j * grid * sampled.sample_time_s)
+    closed = _eigenvalues(sampled, blocks)
+    factor = 1.0 if sampled.chain_length else 1.0 - (blocks[0, 0] + blocks[1, 0]) * sampled.d_force
+    loops = []
+    for disconnected in ((0, 1), (0, 1, 2)):
+        cut = blocks.copy()
+        cut[list(disconnected), 0] = 0.0
+        cut[list(disconnected), 2] = 0.0
+        loops.append(factor * _ratio(z, closed, _eigenvalues(sampled, cut)) - 1.0)
+    both = margins_on_grid(grid, np.array(loops))
+    smallest = {name: float(np.min(values)) for name, values in both._asdict().items()}
+    if sampled.plant.environment.is_free_space:
+        closed = np.delete(closed, int(np.argmin(np.abs(closed - 1.0))))
+    return smallest, float(np.max(np.abs(closed)))
+
+
+def _eigenvalues(sampled: SampledPlant, blocks: FloatArray) -> ComplexArray:
+    whole = assemble_loop(
+        sampled.phi,
+        sampled.gamma,
+        sampled.gamma_old,
+        sampled.c_position,
+        sampled.c_force,
+        sampled.d_force,
+        sampled.whole_delay,
+        sampled.chain_length,
+        blocks,
+    )
+    return np.linalg.eigvals(whole[:-1, :-1]).astype(np.complex128)
+
+
+def _ratio(z: ComplexArray, zeros: ComplexArray, poles: ComplexArray) -> ComplexArray:
+    out = np.ones_like(z)
+    for zero, pole in zip(zeros, poles, strict=True):
+        out *= (z - zero) / (z - pole)
+    return out

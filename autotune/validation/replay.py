@@ -1,0 +1,152 @@
+"""Play one contact with the paper's own difference equation and a finely stepped plant, from far away until rest."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from problems.controller import AdmittanceController
+from problems.plant import FREE_SPACE, Coupling, Payload, Plant, build_plant_matrices
+from problems.robot import RobotModel
+from problems.sampled import hold
+
+FloatArray = NDArray[np.float64]
+
+_SUBSTEPS = 20
+_APPROACH_S = 0.8
+_AFTER_S = 1.6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replay:
+    """Peaks of one replayed contact, at the sensor (pressing positive) and at the surface."""
+
+    peak_sensor_force_n: float
+    peak_contact_force_n: float
+
+
+def replay_contact(
+    plant: Plant,
+    controller: AdmittanceController,
+    sample_time_s: float,
+    desired_force_n: float,
+    *,
+    deadband_n: float = 0.0,
+) -> Replay:
+    """Approach with F^d from rest, touch, and follow for 1.6 s; `deadband_n` is a threshold deadband on the force.
+
+    The plant advances in twentieths of a sample, contact begins and ends on that grid, and the delay is rounded to it.
+    """
+    step = _Stepper(plant, sample_time_s)
+    law = DifferenceEquation(controller, sample_time_s)
+    speed = desired_force_n / (controller.damping_n_s_per_m + plant.payload.drag_n_s_per_m)
+    start = -speed * _APPROACH_S
+    n = len(step.c_force)
+    state = np.zeros(n)
+    state[0] = state[n - 2] = start
+    law.rest_at(start)
+    late = round(plant.robot.delay_s / sample_time_s * _SUBSTEPS)
+    commands = [start] * (math.ceil(late / _SUBSTEPS) + 1)
+    sensor = contact = 0.0
+    for _ in range(round((_APPROACH_S + _AFTER_S) / sample_time_s)):
+        force = float(step.c_force @ state + step.d_force * commands[-1 - late // _SUBSTEPS])
+        if step.touching(state):
+            sensor, contact = max(sensor, -force), max(contact, step.wall_force(state))
+        felt = force if abs(force) > deadband_n else 0.0
+        commands.append(law.step(desired_force_n + felt, float(step.c_position @ state)))
+        for sub in range(_SUBSTEPS):
+            # A delay of `late` substeps: how many whole periods ago was the command that acts now?
+            age = -((sub - late) // _SUBSTEPS) if sub < late else 0
+            state = step.advance(state, commands[-1 - age])
+        commands = commands[-(late // _SUBSTEPS + 3) :]
+    return Replay(peak_sensor_force_n=sensor, peak_contact_force_n=contact)
+
+
+class _Stepper:
+    """The plant in contact and in free space, advanced by a twentieth of a sample."""
+
+    def __init__(self, plant: Plant, sample_time_s: float) -> None:
+        near = build_plant_matrices(plant, sample_time_s)
+        far = build_plant_matrices(plant.in_contact_with(FREE_SPACE), sample_time_s)
+        self.near, self.far = hold(near.a, near.b, 1.0 / _SUBSTEPS), hold(far.a, far.b, 1.0 / _SUBSTEPS)
+        self.c_force, self.c_position, self.d_force = near.c_force, near.c_position, near.d_force
+        self.stiffness = plant.environment.stiffness_n_per_m
+        self.damping = plant.environment.damping_n_s_per_m / sample_time_s
+
+    def wall_force(self, state: FloatArray) -> float:
+        """Return the force on the environment of a payload behind the wall."""
+        return max(0.0, self.stiffness * float(state[-2]) + self.damping * float(state[-1]))
+
+    def touching(self, state: FloatArray) -> bool:
+        """Whether the payload presses on the wall."""
+        return float(state[-2]) > 0.0 and self.wall_force(state) > 0.0
+
+    def advance(self, state: FloatArray, command: float) -> FloatArray:
+        """Advance one substep under a held command."""
+        phi, gamma = self.near if self.touching(state) else self.far
+        return np.asarray(phi @ state + gamma * command)
+
+
+class DifferenceEquation:
+    """x^d of the paper's eq. (discretized admittance), with C_fb by the trapezoidal rule."""
+
+    def __init__(self, controller: AdmittanceController, h: float) -> None:
+        ratio = controller.damping_n_s_per_m * h / (2.0 * controller.mass_kg)
+        lead = 2.0 * controller.lead_s / h
+        self.old, self.new = 1.0 - ratio, 1.0 + ratio
+        self.gain = h * h / (4.0 * controller.mass_kg)
+        self.weights = (1.0 + lead, 2.0, 1.0 - lead)
+        self.feedback, self.corner, self.h = (
+            controller.feedback_damping_s,
+            controller.velocity_filter_rad_per_s,
+            h,
+        )
+        self.rest_at(0.0)
+
+    def rest_at(self, position: float) -> None:
+        """Start at rest: C_fb x is zero there, so the admittance's own position is the command."""
+        self.before = self.last = position
+        self.force_before = self.force_last = 0.0
+        self.seen, self.damping = position, 0.0
+
+    def step(self, force: float, position: float) -> float:
+        """Return the next command for F^d + F and the measured position."""
+        w0, w1, w2 = self.weights
+        pushed = self.gain * (w0 * force + w1 * self.force_last + w2 * self.force_before)
+        following = (2.0 * self.last - self.old * self.before + pushed) / self.new
+        self.before, self.last = self.last, following
+        self.force_before, self.force_last = self.force_last, force
+        # dy/dt = B_fb ω_v dx/dt − ω_v y, by the trapezoidal rule.
+        half = 0.5 * self.corner * self.h
+        moved = self.feedback * self.corner * (position - self.seen)
+        self.damping = ((1.0 - half) * self.damping + moved) / (1.0 + half)
+        self.seen = position
+        return following - self.damping
+
+
+def robot_stepper(robot: RobotModel, sample_time_s: float) -> Callable[[float], float]:
+    """Return a function that takes the next command and returns the robot's position one sample later, exactly."""
+    alone = Plant(
+        robot=robot,
+        coupling=Coupling(stiffness_n_per_m=1.0, damping_n_s_per_m=0.0),
+        payload=Payload(mass_kg=1.0, drag_n_s_per_m=0.0),
+    )
+    matrices, order = build_plant_matrices(alone, sample_time_s), robot.order
+    rate, drive, output = matrices.a[:order, :order], matrices.b[:order], matrices.c_position[:order]
+    late = robot.delay_s / sample_time_s
+    whole, fraction = math.floor(late), late - math.floor(late)
+    before, after = hold(rate, drive, fraction), hold(rate, drive, 1.0 - fraction)
+    commands = [0.0] * (whole + 2)
+    state = np.zeros(order)
+
+    def step(command: float) -> float:
+        nonlocal state
+        commands.append(command)
+        del commands[0]
+        state = before[0] @ state + before[1] * commands[-2 - whole]
+        state = after[0] @ state + after[1] * commands[-1 - whole]
+        return float(output @ state)
+
+    return step

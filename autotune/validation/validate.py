@@ -1,0 +1,296 @@
+"""Verify a controller from its file alone: every claim is made again by code that the optimizer does not use."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from autotune.errors import CertificateError
+from autotune.files.controller_record import (
+    AdmittanceRequirement,
+    AxisDomain,
+    AxisMargins,
+    CollisionResponse,
+    Controller,
+    Proof,
+)
+from problems.controller import AdmittanceController
+from problems.errors import ParameterError
+from problems.plant import Coupling
+from problems.robot import RobotModel
+
+from .admittance import sampled_admittance
+from .margins import SweptMargins, sweep_margins
+from .proof import StabilityProof, UncertainPlant, prove_stability
+from .replay import replay_contact
+
+_STIFFNESS_POINTS, _MASS_POINTS = 25, 3
+# Two roads to the same margin differ by their frequency grids (measured: 1e-4); what differs by more is another margin.
+_SAME_MARGIN = 0.01
+# Replayed contacts begin anywhere between two samples, predicted ones on a sample (measured: up to 0.5 %).
+_SAME_PEAK = 0.02
+_SAME_NUMBER = 1e-6
+_MARGIN_OF = {
+    "modulus_margin": "modulus",
+    "gain_margin_db": "gain_db",
+    "phase_margin_deg": "phase_deg",
+    "delay_margin_s": "delay_s",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """One thing that was verified on one axis, in words; `passed` is the verdict."""
+
+    axis: str
+    name: str
+    passed: bool
+    message: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValidationReport:
+    """All checks of a controller, in the order in which they ran."""
+
+    checks: tuple[Check, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check passed."""
+        return all(check.passed for check in self.checks)
+
+    def require(self) -> None:
+        """Raise CertificateError with the first check that failed."""
+        failed = [check for check in self.checks if not check.passed]
+        if failed:
+            more = f" ({len(failed) - 1} more checks failed)" if len(failed) > 1 else ""
+            raise CertificateError(f"Axis {failed[0].axis}, {failed[0].name}: {failed[0].message}{more}")
+
+
+def validate_controller(controller: Controller, progress: Callable[[float], None] | None = None) -> ValidationReport:
+    """Verify all axes; `progress` is told the share of the work done since the last call.
+
+    Nothing is raised for a check that fails: the report holds it (`ValidationReport.require` raises).
+    """
+    checks: list[Check] = []
+    for name in controller.axes:
+        for check in _axis_checks(controller, name):
+            checks.append(check)
+            if progress is not None:
+                progress(1.0 / (8.0 * len(controller.axes)))
+    return ValidationReport(checks=tuple(checks))
+
+
+def _axis_checks(controller: Controller, name: str) -> Iterator[Check]:
+    domain, margins = controller.certificate.domain.get(name), controller.certificate.margins.get(name)
+    if domain is None or margins is None or name not in controller.predicted:
+        yield Check(axis=name, name="certificate", passed=False, message="the file holds no certificate for this axis")
+        return
+    unsupported = _unsupported(controller, name)
+    if unsupported:
+        yield Check(axis=name, name="controller", passed=False, message=unsupported)
+        return
+    try:
+        law, plants = admittance_controller(controller, name), uncertain_plant(domain)
+    except ParameterError as error:
+        yield Check(axis=name, name="parameters", passed=False, message=str(error))
+        return
+    h = controller.sample_time_s
+    yield Check(axis=name, name="parameters", passed=True, message="gains and plant are within their ranges")
+    yield _delay(controller, name, domain)
+    for proof, where in ((prove_stability(plants.in_free_space(), law, h), "free space"), (prove_stability(plants, law, h), "contact")):
+        yield _stability(name, proof, where, plants)
+        if not proof.holds:
+            return
+    swept = sweep_margins(plants, law, h, stiffness=_STIFFNESS_POINTS, mass=_MASS_POINTS)
+    yield _margins(name, margins, swept)
+    yield _requirements(controller, name, swept)
+    yield _admittance(controller, name, plants, law)
+    yield _peaks(controller, name, domain, plants, law)
+
+
+def _unsupported(controller: Controller, name: str) -> str:
+    """Say what in the file this release cannot verify; a claim that cannot be verified does not hold."""
+    if name.startswith("r"):
+        return "rotational axes cannot be verified by this release"
+    if controller.compensation_mass_kg != 0.0:
+        return "acceleration compensation cannot be verified by this release; compensation_mass_kg must be 0"
+    if controller.collision.response is not CollisionResponse.NONE:
+        return "a collision response cannot be verified by this release; collision.response must be none"
+    if controller.certificate.domain[name].environment_mass_kg != 0.0:
+        return "an environment with mass cannot be verified by this release; environment_mass_kg must be 0"
+    return ""
+
+
+def admittance_controller(controller: Controller, name: str) -> AdmittanceController:
+    """Return the control law of one axis."""
+    gains = controller.axes[name]
+    return AdmittanceController(
+        mass_kg=gains.mass,
+        damping_n_s_per_m=gains.damping,
+        lead_s=gains.lead_s,
+        feedback_damping_s=gains.feedback_damping_s,
+        velocity_filter_rad_per_s=controller.filters.velocity_rad_per_s,
+    )
+
+
+def uncertain_plant(domain: AxisDomain) -> UncertainPlant:
+    """Return the set of plants that a certificate speaks of."""
+    return UncertainPlant(
+        robot=RobotModel(
+            numerator=np.array(domain.robot_numerator),
+            denominator=np.array(domain.robot_denominator),
+            delay_s=domain.delay_s,
+        ),
+        coupling=Coupling(
+            stiffness_n_per_m=domain.coupling_stiffness_n_per_m,
+            damping_n_s_per_m=domain.coupling_damping_n_s_per_m,
+        ),
+        drag_n_s_per_m=domain.drag_n_s_per_m,
+        environment_damping_n_s_per_m=domain.environment_damping_n_s_per_m,
+        payload_mass_kg=domain.payload_mass_kg,
+        environment_stiffness_n_per_m=domain.environment_stiffness_n_per_m,
+    )
+
+
+def prove_axis(domain: AxisDomain, law: AdmittanceController, sample_time_s: float, name: str) -> tuple[Proof, ...]:
+    """Return what can be proved of one axis, for its certificate; raises CertificateError if stability cannot be."""
+    plants = uncertain_plant(domain)
+    low, high = domain.environment_stiffness_n_per_m
+    light, heavy = domain.payload_mass_kg
+    proofs = []
+    for where, these in (("in free space", plants.in_free_space()), ("in contact", plants)):
+        proof = prove_stability(these, law, sample_time_s)
+        check = _stability(name, proof, where, plants)
+        if not proof.holds:
+            raise CertificateError(f"Axis {name}: {check.message}")
+        stiffness = f", K_e in [{low:g}, {high:g}] N/m" if where == "in contact" else ""
+        proofs.append(
+            Proof(
+                claim=f"axis {name}: the exact sampled loop is stable {where}",
+                method="interval Lyapunov, double precision with a bound on rounding",
+                over=f"every M_p in [{light:g}, {heavy:g}] kg{stiffness}",
+                numbers={"cells": float(proof.cells), "smallest_decrease": float(proof.slack)},
+            )
+        )
+    return tuple(proofs)
+
+
+def _delay(controller: Controller, name: str, domain: AxisDomain) -> Check:
+    samples = domain.delay_s / controller.sample_time_s
+    passed = samples <= controller.delay_samples * (1.0 + _SAME_NUMBER)
+    return Check(
+        axis=name,
+        name="delay",
+        passed=passed,
+        message=f"the certificate's delay of {samples:.4g} samples is covered by delay_samples {controller.delay_samples:.4g}"
+        if passed
+        else f"delay_samples says {controller.delay_samples:.6g}, the certificate's plant has {samples:.6g}",
+    )
+
+
+def _stability(name: str, proof: StabilityProof, where: str, plants: UncertainPlant) -> Check:
+    low, high = plants.environment_stiffness_n_per_m
+    light, heavy = plants.payload_mass_kg
+    if proof.holds:
+        stiffness = "" if "free" in where else f" and every K_e in [{low:g}, {high:g}] N/m"
+        message = f"proved for every M_p in [{light:g}, {heavy:g}] kg{stiffness} ({proof.cells} cells)"
+    else:
+        message = (
+            f"stability in {where.removeprefix('in ')} does not hold or cannot be proved: fails at "
+            f"M_p = {proof.failed_mass_kg:.6g} kg, K_e = {proof.failed_stiffness_n_per_m:.6g} N/m"
+        )
+    return Check(axis=name, name=f"stability in {where.removeprefix('in ')}", passed=proof.holds, message=message)
+
+
+def _margins(name: str, claimed: AxisMargins, swept: SweptMargins) -> Check:
+    wrong = []
+    for key in ("modulus", "gain_db", "phase_deg", "delay_s"):
+        said = getattr(claimed, key)
+        found = swept.values[key]
+        said = math.inf if said is None else float(said)
+        if said > found * (1.0 + _SAME_MARGIN) and not (math.isinf(said) and math.isinf(found)):
+            wrong.append(f"{key} is claimed as {said:.6g}, found {found:.6g}")
+    told = ", ".join(f"{key} {swept.values[key]:.4g}" for key in ("modulus", "gain_db", "phase_deg", "delay_s"))
+    return Check(
+        axis=name,
+        name="margins",
+        passed=not wrong and swept.largest_radius < 1.0,
+        message="; ".join(wrong) or f"confirmed on {swept.plants} plants: {told}",
+    )
+
+
+def _requirements(controller: Controller, name: str, swept: SweptMargins) -> Check:
+    missed, known = [], 0
+    for key, required in controller.certificate.requirements.items():
+        if isinstance(required, AdmittanceRequirement):
+            continue
+        if key in _MARGIN_OF:
+            reached = swept.values[_MARGIN_OF[key]]
+        elif key == "decay_rate_per_s":
+            reached = -math.log(swept.largest_radius) / controller.sample_time_s
+        elif key == "max_peak_force_n":
+            continue
+        else:
+            missed.append(f"{key} cannot be verified by this release")
+            continue
+        known += 1
+        if reached < float(required) * (1.0 - _SAME_MARGIN * 0.1):
+            missed.append(f"{key} must be at least {required:.6g}, found {reached:.6g}")
+    return Check(
+        axis=name,
+        name="requirements",
+        passed=not missed,
+        message="; ".join(missed) or f"all {known} margins that were asked are met",
+    )
+
+
+def _admittance(controller: Controller, name: str, plants: UncertainPlant, law: AdmittanceController) -> Check:
+    predicted = controller.predicted[name].free_space_admittance
+    found = sampled_admittance(plants.robot, law, controller.sample_time_s, predicted.band_hz)
+    wrong = []
+    if abs(found / predicted.min_m_s_per_n - 1.0) > _SAME_MARGIN:
+        wrong.append(f"|G| is claimed as {predicted.min_m_s_per_n:.6g} m/s/N, found {found:.6g}")
+    for required in controller.certificate.requirements.values():
+        if isinstance(required, AdmittanceRequirement):
+            reached = sampled_admittance(plants.robot, law, controller.sample_time_s, required.band_hz)
+            if reached < required.min_m_s_per_n * (1.0 - 0.1 * _SAME_MARGIN):
+                wrong.append(f"|G| must be at least {required.min_m_s_per_n:.6g} m/s/N, found {reached:.6g}")
+    band = f"{predicted.band_hz[0]:g} to {predicted.band_hz[1]:g} Hz"
+    return Check(
+        axis=name,
+        name="free-space admittance",
+        passed=not wrong,
+        message="; ".join(wrong) or f"at least {found:.4g} m/s/N from {band}",
+    )
+
+
+def _peaks(
+    controller: Controller, name: str, domain: AxisDomain, plants: UncertainPlant, law: AdmittanceController
+) -> Check:
+    speed = domain.approach_speed_m_s
+    force = domain.approach_force_n if speed is None else speed * (law.damping_n_s_per_m + domain.drag_n_s_per_m)
+    if force is None:
+        return Check(axis=name, name="peak force", passed=False, message="the domain names no approach")
+    limit = controller.certificate.requirements.get("max_peak_force_n")
+    wrong, largest = [], 0.0
+    for scenario in controller.predicted[name].scenarios:
+        stiffness, mass = scenario.environment_stiffness_n_per_m, scenario.payload_mass_kg
+        seen = replay_contact(plants.at(mass, stiffness), law, controller.sample_time_s, force)
+        largest = max(largest, seen.peak_contact_force_n)
+        for what, said, found in (
+            ("contact", scenario.peak_contact_force_n, seen.peak_contact_force_n),
+            ("sensor", scenario.peak_sensor_force_n, seen.peak_sensor_force_n),
+        ):
+            if abs(found - said) > _SAME_PEAK * max(said, force):
+                wrong.append(f"{scenario.name}: the peak {what} force is predicted as {said:.2f} N, replayed {found:.2f} N")
+    if isinstance(limit, float) and largest > limit * (1.0 + _SAME_PEAK):
+        wrong.append(f"the peak force must be at most {limit:g} N, found {largest:.2f} N")
+    return Check(
+        axis=name,
+        name="peak force",
+        passed=not wrong,
+        message="; ".join(wrong)
+        or f"{len(controller.predicted[name].scenarios)} contacts replayed, largest {largest:.1f} N, as predicted",
+    )

@@ -1,0 +1,100 @@
+"""Plants and controllers that the tests of this floor share: the paper's cell and random ones around it."""
+
+import numpy as np
+from hypothesis import settings
+from hypothesis import strategies as st
+
+from problems.controller import AdmittanceController
+from problems.plant import Coupling, Environment, Payload, Plant
+from problems.robot import RobotModel
+
+PERIOD_S = 8e-4
+DELAY_S = 2.4e-3
+
+# A law is checked on the same cases everywhere: a failure on one machine is a failure on all of them.
+LAW = settings(deadline=None, max_examples=30, derandomize=True)
+
+
+def one_pole(delay_s: float = DELAY_S, bandwidth_rad_per_s: float = 20.0) -> RobotModel:
+    return RobotModel.from_bandwidth(bandwidth_rad_per_s=bandwidth_rad_per_s, delay_s=delay_s)
+
+
+def paper_plant(
+    *,
+    stiffness: float = 5e5,
+    mass: float = 16.0,
+    drag: float = 630.0,
+    coupling: float = 3e5,
+    coupling_damping: float = 0.0,
+    environment_damping: float = 0.0,
+    robot: RobotModel | None = None,
+) -> Plant:
+    """Return the printed example; stiffness 0 is free space."""
+    return Plant(
+        robot=robot if robot is not None else one_pole(),
+        coupling=Coupling(stiffness_n_per_m=coupling, damping_n_s_per_m=coupling_damping),
+        payload=Payload(mass_kg=mass, drag_n_s_per_m=drag),
+        environment=Environment(stiffness_n_per_m=stiffness, damping_n_s_per_m=environment_damping),
+    )
+
+
+def admittance(
+    mass: float = 13.0, damping: float = 1000.0, lead: float = 0.013, feedback: float = 0.0
+) -> AdmittanceController:
+    return AdmittanceController(mass_kg=mass, damping_n_s_per_m=damping, lead_s=lead, feedback_damping_s=feedback)
+
+
+def between(low: float, high: float) -> st.SearchStrategy[float]:
+    """Draw evenly in the logarithm, ends included up to rounding."""
+    return st.floats(float(np.log(low)), float(np.log(high))).map(lambda exponent: float(np.exp(exponent)))
+
+
+def or_zero(strategy: st.SearchStrategy[float]) -> st.SearchStrategy[float]:
+    return st.one_of(st.just(0.0), strategy)
+
+
+WHOLE_DELAYS = st.integers(0, 5).map(lambda samples: samples * PERIOD_S)
+ANY_DELAYS = st.one_of(WHOLE_DELAYS, st.floats(0.0, 5.0).map(lambda samples: samples * PERIOD_S))
+
+
+@st.composite
+def robots(draw: st.DrawFn, delays: st.SearchStrategy[float] = ANY_DELAYS) -> RobotModel:
+    """Draw one pole, or two poles with or without a zero."""
+    delay, omega = draw(delays), draw(between(10.0, 80.0))
+    if draw(st.booleans()):
+        return one_pole(delay, omega)
+    numerator = [omega**2]
+    if draw(st.booleans()):
+        numerator = [omega**2 / draw(between(20.0, 300.0)), omega**2]
+    return RobotModel(
+        numerator=np.array(numerator),
+        denominator=np.array([1.0, 2.0 * draw(st.floats(0.4, 1.3)) * omega, omega**2]),
+        delay_s=delay,
+    )
+
+
+@st.composite
+def plants(
+    draw: st.DrawFn, delays: st.SearchStrategy[float] = ANY_DELAYS, *, contact: bool | None = None
+) -> Plant:
+    """Draw a plant; `contact` None leaves open whether it touches anything."""
+    touching = draw(st.booleans()) if contact is None else contact
+    return paper_plant(
+        stiffness=draw(between(1e3, 1e6)) if touching else 0.0,
+        environment_damping=draw(or_zero(between(1.0, 500.0))) if touching else 0.0,
+        mass=draw(between(2.0, 60.0)),
+        drag=draw(between(50.0, 1500.0)),
+        coupling=draw(between(5e4, 1e6)),
+        coupling_damping=draw(or_zero(between(10.0, 1000.0))),
+        robot=draw(robots(delays)),
+    )
+
+
+@st.composite
+def controllers(draw: st.DrawFn) -> AdmittanceController:
+    return admittance(
+        mass=draw(between(5.0, 60.0)),
+        damping=draw(between(300.0, 8000.0)),
+        lead=draw(or_zero(between(1e-3, 0.05))),
+        feedback=draw(or_zero(between(1e-3, 0.02))),
+    )
