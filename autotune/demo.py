@@ -18,7 +18,14 @@ from autotune.tuning.problems import Wishes
 from autotune.validation.validate import ValidationReport, validate_controller
 from identification.result import Estimate
 
-STEPS = ("simulating a cell", "writing its log", "identifying", "optimizing and proving", "validating the file", "exporting")
+STEPS = (
+    "simulating a cell",
+    "writing its log",
+    "identifying",
+    "optimizing and proving",
+    "validating the file",
+    "exporting",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +113,9 @@ def compare(cell: Cell, found: IdentifiedLog) -> tuple[Comparison, ...]:
     """Put the identified parameters of the approach axis beside the truth."""
     axis = found.result.axes[cell.approach_axis]
     rows = [
-        Comparison(name="payload mass M_p", unit="kg", truth=cell.payload_mass_kg, estimate=found.result.payload.mass_kg),
+        Comparison(
+            name="payload mass M_p", unit="kg", truth=cell.payload_mass_kg, estimate=found.result.payload.mass_kg
+        ),
         Comparison(
             name="coupling stiffness K_s",
             unit="N/mm",

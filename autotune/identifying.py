@@ -36,9 +36,7 @@ def identify_log(path: Path, topics: Topics, *, allow_partial: bool = False) -> 
     Raises LogError for a log that cannot be used, EstimateError when a parameter that a controller needs is missing
     (unless `allow_partial`, which keeps it as unidentifiable).
     """
-    recording = read_recording(
-        path, wrench_topic=topics.wrench, pose_topic=topics.pose, command_topic=topics.command
-    )
+    recording = read_recording(path, wrench_topic=topics.wrench, pose_topic=topics.pose, command_topic=topics.command)
     result = identify_cell(recording)
     missing = [finding for finding in result.findings if finding.severity == "error"]
     if missing and not allow_partial:

@@ -48,13 +48,13 @@ def align(recording: Recording) -> AlignedLog:
     if stop - start < _SHORTEST_OVERLAP_S * 1e9:
         raise LogError(
             f"Wrench and pose must cover the same time for at least {_SHORTEST_OVERLAP_S:g} s, found "
-            f"{max(0.0, float(stop - start) * 1e-9):.3f} s in common ({wrench.topic}, {pose.topic}); check that both header "
-            "clocks are the same."
+            f"{max(0.0, float(stop - start) * 1e-9):.3f} s in common ({wrench.topic}, {pose.topic}); check "
+            "that both header clocks are the same."
         )
     period = check_regular(wrench.topic, wrench.stamp_ns)
     pose_period = check_regular(pose.topic, pose.stamp_ns)
     count = int((stop - start) * 1e-9 / period + 1e-6) + 1
-    time = np.arange(count) * period
+    time = np.asarray(np.arange(count) * period, dtype=np.float64)
     wrench_time = (wrench.stamp_ns - start) * 1e-9
     pose_time = (pose.stamp_ns - start) * 1e-9
     return AlignedLog(
@@ -78,8 +78,9 @@ def check_regular(topic: str, stamp_ns: NDArray[np.int64]) -> float:
     worst = int(np.argmax(gaps))
     if gaps[worst] > _LARGEST_GAP_PERIODS * period:
         raise LogError(
-            f"Topic `{topic}` has a gap of {gaps[worst] * 1e-9:.3f} s at {(stamp_ns[worst] - stamp_ns[0]) * 1e-9:.3f} s "
-            f"(its period is {period * 1e-9:.6f} s); record again without losing messages, or cut the log there."
+            f"Topic `{topic}` has a gap of {gaps[worst] * 1e-9:.3f} s at "
+            f"{(stamp_ns[worst] - stamp_ns[0]) * 1e-9:.3f} s (its period is {period * 1e-9:.6f} s); record again "
+            "without losing messages, or cut the log there."
         )
     # The mean over the log is free of the stamps' rounding; it is the period unless messages were lost.
     mean = float(stamp_ns[-1] - stamp_ns[0]) / (len(stamp_ns) - 1)

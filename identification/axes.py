@@ -85,7 +85,9 @@ def unguided_spans(axis: AxisMotion) -> tuple[Span, ...]:
 
     ∫ F dx over a span from rest to rest is at most zero for a passive payload, touching a wall or not.
     """
-    return tuple(s for s in axis.spans if float(np.sum(axis.force_n[s.slice][:-1] * np.diff(axis.position_m[s.slice]))) < 0)
+    return tuple(
+        s for s in axis.spans if float(np.sum(axis.force_n[s.slice][:-1] * np.diff(axis.position_m[s.slice]))) < 0
+    )
 
 
 def free_motions(axis: AxisMotion, spans: Sequence[Span], period_s: float) -> tuple[FreeMotion, ...]:

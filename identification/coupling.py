@@ -1,4 +1,4 @@
-"""Coupling stiffness and damping, payload drag and the mass that moves, from free motion without a hand on the payload."""
+"""Coupling stiffness and damping, payload drag and moving mass, from free motion without a hand on the payload."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -77,7 +77,11 @@ def identify_coupling(motions: Sequence[FreeMotion], period_s: float, pose_rate_
     alone = [_fit_coupling([motion], period_s, highest, noise) for motion in long]
     best = min(alone, key=lambda fit: fit.fit_error, default=None)
     if best is None or best.fit_error > _POOR_FIT:
-        told = "none lasts that long" if best is None else f"the best is explained to {100 * (1 - best.fit_error**2):.0f} %"
+        told = (
+            "none lasts that long"
+            if best is None
+            else f"the best is explained to {100 * (1 - best.fit_error**2):.0f} %"
+        )
         raise EstimateError(
             f"The coupling shows in free motion without a hand on the payload, {_SHORTEST_S:g} s or more from rest to "
             f"rest; of {len(motions)} spans {told}. Record a commanded sweep of 0.5 to 50 Hz in free space, away from "
@@ -157,10 +161,10 @@ def _spectra(
         n = len(motion.position_m)
         frequency = np.fft.rfftfreq(n, period_s)
         band = (frequency >= _LOWEST_HZ) & (frequency <= highest_hz)
-        s = 2j * np.pi * frequency[band]
+        s = np.asarray(2j * np.pi * frequency[band], dtype=np.complex128)
         # The span may end elsewhere than it began: transform the steps, which begin and end at zero.
         steps = np.diff(motion.position_m, append=motion.position_m[-1])
-        position = np.fft.rfft(steps, norm="ortho")[band] / np.expm1(s * period_s)
+        position = np.asarray(np.fft.rfft(steps, norm="ortho")[band] / np.expm1(s * period_s), dtype=np.complex128)
         rest = 0.5 * (motion.force_n[0] + motion.force_n[-1])
         force = np.fft.rfft(motion.force_n - rest, norm="ortho")[band]
         parts.append((s, position, force))

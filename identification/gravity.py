@@ -59,7 +59,8 @@ class GravityFit:
 
     def compensated_force_S_n(self, log: AlignedLog) -> FloatArray:
         """Return the force (n, 3) without bias and weight."""
-        return log.force_S_n - self.force_bias_S_n - self.mass_kg * log.orientation_BS.inv().apply(GRAVITY_B_M_S2)
+        weight = self.mass_kg * log.orientation_BS.inv().apply(GRAVITY_B_M_S2)
+        return np.asarray(log.force_S_n - self.force_bias_S_n - weight)
 
 
 def collect_static_poses(log: AlignedLog, still: tuple[Span, ...]) -> tuple[StaticPose, ...]:
@@ -67,9 +68,9 @@ def collect_static_poses(log: AlignedLog, still: tuple[Span, ...]) -> tuple[Stat
     trim = round(_TRIM_S / log.period_s)
     poses = []
     for rest in still:
-        span = Span(start=rest.start + trim, stop=rest.stop - trim)
-        if len(span) < 10:
+        if len(rest) < 2 * trim + 10:
             continue
+        span = Span(start=rest.start + trim, stop=rest.stop - trim)
         force, torque = log.force_S_n[span.slice], log.torque_S_n_m[span.slice]
         gravity = log.orientation_BS[span.slice].mean().inv().apply(GRAVITY_B_M_S2)
         poses.append(
@@ -109,8 +110,8 @@ def identify_gravity(poses: tuple[StaticPose, ...]) -> GravityFit:
     kept = [pose for pose, good in zip(poses, keep, strict=True) if good]
     if _distinct_count(tuple(kept)) < 4:
         raise EstimateError(
-            f"Of {len(poses)} rests, {len(poses) - len(kept)} do not fit one payload mass; record 6 to 12 poses at rest "
-            "with nothing touching the payload."
+            f"Of {len(poses)} rests, {len(poses) - len(kept)} do not fit one payload mass; record 6 to 12 poses "
+            "at rest with nothing touching the payload."
         )
     return _finished(kept, rejected=len(poses) - len(kept), distinct=distinct)
 
@@ -163,8 +164,8 @@ def _finished(poses: list[StaticPose], *, rejected: int, distinct: int) -> Gravi
     com_std = np.sqrt(np.diag(moment_covariance)[:3] / mass**2 + (com / mass) ** 2 * covariance[0, 0])
     if np.linalg.norm(com) > _FARTHEST_COM_M:
         raise EstimateError(
-            f"The centre of mass comes out {np.linalg.norm(com):.2f} m from the sensor, which no payload of this kind has; "
-            "check the torque unit and the sensor frame."
+            f"The centre of mass comes out {np.linalg.norm(com):.2f} m from the sensor, which no payload of this kind "
+            "has; check the torque unit and the sensor frame."
         )
     return GravityFit(
         mass_kg=mass,
@@ -191,8 +192,8 @@ def _check(condition: float, mass_kg: float) -> None:
         )
     if mass_kg <= 0.0:
         raise EstimateError(
-            f"The payload mass comes out as {mass_kg:.3f} kg; the sensor shows the opposite sign or the pose is not base "
-            "from flange. Check the sign and the frame of the wrench."
+            f"The payload mass comes out as {mass_kg:.3f} kg; the sensor shows the opposite sign or the pose is not "
+            "base from flange. Check the sign and the frame of the wrench."
         )
 
 
@@ -205,10 +206,11 @@ def _least_squares(
     rows: FloatArray, values: FloatArray, variance_floor: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return solution, covariance and residual of an ordinary least squares problem."""
-    solution = np.linalg.lstsq(rows, values, rcond=None)[0]
+    solution = np.asarray(np.linalg.lstsq(rows, values, rcond=None)[0], dtype=np.float64)
     residual = values - rows @ solution
     variance = max(float(residual @ residual) / max(len(values) - rows.shape[1], 1), variance_floor)
-    return solution, variance * np.linalg.inv(rows.T @ rows), residual
+    covariance = np.asarray(variance * np.linalg.inv(rows.T @ rows), dtype=np.float64)
+    return solution, covariance, residual
 
 
 def _cross(vector: FloatArray) -> FloatArray:

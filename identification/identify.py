@@ -68,7 +68,9 @@ def identify_cell(recording: Recording) -> Identified:
     return Identified(
         sample_time_s=sample_time,
         payload=PayloadEstimate(
-            mass_kg=judged(gravity.mass_kg, gravity.mass_std_kg, method=_FIXED, note="includes the unknown local gravity"),
+            mass_kg=judged(
+                gravity.mass_kg, gravity.mass_std_kg, method=_FIXED, note="includes the unknown local gravity"
+            ),
             com_m=vector(gravity.com_S_m, gravity.com_std_m, method=_FIXED),
         ),
         axes=axes,
@@ -98,7 +100,9 @@ def _identify_axis(
     findings: list[Finding] = []
     robot = _robot(recording, log, axis, findings)
     threshold = max(_HOLD_THRESHOLD_N, _HOLD_RESIDUALS * gravity.residual_rms_n)
-    mine = tuple(s for s in find_holds(motion.still, axis.force_n, threshold) if _is_along(s, force_S_n, axis, findings))
+    mine = tuple(
+        s for s in find_holds(motion.still, axis.force_n, threshold) if _is_along(s, force_S_n, axis, findings)
+    )
     noise = Noise(force_rms_n=gravity.noise_rms_n, position_rms_m=_position_noise(axis, motion.still))
     shared = _AxisInput(axis=axis, period_s=log.period_s, holds=mine, noise=noise)
     fit = _coupling(shared, log.pose_rate_hz, gravity, findings)
@@ -170,9 +174,9 @@ def _coupling(
             Finding(
                 code="mass-disagreement",
                 severity="warning",
-                message=f"Axis {axis.name}: the mass from motion, {fit.mass_kg:.3f} ± {fit.std[3]:.3f} kg, and from gravity, "
-                f"{gravity.mass_kg:.3f} ± {gravity.mass_std_kg:.3f} kg, disagree.",
-                advice="Check force and length units, the clocks of wrench and pose, and that the payload was not changed.",
+                message=f"Axis {axis.name}: the mass from motion, {fit.mass_kg:.3f} ± {fit.std[3]:.3f} kg, and from "
+                f"gravity, {gravity.mass_kg:.3f} ± {gravity.mass_std_kg:.3f} kg, disagree.",
+                advice="Check force and length units, the clocks of wrench and pose, and that the payload is the same.",
             )
         )
     return fit
@@ -194,9 +198,7 @@ def _coupling_estimates(fit: CouplingFit) -> tuple[CouplingEstimate, Estimate]:
     return coupling, judged(fit.drag_n_s_per_m, drag_std, method=method, floor=0.1 * critical)
 
 
-def _environments(
-    shared: _AxisInput, fit: CouplingFit, findings: list[Finding]
-) -> tuple[EnvironmentEstimate, ...]:
+def _environments(shared: _AxisInput, fit: CouplingFit, findings: list[Finding]) -> tuple[EnvironmentEstimate, ...]:
     axis = shared.axis
     contacts = [
         identify_contact(hold, axis.position_m, axis.force_n, shared.period_s, fit, shared.noise.force_rms_n)
@@ -208,8 +210,8 @@ def _environments(
             Finding(
                 code="rests-without-spring",
                 severity="warning",
-                message=f"Axis {axis.name}: {len(contacts) - len(good)} of {len(contacts)} rests under force do not look like "
-                "pressing on a surface (a hand, perhaps) and were left out.",
+                message=f"Axis {axis.name}: {len(contacts) - len(good)} of {len(contacts)} rests under force do not "
+                "look like pressing on a surface (a hand, perhaps) and were left out.",
                 advice="Keep hands off the payload during contacts.",
             )
         )
@@ -218,8 +220,8 @@ def _environments(
         findings.append(
             _missing(
                 "no-contact",
-                f"Axis {axis.name}: no contact with an onset and a hold was found, so the environment's stiffness cannot be "
-                "told.",
+                f"Axis {axis.name}: no contact with an onset and a hold was found, so the environment's stiffness "
+                "cannot be told.",
                 "Record 3 or more contacts: approach at 1 to 3 cm/s, press with 20 to 50 N, hold for 1 s, back off.",
             )
         )
@@ -261,7 +263,7 @@ def _is_along(hold: Span, force_S_n: FloatArray, axis: AxisMotion, findings: lis
             Finding(
                 code="oblique-contact",
                 severity="warning",
-                message=f"A contact's normal lies {angle:.0f} degrees off axis {axis.name}: ({text}) in the sensor frame.",
+                message=f"A contact's normal lies {angle:.0f} degrees off axis {axis.name}: ({text}) in S.",
                 advice="Touch a surface square to one axis, or turn the tool.",
             )
         )
@@ -272,7 +274,7 @@ def _position_noise(axis: AxisMotion, still: tuple[Span, ...]) -> float:
     """Return the white noise of the position at rest, from second differences (they leave drift out)."""
     longest = max(still, key=len)
     second = np.diff(axis.position_m[longest.slice], n=2)
-    return max(float(np.std(second)) / np.sqrt(6.0), 1e-9)
+    return max(float(np.std(second) / np.sqrt(6.0)), 1e-9)
 
 
 def _sensor(recording: Recording, gravity: GravityFit) -> SensorEstimate:
@@ -304,7 +306,7 @@ def _gravity_findings(gravity: GravityFit) -> list[Finding]:
             Finding(
                 code="rests-with-contact",
                 severity="info",
-                message=f"{gravity.rejected} rests did not fit the payload's weight and were left out of gravity (contacts).",
+                message=f"{gravity.rejected} rests did not fit the payload's weight and were left out (contacts).",
                 advice="",
             )
         )
@@ -344,7 +346,7 @@ def _oblique(share: float) -> Finding:
 def _no_travel() -> Finding:
     return _missing(
         "no-travel",
-        "The tool never travels along one axis of the sensor frame with constant orientation, so neither robot, coupling "
-        "nor environment can be told.",
+        "The tool never travels along one axis of the sensor frame with constant orientation, so neither robot, "
+        "coupling nor environment can be told.",
         "Record a commanded sweep and contacts along one tool axis.",
     )

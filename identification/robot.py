@@ -35,7 +35,7 @@ class RobotFit:
 
 
 def identify_robot(command_m: FloatArray, position_m: FloatArray, period_s: float) -> RobotFit:
-    """Fit r(s) e^(-s T_d) behind a zero-order hold to the command and the measured position, (n,) each, by output error.
+    """Fit r(s) e^(-s T_d) behind a zero-order hold to command and measured position, (n,) each, by output error.
 
     One pole and two poles are tried; the Bayesian information criterion decides. Both signals start at rest.
     Raises EstimateError if the command hardly moves or no model explains the motion.
@@ -48,13 +48,20 @@ def identify_robot(command_m: FloatArray, position_m: FloatArray, period_s: floa
             "commanded sweep of 0.5 to 50 Hz with at least a few millimetres at its slow end."
         )
     fits = [_fit(command, position, period_s, order) for order in (1, 2)]
-    chosen = min(fits, key=lambda fit: fit.criterion)
+    # One count of independent samples for all: criteria of different counts cannot be compared.
+    effective = min(fits, key=lambda fit: fit.residual_rms).effective_samples
+    chosen = min(fits, key=lambda fit: fit.criterion(effective))
     error = chosen.residual_rms / float(np.std(position))
     if error > _POOR_FIT:
         raise EstimateError(
             f"No first- or second-order robot with a delay up to {_LONGEST_DELAY_S * 1e3:.0f} ms explains the motion "
-            f"(residual {100 * error:.0f} % of it); check that the command topic is the position command that this robot "
-            "follows, in the same frame and unit as the measured pose."
+            f"(residual {100 * error:.0f} % of it); check that the command topic is the position command that this "
+            "robot follows, in the same frame and unit as the measured pose."
+        )
+    if chosen.delay_s > 0.999 * _LONGEST_DELAY_S:
+        raise EstimateError(
+            f"The measured pose follows the command later than {_LONGEST_DELAY_S * 1e3:.0f} ms, the most that is searched; "
+            "check that the header stamps of command and pose come from one clock."
         )
     return _described(chosen, error)
 
@@ -62,10 +69,21 @@ def identify_robot(command_m: FloatArray, position_m: FloatArray, period_s: floa
 @dataclass(frozen=True, kw_only=True)
 class _Fit:
     order: int
-    parameters: FloatArray  # log ω [rad/s], (ζ,) delay [s]
+    parameters: FloatArray  # log ω [rad/s], (ζ,) 1 + delay in samples
+    period_s: float
     covariance: FloatArray
     residual_rms: float
-    criterion: float
+    effective_samples: float
+
+    @property
+    def delay_s(self) -> float:
+        """The delay as the last parameter says it."""
+        return float(self.parameters[-1] - 1.0) * self.period_s
+
+    def criterion(self, effective_samples: float) -> float:
+        """Return the Bayesian information criterion; the constant offset counts as a parameter."""
+        misfit = 2.0 * effective_samples * np.log(max(self.residual_rms, 1e-15))
+        return float(misfit + (len(self.parameters) + 1) * np.log(effective_samples))
 
 
 def robot_response(model: RobotModel, command: FloatArray, period_s: float) -> FloatArray:
@@ -102,41 +120,45 @@ def held_robot(model: RobotModel, period_s: float, fraction: float) -> tuple[Flo
     return np.convolve(pulse, denominator)[:count], denominator
 
 
-def _model(order: int, parameters: FloatArray) -> RobotModel:
+def _model(order: int, parameters: FloatArray, period_s: float) -> RobotModel:
     omega = float(np.exp(parameters[0]))
-    delay = float(parameters[-1])
+    delay = float(parameters[-1] - 1.0) * period_s
     if order == 1:
         return RobotModel.from_bandwidth(bandwidth_rad_per_s=omega, delay_s=delay)
     return RobotModel(
-        numerator=np.array([omega**2]), denominator=np.array([1.0, 2.0 * parameters[1] * omega, omega**2]), delay_s=delay
+        numerator=np.array([omega**2]),
+        denominator=np.array([1.0, 2.0 * parameters[1] * omega, omega**2]),
+        delay_s=delay,
     )
 
 
 def _fit(command: FloatArray, position: FloatArray, period_s: float, order: int) -> _Fit:
     def residual(parameters: FloatArray) -> FloatArray:
-        return robot_response(_model(order, parameters), command, period_s) - position
+        # Command and measurement may differ by a constant (calibration, sag), which says nothing about r(s).
+        difference = robot_response(_model(order, parameters, period_s), command, period_s) - position
+        return np.asarray(difference - np.mean(difference))
 
     middle = [] if order == 1 else [0.8]
-    low, high = [np.log(0.5)] + [0.1] * len(middle) + [0.0], [np.log(2e3)] + [5.0] * len(middle) + [_LONGEST_DELAY_S]
+    # Counted from 1, the delay has a size: the differences that make the Jacobian do not vanish at a delay of 0.
+    longest = _LONGEST_DELAY_S / period_s
+    low, high = [np.log(0.5)] + [0.1] * len(middle) + [1.0], [np.log(2e3)] + [5.0] * len(middle) + [1.0 + longest]
     starts = [
-        np.array([np.log(2.0 * np.pi * hz), *middle, min(d * period_s, 0.9 * _LONGEST_DELAY_S)])
+        np.array([np.log(2.0 * np.pi * hz), *middle, 1.0 + min(d, 0.9 * longest)])
         for hz in _BANDWIDTH_STARTS_HZ
         for d in _DELAY_STARTS
     ]
     best = min(starts, key=lambda start: float(np.sum(residual(start) ** 2)))
-    scale = np.array([1.0] * (1 + len(middle)) + [period_s])
-    found = least_squares(residual, best, bounds=(low, high), x_scale=scale, diff_step=1e-5)
-    n, count = len(command), len(found.x)
-    variance = float(2.0 * found.cost) / (n - count) * _correlation_factor(found.fun)
-    covariance = variance * np.linalg.inv(found.jac.T @ found.jac)
-    rms = float(np.sqrt(2.0 * found.cost / n))
-    effective = n / _correlation_factor(found.fun)
+    found = least_squares(residual, best, bounds=(low, high), diff_step=1e-5, gtol=None)
+    n, count = len(command), len(found.x) + 1
+    factor = _correlation_factor(found.fun)
+    variance = float(2.0 * found.cost) / (n - count) * factor
     return _Fit(
         order=order,
         parameters=found.x,
-        covariance=covariance,
-        residual_rms=rms,
-        criterion=2.0 * effective * np.log(rms) + count * np.log(effective),
+        period_s=period_s,
+        covariance=variance * np.linalg.inv(found.jac.T @ found.jac),
+        residual_rms=float(np.sqrt(2.0 * found.cost / n)),
+        effective_samples=n / factor,
     )
 
 
@@ -154,14 +176,14 @@ def _correlation_factor(residual: FloatArray) -> float:
 
 
 def _described(fit: _Fit, error: float) -> RobotFit:
-    model = _model(fit.order, fit.parameters)
+    model = _model(fit.order, fit.parameters, fit.period_s)
     bandwidth = _bandwidth_hz(model)
     denominator_jacobian = np.zeros((fit.order + 1, len(fit.parameters)))
     bandwidth_jacobian = np.zeros(len(fit.parameters))
     for i in range(len(fit.parameters)):
         step = np.zeros(len(fit.parameters))
         step[i] = 1e-6
-        moved = _model(fit.order, fit.parameters + step)
+        moved = _model(fit.order, fit.parameters + step, fit.period_s)
         denominator_jacobian[:, i] = (moved.denominator - model.denominator) / 1e-6
         bandwidth_jacobian[i] = (_bandwidth_hz(moved) - bandwidth) / 1e-6
     spread = denominator_jacobian @ fit.covariance @ denominator_jacobian.T
@@ -170,7 +192,7 @@ def _described(fit: _Fit, error: float) -> RobotFit:
         model=model,
         numerator_std=denominator_std[-1:],
         denominator_std=denominator_std,
-        delay_std_s=float(np.sqrt(fit.covariance[-1, -1])),
+        delay_std_s=float(np.sqrt(fit.covariance[-1, -1])) * fit.period_s,
         bandwidth_hz=bandwidth,
         bandwidth_std_hz=float(np.sqrt(bandwidth_jacobian @ fit.covariance @ bandwidth_jacobian)),
         fit_error=error,

@@ -115,7 +115,9 @@ def steady_approach(free: SampledPlant, free_loop: SampledLoop, approach: Approa
         system[size + 1, size], right[size + 1] = 1.0, approach.speed_m_s
     solution = np.linalg.solve(system, right)
     return SteadyApproach(
-        state=solution[:size], speed_m_s=float(solution[size]), force_n=float(solution[size + 1])
+        state=np.asarray(solution[:size], dtype=np.float64),
+        speed_m_s=float(solution[size]),
+        force_n=float(solution[size + 1]),
     )
 
 
@@ -163,7 +165,7 @@ def transient_from(
         samples,
     )
     return ContactTransient(
-        time_s=np.arange(samples) * free.sample_time_s,
+        time_s=np.asarray(np.arange(samples) * free.sample_time_s, dtype=np.float64),
         sensor_force_n=-force,
         contact_force_n=contact_force,
         contact_speed_m_s=start.speed_m_s,

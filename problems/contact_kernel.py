@@ -15,7 +15,7 @@ _SWITCHES_PER_SAMPLE = 8
 
 @compiled
 def advance(rate: FloatArray, push: FloatArray, state: FloatArray, duration: float) -> FloatArray:
-    """Integrate ds/dτ = rate·s + push (constant) over `duration` (≤ 1), to rounding: Taylor series over short pieces."""
+    """Integrate ds/dτ = rate·s + push (constant) over `duration` (≤ 1) to rounding: Taylor series in short pieces."""
     size = 0.0
     for i in range(len(state)):
         size = max(size, np.sum(np.abs(rate[i])))

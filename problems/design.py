@@ -1,4 +1,4 @@
-"""The design problem as a value: what may vary, what must hold, what is minimised. It can be evaluated without a solver."""
+"""The design problem as a value: what may vary, what must hold, what is minimised; it needs no solver."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -65,7 +65,9 @@ class Requirements:
             if value is not None:
                 object.__setattr__(self, name, positive(name, value))
         if self.modulus_margin is not None and self.modulus_margin >= 1.0:
-            raise ParameterError("modulus_margin", self.modulus_margin, "below 1 (|1 + L| tends to 1 at high frequency)")
+            raise ParameterError(
+                "modulus_margin", self.modulus_margin, "below 1 (|1 + L| tends to 1 at high frequency)"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +142,9 @@ class DesignProblem:
         mass_low, mass_high = self.payload_mass_kg
         masses = np.linspace(mass_low, mass_high, mass_count if mass_high > mass_low else 1)
         return tuple(
-            Scenario(environment_stiffness_n_per_m=float(k), payload_mass_kg=float(m)) for m in masses for k in stiffness
+            Scenario(environment_stiffness_n_per_m=float(k), payload_mass_kg=float(m))
+            for m in masses
+            for k in stiffness
         )
 
     def controller(self, design: Sequence[float] | FloatArray) -> AdmittanceController:

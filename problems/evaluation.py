@@ -111,7 +111,7 @@ class PreparedScenarios:
         at_force = -self.force * forward / (1.0 + damped)
         at_command = damped - self.force * forward
         both = margins_on_grid(self.frequency_rad_per_s, np.concatenate([at_force, at_command]))
-        worst = RawMargins(*(np.min(values) for values in both))
+        worst = RawMargins(*(np.asarray(np.min(values)) for values in both))
         return normalise_margins(
             self.problem.requirements,
             Margins(
@@ -130,9 +130,7 @@ class PreparedScenarios:
         found = []
         for scenario, pair, radius in zip(self.scenarios, self.pairs, contact_radii, strict=True):
             samples = settling_samples(float(radius), self.problem.sample_time_s)
-            run = transient_from(
-                pair, build_loop(pair.free, controller), controller, self.problem.approach, samples
-            )
+            run = transient_from(pair, build_loop(pair.free, controller), controller, self.problem.approach, samples)
             found.append(
                 Peak(
                     scenario=scenario,

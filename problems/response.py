@@ -40,7 +40,9 @@ def plant_response(sampled: SampledPlant, frequency_rad_per_s: FloatArray) -> Pl
     )
 
 
-def controller_response(controller: AdmittanceController, z: ComplexArray, h: float) -> tuple[ComplexArray, ComplexArray]:
+def controller_response(
+    controller: AdmittanceController, z: ComplexArray, h: float
+) -> tuple[ComplexArray, ComplexArray]:
     """Return the Tustin forms of A(1 + C_ff) and of C_fb at the points `z`."""
     blocks = controller_blocks(controller.parameters(), h)
     values = [direct + gain / (z - pole) for direct, pole, gain in blocks]

@@ -1,4 +1,4 @@
-"""The exact sampled loop: held plant by matrix exponential, delay as a shift chain (MODEL.md, "What runs in the cell")."""
+"""The exact sampled loop: held plant by matrix exponential, delay as a shift chain."""
 
 import math
 from dataclasses import dataclass

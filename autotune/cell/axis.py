@@ -15,6 +15,8 @@ from .phases import Script
 from .truth import Cell
 
 FloatArray = NDArray[np.float64]
+# phi, gamma, gamma_old, held hand force, rate: what `SampledPlant` calls so, and the hand's column.
+Mode = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,16 +67,37 @@ def run_axis(cell: Cell, script: Script, measured_noise_n: FloatArray) -> AxisRu
     )
 
 
-def _mode(sampled: SampledPlant, hand: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+def _mode(sampled: SampledPlant, hand: FloatArray) -> Mode:
     _, held_hand = hold(sampled.rate, hand, 1.0)
     return sampled.phi, sampled.gamma, sampled.gamma_old, held_hand, sampled.rate
 
 
 @compiled
-def _step_axis(  # type: ignore[no-untyped-def]  # numba infers the nested tuples; spelling them out helps nobody
-    contact, free, inputs, outputs, delay, wall, blocks, rest, limits, script, noise
-):
-    """Return flange, command, payload, payload velocity·h, F, F_e and hand force per tick; the wall is at 0."""
+def _admittance_step(blocks: FloatArray, control: FloatArray, force: float, position: float) -> float:
+    """Return the command for F^d + F (deadband applied) and the measured position; advance the controller's states."""
+    direct = blocks[0, 0] + blocks[1, 0]
+    command = control[0] + control[1] + direct * force - (blocks[2, 0] * position + control[2])
+    control[0] = blocks[0, 1] * control[0] + blocks[0, 2] * force
+    control[1] = blocks[1, 1] * control[1] + blocks[1, 2] * force
+    control[2] = blocks[2, 1] * control[2] + blocks[2, 2] * position
+    return float(command)
+
+
+@compiled
+def _step_axis(
+    contact: Mode,
+    free: Mode,
+    inputs: tuple[FloatArray, FloatArray],
+    outputs: tuple[FloatArray, FloatArray, float],
+    delay: tuple[int, int, float],
+    wall: tuple[float, float],
+    blocks: FloatArray,
+    rest: FloatArray,
+    limits: tuple[float, float],
+    script: tuple[NDArray[np.bool_], FloatArray, FloatArray, FloatArray, FloatArray],
+    noise: FloatArray,
+) -> FloatArray:
+    """Return rows flange, command, payload, payload velocity·h, F, F_e, hand force over the ticks; the wall is at 0."""
     c_position, c_force, d_force = outputs
     whole, chain, fraction = delay
     admittance, script_command, desired, hand_force, homing = script
@@ -83,22 +106,17 @@ def _step_axis(  # type: ignore[no-untyped-def]  # numba infers the nested tuple
     state = -limits[0] * rest[:n]
     past = np.full(max(chain, 1), -limits[0])
     control = np.zeros(3)
-    direct = blocks[0, 0] + blocks[1, 0]
     out = np.empty((7, samples))
     base, was_running, touching = -limits[0], False, False
     for k in range(samples):
-        position = c_position @ state
-        sensed = c_force @ state + d_force * past[chain - 1]
+        position = float(c_position @ state)
+        sensed = float(c_force @ state + d_force * past[chain - 1])
         seen = sensed + noise[k]
-        drive_force = desired[k] + (seen if abs(seen) > limits[1] else 0.0)
+        drive_force = float(desired[k] + (seen if abs(seen) > limits[1] else 0.0))
         if admittance[k]:
             if not was_running:
                 control[:] = rest[n + chain :] * past[0]
-            feedback = blocks[2, 0] * position + control[2]
-            command = control[0] + control[1] + direct * drive_force - feedback
-            control[0] = blocks[0, 1] * control[0] + blocks[0, 2] * drive_force
-            control[1] = blocks[1, 1] * control[1] + blocks[1, 2] * drive_force
-            control[2] = blocks[2, 1] * control[2] + blocks[2, 2] * position
+            command = _admittance_step(blocks, control, drive_force, position)
         else:
             if was_running or k == 0:
                 base = past[0] - script_command[k]
@@ -119,4 +137,4 @@ def _step_axis(  # type: ignore[no-untyped-def]  # numba infers the nested tuple
         for i in range(chain - 1, 0, -1):
             past[i] = past[i - 1]
         past[0] = command
-    return out[0], out[1], out[2], out[3], out[4], out[5], out[6]
+    return out

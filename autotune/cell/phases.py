@@ -20,11 +20,12 @@ _HOMING_S = 2.5
 
 @dataclass(frozen=True, kw_only=True)
 class Script:
-    """Inputs per controller period: `rotation_rad` (n, 3) rotation vector of the tool from its working orientation,
+    """Inputs per controller period, (n,) each unless told otherwise.
 
-    `admittance` (n,) whether the admittance controller runs, `command_m` (n,) position command relative to the
-    phase's start where it does not, `desired_force_n` F^d and `hand_force_n` (n,), `homing_n_per_m` (n,) a gentle
-    spring in the operator's hand towards the start, so that jogging stays away from the wall.
+    `rotation_rad` (n, 3) rotation vector of the tool from its working orientation; `admittance` whether the
+    admittance controller runs, and `command_m` the position command relative to the phase's start where it does not;
+    `desired_force_n` F^d; `hand_force_n`; `homing_n_per_m` a gentle spring in the operator's hand towards the start,
+    so that jogging stays away from the wall.
     """
 
     rotation_rad: FloatArray

@@ -40,7 +40,7 @@ class Cell:
         )
     )
     controller: AdmittanceController = field(
-        default_factory=lambda: AdmittanceController(mass_kg=13.0, damping_n_s_per_m=1400.0, lead_s=0.013)
+        default_factory=lambda: AdmittanceController(mass_kg=10.0, damping_n_s_per_m=1400.0)
     )
     sample_time_s: float = 8e-4
     approach_axis: Literal["x", "y", "z"] = "x"

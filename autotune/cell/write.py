@@ -2,9 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from io import BufferedIOBase
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from mcap_ros2.writer import Writer
 
@@ -57,7 +56,7 @@ def write_mcap(recording: Recording, path: Path, *, progress: Callable[[int], No
         partial.unlink(missing_ok=True)
 
 
-def _write(stream: BufferedIOBase, channels: list[_Channel], progress: Callable[[int], None] | None) -> None:
+def _write(stream: IO[bytes], channels: list[_Channel], progress: Callable[[int], None] | None) -> None:
     writer = Writer(stream)
     schemas = {c.schema_name: c.schema_text for c in channels}
     registered = {name: writer.register_msgdef(name, text) for name, text in schemas.items()}

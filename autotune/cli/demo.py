@@ -83,8 +83,8 @@ def _print(found: "DemoResult") -> None:
         )
         worst = max(controller.predicted[name].scenarios, key=lambda s: s.peak_contact_force_n)
         click.echo(
-            f"  worst predicted peak {worst.peak_contact_force_n:.1f} N at the contact, {worst.peak_sensor_force_n:.1f} N "
-            f"at the sensor ({worst.name})"
+            f"  worst predicted peak {worst.peak_contact_force_n:.1f} N at the contact, "
+            f"{worst.peak_sensor_force_n:.1f} N at the sensor ({worst.name})"
         )
         for line in active_lines(found.optimized, name):
             click.echo(f"  {line}")

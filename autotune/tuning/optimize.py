@@ -73,9 +73,7 @@ def _silent(_: float) -> None:
     return None
 
 
-def _provenance(
-    identified: IdentifiedFile, wishes: Wishes, seed: int, problem_path: Path | None
-) -> dict[str, Any]:
+def _provenance(identified: IdentifiedFile, wishes: Wishes, seed: int, problem_path: Path | None) -> dict[str, Any]:
     mass, stiffness = wishes.payload_mass_kg, wishes.environment_stiffness_n_per_m
     return {
         "tool": f"autotune {__version__}",

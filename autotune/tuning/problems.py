@@ -47,7 +47,8 @@ def build_problems(identified: Identified, spec: ProblemSpec, wishes: Wishes) ->
     rotational = [name for name in names if name.startswith("r")]
     if rotational:
         raise UsageError(
-            f"Axis {rotational[0]} is rotational, which this release does not tune; name a translational one in problem.yaml."
+            f"Axis {rotational[0]} is rotational, which this release does not tune; name a translational one in "
+            "problem.yaml."
         )
     return {name: _build_problem(identified, name, spec, wishes) for name in names}
 

@@ -163,9 +163,7 @@ def _requirements(requirements: Requirements) -> dict[str, float | bool | Admitt
             out[name] = value
     target = requirements.free_space_admittance
     if target is not None:
-        out["free_space_admittance"] = AdmittanceRequirement(
-            min_m_s_per_n=target.min_m_s_per_n, band_hz=target.band_hz
-        )
+        out["free_space_admittance"] = AdmittanceRequirement(min_m_s_per_n=target.min_m_s_per_n, band_hz=target.band_hz)
     return out
 
 

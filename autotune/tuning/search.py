@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution, minimize
 
 from autotune.errors import InfeasibleError
-from problems.design import VARIABLES, DesignProblem, Scenario
 from problems.controller import SMALLEST_FEEDBACK_DAMPING_S
+from problems.design import VARIABLES, DesignProblem, Scenario
 from problems.evaluation import Evaluation, PreparedScenarios, build_scenarios, evaluate_exactly
 from problems.margins import UnstableLoopError
 
@@ -102,8 +102,8 @@ def solve_design(
         if missed > 0.0:
             search.tighten(exact)
     raise InfeasibleError(
-        f"No design was found that holds over the whole uncertainty within {_ROUNDS} rounds of adding the worst case; the "
-        f"last one misses {_told(exact)}. Ask for less, or narrow the ranges."
+        f"No design was found that holds over the whole uncertainty within {_ROUNDS} rounds of adding the worst case; "
+        f"the last one misses {_told(exact)}. Ask for less, or narrow the ranges."
     )
 
 
@@ -113,7 +113,7 @@ def presentable(problem: DesignProblem, design: FloatArray) -> FloatArray:
     if rounded[3] < SMALLEST_FEEDBACK_DAMPING_S and problem.bounds["feedback_damping_s"][0] == 0.0:
         rounded[3] = 0.0
     bounds = np.array([problem.bounds[name] for name in VARIABLES])
-    return np.clip(rounded, bounds[:, 0], bounds[:, 1])
+    return np.asarray(np.clip(rounded, bounds[:, 0], bounds[:, 1]))
 
 
 def _evaluated_exactly(dense: PreparedScenarios, design: FloatArray) -> Evaluation:
@@ -255,7 +255,7 @@ class Search:
             constraints=[{"type": "ineq", "fun": lambda unit: both(unit)[1]}],
             options={"maxiter": 60, "ftol": 1e-8, "eps": 1e-6},
         )
-        return np.clip(found.x, 0.0, 1.0)
+        return np.asarray(np.clip(found.x, 0.0, 1.0))
 
     def _reason(self, prepared: PreparedScenarios, unit: FloatArray) -> str:
         """Say why nothing is feasible: the requirement that the closest design misses."""
@@ -267,7 +267,8 @@ class Search:
             )
         return (
             "No controller within the bounds meets all requirements in every scenario; the closest one misses "
-            f"{_told(evaluation)}. Relax that requirement, narrow the ranges of stiffness and payload, or widen the bounds."
+            f"{_told(evaluation)}. Relax that requirement, narrow the ranges of stiffness and payload, or widen "
+            "the bounds."
         )
 
 
@@ -287,9 +288,7 @@ def _spread(units: list[FloatArray]) -> list[FloatArray]:
     return kept
 
 
-def _worst_scenarios(
-    exact: Evaluation, known: Evaluation | None, active: tuple[Scenario, ...]
-) -> tuple[Scenario, ...]:
+def _worst_scenarios(exact: Evaluation, known: Evaluation | None, active: tuple[Scenario, ...]) -> tuple[Scenario, ...]:
     """Return the scenario with the highest peak if it beats what the active ones showed."""
     if known is None or not exact.peaks:
         return ()

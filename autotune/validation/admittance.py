@@ -16,9 +16,7 @@ def sampled_admittance(
     robot: RobotModel, controller: AdmittanceController, sample_time_s: float, band_hz: tuple[float, float]
 ) -> float:
     """Return the smallest |V/F| [m/s/N] at five frequencies of the band, ends included, from simulated sines."""
-    found = [
-        _gain(robot, controller, sample_time_s, float(f)) for f in np.unique(np.geomspace(*band_hz, _FREQUENCIES))
-    ]
+    found = [_gain(robot, controller, sample_time_s, float(f)) for f in np.unique(np.geomspace(*band_hz, _FREQUENCIES))]
     return min(found)
 
 

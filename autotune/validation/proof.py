@@ -29,7 +29,7 @@ _MOST_CELLS = 20000
 
 @dataclass(frozen=True, kw_only=True)
 class UncertainPlant:
-    """A plant whose payload mass and environment stiffness lie anywhere in intervals; `stiffness` (0, 0) is free space."""
+    """A plant whose payload mass and environment stiffness lie anywhere in intervals; (0, 0) is free space."""
 
     robot: RobotModel
     coupling: Coupling
@@ -159,7 +159,7 @@ class _VaryingLoop:
         remainder = self._remainder(sampled, half)
         best = -1.0
         for root in _lyapunov_roots(centre):
-            inverse = np.linalg.inv(root)
+            inverse = np.asarray(np.linalg.inv(root), dtype=np.float64)
             corners = [
                 float(np.linalg.norm(root @ (centre + s1 * half[0] * first[0] + s2 * half[1] * first[1]) @ inverse, 2))
                 for s1 in (-1.0, 1.0)

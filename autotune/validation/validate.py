@@ -99,7 +99,10 @@ def _axis_checks(controller: Controller, name: str) -> Iterator[Check]:
     h = controller.sample_time_s
     yield Check(axis=name, name="parameters", passed=True, message="gains and plant are within their ranges")
     yield _delay(controller, name, domain)
-    for proof, where in ((prove_stability(plants.in_free_space(), law, h), "free space"), (prove_stability(plants, law, h), "contact")):
+    for proof, where in (
+        (prove_stability(plants.in_free_space(), law, h), "free space"),
+        (prove_stability(plants, law, h), "contact"),
+    ):
         yield _stability(name, proof, where, plants)
         if not proof.holds:
             return
@@ -184,7 +187,7 @@ def _delay(controller: Controller, name: str, domain: AxisDomain) -> Check:
         axis=name,
         name="delay",
         passed=passed,
-        message=f"the certificate's delay of {samples:.4g} samples is covered by delay_samples {controller.delay_samples:.4g}"
+        message=f"delay_samples {controller.delay_samples:.4g} covers the {samples:.4g} samples of the certified plant"
         if passed
         else f"delay_samples says {controller.delay_samples:.6g}, the certificate's plant has {samples:.6g}",
     )
@@ -284,7 +287,9 @@ def _peaks(
             ("sensor", scenario.peak_sensor_force_n, seen.peak_sensor_force_n),
         ):
             if abs(found - said) > _SAME_PEAK * max(said, force):
-                wrong.append(f"{scenario.name}: the peak {what} force is predicted as {said:.2f} N, replayed {found:.2f} N")
+                wrong.append(
+                    f"{scenario.name}: the peak {what} force is predicted as {said:.2f} N, replayed {found:.2f} N"
+                )
     if isinstance(limit, float) and largest > limit * (1.0 + _SAME_PEAK):
         wrong.append(f"the peak force must be at most {limit:g} N, found {largest:.2f} N")
     return Check(

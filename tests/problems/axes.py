@@ -74,9 +74,7 @@ def robots(draw: st.DrawFn, delays: st.SearchStrategy[float] = ANY_DELAYS) -> Ro
 
 
 @st.composite
-def plants(
-    draw: st.DrawFn, delays: st.SearchStrategy[float] = ANY_DELAYS, *, contact: bool | None = None
-) -> Plant:
+def plants(draw: st.DrawFn, delays: st.SearchStrategy[float] = ANY_DELAYS, *, contact: bool | None = None) -> Plant:
     """Draw a plant; `contact` None leaves open whether it touches anything."""
     touching = draw(st.booleans()) if contact is None else contact
     return paper_plant(

@@ -105,9 +105,7 @@ class DifferenceEquation:
         newest = (
             2.0 * self.command[0]
             - (1.0 - ratio) * self.command[1]
-            + h**2
-            / (4.0 * c.mass_kg)
-            * ((1.0 + lead) * force + 2.0 * self.force[0] + (1.0 - lead) * self.force[1])
+            + h**2 / (4.0 * c.mass_kg) * ((1.0 + lead) * force + 2.0 * self.force[0] + (1.0 - lead) * self.force[1])
         ) / (1.0 + ratio)
         w, corner = 2.0 / h, c.velocity_filter_rad_per_s
         rise = c.feedback_damping_s * corner * w * (position - self.position)
@@ -122,7 +120,9 @@ def fine_step_response(
     """Return F at the ticks after a unit step of F^d, on a grid of h/q that a delay of (d + p/q) h falls upon."""
     whole, p, q = delay
     a, b, c, d = signal.cont2discrete(continuous_plant(plant), h / q, "zoh")[:4]
-    law, state, commands, out = DifferenceEquation(controller, h), np.zeros(len(a)), [], []
+    law, state = DifferenceEquation(controller, h), np.zeros(len(a))
+    commands: list[float] = []
+    out: list[float] = []
     for k in range(samples):
         for j in range(q):
             held = (k * q + j - p) // q - whole
@@ -131,6 +131,6 @@ def fine_step_response(
                 output = c @ state + d[:, 0] * old
                 out.append(float(output[0]))
                 commands.append(law.step(1.0 + out[-1], float(output[1])))
-                old = commands[held] if 0 <= held else 0.0
+                old = commands[held] if held >= 0 else 0.0
             state = a @ state + b[:, 0] * old
     return np.array(out)

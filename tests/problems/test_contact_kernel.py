@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from problems.contact import build_sampled_contact, steady_approach, Approach
+from problems.contact import Approach, build_sampled_contact, steady_approach
 from problems.contact_kernel import advance, run_contact, switch_within, wall_force
 from problems.controller import AdmittanceController, controller_blocks
 from problems.plant import FREE_SPACE, Plant, build_plant_matrices
@@ -160,9 +160,7 @@ def test_while_it_touches_the_kernel_is_the_loop_matrix(plant: Plant, controller
     contact_force = []
     for _ in range(stays):
         expected.append(loop.c_force @ state + loop.d_force * 30.0)
-        contact_force.append(
-            wall.stiffness_n_per_m * state[n - 2] + wall.damping_n_s_per_m / PERIOD_S * state[n - 1]
-        )
+        contact_force.append(wall.stiffness_n_per_m * state[n - 2] + wall.damping_n_s_per_m / PERIOD_S * state[n - 1])
         state = loop.a @ state + loop.b * 30.0
     # The same sums in another order; F is a difference of terms up to a thousand times as large.
     scale = np.max(np.abs(expected))

@@ -9,7 +9,17 @@ from problems.controller import AdmittanceController
 from problems.plant import Plant
 from problems.response import controller_response, free_space_admittance, loop_response, plant_response
 from problems.sampled import build_loop, build_sampled_plant
-from tests.problems.axes import DELAY_S, LAW, PERIOD_S, WHOLE_DELAYS, admittance, between, controllers, paper_plant, plants
+from tests.problems.axes import (
+    DELAY_S,
+    LAW,
+    PERIOD_S,
+    WHOLE_DELAYS,
+    admittance,
+    between,
+    controllers,
+    paper_plant,
+    plants,
+)
 from tests.problems.reference import rendered_impedance, robot_gain, sampled_controller, sampled_plant
 
 NYQUIST = math.pi / PERIOD_S
@@ -43,7 +53,9 @@ def test_both_loops_are_python_controls(plant: Plant, controller: AdmittanceCont
     force, position = sampled_plant(plant, PERIOD_S, round(plant.robot.delay_s / PERIOD_S))(z)[:, 0]
     # Forces are differences of K_s x and K_s x_p, which cost python-control's SI matrices some digits.
     size = abs(forward) * plant.coupling.stiffness_n_per_m * abs(position)
-    assert abs(ours.at_command[0] - (feedback * position - force * forward)) < 1e-8 * (abs(force * forward) + 1e-4 * size)
+    assert abs(ours.at_command[0] - (feedback * position - force * forward)) < 1e-8 * (
+        abs(force * forward) + 1e-4 * size
+    )
     assert abs(ours.at_force[0] + force * forward / (1.0 + feedback * position)) < 1e-8 * (
         abs(force * forward / (1.0 + feedback * position)) + 1e-4 * size
     )
@@ -54,7 +66,7 @@ def test_both_loops_are_python_controls(plant: Plant, controller: AdmittanceCont
 def test_the_return_difference_is_the_ratio_of_determinants(
     plant: Plant, controller: AdmittanceController, angle: float
 ) -> None:
-    """det(z − a) of the loop = (1 + L_x) · det(z − open loop), for every delay and both break points' common 1 + L_x."""
+    """det(z − a) of the loop is (1 + L_x) times that of the open loop, for every delay."""
     sampled = build_sampled_plant(plant, PERIOD_S)
     loop, z = build_loop(sampled, controller), np.exp(1j * angle)
     b, corner = controller.damping_n_s_per_m, controller.velocity_filter_rad_per_s
@@ -86,7 +98,9 @@ def test_at_low_frequency_the_loop_is_the_series_stiffness_over_the_damping(
 
 
 @pytest.mark.parametrize("hertz", [0.5, 2.0, 8.0, 20.0, 30.0])
-@pytest.mark.parametrize("controller", [admittance(), admittance(feedback=7.5e-3), admittance(lead=0.0, damping=3000.0)])
+@pytest.mark.parametrize(
+    "controller", [admittance(), admittance(feedback=7.5e-3), admittance(lead=0.0, damping=3000.0)]
+)
 def test_the_sampled_loop_is_the_continuous_one_with_half_a_sample_more(
     controller: AdmittanceController, hertz: float
 ) -> None:

@@ -98,7 +98,9 @@ def test_static_poses_show_weight_and_bias_and_their_moment() -> None:
 def test_noise_has_the_size_that_the_cell_says() -> None:
     run = demo_run()
     spans = holds(run)
-    force = np.concatenate([run.recording.wrench.force_n[s] - run.recording.wrench.force_n[s].mean(axis=0) for s in spans])
+    force = np.concatenate(
+        [run.recording.wrench.force_n[s] - run.recording.wrench.force_n[s].mean(axis=0) for s in spans]
+    )
     measured = run.recording.pose.position_m - np.array(run.cell.base_position_m)
     # A spread over n samples is known to 1/sqrt(2n): n is above 10⁴ here, so 3 % are more than four deviations.
     assert np.std(force) == pytest.approx(run.cell.force_noise_rms_n, rel=0.03)

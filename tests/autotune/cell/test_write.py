@@ -29,7 +29,6 @@ def written(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> P
     return path
 
 
-
 def decoded(path: Path, topic: str) -> list[tuple[Any, Any]]:
     with path.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()], validate_crcs=True)

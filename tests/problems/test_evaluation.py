@@ -1,0 +1,249 @@
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from problems.contact import Approach, build_sampled_contact, simulate_contact
+from problems.design import AdmittanceTarget, DesignProblem, Requirements
+from problems.evaluation import (
+    Evaluation,
+    PreparedScenarios,
+    build_scenarios,
+    evaluate_exactly,
+    normalise_admittance,
+    normalise_margins,
+    smallest_admittance,
+)
+from problems.margins import Margins, UnstableLoopError, find_margins
+from problems.plant import FREE_SPACE, Coupling
+from problems.response import free_space_admittance
+from problems.sampled import build_loop, build_sampled_plant, spectral_radius
+from tests.problems.axes import PERIOD_S, one_pole
+
+GOOD = (15.0, 3000.0, 0.02, 0.0)
+UNSTABLE = (10.0, 300.0, 0.0, 0.0)
+EASY = Requirements(
+    modulus_margin=0.4,
+    gain_margin_db=4.0,
+    phase_margin_deg=25.0,
+    delay_margin_s=1e-3,
+    decay_rate_per_s=0.1,
+    free_space_admittance=AdmittanceTarget(min_m_s_per_n=1e-4, band_hz=(0.1, 2.0)),
+)
+
+
+def problem(**changes: Any) -> DesignProblem:
+    values: dict[str, Any] = {
+        "robot": one_pole(),
+        "coupling": Coupling(stiffness_n_per_m=3e5, damping_n_s_per_m=0.0),
+        "drag_n_s_per_m": 630.0,
+        "environment_stiffness_n_per_m": (2e4, 5e5),
+        "payload_mass_kg": (8.0, 16.0),
+        "sample_time_s": PERIOD_S,
+        "approach": Approach(force_n=30.0),
+        "requirements": EASY,
+    }
+    return DesignProblem(**(values | changes))
+
+
+def prepared(**changes: Any) -> PreparedScenarios:
+    asked = problem(**changes)
+    return build_scenarios(asked, asked.scenarios(3, 2))
+
+
+def margins(**changes: float) -> Margins:
+    values = {
+        "modulus": 0.5,
+        "modulus_hz": 20.0,
+        "gain_db": 8.0,
+        "phase_deg": 50.0,
+        "delay_s": 4e-3,
+        "spectral_radius": math.exp(-5.0 * PERIOD_S),
+    }
+    return Margins(**(values | changes))
+
+
+def test_a_requirement_is_required_over_achieved() -> None:
+    asked = Requirements(
+        modulus_margin=0.4, gain_margin_db=6.0, phase_margin_deg=30.0, delay_margin_s=1e-3, decay_rate_per_s=10.0
+    )
+    # One quotient each; the decay rate also goes through a logarithm of nearly one, which costs three digits.
+    assert normalise_margins(asked, margins(), PERIOD_S) == pytest.approx(
+        {
+            "modulus_margin": 0.8,
+            "gain_margin_db": 0.75,
+            "phase_margin_deg": 0.6,
+            "delay_margin_s": 0.25,
+            "decay_rate_per_s": 2.0,
+        },
+        rel=1e-12,
+    )
+
+
+def test_a_margin_that_nothing_limits_is_met_and_one_of_zero_is_missed_altogether() -> None:
+    asked = Requirements(modulus_margin=0.5, gain_margin_db=6.0, phase_margin_deg=30.0, delay_margin_s=None)
+    found = normalise_margins(asked, margins(gain_db=math.inf, phase_deg=0.0), PERIOD_S)
+    assert found == {"modulus_margin": 1.0, "gain_margin_db": 0.0, "phase_margin_deg": math.inf}
+
+
+def test_what_is_not_asked_is_not_told() -> None:
+    nothing = Requirements(
+        modulus_margin=None,
+        gain_margin_db=None,
+        phase_margin_deg=None,
+        delay_margin_s=None,
+        free_space_admittance=None,
+    )
+    free = build_sampled_plant(problem().plant(problem().scenarios(1, 1)[0]).in_contact_with(FREE_SPACE), PERIOD_S)
+    assert normalise_margins(nothing, margins(), PERIOD_S) == {}
+    assert normalise_admittance(nothing, free, problem().controller(GOOD)) == {}
+    found = prepared(requirements=nothing).evaluate(GOOD)
+    assert found.requirements == {}
+    assert found.is_feasible
+    assert found.violation == 0.0
+
+
+def test_the_admittance_requirement_is_the_smallest_over_the_band() -> None:
+    ready = prepared()
+    controller, band = ready.problem.controller(GOOD), (0.1, 2.0)
+    omega = 2.0 * np.pi * np.geomspace(*band, 5000)
+    dense = float(np.min(np.abs(free_space_admittance(ready.free[0], controller, omega))))
+    found = smallest_admittance(ready.free[0], controller, band)
+    # |G| is smooth below the first corner, and its minimum lies on an end of the band, which the grid holds.
+    assert found == pytest.approx(dense, rel=1e-9)
+    requirement = normalise_admittance(EASY, ready.free[0], controller)
+    assert requirement == {"free_space_admittance": pytest.approx(1e-4 / dense, rel=1e-9)}
+
+
+def test_every_scenario_is_evaluated_in_contact_and_in_free_space() -> None:
+    ready = prepared()
+    assert len(ready.scenarios) == len(ready.pairs) == 6
+    assert [plant.plant.payload.mass_kg for plant in ready.free] == [8.0, 16.0]
+    controller = ready.problem.controller(GOOD)
+    sides = [*(pair.contact for pair in ready.pairs), *ready.free]
+    found = ready.evaluate(GOOD)
+    # The same matrices, their eigenvalues taken one by one or in a batch.
+    assert found.spectral_radius == pytest.approx(
+        max(spectral_radius(build_loop(side, controller)) for side in sides), abs=1e-12
+    )
+    worst = min(find_margins(side, controller).modulus for side in sides)
+    exact = evaluate_exactly(ready, controller)
+    assert exact.requirements["modulus_margin"] == pytest.approx(0.4 / worst, rel=1e-14)
+
+
+def test_the_screening_grid_agrees_with_the_exact_margins_within_its_step() -> None:
+    ready = prepared()
+    fast, exact = ready.evaluate(GOOD), evaluate_exactly(ready, ready.problem.controller(GOOD))
+    assert (
+        set(fast.requirements)
+        == set(exact.requirements)
+        == {
+            "modulus_margin",
+            "gain_margin_db",
+            "phase_margin_deg",
+            "delay_margin_s",
+            "decay_rate_per_s",
+            "free_space_admittance",
+        }
+    )
+    # A grid misses the minimum by half a step of 1.6 % in ω, times the slope's change: it only errs on the good side.
+    assert fast.requirements["modulus_margin"] <= exact.requirements["modulus_margin"] * (1.0 + 1e-9)
+    for name, value in exact.requirements.items():
+        assert fast.requirements[name] == pytest.approx(value, rel=0.01), name
+    assert [peak.scenario for peak in fast.peaks] == list(ready.scenarios)
+    for one, other in zip(fast.peaks, exact.peaks, strict=True):
+        assert one.peak_contact_force_n == pytest.approx(other.peak_contact_force_n, rel=1e-12)
+    assert fast.objective_n == pytest.approx(exact.objective_n, rel=1e-12)
+    assert fast.is_feasible
+    assert exact.is_feasible
+
+
+def test_the_peaks_are_those_of_a_single_simulation() -> None:
+    ready = prepared()
+    found = ready.evaluate(GOOD)
+    for scenario, peak in zip(ready.scenarios, found.peaks, strict=True):
+        pair = build_sampled_contact(build_sampled_plant(ready.problem.plant(scenario), PERIOD_S))
+        run = simulate_contact(pair, ready.problem.controller(GOOD), ready.problem.approach)
+        # A horizon from an eigenvalue of the same matrix, rounded up: one sample at the end may differ.
+        assert peak.peak_contact_force_n == pytest.approx(run.peak_contact_force_n, rel=1e-9)
+        assert peak.peak_sensor_force_n == pytest.approx(run.peak_sensor_force_n, rel=1e-9)
+        assert peak.time_of_peak_s == pytest.approx(run.time_of_peak_s, abs=1.1 * PERIOD_S)
+
+
+@pytest.mark.parametrize(("objective", "name"), [("contact_force", "contact"), ("sensor_force", "sensor")])
+def test_the_objective_is_the_worst_peak_of_the_force_that_was_asked(objective: str, name: str) -> None:
+    found = prepared(objective=objective).evaluate(GOOD)
+    assert found.objective_n == max(getattr(peak, f"peak_{name}_force_n") for peak in found.peaks)
+
+
+def test_an_unstable_design_has_neither_peaks_nor_requirements() -> None:
+    ready = prepared()
+    found = ready.evaluate(UNSTABLE)
+    assert found.spectral_radius > 1.0
+    assert (dict(found.requirements), found.peaks, found.objective_n) == ({}, (), math.inf)
+    assert (found.is_stable, found.is_feasible, found.violation) == (False, False, math.inf)
+    with pytest.raises(UnstableLoopError):
+        evaluate_exactly(ready, ready.problem.controller(UNSTABLE))
+
+
+def test_one_unstable_scenario_makes_the_design_unstable() -> None:
+    """Stable on the soft wall, unstable on the stiff one (MODEL.md, erratum 4)."""
+    design = (10.0, 1000.0, 0.0, 0.0)
+    soft = prepared(environment_stiffness_n_per_m=(2e4, 2e4), payload_mass_kg=(16.0, 16.0))
+    both = prepared(environment_stiffness_n_per_m=(2e4, 5e5), payload_mass_kg=(16.0, 16.0))
+    assert soft.evaluate(design).is_stable
+    assert not both.evaluate(design).is_stable
+
+
+def test_free_space_alone_can_make_a_design_unstable() -> None:
+    ready = prepared(drag_n_s_per_m=300.0, environment_stiffness_n_per_m=(1e5, 1e5), payload_mass_kg=(16.0, 16.0))
+    design = (10.0, 1000.0, 0.0, 0.0)
+    radii = [
+        spectral_radius(build_loop(side, ready.problem.controller(design)))
+        for side in (ready.pairs[0].contact, ready.free[0])
+    ]
+    assert radii[0] < 1.0 < radii[1]
+    assert ready.evaluate(design).spectral_radius == pytest.approx(radii[1], abs=1e-12)
+
+
+def test_a_missed_margin_gives_no_peak_unless_it_is_asked_for() -> None:
+    ready = prepared(requirements=Requirements(phase_margin_deg=89.0, free_space_admittance=None))
+    found = ready.evaluate(GOOD)
+    assert found.is_stable
+    assert not found.is_feasible
+    assert found.violation == max(found.requirements.values()) - 1.0 > 0.0
+    assert (found.peaks, found.objective_n) == ((), math.inf)
+
+
+@pytest.mark.parametrize(("limit", "feasible"), [(1.001, True), (0.999, False)])
+def test_a_limit_on_the_peak_is_a_requirement(limit: float, feasible: bool) -> None:
+    unlimited = prepared().evaluate(GOOD)
+    asked = Requirements(
+        modulus_margin=0.4,
+        gain_margin_db=4.0,
+        phase_margin_deg=25.0,
+        max_peak_force_n=limit * unlimited.objective_n,
+        free_space_admittance=None,
+    )
+    found = prepared(requirements=asked).evaluate(GOOD)
+    # One product and one quotient.
+    assert found.requirements["max_peak_force_n"] == pytest.approx(1.0 / limit, rel=1e-14)
+    assert found.is_feasible is feasible
+    assert found.objective_n == unlimited.objective_n
+
+
+def test_more_scenarios_are_never_better() -> None:
+    asked = problem()
+    few, many = (build_scenarios(asked, asked.scenarios(n, n)).evaluate(GOOD) for n in (2, 3))
+    # The ends and the middle of the finer grid contain the coarser one.
+    assert many.objective_n >= few.objective_n
+    assert all(many.requirements[name] >= value * (1.0 - 1e-12) for name, value in few.requirements.items())
+
+
+def test_violation_is_the_excess_of_the_worst_requirement() -> None:
+    base = prepared().evaluate(GOOD)
+    missed = Evaluation(
+        controller=base.controller, spectral_radius=0.9, requirements={"a": 0.5, "b": 1.25}, peaks=(), objective_n=1.0
+    )
+    assert missed.violation == 0.25
