@@ -36,7 +36,8 @@ def main(arguments: list[str]) -> int:
         ("K_e [N/m]", cell.environment.stiffness_n_per_m, axis.environments[0].stiffness_n_per_m),
         ("T_d [s]", cell.robot.delay_s, axis.robot.delay_s),
     ):
-        print(f"{name:10} true {truth:10.6g}  identified {estimate.value:10.6g} ± {estimate.std:.2g} ({estimate.status})")
+        told = "-" if estimate.value is None else f"{estimate.value:10.6g} ± {estimate.std:.2g}"
+        print(f"{name:10} true {truth:10.6g}  identified {told} ({estimate.status})")
     if arguments:
         write_mcap(run.recording, Path(arguments[0]))
         print(f"written: {arguments[0]}")

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from .aligned import AlignedLog, check_regular
 from .coupling import FreeMotion
+from .errors import EstimateError
 from .gravity import orientation_spread_rad
 from .recording import PoseSignal, Recording
 from .segments import Motion, Span
@@ -23,6 +24,7 @@ _ALONG_ONE_AXIS = 0.97
 _SMALLEST_TRAVEL_M = 2e-3
 _CONSTANT_ORIENTATION_RAD = np.radians(2.0)
 _EDGE_S = 0.12
+_COVERED_SHARE = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +109,10 @@ class CommandedMotion:
 
 
 def commanded_motion(recording: Recording, command: PoseSignal, log: AlignedLog, axis: AxisMotion) -> CommandedMotion:
-    """Interpolate the measured position at the command's stamps, over the part of the log in which the axis moves."""
+    """Interpolate the measured position at the command's stamps, over the part of the log in which the axis moves.
+
+    Raises EstimateError when the command does not cover that part.
+    """
     period = check_regular(command.topic, command.stamp_ns)
     margin_ns = 0.3e9
     first = log.start_ns + log.time_s[axis.spans[0].start] * 1e9 - margin_ns
@@ -115,6 +120,12 @@ def commanded_motion(recording: Recording, command: PoseSignal, log: AlignedLog,
     pose = recording.pose
     first, last = max(first, pose.stamp_ns[0]), min(last, pose.stamp_ns[-1])
     inside = (command.stamp_ns >= first) & (command.stamp_ns <= last)
+    covered, moving = float(np.count_nonzero(inside)) * period, float(last - first) * 1e-9
+    if covered < _COVERED_SHARE * moving:
+        raise EstimateError(
+            f"Topic `{command.topic}` must cover the {moving:.1f} s in which the tool moves, found {covered:.1f} s; record "
+            "the command with the pose, and check that both header clocks are the same."
+        )
     stamps = command.stamp_ns[inside]
     origin = log.position_B_m[0]
     command_m = (command.position_m[inside] - origin) @ axis.direction_B

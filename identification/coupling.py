@@ -31,7 +31,7 @@ class FreeMotion:
 
 @dataclass(frozen=True, kw_only=True)
 class CouplingFit:
-    """K_s, B_s, B_p and M_p with their covariance, in that order; `fit_error` is residual RMS over force RMS."""
+    """K_s, B_s, B_p and M_p with their covariance, in that order; `fit_error` is residual over force."""
 
     stiffness_n_per_m: float
     damping_n_s_per_m: float
@@ -87,15 +87,26 @@ def identify_coupling(motions: Sequence[FreeMotion], period_s: float, pose_rate_
             f"rest; of {len(motions)} spans {told}. Record a commanded sweep of 0.5 to 50 Hz in free space, away from "
             "every surface, and check that wrench and pose share one clock."
         )
-    like = [m for m in long if prediction_error(best, m, period_s) < _POOR_FIT]
+    like = [m for m in long if prediction_error(best, m, period_s, noise) < _POOR_FIT]
     return best if len(like) == 1 else _fit_coupling(like, period_s, highest, noise)
 
 
-def prediction_error(fit: CouplingFit, motion: FreeMotion, period_s: float) -> float:
-    """Return residual over force (root of energies in the band) of a motion that the fit predicts."""
+def prediction_error(fit: CouplingFit, motion: FreeMotion, period_s: float, noise: Noise) -> float:
+    """Return residual over force (root of energies in the band, over the noise) of a motion that the fit predicts."""
     s, position, force = _spectra([motion], period_s, fit.band_hz[1])
     parameters = np.array([fit.stiffness_n_per_m, fit.damping_n_s_per_m, fit.drag_n_s_per_m, fit.mass_kg])
-    return float(np.linalg.norm(force - felt_impedance(parameters, s) * position) / np.linalg.norm(force))
+    weight = _weights(parameters, s, noise)
+    residual = weight * (force - felt_impedance(parameters, s) * position)
+    return float(np.linalg.norm(residual) / np.linalg.norm(weight * force))
+
+
+def _weights(parameters: FloatArray, s: ComplexArray, noise: Noise) -> FloatArray:
+    """Return 1/σ of real and imaginary part of each bin; the pose's noise gets there through the model.
+
+    White noise of variance σ² puts σ²/2 on each part.
+    """
+    through = np.abs(felt_impedance(parameters, s)) * noise.position_rms_m
+    return np.asarray(np.sqrt(2.0 / (noise.force_rms_n**2 + through**2)))
 
 
 def _fit_coupling(motions: Sequence[FreeMotion], period_s: float, highest: float, noise: Noise) -> CouplingFit:
@@ -104,30 +115,29 @@ def _fit_coupling(motions: Sequence[FreeMotion], period_s: float, highest: float
     The spans start and end at rest, so their transforms have no leakage.
     """
     s, position, force = _spectra(motions, period_s, highest)
-    weight = np.ones(len(s))
-
-    def residual(logarithms: FloatArray) -> FloatArray:
-        difference = weight * (force - felt_impedance(np.exp(logarithms), s) * position)
-        return np.concatenate([difference.real, difference.imag])
-
-    parameters = np.log(_starting_point(s, position, force))
+    values = _starting_point(s, position, force)
+    critical = 2.0 * np.sqrt(values[0] * values[3])
+    # Dampings may be zero; stiffness and mass may not. Each is counted in a size of its own.
+    size = np.array([values[0], 0.1 * critical, 0.1 * critical, values[3]])
+    low, high = np.array([1e-4, 0.0, 0.0, 1e-4]), np.full(4, 1e6)
     for _ in range(_REWEIGHTINGS):
-        # The pose's noise reaches the residual through the model; white noise of variance σ² puts σ²/2 on each part.
-        through = np.abs(felt_impedance(np.exp(parameters), s)) * noise.position_rms_m
-        weight = np.sqrt(2.0 / (noise.force_rms_n**2 + through**2))
-        found = least_squares(residual, parameters, bounds=(np.log(1e-3), np.log(1e12)))
-        parameters = found.x
-    values = np.exp(found.x)
+        weight = _weights(values, s, noise)
+
+        def residual(scaled: FloatArray, weight: FloatArray = weight) -> FloatArray:
+            difference = weight * (force - felt_impedance(scaled * size, s) * position)
+            return np.concatenate([difference.real, difference.imag])
+
+        found = least_squares(residual, np.clip(values / size, low + 1e-6, 0.5 * high), bounds=(low, high))
+        values = found.x * size
     variance = max(float(2.0 * found.cost) / (len(found.fun) - 4), 1.0)
-    jacobian = found.jac / values
-    unweighted = force - felt_impedance(values, s) * position
+    jacobian = found.jac / size
     return CouplingFit(
         stiffness_n_per_m=float(values[0]),
         damping_n_s_per_m=float(values[1]),
         drag_n_s_per_m=float(values[2]),
         mass_kg=float(values[3]),
         covariance=variance * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True),
-        fit_error=float(np.linalg.norm(unweighted) / np.linalg.norm(force)),
+        fit_error=float(np.linalg.norm(found.fun) / np.linalg.norm(weight * force)),
         band_hz=(_LOWEST_HZ, highest),
     )
 

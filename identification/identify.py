@@ -127,8 +127,8 @@ def _robot(recording: Recording, log: AlignedLog, axis: AxisMotion, findings: li
             )
         )
         return _no_robot("no commanded pose in the log")
-    moved = commanded_motion(recording, recording.command, log, axis)
     try:
+        moved = commanded_motion(recording, recording.command, log, axis)
         fit = identify_robot(moved.command_m, moved.position_m, moved.period_s)
     except EstimateError as error:
         findings.append(_missing("robot", f"Axis {axis.name}: {error}", "Record a commanded sweep and its command."))

@@ -60,8 +60,8 @@ def identify_robot(command_m: FloatArray, position_m: FloatArray, period_s: floa
         )
     if chosen.delay_s > 0.999 * _LONGEST_DELAY_S:
         raise EstimateError(
-            f"The measured pose follows the command later than {_LONGEST_DELAY_S * 1e3:.0f} ms, the most that is searched; "
-            "check that the header stamps of command and pose come from one clock."
+            f"The measured pose follows the command later than {_LONGEST_DELAY_S * 1e3:.0f} ms, the most that is "
+            "searched; check that the header stamps of command and pose come from one clock."
         )
     return _described(chosen, error)
 

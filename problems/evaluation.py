@@ -11,7 +11,7 @@ from .contact import SampledContact, build_sampled_contact, settling_samples, tr
 from .controller import AdmittanceController
 from .design import DesignProblem, Requirements, Scenario
 from .margins import Margins, RawMargins, find_margins, margins_on_grid
-from .response import controller_response, free_space_admittance, plant_response
+from .response import PlantResponse, controller_response, free_space_admittance, plant_response, rendered_admittance
 from .sampled import SampledPlant, build_loop, build_sampled_plant, stability_matrix
 
 FloatArray = NDArray[np.float64]
@@ -77,6 +77,7 @@ class PreparedScenarios:
     z: ComplexArray
     force: ComplexArray
     position: ComplexArray
+    target_response: PlantResponse | None
 
     def evaluate(self, design: Sequence[float] | FloatArray, *, peaks_if_missed: bool = False) -> Evaluation:
         """Evaluate the design vector (M_a, B_a, K_l, B_fb) over the scenarios on a fixed frequency grid.
@@ -123,7 +124,15 @@ class PreparedScenarios:
                 spectral_radius=radius,
             ),
             self.problem.sample_time_s,
-        ) | normalise_admittance(self.problem.requirements, self.free[0], controller)
+        ) | self.achieved_admittance(controller)
+
+    def achieved_admittance(self, controller: AdmittanceController) -> dict[str, float]:
+        """Return required/achieved of the free-space admittance target, if there is one."""
+        target = self.problem.requirements.free_space_admittance
+        if target is None or self.target_response is None:
+            return {}
+        gain = np.abs(rendered_admittance(self.target_response, controller, self.problem.sample_time_s))
+        return {"free_space_admittance": target.min_m_s_per_n / float(np.min(gain))}
 
     def peaks(self, controller: AdmittanceController, contact_radii: FloatArray) -> tuple[Peak, ...]:
         """Simulate the contact of every scenario; the loops must be stable."""
@@ -149,6 +158,7 @@ def build_scenarios(problem: DesignProblem, scenarios: Sequence[Scenario]) -> Pr
     by_mass = {s.payload_mass_kg: pair.free for s, pair in zip(scenarios, pairs, strict=True)}
     free = tuple(by_mass[mass] for mass in sorted(by_mass))
     grid = np.geomspace(2.0 * np.pi * _SCREENING_LOWEST_HZ, np.pi / h, _SCREENING_POINTS)
+    target = problem.requirements.free_space_admittance
     responses = [plant_response(plant, grid) for plant in (*(pair.contact for pair in pairs), *free)]
     return PreparedScenarios(
         problem=problem,
@@ -159,6 +169,7 @@ def build_scenarios(problem: DesignProblem, scenarios: Sequence[Scenario]) -> Pr
         z=responses[0].z,
         force=np.array([r.force for r in responses]),
         position=np.array([r.position for r in responses]),
+        target_response=None if target is None else plant_response(free[0], band_frequencies(target.band_hz)),
     )
 
 
@@ -181,18 +192,12 @@ def normalise_margins(requirements: Requirements, margins: Margins, sample_time_
 
 def smallest_admittance(sampled: SampledPlant, controller: AdmittanceController, band_hz: tuple[float, float]) -> float:
     """Return min |G| [m/s/N] over the band (ends included)."""
-    omega = 2.0 * np.pi * np.geomspace(band_hz[0], band_hz[1], _ADMITTANCE_POINTS)
-    return float(np.min(np.abs(free_space_admittance(sampled, controller, omega))))
+    return float(np.min(np.abs(free_space_admittance(sampled, controller, band_frequencies(band_hz)))))
 
 
-def normalise_admittance(
-    requirements: Requirements, free: SampledPlant, controller: AdmittanceController
-) -> dict[str, float]:
-    """Return required/achieved of the free-space admittance target, if there is one."""
-    target = requirements.free_space_admittance
-    if target is None:
-        return {}
-    return {"free_space_admittance": target.min_m_s_per_n / smallest_admittance(free, controller, target.band_hz)}
+def band_frequencies(band_hz: tuple[float, float]) -> FloatArray:
+    """Return the frequencies [rad/s] at which a band is looked at, ends included."""
+    return np.asarray(2.0 * np.pi * np.geomspace(band_hz[0], band_hz[1], _ADMITTANCE_POINTS))
 
 
 def finish_evaluation(
@@ -216,17 +221,42 @@ def finish_evaluation(
     )
 
 
-def evaluate_exactly(prepared: PreparedScenarios, controller: AdmittanceController) -> Evaluation:
+@dataclass(frozen=True, kw_only=True)
+class PlantMargins:
+    """The margins of one plant of the uncertainty; stiffness 0 is free space."""
+
+    payload_mass_kg: float
+    environment_stiffness_n_per_m: float
+    margins: Margins
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExactEvaluation:
+    """An evaluation with margins refined around every minimum, and those margins plant by plant."""
+
+    evaluation: Evaluation
+    margins: tuple[PlantMargins, ...]
+
+
+def evaluate_exactly(prepared: PreparedScenarios, controller: AdmittanceController) -> ExactEvaluation:
     """Evaluate a stable design with margins refined around every minimum, scenario by scenario.
 
     Raises UnstableLoopError when any scenario is unstable.
     """
     problem = prepared.problem
     plants = [*(pair.contact for pair in prepared.pairs), *prepared.free]
-    margins = [find_margins(plant, controller) for plant in plants]
-    values = [normalise_margins(problem.requirements, m, problem.sample_time_s) for m in margins]
-    requirements = {name: max(value[name] for value in values) for name in values[0]} if values else {}
-    requirements |= normalise_admittance(problem.requirements, prepared.free[0], controller)
-    radii = np.array([m.spectral_radius for m in margins])
+    found = tuple(
+        PlantMargins(
+            payload_mass_kg=sampled.plant.payload.mass_kg,
+            environment_stiffness_n_per_m=sampled.plant.environment.stiffness_n_per_m,
+            margins=find_margins(sampled, controller),
+        )
+        for sampled in plants
+    )
+    values = [normalise_margins(problem.requirements, f.margins, problem.sample_time_s) for f in found]
+    requirements = {name: max(value[name] for value in values) for name in values[0]}
+    requirements |= prepared.achieved_admittance(controller)
+    radii = np.array([f.margins.spectral_radius for f in found])
     peaks = prepared.peaks(controller, radii[: len(prepared.pairs)])
-    return finish_evaluation(problem, controller, float(np.max(radii)), requirements, peaks)
+    evaluation = finish_evaluation(problem, controller, float(np.max(radii)), requirements, peaks)
+    return ExactEvaluation(evaluation=evaluation, margins=found)

@@ -75,14 +75,18 @@ def loop_response(
     )
 
 
+def rendered_admittance(plant: PlantResponse, controller: AdmittanceController, sample_time_s: float) -> ComplexArray:
+    """Return G = V/F [m/s/N] of the sampled controller and robot (MODEL.md, "F → V").
+
+    The robot ignores F, so the payload does not enter G; V is the derivative of the position below the Nyquist rate.
+    """
+    forward, feedback = controller_response(controller, plant.z, sample_time_s)
+    velocity = 1j * plant.frequency_rad_per_s * plant.position
+    return np.asarray(forward * velocity / (1.0 + feedback * plant.position), dtype=np.complex128)
+
+
 def free_space_admittance(
     sampled: SampledPlant, controller: AdmittanceController, frequency_rad_per_s: FloatArray
 ) -> ComplexArray:
-    """Return the rendered admittance G = V/F [m/s/N] of the sampled controller and robot (MODEL.md, "F → V").
-
-    The robot ignores F, so the payload does not enter G.
-    """
-    plant = plant_response(sampled, frequency_rad_per_s)
-    forward, feedback = controller_response(controller, plant.z, sampled.sample_time_s)
-    velocity = 1j * plant.frequency_rad_per_s * plant.position
-    return np.asarray(forward * velocity / (1.0 + feedback * plant.position), dtype=np.complex128)
+    """Return the rendered admittance G [m/s/N] of a sampled plant, see `rendered_admittance`."""
+    return rendered_admittance(plant_response(sampled, frequency_rad_per_s), controller, sampled.sample_time_s)

@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+# As the command line does: the matrices are small, and threads that wait for each other cost tenfold.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 ROOT = Path(__file__).resolve().parent.parent
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]

@@ -119,6 +119,12 @@ def build_cli(entries: Mapping[str, CommandEntry] = COMMANDS) -> click.Group:
     return click.version_option(__version__, prog_name=PROGRAM, message="%(prog)s %(version)s")(group)
 
 
+def _one_thread() -> None:
+    """Keep linear algebra on one thread: our matrices are small, and threads that wait for each other cost tenfold."""
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+
+
 def main(argv: Sequence[str] | None = None, *, entries: Mapping[str, CommandEntry] = COMMANDS) -> int:
     """Run the command line `argv` (default: that of the process) and return its exit code.
 
@@ -127,6 +133,7 @@ def main(argv: Sequence[str] | None = None, *, entries: Mapping[str, CommandEntr
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     _tolerate_narrow_encodings()
+    _one_thread()
     delivery = Delivery()
     try:
         code = _run(build_cli(entries), arguments, delivery)

@@ -26,17 +26,14 @@ from autotune.files.controller_record import (
 from identification.result import Identified
 from problems.controller import AdmittanceController
 from problems.design import DesignProblem, Requirements
-from problems.evaluation import build_scenarios, smallest_admittance
+from problems.evaluation import PlantMargins, build_scenarios, smallest_admittance
 from problems.margins import find_margins
-from problems.plant import FREE_SPACE
-from problems.sampled import build_sampled_plant
 
 from .search import SearchResult
 
 _DEFAULT_DEADBAND_N = 5.0
 _ACCELERATION_FILTER_RAD_PER_S = 200.0
 _PREDICTED_STIFFNESS, _PREDICTED_MASS = 5, 2
-_MARGIN_STIFFNESS, _MARGIN_MASS = 33, 3
 _NAMES = ("modulus", "gain_db", "phase_deg", "delay_s")
 
 
@@ -71,7 +68,7 @@ def build_controller(
             sample_time_s=first.sample_time_s,
             requirements=_requirements(first.requirements),
             proved=tuple(proof for of_axis in proofs.values() for proof in of_axis),
-            margins={name: _margins(results[name].problem, c) for name, c in controllers.items()},
+            margins={name: _margins(result.margins) for name, result in results.items()},
         ),
         provenance=provenance,
     )
@@ -167,31 +164,16 @@ def _requirements(requirements: Requirements) -> dict[str, float | bool | Admitt
     return out
 
 
-def _margins(problem: DesignProblem, controller: AdmittanceController) -> AxisMargins:
-    """Find the smallest margins over a dense grid of the domain and free space, each with its plant."""
-    smallest: dict[str, float] = {}
-    worst: dict[str, dict[str, float | str]] = {}
-    free_done = set()
-    for scenario in problem.scenarios(_MARGIN_STIFFNESS, _MARGIN_MASS):
-        plant = problem.plant(scenario)
-        cases = [(scenario.environment_stiffness_n_per_m, plant)]
-        if scenario.payload_mass_kg not in free_done:
-            free_done.add(scenario.payload_mass_kg)
-            cases.append((0.0, plant.in_contact_with(FREE_SPACE)))
-        for stiffness, case in cases:
-            found = find_margins(build_sampled_plant(case, problem.sample_time_s), controller)
-            for name in _NAMES:
-                value = float(getattr(found, name))
-                if value < smallest.get(name, np.inf):
-                    smallest[name] = value
-                    worst[name] = {
-                        "environment_stiffness_n_per_m": stiffness,
-                        "payload_mass_kg": scenario.payload_mass_kg,
-                    }
+def _margins(found: tuple[PlantMargins, ...]) -> AxisMargins:
+    """Return the smallest margins over the dense grid of the domain and free space, each with its plant."""
+    worst = {name: min(found, key=lambda f: float(getattr(f.margins, name))) for name in _NAMES}
     return AxisMargins(
-        gain_db=smallest.get("gain_db"),
-        phase_deg=smallest.get("phase_deg"),
-        delay_s=smallest.get("delay_s"),
-        modulus=smallest["modulus"],
-        worst=worst,
+        **{name: float(getattr(plant.margins, name)) for name, plant in worst.items()},
+        worst={
+            name: {
+                "environment_stiffness_n_per_m": plant.environment_stiffness_n_per_m,
+                "payload_mass_kg": plant.payload_mass_kg,
+            }
+            for name, plant in worst.items()
+        },
     )

@@ -10,7 +10,14 @@ from scipy.optimize import differential_evolution, minimize
 from autotune.errors import InfeasibleError
 from problems.controller import SMALLEST_FEEDBACK_DAMPING_S
 from problems.design import VARIABLES, DesignProblem, Scenario
-from problems.evaluation import Evaluation, PreparedScenarios, build_scenarios, evaluate_exactly
+from problems.evaluation import (
+    Evaluation,
+    PlantMargins,
+    PreparedScenarios,
+    build_scenarios,
+    evaluate_exactly,
+    normalise_margins,
+)
 from problems.margins import UnstableLoopError
 
 FloatArray = NDArray[np.float64]
@@ -32,12 +39,14 @@ class SearchResult:
     """The chosen design (M_a, B_a, K_l, B_fb) and how it stands.
 
     `evaluation` is exact (refined margins) over the dense grid of `scenario_count` scenarios; `active` the scenarios
-    that the search worked with; `rounds` how often the worst of the rest was added; `evaluations` of designs.
+    that the search worked with; `margins` plant by plant; `rounds` how often the worst of the rest was added;
+    `evaluations` of designs.
     """
 
     problem: DesignProblem
     design: FloatArray
     evaluation: Evaluation
+    margins: tuple[PlantMargins, ...]
     active: PreparedScenarios
     scenario_count: int
     rounds: int
@@ -84,7 +93,7 @@ def solve_design(
     for round_index in range(_ROUNDS):
         unit = search.polish(active, unit)
         design = presentable(problem, search.box.design(unit))
-        exact = _evaluated_exactly(dense, design)
+        exact, margins = _evaluated_exactly(dense, design)
         report(0.4 / _ROUNDS)
         worse = _worst_scenarios(exact, search.last, active)
         missed = exact.violation
@@ -93,12 +102,13 @@ def solve_design(
                 problem=problem,
                 design=design,
                 evaluation=exact,
+                margins=margins,
                 active=build_scenarios(problem, active),
                 scenario_count=len(dense.scenarios),
                 rounds=round_index + 1,
                 evaluations=search.evaluations,
             )
-        active = (*active, *(_margin_scenarios(dense, search, unit, active) if missed > 0.0 else ()), *worse)
+        active = (*active, *(_margin_scenarios(problem, margins, active) if missed > 0.0 else ()), *worse)
         if missed > 0.0:
             search.tighten(exact)
     raise InfeasibleError(
@@ -116,12 +126,13 @@ def presentable(problem: DesignProblem, design: FloatArray) -> FloatArray:
     return np.asarray(np.clip(rounded, bounds[:, 0], bounds[:, 1]))
 
 
-def _evaluated_exactly(dense: PreparedScenarios, design: FloatArray) -> Evaluation:
-    """Evaluate over the dense grid; an unstable scenario in it counts as an infinite miss."""
+def _evaluated_exactly(dense: PreparedScenarios, design: FloatArray) -> tuple[Evaluation, tuple[PlantMargins, ...]]:
+    """Evaluate over the dense grid; an unstable scenario in it counts as an infinite miss, with no margins."""
     try:
-        return evaluate_exactly(dense, dense.problem.controller(design))
+        exact = evaluate_exactly(dense, dense.problem.controller(design))
     except UnstableLoopError:
-        return dense.evaluate(design)
+        return dense.evaluate(design), ()
+    return exact.evaluation, exact.margins
 
 
 def _silent(_: float) -> None:
@@ -298,14 +309,20 @@ def _worst_scenarios(exact: Evaluation, known: Evaluation | None, active: tuple[
 
 
 def _margin_scenarios(
-    dense: PreparedScenarios, search: Search, unit: FloatArray, active: tuple[Scenario, ...]
+    problem: DesignProblem, margins: tuple[PlantMargins, ...], active: tuple[Scenario, ...]
 ) -> tuple[Scenario, ...]:
-    """Return the dense scenario with the largest miss, if the search does not know it yet."""
-    design = search.box.design(unit)
-    missed = [
-        (build_scenarios(dense.problem, [scenario]).evaluate(design, peaks_if_missed=True).violation, i)
-        for i, scenario in enumerate(dense.scenarios)
-    ]
-    _, worst = max(missed)
-    scenario = dense.scenarios[worst]
+    """Return the plant with the largest miss as a scenario (every scenario brings its free space along), if new.
+
+    Without margins something is unstable, and the whole grid joins: stability is cheap to ask.
+    """
+    if not margins:
+        return tuple(s for s in problem.scenarios(_DENSE_STIFFNESS, 2) if s not in active)
+    worst = max(
+        margins,
+        key=lambda m: max(
+            normalise_margins(problem.requirements, m.margins, problem.sample_time_s).values(), default=0.0
+        ),
+    )
+    stiffness = worst.environment_stiffness_n_per_m or problem.environment_stiffness_n_per_m[0]
+    scenario = Scenario(environment_stiffness_n_per_m=stiffness, payload_mass_kg=worst.payload_mass_kg)
     return () if scenario in active else (scenario,)

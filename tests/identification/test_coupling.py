@@ -85,7 +85,7 @@ def test_a_span_with_a_hand_in_it_is_outvoted() -> None:
     alone = identify_coupling(sound, H_S, RATE_HZ, NO_NOISE)
     pushed = jogged(load, hand_n=60.0)
     together = identify_coupling([pushed, *sound], H_S, RATE_HZ, NO_NOISE)
-    assert prediction_error(alone, pushed, H_S) > 0.3
+    assert prediction_error(alone, pushed, H_S, NO_NOISE) > 0.3
     # The pushed span is not used at all, so nothing may differ but the order of sums.
     assert together.stiffness_n_per_m == pytest.approx(alone.stiffness_n_per_m, rel=1e-9)
     assert together.mass_kg == pytest.approx(alone.mass_kg, rel=1e-9)
@@ -99,7 +99,7 @@ def test_a_span_with_a_contact_in_it_is_outvoted() -> None:
     touched = FreeMotion(position_m=slow.position_m, force_n=slow.force_n + wall)
     alone = identify_coupling([sound], H_S, RATE_HZ, NO_NOISE)
     together = identify_coupling([touched, sound], H_S, RATE_HZ, NO_NOISE)
-    assert prediction_error(alone, touched, H_S) > 0.3
+    assert prediction_error(alone, touched, H_S, NO_NOISE) > 0.3
     assert together.stiffness_n_per_m == pytest.approx(alone.stiffness_n_per_m, rel=1e-9)
 
 

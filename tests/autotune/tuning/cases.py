@@ -1,0 +1,165 @@
+"""A cell, its design problems and their solutions that several tests share, each solved once."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+from autotune.files.controller_record import Controller
+from autotune.files.identified import IdentifiedFile, read_identified, write_identified
+from autotune.files.problem import ProblemSpec
+from autotune.tuning.optimize import Optimized, optimize
+from autotune.tuning.problems import Wishes
+from autotune.tuning.search import SearchResult, solve_design
+from identification.result import (
+    AxisEstimate,
+    CouplingEstimate,
+    EnvironmentEstimate,
+    Estimate,
+    Identified,
+    PayloadEstimate,
+    RobotEstimate,
+    SensorEstimate,
+    Status,
+    VectorEstimate,
+)
+from problems.design import AdmittanceTarget, DesignProblem, Requirements
+from problems.plant import Coupling
+from problems.robot import RobotModel
+
+STIFFNESS = (8e4, 1.6e5)
+MASS = (15.5, 16.5)
+# A corner of the default bounds that holds the default optimum; less room makes for a shorter search.
+ROOM: Mapping[str, tuple[float, float]] = {
+    "mass": (5.0, 8.0),
+    "damping": (900.0, 1600.0),
+    "lead_s": (0.01, 0.03),
+    "feedback_damping_s": (0.0, 0.02),
+}
+# A band that starts at 1 Hz is measured in a tenth of the simulated time that 0.1 Hz needs.
+FAST_REQUIREMENTS = Requirements(free_space_admittance=AdmittanceTarget(min_m_s_per_n=6.5e-4, band_hz=(1.0, 2.0)))
+FAST_SPEC = ProblemSpec(
+    bounds={**ROOM, "mass": (6.0, 6.0), "feedback_damping_s": (0.005, 0.005)}, requirements=FAST_REQUIREMENTS
+)
+FAST_WISHES = Wishes(payload_mass_kg=(16.0, 16.0), environment_stiffness_n_per_m=(1e5, 1.2e5))
+
+
+def design_problem(
+    *,
+    bounds: Mapping[str, tuple[float, float]] = ROOM,
+    requirements: Requirements | None = None,
+    mass: tuple[float, float] = MASS,
+    stiffness: tuple[float, float] = STIFFNESS,
+) -> DesignProblem:
+    return DesignProblem(
+        robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=2.4e-3),
+        coupling=Coupling(stiffness_n_per_m=3e5, damping_n_s_per_m=150.0),
+        drag_n_s_per_m=330.0,
+        environment_stiffness_n_per_m=stiffness,
+        payload_mass_kg=mass,
+        sample_time_s=8e-4,
+        bounds=bounds,
+        requirements=requirements if requirements is not None else Requirements(),
+    )
+
+
+@cache
+def solved() -> SearchResult:
+    """The problem over two ranges, solved."""
+    return solve_design(design_problem())
+
+
+def known(value: float, std: float | None = None) -> Estimate:
+    return Estimate(value=value, std=std, status=Status.IDENTIFIED, method="by hand")
+
+
+def absent(note: str = "") -> Estimate:
+    return Estimate(value=None, std=None, status=Status.UNIDENTIFIABLE, note=note)
+
+
+def known_vector(*values: float) -> VectorEstimate:
+    return VectorEstimate(
+        value=values, std=tuple(1e-3 for _ in values), status=Status.IDENTIFIED, method="by hand"
+    )
+
+
+def identified_axis() -> AxisEstimate:
+    surface = EnvironmentEstimate(
+        name="x1",
+        stiffness_n_per_m=known(1.1e5, 500.0),
+        secant_stiffness_n_per_m=known(8.05e4, 300.0),
+        damping_n_s_per_m=known(20.0, 10.0),
+        mass_kg=absent(),
+        contacts=3,
+        peak_force_n=(60.0, 61.0, 60.5),
+    )
+    return AxisEstimate(
+        coupling=CouplingEstimate(stiffness_n_per_m=known(3e5, 900.0), damping_n_s_per_m=known(150.0, 2.0)),
+        drag_n_s_per_m=known(330.0, 1.0),
+        environments=(surface,),
+        robot=RobotEstimate(
+            numerator=known_vector(20.0),
+            denominator=known_vector(1.0, 20.0),
+            delay_s=known(2.4e-3, 1e-5),
+            bandwidth_hz=known(3.183, 0.01),
+        ),
+    )
+
+
+def identified_plant() -> Identified:
+    """Return what `identify` would say of the cell of `design_problem`."""
+    return Identified(
+        sample_time_s=known(8e-4, 1e-9),
+        payload=PayloadEstimate(mass_kg=known(16.0, 0.02), com_m=known_vector(0.01, -0.02, 0.15)),
+        axes={"x": identified_axis()},
+        sensor=SensorEstimate(
+            force_bias_n=known_vector(1.5, -0.25, 3.0),
+            torque_bias_n_m=known_vector(0.1, 0.2, -0.1),
+            force_noise_rms_n=known(0.14),
+            gravity_residual_rms_n=known(0.05),
+            deadband_n=known(0.0),
+        ),
+        findings=(),
+    )
+
+
+def with_axis(axis: AxisEstimate) -> Identified:
+    return replace(identified_plant(), axes={"x": axis})
+
+
+def write_plant(folder: Path) -> IdentifiedFile:
+    """Write the plant to `identified.yaml` and read it again."""
+    path = folder / "identified.yaml"
+    write_identified(path, identified_plant(), {"tool": "by hand"})
+    return read_identified(path)
+
+
+@cache
+def fast_optimized() -> Optimized:
+    """A small problem taken all the way to a validated controller."""
+    plant = IdentifiedFile(
+        result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64
+    )
+    return optimize(plant, FAST_SPEC, FAST_WISHES, seed=1)
+
+
+@cache
+def small_controller() -> Controller:
+    """The controller of `fast_optimized` with two of its predicted contacts, which is quick to validate."""
+    controller = fast_optimized().controller
+    predicted = controller.predicted["x"]
+    fewer = replace(predicted, scenarios=(predicted.scenarios[0], predicted.scenarios[-1]))
+    return replace(controller, predicted={"x": fewer})
+
+
+FAST_PROBLEM_YAML = """\
+bounds:
+  mass: [6, 6]
+  damping: [900, 1600]
+  lead_s: [0.01, 0.03]
+  feedback_damping_s: [0.005, 0.005]
+payload_mass_kg: [16, 16]
+environment_stiffness_n_per_m: [1.0e5, 1.2e5]
+requirements:
+  free_space_admittance: {min_m_s_per_n: 6.5e-4, band_hz: [1, 2]}
+"""
