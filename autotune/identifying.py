@@ -47,7 +47,7 @@ def identify_log(path: Path, topics: Topics, *, allow_partial: bool = False) -> 
 def _refusal(path: Path, missing: list[Finding]) -> str:
     first = missing[0]
     others = f" (and {len(missing) - 1} more: {', '.join(f.code for f in missing[1:])})" if len(missing) > 1 else ""
-    return f"{path.name}: {first.message} {first.advice}{others}"
+    return f"{path.name}: {first.message} {first.advice}".rstrip() + others
 
 
 def _provenance(recording: Recording, topics: Topics, allow_partial: bool) -> dict[str, Any]:

@@ -123,8 +123,8 @@ def commanded_motion(recording: Recording, command: PoseSignal, log: AlignedLog,
     covered, moving = float(np.count_nonzero(inside)) * period, float(last - first) * 1e-9
     if covered < _COVERED_SHARE * moving:
         raise EstimateError(
-            f"Topic `{command.topic}` must cover the {moving:.1f} s in which the tool moves, found {covered:.1f} s; record "
-            "the command with the pose, and check that both header clocks are the same."
+            f"Topic `{command.topic}` must cover the {moving:.1f} s in which the tool moves, found {covered:.1f} s; "
+            "record the command with the pose, and check that both header clocks are the same."
         )
     stamps = command.stamp_ns[inside]
     origin = log.position_B_m[0]

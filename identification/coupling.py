@@ -17,7 +17,6 @@ _HIGHEST_HZ = 70.0
 _POSE_RATE_SHARE = 0.12
 _SHORTEST_S = 2.0
 _LINEAR_ROUNDS = 6
-_REWEIGHTINGS = 3
 _POOR_FIT = 0.15
 
 
@@ -80,7 +79,7 @@ def identify_coupling(motions: Sequence[FreeMotion], period_s: float, pose_rate_
         told = (
             "none lasts that long"
             if best is None
-            else f"the best is explained to {100 * (1 - best.fit_error**2):.0f} %"
+            else f"the best is explained to {100 * max(0.0, 1 - best.fit_error**2):.0f} %"
         )
         raise EstimateError(
             f"The coupling shows in free motion without a hand on the payload, {_SHORTEST_S:g} s or more from rest to "
@@ -110,8 +109,9 @@ def _weights(parameters: FloatArray, s: ComplexArray, noise: Noise) -> FloatArra
 
 
 def _fit_coupling(motions: Sequence[FreeMotion], period_s: float, highest: float, noise: Noise) -> CouplingFit:
-    """Fit by least squares in the frequency domain; bins are weighted by the noise that force and pose put there.
+    """Fit in the frequency domain: least Σ |F − Z X|²/(σ_F² + |Z|² σ_X²), the errors-in-variables likelihood.
 
+    The weights follow the model: fixed ones would let the pose's noise bias it (Pintelon and Schoukens 2012, 9.11).
     The spans start and end at rest, so their transforms have no leakage.
     """
     s, position, force = _spectra(motions, period_s, highest)
@@ -120,15 +120,14 @@ def _fit_coupling(motions: Sequence[FreeMotion], period_s: float, highest: float
     # Dampings may be zero; stiffness and mass may not. Each is counted in a size of its own.
     size = np.array([values[0], 0.1 * critical, 0.1 * critical, values[3]])
     low, high = np.array([1e-4, 0.0, 0.0, 1e-4]), np.full(4, 1e6)
-    for _ in range(_REWEIGHTINGS):
-        weight = _weights(values, s, noise)
 
-        def residual(scaled: FloatArray, weight: FloatArray = weight) -> FloatArray:
-            difference = weight * (force - felt_impedance(scaled * size, s) * position)
-            return np.concatenate([difference.real, difference.imag])
+    def residual(scaled: FloatArray) -> FloatArray:
+        difference = force - felt_impedance(scaled * size, s) * position
+        difference = _weights(scaled * size, s, noise) * difference
+        return np.concatenate([difference.real, difference.imag])
 
-        found = least_squares(residual, np.clip(values / size, low + 1e-6, 0.5 * high), bounds=(low, high))
-        values = found.x * size
+    found = least_squares(residual, np.clip(values / size, low + 1e-6, 0.5 * high), bounds=(low, high))
+    values = found.x * size
     variance = max(float(2.0 * found.cost) / (len(found.fun) - 4), 1.0)
     jacobian = found.jac / size
     return CouplingFit(
@@ -137,7 +136,7 @@ def _fit_coupling(motions: Sequence[FreeMotion], period_s: float, highest: float
         drag_n_s_per_m=float(values[2]),
         mass_kg=float(values[3]),
         covariance=variance * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True),
-        fit_error=float(np.linalg.norm(found.fun) / np.linalg.norm(weight * force)),
+        fit_error=float(np.linalg.norm(found.fun) / np.linalg.norm(_weights(values, s, noise) * force)),
         band_hz=(_LOWEST_HZ, highest),
     )
 

@@ -22,6 +22,7 @@ _LARGEST_CONDITION = 25.0
 _OUTLIER_DEVIATIONS = 6.0
 _SMALLEST_SCATTER_N = 0.05
 _FARTHEST_COM_M = 1.5
+_SMALLEST_MASS_KG = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +92,11 @@ def identify_gravity(poses: tuple[StaticPose, ...]) -> GravityFit:
     Standard deviations come from the scatter of the poses about the fit, never below what the noise allows.
     Raises EstimateError when the orientations do not tell mass from bias, or the result is unphysical.
     """
+    if not poses:
+        raise EstimateError(
+            "Gravity identification needs rests of 0.4 s or more, and the tool is never at rest in this log; record 6 to "
+            "12 poses of 1 s each, and check that positions are in metres and that nothing shakes the sensor."
+        )
     distinct = _distinct_count(poses)
     if distinct < 4:
         raise EstimateError(
@@ -165,7 +171,7 @@ def _finished(poses: list[StaticPose], *, rejected: int, distinct: int) -> Gravi
     if np.linalg.norm(com) > _FARTHEST_COM_M:
         raise EstimateError(
             f"The centre of mass comes out {np.linalg.norm(com):.2f} m from the sensor, which no payload of this kind "
-            "has; check the torque unit and the sensor frame."
+            "has; check the force and torque units and the sensor frame."
         )
     return GravityFit(
         mass_kg=mass,
@@ -189,6 +195,11 @@ def _check(condition: float, mass_kg: float) -> None:
         raise EstimateError(
             f"The poses are too alike to tell weight from sensor bias (condition number {condition:.0f}, at most "
             f"{_LARGEST_CONDITION:.0f}); record poses tilted by 30 to 70 degrees about two axes."
+        )
+    if abs(mass_kg) < _SMALLEST_MASS_KG:
+        raise EstimateError(
+            f"The force hardly changes with the orientation (it would be {mass_kg:.3f} kg); gravity was already "
+            "removed from this wrench, or its unit is not the newton. Record the raw wrench."
         )
     if mass_kg <= 0.0:
         raise EstimateError(

@@ -38,6 +38,7 @@ _OBLIQUE_SHARE = 0.3
 _OBLIQUE_CONTACT_DEG = 10.0
 # The continuous model is fitted to signals sampled behind a hold: measured on simulated cells, this is what it costs.
 _MODEL_STD_SHARE = 0.003
+_DAMPING_STD_SHARE = 0.001  # of the critical damping
 _POOR_CONTACT_FIT = 0.5
 _POOR_CONTACT_STD = 0.2
 _FIXED = "least squares over static poses"
@@ -131,7 +132,7 @@ def _robot(recording: Recording, log: AlignedLog, axis: AxisMotion, findings: li
         moved = commanded_motion(recording, recording.command, log, axis)
         fit = identify_robot(moved.command_m, moved.position_m, moved.period_s)
     except EstimateError as error:
-        findings.append(_missing("robot", f"Axis {axis.name}: {error}", "Record a commanded sweep and its command."))
+        findings.append(_missing("robot", f"Axis {axis.name}: {error}", ""))
         return _no_robot(str(error))
     method = f"output error of r(s) behind a hold, residual {100.0 * fit.fit_error:.2g} % of the motion"
     bandwidth_std = float(np.hypot(fit.bandwidth_std_hz, _MODEL_STD_SHARE * fit.bandwidth_hz))
@@ -164,9 +165,11 @@ def _coupling(
     try:
         fit = identify_coupling(motions, shared.period_s, pose_rate_hz, shared.noise)
     except EstimateError as error:
-        findings.append(_missing("coupling", f"Axis {axis.name}: {error}", "Record a commanded sweep in free space."))
+        findings.append(_missing("coupling", f"Axis {axis.name}: {error}", ""))
         return None
-    fit = replace(fit, covariance=fit.covariance + np.diag((_MODEL_STD_SHARE * _values(fit)) ** 2))
+    model_std = _MODEL_STD_SHARE * _values(fit)
+    model_std[1] = np.hypot(model_std[1], _DAMPING_STD_SHARE * _critical_damping(fit))
+    fit = replace(fit, covariance=fit.covariance + np.diag(model_std**2))
     apart = abs(fit.mass_kg - gravity.mass_kg)
     std = float(np.hypot(fit.std[3], gravity.mass_std_kg))
     if apart > max(_MASS_DISAGREEMENT_STDS * std, _MASS_DISAGREEMENT_SHARE * gravity.mass_kg):
@@ -186,11 +189,15 @@ def _values(fit: CouplingFit) -> FloatArray:
     return np.array([fit.stiffness_n_per_m, fit.damping_n_s_per_m, fit.drag_n_s_per_m, fit.mass_kg])
 
 
+def _critical_damping(fit: CouplingFit) -> float:
+    return 2.0 * float(np.sqrt(fit.stiffness_n_per_m * fit.mass_kg))
+
+
 def _coupling_estimates(fit: CouplingFit) -> tuple[CouplingEstimate, Estimate]:
     method = f"flange motion to force in free motion, {fit.band_hz[0]:.2g} to {fit.band_hz[1]:.3g} Hz"
     stiffness_std, damping_std, drag_std, _ = (float(s) for s in fit.std)
     # A damping matters beside the critical one; a tenth of that is the size below which nothing changes.
-    critical = 2.0 * float(np.sqrt(fit.stiffness_n_per_m * fit.mass_kg))
+    critical = _critical_damping(fit)
     coupling = CouplingEstimate(
         stiffness_n_per_m=judged(fit.stiffness_n_per_m, stiffness_std, method=method),
         damping_n_s_per_m=judged(fit.damping_n_s_per_m, damping_std, method=method, floor=0.1 * critical),

@@ -15,6 +15,7 @@ from .errors import EstimateError
 FloatArray = NDArray[np.float64]
 
 _LONGEST_DELAY_S = 0.05
+_FASTEST_RAD_PER_S = 2e3
 _DELAY_STARTS = (0.5, 2.0, 4.0, 8.0, 16.0)
 _BANDWIDTH_STARTS_HZ = (2.0, 8.0)
 _SMALLEST_TRAVEL_M = 5e-4
@@ -57,6 +58,11 @@ def identify_robot(command_m: FloatArray, position_m: FloatArray, period_s: floa
             f"No first- or second-order robot with a delay up to {_LONGEST_DELAY_S * 1e3:.0f} ms explains the motion "
             f"(residual {100 * error:.0f} % of it); check that the command topic is the position command that this "
             "robot follows, in the same frame and unit as the measured pose."
+        )
+    if np.exp(chosen.parameters[0]) > 0.999 * _FASTEST_RAD_PER_S:
+        raise EstimateError(
+            "The measured pose follows the command as if there were no robot between them (a bandwidth above "
+            f"{_FASTEST_RAD_PER_S / (2.0 * np.pi):.0f} Hz); check that the pose is measured and no echo of the command."
         )
     if chosen.delay_s > 0.999 * _LONGEST_DELAY_S:
         raise EstimateError(
@@ -141,7 +147,10 @@ def _fit(command: FloatArray, position: FloatArray, period_s: float, order: int)
     middle = [] if order == 1 else [0.8]
     # Counted from 1, the delay has a size: the differences that make the Jacobian do not vanish at a delay of 0.
     longest = _LONGEST_DELAY_S / period_s
-    low, high = [np.log(0.5)] + [0.1] * len(middle) + [1.0], [np.log(2e3)] + [5.0] * len(middle) + [1.0 + longest]
+    low, high = (
+        [np.log(0.5)] + [0.1] * len(middle) + [1.0],
+        [np.log(_FASTEST_RAD_PER_S)] + [5.0] * len(middle) + [1.0 + longest],
+    )
     starts = [
         np.array([np.log(2.0 * np.pi * hz), *middle, 1.0 + min(d, 0.9 * longest)])
         for hz in _BANDWIDTH_STARTS_HZ

@@ -134,7 +134,14 @@ class DesignProblem:
         )
 
     def scenarios(self, stiffness_count: int, mass_count: int) -> tuple[Scenario, ...]:
-        """Return a grid over the ranges, ends included: stiffness spaced by equal ratios, mass by equal steps."""
+        """Return a grid over the ranges, ends included: stiffness spaced by equal ratios, mass by equal steps.
+
+        A range that is one value gives one point; any other needs a count of 2 or more, for its ends.
+        """
+        if min(stiffness_count, mass_count) < 2:
+            raise ParameterError(
+                "scenario counts", (stiffness_count, mass_count), "at least 2, for the ends of a range"
+            )
         low, high = self.environment_stiffness_n_per_m
         stiffness = np.geomspace(low, high, stiffness_count if high > low else 1)
         # geomspace reproduces the ends only to rounding; the ends are what was promised.

@@ -37,8 +37,8 @@ class Evaluation:
     """A design against its problem.
 
     `requirements` maps each requirement to required/achieved (≤ 1 is met), worst over the scenarios; it is empty
-    and `peaks` too when the loop is unstable. `peaks` is empty as well when a margin is missed: the peak of a design
-    that may not run is of no use.
+    and `peaks` too when the loop is unstable. `peaks` is also empty when a margin is missed, unless the peaks were
+    asked for all the same.
     """
 
     controller: AdmittanceController

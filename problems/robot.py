@@ -15,7 +15,7 @@ _SAME_ROOT = 1e-6
 _UNIT_GAIN = 1e-6
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class RobotModel:
     """Closed position loop X/X^d = r(s) e^(-s T_d) with r(0) = 1.
 
@@ -31,18 +31,27 @@ class RobotModel:
     delay_s: float
 
     def __post_init__(self) -> None:
-        numerator, denominator = cancel_common_factors(
-            frozen_vector("numerator", self.numerator), frozen_vector("denominator", self.denominator)
-        )
+        printed = frozen_vector("denominator", self.denominator)
+        numerator, denominator = cancel_common_factors(frozen_vector("numerator", self.numerator), printed)
         if len(numerator) >= len(denominator):
             raise ParameterError("robot r(s)", _text(numerator, denominator), "strictly proper")
-        if np.any(np.roots(denominator).real >= 0.0):
+        # A cancelled pole on the right stays inside the robot, unseen and unstable.
+        if np.any(np.roots(printed).real >= 0.0):
             raise ParameterError("robot r(s)", _text(numerator, denominator), "stable (every pole left of the axis)")
         if abs(numerator[-1] / denominator[-1] - 1.0) > _UNIT_GAIN:
             raise ParameterError("r(0)", float(numerator[-1] / denominator[-1]), "1 (a position loop without offset)")
         object.__setattr__(self, "numerator", frozen_vector("numerator", numerator))
         object.__setattr__(self, "denominator", frozen_vector("denominator", denominator))
         object.__setattr__(self, "delay_s", non_negative("delay_s", self.delay_s))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, RobotModel) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def _key(self) -> tuple[bytes, bytes, float]:
+        return self.numerator.tobytes(), self.denominator.tobytes(), self.delay_s
 
     @classmethod
     def from_bandwidth(cls, *, bandwidth_rad_per_s: float, delay_s: float) -> "RobotModel":

@@ -16,6 +16,8 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _GRID_POINTS = 6000
+# The Tustin form has a zero at z = −1; what is left of it there is rounding, not a limit on the gain.
+_NO_LIMIT_DB = 200.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +39,9 @@ def sweep_margins(
     radius, count = 0.0, 0
     low, high = plants.environment_stiffness_n_per_m
     masses = np.unique(np.linspace(*plants.payload_mass_kg, mass))
-    grid = [(float(m), float(k)) for m in masses for k in np.unique(np.geomspace(low, high, stiffness))]
+    # Clipped, since the spacing by equal ratios may leave the interval by a rounding error.
+    stiffnesses = np.unique(np.clip(np.geomspace(low, high, stiffness), low, high))
+    grid = [(float(m), float(k)) for m in masses for k in stiffnesses]
     free = plants.in_free_space()
     for m, k in [*grid, *((float(m), 0.0) for m in masses)]:
         sampled = build_sampled_plant((plants if k > 0.0 else free).at(m, k), sample_time_s)
@@ -70,6 +74,8 @@ def _margins(sampled: SampledPlant, controller: AdmittanceController) -> tuple[d
         loops.append(factor * _ratio(z, closed, _eigenvalues(sampled, cut)) - 1.0)
     both = margins_on_grid(grid, np.array(loops))
     smallest = {name: float(np.min(values)) for name, values in both._asdict().items()}
+    if smallest["gain_db"] > _NO_LIMIT_DB:
+        smallest["gain_db"] = np.inf
     if sampled.plant.environment.is_free_space:
         closed = np.delete(closed, int(np.argmin(np.abs(closed - 1.0))))
     return smallest, float(np.max(np.abs(closed)))

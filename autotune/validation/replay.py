@@ -7,16 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from problems.contact import settling_samples
 from problems.controller import AdmittanceController
 from problems.plant import FREE_SPACE, Coupling, Payload, Plant, build_plant_matrices
 from problems.robot import RobotModel
-from problems.sampled import hold
+from problems.sampled import build_loop, build_sampled_plant, hold, spectral_radius
 
 FloatArray = NDArray[np.float64]
 
 _SUBSTEPS = 20
-_APPROACH_S = 0.8
-_AFTER_S = 1.6
+_SHORTEST_APPROACH_S = 0.8
+_SHORTEST_AFTER_S = 1.6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,14 +36,17 @@ def replay_contact(
     *,
     deadband_n: float = 0.0,
 ) -> Replay:
-    """Approach with F^d from rest, touch, and follow for 1.6 s; `deadband_n` is a threshold deadband on the force.
+    """Approach with F^d from rest, touch, and follow until rest; `deadband_n` is a threshold deadband on the force.
 
-    The plant advances in twentieths of a sample, contact begins and ends on that grid, and the delay is rounded to it.
+    Approach and contact each last as long as the slowest part of their loop needs to decay. The plant advances in
+    twentieths of a sample, contact begins and ends on that grid, and the delay is rounded to it.
     """
     step = _Stepper(plant, sample_time_s)
     law = DifferenceEquation(controller, sample_time_s)
     speed = desired_force_n / (controller.damping_n_s_per_m + plant.payload.drag_n_s_per_m)
-    start = -speed * _APPROACH_S
+    approach = _duration(plant.in_contact_with(FREE_SPACE), controller, sample_time_s, _SHORTEST_APPROACH_S)
+    after = _duration(plant, controller, sample_time_s, _SHORTEST_AFTER_S)
+    start = -speed * approach * sample_time_s
     n = len(step.c_force)
     state = np.zeros(n)
     state[0] = state[n - 2] = start
@@ -50,9 +54,12 @@ def replay_contact(
     late = round(plant.robot.delay_s / sample_time_s * _SUBSTEPS)
     commands = [start] * (math.ceil(late / _SUBSTEPS) + 1)
     sensor = contact = 0.0
-    for _ in range(round((_APPROACH_S + _AFTER_S) / sample_time_s)):
+    touched = False
+    for _ in range(approach + after):
         force = float(step.c_force @ state + step.d_force * commands[-1 - late // _SUBSTEPS])
-        if step.touching(state):
+        touched = touched or step.touching(state)
+        if touched:
+            # A payload that has left the wall again still shakes the sensor.
             sensor, contact = max(sensor, -force), max(contact, step.wall_force(state))
         felt = force if abs(force) > deadband_n else 0.0
         commands.append(law.step(desired_force_n + felt, float(step.c_position @ state)))
@@ -62,6 +69,12 @@ def replay_contact(
             state = step.advance(state, commands[-1 - age])
         commands = commands[-(late // _SUBSTEPS + 3) :]
     return Replay(peak_sensor_force_n=sensor, peak_contact_force_n=contact)
+
+
+def _duration(plant: Plant, controller: AdmittanceController, h: float, shortest_s: float) -> int:
+    """Return how many samples the loop needs to settle, a wall that is soft or a light damping taking longer."""
+    radius = spectral_radius(build_loop(build_sampled_plant(plant, h), controller))
+    return max(round(shortest_s / h), settling_samples(radius, h))
 
 
 class _Stepper:

@@ -16,7 +16,9 @@ START_NS = 1_700_000_000_000_000_000
 
 
 def clock(rate_hz: float, seconds: float, *, shift_ns: int = 0) -> Stamps:
-    stamps: Stamps = START_NS + shift_ns + np.round(np.arange(round(rate_hz * seconds)) * 1e9 / rate_hz).astype(np.int64)
+    stamps: Stamps = (
+        START_NS + shift_ns + np.round(np.arange(round(rate_hz * seconds)) * 1e9 / rate_hz).astype(np.int64)
+    )
     return stamps
 
 

@@ -82,9 +82,7 @@ def test_motion_of_a_millimetre_is_no_travel() -> None:
 
 
 def axis_of(position: FloatArray, force: FloatArray, *spans: Span) -> AxisMotion:
-    return AxisMotion(
-        name="x", direction_B=np.array([1.0, 0.0, 0.0]), position_m=position, force_n=force, spans=spans
-    )
+    return AxisMotion(name="x", direction_B=np.array([1.0, 0.0, 0.0]), position_m=position, force_n=force, spans=spans)
 
 
 def test_a_span_in_which_a_hand_did_work_is_left_out() -> None:

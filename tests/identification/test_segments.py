@@ -88,8 +88,12 @@ def test_a_reversal_is_part_of_the_motion() -> None:
 
 
 def test_a_short_stop_is_no_rest() -> None:
-    stop = find_motion(log_of(line(held(1.0), moved(0.6, 0.05), held(0.3, 0.05), 0.05 + moved(0.6, 0.05), held(1.0, 0.1))))
-    rest = find_motion(log_of(line(held(1.0), moved(0.6, 0.05), held(0.8, 0.05), 0.05 + moved(0.6, 0.05), held(1.0, 0.1))))
+    stop = find_motion(
+        log_of(line(held(1.0), moved(0.6, 0.05), held(0.3, 0.05), 0.05 + moved(0.6, 0.05), held(1.0, 0.1)))
+    )
+    rest = find_motion(
+        log_of(line(held(1.0), moved(0.6, 0.05), held(0.8, 0.05), 0.05 + moved(0.6, 0.05), held(1.0, 0.1)))
+    )
     assert len(stop.still) == 2
     assert len(rest.still) == 3
 

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,11 @@ from problems.evaluation import (
     PreparedScenarios,
     build_scenarios,
     evaluate_exactly,
-    normalise_admittance,
     normalise_margins,
     smallest_admittance,
 )
 from problems.margins import Margins, UnstableLoopError, find_margins
-from problems.plant import FREE_SPACE, Coupling
+from problems.plant import Coupling
 from problems.response import free_space_admittance
 from problems.sampled import build_loop, build_sampled_plant, spectral_radius
 from tests.problems.axes import PERIOD_S, one_pole
@@ -95,10 +95,10 @@ def test_what_is_not_asked_is_not_told() -> None:
         delay_margin_s=None,
         free_space_admittance=None,
     )
-    free = build_sampled_plant(problem().plant(problem().scenarios(1, 1)[0]).in_contact_with(FREE_SPACE), PERIOD_S)
     assert normalise_margins(nothing, margins(), PERIOD_S) == {}
-    assert normalise_admittance(nothing, free, problem().controller(GOOD)) == {}
-    found = prepared(requirements=nothing).evaluate(GOOD)
+    ready = prepared(requirements=nothing)
+    assert ready.achieved_admittance(ready.problem.controller(GOOD)) == {}
+    found = ready.evaluate(GOOD)
     assert found.requirements == {}
     assert found.is_feasible
     assert found.violation == 0.0
@@ -112,7 +112,7 @@ def test_the_admittance_requirement_is_the_smallest_over_the_band() -> None:
     found = smallest_admittance(ready.free[0], controller, band)
     # |G| is smooth below the first corner, and its minimum lies on an end of the band, which the grid holds.
     assert found == pytest.approx(dense, rel=1e-9)
-    requirement = normalise_admittance(EASY, ready.free[0], controller)
+    requirement = ready.achieved_admittance(controller)
     assert requirement == {"free_space_admittance": pytest.approx(1e-4 / dense, rel=1e-9)}
 
 
@@ -127,14 +127,21 @@ def test_every_scenario_is_evaluated_in_contact_and_in_free_space() -> None:
     assert found.spectral_radius == pytest.approx(
         max(spectral_radius(build_loop(side, controller)) for side in sides), abs=1e-12
     )
-    worst = min(find_margins(side, controller).modulus for side in sides)
-    exact = evaluate_exactly(ready, controller)
-    assert exact.requirements["modulus_margin"] == pytest.approx(0.4 / worst, rel=1e-14)
+    exact, one_by_one = evaluate_exactly(ready, controller), [find_margins(side, controller) for side in sides]
+    assert [each.margins for each in exact.margins] == one_by_one
+    assert [(each.payload_mass_kg, each.environment_stiffness_n_per_m) for each in exact.margins] == [
+        (side.plant.payload.mass_kg, side.plant.environment.stiffness_n_per_m) for side in sides
+    ]
+    worst = min(each.modulus for each in one_by_one)
+    assert exact.evaluation.requirements["modulus_margin"] == pytest.approx(0.4 / worst, rel=1e-14)
 
 
-def test_the_screening_grid_agrees_with_the_exact_margins_within_its_step() -> None:
-    ready = prepared()
-    fast, exact = ready.evaluate(GOOD), evaluate_exactly(ready, ready.problem.controller(GOOD))
+@pytest.mark.parametrize("design", [GOOD, (13.0, 1500.0, 0.02, 7.5e-3)])
+def test_the_screening_grid_agrees_with_the_exact_margins_within_its_step(
+    design: tuple[float, float, float, float],
+) -> None:
+    ready = prepared(requirements=replace(EASY, modulus_margin=0.2, gain_margin_db=2.0, phase_margin_deg=15.0))
+    fast, exact = ready.evaluate(design), evaluate_exactly(ready, ready.problem.controller(design)).evaluation
     assert (
         set(fast.requirements)
         == set(exact.requirements)
@@ -207,6 +214,19 @@ def test_free_space_alone_can_make_a_design_unstable() -> None:
     assert ready.evaluate(design).spectral_radius == pytest.approx(radii[1], abs=1e-12)
 
 
+def test_free_space_alone_can_hold_the_margin_down() -> None:
+    ready = prepared(drag_n_s_per_m=300.0, environment_stiffness_n_per_m=(1e5, 1e5), payload_mass_kg=(16.0, 16.0))
+    design = (10.0, 2000.0, 0.0, 0.0)
+    controller = ready.problem.controller(design)
+    contact, free = (find_margins(side, controller).modulus for side in (ready.pairs[0].contact, ready.free[0]))
+    assert free < 0.5 * contact
+    # The screening grid's step of 1.6 % is a small part of a minimum as wide as its depth of 0.2.
+    assert 0.4 / ready.evaluate(design).requirements["modulus_margin"] == pytest.approx(free, rel=0.01)
+    assert 0.4 / evaluate_exactly(ready, controller).evaluation.requirements["modulus_margin"] == pytest.approx(
+        free, rel=1e-14
+    )
+
+
 def test_a_missed_margin_gives_no_peak_unless_it_is_asked_for() -> None:
     ready = prepared(requirements=Requirements(phase_margin_deg=89.0, free_space_admittance=None))
     found = ready.evaluate(GOOD)
@@ -214,6 +234,12 @@ def test_a_missed_margin_gives_no_peak_unless_it_is_asked_for() -> None:
     assert not found.is_feasible
     assert found.violation == max(found.requirements.values()) - 1.0 > 0.0
     assert (found.peaks, found.objective_n) == ((), math.inf)
+    asked = ready.evaluate(GOOD, peaks_if_missed=True)
+    assert asked.requirements == found.requirements
+    assert not asked.is_feasible
+    # The peaks do not depend on what is required.
+    assert asked.objective_n == prepared().evaluate(GOOD).objective_n
+    assert ready.evaluate(UNSTABLE, peaks_if_missed=True).peaks == ()
 
 
 @pytest.mark.parametrize(("limit", "feasible"), [(1.001, True), (0.999, False)])

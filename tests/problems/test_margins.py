@@ -209,6 +209,24 @@ def test_a_synthetic_loop_has_its_textbook_margins() -> None:
     assert found.gain_db == pytest.approx(20.0 * math.log10(0.5 * math.pi), rel=1e-6)
 
 
+def test_a_loop_past_the_critical_point_needs_nearly_a_turn_of_delay_and_a_softer_gain() -> None:
+    """L = e^{−j200°}/ω, then a line through −2: the nearest way is back, which delay cannot go."""
+    grid = np.linspace(0.5, 2.0, 1001)
+    found = margins_on_grid(grid, np.asarray(np.exp(-1j * math.radians(200.0)) / grid, dtype=np.complex128))
+    # 1/ω against a straight line in ln ω over a step of 1e-3.
+    assert found.phase_deg == pytest.approx(20.0, rel=1e-9)
+    assert found.delay_s == pytest.approx(math.radians(340.0), rel=1e-5)
+    found = margins_on_grid(grid, np.asarray(-2.0 + 1j * (grid - 1.3), dtype=np.complex128))
+    assert found.gain_db == pytest.approx(20.0 * math.log10(2.0), rel=1e-12)
+
+
+def test_a_loop_that_ends_on_the_negative_axis_from_one_side_has_its_gain_margin_there() -> None:
+    """At Nyquist every loop is real, up to a rounding that need not change its sign."""
+    grid = np.linspace(0.1, 1.0, 100)
+    found = margins_on_grid(grid, np.asarray(-0.25 + 1j * np.linspace(1.0, 1e-17, 100)))
+    assert found.gain_db == pytest.approx(20.0 * math.log10(4.0), rel=1e-12)
+
+
 def test_what_no_crossover_limits_is_infinite() -> None:
     grid = np.linspace(0.1, 1.0, 100)
     found = margins_on_grid(grid, np.asarray(0.5 / (1.0 + 1j * grid), dtype=np.complex128))

@@ -78,9 +78,7 @@ def absent(note: str = "") -> Estimate:
 
 
 def known_vector(*values: float) -> VectorEstimate:
-    return VectorEstimate(
-        value=values, std=tuple(1e-3 for _ in values), status=Status.IDENTIFIED, method="by hand"
-    )
+    return VectorEstimate(value=values, std=tuple(1e-3 for _ in values), status=Status.IDENTIFIED, method="by hand")
 
 
 def identified_axis() -> AxisEstimate:
@@ -137,9 +135,7 @@ def write_plant(folder: Path) -> IdentifiedFile:
 @cache
 def fast_optimized() -> Optimized:
     """A small problem taken all the way to a validated controller."""
-    plant = IdentifiedFile(
-        result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64
-    )
+    plant = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
     return optimize(plant, FAST_SPEC, FAST_WISHES, seed=1)
 
 

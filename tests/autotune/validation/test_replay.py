@@ -1,0 +1,106 @@
+"""Replayed contacts against the exact transient of the ground floor."""
+
+import numpy as np
+import pytest
+
+from autotune.validation.replay import DifferenceEquation, replay_contact, robot_stepper
+from problems.contact import Approach, ContactTransient, build_sampled_contact, simulate_contact
+from problems.controller import AdmittanceController
+from problems.plant import Plant
+from problems.robot import RobotModel
+from problems.sampled import build_sampled_plant
+from tests.problems import reference
+from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
+
+# What validation allows between prediction and replay.
+STATED = 0.02
+TWO_POLES = RobotModel(numerator=np.array([900.0]), denominator=np.array([1.0, 42.0, 900.0]), delay_s=2.0e-3)
+
+
+def exact(plant: Plant, law: AdmittanceController, force: float) -> ContactTransient:
+    return simulate_contact(build_sampled_contact(build_sampled_plant(plant, PERIOD_S)), law, Approach(force_n=force))
+
+
+@pytest.mark.parametrize(
+    ("plant", "law"),
+    [
+        (paper_plant(stiffness=2e4), admittance(13.0, 1200.0, 0.013)),
+        (paper_plant(stiffness=1.5e5), admittance(20.0, 3500.0, 0.013)),
+        (paper_plant(stiffness=1.5e5, environment_damping=60.0, coupling_damping=150.0), admittance(20.0, 3500.0)),
+        (paper_plant(stiffness=4e4, robot=one_pole(0.0), coupling_damping=150.0), admittance(13.0, 2500.0, 0.013)),
+        (paper_plant(stiffness=8e4, robot=one_pole(2.7 * PERIOD_S)), admittance(13.0, 1800.0, 0.013, 0.006)),
+        (paper_plant(stiffness=8e4, robot=one_pole(0.4 * PERIOD_S)), admittance(13.0, 1800.0, 0.013)),
+        (paper_plant(stiffness=1e5, robot=TWO_POLES), admittance(20.0, 4000.0, 0.02)),
+    ],
+    ids=["soft", "stiff", "damped", "no delay", "fraction, feedback", "fraction below one sample", "two poles"],
+)
+def test_the_peaks_are_those_of_the_exact_transient(plant: Plant, law: AdmittanceController) -> None:
+    force = 30.0
+    predicted = exact(plant, law, force)
+    replayed = replay_contact(plant, law, PERIOD_S, force)
+    assert predicted.peak_contact_force_n > 1.02 * force  # there is a peak to speak of
+    assert replayed.peak_contact_force_n == pytest.approx(predicted.peak_contact_force_n, rel=STATED)
+    assert replayed.peak_sensor_force_n == pytest.approx(predicted.peak_sensor_force_n, rel=STATED)
+
+
+@pytest.mark.parametrize(
+    ("plant", "law"),
+    [
+        (paper_plant(stiffness=1.35e6, drag=95.0, coupling=3.7e4, mass=33.5), admittance(18.7, 2623.0, 0.0219)),
+        (paper_plant(stiffness=1.8e6, drag=84.0, coupling=1.36e5, mass=34.0), admittance(16.8, 1338.0, 0.0263)),
+        (paper_plant(stiffness=3.05e5, drag=114.0, coupling=5.55e4, mass=20.8), admittance(17.0, 1307.0, 0.00156)),
+    ],
+    ids=["sensor peak while away", "many bounces", "slow approach"],
+)
+def test_a_payload_that_bounces_off_is_followed(plant: Plant, law: AdmittanceController) -> None:
+    """The sensor may show its peak while the payload is away from the wall, and a late bounce may be the hardest."""
+    predicted = exact(plant, law, 30.0)
+    away = np.flatnonzero(predicted.contact_force_n[1:] == 0.0) + 1
+    assert np.any(np.diff(away) > 1)  # it left at least twice
+    replayed = replay_contact(plant, law, PERIOD_S, 30.0)
+    assert replayed.peak_contact_force_n == pytest.approx(predicted.peak_contact_force_n, rel=STATED)
+    assert replayed.peak_sensor_force_n == pytest.approx(predicted.peak_sensor_force_n, rel=STATED)
+
+
+def test_a_surface_so_soft_that_it_takes_seconds_is_followed_to_the_end() -> None:
+    plant, law = paper_plant(stiffness=2e3), admittance(13.0, 1500.0, 0.013)
+    predicted = exact(plant, law, 30.0)
+    assert predicted.time_of_peak_s > 3.0
+    replayed = replay_contact(plant, law, PERIOD_S, 30.0)
+    assert replayed.peak_contact_force_n == pytest.approx(predicted.peak_contact_force_n, rel=STATED)
+
+
+def test_without_a_deadband_peaks_grow_with_the_force() -> None:
+    """The wall is at 0 and everything else is linear: twice the force, twice the peak."""
+    plant, law = paper_plant(stiffness=1e5), admittance(20.0, 3500.0, 0.013)
+    once, twice = (replay_contact(plant, law, PERIOD_S, force) for force in (20.0, 40.0))
+    assert twice.peak_contact_force_n == pytest.approx(2.0 * once.peak_contact_force_n, rel=1e-3)
+
+
+def test_a_deadband_hides_what_is_below_it() -> None:
+    plant, law = paper_plant(stiffness=1e5), admittance(20.0, 3500.0, 0.013)
+    without, with_it = (replay_contact(plant, law, PERIOD_S, 30.0, deadband_n=d) for d in (0.0, 8.0))
+    # The controller learns of the contact later, so it presses harder.
+    assert with_it.peak_contact_force_n > without.peak_contact_force_n
+
+
+def test_the_difference_equation_is_the_one_of_the_paper() -> None:
+    law = admittance(13.0, 1000.0, 0.013, 0.008)
+    ours, printed = DifferenceEquation(law, PERIOD_S), reference.DifferenceEquation(law, PERIOD_S)
+    rng = np.random.default_rng(2)
+    forces, positions = rng.normal(size=300) * 20.0, np.cumsum(rng.normal(size=300)) * 1e-5
+    told = [(ours.step(f, x), printed.step(f, x)) for f, x in zip(forces, positions, strict=True)]
+    mine, theirs = np.array(told).T
+    np.testing.assert_allclose(mine, theirs, rtol=0.0, atol=1e-10 * float(np.max(np.abs(theirs))))
+
+
+@pytest.mark.parametrize("robot", [one_pole(), one_pole(0.0), one_pole(1.3 * PERIOD_S), TWO_POLES])
+def test_the_robot_alone_steps_like_the_whole_sampled_plant(robot: RobotModel) -> None:
+    sampled = build_sampled_plant(paper_plant(stiffness=0.0, robot=robot), PERIOD_S)
+    step, state, past = robot_stepper(robot, PERIOD_S), np.zeros(sampled.state_count), np.zeros(12)
+    commands = np.random.default_rng(4).normal(size=200)
+    for command in commands:
+        past = np.concatenate([[command], past[:-1]])
+        newer, older = past[sampled.whole_delay], past[sampled.whole_delay + 1]
+        state = sampled.phi @ state + sampled.gamma * newer + sampled.gamma_old * older
+        assert step(float(command)) == pytest.approx(float(sampled.c_position @ state), abs=1e-10)

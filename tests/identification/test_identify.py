@@ -1,0 +1,215 @@
+"""What the driver says of logs that lack something: a sentence that helps, and never a made-up number."""
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from autotune.cell.phases import Program
+from autotune.cell.simulate import simulate_cell
+from autotune.cell.truth import Cell
+from identification.errors import EstimateError, LogError
+from identification.identify import identify_cell
+from identification.recording import PoseSignal, Recording, WrenchSignal
+from identification.result import Estimate, Finding, Identified, Status, VectorEstimate
+
+
+def simulated(program: Program) -> Recording:
+    return simulate_cell(Cell(), program, seed=5).recording
+
+
+def finding(found: Identified, code: str) -> Finding:
+    (only,) = [f for f in found.findings if f.code == code]
+    return only
+
+
+def estimates(value: Any) -> Iterator[Estimate | VectorEstimate]:
+    """Every estimate in the tree."""
+    if isinstance(value, Estimate | VectorEstimate):
+        yield value
+    elif isinstance(value, Mapping):
+        for part in value.values():
+            yield from estimates(part)
+    elif isinstance(value, tuple):
+        for part in value:
+            yield from estimates(part)
+    elif dataclasses.is_dataclass(value):
+        for field in dataclasses.fields(value):
+            yield from estimates(getattr(value, field.name))
+
+
+def check_honesty(found: Identified) -> None:
+    """No value where nothing is known, a finite value with a finite deviation elsewhere."""
+    seen = list(estimates(found))
+    assert len(seen) > 6
+    for estimate in seen:
+        if estimate.status is Status.UNIDENTIFIABLE:
+            assert estimate.value is None
+            assert estimate.std is None
+            assert estimate.note
+        else:
+            assert estimate.value is not None
+            assert estimate.std is not None
+            assert np.all(np.isfinite(estimate.value))
+            assert np.all(np.isfinite(estimate.std))
+
+
+def sliced(signal: PoseSignal | WrenchSignal, keep: NDArray[np.bool_] | slice) -> Any:
+    arrays = {
+        field.name: getattr(signal, field.name)[keep]
+        for field in dataclasses.fields(signal)
+        if isinstance(getattr(signal, field.name), np.ndarray)
+    }
+    return dataclasses.replace(signal, **arrays)
+
+
+@pytest.fixture(scope="module")
+def complete(demo_recording: Recording) -> Identified:
+    return identify_cell(demo_recording)
+
+
+def test_a_complete_log_has_no_error_and_no_empty_number(complete: Identified) -> None:
+    check_honesty(complete)
+    assert [f for f in complete.findings if f.severity == "error"] == []
+
+
+def test_contacts_are_reported_as_left_out_of_gravity(complete: Identified) -> None:
+    told = finding(complete, "rests-with-contact")
+    assert told.severity == "info"
+    assert "did not fit the payload's weight" in told.message
+
+
+def test_a_log_without_contact_says_so_and_has_no_environment() -> None:
+    found = identify_cell(simulated(Program(contact_count=0)))
+    check_honesty(found)
+    told = finding(found, "no-contact")
+    assert told.severity == "error"
+    assert "no contact" in told.message
+    assert "Record 3 or more contacts" in told.advice
+    assert found.axes["x"].environments == ()
+    # The rest of the log is as good as ever.
+    assert found.axes["x"].coupling.stiffness_n_per_m.value == pytest.approx(
+        Cell().coupling.stiffness_n_per_m, rel=0.05
+    )
+
+
+def test_one_pose_is_not_enough_for_gravity() -> None:
+    with pytest.raises(EstimateError, match=r"at least 4 clearly different tool orientations.*found 1; record 6 to 12"):
+        identify_cell(simulated(Program(pose_count=1)))
+
+
+def test_three_poses_are_not_enough_either() -> None:
+    # Two tilted poses and the working orientation itself.
+    with pytest.raises(EstimateError, match=r"found 3; record"):
+        identify_cell(simulated(Program(pose_count=2)))
+
+
+def test_a_log_without_free_motion_has_no_coupling() -> None:
+    found = identify_cell(simulated(Program(jogging_s=0.0, sweep_s=0.0, contact_count=0)))
+    check_honesty(found)
+    assert found.axes == {}
+    told = finding(found, "no-travel")
+    assert told.severity == "error"
+    assert "sweep" in told.advice
+
+
+def test_contacts_alone_do_not_tell_the_coupling() -> None:
+    found = identify_cell(simulated(Program(jogging_s=0.0, sweep_s=0.0)))
+    check_honesty(found)
+    told = finding(found, "coupling")
+    assert told.severity == "error"
+    assert "Record a commanded sweep" in told.message
+    axis = found.axes["x"]
+    assert axis.coupling.stiffness_n_per_m.value is None
+    assert axis.environments == ()
+
+
+def test_a_log_without_command_has_no_robot(demo_recording: Recording, complete: Identified) -> None:
+    found = identify_cell(dataclasses.replace(demo_recording, command=None))
+    check_honesty(found)
+    told = finding(found, "no-command")
+    assert told.severity == "error"
+    assert "--command-topic" in told.advice
+    robot = found.axes["x"].robot
+    assert all(estimate.value is None for estimate in estimates(robot))
+    assert found.sample_time_s.status is Status.WEAK
+    assert found.axes["x"].coupling == complete.axes["x"].coupling
+
+
+def test_a_command_from_another_time_has_no_robot(demo_recording: Recording) -> None:
+    assert demo_recording.command is not None
+    command = demo_recording.command
+    late = dataclasses.replace(command, stamp_ns=command.stamp_ns + 10**12)
+    found = identify_cell(dataclasses.replace(demo_recording, command=late))
+    check_honesty(found)
+    assert "clocks are the same" in finding(found, "robot").message
+    assert found.axes["x"].robot.delay_s.value is None
+
+
+def test_a_pose_that_echoes_the_command_is_no_robot(demo_recording: Recording) -> None:
+    found = identify_cell(dataclasses.replace(demo_recording, command=demo_recording.pose))
+    check_honesty(found)
+    told = finding(found, "robot")
+    assert told.severity == "error"
+    assert "no echo of the command" in told.message
+    assert found.axes["x"].robot.denominator.value is None
+
+
+def test_a_constant_offset_between_command_and_pose_does_not_matter(
+    demo_recording: Recording, complete: Identified
+) -> None:
+    assert demo_recording.command is not None
+    command = demo_recording.command
+    moved = dataclasses.replace(command, position_m=command.position_m + np.array([1e-3, -2e-3, 5e-4]))
+    found = identify_cell(dataclasses.replace(demo_recording, command=moved)).axes["x"].robot
+    # Only the rounding of the shifted numbers differs.
+    assert found.bandwidth_hz.value == pytest.approx(complete.axes["x"].robot.bandwidth_hz.value, rel=1e-6)
+
+
+@pytest.mark.parametrize("shift_s", [-1000.0, 1000.0])
+def test_wrench_and_pose_of_different_times_are_refused(demo_recording: Recording, shift_s: float) -> None:
+    pose = demo_recording.pose
+    other = dataclasses.replace(pose, stamp_ns=pose.stamp_ns + int(shift_s * 1e9))
+    with pytest.raises(LogError, match="found 0.000 s in common .* header clocks are the same"):
+        identify_cell(dataclasses.replace(demo_recording, pose=other))
+
+
+@pytest.mark.parametrize("which", ["wrench", "pose", "command"])
+def test_a_hole_of_half_a_second_is_refused_with_its_place(demo_recording: Recording, which: str) -> None:
+    signal = getattr(demo_recording, which)
+    seconds = (signal.stamp_ns - signal.stamp_ns[0]) * 1e-9
+    holed = sliced(signal, (seconds < 12.0) | (seconds > 12.5))
+    with pytest.raises(LogError, match=rf"`{signal.topic}` has a gap of 0\.50\d s at 1[12]\.\d+ s.*record again"):
+        identify_cell(dataclasses.replace(demo_recording, **{which: holed}))
+
+
+def test_a_flipped_wrench_is_refused(demo_recording: Recording) -> None:
+    wrench = demo_recording.wrench
+    flipped = dataclasses.replace(wrench, force_n=-wrench.force_n, torque_n_m=-wrench.torque_n_m)
+    with pytest.raises(EstimateError, match="opposite sign"):
+        identify_cell(dataclasses.replace(demo_recording, wrench=flipped))
+
+
+def test_millimetres_are_not_mistaken_for_metres(demo_recording: Recording) -> None:
+    """In millimetres the encoder's noise alone is faster than anything at rest may be."""
+    pose = demo_recording.pose
+    with pytest.raises(EstimateError, match=r"never at rest in this log.*positions are in metres"):
+        identify_cell(
+            dataclasses.replace(demo_recording, pose=dataclasses.replace(pose, position_m=1e3 * pose.position_m))
+        )
+
+
+def test_a_wrench_after_a_deadband_is_noticed(demo_recording: Recording) -> None:
+    wrench = demo_recording.wrench
+    cut = np.where(np.abs(wrench.force_n) < 12.0, 0.0, wrench.force_n)
+    found = identify_cell(dataclasses.replace(demo_recording, wrench=dataclasses.replace(wrench, force_n=cut)))
+    check_honesty(found)
+    assert found.sensor.deadband_n.value is None
+    assert "a deadband was applied" in found.sensor.deadband_n.note
+
+
+def test_the_same_recording_gives_the_same_numbers(demo_recording: Recording, complete: Identified) -> None:
+    assert identify_cell(demo_recording) == complete
