@@ -18,6 +18,10 @@ _POSE_RATE_SHARE = 0.12
 _SHORTEST_S = 2.0
 _LINEAR_ROUNDS = 6
 _POOR_FIT = 0.15
+_SLOW_HZ = 5.0
+_RESONANCES_HZ = (8.0, 20.0, 50.0)
+_NOISE_ALONE = 1.1
+_INDEPENDENT_MISFITS = 40.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,28 +119,33 @@ def _fit_coupling(motions: Sequence[FreeMotion], period_s: float, highest: float
     The spans start and end at rest, so their transforms have no leakage.
     """
     s, position, force = _spectra(motions, period_s, highest)
-    values = _starting_point(s, position, force)
-    critical = 2.0 * np.sqrt(values[0] * values[3])
     # Dampings may be zero; stiffness and mass may not. Each is counted in a size of its own.
-    size = np.array([values[0], 0.1 * critical, 0.1 * critical, values[3]])
     low, high = np.array([1e-4, 0.0, 0.0, 1e-4]), np.full(4, 1e6)
 
-    def residual(scaled: FloatArray) -> FloatArray:
-        difference = force - felt_impedance(scaled * size, s) * position
-        difference = _weights(scaled * size, s, noise) * difference
-        return np.concatenate([difference.real, difference.imag])
+    def fitted(start: FloatArray) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+        critical = 2.0 * np.sqrt(start[0] * start[3])
+        size = np.array([start[0], 0.1 * critical, 0.1 * critical, start[3]])
 
-    found = least_squares(residual, np.clip(values / size, low + 1e-6, 0.5 * high), bounds=(low, high))
-    values = found.x * size
-    variance = max(float(2.0 * found.cost) / (len(found.fun) - 4), 1.0)
-    jacobian = found.jac / size
+        def residual(scaled: FloatArray) -> FloatArray:
+            difference = force - felt_impedance(scaled * size, s) * position
+            difference = _weights(scaled * size, s, noise) * difference
+            return np.concatenate([difference.real, difference.imag])
+
+        found = least_squares(residual, np.clip(start / size, low + 1e-6, 0.5 * high), bounds=(low, high))
+        return float(found.cost), found.x * size, found.jac / size, found.fun
+
+    starts = [_starting_point(s, position, force), *_resonant_starts(s, position, force)]
+    cost, values, jacobian, residuals = min((fitted(start) for start in starts), key=lambda fit: fit[0])
+    mean_square = 2.0 * cost / (len(residuals) - 4)
+    # What exceeds the noise is no noise: it is smooth over the band, worth a few independent values only.
+    variance = max(mean_square, 1.0) + max(mean_square - _NOISE_ALONE, 0.0) * len(residuals) / _INDEPENDENT_MISFITS
     return CouplingFit(
         stiffness_n_per_m=float(values[0]),
         damping_n_s_per_m=float(values[1]),
         drag_n_s_per_m=float(values[2]),
         mass_kg=float(values[3]),
         covariance=variance * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True),
-        fit_error=float(np.linalg.norm(found.fun) / np.linalg.norm(_weights(values, s, noise) * force)),
+        fit_error=float(np.linalg.norm(residuals) / np.linalg.norm(_weights(values, s, noise) * force)),
         band_hz=(_LOWEST_HZ, highest),
     )
 
@@ -159,6 +168,20 @@ def _starting_point(s: ComplexArray, position: ComplexArray, force: ComplexArray
     _, a0, b3, b2, b1 = solution
     stiffness, square = max(b2, 1.0), max(a0, 1e-6) * size**2
     return np.maximum([stiffness, b3 / size, b1 * size / square, stiffness / square], [1.0, 1.0, 1.0, 1e-3])
+
+
+def _resonant_starts(s: ComplexArray, position: ComplexArray, force: ComplexArray) -> list[FloatArray]:
+    """Return starts with the mass and drag that the slow half shows, and a resonance at several frequencies.
+
+    Where the pose's noise hides the spring, the linear equations of `_starting_point` find a spring that is not there.
+    """
+    slow = np.abs(s) <= 2.0 * np.pi * _SLOW_HZ
+    columns = np.column_stack([s * position, s * s * position])[slow]
+    stacked = np.concatenate([columns.real, columns.imag])
+    drag, mass = np.linalg.lstsq(stacked, np.concatenate([-force[slow].real, -force[slow].imag]), rcond=None)[0]
+    mass, drag = max(float(mass), 1e-3), max(float(drag), 1.0)
+    resonances = 2.0 * np.pi * np.array(_RESONANCES_HZ)
+    return [np.array([mass * w * w, 0.1 * mass * w, drag, mass]) for w in resonances]
 
 
 def _spectra(

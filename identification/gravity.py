@@ -94,8 +94,8 @@ def identify_gravity(poses: tuple[StaticPose, ...]) -> GravityFit:
     """
     if not poses:
         raise EstimateError(
-            "Gravity identification needs rests of 0.4 s or more, and the tool is never at rest in this log; record 6 to "
-            "12 poses of 1 s each, and check that positions are in metres and that nothing shakes the sensor."
+            "Gravity identification needs rests of 0.4 s or more, and the tool is never at rest in this log; record "
+            "6 to 12 poses of 1 s each, and check that positions are in metres and that nothing shakes the sensor."
         )
     distinct = _distinct_count(poses)
     if distinct < 4:

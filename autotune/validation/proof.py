@@ -229,8 +229,9 @@ class _VaryingLoop:
         command = 0.0 if sampled.whole_delay > 0 else float(np.linalg.norm(loop.a[n])) if sampled.chain_length else 0.0
         if sampled.chain_length == 0:
             # Without delay the command row is spread over the plant rows: gamma·command is those rows less phi.
-            spread = float(np.linalg.norm(loop.a[:n]) + np.linalg.norm(sampled.phi))
-            command = spread / max(float(np.linalg.norm(sampled.gamma)), 1e-300)
+            spread = loop.a[:n].copy()
+            spread[:, :n] -= sampled.phi
+            command = float(np.linalg.norm(spread)) / max(float(np.linalg.norm(sampled.gamma)), 1e-300)
         deflation = 1.0
         if self.free:
             shift = loop.translation / np.max(np.abs(loop.translation))

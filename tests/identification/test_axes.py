@@ -25,7 +25,7 @@ def log_of(position_S_m: FloatArray, orientation: Rotation | None = None) -> Ali
     return AlignedLog(
         start_ns=10**18,
         period_s=H_S,
-        time_s=np.arange(n) * H_S,
+        time_s=np.asarray(np.arange(n) * H_S, dtype=np.float64),
         force_S_n=np.zeros((n, 3)),
         torque_S_n_m=np.zeros((n, 3)),
         position_B_m=ORIENTATION.apply(position_S_m),
@@ -154,5 +154,5 @@ def test_a_command_that_covers_half_of_the_motion_is_refused() -> None:
         position_m=command.position_m[:half],
         quaternion_xyzw=command.quaternion_xyzw[:half],
     )
-    with pytest.raises(EstimateError, match="must cover the .* s in which the tool moves"):
+    with pytest.raises(EstimateError, match=r"must cover the .* s in which the tool moves"):
         commanded_motion(recording, part, log, axis)

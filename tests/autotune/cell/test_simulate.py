@@ -228,6 +228,42 @@ def test_turning_adds_the_inertia_of_the_payload() -> None:
     assert np.max(np.abs(shown - expected)) < 0.02 * np.max(np.abs(expected))
 
 
+def test_turning_adds_the_force_that_swings_the_centre_of_mass() -> None:
+    """F = m (g − a) of the centre of mass, its acceleration by differences of its path."""
+    run = simulate_cell(silent(Cell()), Program(pose_count=2, jogging_s=0.0, sweep_s=0.0, contact_count=0), seed=4)
+    assert run.recording.command is not None
+    h, turned = run.cell.sample_time_s, rotation_matrices(run.recording.command.quaternion_xyzw)
+    path = turned @ np.array(run.cell.com_S_m)
+    acceleration = np.gradient(np.gradient(path, h, axis=0), h, axis=0)
+    expected = np.einsum("nji,nj->ni", turned, -run.cell.payload_mass_kg * acceleration)
+    shown = run.recording.wrench.force_n - run.cell.force_bias_S_n - weight_S_n(run)
+    # As above: (ω h)², and one sample where the jerk jumps.
+    assert np.max(np.abs(expected)) > 10.0
+    assert np.max(np.abs(shown - expected)) < 0.02 * np.max(np.abs(expected))
+
+
+def test_a_hand_pushes_on_while_the_contact_begins() -> None:
+    cell, n = silent(Cell(**{**Cell().__dict__, "wall_distance_m": 1e-4})), 1000
+    zeros, hand = np.zeros(n), np.full(n, 60.0)
+    script = Script(
+        rotation_rad=np.zeros((n, 3)),
+        admittance=np.zeros(n, dtype=bool),
+        command_m=zeros,
+        desired_force_n=zeros,
+        hand_force_n=hand,
+        homing_n_per_m=zeros,
+    )
+    a = run_axis(cell, script, zeros)
+    touching = a.contact_force_n > 0.0
+    assert np.any(touching[1:] & ~touching[:-1])
+    assert np.ptp(a.flange_m) == 0.0  # a position-controlled robot does not give way
+    load = a.contact_force_n + cell.drag_n_s_per_m * a.payload_velocity_m_s + a.force_n
+    balance = cell.payload_mass_kg * np.diff(a.payload_velocity_m_s) / cell.sample_time_s
+    residual = balance - (hand[:-1] - 0.5 * (load[1:] + load[:-1]))
+    # Where contact begins F_e jumps by B_e v and bends by K_e v h: at 10 mm/s less than 2 N of the hand's 60.
+    assert np.max(np.abs(residual)) < 2.0
+
+
 def test_the_controller_ignores_forces_inside_its_deadband() -> None:
     cell = silent(Cell())
     n = 2000

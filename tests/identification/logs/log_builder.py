@@ -92,7 +92,7 @@ def write_mcap(path: Path, streams: Sequence[Stream], options: Options | None = 
             writer.write_message(
                 stream.topic, schemas[stream.type_name], as_dict(stream, index), log_time=int(stream.log_ns[index])
             )
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
     return path
 
 
