@@ -285,7 +285,10 @@ class Search:
 
 def _told(evaluation: Evaluation) -> str:
     missed = [(name, value) for name, value in evaluation.requirements.items() if value > 1.0]
-    return ", ".join(f"{name} (only {min(100.0 / value, 99.9):.3g} % of what is asked)" for name, value in missed) or "a peak"
+    return (
+        ", ".join(f"{name} (only {min(100.0 / value, 99.9):.3g} % of what is asked)" for name, value in missed)
+        or "a peak"
+    )
 
 
 def _spread(units: list[FloatArray]) -> list[FloatArray]:

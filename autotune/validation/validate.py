@@ -308,8 +308,7 @@ def _peaks(
         axis=name,
         name="peak force",
         passed=not wrong,
-        message="; ".join(wrong)
-        or f"{len(scenarios)} contacts replayed, largest {largest:.1f} N, as predicted",
+        message="; ".join(wrong) or f"{len(scenarios)} contacts replayed, largest {largest:.1f} N, as predicted",
     )
 
 

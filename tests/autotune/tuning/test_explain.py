@@ -46,7 +46,8 @@ def test_easing_the_admittance_and_the_peak() -> None:
     problem = design_problem(requirements=Requirements(free_space_admittance=target, max_peak_force_n=100.0))
     eased = relaxed(problem, "free_space_admittance", 0.01).requirements.free_space_admittance
     assert eased is not None
-    assert (eased.min_m_s_per_n, eased.band_hz) == (pytest.approx(9.9e-4), (0.2, 3.0))
+    assert eased.min_m_s_per_n == pytest.approx(9.9e-4)
+    assert eased.band_hz == (0.2, 3.0)
     # A limit from above is eased upwards.
     assert relaxed(problem, "max_peak_force_n", 0.01).requirements.max_peak_force_n == pytest.approx(101.0)
     without = design_problem(requirements=Requirements(free_space_admittance=None))

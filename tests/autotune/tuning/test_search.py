@@ -47,7 +47,11 @@ def test_the_design_is_feasible_on_a_random_grid_twenty_times_as_dense() -> None
     count = 20 * 33
     scenarios = [
         Scenario(environment_stiffness_n_per_m=float(k), payload_mass_kg=float(m))
-        for k, m in zip(np.exp(rng.uniform(*np.log(STIFFNESS), count)), rng.uniform(*MASS, count), strict=True)
+        for k, m in zip(
+            np.exp(rng.uniform(np.log(STIFFNESS[0]), np.log(STIFFNESS[1]), count)),
+            rng.uniform(*MASS, count),
+            strict=True,
+        )
     ]
     problem = found.problem
     radius, largest = 0.0, 0.0

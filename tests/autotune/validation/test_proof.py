@@ -1,7 +1,5 @@
 """The proof of stability against eigenvalues: it may be silent, but it may not be wrong."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -26,10 +24,9 @@ EVERY_KIND = pytest.mark.parametrize(
 
 
 @pytest.fixture(autouse=True)
-def _few_cells(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def _few_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     """Give up sooner than in use: what is shown here needs some hundreds of cells, not thousands."""
     monkeypatch.setattr(proof_module, "_MOST_CELLS", 800)
-    yield
 
 
 def gentle_controllers() -> st.SearchStrategy[AdmittanceController]:

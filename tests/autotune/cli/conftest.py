@@ -1,0 +1,51 @@
+"""Logs of simulated cells, good and unusable, each written once."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from autotune.cell.phases import Program
+from autotune.cell.simulate import simulate_cell
+from autotune.cell.truth import Cell
+from autotune.cell.write import write_mcap
+from identification.recording import Recording
+
+SHORT = Program(pose_count=6, pose_hold_s=0.7, pose_move_s=0.6, jogging_s=0.0, sweep_s=5.0, contact_count=2)
+NO_CONTACT = replace(SHORT, contact_count=0)
+ONE_POSE = replace(SHORT, pose_count=1, contact_count=1)
+
+
+def recorded(program: Program) -> Recording:
+    return simulate_cell(Cell(), program, seed=2).recording
+
+
+def _with_nan(recording: Recording) -> Recording:
+    force = np.array(recording.wrench.force_n)
+    force[12000:12050] = np.nan
+    return replace(recording, wrench=replace(recording.wrench, force_n=force))
+
+
+@pytest.fixture(scope="session")
+def good_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short log that holds all that `identify` needs."""
+    path = tmp_path_factory.mktemp("good") / "cell.mcap"
+    write_mcap(recorded(SHORT), path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def unusable_logs(tmp_path_factory: pytest.TempPathFactory, good_log: Path) -> Path:
+    """A folder of logs that each lack one thing; the name tells which."""
+    folder = tmp_path_factory.mktemp("unusable")
+    no_contact = recorded(NO_CONTACT)
+    write_mcap(no_contact, folder / "no_contact.mcap")
+    write_mcap(_with_nan(no_contact), folder / "nan_burst.mcap")
+    write_mcap(replace(no_contact, command=None), folder / "no_command.mcap")
+    write_mcap(recorded(ONE_POSE), folder / "one_pose.mcap")
+    whole = good_log.read_bytes()
+    (folder / "truncated.mcap").write_bytes(whole[: int(0.6 * len(whole))])
+    (folder / "no_log.mcap").write_bytes(b"this is not a log")
+    (folder / "empty.mcap").write_bytes(b"")
+    return folder

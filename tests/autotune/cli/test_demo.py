@@ -1,0 +1,101 @@
+"""`autotune demo`: the whole chain, once as users run it and once on a short program."""
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from autotune import demo as demo_module
+from autotune.cli.main import main
+from autotune.demo import STEPS, DemoResult, run_demo
+from autotune.files.controller import read_controller
+from autotune.files.identified import read_identified
+from autotune.files.yaml12 import load_yaml
+from tests.autotune.cli.conftest import SHORT
+from tests.autotune.tuning.cases import FAST_SPEC, FAST_WISHES
+
+RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+def test_the_demo_as_users_run_it(run_cli: RunCli, tmp_path: Path) -> None:
+    done = run_cli("demo", "out", "--json", timeout_s=300.0)
+    assert done.returncode == 0, done.stderr
+    tree = json.loads(done.stdout)
+    assert [line.removesuffix(" ...") for line in done.stderr.splitlines()] == list(STEPS)
+    by_name = {row["name"]: row for row in tree["identified"]}
+    for name in ("payload mass M_p", "coupling stiffness K_s", "environment stiffness K_e"):
+        assert by_name[name]["value"] == pytest.approx(by_name[name]["truth"], rel=0.05)
+        assert abs(by_name[name]["value"] - by_name[name]["truth"]) < 5.0 * by_name[name]["std"]
+    assert all(check["passed"] for check in tree["checks"])
+    assert tree["active"]["x"]
+    names = {"cell.mcap", "identified.yaml", "controller.yaml", "controller.json"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == names
+    assert {Path(path).name for path in tree["files"].values()} == names
+    assert tree["controller"] == load_yaml(tmp_path / "out" / "controller.yaml")
+    # The truth lies in the domain for which the controller is certified.
+    domain = read_controller(tmp_path / "out" / "controller.yaml").controller.certificate.domain["x"]
+    low, high = domain.environment_stiffness_n_per_m
+    assert low < 1e3 * by_name["environment stiffness K_e"]["truth"] < high
+    low, high = domain.payload_mass_kg
+    assert low < by_name["payload mass M_p"]["truth"] < high
+
+
+@pytest.fixture(scope="module")
+def brief(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoResult, list[str]]:
+    """A short program and a small search over files of an earlier run, and the steps that were told."""
+    folder = tmp_path_factory.mktemp("demo") / "deep"
+    folder.mkdir()
+    (folder / "controller.yaml").write_text("from an earlier run\n", encoding="utf-8")
+    steps: list[str] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(demo_module, "Program", lambda: SHORT)
+        patch.setattr(demo_module, "ProblemSpec", lambda: FAST_SPEC)
+        patch.setattr(demo_module, "Wishes", lambda: FAST_WISHES)
+        return run_demo(folder, seed=3, step=steps.append), steps
+
+
+def test_the_files_of_an_earlier_run_are_replaced(brief: tuple[DemoResult, list[str]]) -> None:
+    found, steps = brief
+    assert steps == list(STEPS)
+    assert found.report.passed
+    written = read_controller(found.files.controller)
+    assert written.checksum == found.checksum == read_controller(found.files.twin).checksum
+    assert written.controller == found.optimized.controller
+    assert written.controller.provenance["options"]["seed"] == 3
+    source = read_identified(found.files.identified)
+    assert written.controller.provenance["identified"]["sha256"] == source.sha256
+    assert Path(source.provenance["logs"][0]["path"]) == found.files.log
+
+
+def test_people_see_a_summary(
+    brief: tuple[DemoResult, list[str]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found, _ = brief
+    monkeypatch.setattr(demo_module, "run_demo", lambda *_args, **_options: found)
+    assert main(["demo", "anywhere"]) == 0
+    told = capsys.readouterr().out
+    for expected in (
+        "beside the truth of the simulation",
+        "payload mass M_p",
+        "worst predicted peak",
+        "holds the peak up",
+        "stability in contact: proved for every M_p",
+        str(found.files.log),
+        found.checksum[:8],
+    ):
+        assert expected in told
+    assert main(["demo", "anywhere", "--quiet"]) == 0
+    quiet = capsys.readouterr()
+    assert (quiet.out, quiet.err) == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"), [(["file.txt"], "is a file"), (["out", "--seed", "-1"], "seed"), (["a", "b"], "unexpected")]
+)
+def test_a_wrong_request_is_exit_2(run_cli: RunCli, tmp_path: Path, arguments: list[str], told: str) -> None:
+    (tmp_path / "file.txt").write_text("", encoding="utf-8")
+    done = run_cli("demo", *arguments)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert told in done.stderr

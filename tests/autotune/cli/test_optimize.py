@@ -1,0 +1,139 @@
+"""`autotune optimize` through the real entry point."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from autotune.files.controller import read_controller, short
+from autotune.files.yaml12 import load_yaml
+from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
+
+RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+@pytest.fixture(scope="module")
+def first_run(tmp_path_factory: pytest.TempPathFactory, repository: Path) -> tuple[Path, str, str]:
+    """One run: where, standard output, standard error."""
+    folder = tmp_path_factory.mktemp("optimize")
+    prepare(folder)
+    done = subprocess.run(
+        [sys.executable, "-m", "autotune", "optimize", "identified.yaml", "--problem", "problem.yaml"],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(repository)},
+        check=True,
+    )
+    return folder, done.stdout, done.stderr
+
+
+def prepare(folder: Path, problem: str = FAST_PROBLEM_YAML) -> None:
+    write_plant(folder)
+    (folder / "problem.yaml").write_text(problem, encoding="utf-8")
+
+
+def test_people_see_gains_peaks_what_holds_them_up_and_the_checks(first_run: tuple[Path, str, str]) -> None:
+    folder, told, aside = first_run
+    assert aside == ""
+    lines = told.splitlines()
+    assert lines[0].startswith("axis x: M_a 6 kg, B_a ")
+    assert "peak at contact [N]" in lines[1]
+    assert any("holds the peak up: easing it by 1 % saves" in line for line in lines)
+    assert sum(line.startswith("  ok ") for line in lines) == 8
+    digest = read_controller(folder / "controller.yaml").checksum
+    assert lines[-1] == f"written: controller.yaml, checksum {short(digest)}"
+
+
+def test_the_file_is_validated_and_validates(run_cli: RunCli, first_run: tuple[Path, str, str]) -> None:
+    done = run_cli("validate", first_run[0] / "controller.yaml", "--identified", first_run[0] / "identified.yaml")
+    # The identified surface of 1.1e5 N/m lies in the range that was asked, 1e5 to 1.2e5; the payload is 16 kg exactly.
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_json_is_the_tree_of_the_file_and_the_same_seed_gives_the_same_bytes(
+    run_cli: RunCli, tmp_path: Path, first_run: tuple[Path, str, str]
+) -> None:
+    prepare(tmp_path)
+    done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml", "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    tree = json.loads(done.stdout)
+    active = tree.pop("active")
+    assert tree == load_yaml(tmp_path / "controller.yaml")
+    assert {entry["name"] for entry in active["x"]} <= set(tree["certificate"]["requirements"]) | {
+        f"{side} bound of {name}" for side in ("lower", "upper") for name in ("damping", "lead_s")
+    }
+    assert (tmp_path / "controller.yaml").read_bytes() == (first_run[0] / "controller.yaml").read_bytes()
+
+
+def test_quiet_and_the_ranges_of_the_command_line(run_cli: RunCli, tmp_path: Path) -> None:
+    prepare(tmp_path)
+    ranges = ["--payload-mass", "16.1", "--environment-stiffness", "9e4:1.0e5", "--seed", "3"]
+    done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml", *ranges, "--quiet", "-o", "c.yaml")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    controller = read_controller(tmp_path / "c.yaml").controller
+    domain = controller.certificate.domain["x"]
+    assert (domain.payload_mass_kg, domain.environment_stiffness_n_per_m) == ((16.1, 16.1), (9e4, 1e5))
+    assert controller.provenance["options"]["seed"] == 3
+    assert not (tmp_path / "controller.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("requirements", "named"),
+    [
+        ("modulus_margin: 0.99", "modulus_margin (only "),
+        ("free_space_admittance: {min_m_s_per_n: 1e-2, band_hz: [1, 2]}", "free_space_admittance (only "),
+        ("max_peak_force_n: 31", "max_peak_force_n (only "),
+    ],
+)
+def test_what_cannot_be_met_is_exit_5_with_the_reason_and_no_file(
+    run_cli: RunCli, tmp_path: Path, requirements: str, named: str
+) -> None:
+    prepare(tmp_path, FAST_PROBLEM_YAML.split("requirements:")[0] + f"requirements:\n  {requirements}\n")
+    (tmp_path / "controller.yaml").write_text("from an earlier run\n", encoding="utf-8")
+    done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (5, "", 1)
+    assert named in done.stderr
+    assert (tmp_path / "controller.yaml").read_text(encoding="utf-8") == "from an earlier run\n"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["controller.yaml", "identified.yaml", "problem.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ([], "Missing argument 'IDENTIFIED'"),
+        (["absent.yaml"], "absent.yaml cannot be read"),
+        (["identified.yaml", "--problem", "absent.yaml"], "absent.yaml cannot be read"),
+        (["identified.yaml", "--payload-mass", "heavy"], "'heavy' is not a number"),
+        (["identified.yaml", "--payload-mass", "12,10"], "the lower one first; found 12 and 10"),
+        (["identified.yaml", "--payload-mass", "1,2,3"], "give one mass, or two"),
+        (["identified.yaml", "--payload-mass", "0"], "above 0"),
+        (["identified.yaml", "--payload-mass", "nan"], "finite"),
+        (["identified.yaml", "--environment-stiffness", "1e5"], "give a range as LOW:HIGH"),
+        (["identified.yaml", "--environment-stiffness", "2e5:1e5"], "the lower one first"),
+        (["identified.yaml", "--environment-stiffness", "1e5:inf"], "finite"),
+        (["identified.yaml", "--seed", "-1"], "seed"),
+        (["identified.yaml", "--seed", "one"], "seed"),
+        (["problem.yaml"], "format must be autotune/identified"),
+        (["identified.yaml", "--problem", "identified.yaml"], "identified.yaml, line 1"),
+        (["identified.yaml", "--problem", "wrong.yaml"], "wrong.yaml, line 2: bounds.weight must be one of"),
+    ],
+)
+def test_a_wrong_request_is_exit_2(run_cli: RunCli, tmp_path: Path, arguments: list[str], told: str) -> None:
+    prepare(tmp_path)
+    (tmp_path / "wrong.yaml").write_text("bounds:\n  weight: [1, 2]\n", encoding="utf-8")
+    done = run_cli("optimize", *arguments)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert told in done.stderr
+    assert not (tmp_path / "controller.yaml").exists()
+
+
+def test_an_axis_that_was_not_identified_is_exit_2(run_cli: RunCli, tmp_path: Path) -> None:
+    prepare(tmp_path, "axis: y\n")
+    done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "autotune: Axis y is not in the identified file; it holds x.\n"

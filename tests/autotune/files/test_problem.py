@@ -1,0 +1,157 @@
+"""`problem.yaml`: what it may say, and the refusal with file and line of everything else."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+
+from autotune.errors import UsageError
+from autotune.files.problem import ProblemSpec, read_problem
+from autotune.files.schema import load_schema
+from problems.contact import Approach
+from problems.design import VARIABLES, AdmittanceTarget, Requirements
+from tests.problems.axes import LAW
+
+WHOLE = """\
+format: autotune/problem
+version: 1
+axis: z
+bounds:
+  mass: [5, 20]
+  damping: [550.0, 2.0e3]
+  lead_s: [0, 0.025]
+  feedback_damping_s: [0, 0.0075]
+approach: {speed_m_s: 0.02}
+environment_stiffness_n_per_m: [2e4, 5e5]
+payload_mass_kg: [10, 22]
+requirements:
+  modulus_margin: 0.45
+  gain_margin_db: 5
+  phase_margin_deg: null
+  delay_margin_s: 2e-5
+  decay_rate_per_s: 3
+  max_peak_force_n: 120
+  free_space_admittance: {min_m_s_per_n: 5e-4, band_hz: [0.2, 3]}
+objective: sensor_force
+"""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "problem.yaml"
+
+
+def read(path: Path, text: str) -> ProblemSpec:
+    path.write_text(text, encoding="utf-8")
+    return read_problem(path)
+
+
+def refusal(path: Path, text: str) -> str:
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(UsageError) as caught:
+        read_problem(path)
+    return str(caught.value)
+
+
+def test_the_schema_is_one() -> None:
+    Draft202012Validator.check_schema(load_schema("problem"))
+    assert set(load_schema("problem")["properties"]["bounds"]["properties"]) == set(VARIABLES)
+
+
+def test_everything_can_be_said(path: Path) -> None:
+    spec = read(path, WHOLE)
+    assert spec == ProblemSpec(
+        axis="z",
+        bounds={
+            "mass": (5.0, 20.0),
+            "damping": (550.0, 2000.0),
+            "lead_s": (0.0, 0.025),
+            "feedback_damping_s": (0.0, 0.0075),
+        },
+        approach=Approach(speed_m_s=0.02),
+        environment_stiffness_n_per_m=(2e4, 5e5),
+        payload_mass_kg=(10.0, 22.0),
+        requirements=Requirements(
+            modulus_margin=0.45,
+            gain_margin_db=5.0,
+            phase_margin_deg=None,
+            delay_margin_s=2e-5,
+            decay_rate_per_s=3.0,
+            max_peak_force_n=120.0,
+            free_space_admittance=AdmittanceTarget(min_m_s_per_n=5e-4, band_hz=(0.2, 3.0)),
+        ),
+        objective="sensor_force",
+    )
+
+
+def test_json_is_yaml(path: Path) -> None:
+    assert read(path, '{"payload_mass_kg": [10, 22]}') == ProblemSpec(payload_mass_kg=(10.0, 22.0))
+
+
+@pytest.mark.parametrize("text", ["{}", "format: autotune/problem\n", "requirements: {}\nbounds: {}\n"])
+def test_everything_has_a_default(path: Path, text: str) -> None:
+    assert read(path, text) == ProblemSpec()
+
+
+def test_null_asks_for_nothing_and_absence_for_the_default(path: Path) -> None:
+    asked = read(path, "requirements: {modulus_margin: null, free_space_admittance: null}\n").requirements
+    assert (asked.modulus_margin, asked.free_space_admittance) == (None, None)
+    assert asked.gain_margin_db == Requirements().gain_margin_db
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "told"),
+    [
+        ("axis: w\n", 1, "axis must be one of x, y, z"),
+        ("bounds:\n  mass: [5, 20]\n  stiffness: [1, 2]\n", 3, "bounds.stiffness must be one of mass"),
+        ("bounds:\n  mass: [20, 5]\n", 2, "bounds.mass must be [low, high], found 20 above 5"),
+        ("payload_mass_kg: [22, 10]\n", 1, "payload_mass_kg must be [low, high]"),
+        ("payload_mass_kg: 16\n", 1, "payload_mass_kg must be a list"),
+        ("payload_mass_kg: [10, 12, 14]\n", 1, "at most 2 entries"),
+        ("payload_mass_kg: [0, 10]\n", 1, "greater than 0"),
+        ("environment_stiffness_n_per_m: [2e4, .inf]\n", 1, "finite"),
+        ("requirements:\n  modulus_margin: 1\n", 2, "less than 1"),
+        ("requirements:\n  modulus_margin: 0,5\n", 2, "comma"),
+        ("requirements:\n  modulus: 0.5\n", 2, "requirements.modulus must be one of"),
+        ("requirements:\n  free_space_admittance: {min_m_s_per_n: 1e-3}\n", 2, "band_hz"),
+        (
+            "requirements:\n  free_space_admittance:\n    min_m_s_per_n: 1e-3\n    band_hz: [2, 1]\n",
+            4,
+            "requirements.free_space_admittance.band_hz must be [low, high]",
+        ),
+        ("approach: {force_n: 30, speed_m_s: 0.02}\n", 1, "approach"),
+        ("approach: {}\n", 1, "approach"),
+        ("objective: speed\n", 1, "one of contact_force, sensor_force"),
+        ("format: autotune/controller\n", 1, "autotune/problem"),
+        ("version: 2\n", 1, "version must be 1"),
+        ("axis: x\naxis: z\n", 2, "axis"),
+        ("axis: [x\n", None, ""),
+        ("- axis\n", 1, "mapping"),
+    ],
+)
+def test_what_is_wrong_is_told_with_its_line(path: Path, text: str, line: int | None, told: str) -> None:
+    message = refusal(path, text)
+    assert message.startswith(f"{path}, line {line}: " if line is not None else f"{path}, line ")
+    assert told in message
+
+
+def test_a_file_that_is_not_there_is_a_wrong_request(path: Path) -> None:
+    with pytest.raises(UsageError, match=r"problem\.yaml cannot be read"):
+        read_problem(path)
+
+
+@LAW
+@given(low=st.floats(1e-3, 1e6), ratio=st.floats(1.0, 1e3))
+def test_ranges_are_read_to_the_last_bit(tmp_path_factory: pytest.TempPathFactory, low: float, ratio: float) -> None:
+    path = tmp_path_factory.mktemp("problem") / "problem.yaml"
+    high = low * ratio
+    spec = read(path, f"payload_mass_kg: [{low!r}, {high!r}]\n")
+    assert spec.payload_mass_kg == (low, high)
+
+
+def test_a_spec_cannot_be_changed(path: Path) -> None:
+    spec = read(path, WHOLE)
+    with pytest.raises(TypeError):
+        spec.bounds["mass"] = (1.0, 2.0)  # type: ignore[index]  # that it is refused is the point

@@ -1,0 +1,114 @@
+"""From identified parameters to a written controller: what it says is what was found and verified."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from autotune.errors import CertificateError
+from autotune.files.controller import controller_tree
+from autotune.files.controller_record import AdmittanceRequirement, CollisionResponse, ControllerStatus
+from autotune.files.identified import IdentifiedFile
+from autotune.tuning import optimize as optimize_module
+from autotune.tuning.optimize import optimize
+from autotune.tuning.record import build_controller as honest
+from autotune.validation.validate import admittance_controller, prove_axis
+from problems.contact import build_sampled_contact, simulate_contact
+from problems.margins import find_margins
+from problems.plant import Environment
+from problems.sampled import build_sampled_plant
+from tests.autotune.tuning.cases import FAST_SPEC, FAST_WISHES, fast_optimized, identified_plant
+
+
+@pytest.fixture
+def plant() -> IdentifiedFile:
+    return IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
+
+
+def test_the_controller_is_the_design_and_it_was_validated() -> None:
+    found = fast_optimized()
+    gains, design = found.controller.axes["x"], found.searches["x"].design
+    assert (gains.mass, gains.damping, gains.lead_s, gains.feedback_damping_s) == tuple(design)
+    assert found.controller.status is ControllerStatus.VALIDATED
+    assert found.report.passed
+    assert found.controller.collision.response is CollisionResponse.NONE
+    assert found.controller.delay_samples == pytest.approx(3.0)
+    assert found.controller.compensation_mass_kg == 0.0
+
+
+def test_the_domain_is_what_was_asked() -> None:
+    domain = fast_optimized().controller.certificate.domain["x"]
+    assert domain.payload_mass_kg == FAST_WISHES.payload_mass_kg
+    assert domain.environment_stiffness_n_per_m == FAST_WISHES.environment_stiffness_n_per_m
+    assert (domain.approach_force_n, domain.approach_speed_m_s) == (30.0, None)
+    assert domain.robot_denominator == (1.0, 20.0)
+
+
+def test_every_predicted_contact_is_the_exact_transient() -> None:
+    found = fast_optimized()
+    problem = found.searches["x"].problem
+    law = problem.controller(found.searches["x"].design)
+    scenarios = found.controller.predicted["x"].scenarios
+    low, high = problem.environment_stiffness_n_per_m
+    assert [scenarios[0].environment_stiffness_n_per_m, scenarios[-1].environment_stiffness_n_per_m] == [low, high]
+    for said in scenarios:
+        plant = found.searches["x"].active.pairs[0].contact.plant
+        here = plant.in_contact_with(
+            Environment(stiffness_n_per_m=said.environment_stiffness_n_per_m, damping_n_s_per_m=0.0)
+        )
+        run = simulate_contact(build_sampled_contact(build_sampled_plant(here, 8e-4)), law, problem.approach)
+        assert said.peak_contact_force_n == pytest.approx(run.peak_contact_force_n, rel=1e-9)
+        assert said.peak_sensor_force_n == pytest.approx(run.peak_sensor_force_n, rel=1e-9)
+        assert said.time_of_peak_s == run.time_of_peak_s
+
+
+def test_the_margins_are_those_of_the_worst_plants_that_are_named() -> None:
+    found = fast_optimized()
+    margins, problem = found.controller.certificate.margins["x"], found.searches["x"].problem
+    law, plant = problem.controller(found.searches["x"].design), found.searches["x"].active.pairs[0].contact.plant
+    for name, case in margins.worst.items():
+        stiffness = float(case["environment_stiffness_n_per_m"])
+        here = plant.in_contact_with(Environment(stiffness_n_per_m=stiffness))
+        there = find_margins(build_sampled_plant(here, 8e-4), law)
+        assert getattr(margins, name) == pytest.approx(getattr(there, name), rel=1e-9)
+    assert set(margins.worst) == {"modulus", "gain_db", "phase_deg", "delay_s"}
+
+
+def test_the_requirements_and_proofs_are_written_down() -> None:
+    certificate = fast_optimized().controller.certificate
+    assert certificate.requirements["modulus_margin"] == 0.5
+    target = certificate.requirements["free_space_admittance"]
+    assert isinstance(target, AdmittanceRequirement)
+    assert (target.min_m_s_per_n, target.band_hz) == (6.5e-4, (1.0, 2.0))
+    assert "decay_rate_per_s" not in certificate.requirements
+    claims = [proof.claim for proof in certificate.proved]
+    assert [("free space" in c, "contact" in c) for c in claims] == [(True, False), (False, True)]
+    assert all(proof.numbers is not None and proof.numbers["smallest_decrease"] > 0.0 for proof in certificate.proved)
+
+
+def test_a_claim_that_cannot_be_proved_stops_everything() -> None:
+    found = fast_optimized()
+    lively = replace(admittance_controller(found.controller, "x"), damping_n_s_per_m=600.0, lead_s=0.0)
+    with pytest.raises(CertificateError, match=r"Axis x: stability in free space does not hold .* M_p = 16 kg"):
+        prove_axis(found.controller.certificate.domain["x"], lively, 8e-4, "x")
+
+
+def test_the_same_seed_gives_the_same_file(plant: IdentifiedFile) -> None:
+    again = optimize(plant, FAST_SPEC, FAST_WISHES, seed=1)
+    assert controller_tree(again.controller)["checksum"] == controller_tree(fast_optimized().controller)["checksum"]
+
+
+def test_a_controller_that_validation_refuses_is_not_returned(
+    plant: IdentifiedFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Validation is asked before anything is handed out, whatever the search believed."""
+
+    def boasting(*arguments: object) -> object:
+        controller = honest(*arguments)  # type: ignore[arg-type]  # handed on as they came
+        margins = replace(controller.certificate.margins["x"], modulus=0.9)
+        return replace(controller, certificate=replace(controller.certificate, margins={"x": margins}))
+
+    monkeypatch.setattr(optimize_module, "build_controller", boasting)
+    monkeypatch.setattr(optimize_module, "solve_design", lambda *_args, **_kwargs: fast_optimized().searches["x"])
+    with pytest.raises(CertificateError, match=r"modulus is claimed as 0\.9, found 0\.5"):
+        optimize(plant, FAST_SPEC, FAST_WISHES, seed=1)

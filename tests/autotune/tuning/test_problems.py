@@ -1,0 +1,161 @@
+"""From identified parameters and wishes to design problems: who wins, what is refused."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from autotune.errors import UsageError
+from autotune.files.problem import ProblemSpec
+from autotune.tuning.problems import Wishes, build_problems
+from identification.errors import EstimateError
+from identification.result import AxisEstimate, Estimate, Status
+from problems.contact import Approach
+from problems.design import DEFAULT_BOUNDS, Requirements
+from tests.autotune.tuning.cases import absent, identified_axis, identified_plant, known, known_vector, with_axis
+
+DEFAULT = ProblemSpec()
+NOTHING = Wishes()
+
+
+def test_the_plant_is_the_identified_one() -> None:
+    problems = build_problems(identified_plant(), DEFAULT, NOTHING)
+    assert list(problems) == ["x"]
+    problem = problems["x"]
+    assert (problem.coupling.stiffness_n_per_m, problem.coupling.damping_n_s_per_m) == (3e5, 150.0)
+    assert (problem.drag_n_s_per_m, problem.sample_time_s, problem.robot.delay_s) == (330.0, 8e-4, 2.4e-3)
+    np.testing.assert_array_equal(problem.robot.denominator, [1.0, 20.0])
+    assert problem.approach == Approach(force_n=30.0)
+    assert problem.bounds == DEFAULT_BOUNDS
+    assert problem.requirements == Requirements()
+
+
+def test_the_default_ranges_hold_the_uncertainty_and_at_least_a_daily_change() -> None:
+    problem = build_problems(identified_plant(), DEFAULT, NOTHING)["x"]
+    # 3 standard deviations are less than 20 % of K_e and 2 % of M_p here; rounded outwards to three digits.
+    assert problem.environment_stiffness_n_per_m == (8.8e4, 1.32e5)
+    assert problem.payload_mass_kg == (15.6, 16.4)
+
+
+def test_a_large_uncertainty_widens_the_range() -> None:
+    axis = identified_axis()
+    surface = replace(axis.environments[0], stiffness_n_per_m=known(1e5, 3e4))
+    problem = build_problems(with_axis(replace(axis, environments=(surface,))), DEFAULT, NOTHING)["x"]
+    low, high = problem.environment_stiffness_n_per_m
+    assert 0.99e4 <= low <= 1e4
+    assert high == pytest.approx(1.9e5)
+    # However little the log tells, the range stays positive.
+    unsure = replace(axis.environments[0], stiffness_n_per_m=known(1e5, 1e5))
+    low, _ = build_problems(with_axis(replace(axis, environments=(unsure,))), DEFAULT, NOTHING)[
+        "x"
+    ].environment_stiffness_n_per_m
+    assert 0.0 < low <= 100.0
+
+
+def test_all_surfaces_are_in_the_range() -> None:
+    axis = identified_axis()
+    soft = replace(axis.environments[0], name="x2", stiffness_n_per_m=known(2e4, 10.0))
+    problem = build_problems(with_axis(replace(axis, environments=(*axis.environments, soft))), DEFAULT, NOTHING)["x"]
+    assert problem.environment_stiffness_n_per_m == (1.6e4, 1.32e5)
+
+
+@pytest.mark.parametrize("value", [0.0123456, 0.8, 16.0, 123456.0, 99.96])
+def test_rounding_is_always_outwards(value: float) -> None:
+    plant = identified_plant()
+    plant = replace(plant, payload=replace(plant.payload, mass_kg=known(value, 0.0)))
+    low, high = build_problems(plant, DEFAULT, NOTHING)["x"].payload_mass_kg
+    assert low <= 0.98 * value * (1.0 + 1e-12)
+    assert high >= 1.02 * value * (1.0 - 1e-12)
+    # Three digits: at most one unit of the third, a hundredth, is given away.
+    assert low >= 0.98 * value * 0.99
+    assert high <= 1.02 * value * 1.01
+    assert float(f"{low:.3g}") == pytest.approx(low, rel=1e-15)
+
+
+def test_the_command_line_wins_over_the_problem_file_and_that_over_the_log() -> None:
+    spec = ProblemSpec(payload_mass_kg=(10.0, 20.0), environment_stiffness_n_per_m=(1e4, 2e4))
+    by_file = build_problems(identified_plant(), spec, NOTHING)["x"]
+    assert (by_file.payload_mass_kg, by_file.environment_stiffness_n_per_m) == ((10.0, 20.0), (1e4, 2e4))
+    wishes = Wishes(payload_mass_kg=(11.0, 12.0), environment_stiffness_n_per_m=(3e4, 4e4))
+    by_hand = build_problems(identified_plant(), spec, wishes)["x"]
+    assert (by_hand.payload_mass_kg, by_hand.environment_stiffness_n_per_m) == ((11.0, 12.0), (3e4, 4e4))
+
+
+def test_the_problem_file_sets_the_rest() -> None:
+    spec = ProblemSpec(
+        axis="x",
+        bounds={"mass": (6.0, 9.0)},
+        approach=Approach(speed_m_s=0.02),
+        requirements=Requirements(modulus_margin=0.4),
+        objective="sensor_force",
+    )
+    problem = build_problems(identified_plant(), spec, NOTHING)["x"]
+    assert problem.bounds["mass"] == (6.0, 9.0)
+    assert problem.bounds["damping"] == DEFAULT_BOUNDS["damping"]
+    assert problem.approach.speed_m_s == 0.02
+    assert problem.requirements.modulus_margin == 0.4
+    assert problem.objective == "sensor_force"
+
+
+def test_a_damping_that_noise_made_negative_is_none() -> None:
+    axis = identified_axis()
+    axis = replace(axis, coupling=replace(axis.coupling, damping_n_s_per_m=known(-3.0, 5.0)))
+    assert build_problems(with_axis(axis), DEFAULT, NOTHING)["x"].coupling.damping_n_s_per_m == 0.0
+
+
+def _without_stiffness(axis: AxisEstimate) -> AxisEstimate:
+    return replace(axis, coupling=replace(axis.coupling, stiffness_n_per_m=absent("no free motion")))
+
+
+def _without_robot(axis: AxisEstimate) -> AxisEstimate:
+    return replace(axis, robot=replace(axis.robot, denominator=replace(known_vector(1.0), value=None)))
+
+
+def _without_delay(axis: AxisEstimate) -> AxisEstimate:
+    return replace(axis, robot=replace(axis.robot, delay_s=absent()))
+
+
+@pytest.mark.parametrize(
+    ("axis", "told"),
+    [
+        (_without_stiffness(identified_axis()), r"axes\.x\.coupling\.stiffness_n_per_m .*\(no free motion\)"),
+        (_without_robot(identified_axis()), r"axes\.x\.robot\.denominator is not identified"),
+        (_without_delay(identified_axis()), r"axes\.x\.robot\.delay_s is not identified"),
+        (replace(identified_axis(), drag_n_s_per_m=absent()), r"axes\.x\.drag_n_s_per_m is not identified"),
+        (replace(identified_axis(), environments=()), r"no identified environment; .* --environment-stiffness LO:HI"),
+    ],
+)
+def test_nothing_is_tuned_on_a_guess(axis: AxisEstimate, told: str) -> None:
+    with pytest.raises(EstimateError, match=told):
+        build_problems(with_axis(axis), DEFAULT, NOTHING)
+
+
+def test_a_missing_environment_can_be_given() -> None:
+    axis = replace(identified_axis(), environments=())
+    wishes = Wishes(environment_stiffness_n_per_m=(1e4, 2e4))
+    assert build_problems(with_axis(axis), DEFAULT, wishes)["x"].environment_stiffness_n_per_m == (1e4, 2e4)
+
+
+def test_a_value_that_is_called_unidentifiable_is_not_used() -> None:
+    contradiction = Estimate(value=330.0, std=None, status=Status.UNIDENTIFIABLE)
+    with pytest.raises(EstimateError, match="drag_n_s_per_m"):
+        build_problems(with_axis(replace(identified_axis(), drag_n_s_per_m=contradiction)), DEFAULT, NOTHING)
+
+
+def test_an_axis_that_is_not_there_is_a_wrong_request() -> None:
+    with pytest.raises(UsageError, match="Axis y is not in the identified file; it holds x"):
+        build_problems(identified_plant(), ProblemSpec(axis="y"), NOTHING)
+    with pytest.raises(EstimateError, match="no axis"):
+        build_problems(replace(identified_plant(), axes={}), DEFAULT, NOTHING)
+    rotating = replace(identified_plant(), axes={"x": identified_axis(), "rz": identified_axis()})
+    with pytest.raises(UsageError, match="Axis rz is rotational"):
+        build_problems(rotating, DEFAULT, NOTHING)
+    assert list(build_problems(rotating, ProblemSpec(axis="x"), NOTHING)) == ["x"]
+
+
+def test_two_translational_axes_are_two_problems() -> None:
+    both = replace(identified_plant(), axes={"x": identified_axis(), "z": identified_axis()})
+    problems = build_problems(both, DEFAULT, NOTHING)
+    assert list(problems) == ["x", "z"]
+    assert all(math.isfinite(p.sample_time_s) for p in problems.values())

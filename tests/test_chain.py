@@ -1,0 +1,188 @@
+"""The whole chain on logs that the official ROS 2 writer made, with other topics, rates and clocks than our own."""
+
+import json
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from autotune.cell.phases import Program
+from autotune.cell.simulate import simulate_cell
+from autotune.cell.truth import Cell
+from autotune.files.controller import read_controller
+from identification.logs.definitions import POSE, WRENCH
+from identification.recording import PoseSignal, Recording, WrenchSignal
+from tests.autotune.cell.runs import silent
+from tests.autotune.cell.test_identified_again import at_other_rates
+from tests.identification.logs.log_builder import Options, Stream, write_mcap
+
+RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
+PROMISED = 0.05
+PROGRAM = Program(
+    pose_count=6, pose_hold_s=0.8, pose_move_s=0.6, jogging_s=0.0, sweep_s=8.0, contact_count=3, contact_hold_s=0.8
+)
+# Two of the four variables, and a band that is quick to measure: what is shown here is the chain, not the search.
+PROBLEM = """\
+bounds: {mass: [6, 6], damping: [900, 1600], lead_s: [0.005, 0.03], feedback_damping_s: [0.005, 0.005]}
+requirements:
+  free_space_admittance: {min_m_s_per_n: 6.0e-4, band_hz: [1, 2]}
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Topics:
+    wrench: str
+    pose: str
+    command: str
+
+
+PLAIN = Topics(wrench="/wrist/ft_raw", pose="/arm/tcp_pose", command="/servo/target_pose")
+# Two wrenches, and no word in the poses' topics that says which is the command.
+OPAQUE = Topics(wrench="/ft/left", pose="/tf/a", command="/tf/b")
+
+
+def stream(topic: str, signal: WrenchSignal | PoseSignal, rng: np.random.Generator) -> Stream:
+    """Messages that are recorded up to a millisecond late, so not in the order of their stamps."""
+    if isinstance(signal, WrenchSignal):
+        name, values = WRENCH, np.hstack([signal.force_n, signal.torque_n_m])
+    else:
+        name, values = POSE, np.hstack([signal.position_m, signal.quaternion_xyzw])
+    late: NDArray[np.int64] = rng.integers(100_000, 1_100_000, len(values))
+    # One connection delivers in order: only the channels among each other are out of order.
+    recorded = np.maximum.accumulate(signal.stamp_ns + late)
+    return Stream(
+        topic=topic,
+        type_name=name,
+        stamp_ns=signal.stamp_ns,
+        values=values,
+        log_ns=recorded,
+        frame_id=signal.frame_id,
+    )
+
+
+def streams(recording: Recording, topics: Topics) -> list[Stream]:
+    rng = np.random.default_rng(9)
+    assert recording.command is not None
+    return [
+        stream(topics.wrench, recording.wrench, rng),
+        stream(topics.pose, recording.pose, rng),
+        stream(topics.command, recording.command, rng),
+    ]
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    """Wrench at 1000 Hz, pose at 500 Hz, command at the control rate; noise is added after the interpolation."""
+    run = simulate_cell(silent(Cell()), PROGRAM, seed=5)
+    return at_other_rates(run, wrench_hz=1000.0, pose_hz=500.0)
+
+
+@pytest.fixture(scope="module")
+def plain_log(tmp_path_factory: pytest.TempPathFactory, recording: Recording) -> Path:
+    return write_mcap(tmp_path_factory.mktemp("plain") / "run7.mcap", streams(recording, PLAIN))
+
+
+@pytest.fixture(scope="module")
+def opaque_log(tmp_path_factory: pytest.TempPathFactory, recording: Recording) -> Path:
+    parts = streams(recording, OPAQUE)
+    second = Stream(
+        topic="/ft/right",
+        type_name=WRENCH,
+        stamp_ns=parts[0].stamp_ns[::100],
+        values=parts[0].values[::100] * 0.0 + 1.0,
+        log_ns=parts[0].log_ns[::100],
+    )
+    options = Options(extra=(("/camera/front/image_raw", "sensor_msgs/msg/Image"),), chunk_size=256 * 1024)
+    return write_mcap(tmp_path_factory.mktemp("opaque") / "run8.mcap", [*parts, second], options)
+
+
+def json_of(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
+    assert (done.returncode, done.stderr) == (0, "")
+    tree: dict[str, Any] = json.loads(done.stdout)
+    return tree
+
+
+def check_identified(tree: dict[str, Any]) -> None:
+    cell, axis = Cell(), tree["axes"]["x"]
+    for found, truth in (
+        (tree["payload"]["mass_kg"], cell.payload_mass_kg),
+        (axis["coupling"]["stiffness_n_per_m"], cell.coupling.stiffness_n_per_m),
+        (axis["environments"][0]["stiffness_n_per_m"], cell.environment.stiffness_n_per_m),
+    ):
+        assert found["status"] == "identified"
+        assert found["value"] == pytest.approx(truth, rel=PROMISED)
+    # The command's clock is the controller's, whatever the sensors run at.
+    assert tree["sample_time_s"]["value"] == pytest.approx(cell.sample_time_s, rel=1e-6)
+
+
+def test_from_a_log_to_an_exported_controller(run_cli: RunCli, tmp_path: Path, plain_log: Path) -> None:
+    inspected = json_of(run_cli("inspect", plain_log, "--json"))
+    assert inspected["missing"] == []
+    rates = {c["topic"]: c["rate_hz"] for c in inspected["channels"] if c["roles"]}
+    assert rates == {
+        PLAIN.wrench: pytest.approx(1000.0, rel=1e-3),
+        PLAIN.pose: pytest.approx(500.0, rel=1e-3),
+        PLAIN.command: pytest.approx(1250.0, rel=1e-3),
+    }
+    identified = json_of(run_cli("identify", plain_log, "--json"))
+    check_identified(identified)
+    assert identified["provenance"]["channels"] == {
+        "wrench": PLAIN.wrench,
+        "pose": PLAIN.pose,
+        "command": PLAIN.command,
+    }
+    (tmp_path / "problem.yaml").write_text(PROBLEM, encoding="utf-8")
+    optimized = json_of(run_cli("optimize", "identified.yaml", "--problem", "problem.yaml", "--json"))
+    domain = optimized["certificate"]["domain"]["x"]
+    assert domain["environment_stiffness_n_per_m"][0] < Cell().environment.stiffness_n_per_m
+    assert domain["environment_stiffness_n_per_m"][1] > Cell().environment.stiffness_n_per_m
+    validated = json_of(run_cli("validate", "controller.yaml", "--identified", "identified.yaml", "--json"))
+    assert validated["passed"]
+    exported = json_of(run_cli("export", "controller.yaml", "--target", "json", "-o", "cell.json", "--json"))
+    assert exported["checksum"] == validated["checksum"] == optimized["checksum"]
+    assert read_controller(tmp_path / "cell.json").checksum == exported["checksum"]
+
+
+def test_topics_that_tell_nothing_are_asked_for_and_taken_from_the_options(
+    run_cli: RunCli, tmp_path: Path, opaque_log: Path
+) -> None:
+    refused = run_cli("identify", opaque_log)
+    assert (refused.returncode, refused.stdout, refused.stderr.count("\n")) == (3, "", 1)
+    assert "/ft/left, /ft/right; say which one with --wrench-topic" in refused.stderr
+    still = run_cli("identify", opaque_log, "--wrench-topic", OPAQUE.wrench)
+    assert still.returncode == 3
+    assert "--pose-topic" in still.stderr
+    assert list(tmp_path.iterdir()) == []
+    named = ["--wrench-topic", OPAQUE.wrench, "--pose-topic", OPAQUE.pose, "--command-topic", OPAQUE.command]
+    check_identified(json_of(run_cli("identify", opaque_log, *named, "--json")))
+
+
+@pytest.mark.parametrize("name", ["single_mode_middle.bag", "yellow_table_1.bag"])
+def test_recorded_bags_are_described_truly_and_refused_with_a_reason(
+    run_cli: RunCli, tmp_path: Path, shared_data: Path, name: str
+) -> None:
+    """These hold the state of the robot and of its controller in unnamed fields, the force behind a deadband."""
+    log = shared_data / "nj60" / name
+    if not log.is_file():
+        pytest.skip(f"needs {name}")
+    told = run_cli("inspect", log)
+    assert (told.returncode, told.stderr) == (0, "")
+    for expected in (
+        "/robot_state is a JointState with 0 name",
+        "a layout would have to be declared before it can serve as pose or wrench",
+        "So many exact zeros are what a deadband applied before recording leaves",
+        "tell nothing about gravity and bias",
+        "has no channel for the wrench",
+        "has no channel for the commanded pose",
+    ):
+        assert expected in told.stdout
+    refused = run_cli("identify", log)
+    assert (refused.returncode, refused.stdout, refused.stderr.count("\n")) == (3, "", 1)
+    assert "no channel for the wrench: it needs geometry_msgs/msg/WrenchStamped" in refused.stderr
+    assert "deadband" in refused.stderr
+    assert list(tmp_path.iterdir()) == []
