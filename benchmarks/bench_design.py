@@ -1,4 +1,4 @@
-"""One design in one scenario: stability, modulus margin at the force signal and peak contact force, beside python-control.
+"""One design in one scenario: stability, modulus margin at the force and peak contact force, beside python-control.
 
 python-control gets the loop in state space and computes the same quantities: poles, the frequency response on the same
 grid, and `forced_response` of the loop in contact (no leaving, so the scenario is one that stays in contact).

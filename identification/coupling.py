@@ -144,7 +144,7 @@ def _fit_coupling(motions: Sequence[FreeMotion], period_s: float, highest: float
         damping_n_s_per_m=float(values[1]),
         drag_n_s_per_m=float(values[2]),
         mass_kg=float(values[3]),
-        covariance=variance * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True),
+        covariance=np.asarray(variance * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True), dtype=np.float64),
         fit_error=float(np.linalg.norm(residuals) / np.linalg.norm(_weights(values, s, noise) * force)),
         band_hz=(_LOWEST_HZ, highest),
     )

@@ -1,4 +1,4 @@
-"""Passivity of the port F → V: does the controlled robot ever feed energy into what it touches?"""
+"""Passivity of the port F → V: whether the controlled robot ever feeds energy into what it touches."""
 
 from dataclasses import dataclass
 

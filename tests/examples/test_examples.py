@@ -3,7 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
-from xml.etree import ElementTree
+from xml.etree import ElementTree as ET
 
 from autotune.files.controller import write_controller
 from tests.autotune.files.samples import make_controller
@@ -28,6 +28,6 @@ def test_the_picture_is_an_svg_with_both_curves(repository: Path, tmp_path: Path
     controller, picture = tmp_path / "controller.yaml", tmp_path / "contact.svg"
     write_controller(controller, make_controller(("x",)))
     _run(repository, "draw_contact.py", str(controller), str(picture))
-    texts = [node.text for node in ElementTree.parse(picture).iter() if node.tag.endswith("text")]
+    texts = [node.text for node in ET.parse(picture).iter() if node.tag.endswith("text")]
     assert any(text and text.startswith("present controller: peak") for text in texts)
     assert any(text and text.startswith("chosen by autotune: peak") for text in texts)
