@@ -100,8 +100,8 @@ def identify_gravity(poses: tuple[StaticPose, ...]) -> GravityFit:
     distinct = _distinct_count(poses)
     if distinct < 4:
         raise EstimateError(
-            f"Gravity identification needs at least 4 clearly different tool orientations at rest, found {distinct}; "
-            "record 6 to 12 poses of 1 s each, tilted 30 to 70 degrees about two axes."
+            "Gravity identification needs at least 4 clearly different tool orientations, each at rest for 0.7 s or "
+            f"more, found {distinct}; record 6 to 12 poses of 1 s each, tilted 30 to 70 degrees about two axes."
         )
     keep = np.ones(len(poses), dtype=bool)
     for _ in range(10):

@@ -42,7 +42,10 @@ class AdmittanceTarget:
 
 @dataclass(frozen=True, kw_only=True)
 class Requirements:
-    """What every scenario must meet; None asks for nothing. Stability is always asked."""
+    """What every scenario must meet; None asks for nothing. Stability is always asked.
+
+    `max_peak_force_n` limits the force on the environment, whatever the objective is.
+    """
 
     modulus_margin: float | None = 0.5
     gain_margin_db: float | None = 6.0

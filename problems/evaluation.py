@@ -211,7 +211,7 @@ def finish_evaluation(
     contact = problem.objective == "contact_force"
     objective = max(p.peak_contact_force_n if contact else p.peak_sensor_force_n for p in peaks)
     limit = problem.requirements.max_peak_force_n
-    extra = {} if limit is None else {"max_peak_force_n": objective / limit}
+    extra = {} if limit is None else {"max_peak_force_n": max(p.peak_contact_force_n for p in peaks) / limit}
     return Evaluation(
         controller=controller,
         spectral_radius=radius,

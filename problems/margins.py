@@ -20,6 +20,7 @@ _LOWEST_HZ = 0.02
 _BASE_POINTS = 600
 _REFINEMENT_ROUNDS = 3
 _REFINEMENT_POINTS = 24
+_LARGEST_GAIN_DB = 200.0
 
 
 class UnstableLoopError(AutotuneError):
@@ -122,11 +123,16 @@ def find_margins(sampled: SampledPlant, controller: AdmittanceController) -> Mar
     return Margins(
         modulus=float(min(m.modulus for m in at)),
         modulus_hz=float(grid[int(np.argmin(worst))] / (2.0 * math.pi)),
-        gain_db=float(min(m.gain_db for m in at)),
+        gain_db=_limited(float(min(m.gain_db for m in at))),
         phase_deg=float(min(m.phase_deg for m in at)),
         delay_s=float(min(m.delay_s for m in at)),
         spectral_radius=radius,
     )
+
+
+def _limited(gain_db: float) -> float:
+    """Return infinity for a crossover where the loop gain is rounding only (below 1e-10)."""
+    return gain_db if gain_db < _LARGEST_GAIN_DB else math.inf
 
 
 def _refined(grid: FloatArray, response: LoopResponse) -> FloatArray:

@@ -52,9 +52,11 @@ def command(
     commanded sweep in free space, and contacts. Exit code 3: the log cannot be used. 4: it does not tell enough, and
     nothing is written.
     """
+    from autotune.files.atomic import check_target
     from autotune.files.identified import identified_tree, write_identified
     from autotune.identifying import Topics, identify_log
 
+    check_target(out)
     topics = Topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
     with output.progress(f"identifying {log.name}", None):
         found = identify_log(log, topics, allow_partial=allow_partial)

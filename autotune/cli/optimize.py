@@ -84,6 +84,7 @@ def command(
     environment stiffness. Exit code 5: no controller meets the requirements. 6: a claim could not be verified. Nothing
     is written then.
     """
+    from autotune.files.atomic import check_target
     from autotune.files.canonical import short
     from autotune.files.controller import controller_tree, write_controller
     from autotune.files.identified import read_identified
@@ -91,12 +92,18 @@ def command(
     from autotune.tuning.optimize import optimize
     from autotune.tuning.problems import Wishes
 
+    check_target(out)
     plant = read_identified(identified)
     spec = ProblemSpec() if problem is None else read_problem(problem)
     wishes = Wishes(payload_mass_kg=payload_mass, environment_stiffness_n_per_m=environment_stiffness)
     with output.progress("searching", 1.0) as advance:
         found = optimize(plant, spec, wishes, seed=seed, problem_path=problem, progress=advance)
     checksum = write_controller(out, found.controller)
+    if found.controller.payload.mass_kg != plant.result.payload.mass_kg.value:
+        output.note(
+            f"The runtime will compensate {found.controller.payload.mass_kg:g} kg with the centre of mass of the "
+            "identified payload; identify the new payload before it is led by hand."
+        )
     tree = {**controller_tree(found.controller), "active": active_tree(found)}
     output.result(tree, lambda: print_optimized(found, out, short(checksum)))
 

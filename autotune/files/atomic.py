@@ -8,6 +8,15 @@ from pathlib import Path
 from autotune.errors import UsageError
 
 
+def check_target(path: Path | str) -> None:
+    """Raise UsageError now if `write_atomic` could not write there later: worth asking before long work."""
+    folder = Path(path).resolve().parent
+    if not folder.is_dir():
+        raise UsageError(f"{path} cannot be written: the folder {folder} does not exist.")
+    if not os.access(folder, os.W_OK):
+        raise UsageError(f"{path} cannot be written: the folder {folder} is not writable.")
+
+
 def write_atomic(path: Path | str, content: str | bytes) -> None:
     """Write `content` (text as UTF-8) under `path`: the old file stays whole until the new one is.
 

@@ -12,7 +12,7 @@ from autotune.files.problem import ProblemSpec
 from autotune.validation.validate import ValidationReport, prove_axis, validate_controller
 
 from .explain import Active, explain
-from .problems import Wishes, build_problems
+from .problems import Wishes, build_problems, runtime_mass_kg
 from .record import build_controller, build_domain
 from .search import SearchResult, solve_design
 
@@ -45,6 +45,8 @@ def optimize(
     """
     report = progress if progress is not None else _silent
     problems = build_problems(identified.result, spec, wishes)
+    # Asked before the search, because it may refuse.
+    runtime_mass_kg(identified.result, next(iter(problems.values())).payload_mass_kg)
     share = 1.0 / len(problems)
     searches = {
         name: solve_design(problem, seed=seed, progress=lambda done: report(_SEARCH_SHARE * share * done))

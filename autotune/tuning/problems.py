@@ -53,6 +53,24 @@ def build_problems(identified: Identified, spec: ProblemSpec, wishes: Wishes) ->
     return {name: _build_problem(identified, name, spec, wishes) for name in names}
 
 
+def runtime_mass_kg(identified: Identified, certified: Interval) -> float:
+    """Return the mass that the runtime's gravity compensation takes: one that the certificate holds for.
+
+    The identified mass where the range holds it, else the one mass that was asked for. Raises UsageError for a range
+    that leaves the identified mass out: nobody could say which weight to compensate.
+    """
+    mass = _value(identified.payload.mass_kg, "payload.mass_kg")
+    low, high = certified
+    if low <= mass <= high:
+        return mass
+    if low == high:
+        return low
+    raise UsageError(
+        f"The payload range {low:g} to {high:g} kg leaves out the identified payload of {mass:.4g} kg, so the weight "
+        "compensate is not known; widen the range, or name the one mass that the cell will carry."
+    )
+
+
 def _build_problem(identified: Identified, name: str, spec: ProblemSpec, wishes: Wishes) -> DesignProblem:
     axis = identified.axes[name]
     stiffness = wishes.environment_stiffness_n_per_m or spec.environment_stiffness_n_per_m

@@ -23,12 +23,14 @@ from autotune.files.controller_record import (
     RuntimePayload,
     ScenarioPrediction,
 )
+from identification.errors import EstimateError
 from identification.result import Identified
 from problems.controller import AdmittanceController
 from problems.design import DesignProblem, Requirements
 from problems.evaluation import PlantMargins, build_scenarios, smallest_admittance
 from problems.margins import find_margins
 
+from .problems import runtime_mass_kg
 from .search import SearchResult
 
 _DEFAULT_DEADBAND_N = 5.0
@@ -61,7 +63,7 @@ def build_controller(
         ),
         compensation_mass_kg=0.0,
         collision=Collision(response=CollisionResponse.NONE, threshold_n=None),
-        payload=_payload(identified),
+        payload=_payload(identified, first.payload_mass_kg),
         predicted={name: _prediction(results[name].problem, c) for name, c in controllers.items()},
         certificate=Certificate(
             domain={name: build_domain(result.problem) for name, result in results.items()},
@@ -89,11 +91,15 @@ def _gains(controller: AdmittanceController) -> AxisGains:
     )
 
 
-def _payload(identified: Identified) -> RuntimePayload:
+def _payload(identified: Identified, certified: tuple[float, float]) -> RuntimePayload:
+    """Return what gravity compensation needs; raises EstimateError for a file without centre of mass or bias."""
     com, force = identified.payload.com_m.value, identified.sensor.force_bias_n.value
-    torque, mass = identified.sensor.torque_bias_n_m.value, identified.payload.mass_kg.value
-    if com is None or force is None or torque is None or mass is None:
-        raise ValueError("gravity parameters are checked before tuning")
+    torque, mass = identified.sensor.torque_bias_n_m.value, runtime_mass_kg(identified, certified)
+    if com is None or force is None or torque is None:
+        raise EstimateError(
+            "payload.com_m, sensor.force_bias_n and sensor.torque_bias_n_m must be identified, because the runtime "
+            "compensates gravity with them; record poses at rest."
+        )
     return RuntimePayload(
         mass_kg=mass,
         com_m=(com[0], com[1], com[2]),

@@ -173,7 +173,7 @@ class Search:
             callback=lambda intermediate_result: report(1.0 / _GENERATIONS),  # noqa: ARG005 - scipy goes by the name
         )
         if found.fun >= _MISSED:
-            raise InfeasibleError(self._reason(prepared, np.asarray(found.x)))
+            return self._recovered(prepared, np.asarray(found.x))
         self.elite = _spread([unit for value, unit in sorted(seen, key=lambda pair: pair[0]) if value < _MISSED])
         return np.asarray(found.x)
 
@@ -213,9 +213,14 @@ class Search:
             polish=False,
             tol=1e-5,
         )
-        if found.fun >= _MISSED:
-            raise InfeasibleError(self._reason(prepared, np.asarray(found.x)))
-        return self.local(prepared, np.asarray(found.x))
+        return self._recovered(prepared, np.asarray(found.x))
+
+    def _recovered(self, prepared: PreparedScenarios, closest: FloatArray) -> FloatArray:
+        """Walk from the closest point into the feasible set, or say why there is no way."""
+        candidate = self.local(prepared, closest)
+        if self._tightened_cost(prepared, candidate) >= _MISSED:
+            raise InfeasibleError(self._reason(prepared, closest))
+        return candidate
 
     def _tightened_cost(self, prepared: PreparedScenarios, unit: FloatArray) -> float:
         evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True)

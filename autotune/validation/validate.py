@@ -31,6 +31,7 @@ _SAME_MARGIN = 0.01
 # Replayed contacts begin anywhere between two samples, predicted ones on a sample (measured: up to 0.5 %).
 _SAME_PEAK = 0.02
 _SAME_NUMBER = 1e-6
+_CHECKS = 9.0  # per axis, all passing
 _MARGIN_OF = {
     "modulus_margin": "modulus",
     "gain_margin_db": "gain_db",
@@ -78,7 +79,7 @@ def validate_controller(controller: Controller, progress: Callable[[float], None
         for check in _axis_checks(controller, name):
             checks.append(check)
             if progress is not None:
-                progress(1.0 / (8.0 * len(controller.axes)))
+                progress(1.0 / (_CHECKS * len(controller.axes)))
     return ValidationReport(checks=tuple(checks))
 
 
@@ -98,6 +99,7 @@ def _axis_checks(controller: Controller, name: str) -> Iterator[Check]:
         return
     h = controller.sample_time_s
     yield Check(axis=name, name="parameters", passed=True, message="gains and plant are within their ranges")
+    yield _payload(controller, name, domain)
     yield _delay(controller, name, domain)
     for proof, where in (
         (prove_stability(plants.in_free_space(), law, h), "free space"),
@@ -178,6 +180,20 @@ def prove_axis(domain: AxisDomain, law: AdmittanceController, sample_time_s: flo
             )
         )
     return tuple(proofs)
+
+
+def _payload(controller: Controller, name: str, domain: AxisDomain) -> Check:
+    (low, high), mass = domain.payload_mass_kg, controller.payload.mass_kg
+    inside = low <= mass <= high
+    told = f"the runtime compensates {mass:.4g} kg"
+    return Check(
+        axis=name,
+        name="payload",
+        passed=inside,
+        message=f"{told}, inside the certified {low:g} to {high:g} kg"
+        if inside
+        else f"{told}, which is outside the certified {low:g} to {high:g} kg",
+    )
 
 
 def _delay(controller: Controller, name: str, domain: AxisDomain) -> Check:

@@ -13,7 +13,6 @@ from .channel import Channel, Keep, RawChannel, Scan
 from .checks import frame_faults, pose_faults, stamp_faults, wrench_faults
 from .containers import scan_log, sha256_of
 from .definitions import JOINT_STATE, POSE, WRENCH
-from .joint_states import joint_state_findings
 from .messages import POSE_FIELDS, WRENCH_FIELDS, Headers, decode_headers, decode_values
 from .roles import Request, choose_command, choose_pose, choose_wrench
 
@@ -50,12 +49,14 @@ def _keep(channel: Channel, request: Request) -> Keep:
 
 
 def _with_joint_states(error: LogError, scan: Scan) -> LogError:
-    """Add to a missing wrench what the joint states in the log may carry instead."""
-    if not any(raw.channel.type_name == JOINT_STATE for raw in scan.channels):
+    """Add to a missing wrench that a joint state may carry one; `inspect` tells what can be said about each."""
+    topics = [raw.channel.topic for raw in scan.channels if raw.channel.type_name == JOINT_STATE]
+    if not topics:
         return error
-    again = scan_log(scan.path, lambda channel: Keep.ALL if channel.type_name == JOINT_STATE else Keep.TIMES)
-    told = [finding for raw in again.channels for finding in joint_state_findings(raw)]
-    return LogError(" ".join([str(error), *(finding.message for finding in told)]))
+    return LogError(
+        f"{error} The JointState of {', '.join(topics)} may carry a wrench, but its layout is not declared in the log; "
+        "`autotune inspect` tells what it looks like."
+    )
 
 
 def since_start_s(raw: RawChannel, start_ns: int) -> FloatArray:

@@ -106,7 +106,10 @@ def test_stated_deviations_are_those_that_repetition_shows() -> None:
 
 def test_one_pose_tells_nothing() -> None:
     alike = poses_at(Rotation.concatenate([tilted(1, 0.0)] * 6))
-    with pytest.raises(EstimateError, match=r"at least 4 clearly different tool orientations at rest, found 1; record"):
+    with pytest.raises(
+        EstimateError,
+        match=r"at least 4 clearly different tool orientations, each at rest for 0.7 s or more, found 1; record",
+    ):
         identify_gravity(alike)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.files.problem import ProblemSpec
-from autotune.tuning.problems import Wishes, build_problems
+from autotune.tuning.problems import Wishes, build_problems, runtime_mass_kg
 from identification.errors import EstimateError
 from identification.result import AxisEstimate, Estimate, Status
 from problems.contact import Approach
@@ -159,3 +159,13 @@ def test_two_translational_axes_are_two_problems() -> None:
     problems = build_problems(both, DEFAULT, NOTHING)
     assert list(problems) == ["x", "z"]
     assert all(math.isfinite(p.sample_time_s) for p in problems.values())
+
+
+@pytest.mark.parametrize(("certified", "mass"), [((14.0, 20.0), 16.0), ((22.0, 22.0), 22.0)])
+def test_the_runtime_compensates_a_mass_that_is_certified(certified: tuple[float, float], mass: float) -> None:
+    assert runtime_mass_kg(identified_plant(), certified) == mass
+
+
+def test_a_range_that_leaves_the_identified_payload_out_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"18 to 22 kg leaves out the identified payload of 16 kg"):
+        runtime_mass_kg(identified_plant(), (18.0, 22.0))

@@ -22,6 +22,7 @@ from tests.autotune.tuning.cases import fast_optimized, small_controller
 Change = Callable[[Controller], Controller]
 EVERY_CHECK = [
     "parameters",
+    "payload",
     "delay",
     "stability in free space",
     "stability in contact",
@@ -151,6 +152,11 @@ FALSE_CLAIMS: dict[str, tuple[Change, str, str]] = {
         lambda c: replace(c, delay_samples=2.0),
         "delay",
         r"delay_samples says 2, the certificate's plant has 3",
+    ),
+    "weight that is not certified": (
+        lambda c: replace(c, payload=replace(c.payload, mass_kg=2.0 * c.payload.mass_kg)),
+        "payload",
+        r"compensates \d+ kg, which is outside the certified",
     ),
     "longer delay than certified gains allow": (domain(delay_s=8e-3), "delay", r"delay_samples says 3, .* has 10"),
     "requirement missed": (
