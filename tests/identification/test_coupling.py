@@ -72,6 +72,22 @@ def test_stated_deviations_are_those_that_repetition_shows(noise: Noise) -> None
     assert np.all(np.abs(offset) < 0.6)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_spring_that_the_encoders_noise_hides_is_not_mistaken_for_a_softer_one(seed: int) -> None:
+    """A stiff gripper with a light load: linear equations start at a spring a hundred times too soft."""
+    load, noise = Load(stiffness=4.0e5, damping=90.0, drag=390.0, mass=5.9), Noise(force_rms_n=0.2, position_rms_m=1e-5)
+    rng = np.random.default_rng(seed)
+    clean = swept(load)
+    motion = FreeMotion(
+        position_m=clean.position_m + noise.position_rms_m * rng.standard_normal(len(clean.position_m)),
+        force_n=clean.force_n + noise.force_rms_n * rng.standard_normal(len(clean.force_n)),
+    )
+    fit = identify_coupling([motion], H_S, RATE_HZ, noise)
+    assert abs(fit.stiffness_n_per_m - load.stiffness) < 5.0 * fit.std[0]
+    assert abs(fit.mass_kg - load.mass) < 5.0 * fit.std[3]
+    assert fit.mass_kg == pytest.approx(load.mass, rel=0.05)
+
+
 def test_the_felt_impedance_is_what_the_equations_of_motion_say() -> None:
     load = LOADS[0]
     s = 2j * np.pi * np.array([0.3, 5.0, 20.0, 80.0])

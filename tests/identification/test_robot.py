@@ -126,3 +126,32 @@ def test_a_fraction_of_a_sample_shifts_the_step_response(
     step = robot_response(model, np.ones(200), H_S)
     # Both are exact under a hold; 10⁴ steps of rounding are left.
     np.testing.assert_allclose(step, followed(polynomials, round(fraction * PARTS), np.ones(200)), rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("late", [0, 1, 5], ids=["at once", "one sample late", "five samples late"])
+def test_an_echo_of_the_command_is_no_robot(late: int) -> None:
+    command = sweep(6.0, 1.0 / H_S)
+    echo = np.concatenate([np.zeros(late), command[: len(command) - late]])
+    with pytest.raises(EstimateError, match="no echo of the command"):
+        identify_robot(command, noisy(echo), H_S)
+
+
+def test_a_delay_beyond_the_search_is_refused() -> None:
+    command = sweep(6.0, 1.0 / H_S)
+    with pytest.raises(EstimateError, match=r"later than 50 ms.*one clock"):
+        identify_robot(command, followed(ONE_POLE, 60 * PARTS, command), H_S)
+
+
+@pytest.mark.parametrize("offset_m", [2e-4, -5e-3])
+def test_a_constant_offset_says_nothing_of_the_robot(offset_m: float) -> None:
+    command = sweep(6.0, 1.0 / H_S)
+    fit = identify_robot(command, noisy(followed(ONE_POLE, 120, command)) + offset_m, H_S)
+    assert fit.model.order == 1
+    assert fit.model.delay_s / H_S == pytest.approx(2.4, abs=0.02)
+
+
+def test_without_noise_the_simplest_robot_is_chosen() -> None:
+    command = sweep(6.0, 1.0 / H_S)
+    fit = identify_robot(command, followed(ONE_POLE, 120, command), H_S)
+    assert fit.model.order == 1
+    assert fit.model.denominator[1] == pytest.approx(20.0, rel=1e-6)
