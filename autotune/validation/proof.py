@@ -23,6 +23,7 @@ FloatArray = NDArray[np.float64]
 
 # Products of three matrices of order n lose at most about 3n ε times the product of their norms; this is well above.
 _ROUNDING_UNITS = 100.0 * np.finfo(np.float64).eps
+_LARGEST_EXPONENT = 600.0  # a bound this large proves nothing, and does not overflow
 _SMALLEST_SHARE = 1e-7
 _MOST_CELLS = 20000
 
@@ -210,7 +211,7 @@ class _VaryingLoop:
         """
         change = half[0] * float(np.linalg.norm(self.per_mass, 2)) + half[1] * float(np.linalg.norm(self.per_ratio, 2))
         size = float(np.linalg.norm(self._augmented(sampled), 2))
-        exponential = 0.5 * change**2 * math.exp(size + change)
+        exponential = 0.5 * change**2 * math.exp(min(size + change, _LARGEST_EXPONENT))
         return 2.0 * exponential * self._command_size(sampled)
 
     def _reach(self, root: FloatArray, inverse: FloatArray, sampled: SampledPlant) -> float:

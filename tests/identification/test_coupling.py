@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import lsim
 
 from identification.coupling import FreeMotion, Noise, felt_impedance, identify_coupling, prediction_error
 from identification.errors import EstimateError
@@ -72,20 +73,23 @@ def test_stated_deviations_are_those_that_repetition_shows(noise: Noise) -> None
     assert np.all(np.abs(offset) < 0.6)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_a_spring_that_the_encoders_noise_hides_is_not_mistaken_for_a_softer_one(seed: int) -> None:
-    """A stiff gripper with a light load: linear equations start at a spring a hundred times too soft."""
+def test_a_spring_that_the_encoders_noise_hides_is_not_mistaken_for_a_softer_one() -> None:
+    """A slow robot, a stiff gripper, a light load: linear equations start at a spring a hundred times too soft."""
     load, noise = Load(stiffness=4.0e5, damping=90.0, drag=390.0, mass=5.9), Noise(force_rms_n=0.2, position_rms_m=1e-5)
-    rng = np.random.default_rng(seed)
-    clean = swept(load)
-    motion = FreeMotion(
-        position_m=clean.position_m + noise.position_rms_m * rng.standard_normal(len(clean.position_m)),
-        force_n=clean.force_n + noise.force_rms_n * rng.standard_normal(len(clean.force_n)),
-    )
-    fit = identify_coupling([motion], H_S, RATE_HZ, noise)
-    assert abs(fit.stiffness_n_per_m - load.stiffness) < 5.0 * fit.std[0]
-    assert abs(fit.mass_kg - load.mass) < 5.0 * fit.std[3]
-    assert fit.mass_kg == pytest.approx(load.mass, rel=0.05)
+    command = np.concatenate([sweep(10.0, 8.0 * RATE_HZ), np.zeros(4000)])
+    _, position, _ = lsim(([454.0], [1.0, 43.0, 454.0]), command, np.arange(len(command)) * H_S / 8.0)
+    clean = FreeMotion(position_m=position[::8], force_n=felt_force(position, H_S / 8.0, load)[::8])
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        motion = FreeMotion(
+            position_m=clean.position_m + noise.position_rms_m * rng.standard_normal(len(clean.position_m)),
+            force_n=clean.force_n + noise.force_rms_n * rng.standard_normal(len(clean.force_n)),
+        )
+        fit = identify_coupling([motion], H_S, RATE_HZ, noise)
+        assert abs(fit.stiffness_n_per_m - load.stiffness) < 5.0 * fit.std[0]
+        assert fit.stiffness_n_per_m == pytest.approx(load.stiffness, rel=0.15)
+        # A mass that is told by the slow half of the sweep: a few percent, whatever the spring.
+        assert fit.mass_kg == pytest.approx(load.mass, rel=0.03)
 
 
 def test_the_felt_impedance_is_what_the_equations_of_motion_say() -> None:

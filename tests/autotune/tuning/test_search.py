@@ -1,6 +1,7 @@
 """The search: deterministic, never infeasible, and not beaten by simpler searches on the same evaluator."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scipy.optimize import minimize
 from autotune.errors import InfeasibleError
 from autotune.tuning import search as search_module
 from autotune.tuning.search import Box, presentable, solve_design
+from problems.contact import Approach
 from problems.design import VARIABLES, AdmittanceTarget, Requirements, Scenario
 from problems.evaluation import PreparedScenarios, build_scenarios, evaluate_exactly
 from tests.autotune.tuning.cases import MASS, ROOM, STIFFNESS, design_problem, solved
@@ -212,3 +214,17 @@ def test_a_design_is_rounded_to_six_digits_but_not_out_of_its_bounds() -> None:
     rounded = presentable(problem, np.array([12.3456789, third, 0.01234567891, 5e-5]))
     # B_fb below 1e-4 s is none at all (MODEL.md, erratum 2).
     np.testing.assert_array_equal(rounded, [12.3457, third, 0.0123457, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("approach", "limit"),
+    [
+        (Approach(force_n=1000.0), None),  # the loop is linear: a larger force makes nothing infeasible
+        (Approach(force_n=30.0), 60.0),  # the best of this problem peaks well below
+    ],
+)
+def test_a_feasible_problem_is_not_called_infeasible(approach: Approach, limit: float | None) -> None:
+    asked = Requirements(max_peak_force_n=limit)
+    found = solve_design(replace(design_problem(requirements=asked), approach=approach))
+    assert found.evaluation.is_feasible
+    assert found.evaluation.requirements.get("max_peak_force_n", 0.0) <= 1.0
