@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.extending import register_jitable
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -11,3 +12,12 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 def compiled(function: _Function) -> _Function:
     """Compile a kernel of floats and arrays; the straight Python version stays at `.py_func`."""
     return cast(_Function, numba.njit(cache=True, error_model="numpy")(function))
+
+
+def equation(function: _Function) -> _Function:
+    """Mark an equation that is written once and serves two readers.
+
+    Called from Python it stays plain Python and takes whatever has arithmetic and item assignment (numpy, CasADi);
+    called from a `compiled` kernel it is compiled with it.
+    """
+    return register_jitable(function)

@@ -2,37 +2,42 @@
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ._checks import positive
-from .contact_kernel import run_contact
+from ._checks import finite, positive
+from .compiled import compiled
+from .contact_kernel import Contact, run_contact
 from .controller import AdmittanceController, controller_blocks
 from .errors import ParameterError
 from .margins import UnstableLoopError
 from .plant import FREE_SPACE
-from .sampled import SampledLoop, SampledPlant, build_loop, build_sampled_plant, spectral_radius
+from .sampled import SampledPlant, build_loop, build_sampled_plant, hold, spectral_radius
 
 FloatArray = NDArray[np.float64]
 
-# The transient is followed until its slowest part has decayed to exp(-7), a thousandth of the peak.
-_DECAY_EXPONENTS = 7.0
-_SHORTEST_SAMPLES = 64
-_LONGEST_S = 10.0
+LONGEST_TRANSIENT_S = 10.0
+# Between the ticks the contact force is looked at this often per radian of the plant's fastest oscillation.
+_LOOKS_PER_RADIAN = 2.0
+_MOST_LOOKS = 64
 
 
 @dataclass(frozen=True, kw_only=True)
 class Approach:
-    """How the payload meets the wall: exactly one of the two is given.
+    """How the payload meets the wall: exactly one of `force_n` and `speed_m_s` is given.
 
-    `force_n`: F^d is held until the speed is steady, and after the impact (the paper's contact experiments).
-    `speed_m_s`: contact at this speed; the force that sustains it in free space goes on after the impact, as a hand
-    that keeps pushing does.
+    `force_n`: this force is held until the speed is steady (the paper's contact experiments). `speed_m_s`: contact at
+    this steady speed, under the force that sustains it in free space. The force is F^d, or with `driven_by` "hand" a
+    hand's on the payload. It goes on after the impact, unless `after_impact_n` says what it is from then on (0: the
+    hand lets go).
     """
 
     force_n: float | None = None
     speed_m_s: float | None = None
+    driven_by: Literal["desired_force", "hand"] = "desired_force"
+    after_impact_n: float | None = None
 
     def __post_init__(self) -> None:
         if (self.force_n is None) == (self.speed_m_s is None):
@@ -40,13 +45,31 @@ class Approach:
         for name, value in (("force_n", self.force_n), ("speed_m_s", self.speed_m_s)):
             if value is not None:
                 object.__setattr__(self, name, positive(f"approach.{name}", value))
+        if self.driven_by not in {"desired_force", "hand"}:
+            raise ParameterError("approach.driven_by", self.driven_by, "desired_force or hand")
+        if self.after_impact_n is not None:
+            object.__setattr__(self, "after_impact_n", finite("approach.after_impact_n", self.after_impact_n))
+
+    def forces(self, resistance_n_s_per_m: float) -> tuple[float, float, float, float]:
+        """Return (v, f before the impact, F^d and f after it) for a loop that needs this force per speed."""
+        if self.force_n is not None:
+            force, speed = self.force_n, self.force_n / resistance_n_s_per_m
+        else:
+            speed = self.speed_m_s or 0.0
+            force = speed * resistance_n_s_per_m
+        after = force if self.after_impact_n is None else self.after_impact_n
+        by_hand = self.driven_by == "hand"
+        return speed, force if by_hand else 0.0, 0.0 if by_hand else after, after if by_hand else 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactTransient:
     """Forces at the controller's ticks from the impact on, `time_s` (n,), and their peaks.
 
-    `sensor_force_n` is −F, positive when pressing; `contact_force_n` is F_e.
+    `sensor_force_n` is −F, positive when pressing, its peak that of the ticks, as in a log; `contact_force_n` is F_e,
+    whose peak is searched between the ticks as well, at `time_of_peak_s`. A force that only creeps up to its value at
+    rest counts with that value. `impulse_n_s` is what an environment with mass takes in the impact itself, on top.
+    `is_settled` is False when the run was ended by its longest time.
     """
 
     time_s: FloatArray
@@ -54,29 +77,27 @@ class ContactTransient:
     contact_force_n: FloatArray
     contact_speed_m_s: float
     driving_force_n: float
-
-    @property
-    def peak_sensor_force_n(self) -> float:
-        """Largest pressing force that the sensor shows."""
-        return float(np.max(self.sensor_force_n))
-
-    @property
-    def peak_contact_force_n(self) -> float:
-        """Largest force on the environment."""
-        return float(np.max(self.contact_force_n))
-
-    @property
-    def time_of_peak_s(self) -> float:
-        """Time from impact to the peak of the contact force."""
-        return float(self.time_s[int(np.argmax(self.contact_force_n))])
+    peak_sensor_force_n: float
+    time_of_sensor_peak_s: float
+    peak_contact_force_n: float
+    time_of_peak_s: float
+    impulse_n_s: float
+    is_settled: bool
 
 
 @dataclass(frozen=True, kw_only=True)
 class SampledContact:
-    """A plant in contact and the same plant in free space, both sampled."""
+    """A plant in contact and the same plant in free space, both sampled.
+
+    `ramp` (2, n + 2): plant state, command and F at a tick with x_p = 0, first moving by one metre per sample without
+    outside force, then resting under an outside force of one newton. `arguments` are the plant's part of what
+    `run_contact` takes.
+    """
 
     contact: SampledPlant
     free: SampledPlant
+    ramp: FloatArray
+    arguments: Contact
 
 
 def build_sampled_contact(contact: SampledPlant) -> SampledContact:
@@ -84,49 +105,101 @@ def build_sampled_contact(contact: SampledPlant) -> SampledContact:
     if contact.plant.environment.is_free_space:
         raise ParameterError("environment", contact.plant.environment, "a surface to touch, not free space")
     free = build_sampled_plant(contact.plant.in_contact_with(FREE_SPACE), contact.sample_time_s)
-    return SampledContact(contact=contact, free=free)
+    return SampledContact(contact=contact, free=free, ramp=_ramp(free), arguments=_kernel_arguments(contact, free))
 
 
-@dataclass(frozen=True, kw_only=True)
-class SteadyApproach:
-    """The loop state at the moment of contact (x_p = 0) while everything moves at `speed_m_s`."""
-
-    state: FloatArray
-    speed_m_s: float
-    force_n: float
-
-
-def steady_approach(free: SampledPlant, free_loop: SampledLoop, approach: Approach) -> SteadyApproach:
-    """Solve for the free-space state that moves by the same step every period.
-
-    (a − 1) s − v h·translation + b F^d = 0 with x_p = 0 and either F^d or v given: linear, one solution.
-    """
-    size = len(free_loop.a)
-    h, payload = free.sample_time_s, free.state_count - 2
-    system = np.zeros((size + 2, size + 2))
-    right = np.zeros(size + 2)
-    system[:size, :size] = free_loop.a - np.eye(size)
-    system[:size, size] = -h * free_loop.translation
-    system[:size, size + 1] = free_loop.b
-    system[size, payload] = 1.0
-    if approach.force_n is not None:
-        system[size + 1, size + 1], right[size + 1] = 1.0, approach.force_n
-    else:
-        system[size + 1, size], right[size + 1] = 1.0, approach.speed_m_s
-    solution = np.linalg.solve(system, right)
-    return SteadyApproach(
-        state=np.asarray(solution[:size], dtype=np.float64),
-        speed_m_s=float(solution[size]),
-        force_n=float(solution[size + 1]),
+def _kernel_arguments(contact: SampledPlant, free: SampledPlant) -> Contact:
+    environment, h = contact.plant.environment, contact.sample_time_s
+    payload = contact.plant.payload.mass_kg
+    step = [np.column_stack([p.phi, p.gamma, p.gamma_old, p.gamma_push]) for p in (contact, free)]
+    flow = [np.column_stack([p.rate, p.drive, p.push]) for p in (contact, free)]
+    rows = [
+        [*contact.c_position, 0.0, 0.0],
+        [*contact.c_force, contact.d_force, 0.0],
+        [*contact.c_contact, contact.d_contact, contact.push_contact],
+    ]
+    wall = (
+        environment.stiffness_n_per_m,
+        environment.damping_n_s_per_m / h,
+        environment.mass_kg / h**2,
+        payload / (payload + environment.mass_kg),
     )
+    delay = (contact.whole_delay, contact.chain_length, contact.fraction)
+    return (np.array(step), np.array(flow)), (np.array(rows), _inside(contact)), delay, wall
 
 
-def settling_samples(radius: float, sample_time_s: float) -> int:
-    """Return how many samples the transient of a loop with this spectral radius needs."""
-    longest = math.ceil(_LONGEST_S / sample_time_s)
-    if radius <= 0.0:
-        return _SHORTEST_SAMPLES
-    return int(min(longest, max(_SHORTEST_SAMPLES, math.ceil(_DECAY_EXPONENTS / -math.log(radius)))))
+def _ramp(free: SampledPlant) -> FloatArray:
+    """Solve for the plant state that repeats itself one step further on (or at rest), with x_p = 0."""
+    n, d = free.state_count, free.whole_delay
+    system, right = np.zeros((n + 1, n + 1)), np.zeros((n + 1, 2))
+    system[:n, :n] = free.phi - np.eye(n)
+    system[:n, n] = free.gamma + free.gamma_old
+    system[n, n - 2] = 1.0
+    right[0, 0] = right[n - 2, 0] = 1.0
+    right[:n, 0] += free.gamma * d + free.gamma_old * (d + 1)
+    right[:n, 1] = -free.gamma_push
+    found = np.linalg.solve(system, right)
+    # What the hold shows at the tick: the command of `chain_length` ticks ago.
+    held = found[n] - free.chain_length * np.array([1.0, 0.0])
+    return np.column_stack([found.T, free.c_force @ found[:n] + free.d_force * held])
+
+
+def _inside(contact: SampledPlant) -> FloatArray:
+    """Return F_e at equal parts of a sample, for contacts so stiff that they swing between the ticks."""
+    n = contact.state_count
+    fastest = float(np.max(np.abs(np.linalg.eigvals(contact.rate).imag)))
+    looks = min(_MOST_LOOKS, max(1, math.ceil(_LOOKS_PER_RADIAN * fastest)))
+    rows = np.zeros((looks - 1, n + 3))
+    inputs = np.stack([contact.drive, contact.push], axis=1)
+    for j in range(1, looks):
+        moment = j / looks
+        older, newer = min(moment, contact.fraction), max(0.0, moment - contact.fraction)
+        (phi_1, gamma_1), (phi_2, gamma_2) = hold(contact.rate, inputs, older), hold(contact.rate, inputs, newer)
+        rows[j - 1, :n] = contact.c_contact @ phi_2 @ phi_1
+        rows[j - 1, n] = contact.c_contact @ gamma_2[:, 0]
+        rows[j - 1, n + 1] = contact.c_contact @ phi_2 @ gamma_1[:, 0]
+        rows[j - 1, n + 2] = contact.c_contact @ (phi_2 @ gamma_1[:, 1] + gamma_2[:, 1]) + contact.push_contact
+        rows[j - 1, n + 1 if moment < contact.fraction else n] += contact.d_contact
+    return rows
+
+
+@compiled
+def steady_start(
+    ramp: FloatArray,
+    c_position: FloatArray,
+    blocks: FloatArray,
+    chain: int,
+    h: float,
+    speed: float,
+    push: float,
+    force: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return plant state, past commands (a ring, newest first) and controller states of a steady approach.
+
+    Everything moves at `speed` (m/s) under the outside force `push`; `force` is e = F^d + F, which is B_a v. The
+    filters see a steady speed, the lag a steady force (and, with ideal compensation, a ramp).
+    """
+    n = ramp.shape[1] - 2
+    moved = ramp[0] * (speed * h) + ramp[1] * push
+    state, command = moved[:n].copy(), moved[n]
+    places = 1
+    while places < chain:
+        places *= 2
+    past = np.zeros(places)
+    for i in range(chain):
+        past[i] = command - (i + 1) * speed * h
+    position = np.sum(c_position * state)
+    ideal = blocks[4, 2]
+    acceleration = ideal * speed
+    control = np.empty(4)
+    control[2] = speed - blocks[2, 0] * position
+    control[3] = acceleration - blocks[3, 0] * (ideal * position + (1.0 - ideal) * speed)
+    share = 1.0 / (1.0 - blocks[1, 1])
+    slope = blocks[5, 2] * share
+    control[1] = (blocks[1, 2] * force - slope * speed * h) * share + slope * position
+    direct = (blocks[0, 0] + blocks[1, 0]) * force - blocks[4, 0] * speed
+    control[0] = command - control[1] - direct - blocks[5, 0] * acceleration - blocks[5, 1] * position
+    return state, past, control
 
 
 def simulate_contact(
@@ -135,39 +208,48 @@ def simulate_contact(
     """Simulate one impact of the exact sampled loop, leaving and touching again where the motion says so.
 
     Between the ticks the plant is integrated exactly; the moment of leaving and of touching is located inside the
-    sample. Raises UnstableLoopError if the loop in contact or in free space is not stable.
+    sample. Without `samples` the run lasts until the force has settled. Raises UnstableLoopError if the loop in
+    contact or in free space is not stable.
     """
-    free_loop, contact_loop = build_loop(pair.free, controller), build_loop(pair.contact, controller)
-    radius = max(spectral_radius(free_loop), spectral_radius(contact_loop))
+    radius = max(spectral_radius(build_loop(plant, controller)) for plant in (pair.free, pair.contact))
     if not radius < 1.0:
         raise UnstableLoopError(radius)
-    count = samples if samples is not None else settling_samples(spectral_radius(contact_loop), pair.free.sample_time_s)
-    return transient_from(pair, free_loop, controller, approach, count)
+    return transient_from(pair, controller, approach, samples=samples)
 
 
 def transient_from(
-    pair: SampledContact, free_loop: SampledLoop, controller: AdmittanceController, approach: Approach, samples: int
+    pair: SampledContact, controller: AdmittanceController, approach: Approach, *, samples: int | None = None
 ) -> ContactTransient:
-    """Simulate `samples` periods of a loop that the caller has found stable."""
-    contact, free = pair.contact, pair.free
-    start = steady_approach(free, free_loop, approach)
-    environment = contact.plant.environment
-    force, contact_force = run_contact(
-        (contact.phi, contact.gamma, contact.gamma_old, contact.rate),
-        (free.phi, free.gamma, free.gamma_old, free.rate),
-        free.drive,
-        (free.c_position, free.c_force, free.d_force),
-        (free.whole_delay, free.chain_length, free.fraction),
-        (environment.stiffness_n_per_m, environment.damping_n_s_per_m / free.sample_time_s),
-        controller_blocks(controller.parameters(), free.sample_time_s),
-        start.state,
-        start.force_n,
-        samples,
+    """Simulate the impact of a loop that the caller has found stable, see `simulate_contact`."""
+    free, h = pair.free, pair.free.sample_time_s
+    blocks = controller_blocks(controller, h)
+    # B_a + B_p, but for the ripple of F between the ticks, which the controller does not see.
+    resistance = controller.damping_n_s_per_m - float(pair.ramp[0, -1]) * h
+    speed, push, desired_force, push_after = approach.forces(resistance)
+    start = steady_start(
+        pair.ramp,
+        free.c_position,
+        blocks,
+        free.chain_length,
+        h,
+        speed,
+        push,
+        controller.damping_n_s_per_m * speed,
     )
+    longest = samples if samples is not None else math.ceil(LONGEST_TRANSIENT_S / h)
+    traces, found = (np.empty(longest), np.empty(longest)), np.zeros(5)
+    forces = (desired_force, push_after)
+    count = run_contact(pair.arguments, blocks, start, forces, traces, found, samples is None)
     return ContactTransient(
-        time_s=np.asarray(np.arange(samples) * free.sample_time_s, dtype=np.float64),
-        sensor_force_n=-force,
-        contact_force_n=contact_force,
-        contact_speed_m_s=start.speed_m_s,
-        driving_force_n=start.force_n,
+        time_s=np.asarray(np.arange(count) * h, dtype=np.float64),
+        sensor_force_n=-traces[0][:count],
+        contact_force_n=traces[1][:count].copy(),
+        contact_speed_m_s=speed,
+        driving_force_n=desired_force + push_after,
+        peak_sensor_force_n=float(found[0]),
+        time_of_sensor_peak_s=float(found[1] * h),
+        peak_contact_force_n=float(found[2]),
+        time_of_peak_s=float(found[3] * h),
+        impulse_n_s=float(found[4] * h),
+        is_settled=samples is not None or count < longest,
     )

@@ -1,132 +1,250 @@
-"""Compiled stepping of one contact: straight loops over the equations of `problems.sampled`."""
+"""Compiled stepping of one contact: the equations of `problems.sampled`, tick by tick."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .compiled import compiled
+from .contact_events import (
+    Wall,
+    advance,
+    advance_surface,
+    change_touch,
+    largest_force,
+    presses,
+    switch_within,
+)
+from .contact_stretch import stretch, stretch_of_three
+from .controller import controller_step
 
 FloatArray = NDArray[np.float64]
-Mode = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+# The plant in contact and in free space: `step` (2, n, n + 3) is (phi, gamma, gamma_old, gamma_push) of one sample,
+# `flow` (2, n, n + 2) is (rate, drive, push) of the continuous plant over one period.
+Motion = tuple[FloatArray, FloatArray]
+# Rows of x, F and F_e (3, n + 2) over (state, held command, outside force); then F_e inside a sample, rows (m, n + 3)
+# over (state, newer command, older command, outside force).
+Outputs = tuple[FloatArray, FloatArray]
+# whole samples, length of the chain of past commands, fraction of a sample
+Delay = tuple[int, int, float]
+# The plant's part of the arguments.
+Contact = tuple[Motion, Outputs, Delay, Wall]
+# Plant state, past commands (a ring of 2^k places, newest first), controller states.
+Start = tuple[FloatArray, FloatArray, FloatArray]
+# The same with position and speed of the environment; `flags` beside it are (head of the ring, touching).
+Moment = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+Traces = tuple[FloatArray, FloatArray]
 
-_TAYLOR_TERMS = 14
-_BISECTIONS = 44
-_SWITCHES_PER_SAMPLE = 8
+# A run is over when the force has stayed within this share of the largest force for a quarter of its length.
+SETTLED = 1e-3
+_FIRST_LOOK = 96
 
-
-@compiled
-def advance(rate: FloatArray, push: FloatArray, state: FloatArray, duration: float) -> FloatArray:
-    """Integrate ds/dτ = rate·s + push (constant) over `duration` (≤ 1) to rounding: Taylor series in short pieces."""
-    size = 0.0
-    for i in range(len(state)):
-        size = max(size, np.sum(np.abs(rate[i])))
-    pieces = max(1, int(np.ceil(2.0 * size * duration)))
-    step = duration / pieces
-    out = state.copy()
-    for _ in range(pieces):
-        # s(τ) = s + Σ τ^j/j! rate^(j−1)(rate·s + push)
-        term = (rate @ out + push) * step
-        total = out + term
-        for j in range(2, _TAYLOR_TERMS + 1):
-            term = (rate @ term) * (step / j)
-            total = total + term
-        out = total
-    return out
-
-
-@compiled
-def wall_force(state: FloatArray, n: int, stiffness: float, damping: float) -> float:
-    """Return K_e x_p + B_e v_p for a payload behind the wall, the penetration's sign in front of it."""
-    if state[n - 2] < 0.0:
-        return float(stiffness * state[n - 2])
-    return float(stiffness * state[n - 2] + damping * state[n - 1])
-
-
-@compiled
-def switch_within(
-    rates: tuple[FloatArray, FloatArray],
-    pushes: tuple[FloatArray, FloatArray],
-    state: FloatArray,
-    fraction: float,
-    touching: bool,
-    wall: tuple[float, float],
-) -> tuple[FloatArray, bool]:
-    """Cross one sample in which the contact begins or ends, locating each event by bisection."""
-    n = len(state)
-    current = state.copy()
-    switches = 0
-    for part in range(2):
-        remaining = fraction if part == 0 else 1.0 - fraction
-        push = pushes[part]
-        while remaining > 0.0:
-            rate = rates[0] if touching else rates[1]
-            end = advance(rate, push, current, remaining)
-            outside = wall_force(end, n, wall[0], wall[1]) <= 0.0
-            if outside != touching or switches >= _SWITCHES_PER_SAMPLE:
-                current = end
-                break
-            low, high = 0.0, remaining
-            for _ in range(_BISECTIONS):
-                middle = 0.5 * (low + high)
-                trial = advance(rate, push, current, middle)
-                if (wall_force(trial, n, wall[0], wall[1]) <= 0.0) == touching:
-                    high = middle
-                else:
-                    low = middle
-            current = advance(rate, push, current, high)
-            remaining -= high
-            touching = not touching
-            switches += 1
-    return current, touching
+# `found`: 0 largest pressing sensor force, 1 its tick, 2 largest contact force, 3 its time in samples, 4 impulse.
 
 
 @compiled
 def run_contact(
-    contact: Mode,
-    free: Mode,
-    drive: FloatArray,
-    outputs: tuple[FloatArray, FloatArray, float],
-    delay: tuple[int, int, float],
-    wall: tuple[float, float],
+    plant: Contact,
     blocks: FloatArray,
-    start: FloatArray,
-    desired_force: float,
-    samples: int,
-) -> tuple[FloatArray, FloatArray]:
-    """Return F and F_e at every tick, from the impact on; the state is laid out as in `assemble_loop`."""
-    c_position, c_force, d_force = outputs
-    whole, chain, fraction = delay
-    n = len(drive)
-    state, past, control = start[:n].copy(), start[n : n + chain].copy(), start[n + chain :].copy()
-    direct = blocks[0, 0] + blocks[1, 0]
-    force, contact_force = np.empty(samples), np.empty(samples)
-    touching = True
-    for k in range(samples):
-        position = c_position @ state
-        sensed = c_force @ state
-        rest = control[0] + control[1] - control[2] - blocks[2, 0] * position
-        if chain > 0:
-            sensed += d_force * past[chain - 1]
-            command = rest + direct * (desired_force + sensed)
-        else:
-            command = (rest + direct * (desired_force + sensed)) / (1.0 - direct * d_force)
-            sensed += d_force * command
-        force[k] = sensed
-        contact_force[k] = max(0.0, wall_force(state, n, wall[0], wall[1])) if touching else 0.0
-        drive_force = desired_force + sensed
-        control[0] = blocks[0, 1] * control[0] + blocks[0, 2] * drive_force
-        control[1] = blocks[1, 1] * control[1] + blocks[1, 2] * drive_force
-        control[2] = blocks[2, 1] * control[2] + blocks[2, 2] * position
-        newer = command if whole == 0 else past[whole - 1]
-        older = past[chain - 1] if chain > whole else newer
-        phi, gamma, gamma_old = (contact[0], contact[1], contact[2]) if touching else (free[0], free[1], free[2])
-        following = phi @ state + gamma * newer + gamma_old * older
-        if (wall_force(following, n, wall[0], wall[1]) <= 0.0) == touching:
-            following, touching = switch_within(
-                (contact[3], free[3]), (drive * older, drive * newer), state, fraction, touching, wall
-            )
-        state = following
-        for i in range(chain - 1, 0, -1):
-            past[i] = past[i - 1]
-        if chain > 0:
-            past[0] = command
-    return force, contact_force
+    start: Start,
+    forces: tuple[float, float],
+    traces: Traces,
+    found: FloatArray,
+    until_settled: bool,
+) -> int:
+    """Step from the impact on and return the number of samples: all of the traces', or fewer when settled.
+
+    `forces` are F^d and the outside force on the payload after the impact. `traces` get F and F_e at every tick;
+    `found` the peaks.
+    """
+    now, flags = _first_moment(start, plant[3], found)
+    total = len(traces[0])
+    done, look = 0, min(_FIRST_LOOK, total) if until_settled else total
+    while True:
+        _walk(plant, blocks, now, flags, forces, (done, look), traces, found)
+        done = look
+        if done == total or _settled(traces[0], done, forces[0], flags[1] == 1, found[0]):
+            break
+        look = min(total, look + look // 3)
+    _refine_peak(plant, blocks, start, forces, traces, found)
+    if flags[1] == 1:
+        _add_rest(forces, done, found)
+    return done
+
+
+@compiled
+def _first_moment(start: Start, wall: Wall, found: FloatArray) -> tuple[Moment, NDArray[np.int64]]:
+    """Copy the start, with the environment at rest beside it, and let the impact happen."""
+    state, surface_state = start[0].copy(), np.zeros(2)
+    found[4] = change_touch(state, surface_state, wall, False)
+    return (state, start[1].copy(), start[2].copy(), surface_state), np.array([0, 1])
+
+
+@compiled
+def _walk(
+    plant: Contact,
+    blocks: FloatArray,
+    now: Moment,
+    flags: NDArray[np.int64],
+    forces: tuple[float, float],
+    span: tuple[int, int],
+    traces: Traces,
+    found: FloatArray,
+) -> None:
+    """Step over the ticks of `span`: stretches in which nothing switches, and the samples between them."""
+    (motion, outputs, delay, wall), done = plant, span[0]
+    # Without delay the command acts on the force at once; an environment's mass has a motion of its own; and a stiff
+    # contact is looked at between the ticks.
+    plain = delay[1] > 0 and wall[2] == 0.0 and len(outputs[1]) == 0
+    while done < span[1]:
+        if plain:
+            step, part = motion[0][0 if flags[1] == 1 else 1], (done, span[1])
+            if len(now[0]) == 3:
+                done = stretch_of_three(step, outputs[0], delay, wall, blocks, now, flags, forces, part, traces)
+            else:
+                done = stretch(step, outputs[0], delay, wall, blocks, now, flags, forces, part, traces)
+        if done < span[1]:
+            _step(plant, blocks, now, flags, forces, done, traces, found)
+            done += 1
+    for k in range(span[0], span[1]):
+        if -traces[0][k] > found[0]:
+            found[0], found[1] = -traces[0][k], k
+        if traces[1][k] > found[2]:
+            found[2], found[3] = traces[1][k], k
+
+
+@compiled
+def _step(
+    plant: Contact,
+    blocks: FloatArray,
+    now: Moment,
+    flags: NDArray[np.int64],
+    forces: tuple[float, float],
+    k: int,
+    traces: Traces,
+    found: FloatArray,
+) -> None:
+    """Step over one sample with all that may happen in it."""
+    (motion, (rows, inside), delay, wall), (state, past, control, surface_state), n = plant, now, len(now[0])
+    law = (control[0], control[1], control[2], control[3])
+    sensed, command, pressed, law = _outputs(rows, blocks, law, state, _held(past, flags[0], delay), delay, forces)
+    control[0], control[1], control[2], control[3] = law
+    newer, older = _commands(past, flags[0], delay, command)
+    touching, mode = flags[1] == 1, 0 if flags[1] == 1 else 1
+    traces[0][k], traces[1][k] = sensed, max(0.0, pressed) if touching else 0.0
+    if touching:
+        for j in range(len(inside)):
+            value = inside[j, n] * newer + inside[j, n + 1] * older + inside[j, n + 2] * forces[1]
+            for i in range(n):
+                value += inside[j, i] * state[i]
+            if value > found[2]:
+                found[2], found[3] = value, k + (j + 1.0) / (len(inside) + 1.0)
+    following, swung = np.empty(n), surface_state.copy()
+    for i in range(n):
+        total = motion[0][mode, i, n] * newer + motion[0][mode, i, n + 1] * older
+        total += motion[0][mode, i, n + 2] * forces[1]
+        for j in range(n):
+            total += motion[0][mode, i, j] * state[j]
+        following[i] = total
+    if not touching:
+        advance_surface(swung, wall, 1.0)
+    # At the end of the sample the newer command is held.
+    if presses(following, swung, wall, rows, (newer, forces[1]), touching) == touching:
+        state[:], surface_state[:] = following, swung
+    else:
+        inputs = (older, newer, forces[1])
+        touching, impulse = switch_within(motion[1], state, surface_state, wall, rows, inputs, delay[2], touching)
+        found[4], flags[1] = max(found[4], impulse), 1 if touching else 0
+    if delay[1] > 0:
+        flags[0] = (flags[0] - 1) & (len(past) - 1)
+        past[flags[0]] = command
+
+
+@compiled
+def _held(past: FloatArray, head: int, delay: Delay) -> float:
+    """Return the oldest command in the chain, which the hold shows at the tick."""
+    return float(past[(head + delay[1] - 1) & (len(past) - 1)])
+
+
+@compiled
+def _commands(past: FloatArray, head: int, delay: Delay, command: float) -> tuple[float, float]:
+    """Return the command that acts from the fraction of the sample on, and the one before it."""
+    newer = command if delay[0] == 0 else past[(head + delay[0] - 1) & (len(past) - 1)]
+    return newer, _held(past, head, delay) if delay[1] > delay[0] else newer
+
+
+@compiled
+def _outputs(
+    rows: FloatArray,
+    blocks: FloatArray,
+    control: tuple[float, float, float, float],
+    state: FloatArray,
+    held: float,
+    delay: Delay,
+    forces: tuple[float, float],
+) -> tuple[float, float, float, tuple[float, float, float, float]]:
+    """Return F, x^d, F_e and the next controller states at a tick; without delay the command acts on F at once."""
+    n, delayed = len(state), delay[1] > 0
+    position, sensed, pressed = 0.0, 0.0, rows[2, n + 1] * forces[1]
+    for i in range(n):
+        position += rows[0, i] * state[i]
+        sensed += rows[1, i] * state[i]
+        pressed += rows[2, i] * state[i]
+    if not delayed and rows[1, n] != 0.0:
+        rest, _ = controller_step(blocks, control, forces[0] + sensed, position)
+        held = rest / (1.0 - (blocks[0, 0] + blocks[1, 0]) * rows[1, n])
+    if delayed or rows[1, n] != 0.0:
+        sensed += rows[1, n] * held
+    command, following = controller_step(blocks, control, forces[0] + sensed, position)
+    return sensed, command, pressed + rows[2, n] * (held if delayed else command), following
+
+
+@compiled
+def _settled(force: FloatArray, count: int, desired_force: float, touching: bool, largest: float) -> bool:
+    """Tell whether the force has come to rest: flat for the last quarter and, in contact, where e = F^d + F is 0."""
+    low, high = force[count - 1], force[count - 1]
+    for i in range(count - max(count // 4, 32), count):
+        low, high = min(low, force[i]), max(high, force[i])
+    band = SETTLED * max(largest, abs(desired_force))
+    return bool(high - low < band and (not touching or abs(desired_force + force[count - 1]) < band))
+
+
+@compiled
+def _refine_peak(
+    plant: Contact,
+    blocks: FloatArray,
+    start: Start,
+    forces: tuple[float, float],
+    traces: Traces,
+    found: FloatArray,
+) -> None:
+    """Search the contact force between the ticks, in the two samples around its largest value so far."""
+    (motion, (rows, _), delay, wall), n, tick = plant, len(start[0]), int(found[3])
+    ignored, fraction, flow = np.zeros(5), delay[2], motion[1][0]
+    now, flags = _first_moment(start, wall, ignored)
+    first = max(0, tick - 1)
+    _walk(plant, blocks, now, flags, forces, (0, first), traces, ignored)
+    for k in range(first, tick + 1):
+        law = (now[2][0], now[2][1], now[2][2], now[2][3])
+        _, command, _, _ = _outputs(rows, blocks, law, now[0], _held(now[1], flags[0], delay), delay, forces)
+        newer, older = _commands(now[1], flags[0], delay, command)
+        state, touching = now[0].copy(), flags[1] == 1
+        _walk(plant, blocks, now, flags, forces, (k, k + 1), traces, ignored)
+        if not (touching and flags[1] == 1):
+            continue
+        for part in range(2):
+            duration, held = (fraction, older) if part == 0 else (1.0 - fraction, newer)
+            if duration > 0.0:
+                value, moment = largest_force(flow, rows, (held, forces[1]), state, duration)
+                if value > found[2]:
+                    found[2], found[3] = value, k + moment + (fraction if part == 1 else 0.0)
+                if part == 0:
+                    drive = flow[:, n] * held + flow[:, n + 1] * forces[1]
+                    state = advance(flow[:, :n].copy(), drive, state, duration)
+
+
+@compiled
+def _add_rest(forces: tuple[float, float], count: int, found: FloatArray) -> None:
+    """Let the force at rest count, which a transient without overshoot only approaches: e = 0 and F_e = F^d + f."""
+    if forces[0] > found[0]:
+        found[0], found[1] = forces[0], count - 1
+    if forces[0] + forces[1] > found[2]:
+        found[2], found[3] = forces[0] + forces[1], count - 1

@@ -1,27 +1,38 @@
-"""The sampled admittance controller: Tustin forms of A(1+C_ff) and C_fb (MODEL.md, "Continuous blocks")."""
+"""The admittance controller and its sampled form (MODEL.md, "Continuous blocks" and Errata 2 and 3)."""
 
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ._checks import non_negative, positive
-from .compiled import compiled
+from .compiled import compiled, equation
 from .errors import ParameterError
 
 FloatArray = NDArray[np.float64]
+Compensation = Literal["filtered", "ideal"]
+Discretization = Literal["tustin", "forward_euler", "backward_euler"]
 
-# MODEL.md, erratum 2: the paper prints 2e-5 and 7.5e-6, which cannot be seconds.
+# Below this a feedback damping in seconds changes |G| by less than can be measured (0.003 dB for the printed value).
 SMALLEST_FEEDBACK_DAMPING_S = 1e-4
 PAPER_VELOCITY_FILTER_RAD_PER_S = 120.0
+PAPER_ACCELERATION_FILTER_RAD_PER_S = 200.0
+
+# s is replaced by (z − 1)/(h (θ z + 1 − θ)).
+THETA: dict[Discretization, float] = {"tustin": 0.5, "forward_euler": 0.0, "backward_euler": 1.0}
+CONTROLLER_STATES = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class AdmittanceController:
-    """x^d = A(1 + C_ff)(F^d + F) − C_fb x with A = 1/(M_a s² + B_a s), C_ff = K_l s, C_fb = B_fb ω_v s/(s + ω_v).
+    """x^d = A(1 + C_ff)(F^d + F + P̂ O_a x) − C_fb x.
+
+    A = 1/(M_a s² + B_a s), C_ff = K_l s, C_fb = B_fb ω_v s/(s + ω_v), O_a = ω_v ω_a s²/((s + ω_a)(s + ω_v)).
 
     `mass_kg` M_a, `damping_n_s_per_m` B_a, `lead_s` K_l, `feedback_damping_s` B_fb (seconds),
-    `velocity_filter_rad_per_s` ω_v.
+    `velocity_filter_rad_per_s` ω_v, `acceleration_filter_rad_per_s` ω_a, `compensation_mass_kg` P̂. With the
+    compensation "ideal", O_a = s². `discretization` is the form that runs in the cell.
 
     Raises ParameterError for values out of range, among them a B_fb in the paper's printed unit.
     """
@@ -31,20 +42,42 @@ class AdmittanceController:
     lead_s: float = 0.0
     feedback_damping_s: float = 0.0
     velocity_filter_rad_per_s: float = PAPER_VELOCITY_FILTER_RAD_PER_S
+    acceleration_filter_rad_per_s: float = PAPER_ACCELERATION_FILTER_RAD_PER_S
+    compensation_mass_kg: float = 0.0
+    compensation: Compensation = "filtered"
+    discretization: Discretization = "tustin"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "mass_kg", positive("mass_kg", self.mass_kg))
-        object.__setattr__(self, "damping_n_s_per_m", positive("damping_n_s_per_m", self.damping_n_s_per_m))
-        object.__setattr__(self, "lead_s", non_negative("lead_s", self.lead_s))
+        for name in ("mass_kg", "damping_n_s_per_m", "velocity_filter_rad_per_s", "acceleration_filter_rad_per_s"):
+            object.__setattr__(self, name, positive(name, getattr(self, name)))
+        for name in ("lead_s", "compensation_mass_kg"):
+            object.__setattr__(self, name, non_negative(name, getattr(self, name)))
         object.__setattr__(self, "feedback_damping_s", check_feedback_damping(self.feedback_damping_s))
-        object.__setattr__(
-            self,
-            "velocity_filter_rad_per_s",
-            positive("velocity_filter_rad_per_s", self.velocity_filter_rad_per_s),
-        )
+        for name, known in (("compensation", ("filtered", "ideal")), ("discretization", tuple(THETA))):
+            if getattr(self, name) not in known:
+                raise ParameterError(name, getattr(self, name), f"one of {', '.join(known)}")
+        if self.compensates and self.compensation == "ideal" and self.theta == 0.0:
+            raise ParameterError(
+                "discretization", self.discretization, "tustin or backward_euler (a derivative ahead of time is none)"
+            )
+
+    @property
+    def compensates(self) -> bool:
+        """Whether the payload's acceleration is compensated."""
+        return self.compensation_mass_kg > 0.0
+
+    @property
+    def theta(self) -> float:
+        """θ of the rule s ≈ (z − 1)/(h (θ z + 1 − θ))."""
+        return THETA[self.discretization]
+
+    @property
+    def is_ideal(self) -> bool:
+        """Whether the compensation takes the acceleration without filters."""
+        return self.compensates and self.compensation == "ideal"
 
     def parameters(self) -> FloatArray:
-        """Return (M_a, B_a, K_l, B_fb, ω_v), the order that the kernels take."""
+        """Return (M_a, B_a, K_l, B_fb, ω_v, ω_a, P̂), the order that the equations take."""
         return np.array(
             [
                 self.mass_kg,
@@ -52,6 +85,8 @@ class AdmittanceController:
                 self.lead_s,
                 self.feedback_damping_s,
                 self.velocity_filter_rad_per_s,
+                self.acceleration_filter_rad_per_s,
+                self.compensation_mass_kg,
             ]
         )
 
@@ -74,30 +109,107 @@ def feedback_damping_from_paper_mm(printed: float) -> float:
     return check_feedback_damping(1000.0 * printed)
 
 
-@compiled
-def first_order_tustin(n1: float, n0: float, d1: float, d0: float, h: float) -> tuple[float, float, float]:
-    """Return (direct, pole, gain) of (n1 s + n0)/(d1 s + d0) under s = (2/h)(z − 1)/(z + 1).
+def feedback_damping_from_paper_per_sample(printed: float, sample_time_s: float) -> float:
+    """Convert a B_fb as the paper prints it to seconds, reading it as s times h: times 1/h (MODEL.md, erratum 2)."""
+    return check_feedback_damping(printed / positive("sample_time_s", sample_time_s))
+
+
+@equation
+def write_first_order(block: Any, row: int, n1: Any, n0: Any, d1: Any, d0: Any, h: float, theta: float) -> None:
+    """Write (direct, pole, gain) of (n1 s + n0)/(d1 s + d0) under s = (z − 1)/(h (θ z + 1 − θ)) into a row.
 
     y_k = direct·e_k + s_k, s_{k+1} = pole·s_k + gain·e_k.
     """
-    w = 2.0 / h
-    lead = d1 * w + d0
-    direct, second = (n1 * w + n0) / lead, (n0 - n1 * w) / lead
-    pole = (d1 * w - d0) / lead
-    return direct, pole, second + pole * direct
+    lead = d1 + d0 * h * theta
+    direct = (n1 + n0 * h * theta) / lead
+    pole = (d1 - d0 * h * (1.0 - theta)) / lead
+    block[row, 0] = direct
+    block[row, 1] = pole
+    block[row, 2] = (n0 * h * (1.0 - theta) - n1) / lead + pole * direct
+
+
+@equation
+def write_blocks(blocks: Any, parameters: Any, h: float, theta: float, ideal: bool) -> None:
+    """Write the controller's first-order blocks into `blocks` (6, 3), see `controller_step`.
+
+    The first two add up to A(1 + C_ff) = (1/B_a)/s + (K_l − M_a/B_a)/(M_a s + B_a); the third is the velocity filter
+    ω_v s/(s + ω_v), the fourth the acceleration filter ω_a s/(s + ω_a) behind it. The sampled form of a sum or of a
+    series is the sum or series of the sampled forms, so this is the paper's difference equation in few states. The
+    ideal compensation is A(1 + C_ff) s² = (K_l/M_a) s + κ − κ B_a/(M_a s + B_a) with κ = (1 − K_l B_a/M_a)/M_a, whose
+    lag shares its pole, and so its state, with the second block; the fourth block is then the derivative.
+    """
+    mass, damping, lead, feedback = parameters[0], parameters[1], parameters[2], parameters[3]
+    corner, acceleration, compensation = parameters[4], parameters[5], parameters[6]
+    write_first_order(blocks, 0, 0.0, 1.0 / damping, 1.0, 0.0, h, theta)
+    write_first_order(blocks, 1, 0.0, lead - mass / damping, mass, damping, h, theta)
+    write_first_order(blocks, 2, corner, 0.0, 1.0, corner, h, theta)
+    blocks[4, 0] = feedback
+    if ideal:
+        kappa = compensation * (1.0 - lead * damping / mass) / mass
+        write_first_order(blocks, 5, 0.0, -kappa * damping, mass, damping, h, theta)
+        blocks[5, 1] = kappa + blocks[5, 0]
+        blocks[5, 0] = compensation * lead / mass
+        write_first_order(blocks, 3, 1.0, 0.0, 0.0, 1.0, h, theta)
+        blocks[4, 1] = 0.0
+        blocks[4, 2] = 1.0
+    else:
+        write_first_order(blocks, 3, acceleration, 0.0, 1.0, acceleration, h, theta)
+        blocks[4, 1] = compensation
+        blocks[4, 2] = 0.0
+        for i in range(3):
+            blocks[5, i] = 0.0
+
+
+@equation
+def controller_step(blocks: Any, state: tuple[Any, Any, Any, Any], force: Any, position: Any) -> Any:
+    """Return x^d_k from F^d + F and x at the tick, and the four states at the next: the difference equation.
+
+    Rows of `blocks`: integrator, lag, velocity filter, acceleration (each direct, pole, gain); then B_fb, P̂ and
+    whether the compensation is ideal; then its gain on the derivative, on x, and on x into the lag.
+    """
+    velocity = blocks[2, 0] * position + state[2]
+    source = position * blocks[4, 2] + velocity * (1.0 - blocks[4, 2])
+    acceleration = blocks[3, 0] * source + state[3]
+    drive = force + blocks[4, 1] * acceleration
+    command = (
+        state[0]
+        + state[1]
+        + (blocks[0, 0] + blocks[1, 0]) * drive
+        - blocks[4, 0] * velocity
+        + blocks[5, 0] * acceleration
+        + blocks[5, 1] * position
+    )
+    following = (
+        blocks[0, 1] * state[0] + blocks[0, 2] * drive,
+        blocks[1, 1] * state[1] + blocks[1, 2] * drive + blocks[5, 2] * position,
+        blocks[2, 1] * state[2] + blocks[2, 2] * position,
+        blocks[3, 1] * state[3] + blocks[3, 2] * source,
+    )
+    return command, following
+
+
+def controller_blocks(controller: AdmittanceController, sample_time_s: float) -> FloatArray:
+    """Return the blocks (6, 3) of a controller at h, see `write_blocks`."""
+    h = positive("sample_time_s", sample_time_s)
+    return blocks_of(controller.parameters(), h, controller.theta, controller.is_ideal)
 
 
 @compiled
-def controller_blocks(parameters: FloatArray, h: float) -> FloatArray:
-    """Return the three first-order Tustin blocks, rows (direct, pole, gain): integrator, lag, feedback.
-
-    The first two add up to A(1 + C_ff) = (1/B_a)/s + (K_l − M_a/B_a)/(M_a s + B_a), driven by F^d + F; the third is
-    C_fb, driven by x and subtracted. The Tustin form of a sum is the sum of the Tustin forms, so this is the paper's
-    difference equation in the smallest number of states.
-    """
-    mass, damping, lead, feedback, corner = parameters
-    blocks = np.empty((3, 3))
-    blocks[0, :] = first_order_tustin(0.0, 1.0 / damping, 1.0, 0.0, h)
-    blocks[1, :] = first_order_tustin(0.0, lead - mass / damping, mass, damping, h)
-    blocks[2, :] = first_order_tustin(feedback * corner, 0.0, 1.0, corner, h)
+def blocks_of(parameters: FloatArray, h: float, theta: float, ideal: bool) -> FloatArray:
+    """Return the blocks (6, 3) of a parameter vector, see `write_blocks`."""
+    blocks = np.zeros((6, 3))
+    write_blocks(blocks, parameters, h, theta, ideal)
     return blocks
+
+
+def needed_states(blocks: FloatArray) -> NDArray[np.int64]:
+    """Return which of the four states the command can see; the others would only add poles that nobody excites."""
+    filtered = blocks[4, 1] != 0.0
+    kept = [0]
+    if blocks[1, 2] != 0.0 or blocks[5, 2] != 0.0:
+        kept.append(1)
+    if blocks[4, 0] != 0.0 or filtered:
+        kept.append(2)
+    if filtered or blocks[5, 0] != 0.0:
+        kept.append(3)
+    return np.array(kept, dtype=np.int64)

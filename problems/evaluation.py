@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .contact import SampledContact, build_sampled_contact, settling_samples, transient_from
+from .contact import SampledContact, build_sampled_contact, transient_from
 from .controller import AdmittanceController
 from .design import DesignProblem, Requirements, Scenario
 from .margins import Margins, RawMargins, find_margins, margins_on_grid
 from .response import PlantResponse, controller_response, free_space_admittance, plant_response, rendered_admittance
-from .sampled import SampledPlant, build_loop, build_sampled_plant, stability_matrix
+from .sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -86,7 +86,7 @@ class PreparedScenarios:
         along the boundary needs them).
         """
         controller = self.problem.controller(design)
-        radius, contact_radii = self._radii(controller)
+        radius = self._radius(controller)
         if not radius < 1.0:
             return Evaluation(
                 controller=controller, spectral_radius=radius, requirements={}, peaks=(), objective_n=math.inf
@@ -96,15 +96,14 @@ class PreparedScenarios:
             return Evaluation(
                 controller=controller, spectral_radius=radius, requirements=requirements, peaks=(), objective_n=math.inf
             )
-        peaks = self.peaks(controller, contact_radii)
+        peaks = self.peaks(controller)
         return finish_evaluation(self.problem, controller, radius, requirements, peaks)
 
-    def _radii(self, controller: AdmittanceController) -> tuple[float, FloatArray]:
-        contact = np.array([stability_matrix(build_loop(pair.contact, controller)) for pair in self.pairs])
-        free = np.array([stability_matrix(build_loop(plant, controller)) for plant in self.free])
-        contact_radii = np.max(np.abs(np.linalg.eigvals(contact)), axis=-1)
-        free_radii = np.max(np.abs(np.linalg.eigvals(free)), axis=-1)
-        return float(max(np.max(contact_radii), np.max(free_radii))), contact_radii
+    def _radius(self, controller: AdmittanceController) -> float:
+        return max(
+            spectral_radius(build_loop(plant, controller))
+            for plant in (*(pair.contact for pair in self.pairs), *self.free)
+        )
 
     def _requirements(self, controller: AdmittanceController, radius: float) -> dict[str, float]:
         forward, feedback = controller_response(controller, self.z, self.problem.sample_time_s)
@@ -134,12 +133,11 @@ class PreparedScenarios:
         gain = np.abs(rendered_admittance(self.target_response, controller, self.problem.sample_time_s))
         return {"free_space_admittance": target.min_m_s_per_n / float(np.min(gain))}
 
-    def peaks(self, controller: AdmittanceController, contact_radii: FloatArray) -> tuple[Peak, ...]:
+    def peaks(self, controller: AdmittanceController) -> tuple[Peak, ...]:
         """Simulate the contact of every scenario; the loops must be stable."""
         found = []
-        for scenario, pair, radius in zip(self.scenarios, self.pairs, contact_radii, strict=True):
-            samples = settling_samples(float(radius), self.problem.sample_time_s)
-            run = transient_from(pair, build_loop(pair.free, controller), controller, self.problem.approach, samples)
+        for scenario, pair in zip(self.scenarios, self.pairs, strict=True):
+            run = transient_from(pair, controller, self.problem.approach)
             found.append(
                 Peak(
                     scenario=scenario,
@@ -256,7 +254,6 @@ def evaluate_exactly(prepared: PreparedScenarios, controller: AdmittanceControll
     values = [normalise_margins(problem.requirements, f.margins, problem.sample_time_s) for f in found]
     requirements = {name: max(value[name] for value in values) for name in values[0]}
     requirements |= prepared.achieved_admittance(controller)
-    radii = np.array([f.margins.spectral_radius for f in found])
-    peaks = prepared.peaks(controller, radii[: len(prepared.pairs)])
-    evaluation = finish_evaluation(problem, controller, float(np.max(radii)), requirements, peaks)
+    radius = max(f.margins.spectral_radius for f in found)
+    evaluation = finish_evaluation(problem, controller, radius, requirements, prepared.peaks(controller))
     return ExactEvaluation(evaluation=evaluation, margins=found)

@@ -25,7 +25,7 @@ class Mode:
 
 @dataclass(frozen=True, kw_only=True)
 class ModalAnalysis:
-    """All modes, slowest decay first; the free-space integrator is not among them.
+    """All modes, slowest decay first; the integrator of a loop without anchor is not among them.
 
     `distance` is 1 − max |z|: positive is stable.
     """

@@ -1,14 +1,16 @@
 """The continuous plant of one axis: robot, coupling, payload and environment (MODEL.md, "Continuous blocks").
 
-Rotational axes use the same equations with rad, N·m and kg·m².
+Rotational axes use the same equations: read m as rad, N as N·m and kg as kg·m² in every name below.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ._checks import non_negative, positive
+from .compiled import equation
 from .robot import RobotModel
 
 FloatArray = NDArray[np.float64]
@@ -40,19 +42,26 @@ class Coupling:
 
 @dataclass(frozen=True, kw_only=True)
 class Environment:
-    """E = B_e + K_e/s, massless; both zero is free space."""
+    """E = M_e s + B_e + K_e/s: stiffness, damping and moving mass of what is touched; all zero is free space."""
 
     stiffness_n_per_m: float
     damping_n_s_per_m: float = 0.0
+    mass_kg: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stiffness_n_per_m", non_negative("stiffness_n_per_m", self.stiffness_n_per_m))
         object.__setattr__(self, "damping_n_s_per_m", non_negative("damping_n_s_per_m", self.damping_n_s_per_m))
+        object.__setattr__(self, "mass_kg", non_negative("mass_kg", self.mass_kg))
 
     @property
     def is_free_space(self) -> bool:
         """Whether nothing is touched."""
-        return self.stiffness_n_per_m == 0.0 and self.damping_n_s_per_m == 0.0
+        return self.stiffness_n_per_m == 0.0 and self.damping_n_s_per_m == 0.0 and self.mass_kg == 0.0
+
+    @property
+    def is_anchored(self) -> bool:
+        """Whether it holds a position; without stiffness the loop keeps its integrator at z = 1."""
+        return self.stiffness_n_per_m > 0.0
 
 
 FREE_SPACE = Environment(stiffness_n_per_m=0.0)
@@ -71,55 +80,118 @@ class Plant:
         """Return the same plant with another environment."""
         return Plant(robot=self.robot, coupling=self.coupling, payload=self.payload, environment=environment)
 
+    def parameters(self) -> FloatArray:
+        """Return (K_s, B_s, M_p, B_p, K_e, B_e, M_e), the order that the equations take."""
+        return np.array(
+            [
+                self.coupling.stiffness_n_per_m,
+                self.coupling.damping_n_s_per_m,
+                self.payload.mass_kg,
+                self.payload.drag_n_s_per_m,
+                self.environment.stiffness_n_per_m,
+                self.environment.damping_n_s_per_m,
+                self.environment.mass_kg,
+            ]
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class PlantMatrices:
-    """ds/dτ = A s + B x^d in the dimensionless time τ = t/`time_scale_s`; rows below act on s and x^d.
+    """ds/dτ = A s + B x^d + p f in the dimensionless time τ = t/`time_scale_s`; rows below act on s, x^d and f.
 
     The state is (robot chain, x_p, `time_scale_s`·v_p): one size for every entry, so that exponentials are exact to
-    rounding. x = c_x s; F = c_F s + d_F x^d.
+    rounding. f is an outside force on the payload (a hand), positive towards +x. x = c_x s; F = c_F s + d_F x^d;
+    F_e = c_e s + d_e x^d + p_e f while the payload stays on the environment.
     """
 
     a: FloatArray
     b: FloatArray
+    push: FloatArray
     c_position: FloatArray
     c_force: FloatArray
     d_force: float
+    c_contact: FloatArray
+    d_contact: float
+    push_contact: float
     time_scale_s: float
 
 
-def build_plant_matrices(plant: Plant, time_scale_s: float) -> PlantMatrices:
-    """Write the equations of motion of one axis as first-order equations (delay left out).
+@equation
+def write_plant(
+    a: Any,
+    b: Any,
+    push: Any,
+    c_position: Any,
+    c_force: Any,
+    c_contact: Any,
+    direct: Any,
+    numerator: Any,
+    denominator: Any,
+    parameters: Any,
+    t: float,
+) -> None:
+    """Fill zeroed arrays with the equations of motion of one axis, delay left out; `direct` gets (d_F, d_e, p_e).
 
-    x = r(s) x^d; F = K_s (x_p − x) + B_s (v_p − v); M_p dv_p/dt = −F − B_p v_p − (K_e x_p + B_e v_p),
-    with the wall at x_p = 0 (MODEL.md, "Continuous blocks", with its signs).
+    x = r(s) x^d; F = K_s (x_p − x) + B_s (v_p − v); F_e = M_e dv_p/dt + B_e v_p + K_e x_p, the wall at x_p = 0;
+    M_p dv_p/dt = −F − B_p v_p − F_e + f (MODEL.md, "Continuous blocks", with its signs). `numerator` (n,) and
+    `denominator` (n + 1,) hold ascending powers of s, the latter monic; `parameters` as in `Plant.parameters`.
     """
-    t, n = positive("time_scale_s", time_scale_s), plant.robot.order
-    coupling, payload, environment = plant.coupling, plant.payload, plant.environment
+    n = denominator.shape[0] - 1
+    k_s, b_s, m_p, b_p = parameters[0], parameters[1] / t, parameters[2], parameters[3] / t
+    k_e, b_e, m_e = parameters[4], parameters[5] / t, parameters[6] / (t * t)
     # Controllable form of r(s) in p = s t: state i is t^i times the i-th derivative of one position-like signal.
-    denominator = plant.robot.denominator / t ** np.arange(n, -1, -1.0)
-    numerator = plant.robot.numerator / t ** np.arange(len(plant.robot.numerator) - 1, -1, -1.0)
-    lead = denominator[0]
-    a = np.zeros((n + 2, n + 2))
-    a[: n - 1, 1:n] = np.eye(n - 1)
-    a[n - 1, :n] = -denominator[:0:-1] / lead
-    b = np.zeros(n + 2)
-    b[n - 1] = denominator[-1] / lead
-    c_position = np.zeros(n + 2)
-    c_position[: len(numerator)] = numerator[::-1] / denominator[-1]
-    # Velocity of the flange times t, from the rows above.
-    c_velocity, d_velocity = c_position @ a, float(c_position @ b)
+    for i in range(n - 1):
+        a[i, i + 1] = 1.0
+    for i in range(n):
+        a[n - 1, i] = -denominator[i] * t ** (n - i)
+        c_position[i] = numerator[i] / denominator[0] / t**i
+    b[n - 1] = denominator[0] * t**n
 
-    stiffness, damping = coupling.stiffness_n_per_m, coupling.damping_n_s_per_m / t
-    c_force = -stiffness * c_position - damping * c_velocity
-    c_force[n] += stiffness
-    c_force[n + 1] += damping
-    d_force = -damping * d_velocity
+    # Velocity of the flange, times t, is c_position shifted along the chain.
+    last = c_position[n - 1]
+    for i in range(n):
+        velocity = last * a[n - 1, i]
+        if i > 0:
+            velocity = velocity + c_position[i - 1]
+        c_force[i] = -k_s * c_position[i] - b_s * velocity
+    c_force[n] = k_s
+    c_force[n + 1] = b_s
+    direct[0] = -b_s * last * b[n - 1]
 
-    scale = t * t / payload.mass_kg
+    scale = t * t / (m_p + parameters[6])
     a[n, n + 1] = 1.0
-    a[n + 1] = -scale * c_force
-    a[n + 1, n] -= scale * environment.stiffness_n_per_m
-    a[n + 1, n + 1] -= scale * (payload.drag_n_s_per_m + environment.damping_n_s_per_m) / t
-    b[n + 1] = -scale * d_force
-    return PlantMatrices(a=a, b=b, c_position=c_position, c_force=c_force, d_force=d_force, time_scale_s=t)
+    for i in range(n + 2):
+        a[n + 1, i] = -scale * c_force[i]
+    a[n + 1, n] = a[n + 1, n] - scale * k_e
+    a[n + 1, n + 1] = a[n + 1, n + 1] - scale * (b_p + b_e)
+    b[n + 1] = -scale * direct[0]
+    push[n + 1] = scale
+
+    for i in range(n + 2):
+        c_contact[i] = m_e * a[n + 1, i]
+    c_contact[n] = c_contact[n] + k_e
+    c_contact[n + 1] = c_contact[n + 1] + b_e
+    direct[1] = m_e * b[n + 1]
+    direct[2] = m_e * scale
+
+
+def build_plant_matrices(plant: Plant, time_scale_s: float) -> PlantMatrices:
+    """Build the equations of motion of one axis as first-order equations, see `write_plant`."""
+    t, n = positive("time_scale_s", time_scale_s), plant.robot.order
+    numerator, denominator = plant.robot.ascending()
+    a = np.zeros((n + 2, n + 2))
+    b, push, c_position, c_force, c_contact = (np.zeros(n + 2) for _ in range(5))
+    direct = np.zeros(3)
+    write_plant(a, b, push, c_position, c_force, c_contact, direct, numerator, denominator, plant.parameters(), t)
+    return PlantMatrices(
+        a=a,
+        b=b,
+        push=push,
+        c_position=c_position,
+        c_force=c_force,
+        d_force=float(direct[0]),
+        c_contact=c_contact,
+        d_contact=float(direct[1]),
+        push_contact=float(direct[2]),
+        time_scale_s=t,
+    )

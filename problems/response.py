@@ -1,10 +1,12 @@
 """Frequency response of the exact sampled loop at its two break points."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .compiled import equation
 from .controller import AdmittanceController, controller_blocks
 from .sampled import SampledPlant
 
@@ -40,13 +42,24 @@ def plant_response(sampled: SampledPlant, frequency_rad_per_s: FloatArray) -> Pl
     )
 
 
+@equation
+def controller_gains(blocks: Any, z: Any) -> Any:
+    """Return x^d per force e, and −x^d per position x, of the sampled controller at `z`, see `controller_step`."""
+    lag = 1.0 / (z - blocks[1, 1])
+    forward = blocks[0, 0] + blocks[0, 2] / (z - blocks[0, 1]) + blocks[1, 0] + blocks[1, 2] * lag
+    velocity = blocks[2, 0] + blocks[2, 2] / (z - blocks[2, 1])
+    source = blocks[4, 2] + velocity * (1.0 - blocks[4, 2])
+    acceleration = (blocks[3, 0] + blocks[3, 2] / (z - blocks[3, 1])) * source
+    compensation = (forward * blocks[4, 1] + blocks[5, 0]) * acceleration + blocks[5, 1] + blocks[5, 2] * lag
+    return forward, blocks[4, 0] * velocity - compensation
+
+
 def controller_response(
     controller: AdmittanceController, z: ComplexArray, h: float
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return the Tustin forms of A(1 + C_ff) and of C_fb at the points `z`."""
-    blocks = controller_blocks(controller.parameters(), h)
-    values = [direct + gain / (z - pole) for direct, pole, gain in blocks]
-    return values[0] + values[1], values[2]
+    """Return the sampled forms of A(1 + C_ff) and of C_fb − A(1 + C_ff) P̂ O_a at the points `z`."""
+    forward, feedback = controller_gains(controller_blocks(controller, h), z)
+    return np.asarray(forward, dtype=np.complex128), np.asarray(feedback, dtype=np.complex128)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +76,7 @@ def loop_response(
 ) -> LoopResponse:
     """Break the sampled loop at the force signal, L, and at the position command, L_x (MODEL.md, "Continuous blocks").
 
-    1 + L_x = (1 + C_fb X/X^d)(1 + L), as in the continuous form.
+    1 + L_x = (1 + (C_fb − A(1 + C_ff) P̂ O_a) X/X^d)(1 + L), as in the continuous form.
     """
     plant = plant_response(sampled, frequency_rad_per_s)
     forward, feedback = controller_response(controller, plant.z, sampled.sample_time_s)

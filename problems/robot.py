@@ -65,6 +65,13 @@ class RobotModel:
         """Number of states of r(s)."""
         return len(self.denominator) - 1
 
+    def ascending(self) -> tuple[FloatArray, FloatArray]:
+        """Return numerator (n,) and monic denominator (n + 1,) in ascending powers of s."""
+        lead = self.denominator[0]
+        numerator = np.zeros(self.order)
+        numerator[: len(self.numerator)] = self.numerator[::-1] / lead
+        return numerator, np.ascontiguousarray(self.denominator[::-1] / lead)
+
     def position_response(self, frequency_rad_per_s: FloatArray) -> NDArray[np.complex128]:
         """Return r(jω) e^(-jω T_d)."""
         s = 1j * np.asarray(frequency_rad_per_s)

@@ -2,30 +2,33 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from ._checks import positive
-from .compiled import compiled
-from .controller import AdmittanceController, controller_blocks
+from .compiled import compiled, equation
+from .controller import CONTROLLER_STATES, AdmittanceController, controller_blocks, controller_step, needed_states
 from .plant import Plant, build_plant_matrices
 
 FloatArray = NDArray[np.float64]
 
 # A delay this close to a whole number of samples (in samples) is that number; it is far below any clock's resolution.
 _WHOLE = 1e-9
-_CONTROLLER_STATES = 3
+# With a norm of at most 1/2 the series below is exact to rounding.
+_TAYLOR_TERMS = 14
 
 
 @dataclass(frozen=True, kw_only=True)
 class SampledPlant:
     """The plant between two ticks of the controller, T_d = (`whole_delay` + fraction)·h.
 
-    s_{k+1} = phi s_k + gamma_old u_{k−d−1} + gamma u_{k−d} with u = x^d and d = `whole_delay`; `gamma_old` is zero
-    for a whole delay. Outputs right after the hold's update at the tick: x_k = c_x s_k, F_k = c_F s_k + d_F·(held
-    input). `rate` and `drive` are the continuous ds/dτ = rate·s + drive·u over τ in [0, 1] (one period).
+    s_{k+1} = phi s_k + gamma_old u_{k−d−1} + gamma u_{k−d} + gamma_push f_k with u = x^d, d = `whole_delay` and f a
+    held outside force on the payload; `gamma_old` is zero for a whole delay. Outputs right after the hold's update at
+    the tick: x_k = c_x s_k, F_k = c_F s_k + d_F·(held input), and in contact F_e,k = c_e s_k + d_e·(held input) +
+    p_e f_k. `rate`, `drive` and `push` are the continuous ds/dτ = rate·s + drive·u + push·f over τ in [0, 1] (one
+    period).
     """
 
     plant: Plant
@@ -33,13 +36,18 @@ class SampledPlant:
     phi: FloatArray
     gamma: FloatArray
     gamma_old: FloatArray
+    gamma_push: FloatArray
     c_position: FloatArray
     c_force: FloatArray
     d_force: float
+    c_contact: FloatArray
+    d_contact: float
+    push_contact: float
     whole_delay: int
     fraction: float
     rate: FloatArray
     drive: FloatArray
+    push: FloatArray
 
     @property
     def state_count(self) -> int:
@@ -60,12 +68,53 @@ def split_delay(delay_s: float, sample_time_s: float) -> tuple[int, float]:
     return whole, fraction if fraction > _WHOLE else 0.0
 
 
+@equation
+def exponential(matrix: Any, identity: Any, squarings: int) -> Any:
+    """Return exp(matrix): the Taylor series of matrix/2^squarings (norm at most 1/2 for full precision), squared."""
+    small = matrix / 2.0**squarings
+    out = identity + small
+    term = small
+    for k in range(2, _TAYLOR_TERMS + 1):
+        term = (term @ small) / k
+        out = out + term
+    for _ in range(squarings):
+        out = out @ out
+    return out
+
+
+@compiled
+def squarings_for(matrix: FloatArray) -> int:
+    """Return how often the argument of `exponential` must be halved."""
+    largest = 0.0
+    for i in range(len(matrix)):
+        largest = max(largest, np.sum(np.abs(matrix[i])))
+    return max(0, int(np.ceil(np.log2(max(2.0 * largest, 1e-300)))))
+
+
+@compiled
+def _hold_columns(a: FloatArray, columns: FloatArray, duration: float) -> FloatArray:
+    n, inputs = columns.shape
+    augmented = np.zeros((n + inputs, n + inputs))
+    augmented[:n, :n] = a * duration
+    augmented[:n, n:] = columns * duration
+    whole: FloatArray = exponential(augmented, np.eye(n + inputs), squarings_for(augmented))
+    return whole
+
+
+def hold(a: FloatArray, b: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
+    """Return exp(a·duration) and ∫ exp(a σ) b dσ over [0, duration]; `b` is (n,) or (n, inputs)."""
+    n = len(a)
+    whole = _hold_columns(np.ascontiguousarray(a), np.ascontiguousarray(b).reshape(n, -1), duration)
+    return np.ascontiguousarray(whole[:n, :n]), np.ascontiguousarray(whole[:n, n:]).reshape(b.shape)
+
+
 def build_sampled_plant(plant: Plant, sample_time_s: float) -> SampledPlant:
     """Discretise the plant under a zero-order hold, exactly, with its delay."""
     h = positive("sample_time_s", sample_time_s)
     m = build_plant_matrices(plant, h)
     whole, fraction = split_delay(plant.robot.delay_s, h)
-    phi, gamma = hold(m.a, m.b, 1.0)
+    phi, held = hold(m.a, np.stack([m.b, m.push], axis=1), 1.0)
+    gamma, gamma_push = np.ascontiguousarray(held[:, 0]), np.ascontiguousarray(held[:, 1])
     gamma_old = np.zeros_like(gamma)
     if fraction > 0.0:
         # The older command acts during the first `fraction` of the period, the newer one during the rest.
@@ -77,147 +126,226 @@ def build_sampled_plant(plant: Plant, sample_time_s: float) -> SampledPlant:
         phi=phi,
         gamma=gamma,
         gamma_old=gamma_old,
+        gamma_push=gamma_push,
         c_position=m.c_position,
         c_force=m.c_force,
         d_force=m.d_force,
+        c_contact=m.c_contact,
+        d_contact=m.d_contact,
+        push_contact=m.push_contact,
         whole_delay=whole,
         fraction=fraction,
         rate=m.a,
         drive=m.b,
+        push=m.push,
     )
-
-
-def hold(a: FloatArray, b: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
-    """Return exp(a·duration) and ∫ exp(a σ) b dσ over [0, duration], from one augmented exponential."""
-    n = len(b)
-    augmented = np.zeros((n + 1, n + 1))
-    augmented[:n, :n], augmented[:n, n] = a, b
-    whole = expm(augmented * duration)
-    return np.ascontiguousarray(whole[:n, :n]), np.ascontiguousarray(whole[:n, n])
 
 
 @dataclass(frozen=True, kw_only=True)
 class SampledLoop:
-    """s_{k+1} = a s_k + b F^d_k, F_k = c_F s_k + d_F F^d_k; states: plant, past commands (newest first), controller.
+    """s_{k+1} = a s_k + b F^d_k + b_push f_k; states: plant, past commands (newest first), controller.
 
-    `d_force` is non-zero only when the delay is zero and the coupling has damping. `translation` is the state's
-    change when everything moves by one metre: the eigenvector of the integrator at z = 1 in free space.
+    F_k = c_force s_k + d_force F^d_k and x^d_k = c_command s_k + d_command F^d_k; whatever is added to the measured
+    force (noise) acts as F^d does. `d_force` is non-zero only when the delay is zero and the coupling has damping.
+    `translation` is the state's change when everything moves by one metre: the eigenvector of the integrator at
+    z = 1 that a loop has whose environment is not `is_anchored`.
     """
 
     a: FloatArray
     b: FloatArray
+    b_push: FloatArray
     c_force: FloatArray
     d_force: float
+    c_command: FloatArray
+    d_command: float
     translation: FloatArray
     sample_time_s: float
-    is_free_space: bool
+    is_anchored: bool
+
+
+@equation
+def write_open_loop(
+    m: Any,
+    plant: tuple[Any, Any, Any, Any, Any, Any, Any],
+    whole: int,
+    chain: int,
+    controller: Any,
+) -> None:
+    """Fill the zeroed `m` with the loop cut at both break points.
+
+    Rows: states (plant, chain, controller), F, x^d. Columns: states, the force e = F^d + F into the controller, the
+    command w into the robot, the force f on the payload. `plant` is (phi, gamma, gamma_old, gamma_push, c_x, c_F,
+    d_F); `controller` as `controller_matrices` returns it.
+    """
+    phi, gamma, gamma_old, gamma_push, c_position, c_force, d_force = plant
+    n, r = gamma.shape[0], controller.shape[0] - 1
+    first, size = n + chain, n + chain + r
+    force, command = size, size + 1
+    e, w, f = size, size + 1, size + 2
+    # The input that acts from the tick on: the command `whole` ticks ago, and the one before it for a fraction.
+    newer = w if whole == 0 else n + whole - 1
+    older = w if chain == 0 else n + chain - 1
+    for i in range(n):
+        for j in range(n):
+            m[i, j] = phi[i, j]
+        m[i, newer] = gamma[i]
+        if chain > whole:
+            m[i, older] = gamma_old[i]
+        m[i, f] = gamma_push[i]
+        m[force, i] = c_force[i]
+    m[force, older] = d_force
+    if chain > 0:
+        m[n, w] = 1.0
+        for i in range(1, chain):
+            m[n + i, n + i - 1] = 1.0
+    for i in range(r):
+        for j in range(r):
+            m[first + i, first + j] = controller[i, j]
+        m[first + i, e] = controller[i, r]
+        for j in range(n):
+            m[first + i, j] = controller[i, r + 1] * c_position[j]
+        m[command, first + i] = controller[r, i]
+    for j in range(n):
+        m[command, j] = controller[r, r + 1] * c_position[j]
+    m[command, e] = controller[r, r]
+
+
+@equation
+def close_loop(m: Any, row: int, column: int, rows: int, columns: int) -> None:
+    """Feed the signal of `row` into the input of `column`; what enters that column is added to the signal."""
+    share = 1.0 / (1.0 - m[row, column])
+    for i in range(rows):
+        if i != row:
+            factor = m[i, column] * share
+            for j in range(columns):
+                m[i, j] = m[i, j] + factor * m[row, j]
+    for j in range(columns):
+        m[row, j] = m[row, j] * share
+
+
+@dataclass(frozen=True, kw_only=True)
+class CutLoop:
+    """Rows (states, F, x^d) over columns (states, e, w, f), see `write_open_loop`; nothing is connected yet."""
+
+    matrix: FloatArray
+    state_count: int
+
+    @property
+    def force(self) -> int:
+        """Row of F, and column of the force e that enters the controller."""
+        return self.state_count
+
+    @property
+    def command(self) -> int:
+        """Row of x^d, and column of the command w that enters the robot."""
+        return self.state_count + 1
+
+    def closed_at(self, *signals: int) -> FloatArray:
+        """Return the matrix with the given signals connected."""
+        m = self.matrix
+        for signal in signals:
+            m = _closed(m, signal)
+        return m
 
 
 @compiled
-def assemble_loop(
-    phi: FloatArray,
-    gamma: FloatArray,
-    gamma_old: FloatArray,
-    c_position: FloatArray,
-    c_force: FloatArray,
-    d_force: float,
+def controller_matrices(blocks: FloatArray, kept: NDArray[np.int64]) -> FloatArray:
+    """Return rows (kept states, command) over columns (kept states, e, x) of the difference equation.
+
+    The equation is linear, so its columns are what it answers to one unit state or input each.
+    """
+    r = len(kept)
+    m = np.zeros((r + 1, r + 2))
+    unit = np.zeros(CONTROLLER_STATES + 2)
+    for j in range(r + 2):
+        place = kept[j] if j < r else CONTROLLER_STATES + j - r
+        unit[place] = 1.0
+        m[r, j], following = controller_step(blocks, (unit[0], unit[1], unit[2], unit[3]), unit[4], unit[5])
+        for i in range(r):
+            m[i, j] = np.array(following)[kept[i]]
+        unit[place] = 0.0
+    return m
+
+
+@compiled
+def _cut_loop(
+    plant: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float],
     whole: int,
     chain: int,
     blocks: FloatArray,
+    kept: NDArray[np.int64],
 ) -> FloatArray:
-    """Return the loop as rows (plant, chain, controller, output F), columns (states, F^d).
+    size = len(plant[1]) + chain + len(kept)
+    m = np.zeros((size + 2, size + 3))
+    write_open_loop(m, plant, whole, chain, controller_matrices(blocks, kept))
+    return m
 
-    Every signal is a row over (states, F^d): F and x from the plant, x^d from the controller's blocks.
-    """
-    n = len(gamma)
-    size = n + chain + 3
-    force, position, forward = np.zeros(size + 1), np.zeros(size + 1), np.zeros(size + 1)
-    force[:n] = c_force
-    position[:n] = c_position
-    direct = blocks[0, 0] + blocks[1, 0]
-    # The input that the hold shows at the tick: the oldest command in the chain, or the new one without delay.
-    if chain > 0:
-        force[n + chain - 1] += d_force
-    forward[n + chain : n + chain + 3] = np.array([1.0, 1.0, -1.0])
-    forward[size] = direct
-    command = forward + direct * force - blocks[2, 0] * position
-    if chain == 0:
-        command /= 1.0 - direct * d_force
-        force += d_force * command
-    out = np.zeros((size + 1, size + 1))
-    out[:n, :n] = phi
-    if chain == 0:
-        for i in range(n):
-            out[i] += gamma[i] * command
-    elif whole == 0:
-        out[:n, n] += gamma_old
-        for i in range(n):
-            out[i] += gamma[i] * command
-    else:
-        out[:n, n + whole - 1] += gamma
-        if chain > whole:
-            out[:n, n + chain - 1] += gamma_old
-    if chain > 0:
-        out[n] = command
-        for i in range(1, chain):
-            out[n + i, n + i - 1] = 1.0
-    for i in range(2):
-        out[n + chain + i] = blocks[i, 2] * force
-        out[n + chain + i, size] += blocks[i, 2]
-        out[n + chain + i, n + chain + i] += blocks[i, 1]
-    out[n + chain + 2] = blocks[2, 2] * position
-    out[n + chain + 2, n + chain + 2] += blocks[2, 1]
-    out[size] = force
+
+@compiled
+def _closed(m: FloatArray, signal: int) -> FloatArray:
+    out = m.copy()
+    close_loop(out, signal, signal, out.shape[0], out.shape[1])
     return out
 
 
-def build_loop(sampled: SampledPlant, controller: AdmittanceController) -> SampledLoop:
-    """Close the loop of `sampled` and the Tustin form of `controller`, without approximation."""
-    blocks = controller_blocks(controller.parameters(), sampled.sample_time_s)
-    whole = assemble_loop(
+def build_cut_loop(sampled: SampledPlant, controller: AdmittanceController) -> CutLoop:
+    """Lay out plant and sampled controller as one system that is cut at the force signal and at the command."""
+    blocks = controller_blocks(controller, sampled.sample_time_s)
+    plant = (
         sampled.phi,
         sampled.gamma,
         sampled.gamma_old,
+        sampled.gamma_push,
         sampled.c_position,
         sampled.c_force,
         sampled.d_force,
-        sampled.whole_delay,
-        sampled.chain_length,
-        blocks,
     )
+    m = _cut_loop(plant, sampled.whole_delay, sampled.chain_length, blocks, needed_states(blocks))
+    return CutLoop(matrix=m, state_count=len(m) - 2)
+
+
+def build_loop(sampled: SampledPlant, controller: AdmittanceController) -> SampledLoop:
+    """Close the loop of `sampled` and the sampled form of `controller`, without approximation."""
+    cut = build_cut_loop(sampled, controller)
+    m, n = cut.closed_at(cut.command, cut.force), cut.state_count
     return SampledLoop(
-        a=whole[:-1, :-1],
-        b=whole[:-1, -1],
-        c_force=whole[-1, :-1],
-        d_force=float(whole[-1, -1]),
-        translation=translation_state(sampled, blocks),
+        a=np.ascontiguousarray(m[:n, :n]),
+        b=m[:n, n].copy(),
+        b_push=m[:n, n + 2].copy(),
+        c_force=m[cut.force, :n].copy(),
+        d_force=float(m[cut.force, n]),
+        c_command=m[cut.command, :n].copy(),
+        d_command=float(m[cut.command, n]),
+        translation=translation_state(sampled, controller),
         sample_time_s=sampled.sample_time_s,
-        is_free_space=sampled.plant.environment.is_free_space,
+        is_anchored=sampled.plant.environment.is_anchored,
     )
 
 
-def translation_state(sampled: SampledPlant, blocks: FloatArray) -> FloatArray:
+def translation_state(sampled: SampledPlant, controller: AdmittanceController) -> FloatArray:
     """Return the loop state in which flange, payload and command all rest at one metre and F = 0."""
-    n, chain = sampled.state_count, sampled.chain_length
-    state = np.zeros(n + chain + _CONTROLLER_STATES)
-    state[0] = 1.0  # the robot chain's first state has unit gain at rest (r(0) = 1)
-    state[n - 2] = 1.0  # x_p
-    state[n : n + chain] = 1.0
-    feedback_direct, feedback_pole, feedback_gain = blocks[2]
-    feedback_rest = feedback_gain / (1.0 - feedback_pole)
-    # x^d = 1 = integrator − C_fb x, and C_fb blocks constants: direct + rest = 0.
-    state[n + chain] = 1.0 + feedback_direct + feedback_rest
-    state[n + chain + 2] = feedback_rest
-    return state
+    blocks = controller_blocks(controller, sampled.sample_time_s)
+    n = sampled.state_count
+    # The robot chain's first state has unit gain at rest (r(0) = 1); then x_p.
+    plant = np.zeros(n)
+    plant[0] = plant[n - 2] = 1.0
+    rest = controller_rest(blocks)[needed_states(blocks)]
+    return np.concatenate([plant, np.ones(sampled.chain_length), rest])
+
+
+def controller_rest(blocks: FloatArray) -> FloatArray:
+    """Return the controller's states (4,) at rest at one metre: the filters see no motion, the command is one metre."""
+    lag = blocks[5, 2] / (1.0 - blocks[1, 1])
+    return np.array([1.0 - lag - blocks[5, 1], lag, -blocks[2, 0], -blocks[3, 0] * blocks[4, 2]])
 
 
 def stability_matrix(loop: SampledLoop) -> FloatArray:
-    """Return the matrix whose eigenvalues decide: all of `a`, in free space without the integrator at z = 1.
+    """Return the matrix whose eigenvalues decide: all of `a`, but for the integrator at z = 1 of an unanchored loop.
 
-    In free space position is relative: subtracting the translation from every state by way of the payload position
+    Without an anchor position is relative: subtracting the translation from every state by way of the payload position
     removes exactly one eigenvalue, 1, and leaves the others (no rounding decides whether 1.0000001 is unstable).
     """
-    if not loop.is_free_space:
+    if loop.is_anchored:
         return loop.a
     pivot = int(np.argmax(np.abs(loop.translation)))
     reduced = loop.a - np.outer(loop.translation / loop.translation[pivot], loop.a[pivot])

@@ -6,17 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from problems.compiled import compiled
-from problems.contact_kernel import switch_within, wall_force
-from problems.controller import controller_blocks
-from problems.plant import FREE_SPACE
-from problems.sampled import SampledPlant, build_sampled_plant, hold, translation_state
+from problems.contact import build_sampled_contact
+from problems.contact_events import contact_force, presses, switch_within
+from problems.contact_kernel import Contact
+from problems.controller import controller_blocks, controller_step
+from problems.sampled import build_sampled_plant, controller_rest
 
 from .phases import Script
 from .truth import Cell
 
 FloatArray = NDArray[np.float64]
-# phi, gamma, gamma_old, held hand force, rate: what `SampledPlant` calls so, and the hand's column.
-Mode = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,22 +34,12 @@ class AxisRun:
 def run_axis(cell: Cell, script: Script, measured_noise_n: FloatArray) -> AxisRun:
     """Step controller, robot, payload and wall through the script; the controller sees the noisy force."""
     h = cell.sample_time_s
-    contact = build_sampled_plant(cell.contact_plant(), h)
-    free = build_sampled_plant(cell.contact_plant().in_contact_with(FREE_SPACE), h)
-    blocks = controller_blocks(cell.controller.parameters(), h)
-    n = free.state_count
-    hand = np.zeros(n)
-    hand[n - 1] = h * h / cell.payload_mass_kg
-    rest = translation_state(free, blocks)
+    pair = build_sampled_contact(build_sampled_plant(cell.contact_plant(), h))
+    blocks = controller_blocks(cell.controller, h)
     signals = _step_axis(
-        _mode(contact, hand),
-        _mode(free, hand),
-        (free.drive, hand),
-        (free.c_position, free.c_force, free.d_force),
-        (free.whole_delay, free.chain_length, free.fraction),
-        (cell.environment.stiffness_n_per_m, cell.environment.damping_n_s_per_m / h),
+        pair.arguments,
         blocks,
-        rest,
+        controller_rest(blocks),
         (cell.wall_distance_m, cell.deadband_n),
         (script.admittance, script.command_m, script.desired_force_n, script.hand_force_n, script.homing_n_per_m),
         measured_noise_n,
@@ -67,30 +56,9 @@ def run_axis(cell: Cell, script: Script, measured_noise_n: FloatArray) -> AxisRu
     )
 
 
-def _mode(sampled: SampledPlant, hand: FloatArray) -> Mode:
-    _, held_hand = hold(sampled.rate, hand, 1.0)
-    return sampled.phi, sampled.gamma, sampled.gamma_old, held_hand, sampled.rate
-
-
-@compiled
-def _admittance_step(blocks: FloatArray, control: FloatArray, force: float, position: float) -> float:
-    """Return the command for F^d + F (deadband applied) and the measured position; advance the controller's states."""
-    direct = blocks[0, 0] + blocks[1, 0]
-    command = control[0] + control[1] + direct * force - (blocks[2, 0] * position + control[2])
-    control[0] = blocks[0, 1] * control[0] + blocks[0, 2] * force
-    control[1] = blocks[1, 1] * control[1] + blocks[1, 2] * force
-    control[2] = blocks[2, 1] * control[2] + blocks[2, 2] * position
-    return float(command)
-
-
 @compiled
 def _step_axis(
-    contact: Mode,
-    free: Mode,
-    inputs: tuple[FloatArray, FloatArray],
-    outputs: tuple[FloatArray, FloatArray, float],
-    delay: tuple[int, int, float],
-    wall: tuple[float, float],
+    plant: Contact,
     blocks: FloatArray,
     rest: FloatArray,
     limits: tuple[float, float],
@@ -98,42 +66,44 @@ def _step_axis(
     noise: FloatArray,
 ) -> FloatArray:
     """Return rows flange, command, payload, payload velocity·h, F, F_e, hand force over the ticks; the wall is at 0."""
-    c_position, c_force, d_force = outputs
-    whole, chain, fraction = delay
+    (step, flow), (rows, _), (whole, chain, fraction), wall = plant
     admittance, script_command, desired, hand_force, homing = script
-    drive, hand = inputs
-    n, samples = len(drive), len(admittance)
-    state = -limits[0] * rest[:n]
-    past = np.full(max(chain, 1), -limits[0])
-    control = np.zeros(3)
+    n, samples = step.shape[1], len(admittance)
+    state, past, control, surface_state = np.zeros(n), np.full(max(chain, 1), -limits[0]), rest.copy(), np.zeros(2)
+    state[0] = state[n - 2] = -limits[0]
     out = np.empty((7, samples))
     base, was_running, touching = -limits[0], False, False
     for k in range(samples):
-        position = float(c_position @ state)
-        sensed = float(c_force @ state + d_force * past[chain - 1])
+        held = past[chain - 1]
+        position = float(np.sum(rows[0, :n] * state))
+        sensed = float(np.sum(rows[1, :n] * state) + rows[1, n] * held)
         seen = sensed + noise[k]
         drive_force = float(desired[k] + (seen if abs(seen) > limits[1] else 0.0))
         if admittance[k]:
             if not was_running:
-                control[:] = rest[n + chain :] * past[0]
-            command = _admittance_step(blocks, control, drive_force, position)
+                control = rest * past[0]
+            law = (control[0], control[1], control[2], control[3])
+            command, law = controller_step(blocks, law, drive_force, position)
+            control[0], control[1], control[2], control[3] = law
         else:
             if was_running or k == 0:
                 base = past[0] - script_command[k]
             command = base + script_command[k]
         was_running = admittance[k]
-        pushed = hand_force[k] - homing[k] * (state[n - 2] + limits[0])
+        push = hand_force[k] - homing[k] * (state[n - 2] + limits[0])
         out[0, k], out[1, k], out[2, k], out[3, k] = position, command, state[n - 2], state[n - 1]
-        out[4, k], out[6, k] = sensed, pushed
-        out[5, k] = max(0.0, wall_force(state, n, wall[0], wall[1])) if touching else 0.0
+        out[4, k], out[6, k] = sensed, push
+        out[5, k] = max(0.0, contact_force(state, rows, (held, push))) if touching else 0.0
         newer = command if whole == 0 else past[whole - 1]
-        older = past[chain - 1] if chain > whole else newer
-        mode = contact if touching else free
-        following = mode[0] @ state + mode[1] * newer + mode[2] * older + mode[3] * pushed
-        if (wall_force(following, n, wall[0], wall[1]) <= 0.0) == touching:
-            pushes = (drive * older + hand * pushed, drive * newer + hand * pushed)
-            following, touching = switch_within((contact[4], free[4]), pushes, state, fraction, touching, wall)
-        state = following
+        older = held if chain > whole else newer
+        mode = 0 if touching else 1
+        phi = step[mode, :, :n].copy()
+        following = phi @ state + step[mode, :, n] * newer + step[mode, :, n + 1] * older + step[mode, :, n + 2] * push
+        if presses(following, surface_state, wall, rows, (newer, push), touching) == touching:
+            state = following
+        else:
+            inputs = (older, newer, push)
+            touching, _ = switch_within(flow, state, surface_state, wall, rows, inputs, fraction, touching)
         for i in range(chain - 1, 0, -1):
             past[i] = past[i - 1]
         past[0] = command

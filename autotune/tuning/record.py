@@ -3,8 +3,6 @@
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from autotune.files.controller_record import (
     AdmittanceRequirement,
     AxisDomain,
@@ -28,7 +26,6 @@ from identification.result import Identified
 from problems.controller import AdmittanceController
 from problems.design import DesignProblem, Requirements
 from problems.evaluation import PlantMargins, build_scenarios, smallest_admittance
-from problems.margins import find_margins
 
 from .problems import runtime_mass_kg
 from .search import SearchResult
@@ -110,7 +107,6 @@ def _payload(identified: Identified, certified: tuple[float, float]) -> RuntimeP
 
 def _prediction(problem: DesignProblem, controller: AdmittanceController) -> AxisPrediction:
     prepared = build_scenarios(problem, problem.scenarios(_PREDICTED_STIFFNESS, _PREDICTED_MASS))
-    radii = np.array([find_margins(pair.contact, controller).spectral_radius for pair in prepared.pairs])
     target = problem.requirements.free_space_admittance
     band = target.band_hz if target is not None else (0.1, 2.0)
     return AxisPrediction(
@@ -123,7 +119,7 @@ def _prediction(problem: DesignProblem, controller: AdmittanceController) -> Axi
                 peak_contact_force_n=peak.peak_contact_force_n,
                 time_of_peak_s=peak.time_of_peak_s,
             )
-            for peak in prepared.peaks(controller, radii)
+            for peak in prepared.peaks(controller)
         ),
         free_space_admittance=FreeSpaceAdmittance(
             band_hz=band,

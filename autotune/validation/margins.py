@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from problems.controller import AdmittanceController, controller_blocks
+from problems.controller import AdmittanceController
 from problems.margins import frequency_grid, margins_on_grid
-from problems.sampled import SampledPlant, assemble_loop, build_sampled_plant
+from problems.sampled import SampledPlant, build_cut_loop, build_sampled_plant
 
 from .proof import UncertainPlant
 
@@ -58,42 +58,30 @@ def sweep_margins(
 def _margins(sampled: SampledPlant, controller: AdmittanceController) -> tuple[dict[str, float], float]:
     """Return the margins of one loop from 1 + L = ∏(z − λ_closed)/∏(z − λ_cut), and its largest |λ_closed| but 1.
 
-    The cut loop has the force (or the force and the position) disconnected from the controller; both polynomials are
-    monic, and only a loop without delay has a factor before them.
+    The loop is cut at the force or at the command; both polynomials are monic, and only a loop without delay has a
+    factor before them.
     """
-    blocks = controller_blocks(controller.parameters(), sampled.sample_time_s)
+    cut = build_cut_loop(sampled, controller)
     grid = frequency_grid(sampled, _GRID_POINTS)
     z = np.exp(1j * grid * sampled.sample_time_s)
-    closed = _eigenvalues(sampled, blocks)
-    factor = 1.0 if sampled.chain_length else 1.0 - (blocks[0, 0] + blocks[1, 0]) * sampled.d_force
+    whole = cut.closed_at(cut.command, cut.force)
+    closed = _eigenvalues(whole)
     loops = []
-    for disconnected in ((0, 1), (0, 1, 2)):
-        cut = blocks.copy()
-        cut[list(disconnected), 0] = 0.0
-        cut[list(disconnected), 2] = 0.0
-        loops.append(factor * _ratio(z, closed, _eigenvalues(sampled, cut)) - 1.0)
+    for signal, other in ((cut.force, cut.command), (cut.command, cut.force)):
+        opened = cut.closed_at(other)
+        loops.append((1.0 - opened[signal, signal]) * _ratio(z, closed, _eigenvalues(opened)) - 1.0)
     both = margins_on_grid(grid, np.array(loops))
     smallest = {name: float(np.min(values)) for name, values in both._asdict().items()}
     if smallest["gain_db"] > _NO_LIMIT_DB:
         smallest["gain_db"] = np.inf
-    if sampled.plant.environment.is_free_space:
+    if not sampled.plant.environment.is_anchored:
         closed = np.delete(closed, int(np.argmin(np.abs(closed - 1.0))))
     return smallest, float(np.max(np.abs(closed)))
 
 
-def _eigenvalues(sampled: SampledPlant, blocks: FloatArray) -> ComplexArray:
-    whole = assemble_loop(
-        sampled.phi,
-        sampled.gamma,
-        sampled.gamma_old,
-        sampled.c_position,
-        sampled.c_force,
-        sampled.d_force,
-        sampled.whole_delay,
-        sampled.chain_length,
-        blocks,
-    )
-    return np.linalg.eigvals(whole[:-1, :-1]).astype(np.complex128)
+def _eigenvalues(matrix: FloatArray) -> ComplexArray:
+    """Return the eigenvalues of the states' part: two rows of outputs and three columns of inputs are around it."""
+    return np.linalg.eigvals(matrix[:-2, :-3]).astype(np.complex128)
 
 
 def _ratio(z: ComplexArray, zeros: ComplexArray, poles: ComplexArray) -> ComplexArray:

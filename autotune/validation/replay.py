@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from problems.contact import settling_samples
 from problems.controller import AdmittanceController
 from problems.plant import FREE_SPACE, Coupling, Payload, Plant, build_plant_matrices
 from problems.robot import RobotModel
@@ -18,6 +17,9 @@ FloatArray = NDArray[np.float64]
 _SUBSTEPS = 20
 _SHORTEST_APPROACH_S = 0.8
 _SHORTEST_AFTER_S = 1.6
+# A part of the motion has gone when it has decayed to exp(-7), a thousandth.
+_DECAY_EXPONENTS = 7.0
+_LONGEST_S = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +76,8 @@ def replay_contact(
 def _duration(plant: Plant, controller: AdmittanceController, h: float, shortest_s: float) -> int:
     """Return how many samples the loop needs to settle, a wall that is soft or a light damping taking longer."""
     radius = spectral_radius(build_loop(build_sampled_plant(plant, h), controller))
-    return max(round(shortest_s / h), settling_samples(radius, h))
+    decay = math.ceil(_DECAY_EXPONENTS / -math.log(radius)) if radius > 0.0 else 0
+    return max(round(shortest_s / h), min(decay, math.ceil(_LONGEST_S / h)))
 
 
 class _Stepper:

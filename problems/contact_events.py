@@ -1,0 +1,222 @@
+"""Inside a sample: exact integration, and the moments at which the contact begins and ends."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .compiled import compiled
+
+FloatArray = NDArray[np.float64]
+# (K_e, B_e/h, M_e/h², share of the speed that the payload keeps in an impact with the resting environment)
+Wall = tuple[float, float, float, float]
+
+_TAYLOR_TERMS = 14
+_BISECTIONS = 44
+_SWITCHES_PER_SAMPLE = 8
+_SERIES_TERMS = 18
+_SLOPE_STEPS = 8
+
+
+@compiled
+def advance(rate: FloatArray, push: FloatArray, state: FloatArray, duration: float) -> FloatArray:
+    """Integrate ds/dτ = rate·s + push (constant) over `duration` (≤ 1) to rounding: Taylor series in short pieces."""
+    size = 0.0
+    for i in range(len(state)):
+        size = max(size, np.sum(np.abs(rate[i])))
+    pieces = max(1, int(np.ceil(2.0 * size * duration)))
+    step = duration / pieces
+    out = state.copy()
+    for _ in range(pieces):
+        # s(τ) = s + Σ τ^j/j! rate^(j−1)(rate·s + push)
+        term = (rate @ out + push) * step
+        total = out + term
+        for j in range(2, _TAYLOR_TERMS + 1):
+            term = (rate @ term) * (step / j)
+            total = total + term
+        out = total
+    return out
+
+
+@compiled
+def presses(
+    state: FloatArray,
+    surface_state: FloatArray,
+    wall: Wall,
+    outputs: FloatArray,
+    inputs: tuple[float, float],
+    touching: bool,
+) -> bool:
+    """Tell whether the payload is on the environment, given whether it was: force when on it, gap when off it."""
+    n = len(state)
+    if wall[2] == 0.0:
+        # A massless environment is back at once; its damper pulls on nobody.
+        force = wall[0] * state[n - 2]
+        if state[n - 2] >= 0.0:
+            force += wall[1] * state[n - 1]
+        return bool(force > 0.0)
+    if not touching:
+        return bool(state[n - 2] > surface_state[0])
+    return contact_force(state, outputs, inputs) > 0.0
+
+
+@compiled
+def contact_force(state: FloatArray, outputs: FloatArray, inputs: tuple[float, float]) -> float:
+    """Return F_e of a payload that stays on the environment; `inputs` are the held command and the outside force."""
+    n = len(state)
+    force = outputs[2, n] * inputs[0] + outputs[2, n + 1] * inputs[1]
+    for i in range(n):
+        force += outputs[2, i] * state[i]
+    return float(force)
+
+
+@compiled
+def advance_surface(surface_state: FloatArray, wall: Wall, duration: float) -> None:
+    """Let the environment's mass swing back on its own spring and damper."""
+    if wall[2] > 0.0:
+        rate = np.array([[0.0, 1.0], [-wall[0] / wall[2], -wall[1] / wall[2]]])
+        surface_state[:] = advance(rate, np.zeros(2), surface_state, duration)
+
+
+@compiled
+def change_touch(state: FloatArray, surface_state: FloatArray, wall: Wall, touching: bool) -> float:
+    """Let the payload leave, or meet the environment's mass without rebound; return the impulse on it times 1/h."""
+    n = len(state)
+    if wall[2] == 0.0:
+        return 0.0
+    if touching:
+        surface_state[0], surface_state[1] = state[n - 2], state[n - 1]
+        return 0.0
+    common = wall[3] * state[n - 1] + (1.0 - wall[3]) * surface_state[1]
+    impulse = wall[2] * (common - surface_state[1])
+    state[n - 1] = common
+    return float(impulse)
+
+
+@compiled
+def switch_within(
+    flow: FloatArray,
+    state: FloatArray,
+    surface_state: FloatArray,
+    wall: Wall,
+    outputs: FloatArray,
+    inputs: tuple[float, float, float],
+    fraction: float,
+    touching: bool,
+) -> tuple[bool, float]:
+    """Advance `state` over one sample in which the contact begins or ends, locating each event by bisection.
+
+    `inputs` are the older and the newer command and the outside force. Returns whether it touches then, and the
+    largest impulse (times 1/h); `surface_state` is advanced as well.
+    """
+    n, impulse, switches = len(state), 0.0, 0
+    for part in range(2):
+        remaining = fraction if part == 0 else 1.0 - fraction
+        held = (inputs[part], inputs[2])
+        while remaining > 0.0:
+            mode = 0 if touching else 1
+            rate = flow[mode, :, :n].copy()
+            drive = flow[mode, :, n] * held[0] + flow[mode, :, n + 1] * held[1]
+            end, swung = advance(rate, drive, state, remaining), surface_state.copy()
+            if not touching:
+                advance_surface(swung, wall, remaining)
+            if presses(end, swung, wall, outputs, held, touching) == touching or switches >= _SWITCHES_PER_SAMPLE:
+                state[:], surface_state[:] = end, swung
+                break
+            low, high = 0.0, remaining
+            for _ in range(_BISECTIONS):
+                middle = 0.5 * (low + high)
+                trial, swung = advance(rate, drive, state, middle), surface_state.copy()
+                if not touching:
+                    advance_surface(swung, wall, middle)
+                if presses(trial, swung, wall, outputs, held, touching) == touching:
+                    low = middle
+                else:
+                    high = middle
+            state[:] = advance(rate, drive, state, high)
+            if not touching:
+                advance_surface(surface_state, wall, high)
+            impulse = max(impulse, change_touch(state, surface_state, wall, touching))
+            remaining -= high
+            touching = not touching
+            switches += 1
+    return touching, impulse
+
+
+@compiled
+def largest_force(
+    flow: FloatArray,
+    outputs: FloatArray,
+    inputs: tuple[float, float],
+    state: FloatArray,
+    duration: float,
+) -> tuple[float, float]:
+    """Return the largest F_e over [0, duration] with its moment: a power series in pieces, maximised in each."""
+    n, size = len(state), 0.0
+    for i in range(n):
+        size = max(size, np.sum(np.abs(flow[i, :n])))
+    pieces = max(1, int(np.ceil(size * duration)))
+    step = duration / pieces
+    best, moment = contact_force(state, outputs, inputs), 0.0
+    current, term, next_term, series = state.copy(), np.empty(n), np.empty(n), np.empty(_SERIES_TERMS)
+    for piece in range(pieces):
+        series[0] = contact_force(current, outputs, inputs)
+        for i in range(n):
+            total = flow[i, n] * inputs[0] + flow[i, n + 1] * inputs[1]
+            for j in range(n):
+                total += flow[i, j] * current[j]
+            term[i] = total * step
+        for order in range(1, _SERIES_TERMS):
+            series[order] = 0.0
+            for i in range(n):
+                current[i] += term[i]
+                series[order] += outputs[2, i] * term[i]
+            for i in range(n):
+                total = 0.0
+                for j in range(n):
+                    total += flow[i, j] * term[j]
+                next_term[i] = total * (step / (order + 1.0))
+            for i in range(n):
+                term[i] = next_term[i]
+        value, where = _largest_of_series(series)
+        if value > best:
+            best, moment = value, (piece + where) * step
+    return best, moment
+
+
+@compiled
+def _largest_of_series(series: FloatArray) -> tuple[float, float]:
+    """Return the largest value of a smooth power series on [0, 1]: where its slope turns from up to down, else an end.
+
+    A piece is short against the fastest oscillation (its argument is below one), so the slope turns once at most.
+    """
+    start, stop = series[0], _sum_series(series, 1.0)
+    best, where = (start, 0.0) if start >= stop else (stop, 1.0)
+    low, high = 0.0, 1.0
+    if series[1] > 0.0 and _slope_of_series(series, 1.0) < 0.0:
+        for _ in range(_SLOPE_STEPS):
+            left, right = _slope_of_series(series, low), _slope_of_series(series, high)
+            middle = low + (high - low) * min(0.95, max(0.05, left / (left - right)))
+            if _slope_of_series(series, middle) > 0.0:
+                low = middle
+            else:
+                high = middle
+        middle = 0.5 * (low + high)
+        value = _sum_series(series, middle)
+        if value > best:
+            best, where = value, middle
+    return best, where
+
+
+@compiled
+def _sum_series(series: FloatArray, at: float) -> float:
+    total = 0.0
+    for j in range(len(series) - 1, -1, -1):
+        total = total * at + series[j]
+    return total
+
+
+@compiled
+def _slope_of_series(series: FloatArray, at: float) -> float:
+    total = 0.0
+    for j in range(len(series) - 1, 0, -1):
+        total = total * at + j * series[j]
+    return total
