@@ -1,6 +1,8 @@
 """The one place where numba is named: typed, cached on disk, no fast-math (results must not depend on the machine)."""
 
-from collections.abc import Callable
+import hashlib
+from collections.abc import Callable, Iterator
+from types import CodeType, FunctionType
 from typing import Any, TypeVar, cast
 
 import numba
@@ -9,9 +11,52 @@ from numba.extending import register_jitable
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
+class _Stamp:
+    """What numba's cache compares: numba's own stamp of the kernel's file, and all that is compiled into the kernel.
+
+    Without it a change of an equation in another file would leave the kernels that use it as they were. It is
+    computed when the cache is first asked, since a kernel may call functions that stand below it.
+    """
+
+    def __init__(self, own: object, function: Callable[..., Any]) -> None:
+        self._own, self._function = own, function
+
+    def __str__(self) -> str:
+        digest = hashlib.sha256()
+        for part in _parts(cast(FunctionType, self._function), set()):
+            digest.update(part.encode())
+        return f"{self._own} {digest.hexdigest()}"
+
+    def __eq__(self, other: object) -> bool:
+        return str(self) == other
+
+    __hash__ = None  # type: ignore[assignment] # compared only
+
+    def __reduce__(self) -> tuple[type[str], tuple[str]]:
+        return str, (str(self),)
+
+
+def _parts(function: FunctionType, seen: set[FunctionType]) -> Iterator[str]:
+    """Yield code and constants of a function and of every function of this project that it calls."""
+    seen.add(function)
+    code = function.__code__
+    yield code.co_code.hex()
+    yield repr([each for each in code.co_consts if not isinstance(each, CodeType)])
+    for name in code.co_names:
+        value = function.__globals__.get(name)
+        called = getattr(value, "py_func", value)
+        if not isinstance(called, FunctionType):
+            yield f"{name} {value!r}" if isinstance(value, int | float | tuple) else name
+        elif called not in seen and called.__module__.split(".")[0] == __package__:
+            yield from _parts(called, seen)
+
+
 def compiled(function: _Function) -> _Function:
     """Compile a kernel of floats and arrays; the straight Python version stays at `.py_func`."""
-    return cast(_Function, numba.njit(cache=True, error_model="numpy")(function))
+    dispatcher: Any = numba.njit(cache=True, error_model="numpy")(function)
+    index = dispatcher._cache._cache_file  # noqa: SLF001 - numba offers no other way to name what a kernel depends on
+    index._source_stamp = _Stamp(index._source_stamp, function)  # noqa: SLF001
+    return cast(_Function, dispatcher)
 
 
 def equation(function: _Function) -> _Function:
@@ -20,4 +65,4 @@ def equation(function: _Function) -> _Function:
     Called from Python it stays plain Python and takes whatever has arithmetic and item assignment (numpy, CasADi);
     called from a `compiled` kernel it is compiled with it.
     """
-    return register_jitable(function)
+    return register_jitable(error_model="numpy")(function)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._checks import finite, positive
-from .compiled import compiled
 from .contact_kernel import Contact, run_contact
+from .contact_start import contact_forces, steady_start
 from .controller import AdmittanceController, controller_blocks
 from .errors import ParameterError
 from .margins import UnstableLoopError
@@ -50,16 +50,10 @@ class Approach:
         if self.after_impact_n is not None:
             object.__setattr__(self, "after_impact_n", finite("approach.after_impact_n", self.after_impact_n))
 
-    def forces(self, resistance_n_s_per_m: float) -> tuple[float, float, float, float]:
-        """Return (v, f before the impact, F^d and f after it) for a loop that needs this force per speed."""
-        if self.force_n is not None:
-            force, speed = self.force_n, self.force_n / resistance_n_s_per_m
-        else:
-            speed = self.speed_m_s or 0.0
-            force = speed * resistance_n_s_per_m
-        after = force if self.after_impact_n is None else self.after_impact_n
-        by_hand = self.driven_by == "hand"
-        return speed, force if by_hand else 0.0, 0.0 if by_hand else after, after if by_hand else 0.0
+    def numbers(self) -> tuple[float, float, bool, float]:
+        """Return (force or 0, speed or 0, whether a hand drives, force after the impact or NaN) for the kernels."""
+        after = math.nan if self.after_impact_n is None else self.after_impact_n
+        return self.force_n or 0.0, self.speed_m_s or 0.0, self.driven_by == "hand", after
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,45 +157,6 @@ def _inside(contact: SampledPlant) -> FloatArray:
     return rows
 
 
-@compiled
-def steady_start(
-    ramp: FloatArray,
-    c_position: FloatArray,
-    blocks: FloatArray,
-    chain: int,
-    h: float,
-    speed: float,
-    push: float,
-    force: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return plant state, past commands (a ring, newest first) and controller states of a steady approach.
-
-    Everything moves at `speed` (m/s) under the outside force `push`; `force` is e = F^d + F, which is B_a v. The
-    filters see a steady speed, the lag a steady force (and, with ideal compensation, a ramp).
-    """
-    n = ramp.shape[1] - 2
-    moved = ramp[0] * (speed * h) + ramp[1] * push
-    state, command = moved[:n].copy(), moved[n]
-    places = 1
-    while places < chain:
-        places *= 2
-    past = np.zeros(places)
-    for i in range(chain):
-        past[i] = command - (i + 1) * speed * h
-    position = np.sum(c_position * state)
-    ideal = blocks[4, 2]
-    acceleration = ideal * speed
-    control = np.empty(4)
-    control[2] = speed - blocks[2, 0] * position
-    control[3] = acceleration - blocks[3, 0] * (ideal * position + (1.0 - ideal) * speed)
-    share = 1.0 / (1.0 - blocks[1, 1])
-    slope = blocks[5, 2] * share
-    control[1] = (blocks[1, 2] * force - slope * speed * h) * share + slope * position
-    direct = (blocks[0, 0] + blocks[1, 0]) * force - blocks[4, 0] * speed
-    control[0] = command - control[1] - direct - blocks[5, 0] * acceleration - blocks[5, 1] * position
-    return state, past, control
-
-
 def simulate_contact(
     pair: SampledContact, controller: AdmittanceController, approach: Approach, *, samples: int | None = None
 ) -> ContactTransient:
@@ -217,6 +172,11 @@ def simulate_contact(
     return transient_from(pair, controller, approach, samples=samples)
 
 
+def longest_run(sample_time_s: float) -> int:
+    """Return after how many samples a transient that does not settle is ended."""
+    return math.ceil(LONGEST_TRANSIENT_S / sample_time_s)
+
+
 def transient_from(
     pair: SampledContact, controller: AdmittanceController, approach: Approach, *, samples: int | None = None
 ) -> ContactTransient:
@@ -225,7 +185,7 @@ def transient_from(
     blocks = controller_blocks(controller, h)
     # B_a + B_p, but for the ripple of F between the ticks, which the controller does not see.
     resistance = controller.damping_n_s_per_m - float(pair.ramp[0, -1]) * h
-    speed, push, desired_force, push_after = approach.forces(resistance)
+    speed, push, desired_force, push_after = contact_forces(approach.numbers(), resistance)
     start = steady_start(
         pair.ramp,
         free.c_position,
@@ -236,7 +196,7 @@ def transient_from(
         push,
         controller.damping_n_s_per_m * speed,
     )
-    longest = samples if samples is not None else math.ceil(LONGEST_TRANSIENT_S / h)
+    longest = samples if samples is not None else longest_run(h)
     traces, found = (np.empty(longest), np.empty(longest)), np.zeros(5)
     forces = (desired_force, push_after)
     count = run_contact(pair.arguments, blocks, start, forces, traces, found, samples is None)

@@ -13,7 +13,9 @@ _TAYLOR_TERMS = 14
 _BISECTIONS = 44
 _SWITCHES_PER_SAMPLE = 8
 _SERIES_TERMS = 18
-_SLOPE_STEPS = 8
+_SLOPE_STEPS = 7
+# Below this (ωτ)² the power series of cosine and sine are exact to rounding in four terms.
+_NEARLY_CRITICAL = 1e-3
 
 
 @compiled
@@ -70,10 +72,27 @@ def contact_force(state: FloatArray, outputs: FloatArray, inputs: tuple[float, f
 
 @compiled
 def advance_surface(surface_state: FloatArray, wall: Wall, duration: float) -> None:
-    """Let the environment's mass swing back on its own spring and damper."""
-    if wall[2] > 0.0:
-        rate = np.array([[0.0, 1.0], [-wall[0] / wall[2], -wall[1] / wall[2]]])
-        surface_state[:] = advance(rate, np.zeros(2), surface_state, duration)
+    """Let the environment's mass swing back on its own spring and damper, M x'' + B x' + K x = 0 in closed form."""
+    if wall[2] == 0.0:
+        return
+    position, speed = surface_state
+    stiffness, decay = wall[0] / wall[2], 0.5 * wall[1] / wall[2]
+    square = stiffness - decay * decay
+    turn = square * duration * duration
+    # (cosine, sine over frequency) times exp(−decay·τ).
+    if abs(turn) < _NEARLY_CRITICAL:
+        shrink = np.exp(-decay * duration)
+        cosine = shrink * (1.0 - turn / 2.0 * (1.0 - turn / 12.0 * (1.0 - turn / 30.0)))
+        sine = shrink * duration * (1.0 - turn / 6.0 * (1.0 - turn / 20.0 * (1.0 - turn / 42.0)))
+    elif turn > 0.0:
+        shrink, frequency = np.exp(-decay * duration), np.sqrt(square)
+        cosine, sine = shrink * np.cos(frequency * duration), shrink * np.sin(frequency * duration) / frequency
+    else:
+        fast = decay + np.sqrt(-square)
+        slowly, quickly = np.exp(-stiffness / fast * duration), np.exp(-fast * duration)
+        cosine, sine = 0.5 * (slowly + quickly), 0.5 * (slowly - quickly) / (fast - decay)
+    surface_state[0] = position * cosine + (speed + decay * position) * sine
+    surface_state[1] = speed * cosine - (decay * speed + stiffness * position) * sine
 
 
 @compiled
@@ -92,6 +111,48 @@ def change_touch(state: FloatArray, surface_state: FloatArray, wall: Wall, touch
 
 
 @compiled
+def _moved(
+    flow: FloatArray,
+    state: FloatArray,
+    surface_state: FloatArray,
+    wall: Wall,
+    held: tuple[float, float],
+    touching: bool,
+    duration: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return payload and environment after `duration`, in contact or apart."""
+    n, mode = len(state), 0 if touching else 1
+    drive = flow[mode, :, n] * held[0] + flow[mode, :, n + 1] * held[1]
+    end, swung = advance(flow[mode, :, :n].copy(), drive, state, duration), surface_state.copy()
+    if not touching:
+        advance_surface(swung, wall, duration)
+    return end, swung
+
+
+@compiled
+def _switch_moment(
+    flow: FloatArray,
+    state: FloatArray,
+    surface_state: FloatArray,
+    wall: Wall,
+    outputs: FloatArray,
+    held: tuple[float, float],
+    touching: bool,
+    duration: float,
+) -> float:
+    """Return when, within `duration`, the contact begins or ends."""
+    low, high = 0.0, duration
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        trial, swung = _moved(flow, state, surface_state, wall, held, touching, middle)
+        if presses(trial, swung, wall, outputs, held, touching) == touching:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+@compiled
 def switch_within(
     flow: FloatArray,
     state: FloatArray,
@@ -101,44 +162,58 @@ def switch_within(
     inputs: tuple[float, float, float],
     fraction: float,
     touching: bool,
-) -> tuple[bool, float]:
+    looks: int,
+) -> tuple[bool, float, float, float]:
     """Advance `state` over one sample in which the contact begins or ends, locating each event by bisection.
 
-    `inputs` are the older and the newer command and the outside force. Returns whether it touches then, and the
-    largest impulse (times 1/h); `surface_state` is advanced as well.
+    `inputs` are the older and the newer command and the outside force. The sample is crossed in `looks` parts, so that
+    a contact that ends and begins again within it is seen. Returns whether it touches then, the largest impulse (times
+    1/h), and the largest F_e with its moment; `surface_state` is advanced as well.
     """
-    n, impulse, switches = len(state), 0.0, 0
+    impulse, best, moment, switches = 0.0, 0.0, 0.0, 0
     for part in range(2):
-        remaining = fraction if part == 0 else 1.0 - fraction
+        at, stop = (0.0, fraction) if part == 0 else (fraction, 1.0)
         held = (inputs[part], inputs[2])
-        while remaining > 0.0:
-            mode = 0 if touching else 1
-            rate = flow[mode, :, :n].copy()
-            drive = flow[mode, :, n] * held[0] + flow[mode, :, n + 1] * held[1]
-            end, swung = advance(rate, drive, state, remaining), surface_state.copy()
-            if not touching:
-                advance_surface(swung, wall, remaining)
-            if presses(end, swung, wall, outputs, held, touching) == touching or switches >= _SWITCHES_PER_SAMPLE:
-                state[:], surface_state[:] = end, swung
-                break
-            low, high = 0.0, remaining
-            for _ in range(_BISECTIONS):
-                middle = 0.5 * (low + high)
-                trial, swung = advance(rate, drive, state, middle), surface_state.copy()
-                if not touching:
-                    advance_surface(swung, wall, middle)
-                if presses(trial, swung, wall, outputs, held, touching) == touching:
-                    low = middle
-                else:
-                    high = middle
-            state[:] = advance(rate, drive, state, high)
-            if not touching:
-                advance_surface(surface_state, wall, high)
-            impulse = max(impulse, change_touch(state, surface_state, wall, touching))
-            remaining -= high
-            touching = not touching
-            switches += 1
-    return touching, impulse
+        while at < stop:
+            piece = min(stop - at, 1.0 / looks)
+            end, swung = _moved(flow, state, surface_state, wall, held, touching, piece)
+            # Whatever the limit, nothing passes through the environment.
+            switched = presses(end, swung, wall, outputs, held, touching) != touching
+            if switched and touching and switches >= _SWITCHES_PER_SAMPLE:
+                switched = False
+            if switched:
+                piece = _switch_moment(flow, state, surface_state, wall, outputs, held, touching, piece)
+                end, swung = _moved(flow, state, surface_state, wall, held, touching, piece)
+            if touching:
+                value, where = largest_force(flow[0], outputs, held, state, piece)
+                if value > best:
+                    best, moment = value, at + where
+            state[:], surface_state[:] = end, swung
+            at += piece
+            if switched:
+                impulse = max(impulse, change_touch(state, surface_state, wall, touching))
+                touching = not touching
+                switches += 1
+    return touching, impulse, best, moment
+
+
+@compiled
+def largest_in_sample(
+    flow: FloatArray,
+    outputs: FloatArray,
+    inputs: tuple[float, float, float],
+    state: FloatArray,
+    fraction: float,
+) -> tuple[float, float]:
+    """Return the largest F_e with its moment over a sample without switch; `inputs` as in `switch_within`."""
+    n = len(state)
+    if fraction == 0.0:
+        return largest_force(flow, outputs, (inputs[1], inputs[2]), state, 1.0)
+    best, moment = largest_force(flow, outputs, (inputs[0], inputs[2]), state, fraction)
+    drive = flow[:, n] * inputs[0] + flow[:, n + 1] * inputs[2]
+    middle = advance(flow[:, :n].copy(), drive, state, fraction)
+    value, where = largest_force(flow, outputs, (inputs[1], inputs[2]), middle, 1.0 - fraction)
+    return (value, fraction + where) if value > best else (best, moment)
 
 
 @compiled

@@ -6,10 +6,10 @@ from numpy.typing import NDArray
 from .compiled import compiled
 from .contact_events import (
     Wall,
-    advance,
     advance_surface,
     change_touch,
-    largest_force,
+    contact_force,
+    largest_in_sample,
     presses,
     switch_within,
 )
@@ -29,13 +29,18 @@ Delay = tuple[int, int, float]
 Contact = tuple[Motion, Outputs, Delay, Wall]
 # Plant state, past commands (a ring of 2^k places, newest first), controller states.
 Start = tuple[FloatArray, FloatArray, FloatArray]
-# The same with position and speed of the environment; `flags` beside it are (head of the ring, touching).
+# The same with position and speed of the environment; `flags` beside it are (head of the ring, touching, tick after
+# the last sample in which the contact began or ended).
 Moment = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 Traces = tuple[FloatArray, FloatArray]
 
 # A run is over when the force has stayed within this share of the largest force for a quarter of its length.
 SETTLED = 1e-3
 _FIRST_LOOK = 96
+# Looks are half a radian of the fastest oscillation apart: they miss at most 3 % of its amplitude (which the force may
+# exceed only in part), and a parabola through three of them 0.15 %.
+_MISSED_BETWEEN_LOOKS = 0.2
+_MISSED_BY_PARABOLA = 3e-3
 
 # `found`: 0 largest pressing sensor force, 1 its tick, 2 largest contact force, 3 its time in samples, 4 impulse.
 
@@ -61,11 +66,13 @@ def run_contact(
     while True:
         _walk(plant, blocks, now, flags, forces, (done, look), traces, found)
         done = look
-        if done == total or _settled(traces[0], done, forces[0], flags[1] == 1, found[0]):
+        if done == total or _settled(traces[0], done, forces, flags[1] == 1, plant[3][0] > 0.0, found[0]):
             break
         look = min(total, look + look // 3)
-    _refine_peak(plant, blocks, start, forces, traces, found)
-    if flags[1] == 1:
+    if _is_plain(plant):
+        _refine_peak(plant, blocks, start, forces, traces, done, found)
+    # Only an environment with stiffness brings the payload to rest.
+    if flags[1] == 1 and plant[3][0] > 0.0:
         _add_rest(forces, done, found)
     return done
 
@@ -75,7 +82,14 @@ def _first_moment(start: Start, wall: Wall, found: FloatArray) -> tuple[Moment, 
     """Copy the start, with the environment at rest beside it, and let the impact happen."""
     state, surface_state = start[0].copy(), np.zeros(2)
     found[4] = change_touch(state, surface_state, wall, False)
-    return (state, start[1].copy(), start[2].copy(), surface_state), np.array([0, 1])
+    return (state, start[1].copy(), start[2].copy(), surface_state), np.array([0, 1, 0])
+
+
+@compiled
+def _is_plain(plant: Contact) -> bool:
+    """Tell whether ticks are enough: a delay (else the command acts on the force at once), no mass, not stiff."""
+    _, (_, inside), delay, wall = plant
+    return delay[1] > 0 and wall[2] == 0.0 and len(inside) == 0
 
 
 @compiled
@@ -90,25 +104,17 @@ def _walk(
     found: FloatArray,
 ) -> None:
     """Step over the ticks of `span`: stretches in which nothing switches, and the samples between them."""
-    (motion, outputs, delay, wall), done = plant, span[0]
-    # Without delay the command acts on the force at once; an environment's mass has a motion of its own; and a stiff
-    # contact is looked at between the ticks.
-    plain = delay[1] > 0 and wall[2] == 0.0 and len(outputs[1]) == 0
+    (motion, outputs, delay, wall), done, plain = plant, span[0], _is_plain(plant)
     while done < span[1]:
         if plain:
             step, part = motion[0][0 if flags[1] == 1 else 1], (done, span[1])
             if len(now[0]) == 3:
-                done = stretch_of_three(step, outputs[0], delay, wall, blocks, now, flags, forces, part, traces)
+                done = stretch_of_three(step, outputs[0], delay, wall, blocks, now, flags, forces, part, traces, found)
             else:
-                done = stretch(step, outputs[0], delay, wall, blocks, now, flags, forces, part, traces)
+                done = stretch(step, outputs[0], delay, wall, blocks, now, flags, forces, part, traces, found)
         if done < span[1]:
             _step(plant, blocks, now, flags, forces, done, traces, found)
             done += 1
-    for k in range(span[0], span[1]):
-        if -traces[0][k] > found[0]:
-            found[0], found[1] = -traces[0][k], k
-        if traces[1][k] > found[2]:
-            found[2], found[3] = traces[1][k], k
 
 
 @compiled
@@ -130,13 +136,10 @@ def _step(
     newer, older = _commands(past, flags[0], delay, command)
     touching, mode = flags[1] == 1, 0 if flags[1] == 1 else 1
     traces[0][k], traces[1][k] = sensed, max(0.0, pressed) if touching else 0.0
-    if touching:
-        for j in range(len(inside)):
-            value = inside[j, n] * newer + inside[j, n + 1] * older + inside[j, n + 2] * forces[1]
-            for i in range(n):
-                value += inside[j, i] * state[i]
-            if value > found[2]:
-                found[2], found[3] = value, k + (j + 1.0) / (len(inside) + 1.0)
+    if -sensed > found[0]:
+        found[0], found[1] = -sensed, k
+    if traces[1][k] > found[2]:
+        found[2], found[3] = traces[1][k], k
     following, swung = np.empty(n), surface_state.copy()
     for i in range(n):
         total = motion[0][mode, i, n] * newer + motion[0][mode, i, n + 1] * older
@@ -147,15 +150,41 @@ def _step(
     if not touching:
         advance_surface(swung, wall, 1.0)
     # At the end of the sample the newer command is held.
-    if presses(following, swung, wall, rows, (newer, forces[1]), touching) == touching:
+    inputs, stays = (older, newer, forces[1]), presses(following, swung, wall, rows, (newer, forces[1]), touching)
+    low, high = _looks(inside, state, inputs)
+    if stays == touching and (low > 0.0 or not touching):
+        high = max(high, contact_force(following, rows, (newer, forces[1])))
+        if touching and max(pressed, high) >= (1.0 - _MISSED_BETWEEN_LOOKS) * found[2]:
+            _note(found, k, largest_in_sample(motion[1][0], rows, inputs, state, delay[2]))
         state[:], surface_state[:] = following, swung
     else:
-        inputs = (older, newer, forces[1])
-        touching, impulse = switch_within(motion[1], state, surface_state, wall, rows, inputs, delay[2], touching)
-        found[4], flags[1] = max(found[4], impulse), 1 if touching else 0
+        touching, impulse, largest, moment = switch_within(
+            motion[1], state, surface_state, wall, rows, inputs, delay[2], touching, len(inside) + 1
+        )
+        _note(found, k, (largest, moment))
+        found[4], flags[1], flags[2] = max(found[4], impulse), 1 if touching else 0, k + 1
     if delay[1] > 0:
         flags[0] = (flags[0] - 1) & (len(past) - 1)
         past[flags[0]] = command
+
+
+@compiled
+def _looks(inside: FloatArray, state: FloatArray, inputs: tuple[float, float, float]) -> tuple[float, float]:
+    """Return the smallest and the largest F_e that is seen inside a sample (1 and 0 where nobody looks)."""
+    low, high, n = 1.0, 0.0, len(state)
+    for j in range(len(inside)):
+        value = inside[j, n] * inputs[1] + inside[j, n + 1] * inputs[0] + inside[j, n + 2] * inputs[2]
+        for i in range(n):
+            value += inside[j, i] * state[i]
+        low, high = min(low, value), max(high, value)
+    return low, high
+
+
+@compiled
+def _note(found: FloatArray, k: int, largest: tuple[float, float]) -> None:
+    """Keep a contact force and its moment in sample k if it is the largest so far."""
+    if largest[0] > found[2]:
+        found[2], found[3] = largest[0], k + largest[1]
 
 
 @compiled
@@ -198,13 +227,19 @@ def _outputs(
 
 
 @compiled
-def _settled(force: FloatArray, count: int, desired_force: float, touching: bool, largest: float) -> bool:
-    """Tell whether the force has come to rest: flat for the last quarter and, in contact, where e = F^d + F is 0."""
+def _settled(
+    force: FloatArray, count: int, forces: tuple[float, float], touching: bool, anchored: bool, largest: float
+) -> bool:
+    """Tell whether the force has come to rest: flat for the last quarter of the run.
+
+    On an environment with stiffness e = F^d + F must be 0 as well; away from it nothing may drive the payload back.
+    """
     low, high = force[count - 1], force[count - 1]
     for i in range(count - max(count // 4, 32), count):
         low, high = min(low, force[i]), max(high, force[i])
-    band = SETTLED * max(largest, abs(desired_force))
-    return bool(high - low < band and (not touching or abs(desired_force + force[count - 1]) < band))
+    band = SETTLED * max(largest, abs(force[0]), abs(forces[0]), abs(forces[1]))
+    at_rest = abs(forces[0] + force[count - 1]) < band if touching else forces[0] + forces[1] <= 0.0
+    return bool(high - low < band and (at_rest or not anchored))
 
 
 @compiled
@@ -214,31 +249,45 @@ def _refine_peak(
     start: Start,
     forces: tuple[float, float],
     traces: Traces,
+    count: int,
     found: FloatArray,
 ) -> None:
-    """Search the contact force between the ticks, in the two samples around its largest value so far."""
-    (motion, (rows, _), delay, wall), n, tick = plant, len(start[0]), int(found[3])
-    ignored, fraction, flow = np.zeros(5), delay[2], motion[1][0]
-    now, flags = _first_moment(start, wall, ignored)
-    first = max(0, tick - 1)
-    _walk(plant, blocks, now, flags, forces, (0, first), traces, ignored)
-    for k in range(first, tick + 1):
-        law = (now[2][0], now[2][1], now[2][2], now[2][3])
-        _, command, _, _ = _outputs(rows, blocks, law, now[0], _held(now[1], flags[0], delay), delay, forces)
-        newer, older = _commands(now[1], flags[0], delay, command)
-        state, touching = now[0].copy(), flags[1] == 1
-        _walk(plant, blocks, now, flags, forces, (k, k + 1), traces, ignored)
-        if not (touching and flags[1] == 1):
+    """Search the contact force between the ticks, around every tick whose parabola could reach the largest value."""
+    ignored, pressed, at = np.zeros(5), traces[1], 0
+    now, flags = _first_moment(start, plant[3], ignored)
+    for tick in range(count - 1):
+        before, after = pressed[max(0, tick - 1)], pressed[tick + 1]
+        bend = 2.0 * pressed[tick] - before - after
+        if pressed[tick] < before or pressed[tick] < after or bend <= 0.0:
             continue
-        for part in range(2):
-            duration, held = (fraction, older) if part == 0 else (1.0 - fraction, newer)
-            if duration > 0.0:
-                value, moment = largest_force(flow, rows, (held, forces[1]), state, duration)
-                if value > found[2]:
-                    found[2], found[3] = value, k + moment + (fraction if part == 1 else 0.0)
-                if part == 0:
-                    drive = flow[:, n] * held + flow[:, n + 1] * forces[1]
-                    state = advance(flow[:, :n].copy(), drive, state, duration)
+        crest = pressed[tick] + (after - before) ** 2 / (8.0 * bend)
+        if (1.0 + _MISSED_BY_PARABOLA) * crest > found[2]:
+            first = max(at, tick - 1)
+            _walk(plant, blocks, now, flags, forces, (at, first), traces, ignored)
+            for k in range(first, tick + 1):
+                _search_sample(plant, blocks, now, flags, forces, k, traces, found)
+            at = tick + 1
+
+
+@compiled
+def _search_sample(
+    plant: Contact,
+    blocks: FloatArray,
+    now: Moment,
+    flags: NDArray[np.int64],
+    forces: tuple[float, float],
+    k: int,
+    traces: Traces,
+    found: FloatArray,
+) -> None:
+    """Step over sample k; if the payload stays on the environment in it, search its largest force."""
+    (motion, (rows, _), delay, _), state, touching = plant, now[0].copy(), flags[1] == 1
+    law = (now[2][0], now[2][1], now[2][2], now[2][3])
+    _, command, _, _ = _outputs(rows, blocks, law, state, _held(now[1], flags[0], delay), delay, forces)
+    newer, older = _commands(now[1], flags[0], delay, command)
+    _walk(plant, blocks, now, flags, forces, (k, k + 1), traces, np.zeros(5))
+    if touching and flags[2] != k + 1:
+        _note(found, k, largest_in_sample(motion[1][0], rows, (older, newer, forces[1]), state, delay[2]))
 
 
 @compiled

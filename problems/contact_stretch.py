@@ -25,13 +25,15 @@ def stretch(
     forces: tuple[float, float],
     span: tuple[int, int],
     traces: tuple[FloatArray, FloatArray],
+    found: FloatArray,
 ) -> int:
-    """Step from tick to tick and write F and F_e; return the tick whose sample must be crossed with care."""
+    """Step from tick to tick, write F and F_e and update their peaks; return the tick to be crossed with care."""
     (state, past, control, _), (whole, chain, _), (force, contact) = now, delay, traces
     n, head, last, touching, k = len(state), flags[0], len(past) - 1, flags[1] == 1, span[0]
     law = (control[0], control[1], control[2], control[3])
     following = np.empty(n)
     pressed = wall[0] * state[n - 2] + wall[1] * state[n - 1]
+    (sensor_peak, contact_peak), sensor_tick, contact_tick = (found[0], found[2]), -1, -1
     while k < span[1]:
         held = past[(head + chain - 1) & last]
         position, sensed = 0.0, rows[1, n] * held
@@ -50,13 +52,22 @@ def stretch(
             pressing += wall[1] * following[n - 1]
         if (pressing > 0.0) != touching:
             break
-        force[k], contact[k] = sensed, max(0.0, pressed) if touching else 0.0
+        shown = max(0.0, pressed) if touching else 0.0
+        force[k], contact[k] = sensed, shown
+        if -sensed > sensor_peak:
+            sensor_peak, sensor_tick = -sensed, k
+        if shown > contact_peak:
+            contact_peak, contact_tick = shown, k
         pressed, law = pressing, law_after
         for i in range(n):
             state[i] = following[i]
         head = (head - 1) & last
         past[head] = command
         k += 1
+    if sensor_tick >= 0:
+        found[0], found[1] = sensor_peak, sensor_tick
+    if contact_tick >= 0:
+        found[2], found[3] = contact_peak, contact_tick
     flags[0] = head
     control[0], control[1], control[2], control[3] = law
     return k
@@ -74,28 +85,39 @@ def stretch_of_three(
     forces: tuple[float, float],
     span: tuple[int, int],
     traces: tuple[FloatArray, FloatArray],
+    found: FloatArray,
 ) -> int:
     """Do what `stretch` does for a state (x, x_p, v_p h) with everything in scalars."""
     (state, past, control, _), (whole, chain, _), (force, contact) = now, delay, traces
     head, last, touching, k = flags[0], len(past) - 1, flags[1] == 1, span[0]
+    plain = blocks[4, 0] == 0.0 and blocks[4, 1] == 0.0 and blocks[4, 2] == 0.0
     a, b, c = step[0, 0], (step[1, 0], step[1, 1], step[1, 2]), (step[2, 0], step[2, 1], step[2, 2])
     new, old = (step[0, 3], step[1, 3], step[2, 3]), (step[0, 4], step[1, 4], step[2, 4])
-    rest = (step[1, 5] * forces[1], step[2, 5] * forces[1])
-    f0, f1, f2, f3 = rows[1, 0], rows[1, 1], rows[1, 2], rows[1, 3]
-    direct, pole, gain = blocks[0, 0] + blocks[1, 0], blocks[1, 1], blocks[1, 2]
-    simple = blocks[4, 0] == 0.0 and blocks[4, 1] == 0.0 and blocks[4, 2] == 0.0
-    law, integral = (control[0], control[1], control[2], control[3]), blocks[0, 2]
-    x, p, v = state[0], state[1], state[2]
-    pressed = wall[0] * p + wall[1] * v
+    f0, f1, f2, f3, rest = (
+        rows[1, 0],
+        rows[1, 1],
+        rows[1, 2],
+        rows[1, 3],
+        (step[1, 5] * forces[1], step[2, 5] * forces[1]),
+    )
+    direct, pole, gain, integral = blocks[0, 0] + blocks[1, 0], blocks[1, 1], blocks[1, 2], blocks[0, 2]
+    law, x, p, v = (control[0], control[1], control[2], control[3]), state[0], state[1], state[2]
+    pressed, sensor_peak, contact_peak, sensor_tick, contact_tick = (
+        wall[0] * p + wall[1] * v,
+        found[0],
+        found[2],
+        -1,
+        -1,
+    )
     while k < span[1]:
         held = past[(head + chain - 1) & last]
         sensed = (f0 * x + f1 * p) + (f2 * v + f3 * held)
-        drive = forces[0] + sensed
-        if simple:
+        if plain:
+            drive = forces[0] + sensed
             command = (law[0] + law[1]) + direct * drive
             law_after = (law[0] + integral * drive, pole * law[1] + gain * drive, law[2], law[3])
         else:
-            command, law_after = controller_step(blocks, law, drive, rows[0, 0] * x)
+            command, law_after = controller_step(blocks, law, forces[0] + sensed, rows[0, 0] * x)
         newer = command if whole == 0 else past[(head + whole - 1) & last]
         x_after = a * x + (new[0] * newer + old[0] * held)
         p_after = (b[0] * x + b[1] * p) + (b[2] * v + (new[1] * newer + old[1] * held)) + rest[0]
@@ -104,11 +126,17 @@ def stretch_of_three(
         if (pressing > 0.0) != touching:
             break
         force[k], contact[k] = sensed, max(0.0, pressed) if touching else 0.0
+        if -sensed > sensor_peak:
+            sensor_peak, sensor_tick = -sensed, k
+        if touching and pressed > contact_peak:
+            contact_peak, contact_tick = pressed, k
         pressed, law, x, p, v = pressing, law_after, x_after, p_after, v_after
-        head = (head - 1) & last
+        head, k = (head - 1) & last, k + 1
         past[head] = command
-        k += 1
-    flags[0] = head
-    state[0], state[1], state[2] = x, p, v
+    if sensor_tick >= 0:
+        found[0], found[1] = sensor_peak, sensor_tick
+    if contact_tick >= 0:
+        found[2], found[3] = contact_peak, contact_tick
+    flags[0], state[0], state[1], state[2] = head, x, p, v
     control[0], control[1], control[2], control[3] = law
     return k

@@ -10,15 +10,12 @@ from numpy.typing import NDArray
 from .contact import SampledContact, build_sampled_contact, transient_from
 from .controller import AdmittanceController
 from .design import DesignProblem, Requirements, Scenario
-from .margins import Margins, RawMargins, find_margins, margins_on_grid
-from .response import PlantResponse, controller_response, free_space_admittance, plant_response, rendered_admittance
+from .margins import Margins, PreparedMargins, UnstableLoopError, prepare_margins
+from .response import PlantResponse, free_space_admittance, plant_response, rendered_admittance
 from .sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
 
 FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
-_SCREENING_POINTS = 500
-_SCREENING_LOWEST_HZ = 0.2
 _ADMITTANCE_POINTS = 40
 
 
@@ -66,64 +63,100 @@ class Evaluation:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PlantMargins:
+    """The margins of one plant of the uncertainty; stiffness 0 is free space."""
+
+    payload_mass_kg: float
+    environment_stiffness_n_per_m: float
+    margins: Margins
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExactEvaluation:
+    """An evaluation and the margins behind it, plant by plant."""
+
+    evaluation: Evaluation
+    margins: tuple[PlantMargins, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class PreparedScenarios:
-    """Scenarios with everything that does not depend on the design already computed."""
+    """Scenarios with everything that does not depend on the design already computed.
+
+    `plants` are those of the scenarios in contact, then the free space of every payload mass.
+    """
 
     problem: DesignProblem
     scenarios: tuple[Scenario, ...]
     pairs: tuple[SampledContact, ...]
-    free: tuple[SampledPlant, ...]
-    frequency_rad_per_s: FloatArray
-    z: ComplexArray
-    force: ComplexArray
-    position: ComplexArray
+    plants: tuple[PreparedMargins, ...]
     target_response: PlantResponse | None
 
+    @property
+    def free(self) -> tuple[SampledPlant, ...]:
+        """The plants in free space, one per payload mass."""
+        return tuple(plant.sampled for plant in self.plants[len(self.pairs) :])
+
     def evaluate(self, design: Sequence[float] | FloatArray, *, peaks_if_missed: bool = False) -> Evaluation:
-        """Evaluate the design vector (M_a, B_a, K_l, B_fb) over the scenarios on a fixed frequency grid.
+        """Evaluate the design vector (M_a, B_a, K_l, B_fb) over the scenarios.
 
         `peaks_if_missed` asks for the peaks of a stable design that misses a requirement as well (a solver that walks
         along the boundary needs them).
         """
         controller = self.problem.controller(design)
-        radius = self._radius(controller)
-        if not radius < 1.0:
+        radii = self.radii(controller)
+        if not np.max(radii) < 1.0:
             return Evaluation(
-                controller=controller, spectral_radius=radius, requirements={}, peaks=(), objective_n=math.inf
+                controller=controller,
+                spectral_radius=float(np.max(radii)),
+                requirements={},
+                peaks=(),
+                objective_n=math.inf,
             )
-        requirements = self._requirements(controller, radius)
+        return self._evaluated(controller, radii, self.margins(controller, radii), peaks_if_missed)
+
+    def evaluate_exactly(self, controller: AdmittanceController) -> ExactEvaluation:
+        """Evaluate a stable controller with its margins plant by plant.
+
+        Raises UnstableLoopError when any scenario is unstable.
+        """
+        radii = self.radii(controller)
+        if not np.max(radii) < 1.0:
+            raise UnstableLoopError(float(np.max(radii)))
+        margins = self.margins(controller, radii)
+        return ExactEvaluation(evaluation=self._evaluated(controller, radii, margins, True), margins=margins)
+
+    def radii(self, controller: AdmittanceController) -> FloatArray:
+        """Return the spectral radius of every plant's loop."""
+        return np.array([spectral_radius(build_loop(plant.sampled, controller)) for plant in self.plants])
+
+    def margins(self, controller: AdmittanceController, radii: FloatArray) -> tuple[PlantMargins, ...]:
+        """Find the margins of every plant's loop, all of them stable."""
+        return tuple(
+            PlantMargins(
+                payload_mass_kg=plant.sampled.plant.payload.mass_kg,
+                environment_stiffness_n_per_m=plant.sampled.plant.environment.stiffness_n_per_m,
+                margins=plant.find(controller, float(radius)),
+            )
+            for plant, radius in zip(self.plants, radii, strict=True)
+        )
+
+    def _evaluated(
+        self,
+        controller: AdmittanceController,
+        radii: FloatArray,
+        margins: tuple[PlantMargins, ...],
+        peaks_if_missed: bool,
+    ) -> Evaluation:
+        asked, h, radius = self.problem.requirements, self.problem.sample_time_s, float(np.max(radii))
+        values = [normalise_margins(asked, each.margins, h) for each in margins]
+        requirements = {name: max(value[name] for value in values) for name in values[0]}
+        requirements |= self.achieved_admittance(controller)
         if not peaks_if_missed and any(value > 1.0 for value in requirements.values()):
             return Evaluation(
                 controller=controller, spectral_radius=radius, requirements=requirements, peaks=(), objective_n=math.inf
             )
-        peaks = self.peaks(controller)
-        return finish_evaluation(self.problem, controller, radius, requirements, peaks)
-
-    def _radius(self, controller: AdmittanceController) -> float:
-        return max(
-            spectral_radius(build_loop(plant, controller))
-            for plant in (*(pair.contact for pair in self.pairs), *self.free)
-        )
-
-    def _requirements(self, controller: AdmittanceController, radius: float) -> dict[str, float]:
-        forward, feedback = controller_response(controller, self.z, self.problem.sample_time_s)
-        damped = feedback * self.position
-        at_force = -self.force * forward / (1.0 + damped)
-        at_command = damped - self.force * forward
-        both = margins_on_grid(self.frequency_rad_per_s, np.concatenate([at_force, at_command]))
-        worst = RawMargins(*(np.asarray(np.min(values)) for values in both))
-        return normalise_margins(
-            self.problem.requirements,
-            Margins(
-                modulus=float(worst.modulus),
-                modulus_hz=math.nan,
-                gain_db=float(worst.gain_db),
-                phase_deg=float(worst.phase_deg),
-                delay_s=float(worst.delay_s),
-                spectral_radius=radius,
-            ),
-            self.problem.sample_time_s,
-        ) | self.achieved_admittance(controller)
+        return finish_evaluation(self.problem, controller, radius, requirements, self.peaks(controller))
 
     def achieved_admittance(self, controller: AdmittanceController) -> dict[str, float]:
         """Return required/achieved of the free-space admittance target, if there is one."""
@@ -154,19 +187,13 @@ def build_scenarios(problem: DesignProblem, scenarios: Sequence[Scenario]) -> Pr
     h = problem.sample_time_s
     pairs = tuple(build_sampled_contact(build_sampled_plant(problem.plant(s), h)) for s in scenarios)
     by_mass = {s.payload_mass_kg: pair.free for s, pair in zip(scenarios, pairs, strict=True)}
-    free = tuple(by_mass[mass] for mass in sorted(by_mass))
-    grid = np.geomspace(2.0 * np.pi * _SCREENING_LOWEST_HZ, np.pi / h, _SCREENING_POINTS)
+    free = [by_mass[mass] for mass in sorted(by_mass)]
     target = problem.requirements.free_space_admittance
-    responses = [plant_response(plant, grid) for plant in (*(pair.contact for pair in pairs), *free)]
     return PreparedScenarios(
         problem=problem,
         scenarios=tuple(scenarios),
         pairs=pairs,
-        free=free,
-        frequency_rad_per_s=grid,
-        z=responses[0].z,
-        force=np.array([r.force for r in responses]),
-        position=np.array([r.position for r in responses]),
+        plants=tuple(prepare_margins(plant) for plant in (*(pair.contact for pair in pairs), *free)),
         target_response=None if target is None else plant_response(free[0], band_frequencies(target.band_hz)),
     )
 
@@ -217,43 +244,3 @@ def finish_evaluation(
         peaks=peaks,
         objective_n=objective,
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlantMargins:
-    """The margins of one plant of the uncertainty; stiffness 0 is free space."""
-
-    payload_mass_kg: float
-    environment_stiffness_n_per_m: float
-    margins: Margins
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExactEvaluation:
-    """An evaluation with margins refined around every minimum, and those margins plant by plant."""
-
-    evaluation: Evaluation
-    margins: tuple[PlantMargins, ...]
-
-
-def evaluate_exactly(prepared: PreparedScenarios, controller: AdmittanceController) -> ExactEvaluation:
-    """Evaluate a stable design with margins refined around every minimum, scenario by scenario.
-
-    Raises UnstableLoopError when any scenario is unstable.
-    """
-    problem = prepared.problem
-    plants = [*(pair.contact for pair in prepared.pairs), *prepared.free]
-    found = tuple(
-        PlantMargins(
-            payload_mass_kg=sampled.plant.payload.mass_kg,
-            environment_stiffness_n_per_m=sampled.plant.environment.stiffness_n_per_m,
-            margins=find_margins(sampled, controller),
-        )
-        for sampled in plants
-    )
-    values = [normalise_margins(problem.requirements, f.margins, problem.sample_time_s) for f in found]
-    requirements = {name: max(value[name] for value in values) for name in values[0]}
-    requirements |= prepared.achieved_admittance(controller)
-    radius = max(f.margins.spectral_radius for f in found)
-    evaluation = finish_evaluation(problem, controller, radius, requirements, prepared.peaks(controller))
-    return ExactEvaluation(evaluation=evaluation, margins=found)

@@ -8,18 +8,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .controller import AdmittanceController
-from .errors import AutotuneError
-from .plant import build_plant_matrices
-from .response import LoopResponse, loop_response
+from .errors import AutotuneError, ParameterError
+from .margin_kernel import (
+    DELAY_S,
+    DISK,
+    GAIN_DB,
+    MARGINS,
+    MODULUS,
+    MODULUS_RAD_PER_S,
+    PHASE_RAD,
+    Grid,
+    find_loop_margins,
+)
+from .polynomials import CONTROLLER_POWERS, controller_polynomials, plant_polynomials
+from .response import plant_response
 from .sampled import SampledPlant, build_loop, spectral_radius
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _LOWEST_HZ = 0.02
-_BASE_POINTS = 600
-_REFINEMENT_ROUNDS = 3
-_REFINEMENT_POINTS = 24
+_SLOW_HZ = 1.0
+_SLOW_SHARE = 8
+_BASE_POINTS = 120
+_RESONANCE_POINTS = 25
+_SHORT_OF_NYQUIST = 1e-9
+# Where the loop gain is rounding only (below 1e-10), a crossover limits nothing.
 _LARGEST_GAIN_DB = 200.0
 
 
@@ -38,13 +52,15 @@ class UnstableLoopError(AutotuneError):
 class Margins:
     """The smaller margin of the two break points, each with the frequency where it is reached.
 
-    `modulus` is min |1 + L|; `gain_db` the smallest change of gain, up or down, that reaches the stability limit;
-    `phase_deg` the smallest rotation either way; `delay_s` the smallest extra delay. A margin that no crossover
-    limits is infinite.
+    `modulus` is min |1 + L|, at `modulus_hz`; `disk` the balanced disk margin α = min 2|1 + L|/|1 − L|, which tolerates
+    gain and phase together (a gain of (2 + α)/(2 − α), a phase of 2 atan(α/2)); `gain_db` the smallest change of gain,
+    up or down, that reaches the stability limit; `phase_deg` the smallest rotation either way; `delay_s` the smallest
+    extra delay. A margin that no crossover limits is infinite.
     """
 
     modulus: float
     modulus_hz: float
+    disk: float
     gain_db: float
     phase_deg: float
     delay_s: float
@@ -63,8 +79,11 @@ class RawMargins(NamedTuple):
 def margins_on_grid(frequency_rad_per_s: FloatArray, loop: ComplexArray) -> RawMargins:
     """Read the margins of `loop` (..., n) given on an increasing grid (n,) that ends at the Nyquist frequency.
 
-    Crossovers are interpolated linearly in log gain and phase between neighbours.
+    Crossovers are interpolated linearly in log gain and phase between neighbours. Raises ParameterError for values
+    that are not finite: they would pass for an infinite margin.
     """
+    if not np.all(np.isfinite(loop)):
+        raise ParameterError("loop", "values that are not finite", "finite at every frequency")
     modulus = np.min(np.abs(1.0 + loop), axis=-1)
     start, stop = loop[..., :-1], loop[..., 1:]
     # The Tustin form has a zero at z = −1, so the last point may be exactly 0.
@@ -91,61 +110,77 @@ def margins_on_grid(frequency_rad_per_s: FloatArray, loop: ComplexArray) -> RawM
 
 
 def frequency_grid(sampled: SampledPlant, points: int = _BASE_POINTS) -> FloatArray:
-    """Return frequencies (n,) [rad/s] up to the Nyquist frequency, denser around the plant's resonances."""
-    nyquist = np.pi / sampled.sample_time_s
-    base = np.geomspace(2.0 * np.pi * _LOWEST_HZ, nyquist, points)
-    matrices = build_plant_matrices(sampled.plant, sampled.sample_time_s)
+    """Return frequencies (n,) [rad/s] to just short of the Nyquist frequency, denser around the plant's resonances."""
+    nyquist = (1.0 - _SHORT_OF_NYQUIST) * np.pi / sampled.sample_time_s
+    # Below the robot's bandwidth nothing happens quickly.
+    slow = points // _SLOW_SHARE
+    low, middle = 2.0 * np.pi * _LOWEST_HZ, min(2.0 * np.pi * _SLOW_HZ, 0.5 * nyquist)
+    base = np.concatenate([np.geomspace(low, middle, slow), np.geomspace(middle, nyquist, points - slow)])
     extra = []
-    for pole in np.linalg.eigvals(matrices.a) / sampled.sample_time_s:
+    for pole in np.linalg.eigvals(sampled.rate) / sampled.sample_time_s:
         if pole.imag > 0.0:
             width = max(-pole.real, 1e-4 * abs(pole))
-            extra.append(pole.imag + width * np.linspace(-6.0, 6.0, 49))
+            extra.append(pole.imag + width * np.linspace(-6.0, 6.0, _RESONANCE_POINTS))
     grid = np.concatenate([base, *extra])
-    grid = grid[(grid >= base[0]) & (grid <= nyquist)]
-    return np.unique(np.append(grid, nyquist))
+    return np.unique(np.append(grid[(grid >= base[0]) & (grid < nyquist)], nyquist))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreparedMargins:
+    """What the margins of one plant need and no controller changes, see `find_loop_margins`."""
+
+    sampled: SampledPlant
+    polynomials: FloatArray
+    grid: Grid
+
+    def find(self, controller: AdmittanceController, spectral_radius: float) -> Margins:
+        """Find the margins of a loop that is known to be stable, with this spectral radius.
+
+        Raises ParameterError when the loop's response is not finite.
+        """
+        factors, found = np.zeros((3, CONTROLLER_POWERS)), np.empty(MARGINS)
+        degree = controller_polynomials(controller.parameters(), controller.is_ideal, factors)
+        sampling = (self.sampled.sample_time_s, controller.theta)
+        find_loop_margins(self.polynomials, self.grid, factors, degree, sampling, True, found)
+        if np.any(np.isnan(found)):
+            raise ParameterError("loop", self.sampled.plant, "one with a finite response at every frequency")
+        return Margins(
+            modulus=float(found[MODULUS]),
+            modulus_hz=float(found[MODULUS_RAD_PER_S] / (2.0 * math.pi)),
+            disk=float(found[DISK]),
+            gain_db=float(found[GAIN_DB]) if found[GAIN_DB] < _LARGEST_GAIN_DB else math.inf,
+            phase_deg=math.degrees(found[PHASE_RAD]),
+            delay_s=float(found[DELAY_S]),
+            spectral_radius=spectral_radius,
+        )
+
+
+def prepare_margins(sampled: SampledPlant) -> PreparedMargins:
+    """Compute what the margins of a sampled plant need, once for all controllers."""
+    return PreparedMargins(sampled=sampled, polynomials=loop_polynomials(sampled), grid=margin_grid(sampled))
 
 
 def find_margins(sampled: SampledPlant, controller: AdmittanceController) -> Margins:
-    """Find the margins of one exact sampled loop, refined around every minimum and crossover.
+    """Find the margins of one exact sampled loop: every minimum and crossover is searched on the loop itself.
 
-    Raises UnstableLoopError if the loop is not stable.
+    Raises UnstableLoopError if the loop is not stable, by its eigenvalues.
     """
     radius = spectral_radius(build_loop(sampled, controller))
     if not radius < 1.0:
         raise UnstableLoopError(radius)
-    grid = frequency_grid(sampled)
-    for _ in range(_REFINEMENT_ROUNDS):
-        grid = _refined(grid, loop_response(sampled, controller, grid))
-    response = loop_response(sampled, controller, grid)
-    at = [margins_on_grid(grid, loop) for loop in (response.at_force, response.at_command)]
-    nearest = [np.abs(1.0 + loop) for loop in (response.at_force, response.at_command)]
-    worst = nearest[int(np.argmin([np.min(n) for n in nearest]))]
-    return Margins(
-        modulus=float(min(m.modulus for m in at)),
-        modulus_hz=float(grid[int(np.argmin(worst))] / (2.0 * math.pi)),
-        gain_db=_limited(float(min(m.gain_db for m in at))),
-        phase_deg=float(min(m.phase_deg for m in at)),
-        delay_s=float(min(m.delay_s for m in at)),
-        spectral_radius=radius,
-    )
+    return prepare_margins(sampled).find(controller, radius)
 
 
-def _limited(gain_db: float) -> float:
-    """Return infinity for a crossover where the loop gain is rounding only (below 1e-10)."""
-    return gain_db if gain_db < _LARGEST_GAIN_DB else math.inf
+def loop_polynomials(sampled: SampledPlant) -> FloatArray:
+    """Return denominator and numerators of F/x^d and x/x^d of a sampled plant, see `plant_polynomials`."""
+    outputs = np.array([[*sampled.c_position, 0.0, 0.0], [*sampled.c_force, sampled.d_force, 0.0]])
+    delay = (sampled.whole_delay, sampled.chain_length, sampled.fraction)
+    rests = not sampled.plant.environment.is_anchored
+    return plant_polynomials(sampled.phi, sampled.gamma, sampled.gamma_old, outputs, delay, rests)
 
 
-def _refined(grid: FloatArray, response: LoopResponse) -> FloatArray:
-    """Add points on both sides of every local minimum of |1 + L| and across every crossover."""
-    segments = np.zeros(len(grid) - 1, dtype=bool)
-    for loop in (response.at_force, response.at_command):
-        distance = np.abs(1.0 + loop)
-        lowest = np.flatnonzero((distance[1:-1] <= distance[:-2]) & (distance[1:-1] <= distance[2:])) + 1
-        segments[lowest - 1] = True
-        segments[lowest] = True
-        size = np.abs(loop) - 1.0
-        segments |= size[:-1] * size[1:] <= 0.0
-        segments |= (loop.imag[:-1] * loop.imag[1:] <= 0.0) & (loop.real[:-1] < 0.0)
-    share = np.linspace(0.0, 1.0, _REFINEMENT_POINTS)[1:-1]
-    starts, widths = grid[:-1][segments], np.diff(grid)[segments]
-    return np.unique(np.concatenate([grid, (starts[:, None] + widths[:, None] * share).ravel()]))
+def margin_grid(sampled: SampledPlant) -> Grid:
+    """Return what `find_loop_margins` needs of a plant besides its polynomials."""
+    response = plant_response(sampled, frequency_grid(sampled))
+    omega = response.frequency_rad_per_s
+    return omega, np.tan(0.5 * omega * sampled.sample_time_s), response.force, response.position

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from .compiled import equation
 from .controller import AdmittanceController, controller_blocks
-from .sampled import SampledPlant
+from .plant import Plant
+from .sampled import SampledPlant, build_loop
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -103,3 +104,21 @@ def free_space_admittance(
 ) -> ComplexArray:
     """Return the rendered admittance G [m/s/N] of a sampled plant, see `rendered_admittance`."""
     return rendered_admittance(plant_response(sampled, frequency_rad_per_s), controller, sampled.sample_time_s)
+
+
+def hand_admittance(
+    sampled: SampledPlant, controller: AdmittanceController, frequency_rad_per_s: FloatArray
+) -> ComplexArray:
+    """Return V_p/F_h [m/s/N]: the payload's velocity per force of a hand on it, in the closed sampled loop.
+
+    Below the loop's bandwidth in free space it is 1/(B_a + B_p), see `hand_force_per_speed`.
+    """
+    loop, omega = build_loop(sampled, controller), np.asarray(frequency_rad_per_s, dtype=np.float64)
+    z = np.exp(1j * omega * sampled.sample_time_s)
+    states = np.linalg.solve(z[:, None, None] * np.eye(len(loop.a)) - loop.a, loop.b_push[:, None])[..., 0]
+    return np.asarray(1j * omega * states[:, sampled.state_count - 2], dtype=np.complex128)
+
+
+def hand_force_per_speed(plant: Plant, controller: AdmittanceController) -> float:
+    """Return the steady hand force [N·s/m] that leads the payload in free space at 1 m/s: B_a + B_p."""
+    return controller.damping_n_s_per_m + plant.payload.drag_n_s_per_m

@@ -103,7 +103,7 @@ def _step_axis(
             state = following
         else:
             inputs = (older, newer, push)
-            touching, _ = switch_within(flow, state, surface_state, wall, rows, inputs, fraction, touching)
+            touching, _, _, _ = switch_within(flow, state, surface_state, wall, rows, inputs, fraction, touching, 1)
         for i in range(chain - 1, 0, -1):
             past[i] = past[i - 1]
         past[0] = command

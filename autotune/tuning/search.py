@@ -15,7 +15,6 @@ from problems.evaluation import (
     PlantMargins,
     PreparedScenarios,
     build_scenarios,
-    evaluate_exactly,
     normalise_margins,
 )
 from problems.margins import UnstableLoopError
@@ -130,7 +129,7 @@ def presentable(problem: DesignProblem, design: FloatArray) -> FloatArray:
 def _evaluated_exactly(dense: PreparedScenarios, design: FloatArray) -> tuple[Evaluation, tuple[PlantMargins, ...]]:
     """Evaluate over the dense grid; an unstable scenario in it counts as an infinite miss, with no margins."""
     try:
-        exact = evaluate_exactly(dense, dense.problem.controller(design))
+        exact = dense.evaluate_exactly(dense.problem.controller(design))
     except UnstableLoopError:
         return dense.evaluate(design), ()
     return exact.evaluation, exact.margins

@@ -1,5 +1,6 @@
-"""The same axis by other means: SI units, python-control and scipy, the paper's difference equation."""
+"""The same axis by other means: SI units, python-control and scipy, direct-form difference equations."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -7,9 +8,11 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
+from scipy.integrate import solve_ivp
 
 from problems.controller import AdmittanceController
-from problems.plant import Plant
+from problems.plant import FREE_SPACE, Plant
+from problems.sampled import SampledLoop, SampledPlant
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -18,9 +21,19 @@ ComplexArray = NDArray[np.complex128]
 def rendered_impedance(plant: Plant, s: ComplexArray) -> ComplexArray:
     """Return Ē = C_s (1 + P E)/(1 + P E + P C_s), MODEL.md "Continuous blocks"."""
     coupling = plant.coupling.stiffness_n_per_m / s + plant.coupling.damping_n_s_per_m
-    payload = 1.0 / (plant.payload.mass_kg * s + plant.payload.drag_n_s_per_m)
-    wall = plant.environment.stiffness_n_per_m / s + plant.environment.damping_n_s_per_m
+    payload, wall = payload_admittance(plant, s), environment_impedance(plant, s)
     return np.asarray(coupling * (1.0 + payload * wall) / (1.0 + payload * wall + payload * coupling))
+
+
+def payload_admittance(plant: Plant, s: ComplexArray) -> ComplexArray:
+    """Return P = 1/(M_p s + B_p)."""
+    return np.asarray(1.0 / (plant.payload.mass_kg * s + plant.payload.drag_n_s_per_m))
+
+
+def environment_impedance(plant: Plant, s: ComplexArray) -> ComplexArray:
+    """Return E = M_e s + B_e + K_e/s."""
+    e = plant.environment
+    return np.asarray(e.mass_kg * s + e.damping_n_s_per_m + e.stiffness_n_per_m / s)
 
 
 def robot_gain(plant: Plant, s: ComplexArray) -> ComplexArray:
@@ -28,30 +41,93 @@ def robot_gain(plant: Plant, s: ComplexArray) -> ComplexArray:
     return np.asarray(np.polyval(plant.robot.numerator, s) / np.polyval(plant.robot.denominator, s))
 
 
-def continuous_plant(plant: Plant) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return A, B, C, D in SI, without delay, from x^d to (F, x); state (robot, x_p, v_p)."""
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """ds/dt = a s + b (x^d, f) in SI, delay left out; state (robot, x_p, v_p), outputs c s + d (x^d, f)."""
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    d: FloatArray
+
+
+def continuous_motion(plant: Plant) -> Motion:
+    """Return the equations of motion with the outputs (F, x, F_e); F_e is what Newton's law of the payload lacks."""
     a_r, b_r, c_r, _ = signal.tf2ss(plant.robot.numerator, plant.robot.denominator)
     n = len(a_r)
     k, b = plant.coupling.stiffness_n_per_m, plant.coupling.damping_n_s_per_m
     x, v = np.append(c_r[0], [0.0, 0.0]), np.append((c_r @ a_r)[0], [0.0, 0.0])
     x_p, v_p = np.eye(n + 2)[n], np.eye(n + 2)[n + 1]
-    force, through = k * (x_p - x) + b * (v_p - v), -b * float((c_r @ b_r)[0, 0])
-    wall = plant.environment.stiffness_n_per_m * x_p + plant.environment.damping_n_s_per_m * v_p
-    m = plant.payload.mass_kg
-    acceleration = -(force + plant.payload.drag_n_s_per_m * v_p + wall) / m
+    force, through = k * (x_p - x) + b * (v_p - v), np.array([-b * float((c_r @ b_r)[0, 0]), 0.0])
+    drag, mass, wall = plant.payload.drag_n_s_per_m, plant.payload.mass_kg, plant.environment
+    outside = np.array([0.0, 1.0])
+    resisting = force + (drag + wall.damping_n_s_per_m) * v_p + wall.stiffness_n_per_m * x_p
+    acceleration, at_once = (w / (mass + wall.mass_kg) for w in (-resisting, outside - through))
     a = np.vstack([np.hstack([a_r, np.zeros((n, 2))]), v_p, acceleration])
-    drive = np.concatenate([b_r[:, 0], [0.0, -through / m]])[:, None]
-    return a, drive, np.vstack([force, x]), np.array([[through], [0.0]])
+    drive = np.vstack([np.hstack([b_r, np.zeros((n, 1))]), [0.0, 0.0], at_once])
+    contact = -force - drag * v_p - mass * acceleration
+    pressed = outside - through - mass * at_once
+    return Motion(a=a, b=drive, c=np.vstack([force, x, contact]), d=np.vstack([through, [0.0, 0.0], pressed]))
+
+
+def continuous_plant(plant: Plant) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return A, B, C, D in SI, without delay, from x^d to (F, x); state (robot, x_p, v_p)."""
+    m = continuous_motion(plant)
+    return m.a, m.b[:, :1], m.c[:2], m.d[:2, :1]
+
+
+def discretized(numerator: list[float], denominator: list[float], h: float, theta: float) -> tuple[FloatArray, ...]:
+    """Replace s by (z − 1)/(h (θ z + 1 − θ)) in polynomials (highest power first); the result is monic below.
+
+    Unlike scipy's conversions this takes improper fractions, which the ideal compensation is.
+    """
+    order = max(len(numerator), len(denominator)) - 1
+    rise, mean = np.array([1.0, -1.0]), h * np.array([theta, 1.0 - theta])
+
+    def substitute(coefficients: list[float]) -> FloatArray:
+        total = np.zeros(order + 1)
+        for power, coefficient in enumerate(reversed(coefficients)):
+            product = np.array([1.0])
+            for factor in [rise] * power + [mean] * (order - power):
+                product = np.convolve(product, factor)
+            total = total + coefficient * product
+        return total
+
+    top, bottom = substitute(numerator), substitute(denominator)
+    return top / bottom[0], bottom / bottom[0]
+
+
+def continuous_laws(controller: AdmittanceController) -> dict[str, tuple[list[float], list[float]]]:
+    """Return A(1 + C_ff), C_fb and P̂ O_a as polynomials in s, highest power first."""
+    c = controller
+    corner, second, mass = c.velocity_filter_rad_per_s, c.acceleration_filter_rad_per_s, c.compensation_mass_kg
+    acceleration = ([mass * corner * second, 0.0, 0.0], [1.0, corner + second, corner * second])
+    return {
+        "forward": ([c.lead_s, 1.0] if c.lead_s else [1.0], [c.mass_kg, c.damping_n_s_per_m, 0.0]),
+        "feedback": ([c.feedback_damping_s * corner, 0.0], [1.0, corner]),
+        "acceleration": ([mass, 0.0, 0.0], [1.0]) if c.compensation == "ideal" else acceleration,
+    }
+
+
+def sampled_laws(controller: AdmittanceController, h: float) -> dict[str, Any]:
+    """Return the sampled forms of A(1 + C_ff), C_fb and P̂ O_a as python-control systems, by scipy where it can."""
+    out = {}
+    for name, (numerator, denominator) in continuous_laws(controller).items():
+        if not any(numerator):
+            out[name] = control.ss([], [], [], [[0.0]], h)
+        elif len(numerator) <= len(denominator):
+            held = signal.cont2discrete(signal.tf2ss(numerator, denominator), h, "gbt", alpha=controller.theta)
+            out[name] = control.ss(*held[:4], h)
+        else:
+            out[name] = control.ss(*signal.tf2ss(*discretized(numerator, denominator, h, controller.theta)), h)
+    return out
 
 
 def sampled_controller(controller: AdmittanceController, h: float) -> tuple[Any, Any]:
-    """Return the Tustin forms of A(1 + C_ff) and C_fb as python-control systems."""
-    m, b = controller.mass_kg, controller.damping_n_s_per_m
-    corner, lead = controller.velocity_filter_rad_per_s, controller.lead_s
-    # scipy warns of a leading zero.
-    forward = signal.cont2discrete(signal.tf2ss([lead, 1.0] if lead else [1.0], [m, b, 0.0]), h, "bilinear")
-    feedback = signal.cont2discrete(signal.tf2ss([corner, 0.0], [1.0, corner]), h, "bilinear")
-    return control.ss(*forward[:4], h), control.ss(*feedback[:4], h) * controller.feedback_damping_s
+    """Return x^d per force, A(1 + C_ff), and −x^d per position, C_fb − A(1 + C_ff) P̂ O_a, sampled."""
+    laws = sampled_laws(controller, h)
+    forward = laws["forward"]
+    return forward, laws["feedback"] - forward * laws["acceleration"]
 
 
 def sampled_plant(plant: Plant, h: float, whole_delay: int) -> Any:
@@ -63,13 +139,36 @@ def sampled_plant(plant: Plant, h: float, whole_delay: int) -> Any:
 def closed_loop(
     plant: Plant, controller: AdmittanceController, h: float, whole_delay: int, *, force_delay: int = 0
 ) -> Any:
-    """Close the loop F^d → F with python-control; `force_delay` holds the force signal back by so many samples."""
-    forward, feedback = sampled_controller(controller, h)
-    back = control.ss(feedback.A, np.hstack([np.zeros_like(feedback.B), feedback.B]), -feedback.C, [[0.0, 0.0]], h)
-    back.D[0, 1] = -feedback.D[0, 0]
-    damped = control.feedback(sampled_plant(plant, h, whole_delay), back, sign=1)
-    force_only = control.ss(damped.A, damped.B, damped.C[:1], damped.D[:1], h)
-    return control.feedback(force_only * forward, _shift(force_delay, h), sign=1)
+    """Close the loop F^d → F with python-control; `force_delay` holds the force signal back by so many samples.
+
+    x^d = A(1 + C_ff)(F^d + F + P̂ O_a x) − C_fb x: blocks side by side, and what each of them is given.
+    """
+    laws, unit = sampled_laws(controller, h), h * h  # second differences in place of accelerations
+    blocks = control.append(
+        sampled_plant(plant, h, whole_delay),
+        _shift(force_delay, h),
+        laws["forward"] * (1.0 / unit),
+        laws["feedback"],
+        laws["acceleration"] * unit,
+    )
+    given = np.zeros((5, 6))  # (x^d, F, e, x, x) from (F, x, F held back, x_a, C_fb x, P̂ O_a x)
+    given[0, 3], given[0, 4] = 1.0, -1.0
+    given[1, 0] = given[2, 5] = given[3, 1] = given[4, 1] = 1.0
+    given[2, 2] = unit
+    closed = control.feedback(blocks, control.ss([], [], [], given, h), sign=1)
+    return control.ss(closed.A, closed.B[:, 2:3] * unit, closed.C[:1], closed.D[:1, 2:3] * unit, h)
+
+
+def surplus_poles(controller: AdmittanceController, h: float) -> list[float]:
+    """Return the poles of `closed_loop` that cancel inside its controller: what a smaller realisation does without."""
+    theta, corner = controller.theta, controller.velocity_filter_rad_per_s * h
+    out = []
+    if controller.is_ideal:
+        # s² brings (θ z + 1 − θ)² below; A(1 + C_ff) has one such factor above, and two without lead.
+        out = [1.0 - 1.0 / theta] * (2 if controller.lead_s == 0.0 else 1)
+    elif controller.compensates and controller.feedback_damping_s > 0.0:
+        out = [(1.0 - corner * (1.0 - theta)) / (1.0 + corner * theta)]
+    return out
 
 
 def step_response(system: Any, desired: FloatArray) -> FloatArray:
@@ -114,6 +213,46 @@ class DifferenceEquation:
         return newest - self.damping
 
 
+class DirectForm:
+    """y_k = Σ b_i e_{k−i} − Σ a_i y_{k−i}: past inputs and outputs as they were, newest first."""
+
+    def __init__(self, top: FloatArray, bottom: FloatArray, inputs: list[float], outputs: list[float]) -> None:
+        self.top, self.bottom, self.inputs, self.outputs = top, bottom, inputs, outputs
+
+    def step(self, value: float) -> float:
+        """Return y_k for e_k."""
+        entering = [value, *self.inputs]
+        newest = float(self.top @ entering - self.bottom[1:] @ self.outputs)
+        self.inputs, self.outputs = entering[:-1], [newest, *self.outputs[:-1]]
+        return newest
+
+
+class SampledLaw:
+    """A(1 + C_ff), C_fb and P̂ O_a as three difference equations that have approached steadily, or rested, so far."""
+
+    def __init__(
+        self,
+        controller: AdmittanceController,
+        h: float,
+        *,
+        speed: float = 0.0,
+        force: float = 0.0,
+        command: float = 0.0,
+        position: float = 0.0,
+    ) -> None:
+        laws = {
+            name: discretized(*law, h, controller.theta) for name, law in continuous_laws(controller).items()
+        }
+        # At steady speed O_a x is 0 and C_fb x is B_fb v, so A(1 + C_ff) gives the command and B_fb v.
+        positions, damping = [position - i * speed * h for i in (1, 2)], controller.feedback_damping_s * speed
+        commands = [command + damping - i * speed * h for i in (1, 2)]
+        self.forward = DirectForm(*laws["forward"], [force, force], commands)
+        self.feedback = DirectForm(*laws["feedback"], positions[:1], [damping])
+        self.acceleration = DirectForm(*laws["acceleration"], positions, [0.0, 0.0])
+
+    def step(self, force: float, position: float) -> float:
+        """Return x^d from F^d + F and x at the tick."""
+        return self.forward.step(force + self.acceleration.step(position)) - self.feedback.step(position)
 def fine_step_response(
     plant: Plant, controller: AdmittanceController, h: float, delay: tuple[int, int, int], samples: int
 ) -> FloatArray:
@@ -134,3 +273,174 @@ def fine_step_response(
                 old = commands[held] if held >= 0 else 0.0
             state = a @ state + b[:, 0] * old
     return np.array(out)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SteadyApproach:
+    """The loop state at the moment of contact (x_p = 0) while everything moves at `speed_m_s` under one force."""
+
+    state: FloatArray
+    command_m: float
+    speed_m_s: float
+    force_n: float
+
+
+def steady_approach(
+    free: SampledPlant, loop: SampledLoop, *, force: float | None = None, speed: float | None = None, hand: bool = False
+) -> SteadyApproach:
+    """Solve for the free-space state that moves by the same step every period: linear, one solution.
+
+    (a − 1) s − v h·translation + b F^d = 0 (or b_push f) with x_p = 0 and either the force or v given.
+    """
+    size, h = len(loop.a), free.sample_time_s
+    system, right = np.zeros((size + 2, size + 2)), np.zeros(size + 2)
+    system[:size, :size] = loop.a - np.eye(size)
+    system[:size, size] = -h * loop.translation
+    system[:size, size + 1] = loop.b_push if hand else loop.b
+    system[size, free.state_count - 2] = 1.0
+    system[size + 1, size + 1 if speed is None else size] = 1.0
+    right[size + 1] = force if speed is None else speed
+    solution = np.linalg.solve(system, right)
+    state, found = solution[:size], float(solution[size + 1])
+    command = float(loop.c_command @ state + loop.d_command * (0.0 if hand else found))
+    return SteadyApproach(state=state, command_m=command, speed_m_s=float(solution[size]), force_n=found)
+
+
+@dataclass(kw_only=True)
+class Collision:
+    """F and F_e at the ticks, the largest F_e with its time, and the impulses on the environment's mass."""
+
+    sensed: list[float] = field(default_factory=list)
+    pressed: list[float] = field(default_factory=list)
+    peak: float = 0.0
+    time_of_peak: float = 0.0
+    impulses: list[float] = field(default_factory=list)
+    departures: int = 0
+
+
+class Environment:
+    """The payload (SI state y = (robot, x_p, v_p)) on and off an environment, by a Runge–Kutta solver with events.
+
+    Straight from MODEL.md; off the payload the environment goes its own way: with its mass on spring and damper,
+    without mass with its damper alone.
+    """
+
+    def __init__(self, plant: Plant, state: FloatArray, outside_force: float) -> None:
+        self.plant, self.force, self.found = plant, outside_force, Collision()
+        self.on, self.off = continuous_motion(plant), continuous_motion(plant.in_contact_with(FREE_SPACE))
+        self.y, self.time, self.touching = np.append(state, [0.0, 0.0]), 0.0, True
+        self._meet()
+
+    def sense(self, held: float) -> tuple[float, float, float]:
+        """Return F, x and F_e."""
+        motion = self.on if self.touching else self.off
+        force, position, pressed = motion.c @ self.y[:-2] + motion.d @ [held, self.force]
+        return float(force), float(position), max(0.0, float(pressed)) if self.touching else 0.0
+
+    def advance(self, held: float, duration: float) -> None:
+        """Move on under a held command, through as many meetings and departures as there are."""
+        left = duration
+        while left > 0.0:
+            left = self._advance_on(held, left) if self.touching else self._advance_off(held, left)
+
+    def _meet(self) -> None:
+        mass, own = self.plant.environment.mass_kg, self.plant.payload.mass_kg
+        common = (own * self.y[-3] + mass * self.y[-1]) / (own + mass)
+        if mass > 0.0:
+            self.found.impulses.append(mass * (common - self.y[-1]))
+        self.y[-3], self.touching = common, True
+
+    def _advance_on(self, held: float, duration: float) -> float:
+        m, inputs = self.on, np.array([held, self.force])
+
+        def rate(_: float, y: FloatArray) -> FloatArray:
+            return np.asarray(m.a @ y + m.b @ inputs)
+
+        def pressed(_: float, y: FloatArray) -> float:
+            return float(m.c[2] @ y + m.d[2] @ inputs)
+
+        def rise(_: float, y: FloatArray) -> float:
+            return float(m.c[2] @ (m.a @ y + m.b @ inputs))
+
+        pressed.terminal, pressed.direction, rise.direction = True, -1.0, -1.0  # type: ignore[attr-defined]
+        start = self.y[:-2]
+        if self.time > 0.0 and pressed(0.0, start) < 0.0:  # as an impact or a step of the command may leave it
+            self.y[-2:] = start[-2:]
+            self.touching, self.found.departures = False, self.found.departures + 1
+            return duration
+        run = solve_ivp(rate, (0.0, duration), start, "DOP853", events=(pressed, rise), rtol=1e-11, atol=1e-16)
+        times, states = [0.0, run.t[-1], *run.t_events[1]], [start, run.y[:, -1], *run.y_events[1]]
+        for moment, state in zip(times, states, strict=True):
+            if pressed(moment, state) > self.found.peak:
+                self.found.peak, self.found.time_of_peak = pressed(moment, state), self.time + moment
+        self.y[:-2], self.y[-2:] = run.y[:, -1], run.y[-2:, -1]
+        self.time += run.t[-1]
+        if run.status == 1:
+            self.touching, self.found.departures = False, self.found.departures + 1
+        return float(duration - run.t[-1])
+
+    def _advance_off(self, held: float, duration: float) -> float:
+        m, inputs, wall = self.off, np.array([held, self.force]), self.plant.environment
+        n = len(self.y)
+        a = np.zeros((n, n))
+        a[:-2, :-2] = m.a
+        if wall.mass_kg > 0.0:
+            a[-2, -1] = 1.0
+            a[-1, -2:] = -wall.stiffness_n_per_m / wall.mass_kg, -wall.damping_n_s_per_m / wall.mass_kg
+        elif wall.damping_n_s_per_m > 0.0:
+            a[-2, -2] = -wall.stiffness_n_per_m / wall.damping_n_s_per_m
+        else:
+            self.y[-2] = 0.0
+        drive = np.append(m.b @ inputs, [0.0, 0.0])
+
+        def meet(_: float, y: FloatArray) -> float:
+            return float(y[-4] - y[-2])
+
+        meet.terminal, meet.direction = True, 1.0  # type: ignore[attr-defined]
+        stiff = wall.mass_kg == 0.0 and wall.damping_n_s_per_m > 0.0
+        run = solve_ivp(
+            lambda _, y: a @ y + drive,
+            (0.0, duration),
+            self.y,
+            "Radau" if stiff else "DOP853",
+            events=meet,
+            rtol=1e-11,
+            atol=1e-16,
+        )
+        self.y = run.y[:, -1]
+        self.time += run.t[-1]
+        if run.status == 1:
+            self._meet()
+        return float(duration - run.t[-1])
+
+
+def collide(
+    plant: Plant, controller: AdmittanceController, h: float, start: SteadyApproach, forces: tuple[float, float], samples: int
+) -> Collision:
+    """Follow an impact from a steady approach, with F^d and the outside force of `forces` after it.
+
+    `start` gives plant state and past commands in the layout of `SampledLoop`; the controller is one of its own.
+    """
+    order, delay = plant.robot.order, plant.robot.delay_s / h
+    late = math.ceil(delay - 1e-9)
+    part = late - delay if late - delay > 1e-9 else 0.0
+    chain, past = start.state[: order + 2], list(start.state[order + 2 : order + 2 + late])
+    # scipy's controllable form counts derivatives of a signal w with den(s) w = x^d from the highest down.
+    lowest = plant.robot.denominator[-1] / plant.robot.denominator[0]
+    robot = [chain[i] / h**i / lowest for i in reversed(range(order))]
+    world = Environment(plant, np.array([*robot, chain[-2], chain[-1] / h]), forces[1])
+    position = world.sense(0.0)[1]
+    effort = controller.damping_n_s_per_m * start.speed_m_s
+    law = SampledLaw(
+        controller, h, speed=start.speed_m_s, force=effort, command=start.command_m, position=position
+    )
+    for _ in range(samples):
+        force, position, pressed = world.sense(past[-1] if past else 0.0)
+        world.found.sensed.append(force)
+        world.found.pressed.append(pressed)
+        past = [law.step(forces[0] + force, position), *past]
+        oldest = past.pop() if late else past[0]
+        for held, share in ((oldest, 1.0 - part), (past[-1], part)):
+            world.advance(held, share * h)
+        past = past[:late]
+    return world.found

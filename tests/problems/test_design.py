@@ -162,7 +162,7 @@ def test_the_plant_of_a_scenario_is_the_problems_with_that_wall_and_mass() -> No
 
 def test_a_design_vector_is_a_controller_in_the_order_of_the_variables() -> None:
     found = problem(velocity_filter_rad_per_s=90.0).controller([13.0, 1000.0, 0.02, 7.5e-3])
-    assert found.parameters().tolist() == [13.0, 1000.0, 0.02, 7.5e-3, 90.0]
+    assert found.parameters().tolist() == [13.0, 1000.0, 0.02, 7.5e-3, 90.0, 200.0, 0.0]
 
 
 @pytest.mark.parametrize(("asked", "found"), [(0.0, 0.0), (9.9e-5, 0.0), (1e-4, 1e-4)])

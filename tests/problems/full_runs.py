@@ -1,0 +1,64 @@
+"""Full simulations that several tests run, and the exact transient beside them."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from problems.contact import Approach, ContactTransient, build_sampled_contact, simulate_contact
+from problems.controller import AdmittanceController
+from problems.full_effects import Deadband, Effects
+from problems.full_simulation import FullRun, simulate_fully
+from problems.plant import Plant
+from problems.sampled import build_sampled_plant
+from tests.problems.axes import PERIOD_S, admittance, paper_plant
+
+PRESS = Approach(force_n=30.0)
+FIRM = admittance(damping=3000.0, lead=0.02)
+COMPENSATING = replace(FIRM, feedback_damping_s=5e-3, compensation_mass_kg=8.0)
+# The robot with the 6.3 kg payload; its drag is not printed, and below 243 N·s/m it stays under the threshold.
+LIGHT_DRAG = 150.0
+PRINTED = admittance(damping=800.0, lead=0.013, feedback=7.5e-3)
+THRESHOLD, SUBTRACTIVE = Deadband(width_n=5.0), Deadband(width_n=5.0, kind="subtractive")
+
+
+def light_plant(stiffness: float) -> Plant:
+    return paper_plant(stiffness=stiffness, mass=6.3, drag=LIGHT_DRAG)
+
+
+def simulate(
+    plant: Plant,
+    controller: AdmittanceController = FIRM,
+    approach: Approach = PRESS,
+    *,
+    duration: float = 0.32,
+    h: float = PERIOD_S,
+    effects: Effects | None = None,
+    distance: float | None = None,
+    substeps: int = 10,
+    seed: int | None = None,
+) -> FullRun:
+    return simulate_fully(
+        plant,
+        controller,
+        approach,
+        sample_time_s=h,
+        duration_s=duration,
+        effects=effects if effects is not None else Effects(),
+        start_distance_m=distance,
+        substeps=substeps,
+        noise=None if seed is None else np.random.default_rng(seed),
+    )
+
+
+def exactly(plant: Plant, controller: AdmittanceController, approach: Approach, samples: int) -> ContactTransient:
+    pair = build_sampled_contact(build_sampled_plant(plant, PERIOD_S))
+    return simulate_contact(pair, controller, approach, samples=samples)
+
+
+def worst(run: FullRun, exact: ContactTransient) -> float:
+    return float(
+        max(
+            np.max(np.abs(run.sensor_force_n - exact.sensor_force_n)),
+            np.max(np.abs(run.contact_force_n - exact.contact_force_n)),
+        )
+    )
