@@ -93,29 +93,22 @@ def stretch_of_three(
     plain = blocks[4, 0] == 0.0 and blocks[4, 1] == 0.0 and blocks[4, 2] == 0.0
     a, b, c = step[0, 0], (step[1, 0], step[1, 1], step[1, 2]), (step[2, 0], step[2, 1], step[2, 2])
     new, old = (step[0, 3], step[1, 3], step[2, 3]), (step[0, 4], step[1, 4], step[2, 4])
-    f0, f1, f2, f3, rest = (
-        rows[1, 0],
-        rows[1, 1],
-        rows[1, 2],
-        rows[1, 3],
-        (step[1, 5] * forces[1], step[2, 5] * forces[1]),
-    )
+    f, rest = (rows[1, 0], rows[1, 1], rows[1, 2], rows[1, 3]), (step[1, 5] * forces[1], step[2, 5] * forces[1])
     direct, pole, gain, integral = blocks[0, 0] + blocks[1, 0], blocks[1, 1], blocks[1, 2], blocks[0, 2]
     law, x, p, v = (control[0], control[1], control[2], control[3]), state[0], state[1], state[2]
-    pressed, sensor_peak, contact_peak, sensor_tick, contact_tick = (
-        wall[0] * p + wall[1] * v,
-        found[0],
-        found[2],
-        -1,
-        -1,
-    )
+    pressed, sensor_peak, sensor_tick = wall[0] * p + wall[1] * v, found[0], -1
+    contact_peak, contact_tick = found[2], -1
     while k < span[1]:
         held = past[(head + chain - 1) & last]
-        sensed = (f0 * x + f1 * p) + (f2 * v + f3 * held)
+        sensed = (f[0] * x + f[1] * p) + (f[2] * v + f[3] * held)
         if plain:
-            drive = forces[0] + sensed
-            command = (law[0] + law[1]) + direct * drive
-            law_after = (law[0] + integral * drive, pole * law[1] + gain * drive, law[2], law[3])
+            command = (law[0] + law[1]) + direct * (forces[0] + sensed)
+            law_after = (
+                law[0] + integral * (forces[0] + sensed),
+                pole * law[1] + gain * (forces[0] + sensed),
+                0.0,
+                0.0,
+            )
         else:
             command, law_after = controller_step(blocks, law, forces[0] + sensed, rows[0, 0] * x)
         newer = command if whole == 0 else past[(head + whole - 1) & last]

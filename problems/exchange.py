@@ -6,12 +6,14 @@ from typing import Any
 import control
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import matrix_balance
 
 from .controller import AdmittanceController
 from .plant import Environment
 from .sampled import CutLoop, SampledPlant, build_cut_loop, translation_state
 
 FloatArray = NDArray[np.float64]
+Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -27,7 +29,9 @@ class ControlObjects:
     anchor L and L_x are given without the integrator at z = 1, which F cannot show and x^d cannot drive (1 + L would
     be 0/0 there); the closed loop keeps it, because x^d shows it.
 
-    For margins use `problems.margins`: `control.stability_margins` loses crossovers of such discrete loops.
+    Where python-control stops: `stability_margins` warns for loops like these, falls back to a coarse frequency grid
+    and now and then misses a crossover (errors up to a factor of two), so take margins from `problems.margins`; its
+    Nyquist plot cannot pass a pole at z = −1, which L_x of the ideal compensation has in the Tustin form.
     """
 
     robot: Any
@@ -67,12 +71,18 @@ def as_control(sampled: SampledPlant, controller: AdmittanceController) -> Contr
             "x",
             "a",
         ),
-        at_force=control.ss(*_cut_at_force(cut, sampled, controller), h, name="L", inputs=["e"], outputs=["-F"]),
-        at_command=control.ss(*_cut_at_command(cut, sampled), h, name="L_x", inputs=["w"], outputs=["-x_d"]),
-        closed_loop=control.ss(
-            *_closed(cut, sampled), h, name="closed_loop", inputs=["F_d", "f"], outputs=["F", "x_d", "F_e"]
-        ),
+        at_force=_system("L", _cut_at_force(cut, sampled, controller), h, ["e"], ["-F"]),
+        at_command=_system("L_x", _cut_at_command(cut, sampled), h, ["w"], ["-x_d"]),
+        closed_loop=_system("closed_loop", _closed(cut, sampled), h, ["F_d", "f"], ["F", "x_d", "F_e"]),
     )
+
+
+def _system(name: str, matrices: Matrices, h: float, inputs: list[str], outputs: list[str]) -> Any:
+    """Scale the states by powers of two: methods that mix them by rotations (slycot's) would lose six digits."""
+    a, b, c, d = matrices
+    _, (scale, _) = matrix_balance(a, permute=False, separate=True)
+    a, b, c = a * scale / scale[:, None], b / scale[:, None], c * scale
+    return control.ss(a, b, c, d, h, name=name, inputs=inputs, outputs=outputs)
 
 
 def _block(name: str, numerator: Any, denominator: Any, source: str, target: str) -> Any:
@@ -86,7 +96,7 @@ def _environment(environment: Environment) -> Any:
     return _block("environment", numerator, denominator, "v_p", "F_e")
 
 
-def _cut_at_force(cut: CutLoop, sampled: SampledPlant, controller: AdmittanceController) -> tuple[FloatArray, ...]:
+def _cut_at_force(cut: CutLoop, sampled: SampledPlant, controller: AdmittanceController) -> Matrices:
     """Return A, B, C, D of L; without an anchor a translation (A t = t, C t = 0) is taken out of the state."""
     m, n, signal = cut.closed_at(cut.command), cut.state_count, cut.force
     a, b, c, d = m[:n, :n], m[:n, [signal]], -m[[signal], :n], -m[[signal], signal : signal + 1]
@@ -99,7 +109,7 @@ def _cut_at_force(cut: CutLoop, sampled: SampledPlant, controller: AdmittanceCon
     return a[np.ix_(keep, keep)], b[keep], c[:, keep], d
 
 
-def _cut_at_command(cut: CutLoop, sampled: SampledPlant) -> tuple[FloatArray, ...]:
+def _cut_at_command(cut: CutLoop, sampled: SampledPlant) -> Matrices:
     """Return A, B, C, D of L_x; without an anchor one state follows from the others: momentum is conserved.
 
     The impulse of F is the controller's integrator, and it is what the payload has lost of momentum and travel times
@@ -122,7 +132,7 @@ def _row(others: FloatArray, keep: NDArray[np.bool_]) -> FloatArray:
     return row
 
 
-def _closed(cut: CutLoop, sampled: SampledPlant) -> tuple[FloatArray, ...]:
+def _closed(cut: CutLoop, sampled: SampledPlant) -> Matrices:
     """Return A, B, C, D from (F^d, f) to (F, x^d, F_e)."""
     m, n = cut.closed_at(cut.command, cut.force), cut.state_count
     inputs, p = [n, n + 2], sampled.state_count

@@ -257,10 +257,10 @@ def _steady(pair: SampledContact, law: Law, drive: _Drive, effects: Effects) -> 
     way, damping = speed * h, damping_at(law, speed)
     blocks = blocks_at(law, damping)
     sensed = float(pair.ramp[0, -1] * way + pair.ramp[1, -1] * push)
-    # On average over the ticks, where a deadband switches there and back; less than what drives it behind a limit.
-    limited = drive.speed_m_s >= law.longest_step / h
     seen = seen_force(law, sensed)[0]
-    used = drive.desired_n[0] + seen if limited else damping * speed
+    # On average over the ticks, where a deadband switches there and back. Behind a speed limit more than that drives
+    # the admittance, which the first two ticks make up for while the limit holds.
+    used = damping * speed
     if effects.collision is not None and -seen > effects.collision.threshold_n:
         raise ParameterError(
             "collision.threshold_n", effects.collision.threshold_n, f"above the drag of the approach, {-seen:.4g} N"

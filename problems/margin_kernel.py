@@ -22,6 +22,11 @@ _BISECTIONS = 60
 _CLOSE = 1.5
 # The tangent of the angle between neighbours from which a turn is followed.
 _TURN = 0.7
+_SMALL_LOOP = 0.02
+# How finely a turn is followed, and with how many points in all.
+_NARROWEST = 1e-8
+_DEEPEST = 40
+_ADDED_POINTS = 800
 _REAL = 1e-3
 
 
@@ -99,20 +104,9 @@ def find_loop_margins(
 
     `sampling` is (h, θ).
     """
-    (omega, tangent, force, position), (h, theta), count = grid, sampling, len(grid[0])
     found[:] = np.inf
-    # Without feedback of the position both break points see the same loop.
-    signals = 1 if np.all(controller[2] == 0.0) else 2
-    points = np.empty((signals, count), dtype=np.complex128)
-    for k in range(count):
-        s = (2.0 / h) * 1j * tangent[k]
-        if theta != 0.5:
-            s = s / (1.0 + (2.0 * theta - 1.0) * 1j * tangent[k])
-        at_force, at_command = differences(controller, degree, s, force[k], position[k])
-        points[0, k] = at_force
-        if signals == 2:
-            points[1, k] = at_command
-    for signal in range(signals):
+    omega, points = _traced(plant, grid, controller, degree, sampling, everything)
+    for signal in range(len(points)):
         for disk in range(2 if everything else 1):
             value, where = _smallest(plant, controller, degree, sampling, omega, points[signal], signal, disk == 1)
             if disk == 1:
@@ -121,6 +115,60 @@ def find_loop_margins(
                 found[MODULUS], found[MODULUS_RAD_PER_S] = value, where
         if everything:
             _crossovers(plant, controller, degree, sampling, omega, points[signal], signal, found)
+
+
+@compiled
+def _traced(
+    plant: FloatArray,
+    grid: Grid,
+    controller: FloatArray,
+    degree: int,
+    sampling: tuple[float, float],
+    everything: bool,
+) -> tuple[FloatArray, ComplexArray]:
+    """Return frequencies and 1 + L there, (1 or 2, n), with points added where the curve turns fast.
+
+    1 + L turns where a lightly damped mode of the loop is, and may dip between two points; L turns, and may cross the
+    unit circle twice, where an inner loop has one. Without feedback of the position both break points see one loop.
+    """
+    (omega, tangent, force, position), (h, theta), count = grid, sampling, len(grid[0])
+    signals = 1 if np.all(controller[2] == 0.0) else 2
+    room = count + _ADDED_POINTS
+    moments, points = np.empty(room), np.empty((signals, room), dtype=np.complex128)
+    waiting, stack = np.empty(_DEEPEST), np.empty((2, _DEEPEST), dtype=np.complex128)
+    used = 0
+    for k in range(count):
+        s = (2.0 / h) * 1j * tangent[k]
+        if theta != 0.5:
+            s = s / (1.0 + (2.0 * theta - 1.0) * 1j * tangent[k])
+        waiting[0], depth = omega[k], 1
+        stack[0, 0], stack[1, 0] = differences(controller, degree, s, force[k], position[k])
+        while depth > 0:
+            width = waiting[depth - 1] - moments[used - 1] if used > 0 else 0.0
+            fast = False
+            if depth < _DEEPEST and room - used > count - k + _DEEPEST and width > _NARROWEST * waiting[depth - 1]:
+                for i in range(signals):
+                    fast = fast or _turns_between(points[i, used - 1], stack[i, depth - 1], everything)
+            if fast:
+                waiting[depth] = 0.5 * (moments[used - 1] + waiting[depth - 1])
+                stack[0, depth], stack[1, depth] = differences_at(plant, controller, degree, h, theta, waiting[depth])
+                depth += 1
+            else:
+                depth -= 1
+                moments[used] = waiting[depth]
+                for i in range(signals):
+                    points[i, used] = stack[i, depth]
+                used += 1
+    return moments[:used], points[:, :used].copy()
+
+
+@compiled
+def _turns_between(one: complex, two: complex, everything: bool) -> bool:
+    """Tell whether 1 + L turns fast from one point to the next, or L where it is large enough to cross the circle."""
+    if _turns(one, two):
+        return True
+    first, second = one - 1.0, two - 1.0
+    return everything and max(abs(first), abs(second)) > _SMALL_LOOP and _turns(first, second)
 
 
 @compiled
@@ -143,17 +191,12 @@ def _smallest(
         if values[k] < best:
             best, where = values[k], omega[k]
     limit = _CLOSE * _CLOSE * best
-    for k in range(count - 1):
-        if k > 0 and values[k] <= limit and values[k] <= values[k - 1] and values[k] <= values[k + 1]:
+    for k in range(1, count - 1):
+        if values[k] <= limit and values[k] <= values[k - 1] and values[k] <= values[k + 1]:
             bracket = (omega[k - 1], omega[k], omega[k + 1])
-        elif _turns(points[k], points[k + 1]):
-            # 1 + L turns fast where a lightly damped mode of the loop is: the distance may dip between two points.
-            bracket = _follow_turn(plant, controller, degree, sampling, (omega[k], omega[k + 1]), signal)
-        else:
-            continue
-        value, at = _descend(plant, controller, degree, sampling, bracket, signal, disk)
-        if value < best:
-            best, where = value, at
+            value, at = _descend(plant, controller, degree, sampling, bracket, signal, disk)
+            if value < best:
+                best, where = value, at
     return np.sqrt(best), where
 
 
@@ -163,33 +206,6 @@ def _turns(one: complex, two: complex) -> bool:
     along = one.real * two.real + one.imag * two.imag
     across = one.real * two.imag - one.imag * two.real
     return bool(along <= 0.0 or abs(across) > _TURN * along)
-
-
-@compiled
-def _follow_turn(
-    plant: FloatArray,
-    controller: FloatArray,
-    degree: int,
-    sampling: tuple[float, float],
-    bracket: tuple[float, float],
-    signal: int,
-) -> tuple[float, float, float]:
-    """Narrow a bracket to where 1 + L turns fastest, until it turns slowly over it."""
-    low, high = bracket
-    at_low = differences_at(plant, controller, degree, *sampling, low)[signal]
-    at_high = differences_at(plant, controller, degree, *sampling, high)[signal]
-    width = high - low
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        at_middle = differences_at(plant, controller, degree, *sampling, middle)[signal]
-        if not _turns(at_low, at_middle) and not _turns(at_middle, at_high):
-            break
-        width = high - low
-        if abs(np.angle(at_middle / at_low)) > abs(np.angle(at_high / at_middle)):
-            high, at_high = middle, at_middle
-        else:
-            low, at_low = middle, at_middle
-    return max(bracket[0], low - width), 0.5 * (low + high), min(bracket[1], high + width)
 
 
 @compiled
@@ -208,9 +224,7 @@ def _descend(
     at_middle = squared_distance(differences_at(plant, controller, degree, *sampling, middle)[signal], disk)
     at_high = squared_distance(differences_at(plant, controller, degree, *sampling, high)[signal], disk)
     for _ in range(_SECTIONS):
-        left, right = (middle - low) * (at_middle - at_high), (middle - high) * (at_middle - at_low)
-        bottom = 2.0 * (left - right)
-        trial = middle - ((middle - low) * left - (middle - high) * right) / bottom if bottom != 0.0 else middle
+        trial = _vertex((low, middle, high), (at_low, at_middle, at_high))
         if not low < trial < high or abs(trial - middle) < 1e-3 * (high - low):
             trial = 0.5 * (middle + (high if high - middle > middle - low else low))
         if abs(trial - middle) <= 1e-7 * middle:
@@ -245,19 +259,62 @@ def _crossovers(
     # At the Nyquist frequency the loop is real, unless an ideal derivative makes it infinite.
     if end.real < 0.0 and abs(end.imag) < _REAL * abs(end.real):
         found[GAIN_DB] = min(found[GAIN_DB], abs(20.0 * np.log10(-end.real)))
-    for k in range(len(omega) - 1):
-        one, two = points[k] - 1.0, points[k + 1] - 1.0
-        if (one.imag > 0.0) != (two.imag > 0.0) and (one.real < 0.0 or two.real < 0.0):
-            at = _root(plant, controller, degree, sampling, (omega[k], omega[k + 1]), signal, True)
-            loop = differences_at(plant, controller, degree, *sampling, at)[signal] - 1.0
-            if loop.real < 0.0:
-                found[GAIN_DB] = min(found[GAIN_DB], abs(20.0 * np.log10(-loop.real)))
-        if (abs(one) > 1.0) != (abs(two) > 1.0):
-            at = _root(plant, controller, degree, sampling, (omega[k], omega[k + 1]), signal, False)
-            loop = differences_at(plant, controller, degree, *sampling, at)[signal] - 1.0
-            angle = np.angle(-loop)
-            found[PHASE_RAD] = min(found[PHASE_RAD], abs(angle))
-            found[DELAY_S] = min(found[DELAY_S], (angle if angle > 0.0 else angle + 2.0 * np.pi) / at)
+    for of_phase in (True, False):
+        for k in range(len(omega) - 1):
+            low, high = omega[k], omega[k + 1]
+            one, two = _level(points[k], of_phase), _level(points[k + 1], of_phase)
+            if (one > 0.0) != (two > 0.0):
+                _cross(plant, controller, degree, sampling, (low, high), signal, of_phase, found)
+            elif k > 0 and abs(one) <= abs(two) and one * _level(points[k - 1], of_phase) >= one * one:
+                # It comes closest here; between the points it may cross and come back.
+                before = _level(points[k - 1], of_phase)
+                bracket = (omega[k - 1], low, high)
+                middle = _vertex(bracket, (before, one, two))
+                closest = differences_at(plant, controller, degree, *sampling, middle)[signal]
+                if (_level(closest, of_phase) > 0.0) != (one > 0.0):
+                    _cross(plant, controller, degree, sampling, (omega[k - 1], middle), signal, of_phase, found)
+                    _cross(plant, controller, degree, sampling, (middle, high), signal, of_phase, found)
+
+
+@compiled
+def _level(difference: complex, of_phase: bool) -> float:
+    """Return what is zero where L crosses the real axis, or the unit circle."""
+    loop = difference - 1.0
+    return float(loop.imag if of_phase else loop.real * loop.real + loop.imag * loop.imag - 1.0)
+
+
+@compiled
+def _vertex(at: tuple[float, float, float], values: tuple[float, float, float]) -> float:
+    """Return where the parabola through three points turns, inside them."""
+    left, right = (at[1] - at[0]) * (values[1] - values[2]), (at[1] - at[2]) * (values[1] - values[0])
+    bottom = 2.0 * (left - right)
+    if bottom == 0.0:
+        return at[1]
+    vertex = at[1] - ((at[1] - at[0]) * left - (at[1] - at[2]) * right) / bottom
+    return min(max(vertex, at[0]), at[2])
+
+
+@compiled
+def _cross(
+    plant: FloatArray,
+    controller: FloatArray,
+    degree: int,
+    sampling: tuple[float, float],
+    bracket: tuple[float, float],
+    signal: int,
+    of_phase: bool,
+    found: FloatArray,
+) -> None:
+    """Update the margins with the crossover in a bracket."""
+    at = _root(plant, controller, degree, sampling, bracket, signal, of_phase)
+    loop = differences_at(plant, controller, degree, *sampling, at)[signal] - 1.0
+    if of_phase:
+        if loop.real < 0.0:
+            found[GAIN_DB] = min(found[GAIN_DB], abs(20.0 * np.log10(-loop.real)))
+    else:
+        angle = np.angle(-loop)
+        found[PHASE_RAD] = min(found[PHASE_RAD], abs(angle))
+        found[DELAY_S] = min(found[DELAY_S], (angle if angle > 0.0 else angle + 2.0 * np.pi) / at)
 
 
 @compiled
@@ -272,12 +329,11 @@ def _root(
 ) -> float:
     """Return where L crosses the real axis, or the unit circle, in a bracket with a change of sign."""
     low, high = bracket
-    first = differences_at(plant, controller, degree, *sampling, low)[signal] - 1.0
-    side = first.imag > 0.0 if of_phase else abs(first) > 1.0
+    side = _level(differences_at(plant, controller, degree, *sampling, low)[signal], of_phase) > 0.0
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        loop = differences_at(plant, controller, degree, *sampling, middle)[signal] - 1.0
-        if (loop.imag > 0.0 if of_phase else abs(loop) > 1.0) == side:
+        level = _level(differences_at(plant, controller, degree, *sampling, middle)[signal], of_phase)
+        if (level > 0.0) == side:
             low = middle
         else:
             high = middle

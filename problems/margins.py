@@ -30,11 +30,11 @@ ComplexArray = NDArray[np.complex128]
 _LOWEST_HZ = 0.02
 _SLOW_HZ = 1.0
 _SLOW_SHARE = 8
-_BASE_POINTS = 120
+_BASE_POINTS = 96
 _RESONANCE_POINTS = 25
 _SHORT_OF_NYQUIST = 1e-9
-# Where the loop gain is rounding only (below 1e-10), a crossover limits nothing.
-_LARGEST_GAIN_DB = 200.0
+# Where the loop gain is next to nothing (below 1e-6), a crossover limits nothing.
+_LARGEST_GAIN_DB = 120.0
 
 
 class UnstableLoopError(AutotuneError):

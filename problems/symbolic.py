@@ -221,10 +221,14 @@ class _Loop:
 
 def _loop(structure: Structure, plant: _Plant, blocks: ca.SX) -> _Loop:
     of_states, of_inputs = _controller_rows(blocks)
-    kept, chain, n, size = structure.controller_states, structure.chain_length, plant.gamma.shape[0], 0
+    kept, chain, n, size = (
+        structure.controller_states,
+        structure.chain_length,
+        plant.phi.shape[0],
+        structure.state_count,
+    )
     rows = [*(1 + i for i in kept), 0]
     controller = ca.horzcat(of_states[rows, list(kept)], of_inputs[rows, :])
-    size = structure.state_count
     m = ca.SX(size + 2, size + 3)
     parts = (plant.phi, plant.gamma, plant.gamma_old, plant.gamma_push, plant.c_position, plant.c_force, plant.d_force)
     write_open_loop(m, parts, structure.whole_delay, chain, controller)
@@ -328,7 +332,8 @@ def build_contact_forces(structure: Structure, approach: Approach, samples: int)
 
     Takes what `SymbolicForm.loop` takes; returns `sensor_force` (−F) and `contact_force` (F_e), both (samples,), and
     the speed `speed` of the impact. The approach is steady (see `problems.contact`) and follows the parameters: more
-    damping is a slower impact where the approach is driven by a force. Stability is not looked at.
+    damping is a slower impact where the approach is driven by a force. Neither stability nor what happens between the
+    ticks is looked at.
     """
     symbols, h = _symbols(structure), structure.sample_time_s
     blocks = _blocks(structure, symbols.controller)
@@ -370,14 +375,32 @@ def _drive(approach: Approach, resistance: ca.SX) -> tuple[Any, Any, Any, Any]:
 
 def _ramp(structure: Structure, free: _Plant) -> tuple[ca.SX, ca.SX]:
     """Solve for plant state and command, x_p = 0, that repeat themselves one metre further on, or rest under a push."""
-    n, d = structure.robot_order + 2, structure.whole_delay
-    moved = ca.SX(n, 1)
-    moved[0] = moved[n - 2] = 1.0
-    drift = moved + free.gamma * d + free.gamma_old * (d + 1)
-    # Free space does not know where it is: first with the command at 0, then moved to where x_p is 0.
-    found = ca.solve(free.phi - ca.SX.eye(n), ca.horzcat(drift, -free.gamma_push))
-    command = -found[n - 2, :]
-    return found + moved @ command, command
+    r = structure.robot_order
+    moved = ca.SX(r + 2, 1)
+    moved[0] = moved[r] = 1.0
+    # Free space does not know where it is: first with the command that acts at 0, then moved to where x_p is 0.
+    rate, right = free.phi - ca.SX.eye(r + 2), ca.horzcat(moved + free.gamma_old, -free.gamma_push)
+    robot = _solve_chain(rate[:r, :r], right[:r, :])
+    payload = ca.solve(rate[r:, r:], right[r:, :] - rate[r:, :r] @ robot)
+    shift = -payload[0, :]
+    return ca.vertcat(robot, payload) + moved @ shift, shift + ca.horzcat(structure.whole_delay, 0.0)
+
+
+def _solve_chain(matrix: ca.SX, right: ca.SX) -> ca.SX:
+    """Eliminate with pivots above the diagonal, where a chain of integrators has its ones.
+
+    CasADi's own solution by Gram-Schmidt loses every digit with a robot of five slow poles.
+    """
+    n = matrix.shape[0]
+    order = [*range(1, n), 0]
+    rows = ca.horzcat(matrix[:, order], right)
+    for k in range(n):
+        rows[k, :] = rows[k, :] / rows[k, k]
+        for i in range(n):
+            if i != k:
+                rows[i, :] = rows[i, :] - rows[i, k] * rows[k, :]
+    found: ca.SX = rows[:, n:]
+    return found[[order.index(j) for j in range(n)], :]
 
 
 def _controller_state(blocks: ca.SX, command: Any, drift: ca.SX, force: Any, position: Any) -> ca.SX:

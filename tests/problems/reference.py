@@ -364,7 +364,7 @@ class Environment:
 
         pressed.terminal, pressed.direction, rise.direction = True, -1.0, -1.0  # type: ignore[attr-defined]
         start = self.y[:-2]
-        if self.time > 0.0 and pressed(0.0, start) < 0.0:  # as an impact or a step of the command may leave it
+        if pressed(0.0, start) < -1e-9:  # as an impact or a step of the command may leave an environment with mass
             self.y[-2:] = start[-2:]
             self.touching, self.found.departures = False, self.found.departures + 1
             return duration

@@ -78,38 +78,46 @@ def test_a_limit_that_is_never_reached_changes_nothing() -> None:
 
 
 def replay(run: FullRun, controller: AdmittanceController, desired: float, response: str) -> FloatArray:
-    """Return x^d as the paper's difference equation and Algorithm 1 make it from what the controller saw."""
-    h, m, lead = PERIOD_S, controller.mass_kg, 2.0 * controller.lead_s / PERIOD_S
-    force = desired - run.seen_force_n
+    """Return x^d as the paper's difference equation and Algorithm 1 make it from what the controller saw.
+
+    With feedback damping x^d = x_a − C_fb x, and the equation and the algorithm are those of x_a.
+    """
+    h, m, lead, corner = PERIOD_S, controller.mass_kg, 2.0 * controller.lead_s / PERIOD_S, 120.0
+    force, position = desired - run.seen_force_n, run.flange_position_m
     event = -1 if run.collision_time_s is None or response == "none" else round(run.collision_time_s / h)
+    assert run.impact_speed_m_s is not None
+    back = [controller.feedback_damping_s * run.impact_speed_m_s]
+    for rise in np.diff(position):
+        gain = 2.0 / h * controller.feedback_damping_s * corner
+        back.append((gain * rise - (corner - 2.0 / h) * back[-1]) / (corner + 2.0 / h))
     out = [float(run.command_m[0]), float(run.command_m[1])]
-    now, before = out[1], out[0]
+    now, before = out[1] + back[1], out[0] + back[0]
     for t in range(1, len(force) - 1):
         if t + 1 == event or (response == "stop" and t + 1 > event):
-            before = now
+            now = before = out[-1] + back[t + 1]
         else:
             ratio = run.damping_n_s_per_m[t + 1] * h / (2.0 * m)
             push = (1.0 + lead) * force[t + 1] + 2.0 * force[t] + (1.0 - lead) * force[t - 1]
             following = (2.0 * now - (1.0 - ratio) * before + h**2 / (4.0 * m) * push) / (1.0 + ratio)
             now, before = following, now
-        out.append(now)
+        out.append(now - back[t + 1])
     return np.array(out)
 
 
 @pytest.mark.parametrize("response", ["none", "reset", "stop"])
 @pytest.mark.parametrize("variable", [None, VariableDamping()])
+@pytest.mark.parametrize("controller", [admittance(damping=800.0, lead=0.013), PRINTED])
 def test_the_commands_are_those_of_the_papers_difference_equation_and_algorithm(
-    response: str, variable: VariableDamping | None
+    response: str, variable: VariableDamping | None, controller: AdmittanceController
 ) -> None:
     """Variable damping and the collision response act on x^d_t and x^d_{t−1}: the equation goes on from these."""
     collision = Collision(response=response, threshold_n=7.0)  # type: ignore[arg-type]
     effects = Effects(deadband=Deadband(width_n=5.0), collision=collision, variable_damping=variable)
-    controller = admittance(damping=800.0, lead=0.013)
     run = simulate(light_plant(3.2e4), controller, effects=effects, duration=1.6)
     assert run.collision_time_s is not None
     assert variable is None or np.ptp(run.damping_n_s_per_m) > 50.0
     # Sums rounding errors of 1e-18 twice over 2000 ticks: n²/2 = 2e6 of them.
-    np.testing.assert_allclose(run.command_m, replay(run, controller, 30.0, response), atol=5e-12)
+    np.testing.assert_allclose(run.command_m, replay(run, controller, 30.0, response), rtol=0.0, atol=5e-12)
 
 
 @pytest.mark.parametrize(
@@ -171,15 +179,38 @@ def test_the_collision_response_lowers_the_peak_and_keeps_pressing(stiffness: fl
     assert plain.collision_time_s == reset.collision_time_s == stop.collision_time_s
 
 
+def first_opposed(run: FullRun, threshold: float) -> int:
+    """Return the first tick with −F·sign(v) above the threshold, v the way since the tick before."""
+    moving = np.sign(np.diff(run.flange_position_m))
+    return int(np.argmax(run.seen_force_n[1:] * moving > threshold)) + 1
+
+
+@pytest.mark.parametrize(
+    ("approach", "stiffness"),
+    [
+        # A hand of 20 N moves the flange along, until the wall opposes it.
+        pytest.param(Approach(force_n=20.0, driven_by="hand"), 3.2e4, id="a force along the motion is none"),
+        # It touches softly and goes back, against 60·150/950 = 9 N of drag.
+        pytest.param(Approach(force_n=10.0, after_impact_n=-60.0), 1e3, id="on the way back"),
+    ],
+)
+def test_a_collision_is_a_force_against_the_motion(approach: Approach, stiffness: float) -> None:
+    effects = Effects(collision=Collision(response="none", threshold_n=7.0))
+    run = simulate(light_plant(stiffness), PRINTED, approach, effects=effects, distance=0.002, duration=2.0)
+    event = first_opposed(run, 7.0)
+    assert run.impact_time_s is not None
+    assert run.impact_time_s < event * PERIOD_S
+    assert run.collision_time_s == pytest.approx(event * PERIOD_S, rel=1e-12)
+    assert np.max(np.abs(run.seen_force_n[:event])) > 7.0 or run.flange_velocity_m_s[event] < 0.0
+
+
 @pytest.mark.parametrize("response", ["reset", "stop"])
 @pytest.mark.parametrize("controller", [admittance(damping=800.0, lead=0.013), PRINTED])
 def test_the_response_holds_the_command_at_the_first_force_above_the_threshold(
     response: str, controller: AdmittanceController
 ) -> None:
     run, plain = respond(response, 3.2e4, controller), respond("none", 3.2e4, controller)
-    moving = np.sign(np.diff(run.flange_position_m))
-    above = run.seen_force_n[1:] * moving > 7.0
-    event = int(np.argmax(above)) + 1
+    event = first_opposed(run, 7.0)
     assert run.collision_time_s == pytest.approx(event * PERIOD_S, rel=1e-12)
     np.testing.assert_array_equal(run.command_m[:event], plain.command_m[:event])
     assert run.command_m[event] == run.command_m[event - 1]

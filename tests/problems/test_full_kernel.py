@@ -8,6 +8,7 @@ from scipy.linalg import solve_discrete_lyapunov
 from problems.contact import Approach
 from problems.controller import AdmittanceController
 from problems.full_effects import Effects
+from problems.full_kernel import Motion, wall_force
 from problems.plant import Plant
 from problems.robot import RobotModel
 from problems.sampled import build_loop, build_sampled_plant
@@ -81,9 +82,19 @@ def test_runs_that_leave_and_touch_again_agree_with_the_exact_transient(
     speed = np.max(exact.contact_force_n) / math.sqrt(stiffness * mass)
     missed = stiffness * step**2 / 2.0 + plant.environment.damping_n_s_per_m * step
     assert worst(run, exact) < 4.0 * math.sqrt(stiffness * mass) * speed * missed / mass
+    assert abs(run.time_of_peak_s - exact.time_of_peak_s) <= step
     # The peak is that of the substeps, half of one away at the most: cos(ωΔ/2) of the swing, ω = √(K_e/M_p).
     swing = (0.5 * step) ** 2 * stiffness / mass / 2.0 * exact.peak_contact_force_n
     assert abs(run.peak_contact_force_n - exact.peak_contact_force_n) < swing + worst(run, exact)
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity", "force"),
+    [(0.5, 0.0, 50.0), (0.5, 1.0, 57.0), (0.5, -20.0, 0.0), (0.0, 1.0, 7.0), (-1e-9, 100.0, 0.0), (-1.0, 0.0, 0.0)],
+)
+def test_the_wall_pushes_behind_its_surface_and_never_pulls(position: float, velocity: float, force: float) -> None:
+    motion = Motion(np.zeros((3, 5)), np.zeros((3, 4)), 100.0, 7.0, 3, 3, 0.0, (0, 1))
+    assert wall_force(motion, position, velocity) == pytest.approx(force, rel=1e-15)
 
 
 @pytest.mark.parametrize("driven_by", ["desired_force", "hand"])

@@ -184,7 +184,7 @@ def check_derivatives(
     *extra: float,
 ) -> None:
     """Compare all derivatives by plant and controller with those of the numeric form."""
-    arguments = (*arguments_of(build_sampled_plant(plant, PERIOD_S), controller), *extra)
+    arguments: list[Any] = [*arguments_of(build_sampled_plant(plant, PERIOD_S), controller), *extra]
     size = np.max(np.abs(numeric(plant, controller)))
     by_plant = central(lambda p: numeric(plant_of(plant, p), controller), arguments[0])
     by_controller = central(lambda p: numeric(plant, controller_of(controller, p)), arguments[4])
@@ -231,7 +231,7 @@ def test_the_derivatives_of_the_margins_are_the_differences(
     def squared(name: str) -> Callable[[Plant, AdmittanceController], FloatArray]:
         def distance(plant: Plant, controller: AdmittanceController) -> FloatArray:
             loop = loop_response(build_sampled_plant(plant, PERIOD_S), controller, np.array([omega]))
-            return np.abs(1.0 + getattr(loop, name)) ** 2
+            return np.asarray(np.abs(1.0 + getattr(loop, name)) ** 2)
 
         return distance
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import strategies as st
 
-from problems.controller import AdmittanceController
+from problems.controller import AdmittanceController, Compensation
 from problems.plant import FREE_SPACE, Environment, Plant
 from tests.problems.axes import ANY_DELAYS, between, controllers, or_zero, plants
 
@@ -34,14 +34,14 @@ def whole_controllers(
     draw: st.DrawFn, *, forms: tuple[str, ...] = ("tustin", "forward_euler", "backward_euler")
 ) -> AdmittanceController:
     """Draw any controller of the model; an ideal compensation has no forward Euler form."""
-    compensation = draw(st.sampled_from(["none", "filtered", "ideal"]))
+    compensation: Compensation | None = draw(st.sampled_from([None, "filtered", "ideal"]))
     known = [form for form in forms if compensation != "ideal" or form != "forward_euler"]
     controller = replace(
         draw(controllers()),
         velocity_filter_rad_per_s=draw(between(60.0, 400.0)),
         discretization=draw(st.sampled_from(known)),
     )
-    if compensation == "none":
+    if compensation is None:
         return controller
     return replace(
         controller,
