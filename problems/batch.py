@@ -27,7 +27,7 @@ from .batch_kernel import (
 from .contact import Approach, SampledContact, longest_run, simulate_contact
 from .controller import AdmittanceController
 from .errors import ParameterError
-from .margins import find_margins, loop_polynomials, margin_grid
+from .margins import find_margins, loop_polynomials, margin_grid, response_polynomials
 from .polynomials import DOUBTFUL
 from .sampled import SampledPlant, build_loop, spectral_radius
 
@@ -58,6 +58,7 @@ class Batch:
     pairs: tuple[SampledContact, ...]
     in_contact: Loops
     in_free_space: Loops
+    responses: FloatArray
     grids: Grids
     contacts: Contacts
 
@@ -76,6 +77,7 @@ class Batch:
         evaluate_pairs(
             self.in_contact,
             self.in_free_space,
+            self.responses,
             self.grids,
             self.contacts,
             parameters,
@@ -107,6 +109,7 @@ def build_batch(pairs: Sequence[SampledContact]) -> Batch:
         pairs=tuple(pairs),
         in_contact=_loops([pair.contact for pair in pairs]),
         in_free_space=_loops([pair.free for pair in pairs]),
+        responses=_stacked([response_polynomials(pair.contact) for pair in pairs]),
         grids=(
             np.concatenate([grid[0] for grid in grids]),
             np.concatenate([grid[1] for grid in grids]),
@@ -158,11 +161,14 @@ def _decided(pair: SampledContact, controller: AdmittanceController, approach: A
 def _loops(plants: Sequence[SampledPlant]) -> Loops:
     found = [loop_polynomials(plant) for plant in plants]
     sizes = np.array([each.shape[1] for each in found], dtype=np.int64)
-    polynomials = np.zeros((len(found), 3, int(np.max(sizes))))
-    for i, each in enumerate(found):
-        polynomials[i, :, : each.shape[1]] = each
     first = np.array([0 if plant.plant.environment.is_anchored else 1 for plant in plants], dtype=np.int64)
-    return polynomials, sizes, first
+    return _stacked(found), sizes, first
+
+
+def _stacked(polynomials: Sequence[FloatArray]) -> FloatArray:
+    """Return one array of polynomials of different length: the higher powers of the shorter ones are zero."""
+    most = max(each.shape[1] for each in polynomials)
+    return np.array([np.pad(each, ((0, 0), (0, most - each.shape[1]))) for each in polynomials])
 
 
 def _parameters(controllers: Sequence[AdmittanceController]) -> tuple[FloatArray, float, bool]:

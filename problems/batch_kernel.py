@@ -27,7 +27,6 @@ Contacts = tuple[
 
 # Columns of a result.
 STABILITY, MODULUS, MODULUS_RAD_PER_S, PEAK_SENSOR, PEAK_CONTACT, TIME_OF_PEAK, COLUMNS = 0, 1, 2, 3, 4, 5, 6
-_MOST_COEFFICIENTS = 96
 
 
 @compiled
@@ -41,11 +40,17 @@ def judge_loop(
 
 
 @compiled
+def _room(loops: Loops) -> FloatArray:
+    """Return an array that any polynomial of these loops fits in; compiled code does not notice where one ends."""
+    return np.zeros(loops[0].shape[2] + CONTROLLER_POWERS)
+
+
+@compiled
 def judge_stability(loops: Loops, designs: FloatArray, h: float, theta: float, ideal: bool) -> IntArray:
     """Return the verdicts (m, p) of designs (m, 7) on plants (p,)."""
     count = len(loops[1])
     out = np.empty((len(designs), count), dtype=np.int64)
-    controller, work = np.zeros((3, CONTROLLER_POWERS)), np.zeros(_MOST_COEFFICIENTS)
+    controller, work = np.zeros((3, CONTROLLER_POWERS)), _room(loops)
     for i in range(len(designs)):
         degree = controller_polynomials(designs[i], ideal, controller)
         for j in range(count):
@@ -57,6 +62,7 @@ def judge_stability(loops: Loops, designs: FloatArray, h: float, theta: float, i
 def evaluate_pairs(
     in_contact: Loops,
     in_free_space: Loops,
+    responses: FloatArray,
     grids: Grids,
     contacts: Contacts,
     designs: FloatArray,
@@ -68,10 +74,10 @@ def evaluate_pairs(
 ) -> None:
     """Fill `out` (m, p, COLUMNS) with stability, modulus margin and peaks of designs (m, 7) in p scenarios.
 
-    `sampling` is (h, θ, ideal), `approach` as `Approach.numbers`, `wanted` (margins, peaks). DOUBTFUL verdicts are
-    left to the caller, as are the margins and peaks then.
+    `responses` (p, 4, n) are what `plant_at` takes, `sampling` is (h, θ, ideal), `approach` as `Approach.numbers`,
+    `wanted` (margins, peaks). DOUBTFUL verdicts are left to the caller, as are the margins and peaks then.
     """
-    controller, work, found = np.zeros((3, CONTROLLER_POWERS)), np.zeros(_MOST_COEFFICIENTS), np.zeros(MARGINS)
+    controller, work, found = np.zeros((3, CONTROLLER_POWERS)), _room(in_contact), np.zeros(MARGINS)
     traces = (np.empty(longest), np.empty(longest))
     h, theta, ideal = sampling
     omega, tangent, force, position, offsets = grids
@@ -88,9 +94,8 @@ def evaluate_pairs(
                 continue
             if wanted[0]:
                 part = slice(offsets[j], offsets[j + 1])
-                plant = in_contact[0][j, :, : in_contact[1][j]]
                 grid = (omega[part], tangent[part], force[part], position[part])
-                find_loop_margins(plant, grid, controller, degree, (h, theta), False, found)
+                find_loop_margins(responses[j], grid, controller, degree, (h, theta), False, found)
                 out[i, j, MODULUS], out[i, j, MODULUS_RAD_PER_S] = found[0], found[1]
             if wanted[1]:
                 simulate_pair(contacts, j, blocks, designs[i, 1], h, approach, traces, out[i, j])

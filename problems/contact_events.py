@@ -13,6 +13,8 @@ _TAYLOR_TERMS = 14
 _BISECTIONS = 44
 _SWITCHES_PER_SAMPLE = 8
 _SERIES_TERMS = 18
+_LOOKS_PER_RADIAN = 2.0
+_MOST_LOOKS = 64
 _SLOPE_STEPS = 7
 # Below this (ωτ)² the power series of cosine and sine are exact to rounding in four terms.
 _NEARLY_CRITICAL = 1e-3
@@ -68,6 +70,14 @@ def contact_force(state: FloatArray, outputs: FloatArray, inputs: tuple[float, f
     for i in range(n):
         force += outputs[2, i] * state[i]
     return float(force)
+
+
+@compiled
+def looks_apart(wall: Wall) -> int:
+    """Return in how many parts a sample is looked at while the environment's mass swings on its own."""
+    if wall[2] == 0.0:
+        return 1
+    return max(1, min(_MOST_LOOKS, int(np.ceil(_LOOKS_PER_RADIAN * np.sqrt(wall[0] / wall[2])))))
 
 
 @compiled
@@ -175,6 +185,10 @@ def switch_within(
         at, stop = (0.0, fraction) if part == 0 else (fraction, 1.0)
         held = (inputs[part], inputs[2])
         while at < stop:
+            torn = touching and wall[2] > 0.0 and contact_force(state, outputs, held) < 0.0
+            if torn and switches < _SWITCHES_PER_SAMPLE:
+                change_touch(state, surface_state, wall, touching)
+                touching, switches = False, switches + 1
             piece = min(stop - at, 1.0 / looks)
             end, swung = _moved(flow, state, surface_state, wall, held, touching, piece)
             # Whatever the limit, nothing passes through the environment.

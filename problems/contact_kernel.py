@@ -10,6 +10,7 @@ from .contact_events import (
     change_touch,
     contact_force,
     largest_in_sample,
+    looks_apart,
     presses,
     switch_within,
 )
@@ -152,14 +153,17 @@ def _step(
     # At the end of the sample the newer command is held.
     inputs, stays = (older, newer, forces[1]), presses(following, swung, wall, rows, (newer, forces[1]), touching)
     low, high = _looks(inside, state, inputs)
-    if stays == touching and (low > 0.0 or not touching):
+    apart = looks_apart(wall)
+    # A step of the command may tear the payload from a mass at the tick, and a mass apart may come and go in between.
+    alone = low > 0.0 and (wall[2] == 0.0 or pressed >= 0.0) if touching else apart == 1
+    if stays == touching and alone:
         high = max(high, contact_force(following, rows, (newer, forces[1])))
         if touching and max(pressed, high) >= (1.0 - _MISSED_BETWEEN_LOOKS) * found[2]:
             _note(found, k, largest_in_sample(motion[1][0], rows, inputs, state, delay[2]))
         state[:], surface_state[:] = following, swung
     else:
         touching, impulse, largest, moment = switch_within(
-            motion[1], state, surface_state, wall, rows, inputs, delay[2], touching, len(inside) + 1
+            motion[1], state, surface_state, wall, rows, inputs, delay[2], touching, max(len(inside) + 1, apart)
         )
         _note(found, k, (largest, moment))
         found[4], flags[1], flags[2] = max(found[4], impulse), 1 if touching else 0, k + 1

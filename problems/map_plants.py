@@ -16,7 +16,7 @@ from .map_designs import Designs
 from .map_kernel import margins_of_plant
 from .map_parameters import MapQuantity
 from .margin_kernel import DELAY_S, DISK, GAIN_DB, MARGINS, MODULUS, PHASE_RAD
-from .margins import loop_polynomials, margin_grid
+from .margins import loop_polynomials, margin_grid, response_polynomials
 from .plant import FREE_SPACE, Plant
 from .polynomials import DOUBTFUL, STABLE, UNSTABLE
 from .sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius, split_delay
@@ -151,7 +151,7 @@ def _verdicts(plants: Sequence[SampledPlant], designs: Designs) -> BoolArray:
 
 def _margin(plant: SampledPlant, designs: Designs, wanted: BoolArray, quantity: MapQuantity) -> FloatArray:
     """Return one margin (m,) of the loops that are wanted, in the units of `Margins`; infinite elsewhere."""
-    polynomials, grid = loop_polynomials(plant), margin_grid(plant)
+    polynomials, grid = response_polynomials(plant), margin_grid(plant)
     found = np.full((designs.count, MARGINS), np.inf)
     everything = quantity is not MapQuantity.MODULUS
     for chosen, ideal in designs.alike():

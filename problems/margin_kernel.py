@@ -22,23 +22,33 @@ _BISECTIONS = 60
 _CLOSE = 1.5
 # The tangent of the angle between neighbours from which a turn is followed.
 _TURN = 0.7
-_SMALL_LOOP = 0.02
+_SMALL_LOOP = 0.03
 # How finely a turn is followed, and with how many points in all.
 _NARROWEST = 1e-8
 _DEEPEST = 40
-_ADDED_POINTS = 800
+_ADDED_POINTS = 2000
 _REAL = 1e-3
 
 
 @compiled
 def plant_at(plant: FloatArray, w: complex) -> tuple[complex, complex]:
-    """Return F/x^d and x/x^d at one point of the w-plane."""
+    """Return F/x^d and x/x^d at one point of the w-plane.
+
+    `plant` (4, n) holds denominator and numerators without the whole samples of delay, and their number in its last
+    row: a power of (1 − w)/(1 + w), which as a polynomial would lose all digits for a long delay.
+    """
     denominator, force, position = 0.0 + 0.0j, 0.0 + 0.0j, 0.0 + 0.0j
-    for i in range(plant.shape[1] - 1, -1, -1):
-        denominator = denominator * w + plant[0, i]
-        force = force * w + plant[1, i]
-        position = position * w + plant[2, i]
-    return _quotient(force, denominator), _quotient(position, denominator)
+    count = plant.shape[1]
+    # Near the Nyquist frequency w is huge: the ratios are the same with the powers of 1/w in reverse.
+    large = abs(w) > 1.0
+    step = 1.0 / w if large else w
+    for k in range(count):
+        i = k if large else count - 1 - k
+        denominator = denominator * step + plant[0, i]
+        force = force * step + plant[1, i]
+        position = position * step + plant[2, i]
+    late = _quotient(1.0 - w, 1.0 + w) ** int(plant[3, 0])
+    return late * _quotient(force, denominator), late * _quotient(position, denominator)
 
 
 @compiled
@@ -105,7 +115,7 @@ def find_loop_margins(
     `sampling` is (h, θ).
     """
     found[:] = np.inf
-    omega, points = _traced(plant, grid, controller, degree, sampling, everything)
+    omega, points = _traced(plant, grid, controller, degree, sampling)
     for signal in range(len(points)):
         for disk in range(2 if everything else 1):
             value, where = _smallest(plant, controller, degree, sampling, omega, points[signal], signal, disk == 1)
@@ -124,12 +134,11 @@ def _traced(
     controller: FloatArray,
     degree: int,
     sampling: tuple[float, float],
-    everything: bool,
 ) -> tuple[FloatArray, ComplexArray]:
     """Return frequencies and 1 + L there, (1 or 2, n), with points added where the curve turns fast.
 
-    1 + L turns where a lightly damped mode of the loop is, and may dip between two points; L turns, and may cross the
-    unit circle twice, where an inner loop has one. Without feedback of the position both break points see one loop.
+    1 + L turns where a lightly damped mode of the loop is, and may dip between two points; L turns where an inner loop
+    has one, and with a long delay everywhere. Without feedback of the position both break points see one loop.
     """
     (omega, tangent, force, position), (h, theta), count = grid, sampling, len(grid[0])
     signals = 1 if np.all(controller[2] == 0.0) else 2
@@ -148,7 +157,7 @@ def _traced(
             fast = False
             if depth < _DEEPEST and room - used > count - k + _DEEPEST and width > _NARROWEST * waiting[depth - 1]:
                 for i in range(signals):
-                    fast = fast or _turns_between(points[i, used - 1], stack[i, depth - 1], everything)
+                    fast = fast or _turns_between(points[i, used - 1], stack[i, depth - 1])
             if fast:
                 waiting[depth] = 0.5 * (moments[used - 1] + waiting[depth - 1])
                 stack[0, depth], stack[1, depth] = differences_at(plant, controller, degree, h, theta, waiting[depth])
@@ -163,12 +172,12 @@ def _traced(
 
 
 @compiled
-def _turns_between(one: complex, two: complex, everything: bool) -> bool:
-    """Tell whether 1 + L turns fast from one point to the next, or L where it is large enough to cross the circle."""
+def _turns_between(one: complex, two: complex) -> bool:
+    """Tell whether 1 + L turns fast from one point to the next, or L where it is not small."""
     if _turns(one, two):
         return True
     first, second = one - 1.0, two - 1.0
-    return everything and max(abs(first), abs(second)) > _SMALL_LOOP and _turns(first, second)
+    return max(abs(first), abs(second)) > _SMALL_LOOP and _turns(first, second)
 
 
 @compiled

@@ -157,7 +157,7 @@ class PreparedMargins:
 
 def prepare_margins(sampled: SampledPlant) -> PreparedMargins:
     """Compute what the margins of a sampled plant need, once for all controllers."""
-    return PreparedMargins(sampled=sampled, polynomials=loop_polynomials(sampled), grid=margin_grid(sampled))
+    return PreparedMargins(sampled=sampled, polynomials=response_polynomials(sampled), grid=margin_grid(sampled))
 
 
 def find_margins(sampled: SampledPlant, controller: AdmittanceController) -> Margins:
@@ -173,8 +173,20 @@ def find_margins(sampled: SampledPlant, controller: AdmittanceController) -> Mar
 
 def loop_polynomials(sampled: SampledPlant) -> FloatArray:
     """Return denominator and numerators of F/x^d and x/x^d of a sampled plant, see `plant_polynomials`."""
+    return _polynomials(sampled, sampled.whole_delay)
+
+
+def response_polynomials(sampled: SampledPlant) -> FloatArray:
+    """Return what `plant_at` takes: the polynomials without the whole samples of delay, and how many those are."""
+    polynomials = _polynomials(sampled, 0)
+    delay = np.zeros((1, polynomials.shape[1]))
+    delay[0, 0] = sampled.whole_delay
+    return np.concatenate([polynomials, delay])
+
+
+def _polynomials(sampled: SampledPlant, whole: int) -> FloatArray:
     outputs = np.array([[*sampled.c_position, 0.0, 0.0], [*sampled.c_force, sampled.d_force, 0.0]])
-    delay = (sampled.whole_delay, sampled.chain_length, sampled.fraction)
+    delay = (whole, whole + sampled.chain_length - sampled.whole_delay, sampled.fraction)
     rests = not sampled.plant.environment.is_anchored
     return plant_polynomials(sampled.phi, sampled.gamma, sampled.gamma_old, outputs, delay, rests)
 

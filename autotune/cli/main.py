@@ -56,6 +56,9 @@ COMMANDS: Mapping[str, CommandEntry] = MappingProxyType(
         "validate": CommandEntry(module="autotune.cli.validate", help="Verify a controller file again, on its own."),
         "export": CommandEntry(module="autotune.cli.export", help="Write a controller in another format."),
         "demo": CommandEntry(module="autotune.cli.demo", help="Run the whole chain on the log of a simulated cell."),
+        "map": CommandEntry(
+            module="autotune.cli.map", help="Draw two parameters against stability, margins or the peak."
+        ),
         "completion": CommandEntry(module="autotune.cli.completion", help="Print the completion script for a shell."),
     }
 )

@@ -118,6 +118,23 @@ def test_until_the_payload_leaves_the_forces_are_the_contact_transients(
         assert np.all(np.abs(found[name][:stays] - values) < 1e-10 * reached(values))
 
 
+@pytest.mark.parametrize("order", [4, 5])
+def test_a_robot_of_many_slow_poles_keeps_its_digits(order: int) -> None:
+    """Its steady motion is known to few digits only; the error must be one that moves on steadily."""
+    denominator = np.real(np.poly(-np.linspace(10.0, 80.0, order)))
+    robot = RobotModel(numerator=denominator[-1:], denominator=denominator, delay_s=1.5 * PERIOD_S)
+    controller = replace(FILTERED, compensation="ideal")
+    sampled = build_sampled_plant(cell(robot), PERIOD_S)
+    structure, arguments = Structure.like(sampled, controller), arguments_of(sampled, controller)
+    expected = transient_from(build_sampled_contact(sampled), controller, APPROACHES[0], samples=SAMPLES)
+    found = values_of(build_contact_forces(structure, APPROACHES[0], SAMPLES), *arguments)
+    assert np.all(np.abs(found["contact_force"] - expected.contact_force_n) < 1e-9 * reached(expected.contact_force_n))
+    omega = 30.0
+    response = values_of(build_symbolic_form(structure).response, *arguments, omega)
+    loop = loop_response(sampled, controller, np.array([omega]))
+    assert complex(*response["at_command"]) == pytest.approx(loop.at_command[0], rel=1e-10)
+
+
 @LAW
 @given(whole_plants(contact=False), whole_controllers())
 def test_a_surface_that_gives_way_leaves_the_approach_steady(plant: Plant, controller: AdmittanceController) -> None:

@@ -1,0 +1,138 @@
+"""`autotune map`: two parameters against stability, a margin or the peak, as a picture with its data."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ._common import Output, output_options
+
+_EPILOG = """\b
+Examples:
+  autotune map controller.yaml -o map.svg
+  autotune map controller.yaml --show modulus --x environment_stiffness=1e4:1e6:log --y lead_s=0:0.05
+  autotune map identified.yaml --set mass=13 --show peak-contact --x damping=300:3000 --y lead_s=0:0.03:60
+  autotune map controller.yaml --show stable-damping --where contact
+  autotune map controller.yaml --show stable-lead --where free_space --set environment_stiffness=0
+
+\b
+NAME is one of
+  of the controller: mass M_a, damping B_a, lead_s K_l, feedback_damping_s B_fb, velocity_filter_rad_per_s ω_v,
+    acceleration_filter_rad_per_s ω_a, compensation_mass P̂
+  of the plant: payload_mass M_p, drag B_p, payload_frequency_rad_per_s ω = sqrt(K_s/M_p), payload_damping_ratio
+    ζ = B_p/(2 sqrt(M_p K_s)), coupling_stiffness K_s, coupling_damping B_s, environment_stiffness K_e,
+    environment_damping B_e, environment_mass M_e, delay_s T_d, robot_bandwidth_rad_per_s ω_b
+or one of the symbols M_a, B_a, K_l …; values are in SI units of the axis.
+"""
+
+_SHOWS = [
+    *("stability", "modulus", "gain", "phase", "delay", "disk", "peak-contact", "peak-sensor"),
+    *("stable-damping", "stable-lead"),
+]
+_RANGE = "NAME=LO:HI[:N][:log|lin]"
+
+
+@click.command("map", epilog=_EPILOG)
+@click.argument("source", type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--x", metavar=_RANGE, help="The parameter to the right; N values (120), log from a factor of 10 on.")
+@click.option("--y", metavar=_RANGE, help="The parameter upwards (90 values), or that of which curves are compared.")
+@click.option("--show", type=click.Choice(_SHOWS), default="stability", show_default=True, help="What is computed.")
+@click.option(
+    "--where",
+    type=click.Choice(["contact", "free_space", "both"]),
+    default="both",
+    show_default=True,
+    help="Which loop must be stable and gives the margin.",
+)
+@click.option("--axis", metavar="NAME", help="x, y, z, rx, ry or rz; needed when SOURCE holds several.")
+@click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, help="Fix a parameter; may be repeated.")
+@click.option(
+    "--controller",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="The controller file whose gains are used (default: those of SOURCE).",
+)
+@click.option("--search", metavar="LO:HI[:N][:log|lin]", help="Where stable-damping or stable-lead looks.")
+@click.option("--approach-force", type=float, metavar="N", help="The force of the approach, for peaks.")
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path("map.svg"),
+    show_default=True,
+    help="The picture, .svg or .png.",
+)
+@click.option(
+    "--data",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="The numbers, .csv or .json (default: beside the picture, .csv).",
+)
+@output_options
+def command(output: Output, out: Path, **asked: Any) -> None:
+    """Draw two parameters of the loop against stability, a margin or the peak force, and save the numbers.
+
+    SOURCE is identified.yaml (then say the gains with --set or --controller) or controller.yaml (its plant is that of
+    the certificate). Without --x and --y the lead gain is drawn over the damping, around the design, which is marked.
+
+    stable-damping draws the smallest stable damping over the environment stiffness for each part of the controller,
+    stable-lead all stable lead gains over the payload frequency; --y then names the parameter of which a few values
+    are compared.
+    """
+    from autotune.maps.ask import MapAsk
+    from autotune.maps.make import make_map, summary_tree
+
+    ask = MapAsk(picture=out, **asked)
+    with output.progress("mapping", 1.0) as advance:
+        made = make_map(ask, advance)
+    tree = summary_tree(made)
+    output.result(tree, lambda: print_summary(tree))
+
+
+def print_summary(tree: dict[str, Any]) -> None:
+    """Print what was found in a few lines, and where the files are."""
+    for line in summary_lines(tree):
+        click.echo(line)
+
+
+def summary_lines(tree: dict[str, Any]) -> list[str]:
+    """Return the summary for people."""
+    from autotune.maps.text import WHERE, number, with_unit
+
+    lines = []
+    if "cases" in tree:
+        low, high = (with_unit(number(tree["searched"][end]), tree["searched"]["unit"]) for end in ("low", "high"))
+        lines.append(f"{tree['searched']['name']} searched from {low} to {high}, {WHERE[tree['where']]}")
+        for name, case in tree["cases"].items():
+            told = f"  {name}: " if len(tree["cases"]) > 1 else "  "
+            if case["smallest"] is None:
+                lines.append(f"{told}nothing is stable")
+                continue
+            several = f", up to {case['most_intervals']} intervals" if case["most_intervals"] > 1 else ""
+            none = f", nothing at {1.0 - case['stable_share']:.0%} of the values" if case["stable_share"] < 1.0 else ""
+            lines.append(
+                f"{told}stable between {number(case['smallest'])} and {number(case['largest'])}{several}{none}"
+            )
+    else:
+        lines.append(f"{tree['points']} points, {tree['stable_share']:.1%} stable {WHERE[tree['where']]}")
+        for key in ("smallest", "largest"):
+            if key in tree:
+                lines.append(f"{key} {tree['show']}: {_point(tree, tree[key])}")
+        if "design" in tree:
+            lines.append(f"design: {_point(tree, tree['design'])}")
+    return [*lines, f"written: {tree['picture']}, {tree['data']}"]
+
+
+def _point(tree: dict[str, Any], point: dict[str, Any]) -> str:
+    from autotune.maps.text import number, with_unit
+
+    places = [
+        with_unit(f"{tree[axis]['name']} {number(point[tree[axis]['name']])}", tree[axis]["unit"])
+        for axis in ("x", "y")
+    ]
+    if not point["is_stable"]:
+        value = "unstable"
+    elif point["value"] is None:
+        value = "stable" if tree["show"] == "stability" else "no limit"
+    else:
+        value = with_unit(number(point["value"]), tree["unit"])
+    return f"{value} at {', '.join(places)}"

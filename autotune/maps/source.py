@@ -1,0 +1,195 @@
+"""What a file tells a map: plant parameters of one axis, and a controller if it holds one."""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from autotune.errors import UsageError
+from autotune.files.controller import read_controller
+from autotune.files.controller_record import AxisDomain, Controller
+from autotune.files.identified import read_identified
+from autotune.files.records import ROTATIONAL_AXES
+from autotune.files.yaml12 import LARGEST_FILE_BYTES
+from autotune.validation.validate import admittance_controller, uncertain_plant
+from identification.errors import EstimateError
+from identification.result import AxisEstimate, Estimate, Identified, Status
+from problems.contact import Approach
+from problems.controller import AdmittanceController
+from problems.robot import RobotModel
+
+_FORMAT = re.compile(rb"""["']?format["']?\s*:\s*["']?autotune/(\w+)""")
+_DEFAULT_APPROACH_N = 30.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapSource:
+    """One axis of a file: `known` by the names of `problems.map_parameters`, `missing` with the reason.
+
+    The environment is without damping and mass unless a certificate says otherwise, as when a controller is tuned.
+    """
+
+    path: Path
+    axis: str
+    robot: RobotModel
+    sample_time_s: float
+    known: Mapping[str, float]
+    missing: Mapping[str, str]
+    controller: AdmittanceController | None
+    approach: Approach
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "known", MappingProxyType(dict(self.known)))
+        object.__setattr__(self, "missing", MappingProxyType(dict(self.missing)))
+
+    @property
+    def is_rotational(self) -> bool:
+        """Whether units are those of a rotation."""
+        return self.axis in ROTATIONAL_AXES
+
+
+def read_source(path: Path, *, axis: str | None, controller: Path | None) -> MapSource:
+    """Read an identified plant or a controller with the plant of its certificate.
+
+    A certificate speaks of ranges: the map takes the geometric middle of the stiffness, and the payload that the
+    runtime compensates (the middle of the range where that lies outside or turns). Of several identified surfaces it
+    takes the stiffest. `controller` names another file whose controller is used.
+
+    Raises UsageError: not such a file, or not such an axis. CertificateError: the controller file is altered or not
+    validated. EstimateError: the robot or the sample time is not identified.
+    """
+    kind = _kind(path)
+    if kind == "controller":
+        source = _certified(path, read_controller(path).controller, axis)
+    elif kind == "identified":
+        source = _identified(path, read_identified(path).result, axis)
+    else:
+        raise UsageError(
+            f"{path} is neither an identified plant nor a controller; give what identify or optimize wrote."
+        )
+    if controller is None:
+        return source
+    other = read_controller(controller).controller
+    law, domain = _law(controller, other, source.axis), other.certificate.domain.get(source.axis)
+    return replace(source, controller=law, approach=source.approach if domain is None else _approach(domain))
+
+
+def _kind(path: Path) -> str:
+    try:
+        with path.open("rb") as stream:
+            found = _FORMAT.search(stream.read(LARGEST_FILE_BYTES))
+    except OSError as reason:
+        raise UsageError(f"{path} cannot be read: {reason.strerror or reason}.") from reason
+    return found[1].decode() if found else ""
+
+
+def _axis(path: Path, axes: Mapping[str, object], wanted: str | None) -> str:
+    told = ", ".join(axes) or "none"
+    if wanted is None and len(axes) == 1:
+        return next(iter(axes))
+    if wanted is None:
+        raise UsageError(f"{path} holds the axes {told}; say which one with --axis.")
+    if wanted not in axes:
+        raise UsageError(f"{path} does not hold axis {wanted}; it holds {told}.")
+    return wanted
+
+
+def _law(path: Path, controller: Controller, axis: str) -> AdmittanceController:
+    name = _axis(path, controller.axes, axis)
+    return replace(
+        admittance_controller(controller, name),
+        acceleration_filter_rad_per_s=controller.filters.acceleration_rad_per_s,
+        compensation_mass_kg=controller.compensation_mass_kg,
+    )
+
+
+def _certified(path: Path, controller: Controller, wanted: str | None) -> MapSource:
+    axis = _axis(path, controller.axes, wanted)
+    domain = controller.certificate.domain[axis]
+    plants = uncertain_plant(domain)
+    (low, high), (light, heavy) = plants.environment_stiffness_n_per_m, plants.payload_mass_kg
+    carried = controller.payload.mass_kg
+    known = {
+        "payload_mass": carried if axis not in ROTATIONAL_AXES and light <= carried <= heavy else 0.5 * (light + heavy),
+        "drag": plants.drag_n_s_per_m,
+        "coupling_stiffness": plants.coupling.stiffness_n_per_m,
+        "coupling_damping": plants.coupling.damping_n_s_per_m,
+        "environment_stiffness": low if low == high else math.sqrt(low * high) or 0.5 * high,
+        "environment_damping": plants.environment_damping_n_s_per_m,
+        "environment_mass": domain.environment_mass_kg,
+    }
+    return MapSource(
+        path=path,
+        axis=axis,
+        robot=plants.robot,
+        sample_time_s=controller.sample_time_s,
+        known=known,
+        missing={},
+        controller=_law(path, controller, axis),
+        approach=_approach(domain),
+    )
+
+
+def _approach(domain: AxisDomain) -> Approach:
+    if domain.approach_speed_m_s is not None:
+        return Approach(speed_m_s=domain.approach_speed_m_s)
+    return Approach(force_n=domain.approach_force_n or _DEFAULT_APPROACH_N)
+
+
+def _identified(path: Path, found: Identified, wanted: str | None) -> MapSource:
+    name = _axis(path, found.axes, wanted)
+    axis = found.axes[name]
+    estimates = {
+        "drag": axis.drag_n_s_per_m,
+        "coupling_stiffness": axis.coupling.stiffness_n_per_m,
+        "coupling_damping": axis.coupling.damping_n_s_per_m,
+    }
+    known, missing = {}, {}
+    if name in ROTATIONAL_AXES:
+        missing["payload_mass"] = "no log tells the payload's inertia"
+    else:
+        estimates["payload_mass"] = found.payload.mass_kg
+    for key, estimate in estimates.items():
+        value = _number(estimate)
+        if value is None:
+            missing[key] = estimate.note or "the log does not tell"
+        else:
+            # An estimate near zero may come out below it.
+            known[key] = max(value, 0.0)
+    stiffest = max((_number(each.stiffness_n_per_m) or 0.0 for each in axis.environments), default=0.0)
+    if stiffest > 0.0:
+        known["environment_stiffness"] = stiffest
+    else:
+        missing["environment_stiffness"] = "the log holds no contact that tells it"
+    sample_time_s = _number(found.sample_time_s)
+    if sample_time_s is None:
+        raise EstimateError(f"{path}: sample_time_s is not identified, and nothing can be computed without it.")
+    return MapSource(
+        path=path,
+        axis=name,
+        robot=_robot(path, name, axis),
+        sample_time_s=sample_time_s,
+        known=known,
+        missing=missing,
+        controller=None,
+        approach=Approach(force_n=_DEFAULT_APPROACH_N),
+    )
+
+
+def _robot(path: Path, name: str, axis: AxisEstimate) -> RobotModel:
+    numerator, denominator, delay_s = (
+        axis.robot.numerator.value,
+        axis.robot.denominator.value,
+        _number(axis.robot.delay_s),
+    )
+    if numerator is None or denominator is None or delay_s is None:
+        raise EstimateError(f"{path}: the robot's r(s) and delay on axis {name} are not identified.")
+    return RobotModel(numerator=np.array(numerator), denominator=np.array(denominator), delay_s=delay_s)
+
+
+def _number(estimate: Estimate) -> float | None:
+    return None if estimate.status is Status.UNIDENTIFIABLE else estimate.value

@@ -1,0 +1,29 @@
+"""Numbers and words for pictures, data files and the command line."""
+
+from problems.contact import Approach
+
+WHERE = {"contact": "in contact", "free_space": "in free space", "both": "in contact and in free space"}
+
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def number(value: float) -> str:
+    """Return a number for people: 0.0125, 913, 3×10⁵."""
+    if value == 0.0 or 1e-3 <= abs(value) < 1e5:
+        short = f"{value:.4g}"
+        return f"{value:.0f}" if "e" in short else short
+    mantissa, _, exponent = f"{value:.3e}".partition("e")
+    power, factor = "10" + str(int(exponent)).translate(_SUPERSCRIPTS), f"{float(mantissa):.4g}"
+    return power if factor == "1" else f"{factor}×{power}"
+
+
+def with_unit(text: str, unit: str) -> str:
+    """Return text and unit, or the text alone for a number without unit."""
+    return f"{text} {unit}" if unit else text
+
+
+def approach_text(approach: Approach, *, rotational: bool) -> str:
+    """Return how the contact is made."""
+    if approach.speed_m_s is not None:
+        return f"approach at {number(approach.speed_m_s)} {'rad/s' if rotational else 'm/s'}"
+    return f"approach with {number(approach.force_n or 0.0)} {'N·m' if rotational else 'N'}"
