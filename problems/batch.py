@@ -27,7 +27,7 @@ from .batch_kernel import (
 from .contact import Approach, SampledContact, longest_run, simulate_contact
 from .controller import AdmittanceController
 from .errors import ParameterError
-from .margins import find_margins, loop_polynomials, margin_grid, response_polynomials
+from .margins import check_finite, find_margins, loop_polynomials, margin_grid, response_polynomials
 from .polynomials import DOUBTFUL
 from .sampled import SampledPlant, build_loop, spectral_radius
 
@@ -184,6 +184,8 @@ def _check_alike(plants: Sequence[SampledPlant]) -> None:
     kinds = {(plant.state_count, plant.sample_time_s) for plant in plants}
     if len(kinds) != 1:
         raise ParameterError("plants", kinds, "at least one, all of one robot order and sample time")
+    for plant in plants:
+        check_finite(plant)
 
 
 def _offsets(lengths: Sequence[int]) -> NDArray[np.int64]:

@@ -80,7 +80,10 @@ def as_control(sampled: SampledPlant, controller: AdmittanceController) -> Contr
 def _system(name: str, matrices: Matrices, h: float, inputs: list[str], outputs: list[str]) -> Any:
     """Scale the states by powers of two: methods that mix them by rotations (slycot's) would lose six digits."""
     a, b, c, d = matrices
-    _, (scale, _) = matrix_balance(a, permute=False, separate=True)
+    # One more row and column stand for the surroundings, which keep their units.
+    whole = np.block([[a, np.sum(np.abs(b), axis=1, keepdims=True)], [np.sum(np.abs(c), axis=0), np.zeros(1)]])
+    _, (sizes, _) = matrix_balance(whole, permute=False, separate=True)
+    scale = sizes[:-1] / sizes[-1]
     a, b, c = a * scale / scale[:, None], b / scale[:, None], c * scale
     return control.ss(a, b, c, d, h, name=name, inputs=inputs, outputs=outputs)
 

@@ -22,7 +22,7 @@ def margins_of_plant(
 ) -> None:
     """Write the margins of the wanted, stable loops into rows of `out` (m, MARGINS), see `find_loop_margins`.
 
-    `polynomials` and `grid` are those of the plant, `designs` (m, 7) controller parameters, `sampling` (h, θ, ideal).
+    `polynomials` and `grid` are the plant's as in `PreparedMargins`, `designs` (m, 7) controller parameters, `sampling` (h, θ, ideal).
     """
     h, theta, ideal = sampling
     controller = np.zeros((3, CONTROLLER_POWERS))

@@ -19,14 +19,14 @@ from .margin_kernel import DELAY_S, DISK, GAIN_DB, MARGINS, MODULUS, PHASE_RAD
 from .margins import loop_polynomials, margin_grid, response_polynomials
 from .plant import FREE_SPACE, Plant
 from .polynomials import DOUBTFUL, STABLE, UNSTABLE
-from .sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius, split_delay
+from .sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Where = Literal["contact", "free_space", "both"]
 
-# The compiled tests have room for polynomials of this many plant states and past commands.
-_MOST_STATES = 80
+# Eigenvalues of larger loops take so long that a map of them would not end.
+_MOST_DELAY_SAMPLES = 250
 # The loop gain is rounding there (as in `find_margins`), and limits nothing.
 _NO_LIMIT_DB = 200.0
 _COLUMNS = {
@@ -105,11 +105,10 @@ def build_chunk(plants: Sequence[Plant], sample_time_s: float, where: Where) -> 
 
 
 def check_delay(plant: Plant, sample_time_s: float) -> None:
-    """Raise ParameterError for a delay of more samples than the compiled tests have room for."""
-    whole, fraction = split_delay(plant.robot.delay_s, sample_time_s)
-    most = _MOST_STATES - plant.robot.order - 2
-    if whole + (fraction > 0.0) > most:
-        raise ParameterError("delay_s", plant.robot.delay_s, f"at most {most} samples of {sample_time_s:g} s")
+    """Raise ParameterError for a delay of so many samples that a map of such loops would not end."""
+    if plant.robot.delay_s > _MOST_DELAY_SAMPLES * sample_time_s:
+        must = f"at most {_MOST_DELAY_SAMPLES} samples of {sample_time_s:g} s"
+        raise ParameterError("delay_s", plant.robot.delay_s, must)
 
 
 def peaks_of(
@@ -131,6 +130,8 @@ def peaks_of(
 
 def _verdicts(plants: Sequence[SampledPlant], designs: Designs) -> BoolArray:
     """Do what `are_stable` does, on controllers that are rows of numbers."""
+    for plant in plants:
+        check_finite(plant)
     found = [loop_polynomials(plant) for plant in plants]
     sizes = np.array([each.shape[1] for each in found], dtype=np.int64)
     polynomials = np.zeros((len(found), 3, int(np.max(sizes))))
@@ -157,7 +158,9 @@ def _margin(plant: SampledPlant, designs: Designs, wanted: BoolArray, quantity: 
     for chosen, ideal in designs.alike():
         sampling = (plant.sample_time_s, designs.kind.theta, ideal)
         out = np.full((len(chosen), MARGINS), np.inf)
-        margins_of_plant(polynomials, grid, designs.parameters[chosen], wanted[chosen], sampling, everything, out)
+        margins_of_plant(
+            prepared.polynomials, prepared.grid, designs.parameters[chosen], wanted[chosen], sampling, everything, out
+        )
         found[chosen] = out
     values = found[:, _COLUMNS[quantity]]
     if quantity is MapQuantity.GAIN:

@@ -148,7 +148,7 @@ def check_varied(axes: Sequence[MapAxis], fixed: Mapping[str, float]) -> None:
     names = [find_parameter(name).name for name in fixed] + [axis.name for axis in axes]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise ParameterError(twice[0], "two values", "given once, as one axis or as a fixed value")
+        raise ParameterError(twice[0], f"{names.count(twice[0])} times", "given once, as an axis or as a fixed value")
     check_together(names)
 
 

@@ -112,13 +112,16 @@ def find_loop_margins(
 ) -> None:
     """Write the margins of a stable loop into `found` (6,); without `everything` only the modulus margin.
 
-    `sampling` is (h, θ).
+    `sampling` is (h, θ). A response that is not a number makes all of them NaN: it must not pass for a large margin.
     """
     found[:] = np.inf
     omega, points = _traced(plant, grid, controller, degree, sampling)
     for signal in range(len(points)):
         for disk in range(2 if everything else 1):
             value, where = _smallest(plant, controller, degree, sampling, omega, points[signal], signal, disk == 1)
+            if np.isnan(value):
+                found[:] = np.nan
+                return
             if disk == 1:
                 found[DISK] = min(found[DISK], value)
             elif value < found[MODULUS]:
@@ -197,6 +200,8 @@ def _smallest(
     best, where = np.inf, 0.0
     for k in range(count):
         values[k] = squared_distance(points[k], disk)
+        if np.isnan(values[k]):
+            return np.nan, np.nan
         if values[k] < best:
             best, where = values[k], omega[k]
     limit = _CLOSE * _CLOSE * best

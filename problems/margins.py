@@ -157,6 +157,7 @@ class PreparedMargins:
 
 def prepare_margins(sampled: SampledPlant) -> PreparedMargins:
     """Compute what the margins of a sampled plant need, once for all controllers."""
+    check_finite(sampled)
     return PreparedMargins(sampled=sampled, polynomials=response_polynomials(sampled), grid=margin_grid(sampled))
 
 
@@ -165,10 +166,18 @@ def find_margins(sampled: SampledPlant, controller: AdmittanceController) -> Mar
 
     Raises UnstableLoopError if the loop is not stable, by its eigenvalues.
     """
+    check_finite(sampled)
     radius = spectral_radius(build_loop(sampled, controller))
     if not radius < 1.0:
         raise UnstableLoopError(radius)
     return prepare_margins(sampled).find(controller, radius)
+
+
+def check_finite(sampled: SampledPlant) -> None:
+    """Refuse a plant whose matrices overflow: what is not a number would pass for a margin without limit."""
+    numbers = (sampled.phi, sampled.gamma, sampled.gamma_old, sampled.c_position, sampled.c_force, sampled.d_force)
+    if not all(np.all(np.isfinite(each)) for each in numbers):
+        raise ParameterError("plant", sampled.plant, "one whose motion over one sample is finite")
 
 
 def loop_polynomials(sampled: SampledPlant) -> FloatArray:

@@ -16,6 +16,9 @@ FloatArray = NDArray[np.float64]
 STABLE, UNSTABLE, DOUBTFUL = 1, 0, -1
 # An entry of the Routh array that is this small against its terms decides nothing.
 _CANCELLED = 1e-6
+# The delay chain is a power of 1 + w, whose coefficients hold its roots ever less well: from degree 100 or so the
+# rounded polynomial is another one. Far below that, eigenvalues decide.
+_HIGHEST_DEGREE = 64
 # Coefficients of the controller's polynomials in s: M_a s² + B_a s with two filters, and room to multiply in.
 CONTROLLER_POWERS = 7
 
@@ -153,6 +156,8 @@ def hurwitz(polynomial: FloatArray, degree: int, first: int) -> int:
 
     Routh's array; STABLE, UNSTABLE, or DOUBTFUL where rounding could decide.
     """
+    if degree > _HIGHEST_DEGREE:
+        return DOUBTFUL
     sign = 1.0 if polynomial[degree] > 0.0 else -1.0
     count = degree - first + 1
     upper, lower, following = (np.zeros(count // 2 + 2), np.zeros(count // 2 + 2), np.zeros(count // 2 + 2))

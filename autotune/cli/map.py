@@ -1,11 +1,14 @@
 """`autotune map`: two parameters against stability, a margin or the peak, as a picture with its data."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from ._common import Output, output_options
+
+if TYPE_CHECKING:
+    from problems.map_plants import Where
 
 _EPILOG = """\b
 Examples:
@@ -13,7 +16,7 @@ Examples:
   autotune map controller.yaml --show modulus --x environment_stiffness=1e4:1e6:log --y lead_s=0:0.05
   autotune map identified.yaml --set mass=13 --show peak-contact --x damping=300:3000 --y lead_s=0:0.03:60
   autotune map controller.yaml --show stable-damping --where contact
-  autotune map controller.yaml --show stable-lead --where free_space --set environment_stiffness=0
+  autotune map controller.yaml --show stable-lead --where free_space --y drag=100:900:3
 
 \b
 NAME is one of
@@ -45,7 +48,13 @@ _RANGE = "NAME=LO:HI[:N][:log|lin]"
     help="Which loop must be stable and gives the margin.",
 )
 @click.option("--axis", metavar="NAME", help="x, y, z, rx, ry or rz; needed when SOURCE holds several.")
-@click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, help="Fix a parameter; may be repeated.")
+@click.option(
+    "--set",
+    "settings",
+    metavar="NAME=VALUE",
+    multiple=True,
+    help="Change a parameter; may be repeated. Of one that varies: where the design lies.",
+)
 @click.option(
     "--controller",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -68,7 +77,21 @@ _RANGE = "NAME=LO:HI[:N][:log|lin]"
     help="The numbers, .csv or .json (default: beside the picture, .csv).",
 )
 @output_options
-def command(output: Output, out: Path, **asked: Any) -> None:
+def command(
+    output: Output,
+    source: Path,
+    x: str | None,
+    y: str | None,
+    show: str,
+    where: "Where",
+    axis: str | None,
+    settings: tuple[str, ...],
+    controller: Path | None,
+    search: str | None,
+    approach_force: float | None,
+    out: Path,
+    data: Path | None,
+) -> None:
     """Draw two parameters of the loop against stability, a margin or the peak force, and save the numbers.
 
     SOURCE is identified.yaml (then say the gains with --set or --controller) or controller.yaml (its plant is that of
@@ -81,7 +104,20 @@ def command(output: Output, out: Path, **asked: Any) -> None:
     from autotune.maps.ask import MapAsk
     from autotune.maps.make import make_map, summary_tree
 
-    ask = MapAsk(picture=out, **asked)
+    ask = MapAsk(
+        source=source,
+        picture=out,
+        data=data,
+        axis=axis,
+        controller=controller,
+        show=show,
+        where=where,
+        x=x,
+        y=y,
+        search=search,
+        settings=settings,
+        approach_force=approach_force,
+    )
     with output.progress("mapping", 1.0) as advance:
         made = make_map(ask, advance)
     tree = summary_tree(made)
@@ -96,30 +132,38 @@ def print_summary(tree: dict[str, Any]) -> None:
 
 def summary_lines(tree: dict[str, Any]) -> list[str]:
     """Return the summary for people."""
+    lines = _interval_lines(tree) if "cases" in tree else _map_lines(tree)
+    return [*lines, f"written: {tree['picture']}, {tree['data']}"]
+
+
+def _map_lines(tree: dict[str, Any]) -> list[str]:
+    from autotune.maps.text import WHERE
+
+    lines = [f"{tree['points']} points, {tree['stable_share']:.1%} stable {WHERE[tree['where']]}"]
+    lines += [f"{key} {tree['show']}: {_point(tree, tree[key])}" for key in ("smallest", "largest") if key in tree]
+    return [*lines, f"design: {_point(tree, tree['design'])}"] if "design" in tree else lines
+
+
+def _interval_lines(tree: dict[str, Any]) -> list[str]:
     from autotune.maps.text import WHERE, number, with_unit
 
-    lines = []
-    if "cases" in tree:
-        low, high = (with_unit(number(tree["searched"][end]), tree["searched"]["unit"]) for end in ("low", "high"))
-        lines.append(f"{tree['searched']['name']} searched from {low} to {high}, {WHERE[tree['where']]}")
-        for name, case in tree["cases"].items():
-            told = f"  {name}: " if len(tree["cases"]) > 1 else "  "
-            if case["smallest"] is None:
-                lines.append(f"{told}nothing is stable")
-                continue
-            several = f", up to {case['most_intervals']} intervals" if case["most_intervals"] > 1 else ""
-            none = f", nothing at {1.0 - case['stable_share']:.0%} of the values" if case["stable_share"] < 1.0 else ""
-            lines.append(
-                f"{told}stable between {number(case['smallest'])} and {number(case['largest'])}{several}{none}"
-            )
-    else:
-        lines.append(f"{tree['points']} points, {tree['stable_share']:.1%} stable {WHERE[tree['where']]}")
-        for key in ("smallest", "largest"):
-            if key in tree:
-                lines.append(f"{key} {tree['show']}: {_point(tree, tree[key])}")
-        if "design" in tree:
-            lines.append(f"design: {_point(tree, tree['design'])}")
-    return [*lines, f"written: {tree['picture']}, {tree['data']}"]
+    def span(ends: list[float]) -> str:
+        return with_unit(" to ".join(number(end) for end in dict.fromkeys(ends)), searched["unit"])
+
+    searched = tree["searched"]
+    lines = [f"{searched['name']} searched in {span([searched['low'], searched['high']])}, {WHERE[tree['where']]}"]
+    for name, case in tree["cases"].items():
+        told = f"  {name}: " if len(tree["cases"]) > 1 else "  "
+        if case["smallest"] is None:
+            lines.append(f"{told}nothing is stable")
+            continue
+        told += f"smallest stable value {span(case['smallest'])}, largest {span(case['largest'])}"
+        if case["most_intervals"] > 1:
+            told += f", in up to {case['most_intervals']} intervals"
+        if case["stable_share"] < 1.0:
+            told += f", none at {1.0 - case['stable_share']:.0%} of the values of {tree['x']['name']}"
+        lines.append(told)
+    return lines
 
 
 def _point(tree: dict[str, Any], point: dict[str, Any]) -> str:

@@ -111,5 +111,5 @@ def build_base(source: MapSource, settings: Mapping[str, float], varied: Collect
     return Base(
         plant=plant_at(plant, direct),
         controller=controller_at(kind, {name: values[name] for name in _NEEDED} | direct),
-        derived={name: value for name, value in settings.items() if name in STANDS_FOR},
+        derived={name: value for name, value in settings.items() if name in STANDS_FOR and name not in varied},
     )

@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ Point = tuple[float, float]
 _COLOURS = ("#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c8c8c")
 _DASHES = ("-", "--", "-.", ":")
 _LINES_INCHES, _PANEL_INCHES, _AROUND_INCHES = (7.6, 5.6), (3.4, 2.5), (1.0, 1.6)
+_COLUMNS = {1: 1, 2: 2, 4: 2}
 _ROOM = 1.25
 _DESIGN: dict[str, Any] = {
     "marker": "o",
@@ -84,7 +86,7 @@ def _draw_lines(plan: MapPlan, request: IntervalRequest, result: IntervalResult)
 
 def _draw_panels(plan: MapPlan, request: IntervalRequest, result: IntervalResult) -> Figure:
     names = list(result.intervals)
-    columns = min(len(names), 2 if len(names) <= 4 else 3)
+    columns = _COLUMNS.get(len(names), 3)
     rows = math.ceil(len(names) / columns)
     size = (_PANEL_INCHES[0] * columns + _AROUND_INCHES[0], _PANEL_INCHES[1] * rows + _AROUND_INCHES[1])
     figure = Figure(figsize=_LINES_INCHES if len(names) == 1 else size, layout="constrained")
@@ -97,7 +99,8 @@ def _draw_panels(plan: MapPlan, request: IntervalRequest, result: IntervalResult
         # Labels stand at the rim; a panel with nothing below it is at the rim, too.
         at_rim = i + columns >= len(names)
         axes.tick_params(labelbottom=at_rim)
-        set_axis(axes, "x", request.along, axis_label(plan, request.along.parameter) if at_rim else "")
+        label = axis_label(plan, request.along.parameter) if at_rim else ""
+        set_axis(axes, "x", request.along, label, crowded=columns > 1)
         set_axis(axes, "y", searched, axis_label(plan, searched.parameter) if i % columns == 0 else "")
         _draw_stable(axes, request, result.intervals[names[i]])
         if len(names) > 1:
@@ -133,32 +136,51 @@ def _draw_stable(axes: Axes, request: IntervalRequest, columns: Sequence[Column]
 def _pieces(along: MapAxis, columns: Sequence[Column]) -> Iterator[tuple[list[Point], list[list[Point]]]]:
     """Yield the stable area between neighbouring columns, with the edges that are limits of stability.
 
-    Intervals that continue each other are joined by straight lines; one that begins, ends or splits goes half way.
+    Where the intervals of two columns continue each other one by one, straight lines join them. Half way between,
+    intervals that begin or end come to a tip, and so does the gap between intervals that meet.
     """
     x = along.values()
     middles = np.sqrt(x[:-1] * x[1:]) if along.spacing == "log" else 0.5 * (x[:-1] + x[1:])
-    for k, middle in enumerate(middles):
-        here, there = columns[k], columns[k + 1]
-        for one in here:
-            mates = [other for other in there if _overlap(one, other)]
-            if len(mates) == 1 and sum(_overlap(each, mates[0]) for each in here) == 1:
-                yield _strip((x[k], one), (x[k + 1], mates[0]), closed=False)
-            else:
-                yield _strip((x[k], one), (middle, one), closed=not mates)
-        for other in there:
-            mates = [one for one in here if _overlap(one, other)]
-            if len(mates) != 1 or sum(_overlap(mates[0], each) for each in there) != 1:
-                yield _strip((x[k + 1], other), (middle, other), closed=not mates)
+    for k, middle in enumerate(map(float, middles)):
+        for here, there in _groups(columns[k], columns[k + 1]):
+            if len(here) == len(there) == 1:
+                yield _strip(float(x[k]), here[0], float(x[k + 1]), there[0])
+                continue
+            for place, side, other in ((float(x[k]), here, there), (float(x[k + 1]), there, here)):
+                for one, end in zip(side, _half_way(side, other), strict=True):
+                    yield _strip(place, one, middle, end)
 
 
-def _strip(
-    start: tuple[float, StableInterval], stop: tuple[float, StableInterval], *, closed: bool
-) -> tuple[list[Point], list[list[Point]]]:
-    """Return the area between two intervals and its edges; one that is `closed` narrows to a tip at the stop."""
-    (x1, one), (x2, two) = start, stop
-    tip = 0.5 * (two.lower + two.upper)
-    lower, upper = (tip, tip) if closed else (two.lower, two.upper)
-    area = [(x1, one.lower), (x2, lower), (x2, upper), (x1, one.upper)]
+def _groups(here: Column, there: Column) -> list[tuple[list[StableInterval], list[StableInterval]]]:
+    """Return which intervals of two columns belong together because they overlap, directly or by way of others."""
+    groups: list[tuple[list[StableInterval], list[StableInterval]]] = []
+    for side, column in enumerate((here, there)):
+        for each in column:
+            mates = [group for group in groups if any(_overlap(each, other) for other in group[1 - side])]
+            joined: tuple[list[StableInterval], list[StableInterval]] = ([], [])
+            for group in mates:
+                joined[0].extend(group[0])
+                joined[1].extend(group[1])
+                groups.remove(group)
+            joined[side].append(each)
+            groups.append(joined)
+    return groups
+
+
+def _half_way(side: Column, other: Column) -> list[StableInterval]:
+    """Return what the intervals of one column have become half way to the other: a tip, or parts that touch."""
+    if not other:
+        tips = [0.5 * (each.lower + each.upper) for each in side]
+        return [replace(each, lower=tip, upper=tip) for each, tip in zip(side, tips, strict=True)]
+    meeting = [0.5 * (one.upper + two.lower) for one, two in itertools.pairwise(side)]
+    lower = [0.5 * (side[0].lower + other[0].lower), *meeting] if side else []
+    upper = [*meeting, 0.5 * (side[-1].upper + other[-1].upper)] if side else []
+    return [replace(each, lower=low, upper=high) for each, low, high in zip(side, lower, upper, strict=True)]
+
+
+def _strip(x1: float, one: StableInterval, x2: float, two: StableInterval) -> tuple[list[Point], list[list[Point]]]:
+    """Return the area between two intervals, and those of its edges that are limits of stability."""
+    area = [(x1, one.lower), (x2, two.lower), (x2, two.upper), (x1, one.upper)]
     edges = []
     if not (one.lower_is_bound and two.lower_is_bound):
         edges.append(area[:2])
@@ -196,7 +218,11 @@ def _design(plan: MapPlan, request: IntervalRequest, name: str) -> Point | None:
         return None
     x, y = plan.design[request.along.name], plan.design[request.searched.name]
     own = request.cases[name].fixed
-    same = all(np.isclose(own[key], value) for key, value in plan.design.items() if key in own)
+    # The last of a family of controllers is the whole one; curves of a parameter share theirs.
+    whole = list(request.cases.values())[-1].controller
+    same = request.cases[name].controller == whole and all(
+        np.isclose(own[key], value) for key, value in plan.design.items() if key in own
+    )
     inside = _is_inside(x, request.along) and _is_inside(y, request.searched)
     return (x, y) if same and inside else None
 

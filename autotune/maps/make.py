@@ -116,12 +116,13 @@ def _point_tree(request: MapRequest, point: MapPoint) -> dict[str, Any]:
 def _interval_summary(plan: MapPlan, result: IntervalResult) -> dict[str, Any]:
     cases = {}
     for name, columns in result.intervals.items():
-        ends = [(column[0].lower, column[-1].upper) for column in columns if column]
+        lower = [column[0].lower for column in columns if column]
+        upper = [column[-1].upper for column in columns if column]
         cases[name] = {
-            "stable_share": len(ends) / len(columns),
+            "stable_share": len(lower) / len(columns),
             "most_intervals": max(len(column) for column in columns),
-            "smallest": min((low for low, _ in ends), default=None),
-            "largest": max((high for _, high in ends), default=None),
+            "smallest": [min(lower), max(lower)] if lower else None,
+            "largest": [min(upper), max(upper)] if upper else None,
         }
     along, searched = result.request.along, result.request.searched
     return {"x": _axis_tree(plan, along), "searched": _axis_tree(plan, searched), "cases": cases}

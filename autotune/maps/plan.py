@@ -8,7 +8,7 @@ from types import MappingProxyType
 from autotune.errors import UsageError
 from problems.contact import Approach
 from problems.controller import AdmittanceController
-from problems.map_parameters import MapParameter, MapQuantity
+from problems.map_parameters import MapParameter, MapQuantity, check_together
 from problems.map_search import IntervalCase, IntervalRequest
 from problems.maps import MapAxis, MapRequest, check_varied
 
@@ -49,19 +49,19 @@ class MapPlan:
 
 
 def build_plan(ask: MapAsk, source: MapSource) -> MapPlan:
-    """Return what is to be computed.
+    """Return what is to be computed; a setting of what varies says where the design lies.
 
     Raises UsageError for a request that contradicts itself or leaves a controller value open, EstimateError for a
     plant parameter that the source does not tell and nobody set, ParameterError for values out of range.
     """
     settings = parse_settings(ask.settings)
+    check_together(settings)
     known = known_values(source, settings)
     if ask.show in {STABLE_DAMPING, STABLE_LEAD}:
         return _plan_intervals(ask, source, settings, known)
     if ask.search is not None:
         raise UsageError(f"--search goes with --show {STABLE_DAMPING} or {STABLE_LEAD}; here say --x and --y.")
     x, y = _map_axes(ask, known)
-    check_varied((x, y), settings)
     base = build_base(source, settings, (x.name, y.name), touches=ask.where != "free_space")
     request = MapRequest(
         plant=base.plant,
@@ -96,9 +96,9 @@ def _plan_intervals(
     searched, along = _searched(ask, known), _along(ask, known)
     curves = _curves(ask, settings, along, known)
     varied = [along, searched] if curves is None else [along, searched, curves]
-    check_varied(varied, settings)
     names = [axis.name for axis in varied]
     base = build_base(source, settings, names, touches=ask.where != "free_space")
+    check_varied(varied, base.derived)
     if curves is not None:
         cases = _cases(source, base, curves)
     else:

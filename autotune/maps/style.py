@@ -23,7 +23,7 @@ DESIGN_COLOUR = "#d55e00"
 _PNG_DOTS_PER_INCH = 160
 _LINE_LENGTH = 112
 _TOP = 0.985
-_FEW_DECADES = 2.2
+_FEW_DECADES, _FEW_DECADES_CROWDED = 2.2, 1.5
 _LETTERS = {"ω": r"\omega", "ζ": r"\zeta", "P̂": r"\hat{P}"}
 
 
@@ -90,8 +90,8 @@ def _lines(parts: Sequence[tuple[str, str]]) -> str:
     return "\n".join(" · ".join(line) for line in lines)
 
 
-def set_axis(axes: Axes, which: str, axis: MapAxis, label: str) -> None:
-    """Give one side of the axes its label, limits and readable ticks."""
+def set_axis(axes: Axes, which: str, axis: MapAxis, label: str, *, crowded: bool = False) -> None:
+    """Give one side of the axes its label, limits and readable ticks; fewer of them where it is `crowded`."""
     if which == "x":
         axes.set_xscale(axis.spacing)
         axes.set_xlim(axis.low, axis.high)
@@ -102,12 +102,12 @@ def set_axis(axes: Axes, which: str, axis: MapAxis, label: str) -> None:
         side = axes.yaxis
     side.set_label_text(label)
     if axis.spacing == "log":
-        log_ticks(side, axis.low, axis.high)
+        log_ticks(side, axis.low, axis.high, crowded=crowded)
 
 
-def log_ticks(side: Any, low: float, high: float) -> None:
+def log_ticks(side: Any, low: float, high: float, *, crowded: bool = False) -> None:
     """Set ticks at 1, 2 and 5 of every decade, or at 1 only where there are many decades, with their numbers."""
-    few = np.log10(high / low) < _FEW_DECADES
+    few = np.log10(high / low) < (_FEW_DECADES_CROWDED if crowded else _FEW_DECADES)
     side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=30))
     side.set_major_formatter(FuncFormatter(lambda value, _position: number(value)))
     side.set_minor_formatter(NullFormatter())

@@ -9,9 +9,8 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 def number(value: float) -> str:
     """Return a number for people: 0.0125, 913, 3×10⁵."""
-    if value == 0.0 or 1e-3 <= abs(value) < 1e5:
-        short = f"{value:.4g}"
-        return f"{value:.0f}" if "e" in short else short
+    if value == 0.0 or 1e-3 <= abs(value) < 9999.5:
+        return f"{value:.4g}"
     mantissa, _, exponent = f"{value:.3e}".partition("e")
     power, factor = "10" + str(int(exponent)).translate(_SUPERSCRIPTS), f"{float(mantissa):.4g}"
     return power if factor == "1" else f"{factor}×{power}"

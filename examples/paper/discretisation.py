@@ -149,7 +149,9 @@ def draw(found: Sequence[Case]) -> dict[str, Figure]:
     for each in bars[-len(FORMS) :]:
         if each.trace:
             axes[1].plot(1e3 * each.trace[0], each.trace[1], color=COLOUR_OF_FORM[each.form], label=FORMS[each.form])
-    axes[1].set(xlabel="time after impact [ms]", ylabel="force at the sensor [N]", xlim=(0.0, 1e3 * DRAWN_S))
+    axes[1].set(
+        xlabel="time after impact [ms]", ylabel="force at the sensor [N]", xlim=(0.0, 1e3 * DRAWN_S), ylim=(0.0, None)
+    )
     axes[1].set_title("lead + feedback + filtered comp., M$_a$ = 10 kg, B$_a$ = 1000 N·s/m")
     axes[1].legend(frameon=False, loc="lower right")
     return {"discretisation.svg": figure}

@@ -18,7 +18,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from examples.paper.page import NONE, Study, Table, new_figure, number, run
 from examples.paper.paper_case import (
     CONTACT_N_PER_M,
-    COUPLING_N_PER_M,
     DELAY_S,
     DRAG_N_S_PER_M,
     SAMPLE_TIME_S,
@@ -312,7 +311,7 @@ def _draw_onset(axes: Axes, found: Found) -> None:
                     f"{here.upper_hz:.0f} Hz", at, (-4, 4), textcoords="offset points", ha="right", fontsize=8
                 )
     axes.axhline(1e3 * MEASURED_LEAD_S, color="#CC79A7", linewidth=1.0)
-    axes.annotate("measured onset, 25 Hz", (10.0, 1e3 * MEASURED_LEAD_S + 0.8), color="#A0477B", fontsize=8)
+    axes.annotate("measured onset, 25 Hz", (480.0, 1e3 * MEASURED_LEAD_S - 2.5), color="#A0477B", fontsize=8)
     axes.set(xlabel="payload damping to ground B$_p$ [N·s/m]", ylabel="K$_l$ [ms]", xlim=(0.0, 800.0), ylim=(0.0, 60.0))
     axes.set_title("16 kg in free space: stable between the lines")
     axes.legend(frameon=False, fontsize=8, loc="upper left")

@@ -1,10 +1,11 @@
 """Tables and pictures of the page `docs/paper.md`: what a study is, how it is printed, drawn and put on the page."""
 
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -13,7 +14,7 @@ from matplotlib.figure import Figure
 PICTURES = Path(__file__).resolve().parents[2] / "docs" / "paper"
 PAGE = PICTURES.parent / "paper.md"
 # Text stays text and ids stay the same from run to run, so that a picture is small and its bytes are reproducible.
-SETTINGS = {
+SETTINGS: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "autotune",
     "font.size": 9,
@@ -21,6 +22,10 @@ SETTINGS = {
     "lines.linewidth": 1.4,
 }
 NONE = "–"
+
+_PLACE = re.compile(
+    r"(?P<begin><!-- table: (?P<name>[\w-]+) -->\n)(?P<table>.*?)(?P<end><!-- end -->)", flags=re.DOTALL
+)
 
 Found = TypeVar("Found")
 
@@ -90,24 +95,23 @@ def run(study: Study[Found], arguments: Sequence[str]) -> int:
     return 0
 
 
-def table_pattern(name: str) -> re.Pattern[str]:
-    """Match the place of a table on the page; group 1 is the table."""
-    return re.compile(rf"(?<=<!-- table: {re.escape(name)} -->\n)(.*?)(?=\n<!-- end -->)", re.DOTALL)
+def tables_on_page(text: str) -> dict[str, str]:
+    """Return the marked tables of a page by name, as they stand there."""
+    return {found["name"]: found["table"].strip() for found in _PLACE.finditer(text)}
 
 
 def put_on_page(text: str, tables: Sequence[Table]) -> str:
-    """Return the page with its marked tables replaced; raises KeyError for a table without a place."""
-    for table in tables:
-        pattern = table_pattern(table.name)
-        if not pattern.search(text):
-            raise KeyError(f"The page has no place for the table {table.name}: <!-- table: {table.name} -->")
-        text = pattern.sub(lambda _, new=table.markdown(): str(new), text)
-    return text
+    """Return the page with its marked tables replaced; raises KeyError if places and tables are not the same."""
+    new = {table.name: table.markdown() for table in tables}
+    places = tables_on_page(text)
+    if set(new) != set(places):
+        raise KeyError(f"Tables without a place, or places without a table: {sorted(set(new) ^ set(places))}")
+    return _PLACE.sub(lambda found: f"{found['begin']}{new[found['name']]}\n{found['end']}", text)
 
 
 def number(value: float | None, digits: int = 0) -> str:
     """Return a number with fixed decimals, or a dash for one that does not exist (None, infinite, not a number)."""
-    if value is None or value != value or value in {float("inf"), float("-inf")}:
+    if value is None or not math.isfinite(value):
         return NONE
     text = f"{value:.{digits}f}"
     return text.replace("-", "−") if float(text) != 0.0 else text.lstrip("-")

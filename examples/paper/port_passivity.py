@@ -134,7 +134,7 @@ def draw(found: Found) -> dict[str, Figure]:
     axes[1].plot(lead, decay, color=COLOURS[LEAD])
     axes[1].axhline(0.0, color="0.4", linewidth=0.8)
     axes[1].set(xlabel="K$_l$ [ms]", ylabel="payload mode's decay [1/s]")
-    crossing = float(lead[int(np.flatnonzero(decay < 0.0)[0])])
+    crossing = float(np.interp(0.0, -decay[20:], lead[20:]))
     for each in axes:
         each.set_xlim(lead[0], lead[-1])
         each.axvspan(crossing, lead[-1], color="0.92", linewidth=0.0)

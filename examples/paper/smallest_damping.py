@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from examples.paper.page import NONE, Study, Table, new_figure, number, run
+from examples.paper.page import Study, Table, new_figure, number, run
 from examples.paper.paper_case import COLOURS, LEAD_IDEAL, SAMPLE_TIME_S, example_controllers, example_plant
 from examples.paper.verdicts import continuous_is_stable, last_interval, stable_intervals
 from problems.controller import AdmittanceController
@@ -103,9 +103,6 @@ def tables(found: Found) -> tuple[Table, ...]:
 
 
 def _text(value: float) -> str:
-    if value != value:
-        return NONE
-    # Two figures are lost on nobody: the steps are finer, but the model is not.
     return "any" if value <= SCAN_N_S_PER_M[0] else number(value)
 
 

@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _LOWEST_RAD_PER_S, _HIGHEST_RAD_PER_S = 1e-3, 3e4
-_POINTS = 30_000
+_POINTS = 12_000
 _OSCILLATION_HZ = (0.1, 150.0)
 _PARTS = 17
 _ROUNDS = 3

@@ -1,10 +1,12 @@
 """Plants and controllers that the tests of this floor share: the paper's cell and random ones around it."""
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from problems.controller import AdmittanceController
+from problems.controller import AdmittanceController, Compensation, Discretization
 from problems.plant import Coupling, Environment, Payload, Plant
 from problems.robot import RobotModel
 
@@ -27,14 +29,17 @@ def paper_plant(
     coupling: float = 3e5,
     coupling_damping: float = 0.0,
     environment_damping: float = 0.0,
+    environment_mass: float = 0.0,
     robot: RobotModel | None = None,
 ) -> Plant:
-    """Return the printed example; stiffness 0 is free space."""
+    """Return the printed example; without stiffness, damping and mass of the environment it is free space."""
     return Plant(
         robot=robot if robot is not None else one_pole(),
         coupling=Coupling(stiffness_n_per_m=coupling, damping_n_s_per_m=coupling_damping),
         payload=Payload(mass_kg=mass, drag_n_s_per_m=drag),
-        environment=Environment(stiffness_n_per_m=stiffness, damping_n_s_per_m=environment_damping),
+        environment=Environment(
+            stiffness_n_per_m=stiffness, damping_n_s_per_m=environment_damping, mass_kg=environment_mass
+        ),
     )
 
 
@@ -96,3 +101,65 @@ def controllers(draw: st.DrawFn) -> AdmittanceController:
         lead=draw(or_zero(between(1e-3, 0.05))),
         feedback=draw(or_zero(between(1e-3, 0.02))),
     )
+
+
+@st.composite
+def environments(draw: st.DrawFn) -> Environment:
+    """Draw anything that can be touched: at least one of stiffness, damping and mass."""
+    kinds = st.sampled_from([(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, 0, 1), (0, 1, 1), (1, 1, 1)])
+    stiff, damped, heavy = draw(kinds)
+    return Environment(
+        stiffness_n_per_m=draw(between(1e3, 1e6)) if stiff else 0.0,
+        damping_n_s_per_m=draw(between(1.0, 500.0)) if damped else 0.0,
+        mass_kg=draw(between(0.05, 50.0)) if heavy else 0.0,
+    )
+
+
+@st.composite
+def any_plants(
+    draw: st.DrawFn,
+    delays: st.SearchStrategy[float] = ANY_DELAYS,
+    touched: st.SearchStrategy[Environment] | None = None,
+) -> Plant:
+    """Draw a plant in free space, or on an environment of any kind."""
+    free = draw(plants(delays, contact=False))
+    surfaces = st.one_of(st.just(free.environment), environments()) if touched is None else touched
+    return free.in_contact_with(draw(surfaces))
+
+
+@st.composite
+def any_controllers(draw: st.DrawFn) -> AdmittanceController:
+    """Draw every structure: with and without compensation, filtered and ideal; Tustin and both Euler forms."""
+    compensation: Compensation = draw(st.sampled_from(["filtered", "ideal"]))
+    rules: list[Discretization] = ["tustin", "backward_euler"]
+    if compensation == "filtered":
+        rules.append("forward_euler")
+    return replace(
+        draw(controllers()),
+        velocity_filter_rad_per_s=draw(between(50.0, 400.0)),
+        acceleration_filter_rad_per_s=draw(between(100.0, 800.0)),
+        compensation_mass_kg=draw(or_zero(between(1.0, 20.0))),
+        compensation=compensation,
+        discretization=draw(st.sampled_from(rules)),
+    )
+
+
+# One of every structure, by name.
+STRUCTURES: dict[str, AdmittanceController] = {
+    "plain": admittance(lead=0.0),
+    "lead": admittance(lead=0.02),
+    "feedback": admittance(lead=0.02, feedback=7.5e-3),
+    "filtered": replace(admittance(lead=0.02), compensation_mass_kg=8.0),
+    "filtered, feedback": replace(admittance(lead=0.02, feedback=7.5e-3), compensation_mass_kg=8.0),
+    "ideal": replace(admittance(lead=0.0), compensation_mass_kg=8.0, compensation="ideal"),
+    "ideal, lead": replace(admittance(lead=0.02), compensation_mass_kg=8.0, compensation="ideal"),
+    "ideal, lead, feedback": replace(
+        admittance(lead=0.02, feedback=7.5e-3), compensation_mass_kg=8.0, compensation="ideal"
+    ),
+    "forward Euler": replace(admittance(lead=0.02, feedback=7.5e-3), discretization="forward_euler"),
+    "filtered, forward Euler": replace(admittance(lead=0.02), compensation_mass_kg=8.0, discretization="forward_euler"),
+    "backward Euler": replace(admittance(lead=0.02, feedback=7.5e-3), discretization="backward_euler"),
+    "ideal, backward Euler": replace(
+        admittance(lead=0.02), compensation_mass_kg=8.0, compensation="ideal", discretization="backward_euler"
+    ),
+}

@@ -1,6 +1,5 @@
 """The same axis by other means: SI units, python-control and scipy, direct-form difference equations."""
 
-import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -8,10 +7,9 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
-from scipy.integrate import solve_ivp
 
 from problems.controller import AdmittanceController
-from problems.plant import FREE_SPACE, Plant
+from problems.plant import Plant
 from problems.sampled import SampledLoop, SampledPlant
 
 FloatArray = NDArray[np.float64]
@@ -76,7 +74,9 @@ def continuous_plant(plant: Plant) -> tuple[FloatArray, FloatArray, FloatArray, 
     return m.a, m.b[:, :1], m.c[:2], m.d[:2, :1]
 
 
-def discretized(numerator: list[float], denominator: list[float], h: float, theta: float) -> tuple[FloatArray, ...]:
+def discretized(
+    numerator: list[float], denominator: list[float], h: float, theta: float
+) -> tuple[FloatArray, FloatArray]:
     """Replace s by (z − 1)/(h (θ z + 1 − θ)) in polynomials (highest power first); the result is monic below.
 
     Unlike scipy's conversions this takes improper fractions, which the ideal compensation is.
@@ -171,6 +171,12 @@ def surplus_poles(controller: AdmittanceController, h: float) -> list[float]:
     return out
 
 
+def transfer(system: Any, z: complex) -> ComplexArray:
+    """Evaluate a python-control system at z by one solve; its own way loses digits in badly scaled systems."""
+    states = np.linalg.solve(z * np.eye(len(system.A)) - system.A, system.B.astype(complex))
+    return np.asarray(system.C @ states + system.D)
+
+
 def step_response(system: Any, desired: FloatArray) -> FloatArray:
     """Iterate a single-input single-output state-space system over `desired`."""
     state, out = np.zeros(len(system.A)), []
@@ -240,9 +246,7 @@ class SampledLaw:
         command: float = 0.0,
         position: float = 0.0,
     ) -> None:
-        laws = {
-            name: discretized(*law, h, controller.theta) for name, law in continuous_laws(controller).items()
-        }
+        laws = {name: discretized(*law, h, controller.theta) for name, law in continuous_laws(controller).items()}
         # At steady speed O_a x is 0 and C_fb x is B_fb v, so A(1 + C_ff) gives the command and B_fb v.
         positions, damping = [position - i * speed * h for i in (1, 2)], controller.feedback_damping_s * speed
         commands = [command + damping - i * speed * h for i in (1, 2)]
@@ -253,13 +257,15 @@ class SampledLaw:
     def step(self, force: float, position: float) -> float:
         """Return x^d from F^d + F and x at the tick."""
         return self.forward.step(force + self.acceleration.step(position)) - self.feedback.step(position)
+
+
 def fine_step_response(
     plant: Plant, controller: AdmittanceController, h: float, delay: tuple[int, int, int], samples: int
 ) -> FloatArray:
     """Return F at the ticks after a unit step of F^d, on a grid of h/q that a delay of (d + p/q) h falls upon."""
     whole, p, q = delay
     a, b, c, d = signal.cont2discrete(continuous_plant(plant), h / q, "zoh")[:4]
-    law, state = DifferenceEquation(controller, h), np.zeros(len(a))
+    law, state = SampledLaw(controller, h), np.zeros(len(a))
     commands: list[float] = []
     out: list[float] = []
     for k in range(samples):
@@ -303,145 +309,4 @@ def steady_approach(
     solution = np.linalg.solve(system, right)
     state, found = solution[:size], float(solution[size + 1])
     command = float(loop.c_command @ state + loop.d_command * (0.0 if hand else found))
-    return SteadyApproach(state=state, command_m=command, speed_m_s=float(solution[size]), force_n=found)
-
-
-@dataclass(kw_only=True)
-class Collision:
-    """F and F_e at the ticks, the largest F_e with its time, and the impulses on the environment's mass."""
-
-    sensed: list[float] = field(default_factory=list)
-    pressed: list[float] = field(default_factory=list)
-    peak: float = 0.0
-    time_of_peak: float = 0.0
-    impulses: list[float] = field(default_factory=list)
-    departures: int = 0
-
-
-class Environment:
-    """The payload (SI state y = (robot, x_p, v_p)) on and off an environment, by a Runge–Kutta solver with events.
-
-    Straight from MODEL.md; off the payload the environment goes its own way: with its mass on spring and damper,
-    without mass with its damper alone.
-    """
-
-    def __init__(self, plant: Plant, state: FloatArray, outside_force: float) -> None:
-        self.plant, self.force, self.found = plant, outside_force, Collision()
-        self.on, self.off = continuous_motion(plant), continuous_motion(plant.in_contact_with(FREE_SPACE))
-        self.y, self.time, self.touching = np.append(state, [0.0, 0.0]), 0.0, True
-        self._meet()
-
-    def sense(self, held: float) -> tuple[float, float, float]:
-        """Return F, x and F_e."""
-        motion = self.on if self.touching else self.off
-        force, position, pressed = motion.c @ self.y[:-2] + motion.d @ [held, self.force]
-        return float(force), float(position), max(0.0, float(pressed)) if self.touching else 0.0
-
-    def advance(self, held: float, duration: float) -> None:
-        """Move on under a held command, through as many meetings and departures as there are."""
-        left = duration
-        while left > 0.0:
-            left = self._advance_on(held, left) if self.touching else self._advance_off(held, left)
-
-    def _meet(self) -> None:
-        mass, own = self.plant.environment.mass_kg, self.plant.payload.mass_kg
-        common = (own * self.y[-3] + mass * self.y[-1]) / (own + mass)
-        if mass > 0.0:
-            self.found.impulses.append(mass * (common - self.y[-1]))
-        self.y[-3], self.touching = common, True
-
-    def _advance_on(self, held: float, duration: float) -> float:
-        m, inputs = self.on, np.array([held, self.force])
-
-        def rate(_: float, y: FloatArray) -> FloatArray:
-            return np.asarray(m.a @ y + m.b @ inputs)
-
-        def pressed(_: float, y: FloatArray) -> float:
-            return float(m.c[2] @ y + m.d[2] @ inputs)
-
-        def rise(_: float, y: FloatArray) -> float:
-            return float(m.c[2] @ (m.a @ y + m.b @ inputs))
-
-        pressed.terminal, pressed.direction, rise.direction = True, -1.0, -1.0  # type: ignore[attr-defined]
-        start = self.y[:-2]
-        if pressed(0.0, start) < -1e-9:  # as an impact or a step of the command may leave an environment with mass
-            self.y[-2:] = start[-2:]
-            self.touching, self.found.departures = False, self.found.departures + 1
-            return duration
-        run = solve_ivp(rate, (0.0, duration), start, "DOP853", events=(pressed, rise), rtol=1e-11, atol=1e-16)
-        times, states = [0.0, run.t[-1], *run.t_events[1]], [start, run.y[:, -1], *run.y_events[1]]
-        for moment, state in zip(times, states, strict=True):
-            if pressed(moment, state) > self.found.peak:
-                self.found.peak, self.found.time_of_peak = pressed(moment, state), self.time + moment
-        self.y[:-2], self.y[-2:] = run.y[:, -1], run.y[-2:, -1]
-        self.time += run.t[-1]
-        if run.status == 1:
-            self.touching, self.found.departures = False, self.found.departures + 1
-        return float(duration - run.t[-1])
-
-    def _advance_off(self, held: float, duration: float) -> float:
-        m, inputs, wall = self.off, np.array([held, self.force]), self.plant.environment
-        n = len(self.y)
-        a = np.zeros((n, n))
-        a[:-2, :-2] = m.a
-        if wall.mass_kg > 0.0:
-            a[-2, -1] = 1.0
-            a[-1, -2:] = -wall.stiffness_n_per_m / wall.mass_kg, -wall.damping_n_s_per_m / wall.mass_kg
-        elif wall.damping_n_s_per_m > 0.0:
-            a[-2, -2] = -wall.stiffness_n_per_m / wall.damping_n_s_per_m
-        else:
-            self.y[-2] = 0.0
-        drive = np.append(m.b @ inputs, [0.0, 0.0])
-
-        def meet(_: float, y: FloatArray) -> float:
-            # Just after it has left the payload moves as the surface does: the gap is rounding at first.
-            return float(y[-4] - y[-2]) - 1e-15
-
-        meet.terminal, meet.direction = True, 1.0  # type: ignore[attr-defined]
-        stiff = wall.mass_kg == 0.0 and wall.damping_n_s_per_m > 0.0
-        run = solve_ivp(
-            lambda _, y: a @ y + drive,
-            (0.0, duration),
-            self.y,
-            "Radau" if stiff else "DOP853",
-            events=meet,
-            rtol=1e-11,
-            atol=1e-16,
-        )
-        self.y = run.y[:, -1]
-        self.time += run.t[-1]
-        if run.status == 1:
-            self._meet()
-        return float(duration - run.t[-1])
-
-
-def collide(
-    plant: Plant, controller: AdmittanceController, h: float, start: SteadyApproach, forces: tuple[float, float], samples: int
-) -> Collision:
-    """Follow an impact from a steady approach, with F^d and the outside force of `forces` after it.
-
-    `start` gives plant state and past commands in the layout of `SampledLoop`; the controller is one of its own.
-    """
-    order, delay = plant.robot.order, plant.robot.delay_s / h
-    late = math.ceil(delay - 1e-9)
-    part = late - delay if late - delay > 1e-9 else 0.0
-    chain, past = start.state[: order + 2], list(start.state[order + 2 : order + 2 + late])
-    # scipy's controllable form counts derivatives of a signal w with den(s) w = x^d from the highest down.
-    lowest = plant.robot.denominator[-1] / plant.robot.denominator[0]
-    robot = [chain[i] / h**i / lowest for i in reversed(range(order))]
-    world = Environment(plant, np.array([*robot, chain[-2], chain[-1] / h]), forces[1])
-    position = world.sense(0.0)[1]
-    effort = controller.damping_n_s_per_m * start.speed_m_s
-    law = SampledLaw(
-        controller, h, speed=start.speed_m_s, force=effort, command=start.command_m, position=position
-    )
-    for _ in range(samples):
-        force, position, pressed = world.sense(past[-1] if past else 0.0)
-        world.found.sensed.append(force)
-        world.found.pressed.append(pressed)
-        past = [law.step(forces[0] + force, position), *past]
-        oldest = past.pop() if late else past[0]
-        for held, share in ((oldest, 1.0 - part), (past[-1], part)):
-            world.advance(held, share * h)
-        past = past[:late]
-    return world.found
+    return SteadyApproach(state=np.asarray(state), command_m=command, speed_m_s=float(solution[size]), force_n=found)

@@ -1,33 +1,52 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import signal
 
-from problems.controller import AdmittanceController, controller_blocks
+from problems.controller import CONTROLLER_STATES, AdmittanceController, controller_blocks, needed_states
 from problems.errors import ParameterError
-from problems.plant import Plant
+from problems.plant import FREE_SPACE, Coupling, Environment, Payload, Plant
+from problems.response import loop_response
 from problems.sampled import (
+    CutLoop,
     SampledLoop,
+    build_cut_loop,
     build_loop,
     build_sampled_plant,
+    controller_matrices,
     hold,
     spectral_radius,
     split_delay,
     stability_matrix,
+    write_open_loop,
 )
 from tests.problems.axes import (
     LAW,
     PERIOD_S,
+    STRUCTURES,
     WHOLE_DELAYS,
     admittance,
-    controllers,
+    any_controllers,
+    any_plants,
+    environments,
     one_pole,
     paper_plant,
-    plants,
 )
-from tests.problems.reference import closed_loop, fine_step_response, step_response
+from tests.problems.reference import (
+    SampledLaw,
+    closed_loop,
+    continuous_motion,
+    fine_step_response,
+    step_response,
+    surplus_poles,
+)
+
+FloatArray = NDArray[np.float64]
 
 SAMPLES = 300
 
@@ -36,7 +55,7 @@ def loop_of(plant: Plant, controller: AdmittanceController) -> SampledLoop:
     return build_loop(build_sampled_plant(plant, PERIOD_S), controller)
 
 
-def iterate(loop: SampledLoop, desired: np.ndarray) -> np.ndarray:
+def iterate(loop: SampledLoop, desired: FloatArray) -> FloatArray:
     state, out = np.zeros(len(loop.b)), []
     for value in desired:
         out.append(loop.c_force @ state + loop.d_force * value)
@@ -44,7 +63,7 @@ def iterate(loop: SampledLoop, desired: np.ndarray) -> np.ndarray:
     return np.array(out)
 
 
-def agree(ours: np.ndarray, theirs: np.ndarray) -> None:
+def agree(ours: FloatArray, theirs: FloatArray) -> None:
     """Compare two responses relative to what they have reached so far: some of the random loops are unstable.
 
     300 products with matrices of size 10, each exact to 1e-15 of a state whose parts (K_s x) exceed F by up to 1e3.
@@ -53,71 +72,124 @@ def agree(ours: np.ndarray, theirs: np.ndarray) -> None:
     assert np.max(np.abs(ours - theirs) / (reached + 1e-9)) < 1e-9
 
 
+def whole_samples(plant: Plant) -> int:
+    return round(plant.robot.delay_s / PERIOD_S)
+
+
 @LAW
-@given(plants(WHOLE_DELAYS), controllers())
+@given(any_plants(WHOLE_DELAYS), any_controllers())
 def test_a_step_of_the_desired_force_gives_what_python_control_gives(
     plant: Plant, controller: AdmittanceController
 ) -> None:
-    whole = round(plant.robot.delay_s / PERIOD_S)
     step = np.ones(SAMPLES)
-    agree(
-        iterate(loop_of(plant, controller), step), step_response(closed_loop(plant, controller, PERIOD_S, whole), step)
-    )
+    theirs = step_response(closed_loop(plant, controller, PERIOD_S, whole_samples(plant)), step)
+    agree(iterate(loop_of(plant, controller), step), theirs)
 
 
 @LAW
-@given(plants(), controllers(), st.integers(0, 4), st.sampled_from([(1, 2), (1, 3), (2, 3), (1, 5), (4, 5), (0, 1)]))
+@given(
+    any_plants(),
+    any_controllers(),
+    st.integers(0, 4),
+    st.sampled_from([(1, 2), (1, 3), (2, 3), (1, 5), (4, 5), (0, 1)]),
+)
 def test_a_fraction_of_a_sample_is_what_a_finer_grid_gives(
     plant: Plant, controller: AdmittanceController, whole: int, fraction: tuple[int, int]
 ) -> None:
     p, q = fraction
-    delayed = paper_plant(
-        stiffness=plant.environment.stiffness_n_per_m,
-        environment_damping=plant.environment.damping_n_s_per_m,
-        mass=plant.payload.mass_kg,
-        drag=plant.payload.drag_n_s_per_m,
-        coupling=plant.coupling.stiffness_n_per_m,
-        coupling_damping=0.0 if whole + p == 0 else plant.coupling.damping_n_s_per_m,
-        robot=one_pole((whole + p / q) * PERIOD_S, 30.0),
-    )
+    delayed = replace(plant, robot=one_pole((whole + p / q) * PERIOD_S, 30.0))
+    if whole + p == 0:
+        delayed = replace(delayed, coupling=replace(plant.coupling, damping_n_s_per_m=0.0))
     fine = fine_step_response(delayed, controller, PERIOD_S, (whole, p, q), SAMPLES)
     agree(iterate(loop_of(delayed, controller), np.ones(SAMPLES)), fine)
 
 
 @LAW
-@given(plants(WHOLE_DELAYS), controllers(), st.floats(0.0, math.pi), st.sampled_from([0.8, 1.05, 1.3]))
+@given(any_plants(st.integers(1, 4).map(lambda whole: whole * PERIOD_S)), any_controllers())
+def test_a_hand_on_the_payload_gives_what_scipys_held_plant_gives(
+    plant: Plant, controller: AdmittanceController
+) -> None:
+    loop, law = loop_of(plant, controller), SampledLaw(controller, PERIOD_S)
+    si = continuous_motion(plant)
+    a, b, c, d = signal.cont2discrete((si.a, si.b, si.c, si.d), PERIOD_S, "zoh")[:4]
+    state, theirs, past = np.zeros(len(loop.a)), np.zeros(len(a)), [0.0] * whole_samples(plant)
+    ours, expected = [], []
+    for _ in range(SAMPLES):
+        inputs = np.array([past.pop(), 1.0])
+        force, position, _ = c @ theirs + d @ inputs
+        past.insert(0, law.step(force, position))
+        ours.append(loop.c_force @ state)
+        expected.append(force)
+        state, theirs = loop.a @ state + loop.b_push, a @ theirs + b @ inputs
+    agree(np.array(ours), np.array(expected))
+
+
+@LAW
+@given(any_plants(WHOLE_DELAYS), any_controllers(), st.floats(0.0, math.pi), st.sampled_from([0.8, 1.05, 1.3]))
 def test_the_characteristic_polynomial_is_python_controls(
     plant: Plant, controller: AdmittanceController, angle: float, radius: float
 ) -> None:
-    """Both matrices have all modes and no other: equal monic polynomials, compared where no root is."""
+    """Both matrices have all modes and no other but for poles that cancel in python-control's controller.
+
+    Equal monic polynomials, compared where no root is.
+    """
     z = radius * np.exp(1j * angle)
     ours = loop_of(plant, controller).a
-    theirs = closed_loop(plant, controller, PERIOD_S, round(plant.robot.delay_s / PERIOD_S)).A
-    assert ours.shape == theirs.shape
-    ratio = np.linalg.det(z * np.eye(len(ours)) - ours) / np.linalg.det(z * np.eye(len(ours)) - theirs)
+    theirs, surplus = (
+        closed_loop(plant, controller, PERIOD_S, whole_samples(plant)).A,
+        surplus_poles(controller, PERIOD_S),
+    )
+    assert len(ours) == len(theirs) - len(surplus)
+    hidden = np.prod([z - pole for pole in surplus])
+    ratio = hidden * np.linalg.det(z * np.eye(len(ours)) - ours) / np.linalg.det(z * np.eye(len(theirs)) - theirs)
     # python-control's matrices hold entries up to K_s = 1e6 beside ones: six digits are lost there.
     assert abs(ratio - 1.0) < 1e-7
 
 
 @LAW
-@given(plants(WHOLE_DELAYS), controllers())
+@given(any_plants(WHOLE_DELAYS), any_controllers())
 def test_the_largest_eigenvalue_is_python_controls(plant: Plant, controller: AdmittanceController) -> None:
     loop = loop_of(plant, controller)
-    poles = closed_loop(plant, controller, PERIOD_S, round(plant.robot.delay_s / PERIOD_S)).poles()
-    if loop.is_free_space:
-        poles = np.delete(poles, np.argmin(np.abs(poles - 1.0)))
+    poles = closed_loop(plant, controller, PERIOD_S, whole_samples(plant)).poles()
+    for hidden in surplus_poles(controller, PERIOD_S) + ([] if loop.is_anchored else [1.0]):
+        poles = np.delete(poles, np.argmin(np.abs(poles - hidden)))
     # Slow poles cluster near 1; two that meet are known to the square root of the rounding of 1e-13.
     assert spectral_radius(loop) == pytest.approx(float(np.max(np.abs(poles))), abs=1e-6)
 
 
 @LAW
-@given(plants(contact=False), controllers(), st.floats(0.0, math.pi))
+@given(any_plants(), any_controllers(), st.floats(0.0, math.pi))
+def test_the_states_that_are_left_out_would_add_their_own_poles_only(
+    plant: Plant, controller: AdmittanceController, angle: float
+) -> None:
+    """det(z − a) of a loop that keeps all four controller states is that of `build_loop` times (z − pole) of the rest."""
+    sampled, z = build_sampled_plant(plant, PERIOD_S), 1.2 * np.exp(1j * angle)
+    blocks, loop = controller_blocks(controller, PERIOD_S), build_loop(sampled, controller)
+    size = sampled.state_count + sampled.chain_length + CONTROLLER_STATES
+    m = np.zeros((size + 2, size + 3))
+    parts = (sampled.phi, sampled.gamma, sampled.gamma_old, sampled.gamma_push, sampled.c_position, sampled.c_force)
+    every = controller_matrices(blocks, np.arange(CONTROLLER_STATES))
+    write_open_loop(m, (*parts, sampled.d_force), sampled.whole_delay, sampled.chain_length, every)
+    whole = CutLoop(matrix=m, state_count=size).closed_at(size + 1, size)[:size, :size]
+    rest = np.setdiff1d(np.arange(CONTROLLER_STATES), needed_states(blocks))
+    assert len(loop.a) + len(rest) == size
+    expected = np.linalg.det(z * np.eye(size) - whole) / np.prod(z - blocks[rest, 1])
+    # Determinants of some hundred, of matrices whose states span 1e6.
+    assert np.linalg.det(z * np.eye(len(loop.a)) - loop.a) == pytest.approx(expected, rel=1e-9)
+
+
+UNANCHORED = st.one_of(st.just(FREE_SPACE), environments().map(lambda wall: replace(wall, stiffness_n_per_m=0.0)))
+
+
+@LAW
+@given(any_plants(touched=UNANCHORED), any_controllers(), st.floats(0.0, math.pi))
 def test_the_deflated_matrix_lacks_the_integrator_and_nothing_else(
     plant: Plant, controller: AdmittanceController, angle: float
 ) -> None:
-    """det(z − a) = (z − 1) det(z − stability_matrix)."""
+    """det(z − a) = (z − 1) det(z − stability_matrix), without environment and on dampers and masses alone."""
     loop, z = loop_of(plant, controller), 1.2 * np.exp(1j * angle)
     reduced = stability_matrix(loop)
+    assert not loop.is_anchored
     assert len(reduced) == len(loop.a) - 1
     whole = np.linalg.det(z * np.eye(len(loop.a)) - loop.a)
     # States span 1e6 (force per position); a determinant keeps the remaining digits.
@@ -125,12 +197,73 @@ def test_the_deflated_matrix_lacks_the_integrator_and_nothing_else(
 
 
 @LAW
-@given(plants(contact=False), controllers())
-def test_in_free_space_everything_may_stand_elsewhere(plant: Plant, controller: AdmittanceController) -> None:
+@given(any_plants(touched=UNANCHORED), any_controllers())
+def test_without_an_anchor_everything_may_stand_elsewhere(plant: Plant, controller: AdmittanceController) -> None:
+    """The translation is the eigenvector at z = 1 of every structure; it moves x, x_p and x^d by one metre."""
     loop = loop_of(plant, controller)
-    # One metre of translation: rows hold gains of K_s h²/M_p and below.
+    # Rows hold gains of K_s h²/M_p and below, and of 4/h for the derivative of the ideal form.
     np.testing.assert_allclose(loop.a @ loop.translation, loop.translation, atol=1e-9)
     assert abs(loop.c_force @ loop.translation) < 1e-9 * plant.coupling.stiffness_n_per_m
+    assert loop.c_command @ loop.translation == pytest.approx(1.0, rel=1e-9)
+    n = plant.robot.order + 2
+    assert build_sampled_plant(plant, PERIOD_S).c_position @ loop.translation[:n] == pytest.approx(1.0, rel=1e-12)
+    assert loop.translation[n - 2] == 1.0
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_an_anchored_loop_has_no_pole_at_one(name: str) -> None:
+    """On a spring the same translation is resisted: the loop pulls back."""
+    loop = loop_of(paper_plant(stiffness=1e3), STRUCTURES[name])
+    assert loop.is_anchored
+    assert np.min(np.abs(np.linalg.eigvals(loop.a) - 1.0)) > 1e-5
+
+
+@LAW
+@given(any_plants(touched=st.just(FREE_SPACE)), any_controllers(), st.floats(0.3, math.pi))
+def test_a_wall_of_almost_no_stiffness_is_almost_free_space(
+    plant: Plant, controller: AdmittanceController, angle: float
+) -> None:
+    """The frozen limit K_e → 0: the characteristic polynomials become one, the integrator's pole included."""
+    soft = loop_of(plant.in_contact_with(Environment(stiffness_n_per_m=1e-6)), controller)
+    free, z = loop_of(plant, controller), 1.1 * np.exp(1j * angle)
+    found, expected = (np.linalg.det(z * np.eye(len(a)) - a) for a in (soft.a, free.a))
+    # Changes of K_e h²/M_p = 3e-13 per entry, and the determinant's own rounding.
+    assert found == pytest.approx(expected, rel=1e-8)
+    # The pole that is left moves from 1 by K_e h/B_a = 3e-12 at the most.
+    assert np.min(np.abs(np.linalg.eigvals(soft.a) - 1.0)) < 1e-6
+
+
+def in_other_units(plant: Plant, controller: AdmittanceController, factor: float) -> tuple[Plant, AdmittanceController]:
+    """Measure lengths in units of 1/factor metre; newton and second stay (mm: 1000; a lever arm makes it rotation)."""
+    wall = plant.environment
+    other = Plant(
+        robot=plant.robot,
+        coupling=Coupling(
+            stiffness_n_per_m=plant.coupling.stiffness_n_per_m / factor,
+            damping_n_s_per_m=plant.coupling.damping_n_s_per_m / factor,
+        ),
+        payload=Payload(mass_kg=plant.payload.mass_kg / factor, drag_n_s_per_m=plant.payload.drag_n_s_per_m / factor),
+        environment=Environment(
+            stiffness_n_per_m=wall.stiffness_n_per_m / factor,
+            damping_n_s_per_m=wall.damping_n_s_per_m / factor,
+            mass_kg=wall.mass_kg / factor,
+        ),
+    )
+    return other, replace(
+        controller,
+        mass_kg=controller.mass_kg / factor,
+        damping_n_s_per_m=controller.damping_n_s_per_m / factor,
+        compensation_mass_kg=controller.compensation_mass_kg / factor,
+    )
+
+
+@LAW
+@given(any_plants(), any_controllers(), st.sampled_from([1000.0, 1.0 / 0.16, 0.02]))
+def test_forces_do_not_know_the_unit_of_length(plant: Plant, controller: AdmittanceController, factor: float) -> None:
+    """The same F for millimetres, and for a rotation about an axis 0.16 m away read as force at that radius."""
+    one, other = loop_of(plant, controller), loop_of(*in_other_units(plant, controller, factor))
+    assert spectral_radius(other) == pytest.approx(spectral_radius(one), abs=1e-6)  # two poles that meet: a square root
+    agree(iterate(other, np.ones(SAMPLES)), iterate(one, np.ones(SAMPLES)))
 
 
 def test_in_contact_all_eigenvalues_count() -> None:
@@ -235,14 +368,12 @@ def test_a_delay_is_split_into_samples_and_a_fraction(delay_s: float, whole: int
 
 
 @LAW
-@given(plants(WHOLE_DELAYS, contact=True), controllers())
+@given(any_plants(WHOLE_DELAYS), any_controllers())
 def test_the_radius_does_not_jump_where_the_fraction_vanishes(plant: Plant, controller: AdmittanceController) -> None:
     """A delay of n samples and one of n samples and a millionth are nearly the same loop."""
     robot = plant.robot
-    later = type(robot)(
-        numerator=robot.numerator, denominator=robot.denominator, delay_s=robot.delay_s + 1e-6 * PERIOD_S
-    )
-    moved = Plant(robot=later, coupling=plant.coupling, payload=plant.payload, environment=plant.environment)
+    later = replace(robot, delay_s=robot.delay_s + 1e-6 * PERIOD_S)
+    moved = replace(plant, robot=later)
     # A robot of one pole has a direct path to the coupling's damper, and only at exactly zero delay.
     assume(robot.delay_s > 0.0 or plant.coupling.damping_n_s_per_m == 0.0)
     a, b = loop_of(plant, controller), loop_of(moved, controller)
@@ -260,9 +391,25 @@ def test_the_period_must_be_positive(period_s: float) -> None:
 def test_the_state_is_plant_then_commands_then_controller() -> None:
     sampled = build_sampled_plant(paper_plant(robot=one_pole(2.2e-3)), PERIOD_S)
     assert (sampled.state_count, sampled.whole_delay, sampled.chain_length) == (3, 2, 3)
-    loop = build_loop(sampled, admittance())
-    blocks = controller_blocks(admittance().parameters(), PERIOD_S)
-    # The newest command is the controller's output; the older ones are shifted.
-    np.testing.assert_array_equal(loop.a[3, 6:], [1.0, 1.0, -1.0])
+    loop, law = build_loop(sampled, admittance(lead=0.02)), admittance(lead=0.02)
+    blocks = controller_blocks(law, PERIOD_S)
+    # The newest command is the controller's output, integrator and lag; the older ones are shifted.
+    np.testing.assert_array_equal(loop.a[3, 6:], [1.0, 1.0])
     np.testing.assert_array_equal(loop.a[4:6, 3:5], np.eye(2))
     assert loop.b[3] == blocks[0, 0] + blocks[1, 0]
+    np.testing.assert_array_equal(loop.c_command, loop.a[3])
+    assert loop.d_command == loop.b[3]
+
+
+@pytest.mark.parametrize("signal_at", ["force", "command"])
+def test_a_loop_that_is_cut_has_the_open_loop_between_its_ends(signal_at: str) -> None:
+    """Closed at one break point, the transfer from the other's input to its output is −L there."""
+    sampled, controller = build_sampled_plant(paper_plant(robot=one_pole(2.2e-3)), PERIOD_S), STRUCTURES["filtered"]
+    cut, omega = build_cut_loop(sampled, controller), 60.0
+    at, other = (cut.force, cut.command) if signal_at == "force" else (cut.command, cut.force)
+    m, n, z = cut.closed_at(other), cut.state_count, np.exp(1j * omega * PERIOD_S)
+    found = m[at, :n] @ np.linalg.solve(z * np.eye(n) - m[:n, :n], m[:n, at].astype(complex)) + m[at, at]
+    loop = loop_response(sampled, controller, np.array([omega]))
+    expected = loop.at_force if signal_at == "force" else loop.at_command
+    # A solve with states that span 1e6.
+    assert -found == pytest.approx(expected[0], rel=1e-8)

@@ -62,8 +62,12 @@ def test_the_matrices_are_those_of_the_numeric_form(plant: Plant, controller: Ad
     sampled = build_sampled_plant(plant, PERIOD_S)
     form, loop = build_symbolic_form(minimal(sampled, controller)), build_loop(sampled, controller)
     arguments = arguments_of(sampled, controller)
-    for name, value in values_of(form.plant, *arguments[:4]).items():
-        agree(value, getattr(sampled, name))
+    plant_found = values_of(form.plant, *arguments[:4])
+    for name in set(plant_found) - {"gamma_old"}:
+        agree(plant_found[name], getattr(sampled, name))
+    # A difference of two columns of this size; with a small fraction it is much smaller.
+    both = np.max(np.abs(sampled.gamma + sampled.gamma_old))
+    np.testing.assert_allclose(plant_found["gamma_old"], sampled.gamma_old, rtol=0.0, atol=1e-14 * both)
     found = values_of(form.loop, *arguments)
     assert found["a"].shape == loop.a.shape
     for name in ("a", "b", "b_push", "c_force", "d_force", "c_command", "d_command"):
@@ -95,7 +99,8 @@ def test_the_responses_are_those_of_the_numeric_form(
 
 
 def reached(values: FloatArray) -> FloatArray:
-    return np.maximum.accumulate(np.abs(values)) + 1e-9
+    """Return the largest force so far: some of the random loops are unstable."""
+    return np.maximum.accumulate(np.abs(values))
 
 
 @LAW
@@ -112,10 +117,11 @@ def test_until_the_payload_leaves_the_forces_are_the_contact_transients(
     # A surface without damper and mass is touched with no force.
     away = np.flatnonzero(found["contact_force"] < 0.0)
     stays = int(away[0]) if away.size else SAMPLES
-    # An ideal compensation differentiates x, whose rounding K_s multiplies by up to 1e6; unstable loops are among them.
+    # F is a difference of forces K_s x, with x about the way made within the lag of the robot, 0.1 s.
+    size = 1e-14 * plant.coupling.stiffness_n_per_m * expected.contact_speed_m_s * 0.1
     for name in ("sensor_force", "contact_force"):
         values = getattr(expected, f"{name}_n")[:stays]
-        assert np.all(np.abs(found[name][:stays] - values) < 1e-10 * reached(values))
+        assert np.all(np.abs(found[name][:stays] - values) < 1e-10 * reached(values) + size)
 
 
 @pytest.mark.parametrize("order", [4, 5])
