@@ -50,6 +50,7 @@ coverage: $(DEV)
 	@$(BIN)/python -m pytest --cov --cov-report=term-missing:skip-covered $(ARGS)
 
 benchmarks: $(DEV)
+	@$(PIP_INSTALL) --editable '.[dev,benchmarks]'
 	@for script in benchmarks/bench_*.py; do \
 		echo "== $$script"; \
 		$(BIN)/python "$$script" || exit 1; \

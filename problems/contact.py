@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._checks import finite, positive
+from .contact_events import LOOKS_PER_RADIAN, MOST_LOOKS
 from .contact_kernel import Contact, run_contact
 from .contact_start import contact_forces, steady_start
 from .controller import AdmittanceController, controller_blocks
@@ -19,9 +20,6 @@ from .sampled import SampledPlant, build_loop, build_sampled_plant, hold, spectr
 FloatArray = NDArray[np.float64]
 
 LONGEST_TRANSIENT_S = 10.0
-# Between the ticks the contact force is looked at this often per radian of the plant's fastest oscillation.
-_LOOKS_PER_RADIAN = 2.0
-_MOST_LOOKS = 64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +140,7 @@ def _inside(contact: SampledPlant) -> FloatArray:
     """Return F_e at equal parts of a sample, for contacts so stiff that they swing between the ticks."""
     n = contact.state_count
     fastest = float(np.max(np.abs(np.linalg.eigvals(contact.rate).imag)))
-    looks = min(_MOST_LOOKS, max(1, math.ceil(_LOOKS_PER_RADIAN * fastest)))
+    looks = min(MOST_LOOKS, max(1, math.ceil(LOOKS_PER_RADIAN * fastest)))
     rows = np.zeros((looks - 1, n + 3))
     inputs = np.stack([contact.drive, contact.push], axis=1)
     for j in range(1, looks):

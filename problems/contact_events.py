@@ -9,12 +9,14 @@ FloatArray = NDArray[np.float64]
 # (K_e, B_e/h, M_e/h², share of the speed that the payload keeps in an impact with the resting environment)
 Wall = tuple[float, float, float, float]
 
+# Between the ticks a contact is looked at this often per radian of its fastest oscillation.
+LOOKS_PER_RADIAN = 2.0
+MOST_LOOKS = 64
+
 _TAYLOR_TERMS = 14
 _BISECTIONS = 44
 _SWITCHES_PER_SAMPLE = 8
 _SERIES_TERMS = 18
-_LOOKS_PER_RADIAN = 2.0
-_MOST_LOOKS = 64
 _SLOPE_STEPS = 7
 # Below this (ωτ)² the power series of cosine and sine are exact to rounding in four terms.
 _NEARLY_CRITICAL = 1e-3
@@ -77,7 +79,7 @@ def looks_apart(wall: Wall) -> int:
     """Return in how many parts a sample is looked at while the environment's mass swings on its own."""
     if wall[2] == 0.0:
         return 1
-    return max(1, min(_MOST_LOOKS, int(np.ceil(_LOOKS_PER_RADIAN * np.sqrt(wall[0] / wall[2])))))
+    return max(1, min(MOST_LOOKS, int(np.ceil(LOOKS_PER_RADIAN * np.sqrt(wall[0] / wall[2])))))
 
 
 @compiled

@@ -12,11 +12,13 @@ from .controller import AdmittanceController
 from .design import DesignProblem, Requirements, Scenario
 from .margins import Margins, PreparedMargins, UnstableLoopError, prepare_margins
 from .response import PlantResponse, free_space_admittance, plant_response, rendered_admittance
+from .robot import RobotModel
 from .sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
 
 FloatArray = NDArray[np.float64]
 
 _ADMITTANCE_POINTS = 40
+_AROUND_A_DIP = np.linspace(-2.0, 2.0, 17)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,7 +196,9 @@ def build_scenarios(problem: DesignProblem, scenarios: Sequence[Scenario]) -> Pr
         scenarios=tuple(scenarios),
         pairs=pairs,
         plants=tuple(prepare_margins(plant) for plant in (*(pair.contact for pair in pairs), *free)),
-        target_response=None if target is None else plant_response(free[0], band_frequencies(target.band_hz)),
+        target_response=None
+        if target is None
+        else plant_response(free[0], band_frequencies(problem.robot, target.band_hz)),
     )
 
 
@@ -217,12 +221,18 @@ def normalise_margins(requirements: Requirements, margins: Margins, sample_time_
 
 def smallest_admittance(sampled: SampledPlant, controller: AdmittanceController, band_hz: tuple[float, float]) -> float:
     """Return min |G| [m/s/N] over the band (ends included)."""
-    return float(np.min(np.abs(free_space_admittance(sampled, controller, band_frequencies(band_hz)))))
+    omega = band_frequencies(sampled.plant.robot, band_hz)
+    return float(np.min(np.abs(free_space_admittance(sampled, controller, omega))))
 
 
-def band_frequencies(band_hz: tuple[float, float]) -> FloatArray:
-    """Return the frequencies [rad/s] at which a band is looked at, ends included."""
-    return np.asarray(2.0 * np.pi * np.geomspace(band_hz[0], band_hz[1], _ADMITTANCE_POINTS))
+def band_frequencies(robot: RobotModel, band_hz: tuple[float, float]) -> FloatArray:
+    """Return the frequencies [rad/s] at which a band is looked at: evenly, ends included, and around dips of r(s)."""
+    low, high = 2.0 * np.pi * band_hz[0], 2.0 * np.pi * band_hz[1]
+    # |G| is smooth but for lightly damped zeros of the robot.
+    zeros = [zero for zero in np.roots(robot.numerator) if low <= zero.imag <= high]
+    dips = [zero.imag + max(abs(zero.real), 1e-4 * zero.imag) * _AROUND_A_DIP for zero in zeros]
+    omega = np.concatenate([np.geomspace(low, high, _ADMITTANCE_POINTS), *dips])
+    return np.unique(np.clip(omega, low, high))
 
 
 def finish_evaluation(

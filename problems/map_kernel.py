@@ -1,13 +1,66 @@
-"""Compiled loop over the designs of a map on one plant."""
+"""Compiled loops of maps: over plants, and over the designs on one plant."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .compiled import compiled
 from .margin_kernel import Grid, find_loop_margins
-from .polynomials import CONTROLLER_POWERS, controller_polynomials
+from .plant import write_plant
+from .polynomials import CONTROLLER_POWERS, controller_polynomials, plant_polynomials
+from .sampled import exponential, squarings_for
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@compiled
+def polynomials_of_plants(
+    robots: tuple[FloatArray, FloatArray],
+    parameters: FloatArray,
+    delays: tuple[IntArray, FloatArray],
+    h: float,
+    out: FloatArray,
+) -> None:
+    """Write the polynomials of many plants into `out` (p, 3, L), see `plant_polynomials`.
+
+    `robots` are numerators (p, n) and denominators (p, n + 1) as `RobotModel.ascending` gives them, `parameters`
+    (p, 7) as `Plant.parameters`, `delays` whole samples (p,) and fractions (p,). The same steps as in
+    `build_sampled_plant`, without what stability does not need. NaN for a plant whose motion overflows.
+    """
+    numerators, denominators = robots
+    n = denominators.shape[1] + 1
+    for k in range(len(parameters)):
+        whole, fraction = delays[0][k], delays[1][k]
+        a, b, outputs = np.zeros((n, n)), np.zeros(n), np.zeros((2, n + 2))
+        push, c_contact, direct = np.zeros(n), np.zeros(n), np.zeros(3)
+        c_position, c_force = outputs[0, :n], outputs[1, :n]
+        write_plant(
+            a, b, push, c_position, c_force, c_contact, direct, numerators[k], denominators[k], parameters[k], h
+        )
+        outputs[1, n] = direct[0]
+        phi, gamma = _held(a, b, 1.0)
+        if not np.all(np.isfinite(phi)):
+            out[k, :, :] = np.nan
+            continue
+        gamma_old = np.zeros(n)
+        if fraction > 0.0:
+            _, newer = _held(a, b, 1.0 - fraction)
+            gamma_old[:] = gamma - newer
+            gamma = newer
+        chain = whole + (1 if fraction > 0.0 else 0)
+        found = plant_polynomials(phi, gamma, gamma_old, outputs, (whole, chain, fraction), parameters[k, 4] == 0.0)
+        out[k, :, : found.shape[1]] = found
+
+
+@compiled
+def _held(a: FloatArray, b: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
+    """Return exp(a·duration) and ∫ exp(a σ) b dσ over [0, duration]."""
+    n = len(b)
+    augmented = np.zeros((n + 1, n + 1))
+    augmented[:n, :n] = a * duration
+    augmented[:n, n] = b * duration
+    whole = exponential(augmented, np.eye(n + 1), squarings_for(augmented))
+    return np.ascontiguousarray(whole[:n, :n]), np.ascontiguousarray(whole[:n, n])
 
 
 @compiled
@@ -22,7 +75,8 @@ def margins_of_plant(
 ) -> None:
     """Write the margins of the wanted, stable loops into rows of `out` (m, MARGINS), see `find_loop_margins`.
 
-    `polynomials` and `grid` are the plant's as in `PreparedMargins`, `designs` (m, 7) controller parameters, `sampling` (h, θ, ideal).
+    `polynomials` and `grid` are the plant's as in `PreparedMargins`, `designs` (m, 7) controller parameters, `sampling`
+    (h, θ, ideal).
     """
     h, theta, ideal = sampling
     controller = np.zeros((3, CONTROLLER_POWERS))

@@ -11,8 +11,9 @@ from ._checks import positive
 from .controller import AdmittanceController
 from .errors import ParameterError
 from .map_designs import Designs, designs_around
+from .map_loops import check_delay
 from .map_parameters import controller_at, plant_at
-from .map_plants import BoolArray, FloatArray, PlantChunk, Where, build_chunk, check_delay
+from .map_plants import BoolArray, FloatArray, PlantChunk, Where, build_chunk
 from .maps import PLANTS_PER_CHUNK, MapAxis, Progress, check_varied
 from .plant import Plant
 
@@ -131,7 +132,7 @@ def _on_plants(request: IntervalRequest, case: IntervalCase, along: FloatArray) 
     chunk = build_chunk(plants, request.sample_time_s, request.where)
     controller = controller_at(case.controller, case.fixed)
     stable = chunk.stable(_designs(request, controller, request.searched.values()))
-    return [_intervals(request, chunk.one(j), controller, stable[:, j]) for j in range(chunk.count)]
+    return [_intervals(request, chunk.one(j), controller, stable[:, j]) for j in range(len(plants))]
 
 
 def _on_controllers(

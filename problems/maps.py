@@ -14,8 +14,9 @@ from .contact import Approach
 from .controller import AdmittanceController, check_feedback_damping
 from .errors import ParameterError
 from .map_designs import Designs, designs_around
+from .map_loops import check_delay
 from .map_parameters import MapParameter, MapQuantity, Part, check_together, controller_at, find_parameter, plant_at
-from .map_plants import BoolArray, FloatArray, Where, build_chunk, check_delay, peaks_of
+from .map_plants import BoolArray, FloatArray, Where, build_chunk, peaks_of
 from .plant import Plant
 
 _Kind = TypeVar("_Kind", np.bool_, np.float64)
@@ -207,7 +208,7 @@ def distance_at_boundary(result: MapResult) -> FloatArray:
         plant, controller = request.point(float(x[j]), float(y[i]))
         if chunk is None or plant != last:
             last, chunk = plant, build_chunk([plant], request.sample_time_s, request.where)
-        distance = abs(float(chunk.largest_radius(controller)[0]) - 1.0)
+        distance = abs(chunk.largest_radius(controller) - 1.0)
         out[i, j] = -distance if stable[i, j] else distance
     return out
 

@@ -273,6 +273,9 @@ def _crossovers(
     # At the Nyquist frequency the loop is real, unless an ideal derivative makes it infinite.
     if end.real < 0.0 and abs(end.imag) < _REAL * abs(end.real):
         found[GAIN_DB] = min(found[GAIN_DB], abs(20.0 * np.log10(-end.real)))
+    # As in continuous time a loop gain that stays above 1 tolerates no delay: z^−d changes its sign at the end.
+    if not abs(end) < 1.0:
+        found[DELAY_S] = 0.0
     for of_phase in (True, False):
         for k in range(len(omega) - 1):
             low, high = omega[k], omega[k + 1]

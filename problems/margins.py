@@ -30,7 +30,7 @@ ComplexArray = NDArray[np.complex128]
 _LOWEST_HZ = 0.02
 _SLOW_HZ = 1.0
 _SLOW_SHARE = 8
-_BASE_POINTS = 96
+_BASE_POINTS = 64
 _RESONANCE_POINTS = 25
 _SHORT_OF_NYQUIST = 1e-9
 # Where the loop gain is next to nothing (below 1e-6), a crossover limits nothing.
@@ -55,7 +55,8 @@ class Margins:
     `modulus` is min |1 + L|, at `modulus_hz`; `disk` the balanced disk margin α = min 2|1 + L|/|1 − L|, which tolerates
     gain and phase together (a gain of (2 + α)/(2 − α), a phase of 2 atan(α/2)); `gain_db` the smallest change of gain,
     up or down, that reaches the stability limit; `phase_deg` the smallest rotation either way; `delay_s` the smallest
-    extra delay. A margin that no crossover limits is infinite.
+    extra delay, 0 if the loop gain is still above 1 at the Nyquist frequency. A margin that no crossover limits is
+    infinite.
     """
 
     modulus: float

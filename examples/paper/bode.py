@@ -20,6 +20,7 @@ from examples.paper.paper_case import (
     FEEDBACK,
     FEEDBACK_PER_SAMPLE_S,
     SAMPLE_TIME_S,
+    STANDARD,
     example_controllers,
     example_plant,
     printed_robot,
@@ -39,6 +40,7 @@ DRAWN_HZ = np.geomspace(0.3, 100.0, 240)
 DENSE_HZ = np.geomspace(0.1, 100.0, 6000)
 READ_HZ = np.array([1.0, 2.0, 5.0, 7.0, 10.0, 20.0])
 DAMPED_N_S_PER_M = 2000.0
+VERDICTS = ("controller", "continuous", "continuous, T_d + h/2", "sampled")
 PER_SAMPLE = f"{FEEDBACK}, per sample"
 
 
@@ -111,14 +113,22 @@ def _curve(controller: AdmittanceController, plant: Plant) -> Curve:
 
 
 def tables(found: Found) -> tuple[Table, ...]:
-    free_rows = []
-    reference = found.free["standard"].sampled
+    return _free_table(found), _contact_table(found), _damped_table(found)
+
+
+def _free_table(found: Found) -> Table:
+    rows = []
+    reference = found.free[STANDARD].sampled
     for name, curve in found.free.items():
         apart = 20.0 * np.log10(curve.sampled / reference)
         read = [number(float(np.interp(hz, DENSE_HZ, apart)), 1) for hz in READ_HZ]
         hidden = [NONE] * len(READ_HZ)
-        free_rows.append((name, *_verdicts(curve), *(read if curve.sampled_is_stable else hidden)))
-    contact_rows = [
+        rows.append((name, *_verdicts(curve), *(read if curve.sampled_is_stable else hidden)))
+    return Table(name="bode-free", header=(*VERDICTS, *(f"at {hz:g} Hz [dB]" for hz in READ_HZ)), rows=tuple(rows))
+
+
+def _contact_table(found: Found) -> Table:
+    rows = [
         (
             name,
             *_verdicts(curve),
@@ -130,7 +140,21 @@ def tables(found: Found) -> tuple[Table, ...]:
         )
         for name, curve in found.contact.items()
     ]
-    damped_rows = [
+    header = (
+        *VERDICTS,
+        "peak, continuous [dB]",
+        "at [Hz]",
+        "peak, sampled [dB]",
+        "at [Hz]",
+        "modulus margin",
+        "slowest mode [Hz]",
+        "its damping ratio",
+    )
+    return Table(name="bode-contact", header=header, rows=tuple(rows))
+
+
+def _damped_table(found: Found) -> Table:
+    rows = [
         (
             name,
             *_peak(curve.continuous, curve.continuous_is_stable),
@@ -139,41 +163,16 @@ def tables(found: Found) -> tuple[Table, ...]:
         )
         for (name, curve), instant in zip(found.damped.items(), found.without_delay.values(), strict=True)
     ]
-    verdicts = ("controller", "continuous", "continuous, T_d + h/2", "sampled")
-    return (
-        Table(
-            name="bode-free",
-            header=(*verdicts, *(f"at {hz:g} Hz [dB]" for hz in READ_HZ)),
-            rows=tuple(free_rows),
-        ),
-        Table(
-            name="bode-contact",
-            header=(
-                *verdicts,
-                "peak, continuous [dB]",
-                "at [Hz]",
-                "peak, sampled [dB]",
-                "at [Hz]",
-                "modulus margin",
-                "slowest mode [Hz]",
-                "its damping ratio",
-            ),
-            rows=tuple(contact_rows),
-        ),
-        Table(
-            name="bode-damped",
-            header=(
-                "controller",
-                "B_a = 2000: peak, continuous [dB]",
-                "at [Hz]",
-                "peak, sampled [dB]",
-                "at [Hz]",
-                "B_a = 1000, T_d = 0: peak, continuous [dB]",
-                "at [Hz]",
-            ),
-            rows=tuple(damped_rows),
-        ),
+    header = (
+        "controller",
+        "B_a = 2000: peak, continuous [dB]",
+        "at [Hz]",
+        "peak, sampled [dB]",
+        "at [Hz]",
+        "B_a = 1000, T_d = 0: peak, continuous [dB]",
+        "at [Hz]",
     )
+    return Table(name="bode-damped", header=header, rows=tuple(rows))
 
 
 def _verdicts(curve: Curve) -> tuple[str, str, str]:

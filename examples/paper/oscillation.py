@@ -199,7 +199,11 @@ def _heavy(rate: float, drag: float, damping: float) -> Heavy:
 
 
 def tables(found: Found) -> tuple[Table, ...]:
-    onset_rows = [
+    return _onset_table(found), _explanation_table(found), _heavy_table(found)
+
+
+def _onset_table(found: Found) -> Table:
+    rows = [
         (
             number(mass),
             number(drag),
@@ -211,7 +215,20 @@ def tables(found: Found) -> tuple[Table, ...]:
         )
         for mass, drag, damping in found.free
     ]
-    why_rows = [
+    header = (
+        "M_a [kg]",
+        "B_p [N·s/m]",
+        "B_s [N·s/m]",
+        "stable K_l, free space [ms]",
+        "upper end [Hz]",
+        "stable K_l, contact [ms]",
+        "upper end [Hz]",
+    )
+    return Table(name="onset", header=header, rows=tuple(rows))
+
+
+def _explanation_table(found: Found) -> Table:
+    rows = [
         (
             each.what,
             number(each.mass_kg),
@@ -222,7 +239,19 @@ def tables(found: Found) -> tuple[Table, ...]:
         )
         for each in found.explanations
     ]
-    heavy_rows = [
+    header = (
+        "solved for",
+        "M_a [kg]",
+        "T_d [ms]",
+        "B_p [N·s/m]",
+        "stable K_l, free space [ms]",
+        "upper end [Hz]",
+    )
+    return Table(name="onset-explained", header=header, rows=tuple(rows))
+
+
+def _heavy_table(found: Found) -> Table:
+    rows = [
         (
             number(each.robot_rad_per_s),
             number(each.drag_n_s_per_m),
@@ -234,46 +263,16 @@ def tables(found: Found) -> tuple[Table, ...]:
         )
         for each in found.heavy
     ]
-    return (
-        Table(
-            name="onset",
-            header=(
-                "M_a [kg]",
-                "B_p [N·s/m]",
-                "B_s [N·s/m]",
-                "stable K_l, free space [ms]",
-                "upper end [Hz]",
-                "stable K_l, contact [ms]",
-                "upper end [Hz]",
-            ),
-            rows=tuple(onset_rows),
-        ),
-        Table(
-            name="onset-explained",
-            header=(
-                "solved for",
-                "M_a [kg]",
-                "T_d [ms]",
-                "B_p [N·s/m]",
-                "stable K_l, free space [ms]",
-                "upper end [Hz]",
-            ),
-            rows=tuple(why_rows),
-        ),
-        Table(
-            name="heavy",
-            header=(
-                "robot [rad/s]",
-                "B_p [N·s/m]",
-                "B_s [N·s/m]",
-                "√(K_s/M_p)/2π [Hz]",
-                "loop's mode [Hz]",
-                "its damping ratio",
-                "K_s for a mode at 9 Hz [1e5 N/m]",
-            ),
-            rows=tuple(heavy_rows),
-        ),
+    header = (
+        "robot [rad/s]",
+        "B_p [N·s/m]",
+        "B_s [N·s/m]",
+        "√(K_s/M_p)/2π [Hz]",
+        "loop's mode [Hz]",
+        "its damping ratio",
+        "K_s for a mode at 9 Hz [1e5 N/m]",
     )
+    return Table(name="heavy", header=header, rows=tuple(rows))
 
 
 def _intervals(found: list[Interval]) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -41,9 +41,9 @@ FloatArray = NDArray[np.float64]
 FITTED, PREDICTED = (0, 1, 5, 6), (2, 3, 4)
 # Bounds of the fit: bandwidth [rad/s], damping ratio of two poles, delay.
 RATE_RAD_PER_S, RATIO, LONGEST_DELAY_S = (0.5, 200.0), (0.3, 20.0), 0.04
-# Bandwidth [rad/s] and delay [ms] beyond the shortest.
-Starts = tuple[tuple[float, float], ...]
-STARTS: Starts = ((4.0, 1.0), (10.0, 3.0), (25.0, 8.0))
+# Bandwidth [rad/s], delay [ms] beyond the shortest, damping ratio of two poles.
+Start = tuple[float, float, float]
+STARTS: tuple[Start, ...] = ((4.0, 1.0, 1.0), (10.0, 3.0, 1.0), (25.0, 8.0, 1.0))
 # A row whose loop is unstable counts as this many times its printed peak.
 _UNSTABLE = 3.0
 _PAYLOAD_HZ = (10.0, 60.0)
@@ -149,9 +149,9 @@ class Found:
     feedback: dict[str, list[float | None]]
 
 
-def compute(starts: Mapping[str, Starts] | None = None) -> Found:
-    """Fit every variant, from all `STARTS` or from those given for it."""
-    fits = {name: fit(assumed, STARTS if starts is None else starts[name]) for name, assumed in VARIANTS.items()}
+def compute(near: Mapping[str, Start] | None = None) -> Found:
+    """Fit every variant, from all `STARTS` or `near` a place that is given for it."""
+    fits = {name: fit(assumed, None if near is None else near[name]) for name, assumed in VARIANTS.items()}
     return Found(
         fits=fits,
         printed_robot=[predict(row, printed_robot(), PRINTED) for row in ROWS],
@@ -231,27 +231,37 @@ def _apart(value: float | None, printed: float) -> float:
     return float(np.log(_UNSTABLE if value is None else value / printed))
 
 
-def fit(assumed: Assumptions, starts: Starts = STARTS) -> Fit:
-    """Fit the robot from several starts and predict every row."""
-    low = [np.log(RATE_RAD_PER_S[0]), 100.0 * assumed.shortest_delay_s, np.log(RATIO[0])]
-    high = [np.log(RATE_RAD_PER_S[1]), 100.0 * LONGEST_DELAY_S, np.log(RATIO[1])]
-    count = 3 if assumed.has_two_poles else 2
-    best = None
-    for rate, delay_ms in starts:
-        start = np.array([np.log(rate), 0.1 * delay_ms + 100.0 * assumed.shortest_delay_s, 0.0])[:count]
-        found = least_squares(
-            residuals, start, bounds=(low[:count], high[:count]), args=(assumed,), diff_step=1e-3, xtol=1e-6, ftol=1e-6
-        )
-        best = found if best is None or found.cost < best.cost else best
-    if best is None:
-        raise RuntimeError("There is no start to fit from.")
-    robot = build_robot(best.x, assumed)
+def fit(assumed: Assumptions, near: Start | None = None) -> Fit:
+    """Fit the robot from several starts, or near one place, and predict every row.
+
+    Least squares leads into the valley; the peaks are those of the ticks and have kinks in the delay, over which a
+    simplex goes on.
+    """
+    low, high = _bounds(assumed)
+    if near is None:
+        runs = [
+            least_squares(
+                residuals,
+                _vector(start, assumed),
+                bounds=(low, high),
+                args=(assumed,),
+                diff_step=1e-3,
+                xtol=1e-6,
+                ftol=1e-6,
+            )
+            for start in STARTS
+        ]
+        valley = min(runs, key=lambda each: float(each.cost)).x
+    else:
+        valley = np.clip(_vector(near, assumed), low, high)
+    best = _descend(valley, assumed)
+    robot = build_robot(best, assumed)
     rows = tuple(predict(row, robot, assumed) for row in ROWS)
     errors = np.array([_apart(each.peak_n, row.peak_n) for each, row in zip(rows, ROWS, strict=True)])
     return Fit(
         robot=robot,
-        rate_rad_per_s=float(np.exp(best.x[0])),
-        ratio=float(np.exp(best.x[2])) if assumed.has_two_poles else None,
+        rate_rad_per_s=float(np.exp(best[0])),
+        ratio=float(np.exp(best[2])) if assumed.has_two_poles else None,
         delay_s=robot.delay_s,
         error=float(np.sqrt(np.mean(errors[list(FITTED)] ** 2))),
         predicted_error=float(np.sqrt(np.mean(errors[list(PREDICTED)] ** 2))),
@@ -259,7 +269,51 @@ def fit(assumed: Assumptions, starts: Starts = STARTS) -> Fit:
     )
 
 
+def _vector(start: Start, assumed: Assumptions) -> FloatArray:
+    """Return (ln ω_b, delay in 10 ms, ln ζ with two poles)."""
+    rate, delay_ms, ratio = start
+    whole = np.array([np.log(rate), 0.1 * delay_ms + 100.0 * assumed.shortest_delay_s, np.log(ratio)])
+    return whole if assumed.has_two_poles else whole[:2]
+
+
+def _bounds(assumed: Assumptions) -> tuple[FloatArray, FloatArray]:
+    longest_ms = 1e3 * (LONGEST_DELAY_S - assumed.shortest_delay_s)
+    return (
+        _vector((RATE_RAD_PER_S[0], 0.0, RATIO[0]), assumed),
+        _vector((RATE_RAD_PER_S[1], longest_ms, RATIO[1]), assumed),
+    )
+
+
+def _descend(valley: FloatArray, assumed: Assumptions) -> FloatArray:
+    """Descend by a simplex with one corner at the valley, the others a step away from it and inside the bounds."""
+    low, high = _bounds(assumed)
+    steps = np.array([0.05, 0.1, 0.1])[: len(valley)]
+    corners = valley + np.vstack([np.zeros(len(valley)), np.diag(np.where(valley + steps > high, -steps, steps))])
+    found = minimize(
+        lambda values: float(np.sum(residuals(values, assumed) ** 2)),
+        valley,
+        method="Nelder-Mead",
+        bounds=list(zip(low, high, strict=True)),
+        options={"initial_simplex": corners, "xatol": 1e-4, "fatol": 1e-9},
+    )
+    return np.asarray(found.x, dtype=np.float64)
+
+
 def tables(found: Found) -> tuple[Table, ...]:
+    payload = ("K_s for the 14.7 Hz of row 7 [1e5 N/m]", number(found.payload_n_per_m / 1e5, 2))
+    return (
+        _rows_table(found),
+        _variants_table(found),
+        Table(
+            name="table-one-feedback",
+            header=("peak of row 3 [N]", *(f"B_fb = {1e3 * value:g} ms" for value in FEEDBACK_SCAN_S)),
+            rows=tuple((name, *(number(value, 1) for value in found.feedback[name])) for name in MAIN),
+        ),
+        Table(name="table-one-payload", header=("16 kg on a flange that stands still", "value"), rows=(payload,)),
+    )
+
+
+def _rows_table(found: Found) -> Table:
     first, second = (found.fits[name] for name in MAIN)
     rows = [
         (
@@ -276,10 +330,29 @@ def tables(found: Found) -> tuple[Table, ...]:
         )
         for i, row in enumerate(ROWS)
     ]
-    variants = [
+    header = (
+        "row",
+        "use",
+        "printed K_e [N/mm]",
+        "environment behind it [N/mm]",
+        "printed peak [N]",
+        "model, B_p = 630 [N]",
+        "model, B_s = 630 [N]",
+        "printed r(s), T_d [N]",
+        "printed ω [Hz]",
+        "contact mode, B_p [Hz]",
+        "B_s [Hz]",
+        "payload mode, B_p [Hz]",
+        "B_s [Hz]",
+    )
+    return Table(name="table-one", header=header, rows=tuple(rows))
+
+
+def _variants_table(found: Found) -> Table:
+    rows = [
         (
             name,
-            number(each.rate_rad_per_s, 1),
+            number(each.rate_rad_per_s, 2),
             number(each.ratio, 1),
             number(1e3 * each.delay_s, 1),
             number(100.0 * each.error, 1),
@@ -288,50 +361,16 @@ def tables(found: Found) -> tuple[Table, ...]:
         )
         for name, each in found.fits.items()
     ]
-    return (
-        Table(
-            name="table-one",
-            header=(
-                "row",
-                "use",
-                "printed K_e [N/mm]",
-                "environment behind it [N/mm]",
-                "printed peak [N]",
-                "model, B_p = 630 [N]",
-                "model, B_s = 630 [N]",
-                "printed r(s), T_d [N]",
-                "printed ω [Hz]",
-                "contact mode, B_p [Hz]",
-                "B_s [Hz]",
-                "payload mode, B_p [Hz]",
-                "B_s [Hz]",
-            ),
-            rows=tuple(rows),
-        ),
-        Table(
-            name="table-one-variants",
-            header=(
-                "assumption",
-                "ω_b [rad/s]",
-                "ζ",
-                "T_d [ms]",
-                "error, fitted rows [%]",
-                "error, predicted rows [%]",
-                *(f"row {i + 1} [N]" for i in PREDICTED),
-            ),
-            rows=tuple(variants),
-        ),
-        Table(
-            name="table-one-feedback",
-            header=("peak of row 3 [N]", *(f"B_fb = {1e3 * value:g} ms" for value in FEEDBACK_SCAN_S)),
-            rows=tuple((name, *(number(value, 1) for value in found.feedback[name])) for name in MAIN),
-        ),
-        Table(
-            name="table-one-payload",
-            header=("16 kg on a flange that stands still", "value"),
-            rows=(("K_s for the 14.7 Hz of row 7 [1e5 N/m]", number(found.payload_n_per_m / 1e5, 2)),),
-        ),
+    header = (
+        "assumption",
+        "ω_b [rad/s]",
+        "ζ",
+        "T_d [ms]",
+        "error, fitted rows [%]",
+        "error, predicted rows [%]",
+        *(f"row {i + 1} [N]" for i in PREDICTED),
     )
+    return Table(name="table-one-variants", header=header, rows=tuple(rows))
 
 
 def draw(found: Found) -> dict[str, Figure]:

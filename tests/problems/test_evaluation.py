@@ -9,6 +9,7 @@ from problems.contact import Approach, build_sampled_contact, simulate_contact
 from problems.design import AdmittanceTarget, DesignProblem, Requirements
 from problems.evaluation import (
     Evaluation,
+    PlantMargins,
     PreparedScenarios,
     build_scenarios,
     normalise_margins,
@@ -17,6 +18,7 @@ from problems.evaluation import (
 from problems.margins import Margins, UnstableLoopError, find_margins
 from problems.plant import Coupling
 from problems.response import free_space_admittance
+from problems.robot import RobotModel
 from problems.sampled import build_loop, build_sampled_plant, spectral_radius
 from tests.problems.axes import PERIOD_S, one_pole
 
@@ -62,6 +64,10 @@ def margins(**changes: float) -> Margins:
         "spectral_radius": math.exp(-5.0 * PERIOD_S),
     }
     return Margins(**(values | changes))
+
+
+def margins_of(ready: PreparedScenarios, design: tuple[float, ...]) -> tuple[PlantMargins, ...]:
+    return ready.evaluate_exactly(ready.problem.controller(design)).margins
 
 
 def test_a_requirement_is_required_over_achieved() -> None:
@@ -116,6 +122,26 @@ def test_the_admittance_requirement_is_the_smallest_over_the_band() -> None:
     assert requirement == {"free_space_admittance": pytest.approx(1e-4 / dense, rel=1e-9)}
 
 
+@pytest.mark.parametrize("hertz", [0.3, 1.03, 1.77])
+def test_a_robot_that_hardly_moves_at_one_frequency_is_seen_to(hertz: float) -> None:
+    """A zero with a damping ratio of 1 %: |G| dips over a hundredth of the frequency, between any even points."""
+    zero = 2.0 * math.pi * hertz
+    pair = np.array([1.0 / zero**2, 0.02 / zero, 1.0])
+    robot = RobotModel(
+        numerator=pair,
+        denominator=np.convolve([1.0 / zero**2, 1.4 / zero, 1.0], [1.0 / 20.0, 1.0]),
+        delay_s=2.4e-3,
+    )
+    ready, band = prepared(robot=robot), (0.1, 2.0)
+    controller = ready.problem.controller(GOOD)
+    omega = 2.0 * np.pi * np.linspace(*band, 40_001)
+    dense = float(np.min(np.abs(free_space_admittance(ready.free[0], controller, omega))))
+    # The deepest point is up to the damping ratio squared beside the zero, where the dip is as wide as the ratio.
+    assert smallest_admittance(ready.free[0], controller, band) == pytest.approx(dense, rel=1e-3)
+    found = ready.achieved_admittance(controller)["free_space_admittance"]
+    assert found == pytest.approx(1e-4 / dense, rel=1e-3)
+
+
 def test_every_scenario_is_evaluated_in_contact_and_in_free_space() -> None:
     ready = prepared()
     assert len(ready.scenarios) == len(ready.pairs) == 6
@@ -137,7 +163,7 @@ def test_every_scenario_is_evaluated_in_contact_and_in_free_space() -> None:
 
 
 @pytest.mark.parametrize("design", [GOOD, (13.0, 1500.0, 0.02, 7.5e-3)])
-def test_the_screening_grid_agrees_with_the_exact_margins_within_its_step(
+def test_an_evaluation_has_the_requirements_of_the_margins_plant_by_plant(
     design: tuple[float, float, float, float],
 ) -> None:
     ready = prepared(requirements=replace(EASY, modulus_margin=0.2, gain_margin_db=2.0, phase_margin_deg=15.0))
@@ -154,14 +180,19 @@ def test_the_screening_grid_agrees_with_the_exact_margins_within_its_step(
             "free_space_admittance",
         }
     )
-    # A grid misses the minimum by half a step of 1.6 % in ω, times the slope's change: it only errs on the good side.
-    assert fast.requirements["modulus_margin"] <= exact.requirements["modulus_margin"] * (1.0 + 1e-9)
-    for name, value in exact.requirements.items():
-        assert fast.requirements[name] == pytest.approx(value, rel=0.01), name
+    assert dict(fast.requirements) == dict(exact.requirements)
+    worst = {
+        name: max(
+            normalise_margins(ready.problem.requirements, each.margins, PERIOD_S)[name]
+            for each in margins_of(ready, design)
+        )
+        for name in exact.requirements
+        if name != "free_space_admittance"
+    }
+    assert {name: exact.requirements[name] for name in worst} == worst
     assert [peak.scenario for peak in fast.peaks] == list(ready.scenarios)
-    for one, other in zip(fast.peaks, exact.peaks, strict=True):
-        assert one.peak_contact_force_n == pytest.approx(other.peak_contact_force_n, rel=1e-12)
-    assert fast.objective_n == pytest.approx(exact.objective_n, rel=1e-12)
+    assert fast.peaks == exact.peaks
+    assert fast.objective_n == exact.objective_n
     assert fast.is_feasible
     assert exact.is_feasible
 
@@ -172,10 +203,9 @@ def test_the_peaks_are_those_of_a_single_simulation() -> None:
     for scenario, peak in zip(ready.scenarios, found.peaks, strict=True):
         pair = build_sampled_contact(build_sampled_plant(ready.problem.plant(scenario), PERIOD_S))
         run = simulate_contact(pair, ready.problem.controller(GOOD), ready.problem.approach)
-        # A horizon from an eigenvalue of the same matrix, rounded up: one sample at the end may differ.
-        assert peak.peak_contact_force_n == pytest.approx(run.peak_contact_force_n, rel=1e-9)
-        assert peak.peak_sensor_force_n == pytest.approx(run.peak_sensor_force_n, rel=1e-9)
-        assert peak.time_of_peak_s == pytest.approx(run.time_of_peak_s, abs=1.1 * PERIOD_S)
+        assert peak.peak_contact_force_n == run.peak_contact_force_n
+        assert peak.peak_sensor_force_n == run.peak_sensor_force_n
+        assert peak.time_of_peak_s == run.time_of_peak_s
 
 
 @pytest.mark.parametrize(("objective", "name"), [("contact_force", "contact"), ("sensor_force", "sensor")])
@@ -220,11 +250,8 @@ def test_free_space_alone_can_hold_the_margin_down() -> None:
     controller = ready.problem.controller(design)
     contact, free = (find_margins(side, controller).modulus for side in (ready.pairs[0].contact, ready.free[0]))
     assert free < 0.5 * contact
-    # The screening grid's step of 1.6 % is a small part of a minimum as wide as its depth of 0.2.
-    assert 0.4 / ready.evaluate(design).requirements["modulus_margin"] == pytest.approx(free, rel=0.01)
-    assert 0.4 / ready.evaluate_exactly(controller).evaluation.requirements["modulus_margin"] == pytest.approx(
-        free, rel=1e-14
-    )
+    # One quotient, and back.
+    assert 0.4 / ready.evaluate(design).requirements["modulus_margin"] == pytest.approx(free, rel=1e-14)
 
 
 def test_a_missed_margin_gives_no_peak_unless_it_is_asked_for() -> None:

@@ -166,6 +166,38 @@ def test_a_step_of_either_input_runs_as_in_the_sampled_loop(plant: Plant, contro
             state = loop.a @ state + drive
 
 
+@LAW
+@given(whole_plants(contact=True), whole_controllers())
+def test_the_contact_force_closes_the_balance_of_the_payload(plant: Plant, controller: AdmittanceController) -> None:
+    """F_e = f − F − B_p v_p − M_p dv_p/dt, the acceleration taken from the plant's rates at the tick."""
+    sampled = build_sampled_plant(plant, PERIOD_S)
+    loop, closed = build_loop(sampled, controller), as_control(sampled, controller).closed_loop
+    n, chain = sampled.state_count, sampled.chain_length
+    inputs = np.array([[1.0, -2.0, 0.5, 3.0, 0.0, 1.0], [0.0, 1.0, 2.0, -1.0, 4.0, 1.0]])
+    found, state = control.forced_response(closed, inputs=inputs).outputs, np.zeros(len(loop.a))
+    for k, (desired, push) in enumerate(inputs.T):
+        command = loop.c_command @ state + loop.d_command * desired
+        held = state[n + chain - 1] if chain else command
+        rate = sampled.rate @ state[:n] + sampled.drive * held + sampled.push * push
+        force = loop.c_force @ state + loop.d_force * desired
+        # The last plant state is h v_p; its rate is that per period.
+        terms = [push, force, plant.payload.drag_n_s_per_m * state[n - 1] / PERIOD_S]
+        terms.append(plant.payload.mass_kg * rate[n - 1] / PERIOD_S**2)
+        # Sums of terms of this size.
+        size = sum(abs(term) for term in terms)
+        assert abs(found[2, k] - (terms[0] - sum(terms[1:]))) < 1e-10 * size + 1e-300
+        state = loop.a @ state + loop.b * desired + loop.b_push * push
+
+
+def test_states_are_scaled_for_methods_that_mix_them() -> None:
+    """Unscaled, the state of the acceleration filter, above 1e3 per metre, stands beside states in metres."""
+    sampled = build_sampled_plant(paper_plant(), PERIOD_S)
+    assert np.max(np.abs(build_loop(sampled, COMPENSATED).a)) > 1e3
+    objects = as_control(sampled, COMPENSATED)
+    for system in (*loops_of(objects), objects.closed_loop):
+        assert np.max(np.abs(system.A)) < 10.0
+
+
 def test_signals_have_names_and_the_statics_their_signs() -> None:
     """At rest against a wall: F = −F^d, F_e = F^d + f, x^d = (F^d + f)/K_e + F^d/K_s."""
     plant = paper_plant(robot=one_pole(0.0), coupling_damping=50.0).in_contact_with(DAMPED_WALL)

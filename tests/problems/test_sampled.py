@@ -7,10 +7,11 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import signal
+from scipy.linalg import expm
 
 from problems.controller import CONTROLLER_STATES, AdmittanceController, controller_blocks, needed_states
 from problems.errors import ParameterError
-from problems.plant import FREE_SPACE, Coupling, Environment, Payload, Plant
+from problems.plant import FREE_SPACE, Coupling, Environment, Payload, Plant, build_plant_matrices
 from problems.response import loop_response
 from problems.sampled import (
     CutLoop,
@@ -66,10 +67,11 @@ def iterate(loop: SampledLoop, desired: FloatArray) -> FloatArray:
 def agree(ours: FloatArray, theirs: FloatArray) -> None:
     """Compare two responses relative to what they have reached so far: some of the random loops are unstable.
 
-    300 products with matrices of size 10, each exact to 1e-15 of a state whose parts (K_s x) exceed F by up to 1e3.
+    300 products with matrices of size 10, each exact to 1e-15 of a state whose parts (K_s x) exceed F by up to 1e3; the
+    first few values are differences of such parts (up to 1e-5 N per newton) and may be nothing but rounding.
     """
     reached = np.maximum.accumulate(np.abs(theirs))
-    assert np.max(np.abs(ours - theirs) / (reached + 1e-9)) < 1e-9
+    assert np.max(np.abs(ours - theirs) / (reached + 1e-6)) < 1e-9
 
 
 def whole_samples(plant: Plant) -> int:
@@ -162,7 +164,7 @@ def test_the_largest_eigenvalue_is_python_controls(plant: Plant, controller: Adm
 def test_the_states_that_are_left_out_would_add_their_own_poles_only(
     plant: Plant, controller: AdmittanceController, angle: float
 ) -> None:
-    """det(z − a) of a loop that keeps all four controller states is that of `build_loop` times (z − pole) of the rest."""
+    """det(z − a) of a loop with all four controller states is that of `build_loop` times (z − pole) of the rest."""
     sampled, z = build_sampled_plant(plant, PERIOD_S), 1.2 * np.exp(1j * angle)
     blocks, loop = controller_blocks(controller, PERIOD_S), build_loop(sampled, controller)
     size = sampled.state_count + sampled.chain_length + CONTROLLER_STATES
@@ -325,7 +327,7 @@ def test_a_massless_payload_on_a_wall_is_stable_up_to_a_known_stiffness(bandwidt
     The polynomial z² + (g (1 − a) − 1 − a) z + a + g (1 − a) with g = K h/(2B) leaves the unit circle at g = 1.
     """
     robot = one_pole(0.0, bandwidth)
-    plant = paper_plant(stiffness=2e4, mass=1e-12, drag=2e-3, coupling=1e6, robot=robot)
+    plant = paper_plant(stiffness=2e4, mass=1e-9, drag=2e-3, coupling=1e6, robot=robot)
     series = 1.0 / (1.0 / 2e4 + 1.0 / 1e6)
     a = math.exp(-bandwidth * PERIOD_S)
     for g in (0.5, 0.999, 1.001, 1.5):
@@ -345,6 +347,25 @@ def test_two_holds_are_one_longer_hold(share: float) -> None:
     # Matrices of size one: rounding.
     np.testing.assert_allclose(rest @ one, both, atol=1e-14)
     np.testing.assert_allclose(rest @ drive + late, whole, atol=1e-14)
+
+
+@pytest.mark.parametrize("mass", [0.01, 2.0, 60.0])
+@pytest.mark.parametrize("stiffness", [1e3, 1e6, 1e8])
+@pytest.mark.parametrize("period_s", [8e-4, 8e-3])
+def test_the_hold_is_scipys_exponential_for_soft_and_very_stiff_contacts(
+    mass: float, stiffness: float, period_s: float
+) -> None:
+    plant = paper_plant(stiffness=stiffness, mass=mass, robot=one_pole(1.3 * period_s))
+    m, sampled = build_plant_matrices(plant, period_s), build_sampled_plant(plant, period_s)
+    augmented = np.zeros((5, 5))
+    augmented[:3, :3], augmented[:3, 3], augmented[:3, 4] = m.a, m.b, m.push
+    whole, part = expm(augmented), expm(0.7 * augmented)
+    # Up to 2e3 rad per sample, and squaring once per factor of two of its square: 2^20 roundings.
+    tolerance = 1e-9 * np.max(np.abs(whole))
+    np.testing.assert_allclose(sampled.phi, whole[:3, :3], atol=tolerance)
+    np.testing.assert_allclose(sampled.gamma + sampled.gamma_old, whole[:3, 3], atol=tolerance)
+    np.testing.assert_allclose(sampled.gamma, part[:3, 3], atol=tolerance)
+    np.testing.assert_allclose(sampled.gamma_push, whole[:3, 4], atol=tolerance)
 
 
 @pytest.mark.parametrize(
@@ -374,8 +395,9 @@ def test_the_radius_does_not_jump_where_the_fraction_vanishes(plant: Plant, cont
     robot = plant.robot
     later = replace(robot, delay_s=robot.delay_s + 1e-6 * PERIOD_S)
     moved = replace(plant, robot=later)
-    # A robot of one pole has a direct path to the coupling's damper, and only at exactly zero delay.
-    assume(robot.delay_s > 0.0 or plant.coupling.damping_n_s_per_m == 0.0)
+    # A robot whose velocity follows a step of the command at once passes the step on to the coupling's damper: there F
+    # jumps at the tick, and a whole delay means that it is read just after, any fraction that it is read before.
+    assume(plant.coupling.damping_n_s_per_m == 0.0 or len(robot.numerator) < robot.order)
     a, b = loop_of(plant, controller), loop_of(moved, controller)
     assert len(b.a) == len(a.a) + 1
     # Poles that meet split by the square root of the change.
