@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_discrete_lyapunov
 
 from ._checks import non_negative
 from .controller import AdmittanceController
@@ -13,6 +12,10 @@ from .margins import UnstableLoopError
 from .sampled import SampledLoop, SampledPlant, build_loop, spectral_radius
 
 FloatArray = NDArray[np.float64]
+
+# 2^60 ticks: no stable loop in double precision is slower.
+_DOUBLINGS = 60
+_NOTHING = 1e-30
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,5 +78,18 @@ def _variance(loop: SampledLoop, row: FloatArray, direct: FloatArray) -> float:
         # A difference does not see the translation, so c·shift is zero and dropping the pivot loses nothing.
         a = (a - np.outer(shift, a[pivot]))[np.ix_(keep, keep)]
         b, c = (b - shift * b[pivot])[keep], c[keep]
-    covariance = solve_discrete_lyapunov(a, np.outer(b, b))
-    return max(0.0, float(c @ covariance @ c)) + float(direct @ direct)
+    return max(0.0, float(c @ _covariance(a, b) @ c)) + float(direct @ direct)
+
+
+def _covariance(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return Σ aᵏ b bᵀ (aᵏ)ᵀ over k ≥ 0, twice as many terms each time.
+
+    Sums of squares lose no digits, however differently the states are scaled; a linear solve for the whole does.
+    """
+    covariance, power = np.outer(b, b), a
+    for _ in range(_DOUBLINGS):
+        covariance = covariance + power @ covariance @ power.T
+        power = power @ power
+        if np.max(np.abs(power)) < _NOTHING:
+            break
+    return covariance

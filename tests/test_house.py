@@ -94,3 +94,18 @@ def test_no_path_of_one_machine_is_in_the_project(repository: Path) -> None:
     texts = [*_modules(repository), repository / "Makefile", repository / "pyproject.toml"]
     found = [path.name for path in texts if path != Path(__file__) and pattern.search(path.read_text(encoding="utf-8"))]
     assert found == []
+
+
+@pytest.mark.parametrize(
+    ("library", "only"), [("casadi", {"problems/symbolic.py"}), ("control", {"problems/exchange.py"})]
+)
+def test_a_heavy_library_has_one_door(repository: Path, library: str, only: set[str]) -> None:
+    """Both take a second to import, which no command should pay that does not need them."""
+    found = set()
+    for path in _modules(repository, PACKAGES):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [each.name for each in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) and node.level == 0 else []
+            if library in {name.split(".")[0] for name in names}:
+                found.add(path.relative_to(repository).as_posix())
+    assert found == only

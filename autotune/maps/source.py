@@ -118,7 +118,7 @@ def _certified(path: Path, controller: Controller, wanted: str | None) -> MapSou
         "drag": plants.drag_n_s_per_m,
         "coupling_stiffness": plants.coupling.stiffness_n_per_m,
         "coupling_damping": plants.coupling.damping_n_s_per_m,
-        "environment_stiffness": low if low == high else 0.5*(low+high) or 0.5 * high,
+        "environment_stiffness": low if low == high else math.sqrt(low * high) or 0.5 * high,
         "environment_damping": plants.environment_damping_n_s_per_m,
         "environment_mass": domain.environment_mass_kg,
     }

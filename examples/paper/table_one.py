@@ -32,12 +32,12 @@ from problems.contact import Approach, build_sampled_contact, simulate_contact
 from problems.controller import AdmittanceController
 from problems.margins import UnstableLoopError
 from problems.modes import ModalAnalysis, analyse_modes
-from problems.plant import Plant
 from problems.robot import RobotModel
-from problems.sampled import build_loop, build_sampled_plant
+from problems.sampled import SampledPlant, build_loop, build_sampled_plant
 
 FloatArray = NDArray[np.float64]
 
+APPROACH = Approach(force_n=30.0)
 FITTED, PREDICTED = (0, 1, 5, 6), (2, 3, 4)
 # Bounds of the fit: bandwidth [rad/s], damping ratio of two poles, delay.
 RATE_RAD_PER_S, RATIO, LONGEST_DELAY_S = (0.5, 200.0), (0.3, 20.0), 0.04
@@ -166,8 +166,8 @@ def compute(near: Mapping[str, Start] | None = None) -> Found:
     )
 
 
-def row_loop(row: Row, robot: RobotModel, assumed: Assumptions) -> tuple[Plant, AdmittanceController]:
-    """Return plant and controller of a row."""
+def row_loop(row: Row, robot: RobotModel, assumed: Assumptions) -> tuple[SampledPlant, AdmittanceController]:
+    """Return the sampled plant and the controller of a row."""
     stiffness = in_series(row.secant_n_per_m, assumed.coupling_n_per_m) if assumed.is_series else row.secant_n_per_m
     plant = example_plant(
         contact_n_per_m=stiffness,
@@ -183,23 +183,26 @@ def row_loop(row: Row, robot: RobotModel, assumed: Assumptions) -> tuple[Plant, 
         feedback_damping_s=assumed.feedback_s if row.feedback else 0.0,
         compensation_mass_kg=row.compensation_kg,
     )
-    return plant, controller
+    return build_sampled_plant(plant, SAMPLE_TIME_S), controller
 
 
 def predict(row: Row, robot: RobotModel, assumed: Assumptions) -> Prediction:
-    """Simulate the contact of a row, approached with F^d = 30 N until the speed is steady."""
-    plant, controller = row_loop(row, robot, assumed)
-    sampled = build_sampled_plant(plant, SAMPLE_TIME_S)
+    """Simulate the contact of a row, approached with F^d = 30 N until the speed is steady, and find its modes."""
+    sampled, controller = row_loop(row, robot, assumed)
     modes = analyse_modes(build_loop(sampled, controller))
-    try:
-        contact = simulate_contact(build_sampled_contact(sampled), controller, Approach(force_n=30.0))
-        peak = contact.peak_sensor_force_n
-    except UnstableLoopError:
-        peak = None
     slow, fast = _PAYLOAD_HZ
     return Prediction(
-        peak_n=peak, contact_hz=_mode_hz(modes, _SLOWEST_HZ, slow), payload_hz=_mode_hz(modes, slow, fast)
+        peak_n=_peak(sampled, controller),
+        contact_hz=_mode_hz(modes, _SLOWEST_HZ, slow),
+        payload_hz=_mode_hz(modes, slow, fast),
     )
+
+
+def _peak(sampled: SampledPlant, controller: AdmittanceController) -> float | None:
+    try:
+        return simulate_contact(build_sampled_contact(sampled), controller, APPROACH).peak_sensor_force_n
+    except UnstableLoopError:
+        return None
 
 
 def _mode_hz(modes: ModalAnalysis, low: float, high: float) -> float | None:
@@ -220,10 +223,10 @@ def build_robot(values: FloatArray, assumed: Assumptions) -> RobotModel:
 def residuals(values: FloatArray, assumed: Assumptions) -> FloatArray:
     """Return ln(model/printed) of the peaks of the fitted rows, and of the frequencies of the first two if asked."""
     robot = build_robot(values, assumed)
-    found = [predict(ROWS[i], robot, assumed) for i in FITTED]
-    apart = [_apart(each.peak_n, ROWS[i].peak_n) for i, each in zip(FITTED, found, strict=True)]
+    loops = [row_loop(ROWS[i], robot, assumed) for i in FITTED]
+    apart = [_apart(_peak(*loop), ROWS[i].peak_n) for i, loop in zip(FITTED, loops, strict=True)]
     if assumed.fits_frequencies:
-        apart += [_apart(found[i].contact_hz, ROWS[i].frequency_hz) for i in (0, 1)]
+        apart += [_apart(predict(ROWS[i], robot, assumed).contact_hz, ROWS[i].frequency_hz) for i in (0, 1)]
     return np.array(apart)
 
 

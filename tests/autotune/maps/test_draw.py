@@ -130,6 +130,15 @@ def test_the_area_between_two_columns_is_that_of_straight_lines(
     assert all(len(edges) == 2 for _, edges in pieces)
 
 
+def test_a_gap_between_intervals_that_meet_closes_to_a_tip() -> None:
+    """Half way from two intervals to one that holds both, the gap from 4 to 8 ends at 6."""
+    along = MapAxis(name="drag", low=1.0, high=2.0, count=2)
+    columns = [[interval(0.0, 4.0), interval(8.0, 10.0)], [interval(0.0, 10.0)]]
+    edges = [set(edge) for _, lines in _pieces(along, columns) for edge in lines]
+    assert {(1.0, 4.0), (1.5, 6.0)} in edges
+    assert {(1.0, 8.0), (1.5, 6.0)} in edges
+
+
 @pytest.mark.parametrize(
     ("value", "text"),
     [

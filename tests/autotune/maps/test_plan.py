@@ -144,6 +144,14 @@ def test_a_setting_of_what_varies_is_where_the_design_lies(folder: Path) -> None
     assert plan.design["payload_frequency_rad_per_s"] == pytest.approx(math.sqrt(3e5 / 20.0))
 
 
+def test_a_setting_that_stands_for_another_may_vary_as_well(folder: Path) -> None:
+    plan = plan_of(folder, settings=["payload_frequency_rad_per_s=100"], x="payload_frequency_rad_per_s=50:500")
+    assert plan.design is not None
+    assert plan.design["payload_frequency_rad_per_s"] == 100.0
+    assert isinstance(plan.request, MapRequest)
+    assert plan.request.point(200.0, 0.01)[0].payload.mass_kg == pytest.approx(3e5 / 200.0**2)
+
+
 def test_the_design_follows_from_a_payload_frequency(folder: Path) -> None:
     plan = plan_of(folder, x="payload_frequency_rad_per_s=50:500")
     assert plan.design is not None

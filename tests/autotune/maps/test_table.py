@@ -30,6 +30,7 @@ def test_the_csv_holds_every_point_to_the_last_bit(folder: Path) -> None:
     assert any(line.startswith("# varied: lead_s (K_l) from 0.0 to 0.06 s, 5 values") for line in header)
     read_back = np.array([float(row["delay"] or "nan") for row in rows]).reshape(5, 7)
     assert np.array_equal(read_back, result.values, equal_nan=True)
+    assert {row["delay"] == "" for row in rows if row["is_stable"] == "0"} == {True}
     assert [row["is_stable"] == "1" for row in rows] == result.is_stable.ravel().tolist()
     x, y = np.meshgrid(result.request.x.values(), result.request.y.values())
     assert [float(row["damping"]) for row in rows] == x.ravel().tolist()
