@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,23 +10,30 @@ from numpy.typing import NDArray
 from .errors import ParameterError
 
 
+def number(name: str, value: object) -> float:
+    """Return `value` as a float if it is a real number and not a truth value."""
+    if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
+        raise ParameterError(name, value, "a number")
+    return float(value)
+
+
 def positive(name: str, value: float) -> float:
     """Return `value` if it is finite and above zero."""
-    if not (math.isfinite(value) and value > 0.0):
+    if not (math.isfinite(number(name, value)) and value > 0.0):
         raise ParameterError(name, value, "finite and above 0")
     return float(value)
 
 
 def non_negative(name: str, value: float) -> float:
     """Return `value` if it is finite and not below zero."""
-    if not (math.isfinite(value) and value >= 0.0):
+    if not (math.isfinite(number(name, value)) and value >= 0.0):
         raise ParameterError(name, value, "finite and not below 0")
     return float(value)
 
 
 def finite(name: str, value: float) -> float:
     """Return `value` if it is finite."""
-    if not math.isfinite(value):
+    if not math.isfinite(number(name, value)):
         raise ParameterError(name, value, "finite")
     return float(value)
 

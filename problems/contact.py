@@ -20,6 +20,9 @@ from .sampled import SampledPlant, build_loop, build_sampled_plant, hold, spectr
 FloatArray = NDArray[np.float64]
 
 LONGEST_TRANSIENT_S = 10.0
+# Faster contacts, in radians and e-foldings per sample, would take seconds to follow and tell nothing about a robot.
+_FASTEST_SWING = 16.0
+_FASTEST_DECAY = 1000.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +142,15 @@ def _ramp(free: SampledPlant) -> FloatArray:
 def _inside(contact: SampledPlant) -> FloatArray:
     """Return F_e at equal parts of a sample, for contacts so stiff that they swing between the ticks."""
     n = contact.state_count
-    fastest = float(np.max(np.abs(np.linalg.eigvals(contact.rate).imag)))
+    poles = np.linalg.eigvals(contact.rate)
+    fastest = float(np.max(np.abs(poles.imag)))
+    if not (fastest <= _FASTEST_SWING and np.max(np.abs(poles)) <= _FASTEST_DECAY):
+        stiffness, mass = contact.plant.environment.stiffness_n_per_m, contact.plant.payload.mass_kg
+        raise ParameterError(
+            "stiffness and payload",
+            f"{stiffness:g} N/m on {mass:g} kg",
+            f"so that the contact swings at most {_FASTEST_SWING:g} rad in a sample (softer, or heavier)",
+        )
     looks = min(MOST_LOOKS, max(1, math.ceil(LOOKS_PER_RADIAN * fastest)))
     rows = np.zeros((looks - 1, n + 3))
     inputs = np.stack([contact.drive, contact.push], axis=1)

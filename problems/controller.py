@@ -106,12 +106,21 @@ def check_feedback_damping(feedback_damping_s: float) -> float:
 
 def feedback_damping_from_paper_mm(printed: float) -> float:
     """Convert a B_fb as the paper prints it to seconds, reading it as s·m/mm: times 1000 (MODEL.md, erratum 2)."""
-    return check_feedback_damping(1000.0 * printed)
+    return check_feedback_damping(1000.0 * _printed(printed))
 
 
 def feedback_damping_from_paper_per_sample(printed: float, sample_time_s: float) -> float:
     """Convert a B_fb as the paper prints it to seconds, reading it as s times h: times 1/h (MODEL.md, erratum 2)."""
-    return check_feedback_damping(printed / positive("sample_time_s", sample_time_s))
+    return check_feedback_damping(_printed(printed) / positive("sample_time_s", sample_time_s))
+
+
+def _printed(feedback_damping: float) -> float:
+    """Return a B_fb in the paper's unit, refusing values that are seconds already: it prints 7.5e-6 and 2e-5."""
+    if non_negative("printed", feedback_damping) >= SMALLEST_FEEDBACK_DAMPING_S:
+        raise ParameterError(
+            "printed", feedback_damping, f"below {SMALLEST_FEEDBACK_DAMPING_S:g}, as the paper prints it (not seconds)"
+        )
+    return feedback_damping
 
 
 @equation

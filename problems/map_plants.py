@@ -15,7 +15,7 @@ from .map_kernel import margins_of_plant
 from .map_loops import PlantLoops, build_plant_loops, check_delay
 from .map_parameters import MapQuantity
 from .margin_kernel import DELAY_S, DISK, GAIN_DB, MARGINS, MODULUS, PHASE_RAD
-from .margins import prepare_margins
+from .margins import LARGEST_GAIN_DB, prepare_margins
 from .plant import FREE_SPACE, Plant
 from .sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
 
@@ -23,8 +23,6 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Where = Literal["contact", "free_space", "both"]
 
-# The loop gain is rounding there (as in `find_margins`), and limits nothing.
-_NO_LIMIT_DB = 200.0
 _COLUMNS = {
     MapQuantity.MODULUS: MODULUS,
     MapQuantity.GAIN: GAIN_DB,
@@ -122,5 +120,5 @@ def _margin(plant: SampledPlant, designs: Designs, wanted: BoolArray, quantity: 
         found[chosen] = out
     values = found[:, _COLUMNS[quantity]]
     if quantity is MapQuantity.GAIN:
-        return np.where(values < _NO_LIMIT_DB, values, np.inf)
+        return np.where(values < LARGEST_GAIN_DB, values, np.inf)
     return np.degrees(values) if quantity is MapQuantity.PHASE else values

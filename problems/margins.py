@@ -33,8 +33,8 @@ _SLOW_SHARE = 8
 _BASE_POINTS = 64
 _RESONANCE_POINTS = 25
 _SHORT_OF_NYQUIST = 1e-9
-# Where the loop gain is next to nothing (below 1e-6), a crossover limits nothing.
-_LARGEST_GAIN_DB = 120.0
+# Where the loop gain is next to nothing (below 1e-3), a crossover limits nothing.
+LARGEST_GAIN_DB = 60.0
 
 
 class UnstableLoopError(AutotuneError):
@@ -56,7 +56,7 @@ class Margins:
     gain and phase together (a gain of (2 + α)/(2 − α), a phase of 2 atan(α/2)); `gain_db` the smallest change of gain,
     up or down, that reaches the stability limit; `phase_deg` the smallest rotation either way; `delay_s` the smallest
     extra delay, 0 if the loop gain is still above 1 at the Nyquist frequency. A margin that no crossover limits is
-    infinite.
+    infinite, and so is a gain margin above 60 dB.
     """
 
     modulus: float
@@ -149,7 +149,7 @@ class PreparedMargins:
             modulus=float(found[MODULUS]),
             modulus_hz=float(found[MODULUS_RAD_PER_S] / (2.0 * math.pi)),
             disk=float(found[DISK]),
-            gain_db=float(found[GAIN_DB]) if found[GAIN_DB] < _LARGEST_GAIN_DB else math.inf,
+            gain_db=float(found[GAIN_DB]) if found[GAIN_DB] < LARGEST_GAIN_DB else math.inf,
             phase_deg=math.degrees(found[PHASE_RAD]),
             delay_s=float(found[DELAY_S]),
             spectral_radius=spectral_radius,

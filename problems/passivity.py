@@ -1,26 +1,29 @@
 """Passivity of the port F → V: whether the controlled robot ever feeds energy into what it touches."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .controller import AdmittanceController
 from .response import free_space_admittance
-from .sampled import SampledPlant
+from .sampled import SampledLoop, SampledPlant, build_cut_loop, build_loop, spectral_radius, stability_matrix
 
 FloatArray = NDArray[np.float64]
 
 _LOWEST_HZ = 0.01
 _POINTS = 2000
 _BISECTIONS = 60
+_AROUND_A_ROOT = np.linspace(-4.0, 4.0, 33)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Passivity:
     """Re G(jω) ≥ 0 up to `fails_above_hz` (None: up to the Nyquist frequency).
 
-    `worst_real_m_s_per_n` is the smallest Re G, reached at `worst_hz`.
+    `worst_real_m_s_per_n` is the smallest Re G, reached at `worst_hz`. A port that is unstable by itself is passive
+    nowhere: 0 Hz, and −∞.
     """
 
     fails_above_hz: float | None
@@ -36,10 +39,12 @@ class Passivity:
 def check_passivity(sampled: SampledPlant, controller: AdmittanceController) -> Passivity:
     """Look where the real part of the rendered admittance G = V/F (sampled, delay and hold included) turns negative.
 
-    The first sign change of a fine grid is located by bisection.
+    The first sign change of a grid that is fine around every pole and zero of G is located by bisection.
     """
-    nyquist = np.pi / sampled.sample_time_s
-    omega = np.geomspace(2.0 * np.pi * _LOWEST_HZ, nyquist, _POINTS)
+    port = _port(sampled, controller)
+    if not spectral_radius(port) < 1.0:
+        return Passivity(fails_above_hz=0.0, worst_real_m_s_per_n=-math.inf, worst_hz=0.0)
+    omega = _frequencies(sampled, port)
     real = _real_part(sampled, controller, omega)
     worst = int(np.argmin(real))
     negative = np.flatnonzero(real < 0.0)
@@ -52,6 +57,26 @@ def check_passivity(sampled: SampledPlant, controller: AdmittanceController) -> 
         worst_real_m_s_per_n=float(real[worst]),
         worst_hz=float(omega[worst] / (2.0 * np.pi)),
     )
+
+
+def _port(sampled: SampledPlant, controller: AdmittanceController) -> SampledLoop:
+    """Return robot and controller with the force left to the outside; the robot does not feel the payload."""
+    loop, cut = build_loop(sampled, controller), build_cut_loop(sampled, controller)
+    payload = (sampled.state_count - 2, sampled.state_count - 1)
+    kept = np.delete(np.arange(cut.state_count), payload)
+    a = cut.closed_at(cut.command)[np.ix_(kept, kept)]
+    return replace(loop, a=a, translation=loop.translation[kept], is_anchored=False)
+
+
+def _frequencies(sampled: SampledPlant, port: SampledLoop) -> FloatArray:
+    """Return frequencies (n,) [rad/s] to the Nyquist frequency, dense where a lightly damped root turns the phase."""
+    h = sampled.sample_time_s
+    low, nyquist = 2.0 * np.pi * _LOWEST_HZ, np.pi / h
+    poles = np.linalg.eigvals(stability_matrix(port))
+    roots = [*(np.log(poles[poles.imag > 0.0]) / h), *np.roots(sampled.plant.robot.numerator)]
+    around = [root.imag + max(abs(root.real), 1e-4 * root.imag) * _AROUND_A_ROOT for root in roots if root.imag > low]
+    omega = np.concatenate([np.geomspace(low, nyquist, _POINTS), *around])
+    return np.unique(np.clip(omega, low, nyquist))
 
 
 def _real_part(sampled: SampledPlant, controller: AdmittanceController, omega: FloatArray) -> FloatArray:

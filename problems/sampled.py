@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 from ._checks import positive
 from .compiled import compiled, equation
 from .controller import CONTROLLER_STATES, AdmittanceController, controller_blocks, controller_step, needed_states
+from .errors import ParameterError
 from .plant import Plant, build_plant_matrices
 
 FloatArray = NDArray[np.float64]
 
 # A delay this close to a whole number of samples (in samples) is that number; it is far below any clock's resolution.
 _WHOLE = 1e-9
+MOST_DELAY_SAMPLES = 1000
 # With a norm of at most 1/2 the series below is exact to rounding.
 _TAYLOR_TERMS = 14
 
@@ -113,6 +115,10 @@ def build_sampled_plant(plant: Plant, sample_time_s: float) -> SampledPlant:
     h = positive("sample_time_s", sample_time_s)
     m = build_plant_matrices(plant, h)
     whole, fraction = split_delay(plant.robot.delay_s, h)
+    if whole > MOST_DELAY_SAMPLES:
+        raise ParameterError(
+            "delay_s", plant.robot.delay_s, f"at most {MOST_DELAY_SAMPLES} samples of {h:g} s (the loop holds each one)"
+        )
     phi, held = hold(m.a, np.stack([m.b, m.push], axis=1), 1.0)
     gamma, gamma_push = np.ascontiguousarray(held[:, 0]), np.ascontiguousarray(held[:, 1])
     gamma_old = np.zeros_like(gamma)

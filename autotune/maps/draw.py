@@ -54,14 +54,15 @@ def draw_map(plan: MapPlan, result: MapResult, design: MapPoint | None) -> Figur
     elif np.any(result.is_stable):
         _draw_values(figure, axes, plan, result, x, y)
     _draw_unstable(axes, result, x, y)
-    handles.append(
-        Patch(facecolor=UNSTABLE_COLOUR, edgecolor=HATCH_COLOUR, hatch="////", linewidth=0.0, label="unstable")
-    )
-    if np.any(result.is_stable) and not np.all(result.is_stable):
-        handles.append(Line2D([], [], color="black", linewidth=1.4, label="limit of stability"))
+    if not np.all(result.is_stable):
+        hatched: dict[str, Any] = {"facecolor": UNSTABLE_COLOUR, "edgecolor": HATCH_COLOUR, "hatch": "////"}
+        handles.append(Patch(**hatched, linewidth=0.0, label="unstable"))
+        if np.any(result.is_stable):
+            handles.append(Line2D([], [], color="black", linewidth=1.4, label="limit of stability"))
     if design is not None:
         handles.append(_draw_design(axes, plan, quantity, design))
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9.0)
+    if handles:
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9.0)
     headline = f"{quantity.label.capitalize()} {WHERE[request.where]}"
     if quantity.is_peak:
         headline = f"{quantity.label.capitalize()} of the transient"

@@ -18,7 +18,7 @@ def number(value: float) -> str:
 
 def with_unit(text: str, unit: str) -> str:
     """Return text and unit, or the text alone for a number without unit."""
-    return f"{text} {unit}" if unit else text
+    return f"{text}{'' if unit == '°' else ' '}{unit}" if unit else text
 
 
 def approach_text(approach: Approach, *, rotational: bool) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from problems.controller import AdmittanceController
-from problems.margins import frequency_grid, margins_on_grid
+from problems.margins import LARGEST_GAIN_DB, frequency_grid, margins_on_grid
 from problems.sampled import SampledPlant, build_cut_loop, build_sampled_plant
 
 from .proof import UncertainPlant
@@ -16,8 +16,6 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _GRID_POINTS = 6000
-# The Tustin form has a zero at z = −1; what is left of it there is rounding, not a limit on the gain.
-_NO_LIMIT_DB = 200.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +70,7 @@ def _margins(sampled: SampledPlant, controller: AdmittanceController) -> tuple[d
         loops.append((1.0 - opened[signal, signal]) * _ratio(z, closed, _eigenvalues(opened)) - 1.0)
     both = margins_on_grid(grid, np.array(loops))
     smallest = {name: float(np.min(values)) for name, values in both._asdict().items()}
-    if smallest["gain_db"] > _NO_LIMIT_DB:
+    if smallest["gain_db"] >= LARGEST_GAIN_DB:
         smallest["gain_db"] = np.inf
     if not sampled.plant.environment.is_anchored:
         closed = np.delete(closed, int(np.argmin(np.abs(closed - 1.0))))

@@ -61,6 +61,7 @@ def test_all_stable_and_all_unstable_can_be_drawn(folder: Path, damping: str, sh
     picture = written(folder, show=show, x=damping, y="lead_s=0:0.002:4", settings=["feedback_damping_s=0"])
     assert ("unstable everywhere" in picture) == bool(told)
     assert "limit of stability" not in picture
+    assert ("<!-- unstable -->" in picture) == bool(told)
 
 
 def test_a_margin_that_nothing_limits_can_be_drawn(folder: Path) -> None:
