@@ -16,6 +16,8 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _GRID_POINTS = 6000
+# In half-widths of a mode, finer towards its middle.
+_MODE_POINTS = 8.0 * np.linspace(-1.0, 1.0, 81) ** 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,10 +62,9 @@ def _margins(sampled: SampledPlant, controller: AdmittanceController) -> tuple[d
     factor before them.
     """
     cut = build_cut_loop(sampled, controller)
-    grid = frequency_grid(sampled, _GRID_POINTS)
+    closed = _eigenvalues(cut.closed_at(cut.command, cut.force))
+    grid = _around_modes(frequency_grid(sampled, _GRID_POINTS), closed, sampled.sample_time_s)
     z = np.exp(1j * grid * sampled.sample_time_s)
-    whole = cut.closed_at(cut.command, cut.force)
-    closed = _eigenvalues(whole)
     loops = []
     for signal, other in ((cut.force, cut.command), (cut.command, cut.force)):
         opened = cut.closed_at(other)
@@ -75,6 +76,16 @@ def _margins(sampled: SampledPlant, controller: AdmittanceController) -> tuple[d
     if not sampled.plant.environment.is_anchored:
         closed = np.delete(closed, int(np.argmin(np.abs(closed - 1.0))))
     return smallest, float(np.max(np.abs(closed)))
+
+
+def _around_modes(grid: FloatArray, closed: ComplexArray, sample_time_s: float) -> FloatArray:
+    """Add points around the modes of the closed loop, where |1 + L| has its narrow minima."""
+    extra = [grid]
+    for value in closed[closed.imag > 0.0]:
+        centre, width = np.angle(value) / sample_time_s, max(-np.log(np.abs(value)), 1e-9) / sample_time_s
+        extra.append(centre + width * _MODE_POINTS)
+    whole = np.concatenate(extra)
+    return np.unique(whole[(whole >= grid[0]) & (whole <= grid[-1])])
 
 
 def _eigenvalues(matrix: FloatArray) -> ComplexArray:
