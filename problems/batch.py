@@ -177,7 +177,7 @@ def _parameters(controllers: Sequence[AdmittanceController]) -> tuple[FloatArray
     if len(kinds) != 1:
         raise ParameterError("controllers", kinds, "at least one, all of one discretisation and kind of compensation")
     theta, ideal = kinds.pop()
-    return np.array([c.parameters() for c in controllers]), theta, ideal
+    return np.array([c.numbers() for c in controllers]), theta, ideal
 
 
 def _check_alike(plants: Sequence[SampledPlant]) -> None:

@@ -30,8 +30,7 @@ Delay = tuple[int, int, float]
 Contact = tuple[Motion, Outputs, Delay, Wall]
 # Plant state, past commands (a ring of 2^k places, newest first), controller states.
 Start = tuple[FloatArray, FloatArray, FloatArray]
-# The same with position and speed of the environment; `flags` beside it are (head of the ring, touching, tick after
-# the last sample in which the contact began or ended).
+# The same with position and speed of the environment; `flags` beside it are (head of the ring, touching).
 Moment = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 Traces = tuple[FloatArray, FloatArray]
 
@@ -83,7 +82,7 @@ def _first_moment(start: Start, wall: Wall, found: FloatArray) -> tuple[Moment, 
     """Copy the start, with the environment at rest beside it, and let the impact happen."""
     state, surface_state = start[0].copy(), np.zeros(2)
     found[4] = change_touch(state, surface_state, wall, False)
-    return (state, start[1].copy(), start[2].copy(), surface_state), np.array([0, 1, 0])
+    return (state, start[1].copy(), start[2].copy(), surface_state), np.array([0, 1])
 
 
 @compiled
@@ -166,7 +165,7 @@ def _step(
             motion[1], state, surface_state, wall, rows, inputs, delay[2], touching, max(len(inside) + 1, apart)
         )
         _note(found, k, (largest, moment))
-        found[4], flags[1], flags[2] = max(found[4], impulse), 1 if touching else 0, k + 1
+        found[4], flags[1] = max(found[4], impulse), 1 if touching else 0
     if delay[1] > 0:
         flags[0] = (flags[0] - 1) & (len(past) - 1)
         past[flags[0]] = command
@@ -284,13 +283,13 @@ def _search_sample(
     traces: Traces,
     found: FloatArray,
 ) -> None:
-    """Step over sample k; if the payload stays on the environment in it, search its largest force."""
+    """Step over sample k and search its largest force; a payload that leaves in it has passed the largest before."""
     (motion, (rows, _), delay, _), state, touching = plant, now[0].copy(), flags[1] == 1
     law = (now[2][0], now[2][1], now[2][2], now[2][3])
     _, command, _, _ = _outputs(rows, blocks, law, state, _held(now[1], flags[0], delay), delay, forces)
     newer, older = _commands(now[1], flags[0], delay, command)
     _walk(plant, blocks, now, flags, forces, (k, k + 1), traces, np.zeros(5))
-    if touching and flags[2] != k + 1:
+    if touching:
         _note(found, k, largest_in_sample(motion[1][0], rows, (older, newer, forces[1]), state, delay[2]))
 
 

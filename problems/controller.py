@@ -78,16 +78,18 @@ class AdmittanceController:
 
     def parameters(self) -> FloatArray:
         """Return (M_a, B_a, K_l, B_fb, ω_v, ω_a, P̂), the order that the equations take."""
-        return np.array(
-            [
-                self.mass_kg,
-                self.damping_n_s_per_m,
-                self.lead_s,
-                self.feedback_damping_s,
-                self.velocity_filter_rad_per_s,
-                self.acceleration_filter_rad_per_s,
-                self.compensation_mass_kg,
-            ]
+        return np.array(self.numbers())
+
+    def numbers(self) -> tuple[float, ...]:
+        """Return the same as a tuple, from which the parameters of many controllers make one array faster."""
+        return (
+            self.mass_kg,
+            self.damping_n_s_per_m,
+            self.lead_s,
+            self.feedback_damping_s,
+            self.velocity_filter_rad_per_s,
+            self.acceleration_filter_rad_per_s,
+            self.compensation_mass_kg,
         )
 
 

@@ -129,3 +129,34 @@ def test_a_slow_clock_does_not_hide_the_bounces_between_its_ticks(stiffness: flo
     np.testing.assert_allclose(found.contact_force_n, expected.pressed, atol=1e-6 * expected.peak)
     assert found.peak_contact_force_n == pytest.approx(expected.peak, rel=1e-8)
     assert found.time_of_peak_s == pytest.approx(expected.time_of_peak, abs=1e-7)
+
+
+def test_a_light_mass_comes_and_goes_between_the_ticks() -> None:
+    """Apart, a mass of 1.4 kg on 1.3e7 N/m swings by 6 rad per sample of 2 ms and meets the payload on its way."""
+    plant = replace(hard(1.3e7, 2.6, 290.0, 5.4e4), robot=one_pole(2e-3, 124.0))
+    plant = plant.in_contact_with(Environment(stiffness_n_per_m=1.3e7, mass_kg=1.4))
+    controller = admittance(mass=7.0, damping=1600.0, lead=0.042)
+    found, expected, _ = both(plant, controller, Approach(speed_m_s=0.1, after_impact_n=20.0), 60, 2e-3)
+    assert len(expected.impulses) > 1
+    np.testing.assert_allclose(found.contact_force_n, expected.pressed, atol=1e-6 * expected.peak)
+    np.testing.assert_allclose(-found.sensor_force_n, expected.sensed, atol=1e-6 * expected.peak)
+    assert found.impulse_n_s == pytest.approx(max(expected.impulses), rel=1e-6)
+
+
+def test_a_step_of_the_force_tears_the_payload_off_a_mass_at_the_tick() -> None:
+    """A hand that lets go at the impact, a damped coupling: at the tick nothing presses the two together any more."""
+    plant = paper_plant(
+        stiffness=6.8e5,
+        environment_mass=0.8,
+        mass=7.3,
+        drag=370.0,
+        coupling=5.2e4,
+        coupling_damping=950.0,
+        robot=one_pole(0.9e-3, 50.0),
+    )
+    controller = admittance(mass=39.0, damping=1200.0, lead=0.011)
+    gone = Approach(speed_m_s=0.1, driven_by="hand", after_impact_n=0.0)
+    found, expected, _ = both(plant, controller, gone, 60, 2e-3)
+    np.testing.assert_allclose(found.contact_force_n, expected.pressed, atol=1e-6 * expected.peak)
+    np.testing.assert_allclose(-found.sensor_force_n, expected.sensed, atol=1e-6 * expected.peak)
+    assert found.peak_contact_force_n == pytest.approx(expected.peak, rel=1e-7)

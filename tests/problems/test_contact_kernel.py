@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from problems.contact import Approach, SampledContact, build_sampled_contact
-from problems.contact_kernel import SETTLED, run_contact
+from problems.contact_kernel import SETTLED, _settled, run_contact
 from problems.contact_start import contact_forces, steady_start
 from problems.controller import AdmittanceController, controller_blocks, needed_states
 from problems.plant import Plant
@@ -181,6 +181,30 @@ def test_a_hand_that_never_makes_the_sensor_press_comes_to_rest_too() -> None:
     assert abs(sensed[-1]) < 30.0 * SETTLED
     assert pressed[-1] == pytest.approx(30.0, rel=2.0 * SETTLED)
     assert found[2] == 30.0
+
+
+@pytest.mark.parametrize(
+    ("end", "forces", "touching", "anchored", "settled"),
+    [
+        pytest.param(-30.0, (30.0, 0.0), True, True, True, id="at rest: e = 0"),
+        pytest.param(-29.0, (30.0, 0.0), True, True, False, id="flat, but still driven"),
+        pytest.param(0.0, (0.0, 25.0), True, True, True, id="at rest under a hand"),
+        pytest.param(-6.0, (30.0, 0.0), True, False, True, id="pushing a damper for ever"),
+        pytest.param(-0.5, (8.0, 0.0), False, True, False, id="drifting back to the wall"),
+        pytest.param(0.4, (0.0, 8.0), False, True, False, id="carried back to the wall"),
+        pytest.param(0.5, (-8.0, 0.0), False, True, True, id="pulled away"),
+        pytest.param(0.0, (0.0, 0.0), False, True, True, id="thrown off and left alone"),
+        pytest.param(-0.5, (8.0, 0.0), False, False, True, id="behind a mass that flies ahead"),
+    ],
+)
+def test_rest_is_where_nothing_is_flat_by_chance(
+    end: float, forces: tuple[float, float], touching: bool, anchored: bool, settled: bool
+) -> None:
+    """A flat quarter is not enough where e = F^d + F is not 0 on a spring, or where the payload will come back."""
+    force = np.concatenate([np.linspace(-20.0, end, 60), np.full(40, end)])
+    assert _settled(force, 100, forces, touching, anchored, 20.0) is settled
+    # Shortly before, the last quarter was not flat.
+    assert not _settled(force, 80, forces, touching, anchored, 20.0)
 
 
 def test_a_payload_in_flight_towards_the_wall_has_not_come_to_rest() -> None:

@@ -65,7 +65,7 @@ def walk(
     """Run one of the two stretches and return tick, moment, flags, traces and peaks."""
     (step, _), (rows, _), delay, wall = plant
     now: Moment = (start[0].copy(), start[1].copy(), start[2].copy(), np.zeros(2))
-    flags, traces, found = np.array([0, int(touching), 0]), np.zeros((2, SAMPLES)), np.zeros(5)
+    flags, traces, found = np.array([0, int(touching)]), np.zeros((2, SAMPLES)), np.zeros(5)
     mode = step[0 if touching else 1]
     both, forces = (traces[0], traces[1]), (30.0, 3.0)
     tick = function(mode, rows, delay, wall, blocks, now, flags, forces, span, both, found)  # type: ignore[operator]
@@ -163,7 +163,7 @@ def test_a_stretch_can_be_cut_anywhere(parts: tuple[int, ...]) -> None:
     for function in (stretch, stretch_of_three):
         _, whole, _, traces, found = walk(function, arguments, blocks, start, (0, SAMPLES))
         now: Moment = (start[0].copy(), start[1].copy(), start[2].copy(), np.zeros(2))
-        flags, pieces, peak = np.array([0, 1, 0]), np.zeros((2, SAMPLES)), np.zeros(5)
+        flags, pieces, peak = np.array([0, 1]), np.zeros((2, SAMPLES)), np.zeros(5)
         for span in itertools.pairwise(parts):
             both = (pieces[0], pieces[1])
             assert function(step[0], rows, delay, wall, blocks, now, flags, (30.0, 3.0), span, both, peak) == span[1]
