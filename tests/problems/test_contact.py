@@ -8,6 +8,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.linalg import expm
 
 from problems.contact import Approach, SampledContact, build_sampled_contact, simulate_contact
 from problems.contact_start import contact_forces, steady_start
@@ -362,3 +363,29 @@ def test_both_sides_of_a_pair_share_everything_but_the_wall() -> None:
     assert replace(pair.free, plant=DAMPED).whole_delay == pair.contact.whole_delay == 2
     np.testing.assert_array_equal(pair.free.c_force, pair.contact.c_force)
     np.testing.assert_array_equal(pair.free.drive[:-1], pair.contact.drive[:-1])
+
+
+@pytest.mark.parametrize("delay_s", [1.6e-3, 1.9e-3, 0.5e-3])
+@pytest.mark.parametrize(("mass", "damping"), [(0.0, 0.0), (3.0, 40.0)])
+def test_the_looks_between_the_ticks_are_the_force_there(delay_s: float, mass: float, damping: float) -> None:
+    """F_e at equal parts of a sample, the older command held up to the fraction and the newer one from there on."""
+    plant = paper_plant(
+        stiffness=1e8,
+        environment_mass=mass,
+        environment_damping=damping,
+        coupling_damping=300.0,
+        robot=one_pole(delay_s),
+    )
+    (_, flow), (rows, inside), (_, _, fraction), _ = pair_of(plant).arguments
+    state, (older, newer, push) = np.array([2e-5, 1e-5, 3e-5]), (3e-5, -1e-5, 7.0)
+    assert len(inside) > 2
+    for j, row in enumerate(inside):
+        moment = (j + 1) / (len(inside) + 1)
+        current, held = np.append(state, 1.0), older if moment < fraction else newer
+        for command, duration in ((older, min(moment, fraction)), (newer, max(0.0, moment - fraction))):
+            augmented = np.zeros((4, 4))
+            augmented[:3, :3], augmented[:3, 3] = flow[0][:, :3], flow[0][:, 3] * command + flow[0][:, 4] * push
+            current = expm(augmented * duration) @ current
+        expected = rows[2] @ [*current[:3], held, push]
+        # Exponentials of matrices of norm 4: rounding, of forces of 1e3 N.
+        assert row @ [*state, newer, older, push] == pytest.approx(expected, rel=1e-11, abs=1e-9)
