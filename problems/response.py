@@ -111,7 +111,8 @@ def hand_admittance(
 ) -> ComplexArray:
     """Return V_p/F_h [m/s/N]: the payload's velocity per force of a hand on it, in the closed sampled loop.
 
-    Below the loop's bandwidth in free space it is 1/(B_a + B_p), see `hand_force_per_speed`.
+    The hand's force is held from tick to tick, which adds half a sample of lag. Below the loop's bandwidth in free
+    space it is 1/(B_a + B_p), see `hand_force_per_speed`.
     """
     loop, omega = build_loop(sampled, controller), np.asarray(frequency_rad_per_s, dtype=np.float64)
     z = np.exp(1j * omega * sampled.sample_time_s)
