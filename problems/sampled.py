@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import expm
 
 from ._checks import positive
 from .compiled import compiled, equation
@@ -20,6 +21,7 @@ _WHOLE = 1e-9
 MOST_DELAY_SAMPLES = 1000
 # With a norm of at most 1/2 the series below is exact to rounding.
 _TAYLOR_TERMS = 14
+_MOST_SQUARINGS = 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +108,14 @@ def _hold_columns(a: FloatArray, columns: FloatArray, duration: float) -> FloatA
 def hold(a: FloatArray, b: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
     """Return exp(a·duration) and ∫ exp(a σ) b dσ over [0, duration]; `b` is (n,) or (n, inputs)."""
     n = len(a)
+    if squarings_for(np.ascontiguousarray(a)) > _MOST_SQUARINGS:
+        # So stiff a plant loses digits in repeated squaring; scipy scales it more carefully.
+        columns = b.reshape(n, -1)
+        size = n + columns.shape[1]
+        augmented = np.zeros((size, size))
+        augmented[:n, :n], augmented[:n, n:] = a * duration, columns * duration
+        exact = expm(augmented)
+        return np.ascontiguousarray(exact[:n, :n]), np.ascontiguousarray(exact[:n, n:]).reshape(b.shape)
     whole = _hold_columns(np.ascontiguousarray(a), np.ascontiguousarray(b).reshape(n, -1), duration)
     return np.ascontiguousarray(whole[:n, :n]), np.ascontiguousarray(whole[:n, n:]).reshape(b.shape)
 
