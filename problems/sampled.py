@@ -21,7 +21,7 @@ _WHOLE = 1e-9
 MOST_DELAY_SAMPLES = 1000
 # With a norm of at most 1/2 the series below is exact to rounding.
 _TAYLOR_TERMS = 14
-_MOST_SQUARINGS = 12
+_MOST_SQUARINGS, _HOPELESS_SQUARINGS = 12, 60
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,8 +108,9 @@ def _hold_columns(a: FloatArray, columns: FloatArray, duration: float) -> FloatA
 def hold(a: FloatArray, b: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
     """Return exp(a·duration) and ∫ exp(a σ) b dσ over [0, duration]; `b` is (n,) or (n, inputs)."""
     n = len(a)
-    if squarings_for(np.ascontiguousarray(a)) > _MOST_SQUARINGS:
-        # So stiff a plant loses digits in repeated squaring; scipy scales it more carefully.
+    if _MOST_SQUARINGS < squarings_for(np.ascontiguousarray(a)) <= _HOPELESS_SQUARINGS:
+        # So stiff a plant loses digits in repeated squaring; scipy scales it more carefully. Beyond all reason the
+        # squaring overflows, and what is not finite is refused.
         columns = b.reshape(n, -1)
         size = n + columns.shape[1]
         augmented = np.zeros((size, size))
