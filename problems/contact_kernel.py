@@ -237,12 +237,15 @@ def _settled(
 
     On an environment with stiffness e = F^d + F must be 0 as well; away from it nothing may drive the payload back.
     """
-    low, high = force[count - 1], force[count - 1]
-    for i in range(count - max(count // 4, 32), count):
-        low, high = min(low, force[i]), max(high, force[i])
     band = SETTLED * max(largest, abs(force[0]), abs(forces[0]), abs(forces[1]))
     at_rest = abs(forces[0] + force[count - 1]) < band if touching else forces[0] + forces[1] <= 0.0
-    return bool(high - low < band and (at_rest or not anchored))
+    if anchored and not at_rest:
+        return False
+    low, high, tick, first = force[count - 1], force[count - 1], count - 1, count - max(count // 4, 32)
+    while tick >= first and high - low < band:
+        low, high = min(low, force[tick]), max(high, force[tick])
+        tick -= 1
+    return bool(high - low < band)
 
 
 @compiled

@@ -47,7 +47,9 @@ def plant_at(plant: FloatArray, w: complex) -> tuple[complex, complex]:
         denominator = denominator * step + plant[0, i]
         force = force * step + plant[1, i]
         position = position * step + plant[2, i]
-    late = _quotient(1.0 - w, 1.0 + w) ** int(plant[3, 0])
+    late, sample = 1.0 + 0.0j, _quotient(1.0 - w, 1.0 + w)
+    for _ in range(int(plant[3, 0])):
+        late *= sample
     return late * _quotient(force, denominator), late * _quotient(position, denominator)
 
 
@@ -180,7 +182,8 @@ def _turns_between(one: complex, two: complex) -> bool:
     if _turns(one, two):
         return True
     first, second = one - 1.0, two - 1.0
-    return max(abs(first), abs(second)) > _SMALL_LOOP and _turns(first, second)
+    sizes = (first.real * first.real + first.imag * first.imag, second.real * second.real + second.imag * second.imag)
+    return max(sizes) > _SMALL_LOOP * _SMALL_LOOP and _turns(first, second)
 
 
 @compiled
@@ -208,7 +211,8 @@ def _smallest(
     for k in range(1, count - 1):
         if values[k] <= limit and values[k] <= values[k - 1] and values[k] <= values[k + 1]:
             bracket = (omega[k - 1], omega[k], omega[k + 1])
-            value, at = _descend(plant, controller, degree, sampling, bracket, signal, disk)
+            around = (values[k - 1], values[k], values[k + 1])
+            value, at = _descend(plant, controller, degree, sampling, bracket, around, signal, disk)
             if value < best:
                 best, where = value, at
     return np.sqrt(best), where
@@ -229,14 +233,12 @@ def _descend(
     degree: int,
     sampling: tuple[float, float],
     bracket: tuple[float, float, float],
+    values: tuple[float, float, float],
     signal: int,
     disk: bool,
 ) -> tuple[float, float]:
-    """Return the smallest squared distance inside a bracket: parabolas through three points of the squared distance."""
-    low, middle, high = bracket
-    at_low = squared_distance(differences_at(plant, controller, degree, *sampling, low)[signal], disk)
-    at_middle = squared_distance(differences_at(plant, controller, degree, *sampling, middle)[signal], disk)
-    at_high = squared_distance(differences_at(plant, controller, degree, *sampling, high)[signal], disk)
+    """Return the smallest squared distance inside a bracket, by parabolas through three points of it."""
+    (low, middle, high), (at_low, at_middle, at_high) = bracket, values
     for _ in range(_SECTIONS):
         trial = _vertex((low, middle, high), (at_low, at_middle, at_high))
         if not low < trial < high or abs(trial - middle) < 1e-3 * (high - low):
