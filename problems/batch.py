@@ -6,6 +6,8 @@ the memory is that of the result and of the plants.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +27,7 @@ from .batch_kernel import (
     judge_stability,
 )
 from .contact import Approach, SampledContact, longest_run, simulate_contact
-from .controller import AdmittanceController
+from .controller import THETA, AdmittanceController
 from .errors import ParameterError
 from .margins import check_finite, find_margins, loop_polynomials, margin_grid, response_polynomials
 from .polynomials import DOUBTFUL
@@ -33,6 +35,8 @@ from .sampled import SampledPlant, build_loop, spectral_radius
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+
+_KIND = attrgetter("discretization", "compensation", "compensation_mass_kg")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,11 +177,12 @@ def _stacked(polynomials: Sequence[FloatArray]) -> FloatArray:
 
 def _parameters(controllers: Sequence[AdmittanceController]) -> tuple[FloatArray, float, bool]:
     """Return the parameters (m, 7) with θ and whether the compensation is ideal, which all controllers must share."""
-    kinds = {(c.theta, c.is_ideal) for c in controllers}
+    kinds = {(THETA[rule], kind == "ideal" and mass > 0.0) for rule, kind, mass in set(map(_KIND, controllers))}
     if len(kinds) != 1:
         raise ParameterError("controllers", kinds, "at least one, all of one discretisation and kind of compensation")
     theta, ideal = kinds.pop()
-    return np.array([c.numbers() for c in controllers]), theta, ideal
+    numbers = chain.from_iterable(map(AdmittanceController.numbers, controllers))
+    return np.fromiter(numbers, dtype=np.float64).reshape(len(controllers), -1), theta, ideal
 
 
 def _check_alike(plants: Sequence[SampledPlant]) -> None:

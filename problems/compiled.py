@@ -47,13 +47,26 @@ def _parts(function: FunctionType, seen: set[FunctionType]) -> Iterator[str]:
         called = getattr(value, "py_func", value)
         if not isinstance(called, FunctionType):
             yield f"{name} {value!r}" if isinstance(value, int | float | tuple) else name
-        elif called not in seen and called.__module__.split(".")[0] == __package__:
+        elif called not in seen and _floor(called) in (__package__, _floor(function)):
             yield from _parts(called, seen)
+
+
+def _floor(function: FunctionType) -> str:
+    return function.__module__.split(".")[0]
 
 
 def compiled(function: _Function) -> _Function:
     """Compile a kernel of floats and arrays; the straight Python version stays at `.py_func`."""
-    dispatcher: Any = numba.njit(cache=True, error_model="numpy")(function)
+    return _compile(function, nogil=False)
+
+
+def unlocked(function: _Function) -> _Function:
+    """Compile a kernel that lets go of the interpreter's lock, so that threads may run beside each other."""
+    return _compile(function, nogil=True)
+
+
+def _compile(function: _Function, *, nogil: bool) -> _Function:
+    dispatcher: Any = numba.njit(cache=True, error_model="numpy", nogil=nogil)(function)
     index = dispatcher._cache._cache_file  # noqa: SLF001 - numba offers no other way to name what a kernel depends on
     index._source_stamp = _Stamp(index._source_stamp, function)  # noqa: SLF001
     return cast(_Function, dispatcher)

@@ -17,6 +17,8 @@ _TAYLOR_TERMS = 14
 _BISECTIONS = 44
 _SWITCHES_PER_SAMPLE = 8
 _SERIES_TERMS = 18
+# Shares of the force below which a term, or what a crest may still hide, is rounding.
+_NEGLIGIBLE, _FLAT = 1e-18, 1e-16
 _SLOPE_STEPS = 7
 # Below this (ωτ)² the power series of cosine and sine are exact to rounding in four terms.
 _NEARLY_CRITICAL = 1e-3
@@ -233,6 +235,18 @@ def largest_in_sample(
 
 
 @compiled
+def contact_slope(flow: FloatArray, outputs: FloatArray, inputs: tuple[float, float], state: FloatArray) -> float:
+    """Return dF_e/dτ of a payload that stays on the environment; `inputs` as for `contact_force`."""
+    n, total = len(state), 0.0
+    for i in range(n):
+        rate = flow[i, n] * inputs[0] + flow[i, n + 1] * inputs[1]
+        for j in range(n):
+            rate += flow[i, j] * state[j]
+        total += outputs[2, i] * rate
+    return total
+
+
+@compiled
 def largest_force(
     flow: FloatArray,
     outputs: FloatArray,
@@ -246,9 +260,10 @@ def largest_force(
         size = max(size, np.sum(np.abs(flow[i, :n])))
     pieces = max(1, int(np.ceil(size * duration)))
     step = duration / pieces
-    best, moment = contact_force(state, outputs, inputs), 0.0
+    best, moment, weight = contact_force(state, outputs, inputs), 0.0, np.sum(np.abs(outputs[2, :n]))
     current, term, next_term, series = state.copy(), np.empty(n), np.empty(n), np.empty(_SERIES_TERMS)
     for piece in range(pieces):
+        count = 1
         series[0] = contact_force(current, outputs, inputs)
         for i in range(n):
             total = flow[i, n] * inputs[0] + flow[i, n + 1] * inputs[1]
@@ -256,10 +271,15 @@ def largest_force(
                 total += flow[i, j] * current[j]
             term[i] = total * step
         for order in range(1, _SERIES_TERMS):
-            series[order] = 0.0
+            series[order], longest = 0.0, 0.0
             for i in range(n):
                 current[i] += term[i]
                 series[order] += outputs[2, i] * term[i]
+                longest = max(longest, abs(term[i]))
+            count = order + 1
+            # The terms shrink from here on: each is at most `step` · `size` / order of the one before.
+            if longest * weight < _NEGLIGIBLE * abs(series[0]):
+                break
             for i in range(n):
                 total = 0.0
                 for j in range(n):
@@ -267,7 +287,7 @@ def largest_force(
                 next_term[i] = total * (step / (order + 1.0))
             for i in range(n):
                 term[i] = next_term[i]
-        value, where = _largest_of_series(series)
+        value, where = _largest_of_series(series[:count])
         if value > best:
             best, moment = value, (piece + where) * step
     return best, moment
@@ -283,13 +303,18 @@ def _largest_of_series(series: FloatArray) -> tuple[float, float]:
     best, where = (start, 0.0) if start >= stop else (stop, 1.0)
     low, high = 0.0, 1.0
     if series[1] > 0.0 and _slope_of_series(series, 1.0) < 0.0:
+        left, right = series[1], _slope_of_series(series, 1.0)
         for _ in range(_SLOPE_STEPS):
-            left, right = _slope_of_series(series, low), _slope_of_series(series, high)
             middle = low + (high - low) * min(0.95, max(0.05, left / (left - right)))
-            if _slope_of_series(series, middle) > 0.0:
-                low = middle
+            slope = _slope_of_series(series, middle)
+            if slope > 0.0:
+                low, left = middle, slope
             else:
-                high = middle
+                high, right = middle, slope
+            # The value at the crest is off by less than slope times width.
+            if abs(slope) * (high - low) < _FLAT * abs(best):
+                low = high = middle
+                break
         middle = 0.5 * (low + high)
         value = _sum_series(series, middle)
         if value > best:

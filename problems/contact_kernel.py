@@ -9,12 +9,13 @@ from .contact_events import (
     advance_surface,
     change_touch,
     contact_force,
+    contact_slope,
     largest_in_sample,
     looks_apart,
     presses,
     switch_within,
 )
-from .contact_stretch import stretch, stretch_of_three
+from .contact_stretch import SETTLED, SHORTEST_QUARTER, stretch, stretch_of_three
 from .controller import controller_step
 
 FloatArray = NDArray[np.float64]
@@ -34,8 +35,6 @@ Start = tuple[FloatArray, FloatArray, FloatArray]
 Moment = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 Traces = tuple[FloatArray, FloatArray]
 
-# A run is over when the force has stayed within this share of the largest force for a quarter of its length.
-SETTLED = 1e-3
 _FIRST_LOOK = 96
 # Looks are half a radian of the fastest oscillation apart: they miss at most 3 % of its amplitude (which the force may
 # exceed only in part), and a parabola through three of them 0.15 %.
@@ -61,16 +60,15 @@ def run_contact(
     `found` the peaks.
     """
     now, flags = _first_moment(start, plant[3], found)
-    total = len(traces[0])
+    total, crest = len(traces[0]), np.full((2, len(now[0]) + 3), -1.0)
     done, look = 0, min(_FIRST_LOOK, total) if until_settled else total
     while True:
-        _walk(plant, blocks, now, flags, forces, (done, look), traces, found)
-        done = look
+        done = _walk(plant, blocks, now, flags, forces, (done, look, total), traces, found, crest)
         if done == total or _settled(traces[0], done, forces, flags[1] == 1, plant[3][0] > 0.0, found[0]):
             break
-        look = min(total, look + look // 3)
+        look = min(total, done + done // 3)
     if _is_plain(plant):
-        _refine_peak(plant, blocks, start, forces, traces, done, found)
+        _refine_peak(plant, blocks, start, forces, traces, done, found, crest)
     # Only an environment with stiffness brings the payload to rest.
     if flags[1] == 1 and plant[3][0] > 0.0:
         _add_rest(forces, done, found)
@@ -99,22 +97,31 @@ def _walk(
     now: Moment,
     flags: NDArray[np.int64],
     forces: tuple[float, float],
-    span: tuple[int, int],
+    span: tuple[int, int, int],
     traces: Traces,
     found: FloatArray,
-) -> None:
-    """Step over the ticks of `span`: stretches in which nothing switches, and the samples between them."""
-    (motion, outputs, delay, wall), done, plain = plant, span[0], _is_plain(plant)
-    while done < span[1]:
+    crest: FloatArray,
+) -> int:
+    """Step over the ticks of `span` and return the one that was reached, the aim (see `stretch`) or one behind it.
+
+    Between stretches in which nothing switches lie the samples that are crossed one by one.
+    """
+    (motion, outputs, delay, wall), (done, aim, end), plain = plant, span, _is_plain(plant)
+    while done < aim:
         if plain:
-            step, part = motion[0][0 if flags[1] == 1 else 1], (done, span[1])
+            step, part = motion[0][0 if flags[1] == 1 else 1], (done, aim, end)
             if len(now[0]) == 3:
-                done = stretch_of_three(step, outputs[0], delay, wall, blocks, now, flags, forces, part, traces, found)
+                done, aim = stretch_of_three(
+                    step, outputs[0], delay, wall, blocks, now, flags, forces, part, traces, found, crest
+                )
             else:
-                done = stretch(step, outputs[0], delay, wall, blocks, now, flags, forces, part, traces, found)
-        if done < span[1]:
+                done, aim = stretch(
+                    step, outputs[0], delay, wall, blocks, now, flags, forces, part, traces, found, crest
+                )
+        if done < aim:
             _step(plant, blocks, now, flags, forces, done, traces, found)
             done += 1
+    return done
 
 
 @compiled
@@ -233,15 +240,19 @@ def _outputs(
 def _settled(
     force: FloatArray, count: int, forces: tuple[float, float], touching: bool, anchored: bool, largest: float
 ) -> bool:
-    """Tell whether the force has come to rest: flat for the last quarter of the run.
+    """Tell whether the force has come to rest in the last quarter of the run.
 
-    On an environment with stiffness e = F^d + F must be 0 as well; away from it nothing may drive the payload back.
+    On an environment with stiffness e = F^d + F must have stayed at 0; elsewhere the force must have been flat, and
+    away from such an environment nothing may drive the payload back.
     """
-    band = SETTLED * max(largest, abs(force[0]), abs(forces[0]), abs(forces[1]))
-    at_rest = abs(forces[0] + force[count - 1]) < band if touching else forces[0] + forces[1] <= 0.0
-    if anchored and not at_rest:
+    band, at_rest = SETTLED * max(largest, abs(force[0]), abs(forces[0]), abs(forces[1])), touching and anchored
+    if anchored and not touching and forces[0] + forces[1] > 0.0:
         return False
-    low, high, tick, first = force[count - 1], force[count - 1], count - 1, count - max(count // 4, 32)
+    low, high, tick, first = force[count - 1], force[count - 1], count - 1, count - max(count // 4, SHORTEST_QUARTER)
+    if at_rest:
+        while tick >= first and abs(forces[0] + force[tick]) < 0.5 * band:
+            tick -= 1
+        return tick < first
     while tick >= first and high - low < band:
         low, high = min(low, force[tick]), max(high, force[tick])
         tick -= 1
@@ -257,43 +268,53 @@ def _refine_peak(
     traces: Traces,
     count: int,
     found: FloatArray,
+    crest: FloatArray,
 ) -> None:
-    """Search the contact force between the ticks, around every tick whose parabola could reach the largest value."""
-    ignored, pressed, at = np.zeros(5), traces[1], 0
-    now, flags = _first_moment(start, plant[3], ignored)
-    for tick in range(count - 1):
-        before, after = pressed[max(0, tick - 1)], pressed[tick + 1]
-        bend = 2.0 * pressed[tick] - before - after
-        if pressed[tick] < before or pressed[tick] < after or bend <= 0.0:
+    """Search the contact force between the ticks, around every tick whose parabola could reach the largest value.
+
+    `crest` is what the stretches kept of the ticks before the largest. Where another tick is asked for, the run is
+    repeated up to it; a sample with a switch has been searched when it was crossed.
+    """
+    pressed, at = traces[1], count
+    # No force presses less than 0, so the crest of a parabola is at most a quarter above its middle point.
+    floor = found[2] / (1.25 * (1.0 + _MISSED_BY_PARABOLA))
+    for tick in range(1, count - 1):
+        if pressed[tick] <= floor:
             continue
-        crest = pressed[tick] + (after - before) ** 2 / (8.0 * bend)
-        if (1.0 + _MISSED_BY_PARABOLA) * crest > found[2]:
-            first = max(at, tick - 1)
-            _walk(plant, blocks, now, flags, forces, (at, first), traces, ignored)
-            for k in range(first, tick + 1):
-                _search_sample(plant, blocks, now, flags, forces, k, traces, found)
-            at = tick + 1
+        bend = 2.0 * pressed[tick] - pressed[tick - 1] - pressed[tick + 1]
+        if pressed[tick] < pressed[tick - 1] or pressed[tick] < pressed[tick + 1] or bend <= 0.0:
+            continue
+        top = pressed[tick] + (pressed[tick + 1] - pressed[tick - 1]) ** 2 / (8.0 * bend)
+        if (1.0 + _MISSED_BY_PARABOLA) * top <= found[2]:
+            continue
+        if crest[tick & 1, -1] != tick or crest[1 - tick & 1, -1] != tick - 1:
+            if at >= tick:
+                ignored, at = np.zeros(5), 0
+                now, flags = _first_moment(start, plant[3], ignored)
+            _walk(plant, blocks, now, flags, forces, (at, tick - 1, tick - 1), traces, ignored, crest)
+            # With nothing before them to be compared with, both ticks are kept.
+            ignored[2], at = -1.0, tick + 1
+            _walk(plant, blocks, now, flags, forces, (tick - 1, at, at), traces, ignored, crest)
+        _search_around(plant, tick, forces[1], crest, found)
 
 
 @compiled
-def _search_sample(
-    plant: Contact,
-    blocks: FloatArray,
-    now: Moment,
-    flags: NDArray[np.int64],
-    forces: tuple[float, float],
-    k: int,
-    traces: Traces,
-    found: FloatArray,
-) -> None:
-    """Step over sample k and search its largest force; a payload that leaves in it has passed the largest before."""
-    (motion, (rows, _), delay, _), state, touching = plant, now[0].copy(), flags[1] == 1
-    law = (now[2][0], now[2][1], now[2][2], now[2][3])
-    _, command, _, _ = _outputs(rows, blocks, law, state, _held(now[1], flags[0], delay), delay, forces)
-    newer, older = _commands(now[1], flags[0], delay, command)
-    _walk(plant, blocks, now, flags, forces, (k, k + 1), traces, np.zeros(5))
-    if touching:
-        _note(found, k, largest_in_sample(motion[1][0], rows, (older, newer, forces[1]), state, delay[2]))
+def _search_around(plant: Contact, tick: int, push: float, crest: FloatArray, found: FloatArray) -> None:
+    """Search the force of the samples before and behind a tick, as far as they were kept.
+
+    Without a step of the command inside the samples the slopes at the tick tell in which of them it is largest. A
+    payload that leaves in the sample behind has passed the largest force before.
+    """
+    flow, rows, delay, n = plant[0][1][0], plant[1][0], plant[2], crest.shape[1] - 3
+    behind, before = crest[tick & 1], crest[1 - tick & 1]
+    whole, state = delay[2] == 0.0, behind[:n]
+    if before[n + 2] == tick - 1:
+        falls = contact_slope(flow, rows, (before[n], push), state) < 0.0
+        if not whole or behind[n + 2] != tick or falls:
+            inputs = (before[n + 1], before[n], push)
+            _note(found, tick - 1, largest_in_sample(flow, rows, inputs, before[:n], delay[2]))
+    if behind[n + 2] == tick and not (whole and contact_slope(flow, rows, (behind[n], push), state) <= 0.0):
+        _note(found, tick, largest_in_sample(flow, rows, (behind[n + 1], behind[n], push), state, delay[2]))
 
 
 @compiled

@@ -1,6 +1,8 @@
 """The admittance controller and its sampled form (MODEL.md, "Continuous blocks" and Errata 2 and 3)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, Literal
 
 import numpy as np
@@ -22,6 +24,17 @@ PAPER_ACCELERATION_FILTER_RAD_PER_S = 200.0
 # s is replaced by (z − 1)/(h (θ z + 1 − θ)).
 THETA: dict[Discretization, float] = {"tustin": 0.5, "forward_euler": 0.0, "backward_euler": 1.0}
 CONTROLLER_STATES = 4
+
+
+_NUMBERS: Callable[["AdmittanceController"], tuple[float, ...]] = attrgetter(
+    "mass_kg",
+    "damping_n_s_per_m",
+    "lead_s",
+    "feedback_damping_s",
+    "velocity_filter_rad_per_s",
+    "acceleration_filter_rad_per_s",
+    "compensation_mass_kg",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,15 +95,7 @@ class AdmittanceController:
 
     def numbers(self) -> tuple[float, ...]:
         """Return the same as a tuple, from which the parameters of many controllers make one array faster."""
-        return (
-            self.mass_kg,
-            self.damping_n_s_per_m,
-            self.lead_s,
-            self.feedback_damping_s,
-            self.velocity_filter_rad_per_s,
-            self.acceleration_filter_rad_per_s,
-            self.compensation_mass_kg,
-        )
+        return _NUMBERS(self)
 
 
 def check_feedback_damping(feedback_damping_s: float) -> float:

@@ -17,7 +17,7 @@ Grid = tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]
 # What `find_loop_margins` returns, the smaller of both break points.
 MODULUS, MODULUS_RAD_PER_S, DISK, GAIN_DB, PHASE_RAD, DELAY_S, MARGINS = 0, 1, 2, 3, 4, 5, 6
 
-_SECTIONS = 10
+_SECTIONS = 30
 _BISECTIONS = 60
 _CLOSE = 1.5
 # The tangent of the angle between neighbours from which a turn is followed.
@@ -28,6 +28,9 @@ _NARROWEST = 1e-8
 _DEEPEST = 40
 _ADDED_POINTS = 2000
 _REAL = 1e-3
+# From this ratio of its sides on a bracket spoils the parabola; where its values differ by less it is not searched on.
+_LOPSIDED = 8.0
+_FLAT = 1e-8
 
 
 @compiled
@@ -40,8 +43,8 @@ def plant_at(plant: FloatArray, w: complex) -> tuple[complex, complex]:
     denominator, force, position = 0.0 + 0.0j, 0.0 + 0.0j, 0.0 + 0.0j
     count = plant.shape[1]
     # Near the Nyquist frequency w is huge: the ratios are the same with the powers of 1/w in reverse.
-    large = abs(w) > 1.0
-    step = 1.0 / w if large else w
+    large = w.real * w.real + w.imag * w.imag > 1.0
+    step = _quotient(1.0 + 0.0j, w) if large else w
     for k in range(count):
         i = k if large else count - 1 - k
         denominator = denominator * step + plant[0, i]
@@ -50,7 +53,8 @@ def plant_at(plant: FloatArray, w: complex) -> tuple[complex, complex]:
     late, sample = 1.0 + 0.0j, _quotient(1.0 - w, 1.0 + w)
     for _ in range(int(plant[3, 0])):
         late *= sample
-    return late * _quotient(force, denominator), late * _quotient(position, denominator)
+    late = _quotient(late, denominator)
+    return late * force, late * position
 
 
 @compiled
@@ -59,9 +63,17 @@ def differences(
 ) -> tuple[complex, complex]:
     """Return 1 + L at the force signal and at the command, for the plant's responses at the same frequency."""
     own, sensed, fed = 0.0 + 0.0j, 0.0 + 0.0j, 0.0 + 0.0j
-    for i in range(degree, -1, -1):
-        own = own * s + controller[0, i]
-        sensed = sensed * s + controller[1, i]
+    if s.real == 0.0 and degree <= 3:
+        # On the imaginary axis, as Tustin's rule has it, the most frequent case in real numbers.
+        y, square = s.imag, -s.imag * s.imag
+        own = complex(controller[0, 0] + square * controller[0, 2], y * (controller[0, 1] + square * controller[0, 3]))
+        sensed = complex(
+            controller[1, 0] + square * controller[1, 2], y * (controller[1, 1] + square * controller[1, 3])
+        )
+    else:
+        for i in range(degree, -1, -1):
+            own = own * s + controller[0, i]
+            sensed = sensed * s + controller[1, i]
     if controller[2, 2] == 0.0:
         both = _quotient(own - sensed * force, own)
         return both, both
@@ -149,31 +161,59 @@ def _traced(
     signals = 1 if np.all(controller[2] == 0.0) else 2
     room = count + _ADDED_POINTS
     moments, points = np.empty(room), np.empty((signals, room), dtype=np.complex128)
-    waiting, stack = np.empty(_DEEPEST), np.empty((2, _DEEPEST), dtype=np.complex128)
-    used = 0
+    used, last = 0, (1.0 + 0.0j, 1.0 + 0.0j)
     for k in range(count):
-        s = (2.0 / h) * 1j * tangent[k]
+        s = complex(0.0, (2.0 / h) * tangent[k])
         if theta != 0.5:
             s = s / (1.0 + (2.0 * theta - 1.0) * 1j * tangent[k])
-        waiting[0], depth = omega[k], 1
-        stack[0, 0], stack[1, 0] = differences(controller, degree, s, force[k], position[k])
-        while depth > 0:
-            width = waiting[depth - 1] - moments[used - 1] if used > 0 else 0.0
-            fast = False
-            if depth < _DEEPEST and room - used > count - k + _DEEPEST and width > _NARROWEST * waiting[depth - 1]:
-                for i in range(signals):
-                    fast = fast or _turns_between(points[i, used - 1], stack[i, depth - 1])
-            if fast:
-                waiting[depth] = 0.5 * (moments[used - 1] + waiting[depth - 1])
-                stack[0, depth], stack[1, depth] = differences_at(plant, controller, degree, h, theta, waiting[depth])
-                depth += 1
-            else:
-                depth -= 1
+        here = differences(controller, degree, s, force[k], position[k])
+        turns = _turns_between(last[0], here[0]) or (signals == 2 and _turns_between(last[1], here[1]))
+        if turns and used > 0:
+            most = room - (count - k) - _DEEPEST
+            used = _follow(plant, controller, degree, sampling, (omega[k], here), (moments, points), used, most)
+        moments[used], points[0, used] = omega[k], here[0]
+        if signals == 2:
+            points[1, used] = here[1]
+        used, last = used + 1, here
+    return moments[:used], points[:, :used].copy()
+
+
+@compiled
+def _follow(
+    plant: FloatArray,
+    controller: FloatArray,
+    degree: int,
+    sampling: tuple[float, float],
+    target: tuple[float, tuple[complex, complex]],
+    trace: tuple[FloatArray, ComplexArray],
+    used: int,
+    most: int,
+) -> int:
+    """Add points between the last one of a trace and the next on the grid until none turns fast; return their number.
+
+    Halves are taken from the left; what is to the right of the one at hand waits.
+    """
+    (moments, points), (h, theta), signals = trace, sampling, len(trace[1])
+    waiting, stack, depth = np.empty(_DEEPEST), np.empty((2, _DEEPEST), dtype=np.complex128), 1
+    waiting[0], (stack[0, 0], stack[1, 0]) = target
+    while depth > 0:
+        width, fast = waiting[depth - 1] - moments[used - 1], False
+        if depth < _DEEPEST and used < most and width > _NARROWEST * waiting[depth - 1]:
+            for i in range(signals):
+                fast = fast or _turns_between(points[i, used - 1], stack[i, depth - 1])
+        if fast:
+            waiting[depth] = 0.5 * (moments[used - 1] + waiting[depth - 1])
+            stack[0, depth], stack[1, depth] = differences_at(plant, controller, degree, h, theta, waiting[depth])
+            depth += 1
+        else:
+            depth -= 1
+            # The last one is the grid's own, which the caller adds.
+            if depth > 0:
                 moments[used] = waiting[depth]
                 for i in range(signals):
                     points[i, used] = stack[i, depth]
                 used += 1
-    return moments[:used], points[:, :used].copy()
+    return used
 
 
 @compiled
@@ -241,6 +281,13 @@ def _descend(
     (low, middle, high), (at_low, at_middle, at_high) = bracket, values
     for _ in range(_SECTIONS):
         trial = _vertex((low, middle, high), (at_low, at_middle, at_high))
+        if max(at_low, at_high) - at_middle <= _FLAT * at_middle:
+            break
+        wide, narrow = max(high - middle, middle - low), min(high - middle, middle - low)
+        if wide > _LOPSIDED * narrow:
+            # A far end spoils the parabola: bring it near.
+            into_wide = 1.0 if high - middle > middle - low else -1.0
+            trial = middle + into_wide * max(np.sqrt(narrow * wide), into_wide * (trial - middle))
         if not low < trial < high or abs(trial - middle) < 1e-3 * (high - low):
             trial = 0.5 * (middle + (high if high - middle > middle - low else low))
         if abs(trial - middle) <= 1e-7 * middle:

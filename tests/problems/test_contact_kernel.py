@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from problems.contact import Approach, SampledContact, build_sampled_contact
-from problems.contact_kernel import SETTLED, _settled, run_contact
+from problems.contact_kernel import _settled, run_contact
 from problems.contact_start import contact_forces, steady_start
+from problems.contact_stretch import SETTLED
 from problems.controller import AdmittanceController, controller_blocks, needed_states
 from problems.plant import Plant
 from problems.sampled import build_loop, build_sampled_plant

@@ -68,7 +68,11 @@ def walk(
     flags, traces, found = np.array([0, int(touching)]), np.zeros((2, SAMPLES)), np.zeros(5)
     mode = step[0 if touching else 1]
     both, forces = (traces[0], traces[1]), (30.0, 3.0)
-    tick = function(mode, rows, delay, wall, blocks, now, flags, forces, span, both, found)  # type: ignore[operator]
+    crest, ends = np.full((2, len(now[0]) + 3), -1.0), (*span, span[1])
+    tick, aim = function(  # type: ignore[operator]
+        mode, rows, delay, wall, blocks, now, flags, forces, ends, both, found, crest
+    )
+    assert aim == span[1]
     return tick, now, flags.tolist(), traces, found
 
 
@@ -164,9 +168,12 @@ def test_a_stretch_can_be_cut_anywhere(parts: tuple[int, ...]) -> None:
         _, whole, _, traces, found = walk(function, arguments, blocks, start, (0, SAMPLES))
         now: Moment = (start[0].copy(), start[1].copy(), start[2].copy(), np.zeros(2))
         flags, pieces, peak = np.array([0, 1]), np.zeros((2, SAMPLES)), np.zeros(5)
+        crest = np.full((2, len(now[0]) + 3), -1.0)
         for span in itertools.pairwise(parts):
             both = (pieces[0], pieces[1])
-            assert function(step[0], rows, delay, wall, blocks, now, flags, (30.0, 3.0), span, both, peak) == span[1]
+            ends = (*span, span[1])
+            reached = function(step[0], rows, delay, wall, blocks, now, flags, (30.0, 3.0), ends, both, peak, crest)
+            assert reached == (span[1], span[1])
         np.testing.assert_array_equal(pieces, traces)
         np.testing.assert_array_equal(peak, found)
         for ours, theirs in zip(now[::2], whole[::2], strict=True):
