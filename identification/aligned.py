@@ -14,6 +14,8 @@ FloatArray = NDArray[np.float64]
 
 _SHORTEST_OVERLAP_S = 2.0
 _LARGEST_GAP_PERIODS = 12.0
+_REGULAR_SHARE = 0.05
+_MOSTLY = 0.99
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +42,11 @@ class AlignedLog:
 def align(recording: Recording) -> AlignedLog:
     """Interpolate the pose on a uniform clock of the wrench's rate, over the time that both cover.
 
-    Position by cubic spline, orientation by slerp. Raises LogError when the channels do not overlap or have holes.
+    The clock starts at a wrench stamp, so that a regular wrench keeps its samples: between them its noise would be
+    averaged. Position by cubic spline, orientation by slerp. Raises LogError when the channels do not overlap or have
+    holes, EstimateError when wrench or pose are not as sensor and robot tell them (`Recording.require_raw`).
     """
+    recording.require_raw()
     wrench, pose = recording.wrench, recording.pose
     start = max(wrench.stamp_ns[0], pose.stamp_ns[0])
     stop = min(wrench.stamp_ns[-1], pose.stamp_ns[-1])
@@ -53,6 +58,7 @@ def align(recording: Recording) -> AlignedLog:
         )
     period = check_regular(wrench.topic, wrench.stamp_ns)
     pose_period = check_regular(pose.topic, pose.stamp_ns)
+    start = wrench.stamp_ns[np.searchsorted(wrench.stamp_ns, start)]
     count = int((stop - start) * 1e-9 / period + 1e-6) + 1
     time = np.asarray(np.arange(count) * period, dtype=np.float64)
     wrench_time = (wrench.stamp_ns - start) * 1e-9
@@ -70,7 +76,7 @@ def align(recording: Recording) -> AlignedLog:
 
 
 def check_regular(topic: str, stamp_ns: NDArray[np.int64]) -> float:
-    """Return the median period [s], refusing holes in the data."""
+    """Return the period [s], refusing holes in the data."""
     if len(stamp_ns) < 3:
         raise LogError(f"Topic `{topic}` has {len(stamp_ns)} messages; at least 3 are needed.")
     gaps = np.diff(stamp_ns)
@@ -82,7 +88,12 @@ def check_regular(topic: str, stamp_ns: NDArray[np.int64]) -> float:
             f"{(stamp_ns[worst] - stamp_ns[0]) * 1e-9:.3f} s (its period is {period * 1e-9:.6f} s); record again "
             "without losing messages, or cut the log there."
         )
-    # The mean over the log is free of the stamps' rounding; it is the period unless messages were lost.
+    # Free of the stamps' rounding is the mean over the log, once lost messages are counted.
+    steps = gaps / period
+    counts = np.round(steps)
+    regular = np.abs(steps - counts) < _REGULAR_SHARE
+    if counts.min() > 0 and np.mean(regular) > _MOSTLY:
+        return 1e-9 * float(stamp_ns[-1] - stamp_ns[0]) / float(counts.sum())
     mean = float(stamp_ns[-1] - stamp_ns[0]) / (len(stamp_ns) - 1)
     return 1e-9 * (mean if abs(mean / period - 1.0) < 1e-3 else period)
 

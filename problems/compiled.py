@@ -57,16 +57,25 @@ def _floor(function: FunctionType) -> str:
 
 def compiled(function: _Function) -> _Function:
     """Compile a kernel of floats and arrays; the straight Python version stays at `.py_func`."""
-    return _compile(function, nogil=False)
+    return _compile(function)
 
 
 def unlocked(function: _Function) -> _Function:
-    """Compile a kernel that lets go of the interpreter's lock, so that threads may run beside each other."""
-    return _compile(function, nogil=True)
+    """Compile a kernel that lets go of the interpreter's lock, so that threads may run beside each other.
+
+    It takes the arrays that it fills and makes none itself, so that nothing is counted at each access.
+    """
+    return _compile(function, nogil=True, _nrt=False)
 
 
-def _compile(function: _Function, *, nogil: bool) -> _Function:
-    dispatcher: Any = numba.njit(cache=True, error_model="numpy", nogil=nogil)(function)
+def inlined(function: _Function) -> _Function:
+    """Mark a part of an `unlocked` kernel, which becomes one with it; called from Python it stays plain Python."""
+    return register_jitable(error_model="numpy", _nrt=False, forceinline=True)(function)
+
+
+def _compile(function: _Function, **options: bool) -> _Function:
+    njit: Any = numba.njit
+    dispatcher = njit(cache=True, error_model="numpy", **options)(function)
     index = dispatcher._cache._cache_file  # noqa: SLF001 - numba offers no other way to name what a kernel depends on
     index._source_stamp = _Stamp(index._source_stamp, function)  # noqa: SLF001
     return cast(_Function, dispatcher)

@@ -15,7 +15,8 @@ from autotune.cell.phases import Program
 from autotune.cell.simulate import simulate_cell
 from autotune.cell.truth import Cell
 from autotune.files.controller import read_controller
-from identification.logs.definitions import POSE, WRENCH
+from identification.logs.layouts import POSE_STAMPED as POSE
+from identification.logs.layouts import WRENCH_STAMPED as WRENCH
 from identification.recording import PoseSignal, Recording, WrenchSignal
 from tests.autotune.cell.runs import silent
 from tests.autotune.cell.test_identified_again import at_other_rates
@@ -153,7 +154,7 @@ def test_topics_that_tell_nothing_are_asked_for_and_taken_from_the_options(
 ) -> None:
     refused = run_cli("identify", opaque_log)
     assert (refused.returncode, refused.stdout, refused.stderr.count("\n")) == (3, "", 1)
-    assert "/ft/left, /ft/right; say which one with --wrench-topic" in refused.stderr
+    assert all(part in refused.stderr for part in ("/ft/left (", "/ft/right (", "say which one with --wrench-topic"))
     still = run_cli("identify", opaque_log, "--wrench-topic", OPAQUE.wrench)
     assert still.returncode == 3
     assert "--pose-topic" in still.stderr
@@ -173,8 +174,8 @@ def test_recorded_bags_are_described_truly_and_refused_with_a_reason(
     told = run_cli("inspect", log)
     assert (told.returncode, told.stderr) == (0, "")
     for expected in (
-        "/robot_state is a JointState with 0 name",
-        "a layout would have to be declared before it can serve as pose or wrench",
+        "/robot_state is a JointState with 6 position, ",
+        "a layout has to be declared in cell.yaml before it can serve as pose or wrench",
         "So many exact zeros are what a deadband applied before recording leaves",
         "tell nothing about gravity and bias",
         "has no channel for the wrench",

@@ -16,11 +16,12 @@ _EPILOG = """\b
 Examples:
   autotune identify run7.mcap -o identified.yaml
   autotune identify run7.mcap --wrench-topic /ft/raw --command-topic /servo/target
+  autotune identify part1.bag part2.bag --cell cell.yaml
 """
 
 
 @click.command("identify", epilog=_EPILOG)
-@click.argument("log", type=click.Path(path_type=Path))
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
     "-o",
     "--output",
@@ -30,36 +31,44 @@ Examples:
     show_default=True,
     help="The file to write.",
 )
+@click.option(
+    "--cell", "cell_path", type=click.Path(path_type=Path, dir_okay=False), help="What the log cannot say: cell.yaml."
+)
 @click.option("--wrench-topic", help="The wrench, if the log has several.")
 @click.option("--pose-topic", help="The measured flange pose, if the log has several.")
 @click.option("--command-topic", help="The commanded flange pose.")
 @click.option(
     "--allow-partial", is_flag=True, help="Write the file even if a parameter is missing; it is marked unidentifiable."
 )
+@click.option("--salvage", is_flag=True, help="Read what a damaged log still holds, and tell what is lost.")
 @output_options
 def command(
     output: Output,
-    log: Path,
+    logs: tuple[Path, ...],
     out: Path,
+    cell_path: Path | None,
     wrench_topic: str | None,
     pose_topic: str | None,
     command_topic: str | None,
     allow_partial: bool,
+    salvage: bool,
 ) -> None:
     """Estimate payload, sensor, robot, coupling and environment from LOG, each with its uncertainty and a verdict.
 
-    The log needs a wrench, the measured flange pose and the commanded one; in it: 6 to 12 tilted poses at rest, a
-    commanded sweep in free space, and contacts. Exit code 3: the log cannot be used. 4: it does not tell enough, and
-    nothing is written.
+    Several LOGs are parts of one recording. It needs a wrench, the measured flange pose and the commanded one; in it: 6
+    to 12 tilted poses at rest, a commanded sweep in free space, and contacts. Exit code 3: the log cannot be used. 4:
+    it does not tell enough, and nothing is written.
     """
     from autotune.files.atomic import check_target
+    from autotune.files.cell import read_cell
     from autotune.files.identified import identified_tree, write_identified
     from autotune.identifying import Topics, identify_log
 
     check_target(out)
     topics = Topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
-    with output.progress(f"identifying {log.name}", None):
-        found = identify_log(log, topics, allow_partial=allow_partial)
+    cell = None if cell_path is None else read_cell(cell_path)
+    with output.progress(f"identifying {', '.join(log.name for log in logs)}", None):
+        found = identify_log(logs, topics, cell=cell, salvage=salvage, allow_partial=allow_partial)
     write_identified(out, found.result, found.provenance)
     output.result(identified_tree(found.result, found.provenance), lambda: print_identified(found.result, out))
 

@@ -1,10 +1,12 @@
-"""`autotune inspect`: what a log holds and what each channel can be used for."""
+"""`autotune inspect`: what logs hold and what each channel can be used for."""
 
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from autotune.errors import UsageError
 
 from ._common import Output, output_options
 from ._table import printable, table_lines
@@ -13,22 +15,48 @@ if TYPE_CHECKING:
     from identification.logs import ChannelSummary, LogSummary
 
 _EPILOG = """\b
-Example:
+Examples:
   autotune inspect run7.mcap
+  autotune inspect run7.bag --write-cell cell.yaml
+  autotune inspect run7.bag --cell cell.yaml
 """
 
 
 @click.command("inspect", epilog=_EPILOG)
-@click.argument("log", type=click.Path(path_type=Path))
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--cell", "cell_path", type=click.Path(path_type=Path, dir_okay=False), help="What the log cannot say: cell.yaml."
+)
+@click.option(
+    "--write-cell",
+    "start_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write a cell.yaml to start from: what was found filled in, what is open as questions.",
+)
+@click.option("--force", is_flag=True, help="Let --write-cell replace a file.")
+@click.option("--salvage", is_flag=True, help="Read what a damaged log still holds, and tell what is lost.")
 @output_options
-def command(output: Output, log: Path) -> None:
-    """Tell what LOG (MCAP or ROS 1 bag) holds and what it can be used for.
+def command(
+    output: Output, logs: tuple[Path, ...], cell_path: Path | None, start_path: Path | None, force: bool, salvage: bool
+) -> None:
+    """Tell what LOG holds and what it can be used for; several LOGs are parts of one recording.
 
-    Shows channels, types, rates, gaps and clocks, the use of each channel, and what is missing for `identify`.
+    Reads MCAP, rosbag2 folders, ROS 1 bags, CSV and Parquet. Shows channels, types, rates, gaps and clocks, the use of
+    each channel, and what is missing for `identify`.
     """
+    from autotune.files.cell import read_cell
+    from autotune.files.cell_text import check_new, write_cell_start
     from identification.logs import inspect_log
 
-    summary = inspect_log(log)
+    if start_path is not None:
+        if cell_path is not None:
+            raise UsageError("--write-cell begins a cell.yaml where there is none; leave out --cell.")
+        check_new(start_path, force=force)
+    cell = None if cell_path is None else read_cell(cell_path).cell
+    summary = inspect_log(logs, cell, salvage=salvage)
+    if start_path is not None:
+        write_cell_start(start_path, summary, force=force)
+        output.note(f"written: {start_path}")
     output.result(summary_tree(summary), lambda: print_summary(summary))
 
 
@@ -38,19 +66,26 @@ def summary_tree(summary: "LogSummary") -> dict[str, Any]:
 
 
 def print_summary(summary: "LogSummary") -> None:
-    """Print a summary: the channels as a table, then findings, then what is missing."""
+    """Print a summary: the channels as a table, their roles, then findings, then what is missing."""
+    others = f" and {len(summary.sha256s) - 1} more" if len(summary.sha256s) > 1 else ""
     click.echo(
-        f"{summary.path} · {summary.container} · {summary.size_bytes / 1e6:.1f} MB · {_duration_s(summary):.1f} s · "
-        f"sha256 {summary.sha256[:12]}…"
+        f"{summary.path}{others} · {summary.container} · {summary.size_bytes / 1e6:.1f} MB · "
+        f"{_duration_s(summary):.1f} s · sha256 {summary.sha256[:12]}…"
     )
     click.echo()
     rows = [_HEADINGS, *(_row(channel) for channel in summary.channels)]
     for line in table_lines(rows, left=_LEFT):
         click.echo(line)
+    chosen = [role for role in summary.roles if role.topic is not None]
+    if chosen:
+        click.echo("\nRoles")
+        for role in chosen:
+            pair = f", {role.child} in {role.parent}" if role.parent is not None else ""
+            click.echo(f"  {role.entry}: {printable(f'{role.topic}{pair} ({role.reason})')}")
     if summary.findings:
         click.echo("\nFindings")
         for finding in summary.findings:
-            click.echo(f"  {finding.severity}: {printable(finding.message)} {finding.advice}")
+            click.echo(f"  {finding.severity}: {printable(finding.message)} {printable(finding.advice)}".rstrip())
     click.echo("\nMissing for identify" if summary.missing else "\nEvery channel that identify needs is there.")
     for sentence in summary.missing:
         click.echo(f"  - {printable(sentence)}")

@@ -1,194 +1,219 @@
-"""Tell what a log holds, what each channel can be used for, and what is missing for `identify`."""
+"""Tell what logs hold, what each channel can be used for, and what is missing for `identify`."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
+from ..containers.channel import Channel
 from ..errors import LogError
-from ..recording import StampArray
+from ..messages.series import Series, Wanted
 from ..result import Finding
-from .channel import Channel, Keep, RawChannel, Scan
-from .containers import scan_log, sha256_of
-from .definitions import has_header
-from .joint_states import joint_state_findings
-from .messages import POSE_FIELDS, WRENCH_FIELDS, Headers, decode_headers, decode_values
-from .read import pose_findings, wrench_findings
-from .roles import Request, Role, choose_command, choose_pose, choose_wrench, missing_sentence, roles_of
-
-CLOCK_OFFSET_S = 1.0
-"""A header clock farther off the recording clock than this is another clock, not a slow transport."""
-CLOCK_SPREAD_S = 0.02
-"""Channels whose offsets differ by more than this do not share a clock or pass different queues."""
-GAP_FACTOR = 1.5
+from .cell import Cell
+from .channel_clock import ChannelClock, clock_findings, measure_clock
+from .choose import Choice, candidates_of, choose, open_questions, source_of
+from .clocks import compare_clocks
+from .faults import role_faults
+from .heads import Head
+from .layouts import LAYOUTS, TRANSFORMS, Role
+from .numbers import number_fields, number_findings
+from .opened import OpenedLogs, RoleSeries, digests, open_logs
+from .roles import ENTRY, is_undeclared, missing_sentence, roles_of
+from .summary import Candidate, ChannelSummary, LogSummary, RoleSummary
 
 
-@dataclass(frozen=True, kw_only=True)
-class ChannelSummary:
-    """One channel; times in s. Rate, gaps and steps are those of the header stamps if there are any (`clock`).
-
-    `header_minus_log_s` is the median offset of the header clock from the recording clock.
-    """
-
-    topic: str
-    type: str
-    encoding: str
-    count: int
-    clock: str
-    rate_hz: float | None
-    median_gap_s: float | None
-    max_gap_s: float | None
-    backwards_steps: int
-    duplicates: int
-    header_minus_log_s: float | None
-    frame_ids: tuple[str, ...]
-    roles: tuple[Role, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class LogSummary:
-    """A log as `inspect` tells it; `missing` holds one sentence for each thing `identify` lacks."""
-
-    path: Path
-    container: str
-    sha256: str
-    size_bytes: int
-    start_ns: int
-    end_ns: int
-    channels: tuple[ChannelSummary, ...]
-    findings: tuple[Finding, ...]
-    missing: tuple[str, ...]
-
-
-def inspect_log(path: Path) -> LogSummary:
-    """Read a whole log and summarise it; raise LogError if it is damaged or no log."""
-    scan = scan_log(path, _keep)
-    findings = list(scan.findings)
-    channels = []
-    for raw in scan.channels:
-        try:
-            headers = decode_headers(raw) if has_header(raw.channel) and raw.count else None
-            findings += _channel_findings(raw, headers, scan.start_ns)
-        except LogError as error:
-            headers = None
-            findings.append(_undecodable(error))
-        channels.append(_summary(raw, headers))
-    findings += _clock_findings(channels)
+def inspect_log(paths: Path | Sequence[Path], cell: Cell | None = None, *, salvage: bool = False) -> LogSummary:
+    """Read whole logs and summarise them; raise LogError if one is damaged or no log."""
+    files = (paths,) if isinstance(paths, Path) else tuple(paths)
+    told = cell or Cell()
+    with open_logs(files, told, salvage=salvage) as logs:
+        heads = logs.heads
+        roles, choices, missing = _roles(logs, told)
+        findings: list[Finding] = []
+        series = _read_all(logs, findings)
+        channels = tuple(_summary(head, series[head.channel]) for head in heads)
+        numbers = tuple(found for part in logs.parts for found in number_fields(part))
+        findings += [f for head in heads for f in _channel_findings(head, series[head.channel], logs.start_ns)]
+        findings += _declared_findings(logs, choices, told)
+        findings += number_findings(logs, numbers, {choice.head.channel for choice in choices.values()})
+        findings += _clock_findings(series, choices)
+        findings += open_questions(heads, told, logs.name)
+        seen = logs.findings()
+        span = (logs.start_ns, logs.end_ns)
+        container = logs.parts[0].survey.container
+    digest = digests(files)
     return LogSummary(
-        path=path,
-        container=scan.container,
-        sha256=sha256_of(path),
-        size_bytes=path.stat().st_size,
-        start_ns=scan.start_ns,
-        end_ns=scan.end_ns,
-        channels=tuple(channels),
-        findings=tuple(findings),
-        missing=_missing(scan),
+        path=files[0],
+        container=container,
+        sha256=digest[str(files[0])],
+        size_bytes=sum(map(_size, files)),
+        start_ns=span[0],
+        end_ns=span[1],
+        channels=channels,
+        roles=roles,
+        numbers=numbers,
+        findings=tuple(dict.fromkeys((*seen, *findings))),
+        missing=missing,
+        sha256s=digest,
     )
 
 
-def _keep(channel: Channel) -> Keep:
-    if roles_of(channel):
-        return Keep.ALL
-    return Keep.HEADERS if has_header(channel) else Keep.TIMES
+def _size(path: Path) -> int:
+    files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files)
 
 
-def _undecodable(error: LogError) -> Finding:
-    return Finding(
-        code="undecodable", severity="error", message=str(error), advice="Record this topic again with its true type."
+def _roles(logs: OpenedLogs, cell: Cell) -> tuple[tuple[RoleSummary, ...], dict[Role, Choice], tuple[str, ...]]:
+    summaries, choices, missing = [], {}, []
+    for role in ENTRY:
+        candidates = candidates_of(role, logs.heads, cell)
+        try:
+            choice = choose(role, logs.heads, cell, logs.name, logs.frames_of)
+        except LogError as error:
+            missing.append(str(error))
+            summaries.append(_role_summary(role, None, str(error), candidates))
+            continue
+        if choice is None and role is Role.COMMAND:
+            missing.append(missing_sentence(role, logs.name, logs.heads))
+        if choice is not None:
+            choices[role] = choice
+        summaries.append(_role_summary(role, choice, "", candidates))
+    wrench = cell.wrench
+    if wrench is not None and wrench.gravity_compensated:
+        missing.append("cell.yaml declares that gravity is removed from the wrench; identify needs the sensor's own.")
+    if cell.displacement is not None:
+        missing.append("cell.yaml declares a displacement; identify needs the flange pose in the base frame.")
+    return tuple(summaries), choices, tuple(missing)
+
+
+def _role_summary(role: Role, choice: Choice | None, reason: str, candidates: Sequence[Head]) -> RoleSummary:
+    frames = None if choice is None else choice.frames
+    return RoleSummary(
+        role=role,
+        entry=ENTRY[role],
+        topic=None if choice is None else choice.head.channel.topic,
+        reason=reason if choice is None else choice.reason,
+        candidates=tuple(map(_candidate, candidates)),
+        needs_fields=bool(candidates) and all(map(is_undeclared, candidates)),
+        parent=frames[0] if frames else None,
+        child=frames[1] if frames else None,
     )
 
 
-def _channel_findings(raw: RawChannel, headers: Headers | None, start_ns: int) -> Iterator[Finding]:
-    if headers is None:
-        return
-    roles = roles_of(raw.channel)
-    if Role.WRENCH in roles:
-        yield from wrench_findings(raw, headers, decode_values(raw, WRENCH_FIELDS), start_ns)
-    elif Role.POSE in roles or Role.COMMAND in roles:
-        yield from pose_findings(raw, headers, decode_values(raw, POSE_FIELDS), start_ns)
-    elif Role.JOINT_STATE in roles:
-        yield from joint_state_findings(raw)
-    if roles:
-        yield from _gap_findings(raw.channel.topic, headers.stamp_ns)
+def _candidate(head: Head) -> Candidate:
+    return Candidate(
+        topic=head.channel.topic,
+        type=head.channel.type_name,
+        count=head.count,
+        rate_hz=head.rate_hz,
+        frame=head.frame,
+    )
 
 
-def _gap_findings(topic: str, stamp_ns: StampArray) -> Iterator[Finding]:
-    steps = np.diff(stamp_ns)
-    if not steps.size or np.median(steps) <= 0:
+def _read_all(logs: OpenedLogs, findings: list[Finding]) -> dict[Channel, Series]:
+    """Read what is told of every channel: its clocks, and the numbers of one whose type says what they are.
+
+    Raises LogError if the log is damaged; a channel that is not what its type says is a finding.
+    """
+    wanted = {head.channel: _wanted(head) for head in logs.heads}
+    try:
+        return logs.read(wanted)
+    except LogError:
+        times = logs.read({channel: Wanted(fields=(), header="") for channel in wanted})
+    series = {}
+    for channel, mine in wanted.items():
+        try:
+            series[channel] = logs.read({channel: mine})[channel]
+        except LogError as error:
+            series[channel] = times[channel]
+            advice = "Record this topic again with its true type."
+            findings.append(Finding(code="undecodable", severity="error", message=str(error), advice=advice))
+    return series
+
+
+def _wanted(head: Head) -> Wanted:
+    by_type = [layouts[head.channel.type_name] for role, layouts in LAYOUTS.items() if role in roles_of(head.channel)]
+    is_plain = bool(by_type) and head.channel.type_name not in TRANSFORMS
+    return Wanted(fields=by_type[0].fields if is_plain else (), header="header" if head.has_header else "")
+
+
+def _channel_findings(head: Head, series: Series, start_ns: int) -> Iterator[Finding]:
+    roles = [role for role in roles_of(head.channel) if role in LAYOUTS]
+    if not roles or not series.log_ns.size or series.stamp_ns is None:
         return
-    ratio = steps / np.median(steps)
-    long = ratio > GAP_FACTOR
-    if bool(np.any(long)):
-        lost = int(np.sum(np.round(ratio[long]) - 1))
-        yield Finding(
-            code="gaps",
-            severity="warning",
-            message=f"{topic} has {np.count_nonzero(long)} gaps longer than {GAP_FACTOR:g} sample times, "
-            f"the longest {steps.max() / 1e9:.4f} s; about {lost} samples may have been dropped.",
-            advice="Record to a local disk with a larger queue if samples were dropped.",
+    if series.fields:
+        choice = Choice(role=roles[0], head=head, fields=series.fields, header="header", reason="")
+        mine = RoleSeries(
+            choice=choice,
+            log_ns=series.log_ns,
+            stamp_ns=series.stamp_ns,
+            frame_ids=series.frame_ids,
+            values=series.values,
         )
+        yield from role_faults(roles[0], mine, series.stamp_ns, None, start_ns)
 
 
-def _summary(raw: RawChannel, headers: Headers | None) -> ChannelSummary:
-    stamps = raw.log_ns
+def _declared_findings(logs: OpenedLogs, choices: Mapping[Role, Choice], cell: Cell) -> list[Finding]:
+    """Return the faults of roles whose layout the cell declares; others are examined by their type."""
+    declared = [choice for choice in choices.values() if choice.reason.startswith("declared")]
+    found: list[Finding] = []
+    try:
+        parts = logs.read_roles(declared)
+    except LogError as error:
+        return [Finding(code="undecodable", severity="error", message=str(error), advice="Check cell.yaml.")]
+    for part in parts:
+        for role, mine in part.items():
+            stamps = mine.log_ns if mine.stamp_ns is None else mine.stamp_ns
+            found += role_faults(role, mine, stamps, source_of(cell, role), logs.start_ns)
+    return found
+
+
+def _summary(head: Head, series: Series) -> ChannelSummary:
+    headers, stamps = series.stamp_ns, series.log_ns
+    offset = float(np.median(headers - stamps)) / 1e9 if headers is not None and headers.size else None
     clock = "recording"
-    if headers is not None and raw.count and bool(np.any(headers.stamp_ns != headers.stamp_ns[0])):
-        stamps, clock = headers.stamp_ns, "header"
+    if headers is not None and headers.size and bool(np.any(headers != headers[0])):
+        stamps, clock = headers, "header"
+    if head.columns and head.rate_hz is None:
+        stamps = stamps[:0]  # rows without a time
     steps = np.diff(stamps)
-    span_s = float(stamps.max() - stamps.min()) / 1e9 if raw.count else 0.0
+    span_s = float(stamps.max() - stamps.min()) / 1e9 if stamps.size else 0.0
     return ChannelSummary(
-        topic=raw.channel.topic,
-        type=raw.channel.type_name,
-        encoding=raw.channel.encoding,
-        count=raw.count,
+        topic=head.channel.topic,
+        type=head.channel.type_name,
+        encoding=head.channel.encoding,
+        count=head.count,
         clock=clock,
-        rate_hz=(raw.count - 1) / span_s if span_s > 0 else None,
+        rate_hz=(stamps.size - 1) / span_s if span_s > 0 else None,
         median_gap_s=float(np.median(steps)) / 1e9 if steps.size else None,
         max_gap_s=float(steps.max()) / 1e9 if steps.size else None,
         backwards_steps=int(np.count_nonzero(steps < 0)),
         duplicates=int(np.count_nonzero(steps == 0)),
-        header_minus_log_s=None if headers is None else float(np.median(headers.stamp_ns - raw.log_ns)) / 1e9,
-        frame_ids=() if headers is None else headers.frame_ids,
-        roles=roles_of(raw.channel),
+        header_minus_log_s=offset,
+        frame_ids=series.frame_ids,
+        roles=roles_of(head.channel),
     )
 
 
-def _clock_findings(channels: Sequence[ChannelSummary]) -> Iterator[Finding]:
-    stamped = [c for c in channels if c.clock == "header" and c.roles]
-    offsets = {c.topic: c.header_minus_log_s for c in stamped if c.header_minus_log_s is not None}
-    for topic, offset in offsets.items():
-        if abs(offset) > CLOCK_OFFSET_S:
+def _clock_findings(series: Mapping[Channel, Series], choices: Mapping[Role, Choice]) -> Iterator[Finding]:
+    """Yield what the header clocks of channels with a role say against the recording clock and each other."""
+    clocks: dict[Channel, ChannelClock] = {}
+    used = {choice.head.channel for choice in choices.values()}
+    for channel, mine in series.items():
+        if (channel in used or roles_of(channel)) and mine.stamp_ns is not None:
+            clock = measure_clock(channel.topic, mine.stamp_ns, mine.log_ns)
+            if clock is not None:
+                clocks[channel] = clock
+                yield from clock_findings(clock, float(np.median(np.diff(mine.stamp_ns))) * 1e-9)
+    main = [choices[role].head.channel for role in (Role.WRENCH, Role.POSE, Role.COMMAND) if role in choices]
+    for first, second in pairwise(dict.fromkeys(channel for channel in main if channel in clocks)):
+        difference = compare_clocks(clocks[first], clocks[second])
+        if not difference.agree:
             yield Finding(
-                code="clock-offset",
+                code="clocks-differ",
                 severity="warning",
-                message=f"The header clock of {topic} is {offset:+.3f} s off the recording clock.",
-                advice="Header stamps are used; synchronise the clocks if channels come from several machines.",
+                message=f"The header clocks of {difference.first} and {difference.second} are "
+                f"{difference.offset_s:+.4f} ± {difference.std_s:.4f} s apart by the recording clock.",
+                advice="Stamp all channels on one machine or synchronise the clocks; the delay estimate depends on it.",
             )
-    if offsets and max(offsets.values()) - min(offsets.values()) > CLOCK_SPREAD_S:
-        low, high = min(offsets, key=offsets.__getitem__), max(offsets, key=offsets.__getitem__)
-        yield Finding(
-            code="clock-spread",
-            severity="warning",
-            message=f"Header stamps of {low} and {high} differ by {offsets[high] - offsets[low]:.4f} s "
-            "more than their times of recording do: the two may not share a clock.",
-            advice="Stamp all channels on one machine or synchronise the clocks; the delay estimate depends on it.",
-        )
-
-
-def _missing(scan: Scan) -> tuple[str, ...]:
-    name = scan.path.name
-    choices: tuple[Callable[[Sequence[RawChannel], Request, str], RawChannel | None], ...] = (
-        choose_wrench,
-        choose_pose,
-        choose_command,
-    )
-    sentences = []
-    for choose in choices:
-        try:
-            if choose(scan.channels, Request(), name) is None:
-                sentences.append(missing_sentence(Role.COMMAND, name, scan.channels))
-        except LogError as error:
-            sentences.append(str(error))
-    return tuple(sentences)

@@ -1,110 +1,163 @@
-"""Read from a log the channels that `identify` needs."""
+"""Read from logs the channels that `identify` needs, in SI and in our frames."""
 
-from collections.abc import Iterable
-from itertools import chain
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import LogError
-from ..recording import FloatArray, PoseSignal, Recording, WrenchSignal
+from ..recording import Recording
 from ..result import Finding
-from .channel import Channel, Keep, RawChannel, Scan
-from .checks import frame_faults, pose_faults, stamp_faults, wrench_faults
-from .containers import scan_log, sha256_of
-from .definitions import JOINT_STATE, POSE, WRENCH
-from .messages import POSE_FIELDS, WRENCH_FIELDS, Headers, decode_headers, decode_values
-from .roles import Request, choose_command, choose_pose, choose_wrench
+from .cell import Cell, Clock
+from .choose import Choice, choose_all, open_questions
+from .clocks import ChannelTimes, check_clocks
+from .interpret import make_continuous
+from .join import join_recordings
+from .layouts import Role
+from .numbers import number_fields
+from .opened import OpenedLogs, RoleSeries, digests, open_logs
+from .payload import check_payload
+from .roles import ENTRY, LABEL
+from .signals import build_recording, chosen_clocks, refuse
+
+Part = Mapping[Role, RoleSeries]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Read:
+    """A recording, and the header and recording stamps of the channels that have clocks of their own."""
+
+    recording: Recording
+    times: Sequence[ChannelTimes]
 
 
 def read_recording(
-    path: Path, *, wrench_topic: str | None = None, pose_topic: str | None = None, command_topic: str | None = None
+    paths: Path | Sequence[Path],
+    cell: Cell | None = None,
+    *,
+    salvage: bool = False,
+    wrench_topic: str | None = None,
+    pose_topic: str | None = None,
+    command_topic: str | None = None,
 ) -> Recording:
-    """Read wrench, measured pose and, where there is one, commanded pose, each on the clock of its header stamps.
+    """Read wrench, measured pose and, where they are, command, twist, gains and desired force.
 
-    Channels are found by type and by the words in their topics, or named. Quaternions are normalised. Raises LogError
-    when the file is damaged, a channel is missing or ambiguous, or its samples cannot be used.
+    Several paths are parts of one recording: one after the other, or each with other channels. Channels are found by
+    type, name, frame and rate, declared by `cell`, or named, which goes first. Header stamps are the clock unless a
+    channel has none or the cell declares another; what was chosen is told in the recording's findings. `salvage` takes
+    what a damaged log still holds and tells the loss.
+
+    Raises LogError when a file is damaged, a channel is missing or ambiguous, or its samples cannot be used.
     """
-    request = Request(wrench_topic=wrench_topic, pose_topic=pose_topic, command_topic=command_topic)
-    scan = scan_log(path, lambda channel: _keep(channel, request))
-    try:
-        wrench = choose_wrench(scan.channels, request, path.name)
-    except LogError as error:
-        raise _with_joint_states(error, scan) from None
-    pose = choose_pose(scan.channels, request, path.name)
-    command = choose_command(scan.channels, request, path.name)
-    return Recording(
-        wrench=_wrench_signal(wrench, scan.start_ns),
-        pose=_pose_signal(pose, scan.start_ns),
-        command=None if command is None else _pose_signal(command, scan.start_ns),
-        sha256={str(path): sha256_of(path)},
-    )
+    told = (cell or Cell()).with_topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
+    return _read(paths, told, salvage=salvage).recording
 
 
-def _keep(channel: Channel, request: Request) -> Keep:
-    named = {request.wrench_topic} if channel.type_name == WRENCH else {request.pose_topic, request.command_topic}
-    if channel.type_name not in (WRENCH, POSE):
-        return Keep.TIMES
-    return Keep.ALL if None in named or channel.topic in named else Keep.TIMES
+def read_checked_recording(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool = False) -> Recording:
+    """Read as `read_recording` does, and ask the motion itself about clocks and payload.
+
+    The offset between the clocks of wrench and pose is taken out where physics tells it. Raises LogError as
+    `read_recording` does, when the clocks differ and nothing tells by how much, and when the payload changed midway.
+    """
+    read = _read(paths, cell, salvage=salvage)
+    recording = _on_one_clock(read)
+    about_payload = check_payload(recording)
+    refuse(about_payload)
+    return replace(recording, findings=(*recording.findings, *about_payload))
 
 
-def _with_joint_states(error: LogError, scan: Scan) -> LogError:
-    """Add to a missing wrench that a joint state may carry one; `inspect` tells what can be said about each."""
-    topics = [raw.channel.topic for raw in scan.channels if raw.channel.type_name == JOINT_STATE]
-    if not topics:
-        return error
-    return LogError(
-        f"{error} The JointState of {', '.join(topics)} may carry a wrench, but its layout is not declared in the log; "
-        "`autotune inspect` tells what it looks like."
-    )
+def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool) -> _Read:
+    files = (paths,) if isinstance(paths, Path) else tuple(paths)
+    with open_logs(files, cell, salvage=salvage) as logs:
+        choices = choose_all(logs.heads, cell, logs.name, logs.frames_of)
+        _check_fields(choices.values(), logs)
+        parts = _parts(logs.read_roles(tuple(choices.values())), choices, logs)
+        clocks, about_clocks = chosen_clocks(parts, cell)
+        times = _times(parts, clocks)
+        recordings = [build_recording(part, clocks, cell, logs.start_ns) for part in parts]
+        del parts
+        recording = _continuous(join_recordings(recordings))
+        questions = open_questions(logs.heads, cell, logs.name)
+        chosen = map(_chosen, choices.values())
+        findings = (*logs.findings(), *chosen, *questions, *about_clocks, *recording.findings)
+    recording = replace(recording, sha256=digests(files), findings=findings)
+    return _Read(recording=recording, times=times)
 
 
-def since_start_s(raw: RawChannel, start_ns: int) -> FloatArray:
-    """Return when each message was recorded, in seconds from the start of the log."""
-    return (raw.log_ns - start_ns) / 1e9
+def _check_fields(choices: Iterable[Choice], logs: OpenedLogs) -> None:
+    """Raise LogError for declared numbers that the first message of their channel does not have."""
+    having = {found.topic: found for part in logs.parts for found in number_fields(part) if found.is_complete}
+    for choice in choices:
+        found = having.get(choice.head.channel.topic)
+        if found is None or choice.head.columns or found.type != choice.head.channel.type_name:
+            continue
+        missing = [path for path in choice.fields if path is not None and path not in found.paths]
+        if missing:
+            raise LogError(
+                f"Topic {found.topic} must have {', '.join(missing)}, which cell.yaml declares for the "
+                f"{LABEL[choice.role]}, found {found.short}; correct `{ENTRY[choice.role]}: {{fields: …}}`."
+            )
 
 
-def wrench_findings(raw: RawChannel, headers: Headers, values: FloatArray, start_ns: int) -> Iterable[Finding]:
-    """List what makes a wrench channel unusable."""
-    topic, when = raw.channel.topic, since_start_s(raw, start_ns)
-    return chain(
-        stamp_faults(topic, headers.stamp_ns, when), frame_faults(topic, headers), wrench_faults(topic, values, when)
-    )
+def _parts(read: Sequence[dict[Role, RoleSeries]], choices: Mapping[Role, Choice], logs: OpenedLogs) -> list[Part]:
+    """Return what follows each other in time: the files, or all of them as one where each holds other roles."""
+    held = [role for part in read for role in part]
+    parts: list[Part] = [*read]
+    if len(held) == len({*held}):
+        parts = [dict(item for part in read for item in part.items())]
+    for part in parts:
+        for role, choice in choices.items():
+            if role not in part or not len(part[role].log_ns):
+                raise LogError(
+                    f"Topic {choice.head.channel.topic} must hold the {LABEL[role]} in each of {logs.name}, found no "
+                    "message of it in one; leave that file out."
+                )
+    return parts
 
 
-def pose_findings(raw: RawChannel, headers: Headers, values: FloatArray, start_ns: int) -> Iterable[Finding]:
-    """List what makes a pose channel unusable."""
-    topic, when = raw.channel.topic, since_start_s(raw, start_ns)
-    return chain(
-        stamp_faults(topic, headers.stamp_ns, when), frame_faults(topic, headers), pose_faults(topic, values, when)
-    )
+def _continuous(recording: Recording) -> Recording:
+    """Return the recording with orientations whose quaternions do not jump to their negatives, across files too."""
+    pose, command = recording.pose, recording.command
+    pose = replace(pose, quaternion_xyzw=make_continuous(pose.quaternion_xyzw))
+    if command is not None:
+        command = replace(command, quaternion_xyzw=make_continuous(command.quaternion_xyzw))
+    return replace(recording, pose=pose, command=command)
 
 
-def _refuse(findings: Iterable[Finding]) -> None:
-    for finding in findings:
-        raise LogError(f"{finding.message} {finding.advice}")
+def _on_one_clock(read: _Read) -> Recording:
+    """Take the offset between the clocks of wrench and pose out, where they have clocks of their own."""
+    if not read.times or read.recording.pose.is_displacement:
+        return read.recording
+    report = check_clocks(read.recording, read.times)
+    refuse(report.findings)
+    return replace(report.recording, findings=(*read.recording.findings, *report.findings))
 
 
-def _wrench_signal(raw: RawChannel, start_ns: int) -> WrenchSignal:
-    headers, values = decode_headers(raw), decode_values(raw, WRENCH_FIELDS)
-    _refuse(wrench_findings(raw, headers, values, start_ns))
-    return WrenchSignal(
-        topic=raw.channel.topic,
-        frame_id=headers.frame_ids[0],
-        stamp_ns=headers.stamp_ns,
-        force_n=values[:, :3],
-        torque_n_m=values[:, 3:],
-    )
+def _times(parts: Sequence[Part], clocks: Mapping[Role, Clock]) -> list[ChannelTimes]:
+    """Return the stamps of wrench, pose and command; nothing where one channel or the recorder's clock serves."""
+    main = [role for role in (Role.WRENCH, Role.POSE, Role.COMMAND) if role in clocks]
+    is_one = parts[0][Role.WRENCH].choice.head.channel == parts[0][Role.POSE].choice.head.channel
+    if is_one or any(clocks[role] is Clock.LOG for role in main):
+        return []
+    times = []
+    for role in main:
+        pairs = [(s.stamp_ns, s.log_ns) for s in (part[role] for part in parts) if s.stamp_ns is not None]
+        times.append(
+            ChannelTimes(
+                topic=parts[0][role].choice.head.channel.topic,
+                stamp_ns=np.concatenate([stamps for stamps, _ in pairs]),
+                log_ns=np.concatenate([log for _, log in pairs]),
+            )
+        )
+    return times
 
 
-def _pose_signal(raw: RawChannel, start_ns: int) -> PoseSignal:
-    headers, values = decode_headers(raw), decode_values(raw, POSE_FIELDS)
-    _refuse(pose_findings(raw, headers, values, start_ns))
-    quaternion = values[:, 3:]
-    return PoseSignal(
-        topic=raw.channel.topic,
-        frame_id=headers.frame_ids[0],
-        stamp_ns=headers.stamp_ns,
-        position_m=values[:, :3],
-        quaternion_xyzw=quaternion / np.sqrt(np.sum(quaternion**2, axis=1, keepdims=True)),
+def _chosen(choice: Choice) -> Finding:
+    pair = f", {choice.frames[1]} in {choice.frames[0]}" if choice.frames else ""
+    return Finding(
+        code="channel-chosen",
+        severity="info",
+        message=f"The {LABEL[choice.role]} is read from {choice.head}{pair}: {choice.reason}.",
+        advice="",
     )

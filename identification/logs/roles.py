@@ -1,134 +1,126 @@
-"""Decide what a channel can serve as, from its type and name, and which channels `identify` reads. Never guess."""
+"""What a channel can serve as, from its type and name, and how to say what is missing or ambiguous."""
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import StrEnum
 from itertools import pairwise
 
-from ..errors import LogError
-from .channel import Channel, RawChannel
-from .definitions import JOINT_STATE, POSE, WRENCH
+from ..containers.channel import Channel
+from .heads import Head
+from .layouts import (
+    ADMITTANCE_STATE,
+    FLOAT_ARRAY,
+    JOINT_STATE,
+    LAYOUTS,
+    POSE_STAMPED,
+    TRANSFORMS,
+    UNDECLARED,
+    WRENCH_STAMPED,
+    Role,
+)
 
 COMMAND_WORDS = frozenset({"command", "cmd", "commanded", "desired", "target", "reference", "setpoint", "goal"})
+PROCESSED_WORDS = frozenset(
+    {"compensated", "filtered", "filter", "unbiased", "zeroed", "tared", "external", "contact", "processed"}
+)
 
-
-class Role(StrEnum):
-    """What a channel can be used for."""
-
-    WRENCH = "wrench"
-    POSE = "pose measured"
-    COMMAND = "pose commanded"
-    JOINT_STATE = "joint state"
-
-
+ENTRY = {
+    Role.WRENCH: "wrench",
+    Role.POSE: "pose",
+    Role.COMMAND: "command",
+    Role.TWIST: "twist",
+    Role.GAINS: "gains",
+    Role.DESIRED_FORCE: "desired_force",
+}
+"""The entry of cell.yaml that declares a role."""
+LABEL = {
+    Role.WRENCH: "wrench",
+    Role.POSE: "measured pose",
+    Role.COMMAND: "commanded pose",
+    Role.TWIST: "twist",
+    Role.GAINS: "controller's gains",
+    Role.DESIRED_FORCE: "desired force",
+}
+OPTION = {Role.WRENCH: "--wrench-topic", Role.POSE: "--pose-topic", Role.COMMAND: "--command-topic"}
 _RECORD = {
-    Role.WRENCH: f"record the force/torque sensor as {WRENCH}, raw (gravity, bias and no deadband), "
+    Role.WRENCH: f"record the force/torque sensor as {WRENCH_STAMPED}, raw (gravity, bias and no deadband), "
     "with header stamps, at the control rate",
-    Role.POSE: f"record the measured flange pose as {POSE} with header stamps, at the control rate",
-    Role.COMMAND: f"record the commanded flange pose as {POSE} on a topic whose name says so "
+    Role.POSE: f"record the measured flange pose as {POSE_STAMPED} with header stamps, at the control rate",
+    Role.COMMAND: f"record the commanded flange pose as {POSE_STAMPED} on a topic whose name says so "
     "(e.g. /commanded_pose), or name it with --command-topic",
 }
-_LABEL = {Role.WRENCH: "wrench", Role.POSE: "measured pose", Role.COMMAND: "commanded pose"}
-_OPTION = {Role.WRENCH: "--wrench-topic", Role.POSE: "--pose-topic", Role.COMMAND: "--command-topic"}
-_TYPE = {Role.WRENCH: WRENCH, Role.POSE: POSE, Role.COMMAND: POSE}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Request:
-    """Topics that the user named, None where the log must tell by itself."""
-
-    wrench_topic: str | None = None
-    pose_topic: str | None = None
-    command_topic: str | None = None
+NEEDS = {Role.WRENCH: WRENCH_STAMPED, Role.POSE: POSE_STAMPED, Role.COMMAND: POSE_STAMPED}
 
 
 def roles_of(channel: Channel) -> tuple[Role, ...]:
-    """Return what a channel can serve as by its type and, for poses, by the words in its topic."""
+    """Return what a channel can serve as by its type and the words in its topic."""
     if channel.encoding not in ("cdr", "ros1"):
         return ()
-    if channel.type_name == WRENCH:
-        return (Role.WRENCH,)
-    if channel.type_name == POSE:
-        return (Role.COMMAND,) if is_command_name(channel.topic) else (Role.POSE,)
-    return (Role.JOINT_STATE,) if channel.type_name == JOINT_STATE else ()
+    if channel.type_name == JOINT_STATE:
+        return (Role.JOINT_STATE,)
+    if channel.type_name == FLOAT_ARRAY:
+        return (Role.NUMBERS,)
+    by_type = [role for role, layouts in LAYOUTS.items() if channel.type_name in layouts]
+    return tuple(role for role in by_type if _fits_name(role, channel))
 
 
 def is_command_name(topic: str) -> bool:
     """Tell whether a word of the topic says that it carries a command."""
-    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", topic).lower()
-    words = re.findall(r"[a-z]+", spaced)
+    words = _words(topic)
     pairs = {first + second for first, second in pairwise(words)}
     return bool(COMMAND_WORDS & ({*words} | (pairs & {"setpoint"})))
 
 
-def choose_wrench(channels: Sequence[RawChannel], request: Request, log: str) -> RawChannel:
-    """Return the wrench channel; raise LogError when there is none or more than one."""
-    if request.wrench_topic is not None:
-        return _named(channels, request.wrench_topic, Role.WRENCH, log)
-    return _only(_filled(channels, WRENCH), channels, Role.WRENCH, log)
+def is_processed_name(topic: str) -> bool:
+    """Tell whether a word of the topic says that a wrench is not as the sensor showed it."""
+    return bool(PROCESSED_WORDS & {*_words(topic)})
 
 
-def choose_pose(channels: Sequence[RawChannel], request: Request, log: str) -> RawChannel:
-    """Return the measured pose channel; raise LogError when there is none or more than one."""
-    if request.pose_topic is not None:
-        return _named(channels, request.pose_topic, Role.POSE, log)
-    poses = [raw for raw in _filled(channels, POSE) if raw.channel.topic != request.command_topic]
-    return _only([raw for raw in poses if not is_command_name(raw.channel.topic)], channels, Role.POSE, log)
-
-
-def choose_command(channels: Sequence[RawChannel], request: Request, log: str) -> RawChannel | None:
-    """Return the commanded pose channel, None without one; raise LogError when there is more than one."""
-    if request.command_topic is not None:
-        if request.command_topic == request.pose_topic:
-            raise LogError(f"Topic `{request.pose_topic}` cannot be the measured and the commanded pose at once.")
-        return _named(channels, request.command_topic, Role.COMMAND, log)
-    poses = [raw for raw in _filled(channels, POSE) if raw.channel.topic != request.pose_topic]
-    commands = [raw for raw in poses if is_command_name(raw.channel.topic)]
-    return _only(commands, channels, Role.COMMAND, log) if commands else None
-
-
-def missing_sentence(role: Role, log: str, channels: Sequence[RawChannel]) -> str:
+def missing_sentence(role: Role, log: str, heads: Sequence[Head]) -> str:
     """Say that a log has no channel for a role, what it has instead and what to record."""
-    types = sorted({raw.channel.type_name for raw in channels if raw.count and raw.channel.type_name})
-    empty = sorted(raw.channel.topic for raw in channels if not raw.count and role in roles_of(raw.channel))
+    types = sorted({head.channel.type_name for head in heads if head.count and head.channel.type_name})
+    empty = sorted(head.channel.topic for head in heads if not head.count and role in roles_of(head.channel))
     silent = f" ({', '.join(empty)} is there but without messages)" if empty else ""
+    sentence = (
+        f"{log} has no channel for the {LABEL[role]}{silent}: it needs {NEEDS.get(role, 'one')}, "
+        f"the log holds {', '.join(types) or 'nothing'}; {_RECORD.get(role, 'record it')}."
+    )
+    undeclared = [head.channel.topic for head in heads if head.count and is_undeclared(head)]
+    if role is Role.COMMAND or not undeclared:
+        return sentence
     return (
-        f"{log} has no channel for the {_LABEL[role]}{silent}: it needs {_TYPE[role]}, "
-        f"the log holds {', '.join(types) or 'nothing'}; {_RECORD[role]}."
+        f"{sentence} {', '.join(undeclared)} may carry it, but what the numbers mean is not told in the log: declare "
+        f"`{ENTRY[role]}: {{topic: …, fields: …}}` in cell.yaml; `autotune inspect LOG --write-cell cell.yaml` begins "
+        "such a file."
     )
 
 
-def _filled(channels: Sequence[RawChannel], type_name: str) -> list[RawChannel]:
-    return [raw for raw in channels if raw.count and raw.channel.type_name == type_name and roles_of(raw.channel)]
+def is_undeclared(head: Head) -> bool:
+    """Tell whether a channel holds numbers whose meaning has to be declared."""
+    return head.channel.type_name in UNDECLARED or head.channel.encoding not in ("cdr", "ros1")
 
 
-def _named(channels: Sequence[RawChannel], topic: str, role: Role, log: str) -> RawChannel:
-    fitting = _filled(channels, _TYPE[role])
-    found = [raw for raw in fitting if raw.channel.topic == topic]
-    if len(found) == 1:
-        return found[0]
-    others = ", ".join(raw.channel.topic for raw in fitting) or "none"
-    same_name = [raw for raw in channels if raw.channel.topic == topic]
-    if found:
-        reason = f"Topic `{topic}` is in {log} more than once, with different definitions of {_TYPE[role]}"
-    elif not same_name:
-        reason = f"Topic `{topic}` is not in {log}"
-    elif not any(raw.count for raw in same_name):
-        reason = f"Topic `{topic}` holds no message in {log}"
-    else:
-        is_type = same_name[0].channel.type_name or "of no known type"
-        reason = f"Topic `{topic}` in {log} is {is_type}, the {_LABEL[role]} must be {_TYPE[role]}"
-    raise LogError(f"{reason}; topics of that type: {others}.")
+def _words(topic: str) -> list[str]:
+    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", topic).lower()
+    return re.findall(r"[a-z]+", spaced)
 
 
-def _only(found: list[RawChannel], channels: Sequence[RawChannel], role: Role, log: str) -> RawChannel:
-    if len(found) == 1:
-        return found[0]
-    if found:
-        names = ", ".join(raw.channel.topic for raw in found)
-        raise LogError(
-            f"{len(found)} channels of {log} could be the {_LABEL[role]}: {names}; say which one with {_OPTION[role]}"
-            + (" and, if another is the command, --command-topic." if role is Role.POSE else ".")
-        )
-    raise LogError(missing_sentence(role, log, channels))
+def _fits_name(role: Role, channel: Channel) -> bool:
+    if channel.type_name == ADMITTANCE_STATE or channel.type_name in TRANSFORMS - {
+        "geometry_msgs/msg/TransformStamped"
+    }:
+        return role is not Role.COMMAND
+    is_command = is_command_name(channel.topic)
+    if role in (Role.COMMAND, Role.DESIRED_FORCE):
+        return is_command
+    return not is_command
+
+
+def ambiguous_sentence(role: Role, found: Sequence[Head], log: str) -> str:
+    """List the candidates for a role and say what chooses among them."""
+    names = ", ".join(map(str, found))
+    option = f"{OPTION[role]} or " if role in OPTION else ""
+    also = " (and, if another is the command, --command-topic)" if role is Role.POSE else ""
+    return (
+        f"{len(found)} channels of {log} could be the {LABEL[role]}: {names}; say which one with "
+        f"{option}`{ENTRY[role]}: {{topic: …}}` in cell.yaml{also}."
+    )

@@ -1,5 +1,7 @@
 """Channels with clocks of their own, brought on one."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -120,3 +122,22 @@ def test_a_period_is_the_mean_unless_messages_were_lost() -> None:
 def test_a_topic_of_two_messages_is_no_signal() -> None:
     with pytest.raises(LogError, match="`/ft` has 2 messages; at least 3"):
         check_regular("/ft", clock(500.0, 1.0)[:2])
+
+
+@pytest.mark.parametrize("shift_ns", [400_000, -400_000, 300_000_000 + 123_456])
+def test_a_regular_wrench_keeps_its_samples_wherever_the_pose_begins(shift_ns: int) -> None:
+    stamps = clock(1250.0, 3.0)
+    noisy = np.random.default_rng(5).standard_normal((len(stamps), 3))
+    whole = recording(stamps, clock(1250.0, 3.0, shift_ns=shift_ns))
+    log = align(dataclasses.replace(whole, wrench=dataclasses.replace(whole.wrench, force_n=noisy)))
+    first = int(np.searchsorted(stamps, log.start_ns))
+    assert stamps[first] == log.start_ns
+    # Stamps are rounded to 1 ns of 0.8 ms; half way between two samples noise would differ by its own size.
+    np.testing.assert_allclose(log.force_S_n, noisy[first : first + len(log)], rtol=0.0, atol=1e-4)
+
+
+def test_a_few_lost_messages_do_not_stretch_the_period() -> None:
+    exact = clock(3000.0, 3.0)
+    lost = np.delete(exact, np.arange(100, 8900, 1100))
+    # 8 of 9000 messages: the plain mean would be 9e-4 too long, three samples at the end of the log.
+    assert check_regular("/ft", lost) == pytest.approx(1.0 / 3000.0, rel=1e-8)

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from identification.errors import LogError
-from identification.recording import PoseSignal, Recording, WrenchSignal
+from identification.errors import EstimateError, LogError
+from identification.recording import GainsSignal, PoseSignal, Recording, TwistSignal, WrenchSignal
 
 STAMPS = np.array([0, 10, 20])
 
@@ -57,3 +57,25 @@ def test_digests_cannot_be_changed() -> None:
     assert recording.sha256["run.mcap"] == "00"
     with pytest.raises(TypeError):
         recording.sha256["run.mcap"] = "ff"  # type: ignore[index]  # a view
+
+
+def test_every_column_has_a_row_per_stamp() -> None:
+    with pytest.raises(LogError, match=r"force_n must have a row per stamp \(3\), found 2"):
+        wrench(force_n=np.ones((2, 3)))
+    with pytest.raises(LogError, match="angular_rad_s must have"):
+        TwistSignal(topic="/t", frame_id="", stamp_ns=STAMPS, linear_m_s=np.ones((3, 3)), angular_rad_s=np.ones((3, 4)))
+    with pytest.raises(LogError, match="mass must have"):
+        GainsSignal(topic="/g", stamp_ns=STAMPS, mass=np.ones((3, 3)), damping=np.ones((3, 6)))
+
+
+def test_only_a_raw_wrench_and_a_whole_pose_identify() -> None:
+    Recording(wrench=wrench(), pose=pose(), command=None).require_raw()
+    for signals, told in (
+        ({"wrench": wrench(gravity_compensated=True)}, "Gravity is already removed from the force of topic /ft"),
+        ({"wrench": wrench(measured_axes=("z",))}, "The wrench of topic /ft must have all six axes, found none for x"),
+        ({"pose": pose(is_displacement=True)}, "Topic /p tells a displacement"),
+        ({"pose": pose(measured_axes=("x", "y", "z"))}, "The pose of topic /p .* found none for rx, ry, rz"),
+    ):
+        recording = Recording(**{"wrench": wrench(), "pose": pose(), "command": None, **signals})  # type: ignore[arg-type]  # by name
+        with pytest.raises(EstimateError, match=told):
+            recording.require_raw()

@@ -126,7 +126,7 @@ def test_what_is_missing_can_be_left_open_on_request(run_cli: RunCli, tmp_path: 
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ([], "Missing argument 'LOG'"),
+        ([], "Missing argument 'LOG...'"),
         (["cell.mcap", "--wrench"], "No such option"),
         (["cell.mcap", "-o", "."], "is a directory"),
     ],

@@ -1,0 +1,159 @@
+"""The records of an MCAP file: their kinds, where they lie, and those with content that is parsed."""
+
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from io import BytesIO
+from typing import TypeVar
+
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+
+MAGIC = b"\x89MCAP0\r\n"
+FRAME = struct.Struct("<BQ")
+"""Every record: its kind and the number of bytes that follow."""
+FRAME_BYTES = FRAME.size
+FOOTER_BYTES = 20
+_CHUNK = struct.Struct("<QQQII")
+_LENGTH = struct.Struct("<Q")
+_INDEX = struct.Struct("<HI")
+INDEX_HEAD_BYTES = _INDEX.size
+CHUNK_HEAD_BYTES = _CHUNK.size + 16 + _LENGTH.size
+"""Enough for the head of a chunk record whose compression has a name of up to 16 bytes."""
+
+
+class Kind(IntEnum):
+    """Kinds of records that the format names."""
+
+    HEADER = 0x01
+    FOOTER = 0x02
+    SCHEMA = 0x03
+    CHANNEL = 0x04
+    MESSAGE = 0x05
+    CHUNK = 0x06
+    MESSAGE_INDEX = 0x07
+    CHUNK_INDEX = 0x08
+    ATTACHMENT = 0x09
+    ATTACHMENT_INDEX = 0x0A
+    STATISTICS = 0x0B
+    METADATA = 0x0C
+    METADATA_INDEX = 0x0D
+    SUMMARY_OFFSET = 0x0E
+    DATA_END = 0x0F
+
+
+IN_DATA = frozenset(
+    {Kind.SCHEMA, Kind.CHANNEL, Kind.MESSAGE, Kind.CHUNK, Kind.MESSAGE_INDEX, Kind.ATTACHMENT, Kind.METADATA}
+)
+IN_SUMMARY = frozenset(
+    {
+        Kind.SCHEMA,
+        Kind.CHANNEL,
+        Kind.STATISTICS,
+        Kind.CHUNK_INDEX,
+        Kind.ATTACHMENT_INDEX,
+        Kind.METADATA_INDEX,
+        Kind.SUMMARY_OFFSET,
+    }
+)
+KNOWN = frozenset(Kind)
+
+
+class Damage(Exception):  # noqa: N818 - it is what is found, and becomes a LogError or a finding
+    """Something at a byte of the file is not as the format says."""
+
+    def __init__(self, offset: int, reason: str) -> None:
+        super().__init__(reason)
+        self.offset, self.reason = offset, reason
+
+
+@dataclass(frozen=True, kw_only=True)
+class Piece:
+    """Bytes of the data section that are read at once: one chunk, or messages that lie outside of chunks.
+
+    `start` and `stop` are the offsets of the whole records, `body` and `stored` where the packed content begins and
+    its size, `declared` the size that it unpacks to. `counts` are the messages per channel id where something tells
+    them (`None`: nothing does). `start_ns` and `end_ns` span its messages on the recording clock.
+    """
+
+    start: int
+    stop: int
+    body: int
+    stored: int
+    declared: int
+    is_chunk: bool
+    compression: str
+    crc: int
+    start_ns: int
+    end_ns: int
+    counts: Mapping[int, int] | None
+
+    @property
+    def has_span(self) -> bool:
+        """Tell whether the recording times are told; writers that do not care leave zeros."""
+        return self.end_ns != 0
+
+
+Record = TypeVar("Record")
+
+
+def parse(read: Callable[[ReadDataStream], Record], body: bytes, offset: int) -> Record:
+    """Parse the content of a record; raise Damage with its `offset` in the file when it ends too early."""
+    try:
+        return read(ReadDataStream(BytesIO(body)))
+    except (McapError, ValueError, struct.error, OverflowError, MemoryError) as error:
+        raise Damage(offset, f"a record has no proper content ({str(error) or type(error).__name__})") from error
+
+
+def parse_chunk(head: bytes, start: int, stop: int) -> Piece:
+    """Parse the head of the chunk record at bytes `start` to `stop` of the file."""
+    inside = stop - start - FRAME_BYTES
+    if inside < _CHUNK.size + _LENGTH.size:
+        raise Damage(start, f"a chunk record of {inside} bytes is too short")
+    start_ns, end_ns, declared, crc, name_bytes = _CHUNK.unpack_from(head)
+    if name_bytes > 16:
+        raise Damage(start, f"a chunk names a compression of {name_bytes} bytes; zstd, lz4 or none are known")
+    name = head[_CHUNK.size : _CHUNK.size + name_bytes]
+    if name not in (b"", b"zstd", b"lz4"):
+        raise Damage(start, f"compression {name.decode(errors='replace')!r} is not one of zstd, lz4 or none")
+    (stored,) = _LENGTH.unpack_from(head, _CHUNK.size + name_bytes)
+    used = _CHUNK.size + name_bytes + _LENGTH.size
+    if stored > inside - used:
+        raise Damage(start, f"a chunk of {stored} bytes does not fit into its record of {inside} bytes")
+    return Piece(
+        start=start,
+        stop=stop,
+        body=start + FRAME_BYTES + used,
+        stored=stored,
+        declared=declared,
+        is_chunk=True,
+        compression=name.decode(),
+        crc=crc,
+        start_ns=start_ns,
+        end_ns=end_ns,
+        counts=None,
+    )
+
+
+def parse_index_head(head: bytes, length: int, offset: int) -> tuple[int, int]:
+    """Return channel id and number of messages of a message index record with `length` bytes of content."""
+    if length < _INDEX.size:
+        raise Damage(offset, f"a message index record of {length} bytes is too short")
+    channel_id, size = _INDEX.unpack_from(head)
+    if size % 16 or size > length - _INDEX.size:
+        raise Damage(offset, f"a message index of {size} bytes does not fit into its record of {length} bytes")
+    return channel_id, size // 16
+
+
+def parse_schema(body: bytes, offset: int) -> records.Schema:
+    """Parse a schema record."""
+    schema: records.Schema = parse(records.Schema.read, body, offset)
+    return schema
+
+
+def parse_channel(body: bytes, offset: int) -> records.Channel:
+    """Parse a channel record."""
+    channel: records.Channel = parse(records.Channel.read, body, offset)
+    return channel

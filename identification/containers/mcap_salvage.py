@@ -1,0 +1,185 @@
+"""Read what is left of a damaged MCAP file.
+
+The records are walked as in a sound file. Where one is damaged, the next place is searched at which something starts
+that proves itself: a chunk that the summary lists or whose CRC agrees, or several messages in a row where the file has
+no chunks. The summary, if it is sound, tells of channels that are lost otherwise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from .file_bytes import FileBytes
+from .mcap_census import counted, is_protected, total_counts, without_data
+from .mcap_layout import Layout, Walker, message_piece
+from .mcap_pieces import Opened, Opener
+from .mcap_records import FOOTER_BYTES, FRAME, FRAME_BYTES, KNOWN, MAGIC, Damage, Kind, Piece
+from .mcap_search import cut_chunk, next_chunk, next_messages, start_of_last
+from .mcap_tally import Counting
+from .ordered import map_in_order
+
+_SPARE_BYTES = 64
+"""A record with more bytes than this behind its content has a damaged length."""
+_START_BYTES = FRAME_BYTES + 2
+_LONGEST = 2**32
+
+
+def salvage_layout(file: FileBytes) -> tuple[Layout, Opener]:
+    """Return the layout of what is left, with the counts of its pieces, and what opens them."""
+    walker = _Salvager(file)
+    layout = walker.salvage()
+    pieces: list[Piece] = []
+    for piece, opened in map_in_order(lambda piece: (piece, walker.try_open(piece)), layout.pieces):
+        try:
+            if isinstance(opened, Damage):
+                raise opened
+            for definition in opened.definitions:
+                layout.definitions.add(*definition)
+            pieces.append(counted(opened))
+        except Damage as damage:
+            walker.lose(piece.start, piece.stop, damage.reason, piece)
+    return replace(layout, pieces=tuple(pieces), lost=walker.tell_lost(layout, pieces)), walker.opener
+
+
+class _Salvager(Walker):
+    def __init__(self, file: FileBytes) -> None:
+        super().__init__(file)
+        self._lost: list[tuple[int, str]] = []
+        self._stop = file.size
+        self._take_summary()
+        self.opener = Opener(file, self.definitions)
+
+    def salvage(self) -> Layout:
+        """Return the layout of what can be found."""
+        try:
+            offset = self.walk_start()
+            self._check_length(len(MAGIC), offset)
+        except Damage as damage:
+            offset = self._skip(0, damage.reason)
+        while offset < self._stop and self.data_end is None:
+            offset = self._walk(offset)
+        return self.layout()
+
+    def try_open(self, piece: Piece) -> Opened | Damage:
+        """Open a piece or return what is wrong; where its CRC agrees, a damaged index does not matter."""
+        try:
+            return without_data(self.opener.open(replace(piece, counts=None) if piece.crc else piece))
+        except Damage as damage:
+            return damage
+
+    def lose(self, start: int, stop: int, reason: str, piece: Piece | None = None) -> None:
+        """Note that the bytes from `start` to `stop` are left out."""
+        spans = [
+            (index.message_start_time, index.message_end_time)
+            for index in self.chunk_indexes
+            if start <= index.chunk_start_offset < stop
+        ]
+        if not spans and piece is not None and piece.has_span:
+            spans = [(piece.start_ns, piece.end_ns)]
+        when = f", recorded from {min(spans)[0]} to {max(end for _, end in spans)} ns" if spans else ""
+        counts = None if piece is None else piece.counts
+        many = f", {sum(counts.values())} messages" if counts else ""
+        self._lost.append((start, f"bytes {start} to {stop}{when}{many} ({reason})"))
+
+    def tell_lost(self, layout: Layout, pieces: Sequence[Piece]) -> tuple[str, ...]:
+        """Return what is left out, in order of place, and how many messages of how many that is."""
+        told = [text for _, text in sorted(self._lost)]
+        total = total_counts(pieces)
+        homeless = sum(total[channel_id] for channel_id in total.keys() - self.definitions.usable)
+        if homeless:
+            told.append(f"{homeless} messages of channels whose definition is lost")
+        if self.statistics is not None and self.statistics.message_count != total.total() - homeless:
+            missing = self.statistics.message_count - total.total() + homeless
+            told.append(f"altogether {missing} of {self.statistics.message_count} messages")
+        bare = layout.data_crc and not told and not is_protected(layout)
+        if bare and self.file.crc32(0, layout.data_stop) != layout.data_crc:
+            told.append("nothing that could be told, but the CRC of the data section does not agree with its content")
+        return tuple(told)
+
+    def _walk(self, offset: int) -> int:
+        count = len(self.pieces)
+        try:
+            stop = self.walk_data(offset)
+            self._check_length(offset, stop)
+        except Damage as damage:
+            del self.pieces[count:]
+            return self._skip(offset, damage.reason)
+        return stop
+
+    def _check_length(self, offset: int, stop: int) -> None:
+        """Refuse a record that reaches too far: in a damaged file such a one hides what follows."""
+        if self.pieces and self.pieces[-1].start == offset:
+            piece = self.pieces[-1]
+            if piece.is_chunk and piece.stop - piece.body - piece.stored > _SPARE_BYTES:
+                raise Damage(offset, f"a chunk record is longer than its content of {piece.stored} bytes")
+        elif stop < self._stop and self.data_end is None and self._kind(stop) not in KNOWN:
+            raise Damage(offset, "no record follows where its length points to")
+
+    def _skip(self, offset: int, reason: str) -> int:
+        """Leave out what is damaged at an offset; return where the next sound part starts."""
+        begin = self._drop_suspect(offset)
+        found = self._find_next(begin + 1)
+        if found is None:
+            found = self._stop
+            rest = cut_chunk(self.file, begin)
+            if rest is not None:
+                self.pieces.append(rest)
+                begin = rest.stop
+        self.lose(begin, found, reason)
+        return found
+
+    def _find_next(self, begin: int) -> int | None:
+        if self.chunk_indexes:
+            return min(
+                (i.chunk_start_offset for i in self.chunk_indexes if i.chunk_start_offset >= begin), default=None
+            )
+        found = next_chunk(self.file, self.opener, begin, self._stop)
+        if found is None and not any(piece.is_chunk for piece in self.pieces) and self._kind(begin - 1) != Kind.CHUNK:
+            found = next_messages(self.file, self.definitions.ids, begin, self._stop)
+        return found
+
+    def _kind(self, offset: int) -> int:
+        return self.peek(offset, 1)[0] if offset < self.file.size else 0
+
+    def _drop_suspect(self, offset: int) -> int:
+        """Drop the message before the damage if its length may be what is damaged; return where the damage begins."""
+        last = self.pieces[-1] if self.pieces else None
+        if last is None or last.is_chunk or last.stop != offset or self._starts_record(offset):
+            return offset
+        del self.pieces[-1]
+        begin, data = start_of_last(self.file, last)
+        if begin > last.start:
+            self.pieces.append(message_piece(last.start, begin, Counting().count(data)))
+        return begin
+
+    def _starts_record(self, offset: int) -> bool:
+        """Tell whether a record may start at an offset, though cut or of damaged length."""
+        head = self.peek(offset, _START_BYTES)
+        if len(head) < _START_BYTES:
+            return not head or head[0] in KNOWN
+        kind, length = FRAME.unpack_from(head)
+        if kind == Kind.MESSAGE:
+            return int.from_bytes(head[FRAME_BYTES:_START_BYTES], "little") in self.definitions.ids
+        return kind in KNOWN and length < _LONGEST
+
+    def _take_summary(self) -> None:
+        """Take in the summary if the file still ends with a sound one."""
+        probe, footer_start = Walker(self.file), self.file.size - len(MAGIC) - FRAME_BYTES - FOOTER_BYTES
+        try:
+            start = self._summary_start(probe, footer_start)
+            offset, footer = start, None
+            while footer is None:
+                offset, footer = probe.walk_summary(offset)
+            probe.check_summary(footer, start)
+        except Damage as damage:
+            self.lose(self.file.size, self.file.size, f"no sound summary at the end: {damage.reason}")
+            return
+        self.definitions, self.chunk_indexes, self._stop = probe.definitions, probe.chunk_indexes, start
+        self.statistics, self.summary_crc = probe.statistics, probe.summary_crc
+
+    def _summary_start(self, probe: Walker, footer_start: int) -> int:
+        if footer_start < len(MAGIC) or self.peek(self.file.size - len(MAGIC), len(MAGIC)) != MAGIC:
+            raise Damage(self.file.size, "the file does not end as a log does")
+        if probe.frame(footer_start)[0] != Kind.FOOTER:
+            raise Damage(footer_start, "no footer stands before the end")
+        _, footer = probe.walk_summary(footer_start)
+        return footer_start if footer is None or not footer.summary_start else footer.summary_start

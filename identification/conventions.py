@@ -1,0 +1,297 @@
+"""Which signs, frames and orders a wrench and a pose are told in: the weight of the payload tells them apart."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from .convention_fit import READINGS, Frames, FreeMounting, Reading, Scores, score_readings
+from .errors import EstimateError
+from .recording import PoseSignal, Recording
+from .result import Finding
+from .static_poses import StaticPose, group_by_orientation
+
+FloatArray = NDArray[np.float64]
+
+_FEWEST_ORIENTATIONS = 4
+_ALIKE_LOG_LIKELIHOOD = float(np.log(1000.0))
+_ALIKE_RATIO = 1.2
+_UNEXPLAINED = 0.1
+_MOST_TOLD = 6
+_SMALLEST_ANGLE_RAD = np.radians(10.0)
+_FAR_BETTER = 3.0
+
+
+class Verdict(StrEnum):
+    """What the weight says about the declared conventions; each value tells what follows."""
+
+    DECLARED = "the declared conventions fit"
+    FOUND = "only other conventions than the declared ones fit"
+    ASK = "several conventions other than the declared ones fit alike, so cell.yaml has to tell"
+    NONE = "no convention fits: the wrench does not follow the pose"
+    UNTOLD = "the rests are too few or too alike to tell"
+
+
+class Pull(StrEnum):
+    """What a force of the opposite sign comes from; rests alone cannot tell the latter two apart."""
+
+    AS_DECLARED = "as declared"
+    WRENCH = "the wrench is the other body's"
+    GRAVITY = "gravity points the other way"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Convention:
+    """One way to read the log, relative to the declared one, and how well the weight fits it.
+
+    `reading` says how the orientation's numbers are taken and by which quarter turn the sensor's axes are turned;
+    the residuals are over the orientations that fit the best reading; `short_by` is the log likelihood that this one is
+    short of it, `ratio` the larger of its residuals over those of the best one.
+    """
+
+    reading: Reading
+    pull: Pull
+    mass_kg: float
+    residual_rms_n: float
+    torque_residual_rms_n_m: float
+    short_by: float
+    ratio: float
+
+    @property
+    def changes(self) -> int:
+        """The number of entries of cell.yaml that differ from what is declared; 0 for the declared reading."""
+        reading = self.reading
+        return sum((reading.order != "xyzw", reading.inverted, self.pull is not Pull.AS_DECLARED, reading.is_turned))
+
+    @property
+    def fits_best(self) -> bool:
+        """Whether it is the best one, or as likely within 1 : 1000, or its residuals are no 20 % larger."""
+        return self.short_by < _ALIKE_LOG_LIKELIHOOD or self.ratio < _ALIKE_RATIO
+
+    def entries(self, frames: Frames | None = None) -> tuple[str, ...]:
+        """Return what cell.yaml would have to say, given the frames that it declares now."""
+        told, declared = [], Frames.plain() if frames is None else frames
+        if self.reading.order != "xyzw":
+            told.append("pose.orientation_as: quaternion_wxyz")
+        if self.reading.inverted:
+            told.append("pose.parent and pose.child: swapped (what is logged is flange from base)")
+        if self.pull is Pull.WRENCH:
+            told.append("wrench.exerted_by: the other one (sensor where it was payload)")
+        if self.pull is Pull.GRAVITY:
+            told.append(f"gravity_direction: {_numbers(declared.R_WB.inv().apply([0.0, 0.0, 1.0]))}")
+        if self.reading.is_turned:
+            told.append(f"sensor.orientation: {_numbers((declared.R_FS * self.reading.quarter_turn).as_quat())}")
+        return tuple(told) or ("as declared",)
+
+    def apply(self, recording: Recording, frames: Frames | None = None) -> Recording:
+        """Return the recording read this way: poses base from sensor with gravity along −z, the payload's wrench.
+
+        A twist is left out where it is not known in which frame it is (an inverted pose, gravity reversed).
+        """
+        declared = Frames.plain() if frames is None else frames
+        sign = -1.0 if self.pull is Pull.WRENCH else 1.0
+        wrench = recording.wrench
+        keeps_base = not self.reading.inverted and self.pull is not Pull.GRAVITY
+        return replace(
+            recording,
+            wrench=replace(wrench, force_n=sign * wrench.force_n, torque_n_m=sign * wrench.torque_n_m),
+            pose=self._read(recording.pose, declared),
+            command=None if recording.command is None else self._read(recording.command, declared),
+            twist=recording.twist if keeps_base else None,
+        )
+
+    def _read(self, pose: PoseSignal, frames: Frames) -> PoseSignal:
+        logged = Rotation.from_quat(pose.quaternion_xyzw)
+        turned = self.reading.orientation(logged, frames)
+        position = pose.position_m
+        if self.reading.inverted:
+            # p_BF = −R_BF p_FB, in our base on both sides.
+            flange = frames.R_WB.inv() * turned * self.reading.quarter_turn.inv() * frames.R_FS.inv()
+            position = -frames.R_WB.apply(flange.apply(frames.R_WB.inv().apply(position)))
+        if self.pull is Pull.GRAVITY:
+            over = Rotation.from_rotvec([np.pi, 0.0, 0.0])
+            turned, position = over * turned, over.apply(position)
+        return replace(pose, position_m=position, quaternion_xyzw=turned.as_quat(canonical=True))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConventionRanking:
+    """All readings, best first, and what follows; `declared` is the one in cell.yaml or assumed.
+
+    `orientations` distinct ones took part; `swing_rms_n` is how much the force changed between them. `mounting` is the
+    flange-from-sensor rotation that fits far better than any quarter turn, where there is one.
+    """
+
+    verdict: Verdict
+    candidates: tuple[Convention, ...]
+    declared: Convention | None
+    orientations: int
+    swing_rms_n: float
+    frames: Frames
+    mounting: Rotation | None = None
+
+    @property
+    def alike(self) -> tuple[Convention, ...]:
+        """The readings that fit as well as the best one, those of fewest changes first."""
+        return tuple(sorted((c for c in self.candidates if c.fits_best), key=lambda c: (c.changes, c.short_by)))
+
+    def chosen(self) -> Convention | None:
+        """Return the reading to use, None where the rests do not tell and the declared one stands unchecked.
+
+        Raises EstimateError where several readings fit alike or none does.
+        """
+        if self.verdict is Verdict.DECLARED:
+            return self.declared
+        if self.verdict is Verdict.FOUND:
+            return self.alike[0]
+        if self.verdict is Verdict.UNTOLD:
+            return None
+        raise EstimateError(self._question())
+
+    def _question(self) -> str:
+        best = self.candidates[0]
+        if self.mounting is not None:
+            return (
+                f"No quarter turn of the sensor fits the weight: {best.residual_rms_n:.2f} N of a swing of "
+                f"{self.swing_rms_n:.2f} N are left under the best of {len(self.candidates)} conventions. The sensor "
+                f"seems mounted at an angle: declare `sensor.orientation: {_numbers(self.mounting.as_quat())}` in "
+                "cell.yaml (xyzw, flange from sensor) after checking it against the drawing."
+            )
+        if self.verdict is Verdict.NONE:
+            return (
+                f"The force must follow gravity as the tool turns, found {best.residual_rms_n:.2f} N left of a swing "
+                f"of {self.swing_rms_n:.2f} N under the best of {len(self.candidates)} conventions; check that wrench "
+                "and pose are of the same robot and clock, that nothing touched the payload, and declare "
+                "`sensor.orientation` in cell.yaml if the sensor is mounted at an angle that is no multiple of 90°."
+            )
+        alike = self.alike
+        told = "; ".join(self._told(each) for each in alike[:_MOST_TOLD])
+        more = f"; and {len(alike) - _MOST_TOLD} more" if len(alike) > _MOST_TOLD else ""
+        declared = "" if self.declared is None else f" ({_residuals(self.declared)} as declared)"
+        return (
+            f"The declared conventions do not fit the weight{declared}, and {len(alike)} others fit it alike. Say in "
+            f"cell.yaml which it is: {told}{more}. Poses that also turn about the vertical tell more of them apart."
+        )
+
+    def _told(self, convention: Convention) -> str:
+        return f"`{', '.join(convention.entries(self.frames))}` ({_residuals(convention)})"
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Return what the user should know: a convention that was found, or that nothing could be checked."""
+        if self.verdict is Verdict.FOUND and self.declared is not None:
+            best = self.alike[0]
+            return (
+                Finding(
+                    code="convention-found",
+                    severity="warning",
+                    message=f"The declared conventions leave {_residuals(self.declared)} of the weight; the log was "
+                    f"read as {self._told(best)} instead, the only one of {len(self.candidates)} that fits.",
+                    advice="Declare it in cell.yaml.",
+                ),
+            )
+        if self.verdict is Verdict.UNTOLD:
+            return (
+                Finding(
+                    code="conventions-unchecked",
+                    severity="info",
+                    message="The rests are too few or too alike to check signs, frames and orders by the weight.",
+                    advice="Record 6 to 12 poses of 1 s each, tilted 30 to 70 degrees about two axes.",
+                ),
+            )
+        return ()
+
+
+def rank_conventions(poses: Sequence[StaticPose], frames: Frames | None = None) -> ConventionRanking:
+    """Rank 192 readings of the rests by what the payload's weight leaves unexplained.
+
+    Quaternion order, inverse, sensor axes by quarter turns, and the sign of the force, which is the wrench's or
+    gravity's: rests cannot tell which, so that both are candidates. The declared reading stands unless it is
+    significantly worse than the best one: less likely than 1 : 1000 (the noise's size left open, but no less than that
+    within the rests) and 20 % more residual. `frames` are those that the cell declares and that are in the poses.
+    """
+    declared = Frames.plain() if frames is None else frames
+    groups = group_by_orientation(poses)
+    untold = ConventionRanking(
+        verdict=Verdict.UNTOLD,
+        candidates=(),
+        declared=None,
+        orientations=len(np.unique(groups)),
+        swing_rms_n=0.0,
+        frames=declared,
+    )
+    if len(np.unique(groups)) < _FEWEST_ORIENTATIONS:
+        return untold
+    scores = score_readings(poses, groups, declared)
+    if scores.orientations < _FEWEST_ORIENTATIONS:
+        return untold
+    candidates = _candidates(scores)
+    ranked = replace(
+        untold,
+        candidates=candidates,
+        declared=next((each for each in candidates if each.changes == 0), None),
+        orientations=scores.orientations,
+        swing_rms_n=float(np.sqrt(scores.swing_n2 / (3.0 * scores.orientations))),
+    )
+    free = scores.free_mounting
+    if not _is_far_better(free, ranked, scores):
+        return replace(ranked, verdict=_verdict(ranked, scores))
+    if free.angle_rad > _SMALLEST_ANGLE_RAD:
+        mounting = declared.R_FS * free.turn if free.is_as_declared else None
+        return replace(ranked, verdict=Verdict.NONE, mounting=mounting)
+    # A little off the declared axes is for the mounting's estimate to say.
+    nearly = free.is_as_declared and free.turn.magnitude() < _SMALLEST_ANGLE_RAD and ranked.declared is not None
+    return replace(ranked, verdict=Verdict.DECLARED if nearly else _verdict(ranked, scores))
+
+
+def _is_far_better(free: FreeMounting, ranking: ConventionRanking, scores: Scores) -> bool:
+    """Return whether the sensor's axes, turned at will, leave far less than the best quarter turn."""
+    left = float(np.sqrt(max(free.force_n2 / (3.0 * scores.orientations), scores.force_floor_n2)))
+    explains = left < np.sqrt(_UNEXPLAINED) * ranking.swing_rms_n
+    return explains and ranking.candidates[0].residual_rms_n > _FAR_BETTER * left
+
+
+def _verdict(ranking: ConventionRanking, scores: Scores) -> Verdict:
+    alike, best = ranking.alike, ranking.candidates[0]
+    noise = float(np.sqrt(scores.force_floor_n2))
+    if ranking.declared in alike:
+        if best.residual_rms_n < np.sqrt(_UNEXPLAINED) * ranking.swing_rms_n:
+            return Verdict.DECLARED
+        # Nothing swings with the orientation: gravity may have been removed, which is for the estimate of mass to say.
+        return Verdict.UNTOLD if ranking.swing_rms_n < 10.0 * noise else Verdict.NONE
+    if best.residual_rms_n >= np.sqrt(_UNEXPLAINED) * ranking.swing_rms_n:
+        return Verdict.NONE
+    return Verdict.FOUND if len(alike) == 1 else Verdict.ASK
+
+
+def _candidates(scores: Scores) -> tuple[Convention, ...]:
+    """Return the readings, best first: of either sign of the force the one that makes the mass positive."""
+    short = scores.log_likelihood_short()
+    best = int(np.argmin(short))
+    count = 3.0 * scores.orientations
+    found = []
+    for i, reading in enumerate(READINGS):
+        pulls = (Pull.AS_DECLARED,) if scores.mass_kg[i] > 0.0 else (Pull.WRENCH, Pull.GRAVITY)
+        found += [
+            Convention(
+                reading=reading,
+                pull=pull,
+                mass_kg=abs(float(scores.mass_kg[i])),
+                residual_rms_n=float(np.sqrt(scores.force_n2[i] / count)),
+                torque_residual_rms_n_m=float(np.sqrt(scores.torque_n2_m2[i] / count)),
+                short_by=float(short[i]),
+                ratio=scores.ratio(i, best),
+            )
+            for pull in pulls
+        ]
+    return tuple(sorted(found, key=lambda each: (each.short_by, each.changes)))
+
+
+def _residuals(convention: Convention) -> str:
+    return f"{convention.residual_rms_n:.3g} N and {convention.torque_residual_rms_n_m:.3g} N·m left"
+
+
+def _numbers(values: FloatArray) -> str:
+    return "[" + ", ".join(f"{round(float(value), 7) + 0.0:g}" for value in np.asarray(values)) + "]"

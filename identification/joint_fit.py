@@ -1,0 +1,262 @@
+"""One refinement of everything on one axis by maximum likelihood on the raw signals, with one covariance."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import detrend
+
+from problems.robot import RobotModel
+
+from .errors import EstimateError
+from .joint_contacts import ContactStart, FoundContact, group_contacts, start_contact
+from .joint_model import Layout
+from .joint_noise import Smoother, fit_smoother, fit_whitener
+from .joint_result import JointFit, describe
+from .joint_segments import Segment, predict_force
+from .joint_solve import Point, Problem, Signals, information, linearise, minimise
+from .segments import Span
+
+FloatArray = NDArray[np.float64]
+
+_ROUNDS = 2
+_STEPS_ALONE, _STEPS_FIRST, _STEPS_LATER = 10, 8, 4
+_SHORTEST_FREE_S = 1.0
+_LARGEST_MISFIT = 0.4
+_SAME_SECANT = 1.12
+_POSE_EDGE_S = 0.3
+_FREE_EDGE_S = 0.12
+_SETTLING_S = 0.3
+_SHAKING = 1.3
+_MASS_STARTS = (0.0, 0.1, 0.4)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointData:
+    """What the refinement starts from: one axis of an aligned log, its spans, and the estimates of the stages.
+
+    `position_m`, `force_n` (n,) on one clock of period `period_s`, the force without weight and bias; `command_m` (n,)
+    or None: the command issued at each tick (or between it and the next: the delay then counts from the tick).
+    `rests`, spans at rest for the noise; `moving`, all spans of motion along this axis; `free`, those without a hand;
+    `holds`, rests under force. `coupling` is K_s, B_s, B_p, M_p, `robot` r(s) of one or two poles and T_d.
+    `priors` maps names of `Layout.names` to value and standard deviation known from elsewhere.
+    """
+
+    period_s: float
+    position_m: FloatArray
+    force_n: FloatArray
+    command_m: FloatArray | None
+    rests: Sequence[Span]
+    moving: Sequence[Span]
+    free: Sequence[Span]
+    holds: Sequence[Span]
+    coupling: FloatArray
+    robot: RobotModel | None
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+def identify_joint(data: JointData) -> JointFit:
+    """Fit force and pose of all usable spans together (MODEL.md, "Continuous blocks", exact under the held command).
+
+    The likelihood is that of the pose given the command times that of the force given both: the flange's path is the
+    robot's exact answer to the command plus what Wiener's filter keeps of the rest, and what remains of the force is
+    whitened by an autoregression, fitted again after every round. Raises EstimateError when no span can be used.
+    """
+    start = np.concatenate([data.coupling, _robot_values(data), np.zeros(3)])
+    layout = Layout(robot_order=_order(data), surfaces=1)
+    base, start = _robot_first(data, start)
+    signals, rest_noise = base.signals, base.free_noise
+    path = signals.path(start, layout)
+    held = [start_contact(hold, path, data.force_n, start.copy(), layout, data.period_s) for hold in data.holds]
+    contacts = [c for c in held if c is not None]
+    problem, point = _free_motion(data, base, start[:-3], contacts)
+    found = [c for c in (_alone(problem, point, contact) for contact in contacts) if c.is_sound]
+    problem, point = _together(data, problem, point, found)
+    for _ in range(_ROUNDS):
+        problem = _recoloured(problem, point)
+        point, _ = minimise(problem, point, _STEPS_LATER)
+    blocks = linearise(_recoloured(problem, point), point)
+    return describe(_recoloured(problem, point), point, blocks, found, rest_noise)
+
+
+def _order(data: JointData) -> int:
+    return 0 if data.robot is None or data.command_m is None else data.robot.order
+
+
+def _robot_values(data: JointData) -> FloatArray:
+    """Return ω, (ζ,) T_d, or nothing without a robot."""
+    if not _order(data) or data.robot is None:
+        return np.empty(0)
+    denominator, delay = data.robot.denominator, data.robot.delay_s
+    if data.robot.order == 1:
+        return np.array([denominator[1], delay])
+    omega = float(np.sqrt(denominator[2]))
+    return np.array([omega, 0.5 * float(denominator[1]) / omega, delay])
+
+
+def _robot_first(data: JointData, start: FloatArray) -> tuple[Problem, FloatArray]:
+    """Fit the robot to the pose alone; only then what the pose shows beside it can be told from a wrong robot."""
+    layout, rests = Layout(robot_order=_order(data), surfaces=0), _quiet_rests(data)
+    signals = Signals(
+        period_s=data.period_s,
+        position_m=data.position_m,
+        force_n=data.force_n,
+        command_m=data.command_m if layout.robot_order else None,
+        smoother=Smoother(taps=None),
+    )
+    rest_noise = fit_whitener([_settled(data.force_n[s]) for s in rests])
+    problem = Problem(
+        signals=signals,
+        layout=layout,
+        segments=(),
+        pose_spans=_pose_spans(data) if layout.robot_order else (),
+        free_noise=rest_noise,
+        contact_noise=rest_noise,
+        pose_noise=fit_whitener([_settled(data.position_m[s]) for s in rests]),
+        fixed=(0, 1, 2, 3),
+    )
+    point = Point(values=start[: len(layout)], nuisances=())
+    if layout.robot_order:
+        point, _ = minimise(problem, point, _STEPS_FIRST)
+    misfit = problem.path(point.values).misfit_m
+    moving, resting = [misfit[s.slice] for s in data.moving], [misfit[s] for s in rests]
+    smoother = fit_smoother(moving, resting, data.period_s)
+    problem = replace(problem, signals=replace(signals, smoother=smoother), fixed=())
+    return problem, np.concatenate([point.values, start[len(layout) :]])
+
+
+def _quiet_rests(data: JointData) -> list[slice]:
+    """Return the rests without their first part, in which the cell still settles, and without those that shake."""
+    settling = round(_SETTLING_S / data.period_s)
+    inner = [slice(s.start + min(settling, len(s) // 2), s.stop) for s in data.rests]
+    spread = np.array([[np.std(_settled(v[s])) for v in (data.force_n, data.position_m)] for s in inner])
+    usual = np.median(spread, axis=0)
+    return [s for s, seen in zip(inner, spread, strict=True) if np.all(seen <= _SHAKING * usual)]
+
+
+def _settled(values: FloatArray) -> FloatArray:
+    return np.asarray(detrend(values))
+
+
+def _centred(values: FloatArray) -> FloatArray:
+    return np.asarray(values - np.mean(values))
+
+
+def _pose_spans(data: JointData) -> tuple[slice, ...]:
+    edge, count = round(_POSE_EDGE_S / data.period_s), len(data.position_m)
+    return tuple(slice(max(0, s.start - edge), min(count, s.stop + edge)) for s in data.moving)
+
+
+def _free_motion(
+    data: JointData, base: Problem, values: FloatArray, contacts: Sequence[ContactStart]
+) -> tuple[Problem, Point]:
+    """Choose the spans that the stages' payload and spring explain, and fit them alone."""
+    edge = round(_FREE_EDGE_S / data.period_s)
+    candidates = []
+    for span in data.free:
+        segment = Segment(start=max(0, span.start - edge), stop=min(len(data.force_n), span.stop + edge))
+        touched = any(c.segment.start < segment.stop and segment.start < c.segment.stop for c in contacts)
+        if len(segment) * data.period_s >= _SHORTEST_FREE_S and not touched:
+            candidates.append(segment)
+    used = tuple(s for s in candidates if _misfit(base, values, s) < _LARGEST_MISFIT)
+    if not used:
+        raise EstimateError(
+            f"Of {len(data.free)} spans of free motion, none that lasts {_SHORTEST_FREE_S:g} s is explained by one "
+            "payload on one spring; record a commanded sweep of 0.5 to 50 Hz in free space without a hand on it."
+        )
+    problem = replace(base, segments=used)
+    point, _ = minimise(problem, Point(values=values, nuisances=tuple(np.zeros(3) for _ in used)), _STEPS_FIRST)
+    problem = _recoloured(problem, point)
+    point, _ = minimise(problem, point, _STEPS_LATER)
+    return problem, point
+
+
+def _misfit(problem: Problem, values: FloatArray, segment: Segment) -> float:
+    """Return residual over force of a span whose own parameters are fitted, as energies within the noise's weights."""
+    alone = replace(problem, segments=(segment,), pose_spans=(), known_path=problem.path(values))
+    block = linearise(alone, Point(values=values, nuisances=(np.zeros(segment.nuisance_count),)))[0]
+    force = problem.noise(segment).apply(_centred(problem.signals.force_n[segment.slice]))
+    excess = max(float(block.residual @ block.residual) - len(force), 0.0)
+    return float(np.sqrt(excess / max(float(force @ force), 1e-300)))
+
+
+def _alone(problem: Problem, point: Point, contact: ContactStart) -> FoundContact:
+    """Fit one contact with everything else as it is: from a massless start and from one with mass, the better counts."""
+    layout = Layout(robot_order=problem.layout.robot_order, surfaces=1)
+    fixed = tuple(range(layout.robot.stop))
+    single = replace(
+        problem,
+        layout=layout,
+        segments=(contact.segment,),
+        pose_spans=(),
+        fixed=fixed,
+        known_path=problem.path(point.values),
+    )
+    fits = []
+    for share in _MASS_STARTS:
+        surface = contact.surface + np.array([0.0, 0.0, share * point.values[3]])
+        start = Point(values=np.concatenate([point.values, surface]), nuisances=(contact.nuisance,))
+        fits.append(minimise(single, start, _STEPS_ALONE))
+    best, _ = min(fits, key=lambda fit: fit[1])
+    block = linearise(single, best)[0]
+    force = problem.signals.force_n[contact.segment.slice]
+    whitened = single.contact_noise.apply(_centred(force))
+    matrix, _ = information([block], len(layout))
+    k_s, k_e = float(best.values[0]), float(best.values[layout.surface(0).start])
+    noise = max(float(np.mean(block.residual**2)), 1.0)
+    spread = noise * np.linalg.pinv(matrix[fixed[-1] + 1 :, fixed[-1] + 1 :], hermitian=True)
+    secant = k_s * k_e / (k_s + k_e)
+    return FoundContact(
+        start=contact,
+        surface=best.values[layout.surface(0)],
+        nuisance=best.nuisances[0],
+        secant_n_per_m=secant,
+        secant_std_n_per_m=secant**2 / k_e * float(np.sqrt(max(spread[0, 0], 0.0))),
+        misfit_share=float(np.sqrt(float(block.residual @ block.residual) / max(float(whitened @ whitened), 1e-300))),
+    )
+
+
+def _together(
+    data: JointData, problem: Problem, point: Point, found: Sequence[FoundContact]
+) -> tuple[Problem, Point]:
+    """Join the contacts, grouped by surface, to the free motion, and fit all; a span far off all others drops out."""
+    groups = group_contacts(
+        [(c.start.segment.sign, c.secant_n_per_m, c.secant_std_n_per_m) for c in found], _SAME_SECANT
+    )
+    layout = Layout(robot_order=problem.layout.robot_order, surfaces=max(groups, default=-1) + 1)
+    surfaces = [
+        np.median([c.surface for c, g in zip(found, groups, strict=True) if g == i], axis=0)
+        for i in range(layout.surfaces)
+    ]
+    segments = tuple(replace(c.start.segment, surface=g) for c, g in zip(found, groups, strict=True))
+    places = {name: i for i, name in enumerate(layout.names)}
+    joined = replace(
+        problem,
+        layout=layout,
+        segments=problem.segments + segments,
+        priors=tuple((places[name], *known) for name, known in data.priors.items() if name in places),
+    )
+    whole = Point(
+        values=np.concatenate([point.values, *surfaces]),
+        nuisances=point.nuisances + tuple(c.nuisance for c in found),
+    )
+    whole, _ = minimise(joined, whole, _STEPS_FIRST)
+    return joined, whole
+
+
+def _recoloured(problem: Problem, point: Point) -> Problem:
+    """Fit the whiteners to what remains at a point."""
+    signals, layout = problem.signals, problem.layout
+    path = problem.path(point.values)
+    left: dict[bool, list[FloatArray]] = {False: [], True: []}
+    for segment, nuisance in zip(problem.segments, point.nuisances, strict=True):
+        predicted = predict_force(point.values, nuisance, segment, path, layout, signals.period_s)
+        left[segment.is_contact].append(predicted - signals.force_n[segment.slice])
+    poses = [_centred(path.misfit_m[span]) for span in problem.pose_spans]
+    return replace(
+        problem,
+        free_noise=fit_whitener(left[False]) if left[False] else problem.free_noise,
+        contact_noise=fit_whitener(left[True]) if left[True] else problem.contact_noise,
+        pose_noise=fit_whitener(poses) if poses else problem.pose_noise,
+    )

@@ -1,0 +1,149 @@
+"""The parameters of one axis, and its equations of motion over one sample (MODEL.md, "Continuous blocks")."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from problems.robot import RobotModel
+from problems.sampled import split_delay
+
+from .joint_kernel import Body, run_robot
+
+FloatArray = NDArray[np.float64]
+
+COUPLING_NAMES = ("stiffness_n_per_m", "damping_n_s_per_m", "drag_n_s_per_m", "mass_kg")
+SURFACE_NAMES = ("stiffness_n_per_m", "damping_n_s_per_m", "mass_kg")
+ROBOT_NAMES = (
+    ("robot_frequency_rad_per_s", "delay_s"),
+    ("robot_frequency_rad_per_s", "robot_damping_ratio", "delay_s"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """Where each parameter stands in the vector: coupling, robot (order 0 is none), then the surfaces."""
+
+    robot_order: int
+    surfaces: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name every parameter: K_s, B_s, B_p, M_p; ω, (ζ,) T_d; then K_e, B_e, M_e of each surface."""
+        robot = ROBOT_NAMES[self.robot_order - 1] if self.robot_order else ()
+        walls = tuple(f"environment{i + 1}_{name}" for i in range(self.surfaces) for name in SURFACE_NAMES)
+        return COUPLING_NAMES + robot + walls
+
+    @property
+    def robot(self) -> slice:
+        """Return where ω, (ζ,) T_d stand."""
+        return slice(4, 4 + (self.robot_order + 1 if self.robot_order else 0))
+
+    def surface(self, index: int) -> slice:
+        """Return where K_e, B_e, M_e of a surface stand."""
+        first = self.robot.stop + 3 * index
+        return slice(first, first + 3)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+def robot_model(values: FloatArray) -> RobotModel:
+    """Return r(s) of one pole (ω, T_d) or two (ω, ζ, T_d)."""
+    omega, delay = float(values[0]), float(values[-1])
+    if len(values) == 2:
+        return RobotModel.from_bandwidth(bandwidth_rad_per_s=omega, delay_s=delay)
+    denominator = np.array([1.0, 2.0 * float(values[1]) * omega, omega**2])
+    return RobotModel(numerator=np.array([omega**2]), denominator=denominator, delay_s=delay)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hold:
+    """What acts on the robot in one sample: the command `older` samples ago for `fraction` of it, then the next."""
+
+    older: int
+    fraction: float
+
+
+def held(delay_s: float, period_s: float) -> Hold:
+    """Split a delay into whole samples and the part of a sample in which the older command still acts."""
+    whole, fraction = split_delay(delay_s, period_s)
+    return Hold(older=whole + 1, fraction=fraction)
+
+
+def robot_rate(values: FloatArray, period_s: float) -> FloatArray:
+    """Return rows of d(robot state)/dτ over (state, command), τ in samples: x, or x and its rate."""
+    omega = float(values[0]) * period_s
+    if len(values) == 2:
+        return np.array([[-omega, omega]])
+    zeta = float(values[1])
+    return np.array([[0.0, 1.0, 0.0], [-(omega**2), -2.0 * zeta * omega, omega**2]])
+
+
+def robot_path(values: FloatArray, command_m: FloatArray, period_s: float) -> FloatArray:
+    """Return the robot's state (n, order) at the ticks, from rest at the first command."""
+    hold, rate = held(float(values[-1]), period_s), robot_rate(values, period_s)
+    order = len(rate)
+    generator = np.zeros((order + 1, order + 1))
+    generator[:order] = rate
+    first, second = expm(generator * hold.fraction), expm(generator * (1.0 - hold.fraction))
+    step = np.zeros((order, order + 2))
+    step[:, :order] = second[:order, :order] @ first[:order, :order]
+    step[:, order] = second[:order, :order] @ first[:order, order]
+    step[:, order + 1] = second[:order, order]
+    state = np.zeros(order)
+    state[0] = command_m[0]
+    return run_robot(step, np.ascontiguousarray(command_m), hold.older, state)
+
+
+def body(coupling: FloatArray, surface: FloatArray, period_s: float) -> Body:
+    """Return the parameters with time counted in samples."""
+    k_s, b_s, b_p, m_p = (float(v) for v in coupling)
+    k_e, b_e, m_e = (float(v) for v in surface)
+    h = period_s
+    return k_s, b_s / h, b_p / h, m_p / h**2, k_e, b_e / h, m_e / h**2
+
+
+def payload_step(of: Body, robot: FloatArray | None, fraction: float, *, touching: bool) -> tuple[FloatArray, FloatArray]:
+    """Return (2, 2) and (2, m) matrices: p' = phi p + gamma w over one sample, exactly.
+
+    w is (robot state, older and newer command, if there is a robot; then four Taylor coefficients of the rest of the
+    flange's path). M_p dv_p/dt = −F − B_p v_p − F_e, F = K_s (x_p − x) + B_s (v_p − v).
+    """
+    k_s, b_s, b_p, m_p, k_e, b_e, m_e = of
+    order = 0 if robot is None else len(robot)
+    # p, robot state, command, rest of the path and three derivatives.
+    size = 2 + order + (1 if order else 0) + 4
+    mass = m_p + (m_e if touching else 0.0)
+    a = np.zeros((size, size))
+    a[0, 1] = 1.0
+    a[1, 0] = -(k_s + (k_e if touching else 0.0)) / mass
+    a[1, 1] = -(b_s + b_p + (b_e if touching else 0.0)) / mass
+    rest = size - 4
+    a[1, rest], a[1, rest + 1] = k_s / mass, b_s / mass
+    for i in range(3):
+        a[rest + i, rest + i + 1] = 1.0
+    if robot is not None:
+        a[2 : 2 + order, 2 : 3 + order] = robot
+        a[1, 2] += k_s / mass
+        a[1, 2 : 3 + order] += b_s / mass * robot[0]
+    factorials = np.array([1.0, 1.0, 2.0, 6.0])
+    if robot is None:
+        whole = expm(a)[:2]
+        return np.ascontiguousarray(whole[:, :2]), whole[:, 2:] * factorials
+    first, second = expm(a * fraction), expm(a * (1.0 - fraction))[:2]
+    held_column = 2 + order
+    newer = second[:, held_column].copy()
+    carry = second.copy()
+    carry[:, held_column] = 0.0
+    whole = carry @ first
+    gamma = np.column_stack([whole[:, 2 : 2 + order], whole[:, held_column], newer, whole[:, rest:] * factorials])
+    return np.ascontiguousarray(whole[:, :2]), gamma
+
+
+def swing_step(of: Body, *, back_at_once: bool) -> FloatArray:
+    """Return the (2, 2) step of a freed environment, M_e x'' + B_e x' + K_e x = 0."""
+    if back_at_once:
+        return np.zeros((2, 2))
+    return np.asarray(expm(np.array([[0.0, 1.0], [-of[4] / of[6], -of[5] / of[6]]])))

@@ -1,0 +1,129 @@
+"""The colour of noise: spectra from rests, autoregressive whitening, and tests of whiteness."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter, oaconvolve, welch
+from scipy.stats import chi2
+
+FloatArray = NDArray[np.float64]
+
+_ORDERS = (0, 1, 2, 4, 8, 16, 24)
+_SMOOTHED_BINS = 5
+_CHANCES = 4.5
+_WINDOW_S = 0.2
+_LAGS = 40
+_SPLINE_REACH = 24
+
+
+@dataclass(frozen=True, kw_only=True)
+class Whitener:
+    """e_k = (r_k + a_1 r_(k−1) + … )/σ: `coefficients` is (1, a_1, …), `rms` is σ."""
+
+    coefficients: FloatArray
+    rms: float
+
+    @property
+    def order(self) -> int:
+        """Return how many samples of the past are used."""
+        return len(self.coefficients) - 1
+
+    def apply(self, columns: FloatArray) -> FloatArray:
+        """Whiten along the first axis; the samples without a past are left out."""
+        return np.asarray(lfilter(self.coefficients, [1.0], columns, axis=0)[self.order :] / self.rms)
+
+
+def fit_whitener(residuals: Sequence[FloatArray]) -> Whitener:
+    """Fit an autoregression to residuals (Yule–Walker, Levinson's recursion); the order is chosen by the BIC."""
+    longest = max(_ORDERS)
+    used = [r for r in residuals if len(r) > 2 * longest]
+    count = sum(len(r) for r in used)
+    if count < 20 * longest:
+        flat = np.concatenate([np.ravel(r) for r in residuals])
+        return Whitener(coefficients=np.ones(1), rms=max(float(np.sqrt(np.mean(flat**2))), 1e-12))
+    lags = np.array([sum(float(r[: len(r) - k] @ r[k:]) for r in used) for k in range(longest + 1)]) / count
+    variance, best = float(lags[0]), np.ones(1)
+    if variance <= 0.0:
+        return Whitener(coefficients=best, rms=1e-12)
+    chosen, lowest = (best, variance), count * np.log(variance)
+    for order in range(1, longest + 1):
+        reflection = -float(best @ lags[order : order - len(best) : -1] if order > 0 else 0.0) / variance
+        best = np.append(best, 0.0) + reflection * np.append(best, 0.0)[::-1]
+        variance *= max(1.0 - reflection**2, 1e-12)
+        criterion = count * np.log(variance) + order * np.log(count)
+        if order in _ORDERS and criterion < lowest:
+            chosen, lowest = (best.copy(), variance), criterion
+    return Whitener(coefficients=chosen[0], rms=float(np.sqrt(chosen[1])))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Smoother:
+    """A symmetric filter that keeps what exceeds the noise; `taps` None keeps nothing but the mean.
+
+    The taps give the coefficients of the cubic spline through the smoothed values at once.
+    """
+
+    taps: FloatArray | None
+
+    def spline(self, values: FloatArray) -> FloatArray:
+        """Return the B-spline coefficients (n,) of the part of `values` (n,) that is no noise."""
+        mean = float(np.mean(values))
+        if self.taps is None:
+            return np.full(len(values), mean)
+        padded = np.pad(values - mean, len(self.taps) // 2, mode="edge")
+        return np.asarray(oaconvolve(padded, self.taps, mode="valid") + mean)
+
+
+def fit_smoother(moving: Sequence[FloatArray], resting: Sequence[FloatArray], period_s: float) -> Smoother:
+    """Build Wiener's filter W = 1 − S_rest/S_moving from the spectra of both.
+
+    What it leaves out is orthogonal to what it keeps, so a model driven by the result is not biased by the noise.
+    """
+    length = 2 * round(_WINDOW_S / period_s)
+    noise, noise_count = _spectrum(resting, length, period_s)
+    signal, signal_count = _spectrum(moving, length, period_s)
+    if min(noise_count, signal_count) < 1.0:
+        return Smoother(taps=None)
+    ratio = _smoothed(signal) / np.maximum(_smoothed(noise), 1e-300)
+    chance = np.sqrt((1.0 / noise_count + 1.0 / signal_count) / (0.6 * _SMOOTHED_BINS))
+    keep = np.where(ratio > 1.0 + _CHANCES * chance, 1.0 - 1.0 / np.maximum(ratio, 1e-300), 0.0)
+    if not np.any(keep > 0.0):
+        return Smoother(taps=None)
+    taps = np.fft.fftshift(np.fft.irfft(keep, length))
+    taps = np.append(taps, taps[0])
+    taps *= np.hanning(len(taps) + 2)[1:-1]
+    taps = taps / np.sum(taps) if keep[1] > 0.9 else taps  # a slow motion is kept as it is
+    # The spline's coefficients c answer to (c_(k−1) + 4 c_k + c_(k+1))/6 = value, whose inverse is √3 (√3 − 2)^|k|.
+    reach = np.abs(np.arange(-_SPLINE_REACH, _SPLINE_REACH + 1))
+    return Smoother(taps=np.convolve(taps, np.sqrt(3.0) * (np.sqrt(3.0) - 2.0) ** reach))
+
+
+def _spectrum(spans: Sequence[FloatArray], length: int, period_s: float) -> tuple[FloatArray, float]:
+    """Return the mean spectrum of windows of `length` samples, and how many independent windows there were."""
+    long = [s for s in spans if len(s) >= length]
+    if not long:
+        return np.empty(0), 0.0
+    parts = [welch(s, 1.0 / period_s, nperseg=length, detrend="linear")[1] for s in long]
+    weights = np.array([len(s) // length for s in long], dtype=float)
+    return np.average(parts, axis=0, weights=weights), float(np.sum(weights))
+
+
+def _smoothed(values: FloatArray) -> FloatArray:
+    half = _SMOOTHED_BINS // 2
+    # The lowest bin is the detrended one: its neighbour speaks for it.
+    padded = np.pad(np.concatenate([values[1:2], values[1:]]), half, mode="reflect")
+    return np.convolve(padded, np.full(_SMOOTHED_BINS, 1.0 / _SMOOTHED_BINS), mode="valid")
+
+
+def whiteness(residuals: Sequence[FloatArray]) -> float:
+    """Return the probability of a residual at least as coloured if it were white (Ljung and Box 1978, 40 lags)."""
+    used = [r for r in residuals if len(r) > 2 * _LAGS]
+    count = sum(len(r) for r in used)
+    if count == 0:
+        return 1.0
+    lags = np.array([sum(float(r[: len(r) - k] @ r[k:]) for r in used) for k in range(_LAGS + 1)])
+    share = lags[1:] / max(lags[0], 1e-300)
+    statistic = count * (count + 2.0) * float(np.sum(share**2 / (count - np.arange(1, _LAGS + 1))))
+    return float(chi2.sf(statistic, _LAGS))

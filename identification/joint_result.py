@@ -1,0 +1,200 @@
+"""The result of the joint refinement: values, one covariance, and how far they may be trusted."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from problems.robot import RobotModel
+
+from .joint_contacts import FoundContact
+from .joint_covariance import Spread, widened
+from .joint_model import robot_model
+from .joint_noise import Whitener, whiteness
+from .joint_profile import bounded_intervals
+from .joint_segments import Segment, predict_force
+from .joint_solve import Block, Point, Problem, information, logarithmic, sizes_of
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointSurface:
+    """One surface: the secant, K_s and K_e in series, with its deviation out of the joint covariance, and contacts.
+
+    `first_parameter` is where K_e, B_e, M_e stand in the fit's vector; `onsets` are samples.
+    """
+
+    sign: int
+    first_parameter: int
+    secant_n_per_m: float
+    secant_std_n_per_m: float
+    onsets: tuple[int, ...]
+    peak_force_n: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnostics:
+    """How well it fits.
+
+    `fit_share`, of the force's variance that is explained, in free motion and in contact; `whiteness`, Ljung–Box
+    probabilities of the whitened residuals alike; `noise_ratio`, residual RMS over the force's noise at rest;
+    `left_out_error`, residual RMS over force RMS of the last free span and of the last contact, each predicted
+    without itself (only its own start, offset and place are fitted), None where there is no other;
+    `widening`, the largest factor on a standard deviation, see `joint_covariance.widened`; `used`, (free spans,
+    contacts).
+    """
+
+    fit_share: tuple[float, float]
+    whiteness: tuple[float, float]
+    noise_ratio: tuple[float, float]
+    left_out_error: tuple[float | None, float | None]
+    widening: float
+    used: tuple[int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointFit:
+    """All parameters of one axis with one covariance, (p,) and (p, p) in SI, in the order of `names`.
+
+    `ci95` holds intervals where plus and minus two deviations would be wrong (a damping or mass near 0).
+    """
+
+    names: tuple[str, ...]
+    values: FloatArray
+    covariance: FloatArray
+    ci95: Mapping[str, tuple[float, float]]
+    robot: RobotModel | None
+    surfaces: tuple[JointSurface, ...]
+    diagnostics: Diagnostics
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ci95", MappingProxyType(dict(self.ci95)))
+        for name in ("values", "covariance"):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    @property
+    def std(self) -> FloatArray:
+        """Standard deviations in the order of `names`."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def value(self, name: str) -> tuple[float, float]:
+        """Return value and standard deviation of a parameter."""
+        index = self.names.index(name)
+        return float(self.values[index]), float(self.std[index])
+
+
+def describe(
+    problem: Problem, point: Point, blocks: Sequence[Block], found: Sequence[FoundContact], rest_noise: Whitener
+) -> JointFit:
+    """Turn the minimum into a result."""
+    layout = problem.layout
+    spread = widened(blocks, len(layout), problem.signals.period_s)
+    sizes = sizes_of(point.values, layout, problem.signals.period_s)
+    covariance = spread.covariance * np.outer(sizes, sizes)
+    surfaces = tuple(_surface(i, problem, point, covariance, found) for i in range(layout.surfaces))
+    return JointFit(
+        names=layout.names,
+        values=point.values,
+        covariance=covariance,
+        ci95=bounded_intervals(problem, point, blocks, spread),
+        robot=robot_model(point.values[layout.robot]) if layout.robot_order else None,
+        surfaces=surfaces,
+        diagnostics=_diagnostics(problem, point, blocks, spread, rest_noise),
+    )
+
+
+def _surface(
+    index: int, problem: Problem, point: Point, covariance: FloatArray, found: Sequence[FoundContact]
+) -> JointSurface:
+    first = problem.layout.surface(index).start
+    k_s, k_e = float(point.values[0]), float(point.values[first])
+    secant = k_s * k_e / (k_s + k_e)
+    slope = np.zeros(len(point.values))
+    slope[0], slope[first] = (secant / k_s) ** 2, (secant / k_e) ** 2
+    touched = [s for s in problem.segments if s.is_contact]
+    mine = [c.start for s, c in zip(touched, found, strict=True) if s.surface == index]
+    return JointSurface(
+        sign=mine[0].segment.sign,
+        first_parameter=first,
+        secant_n_per_m=secant,
+        secant_std_n_per_m=float(np.sqrt(slope @ covariance @ slope)),
+        onsets=tuple(c.onset for c in mine),
+        peak_force_n=tuple(c.peak_force_n for c in mine),
+    )
+
+
+def _diagnostics(
+    problem: Problem, point: Point, blocks: Sequence[Block], spread: Spread, rest_noise: Whitener
+) -> Diagnostics:
+    kinds = [tuple(i for i, s in enumerate(problem.segments) if s.is_contact == kind) for kind in (False, True)]
+    errors = [_force_error(problem, point, segment, i) for i, segment in enumerate(problem.segments)]
+    forces = [problem.signals.force_n[s.slice] for s in problem.segments]
+    rest = rest_noise.rms / max(float(np.sqrt(_power(rest_noise))), 1e-300)
+    share, ratio = [], []
+    for kind in kinds:
+        left = float(sum(np.sum(errors[i] ** 2) for i in kind))
+        all_of = float(sum(np.sum((forces[i] - np.mean(forces[i])) ** 2) for i in kind))
+        count = sum(len(errors[i]) for i in kind)
+        share.append(1.0 - left / all_of if all_of > 0.0 else 0.0)
+        ratio.append(float(np.sqrt(left / count)) / rest if count else 0.0)
+    return Diagnostics(
+        fit_share=(share[0], share[1]),
+        whiteness=(
+            whiteness([blocks[i].residual for i in kinds[0]]),
+            whiteness([blocks[i].residual for i in kinds[1]]),
+        ),
+        noise_ratio=(ratio[0], ratio[1]),
+        left_out_error=(_left_out(problem, point, blocks, kinds[0]), _left_out(problem, point, blocks, kinds[1])),
+        widening=spread.widening,
+        used=(len(kinds[0]), len(kinds[1])),
+    )
+
+
+def _power(whitener: Whitener) -> float:
+    """Return the innovation's share of the variance of an autoregression: 1 over the sum of its squared response."""
+    impulse = np.zeros(2000)
+    impulse[0] = 1.0
+    response = np.zeros(2000)
+    a = whitener.coefficients
+    for k in range(len(impulse)):
+        past = response[max(0, k - len(a) + 1) : k][::-1]
+        response[k] = impulse[k] - float(a[1 : 1 + len(past)] @ past)
+    return 1.0 / float(response @ response)
+
+
+def _force_error(problem: Problem, point: Point, segment: Segment, index: int) -> FloatArray:
+    path = problem.path(point.values)
+    period = problem.signals.period_s
+    predicted = predict_force(point.values, point.nuisances[index], segment, path, problem.layout, period)
+    return np.asarray(predicted - problem.signals.force_n[segment.slice])
+
+
+def _left_out(problem: Problem, point: Point, blocks: Sequence[Block], kind: Sequence[int]) -> float | None:
+    """Predict the last span of a kind with the parameters that all others tell."""
+    if not kind:
+        return None
+    last = kind[-1]
+    segment = problem.segments[last]
+    like = [i for i in kind[:-1] if problem.segments[i].surface == segment.surface]
+    if not like:
+        return None
+    matrix, gradient = information([b for i, b in enumerate(blocks) if i != last], len(problem.layout))
+    step = -np.linalg.pinv(matrix, hermitian=True) @ gradient
+    sizes = sizes_of(point.values, problem.layout, problem.signals.period_s)
+    values = np.where(
+        logarithmic(problem.layout), point.values * np.exp(step), np.maximum(point.values + step * sizes, 0.0)
+    )
+    own = blocks[last].own
+    nuisances = list(point.nuisances)
+    if own is not None:
+        r, to_residual, to_shared = own
+        nuisances[last] = nuisances[last] - np.linalg.solve(r, to_residual + to_shared @ step[blocks[last].indices])
+    moved = replace(point, values=values, nuisances=tuple(nuisances))
+    error = _force_error(problem, moved, segment, last)
+    force = problem.signals.force_n[segment.slice]
+    return float(np.linalg.norm(error) / max(float(np.linalg.norm(force - np.mean(force))), 1e-300))

@@ -1,0 +1,123 @@
+"""Spans of the log that one payload on one spring explains, and the force that the model predicts there."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .joint_kernel import returns_at_once, run_contact, run_free
+from .joint_model import Layout, body, payload_step, swing_step
+from .joint_path import FlangePath
+
+FloatArray = NDArray[np.float64]
+
+_NO_SURFACE = np.zeros(3)
+_STEP_SHARE = 1e-6
+FREE = -1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segment:
+    """Samples `start` up to `stop`; `surface` is what is touched on the way, `FREE` for nothing.
+
+    `sign` is +1 when pressing towards +axis. Nuisance parameters: the payload's offset and speed against the flange
+    at the start, counted in N of the coupling, the force's offset [N], and the wall's place x_w [m] in a contact.
+    """
+
+    start: int
+    stop: int
+    surface: int = FREE
+    sign: int = 1
+
+    @property
+    def slice(self) -> slice:
+        """The samples as an index."""
+        return slice(self.start, self.stop)
+
+    @property
+    def is_contact(self) -> bool:
+        """Whether something is touched."""
+        return self.surface != FREE
+
+    @property
+    def nuisance_count(self) -> int:
+        """Parameters that only this span has."""
+        return 4 if self.is_contact else 3
+
+    def __len__(self) -> int:
+        return self.stop - self.start
+
+
+def predict_force(
+    values: FloatArray, nuisance: FloatArray, segment: Segment, path: FlangePath, layout: Layout, period_s: float
+) -> FloatArray:
+    """Return F (n,) of a segment; `values` as `Layout` orders them, `nuisance` as `Segment` does.
+
+    F = K_s (x_p − x) + B_s (v_p − v) + offset, with F_e = M_e dv_p/dt + B_e v_p + K_e (x_p − x_w) ≥ 0 in contact.
+    """
+    used, sign = segment.slice, float(segment.sign)
+    surface = values[layout.surface(segment.surface)] if segment.is_contact else _NO_SURFACE
+    of = body(values[:4], surface, period_s)
+    wall = sign * nuisance[3] if segment.is_contact else float(path.position[segment.start])
+    drive = sign * path.drive[used]
+    drive[:, -4] -= wall
+    position, velocity = sign * path.position[used] - wall, sign * path.velocity[used]
+    free, free_drive = payload_step(of, path.robot, path.hold.fraction, touching=False)
+    start = np.array([position[0] + nuisance[0] / of[0], velocity[0] + nuisance[1] / of[0]])
+    free_drive = drive @ free_drive.T
+    if segment.is_contact:
+        touched, touched_drive = payload_step(of, path.robot, path.hold.fraction, touching=True)
+        ends = sign * path.ends[used]
+        ends[:, 0::2] -= wall
+        both = np.stack([free_drive, drive @ touched_drive.T])
+        swing = swing_step(of, back_at_once=returns_at_once(of))
+        states = run_contact(np.stack([free, touched]), both, swing, ends, of, start)
+    else:
+        states = run_free(free, free_drive, start)
+    force = of[0] * (states[:, 0] - position) + of[1] * (states[:, 1] - velocity)
+    return np.asarray(sign * force + nuisance[2])
+
+
+def shared_indices(segment: Segment, layout: Layout, *, through_robot: bool) -> NDArray[np.intp]:
+    """Return which shared parameters a segment's force depends on."""
+    robot = np.arange(layout.robot.start, layout.robot.stop if through_robot else layout.robot.start)
+    surface = np.arange(*layout.surface(segment.surface).indices(len(layout))) if segment.is_contact else np.empty(0)
+    return np.concatenate([np.arange(4), robot, surface]).astype(np.intp)
+
+
+def force_jacobian(
+    values: FloatArray,
+    sizes: FloatArray,
+    nuisance: FloatArray,
+    segment: Segment,
+    paths: tuple[FlangePath, dict[int, FlangePath]],
+    layout: Layout,
+    period_s: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the prediction and its derivative by the shared parameters of the segment and then its nuisances.
+
+    One-sided differences of an exact solution: `sizes` are the parameters' units, and the error of a difference is a
+    millionth of the curvature. `paths` holds the flange's path and those of a moved robot parameter.
+    """
+    here, moved = paths
+    base = predict_force(values, nuisance, segment, here, layout, period_s)
+    columns = []
+    for index in shared_indices(segment, layout, through_robot=bool(moved)):
+        step = np.zeros(len(values))
+        step[index] = _STEP_SHARE * sizes[index]
+        path = moved.get(int(index), here)
+        columns.append((predict_force(values + step, nuisance, segment, path, layout, period_s) - base) / step[index])
+    for index, size in enumerate((1.0, 1.0, None, 1e-3)[: segment.nuisance_count]):
+        if size is None:
+            columns.append(np.ones(len(base)))
+            continue
+        step = np.zeros(len(nuisance))
+        step[index] = _STEP_SHARE * size
+        after = predict_force(values, nuisance + step, segment, here, layout, period_s)
+        columns.append((after - base) / step[index])
+    return base, np.column_stack(columns)
+
+
+def robot_step(sizes: FloatArray, index: int) -> float:
+    """Return by how much a robot parameter is moved for its derivative."""
+    return _STEP_SHARE * float(sizes[index])

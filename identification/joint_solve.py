@@ -1,0 +1,242 @@
+"""Weighted least squares over all spans: Gauss–Newton with each span's own parameters eliminated."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .joint_model import Layout
+from .joint_noise import Smoother, Whitener
+from .joint_path import FlangePath, commanded_path, measured_path
+from .joint_segments import Segment, force_jacobian, predict_force, robot_step, shared_indices
+
+FloatArray = NDArray[np.float64]
+
+_MOST_HALVINGS = 6
+_CONVERGED = 1e-3
+_LARGEST_LOG_STEP = 0.7
+
+
+@dataclass(frozen=True, kw_only=True)
+class Signals:
+    """One axis on one clock: flange position, force without weight and bias, command; (n,) each, the last or None.
+
+    `command_m[k]` is the command issued at or after tick k and before the next; `smoother` belongs to the pose.
+    """
+
+    period_s: float
+    position_m: FloatArray
+    force_n: FloatArray
+    command_m: FloatArray | None
+    smoother: Smoother
+
+    def path(self, values: FloatArray, layout: Layout) -> FlangePath:
+        """Return the flange's path for robot parameters."""
+        if self.command_m is None or layout.robot_order == 0:
+            return measured_path(self.position_m, self.smoother)
+        return commanded_path(values[layout.robot], self.command_m, self.position_m, self.smoother, self.period_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Point:
+    """A value of everything: shared parameters, and each segment's own."""
+
+    values: FloatArray
+    nuisances: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """What is fitted: force over `segments`, pose over `pose_spans`, with one whitener per kind of span.
+
+    `priors` maps parameter names to value and standard deviation; `fixed` are indices that stay as they are,
+    and with the robot's among them `known_path` is the flange's path.
+    """
+
+    signals: Signals
+    layout: Layout
+    segments: tuple[Segment, ...]
+    pose_spans: tuple[slice, ...]
+    free_noise: Whitener
+    contact_noise: Whitener
+    pose_noise: Whitener
+    priors: tuple[tuple[int, float, float], ...] = ()
+    fixed: tuple[int, ...] = ()
+    known_path: FlangePath | None = None
+
+    def path(self, values: FloatArray) -> FlangePath:
+        """Return the flange's path at these parameters."""
+        return self.signals.path(values, self.layout) if self.known_path is None else self.known_path
+
+    def noise(self, segment: Segment) -> Whitener:
+        """Return the whitener of a segment's force."""
+        return self.contact_noise if segment.is_contact else self.free_noise
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """One span, whitened: residual and derivatives by the scaled shared parameters, free of the span's own ones."""
+
+    residual: FloatArray
+    jacobian: FloatArray
+    indices: NDArray[np.intp]
+    own: tuple[FloatArray, FloatArray, FloatArray] | None  # R, Qᵀr, QᵀJ: how the span's own parameters follow
+
+
+def sizes_of(values: FloatArray, layout: Layout, period_s: float) -> FloatArray:
+    """Return a unit for every parameter: itself where it cannot vanish, else a tenth of what would be critical."""
+    out = np.array(values, dtype=np.float64)
+    mass = float(values[3])
+    out[1] = out[2] = 0.2 * np.sqrt(float(values[0]) * mass)
+    if layout.robot_order:
+        out[layout.robot.stop - 1] = period_s
+    for i in range(layout.surfaces):
+        first = layout.surface(i).start
+        out[first + 1] = 0.2 * np.sqrt(float(values[first]) * mass)
+        out[first + 2] = 0.1 * mass
+    return out
+
+
+def logarithmic(layout: Layout) -> NDArray[np.bool_]:
+    """Return which parameters are stepped in their logarithm: K_s, M_p, ω, ζ and K_e."""
+    out = np.zeros(len(layout), dtype=bool)
+    out[[0, 3]] = True
+    out[layout.robot.start : layout.robot.stop - 1] = layout.robot_order > 0
+    for i in range(layout.surfaces):
+        out[layout.surface(i).start] = True
+    return out
+
+
+def linearise(problem: Problem, point: Point) -> list[Block]:
+    """Return the whitened residuals and derivatives of every span at a point: forces, then poses, then priors."""
+    signals, layout = problem.signals, problem.layout
+    sizes = sizes_of(point.values, layout, signals.period_s)
+    here = problem.path(point.values)
+    all_moved: dict[int, FlangePath] = {}
+    for index in range(layout.robot.start, layout.robot.stop if problem.known_path is None else layout.robot.start):
+        values = point.values.copy()
+        values[index] += robot_step(sizes, index)
+        all_moved[index] = signals.path(values, layout)
+    blocks = []
+    for segment, nuisance in zip(problem.segments, point.nuisances, strict=True):
+        predicted, jacobian = force_jacobian(
+            point.values, sizes, nuisance, segment, (here, all_moved), layout, signals.period_s
+        )
+        indices = shared_indices(segment, layout, through_robot=bool(all_moved))
+        jacobian[:, : len(indices)] *= sizes[indices]
+        rows = np.column_stack([predicted - signals.force_n[segment.slice], jacobian])
+        blocks.append(_block(problem.noise(segment).apply(rows), indices))
+    if all_moved:
+        indices = np.arange(layout.robot.start, layout.robot.stop)
+        slopes = [(all_moved[i].misfit_m - here.misfit_m) / robot_step(sizes, i) * sizes[i] for i in indices]
+        rows = np.column_stack([here.misfit_m, *slopes, np.ones(len(here.misfit_m))])
+        blocks += [_block(problem.pose_noise.apply(rows[span]), indices) for span in problem.pose_spans]
+    for index, value, std in problem.priors:
+        one = np.array([[sizes[index] / std]])
+        residual = np.array([(point.values[index] - value) / std])
+        blocks.append(Block(residual=residual, jacobian=one, indices=np.array([index]), own=None))
+    return blocks
+
+
+def _block(rows: FloatArray, indices: NDArray[np.intp]) -> Block:
+    """Split (residual, shared columns, own columns) and project the own ones out."""
+    residual, shared, own = rows[:, 0], rows[:, 1 : 1 + len(indices)], rows[:, 1 + len(indices) :]
+    q, r = np.linalg.qr(own)
+    to_residual, to_shared = q.T @ residual, q.T @ shared
+    return Block(
+        residual=residual - q @ to_residual,
+        jacobian=shared - q @ to_shared,
+        indices=indices,
+        own=(r, to_residual, to_shared),
+    )
+
+
+def information(blocks: Sequence[Block], count: int) -> tuple[FloatArray, FloatArray]:
+    """Return JᵀJ (count, count) and Jᵀr (count,) over the spans, in scaled parameters."""
+    matrix, gradient = np.zeros((count, count)), np.zeros(count)
+    for block in blocks:
+        matrix[np.ix_(block.indices, block.indices)] += block.jacobian.T @ block.jacobian
+        gradient[block.indices] += block.jacobian.T @ block.residual
+    return matrix, gradient
+
+
+def cost(problem: Problem, point: Point) -> float:
+    """Return the sum of squares of all whitened residuals; the pose's offsets are taken out."""
+    signals, layout = problem.signals, problem.layout
+    path = problem.path(point.values)
+    total = 0.0
+    for segment, nuisance in zip(problem.segments, point.nuisances, strict=True):
+        predicted = predict_force(point.values, nuisance, segment, path, layout, signals.period_s)
+        error = problem.noise(segment).apply(predicted - signals.force_n[segment.slice])
+        total += float(error @ error)
+    if layout.robot_order:
+        for span in problem.pose_spans:
+            error = problem.pose_noise.apply(path.misfit_m[span] - np.mean(path.misfit_m[span]))
+            total += float(error @ error) - len(error) * float(np.mean(error)) ** 2
+    total += sum(((float(point.values[i]) - value) / std) ** 2 for i, value, std in problem.priors)
+    return total if np.isfinite(total) else np.inf
+
+
+def minimise(problem: Problem, point: Point, most_steps: int) -> tuple[Point, float]:
+    """Step to the least squares with steps halved until they help; parameters at a bound of 0 stay there if pushed."""
+    count = len(problem.layout)
+    now = cost(problem, point)
+    for _ in range(most_steps):
+        blocks = linearise(problem, point)
+        matrix, gradient = information(blocks, count)
+        step = _bounded_step(problem, point, matrix, gradient)
+        share, better = 1.0, False
+        for _ in range(_MOST_HALVINGS):
+            trial = _moved(problem, point, blocks, share * step, share)
+            after = cost(problem, trial)
+            if after < now:
+                better = True
+                break
+            share *= 0.35
+        if not better:
+            break
+        gained, point, now = now - after, trial, after
+        if gained < _CONVERGED:
+            break
+    return point, now
+
+
+def _bounded_step(problem: Problem, point: Point, matrix: FloatArray, gradient: FloatArray) -> FloatArray:
+    count = len(gradient)
+    sizes = sizes_of(point.values, problem.layout, problem.signals.period_s)
+    linear = ~logarithmic(problem.layout)
+    scaled = point.values / sizes
+    free = np.ones(count, dtype=bool)
+    free[list(problem.fixed)] = False
+    step = np.zeros(count)
+    for _ in range(count):
+        step[:] = 0.0
+        inside = matrix[np.ix_(free, free)]
+        ridge = 1e-10 * np.maximum(np.diag(inside), 1e-12)
+        step[free] = -np.linalg.solve(inside + np.diag(ridge), gradient[free])
+        blocked = free & linear & (scaled <= 0.0) & (step < 0.0)
+        if not np.any(blocked):
+            break
+        free &= ~blocked
+    return step
+
+
+def _moved(problem: Problem, point: Point, blocks: Sequence[Block], step: FloatArray, share: float) -> Point:
+    """Return the point after a step; each span's own parameters follow, the larger ones of a logarithm are cut."""
+    sizes = sizes_of(point.values, problem.layout, problem.signals.period_s)
+    in_log = logarithmic(problem.layout)
+    grown = point.values * np.exp(np.clip(step, -_LARGEST_LOG_STEP, _LARGEST_LOG_STEP))
+    values = np.where(in_log, grown, np.maximum(point.values + step * sizes, 0.0))
+    nuisances = []
+    for nuisance, block in zip(point.nuisances, blocks[: len(problem.segments)], strict=True):
+        if block.own is None:
+            nuisances.append(nuisance)
+            continue
+        r, to_residual, to_shared = block.own
+        diagonal = np.abs(np.diag(r))
+        if np.min(diagonal) < 1e-12 * np.max(diagonal):
+            nuisances.append(nuisance)
+            continue
+        nuisances.append(nuisance - np.linalg.solve(r, share * to_residual + to_shared @ step[block.indices]))
+    return replace(point, values=values, nuisances=tuple(nuisances))

@@ -1,0 +1,243 @@
+"""Decide which channel serves as what, from type, name, frame and rate. Never guess."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from ..errors import LogError
+from ..result import Finding
+from .cell import Cell, PoseSource, Source
+from .heads import Head
+from .layouts import LAYOUTS, TIERS, TRANSFORMS, Role
+from .roles import (
+    ENTRY,
+    LABEL,
+    NEEDS,
+    OPTION,
+    ambiguous_sentence,
+    is_processed_name,
+    is_undeclared,
+    missing_sentence,
+    roles_of,
+)
+
+FramesOf = Callable[[Head], tuple[tuple[str, str], ...]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """A channel that serves a role: the paths of its numbers (None for those it lacks) and of its header.
+
+    `frames` is the pair (parent, child) where a transform is read; `reason` says why it was taken.
+    """
+
+    role: Role
+    head: Head
+    fields: tuple[str | None, ...]
+    header: str
+    frames: tuple[str, str] | None = None
+    reason: str
+
+
+def choose_all(heads: Sequence[Head], cell: Cell, log: str, frames_of: FramesOf) -> dict[Role, Choice]:
+    """Return the channel of each role that the log or the cell tells of.
+
+    Raises LogError for a wrench, pose or command that is missing or ambiguous (a missing command is none), and for
+    anything declared that the log does not have.
+    """
+    chosen = {}
+    for role in ENTRY:
+        found = choose(role, heads, cell, log, frames_of)
+        if found is not None:
+            chosen[role] = found
+    return chosen
+
+
+def choose(role: Role, heads: Sequence[Head], cell: Cell, log: str, frames_of: FramesOf) -> Choice | None:
+    """Return the channel of one role, None where an optional one is not there; see `choose_all`."""
+    source = source_of(cell, role)
+    if source is not None and getattr(source, "mass", None) is not None:
+        return None
+    fields = declared_fields(source)
+    if source is not None and fields is not None:
+        return _declared(role, source, fields, heads, log)
+    if isinstance(source, PoseSource) and source.parent is not None and source.child is not None:
+        return _transform(role, source, (source.parent, source.child), heads, log, frames_of)
+    if source is not None and source.topic is not None:
+        _check_distinct(role, cell)
+        found = _named(role, source.topic, heads, log)
+    else:
+        candidates = _candidates(role, source, heads, _taken(cell, role))
+        if not candidates and role not in (Role.WRENCH, Role.POSE) and source is None:
+            return None
+        if len(candidates) > 1 and role not in OPTION and source is None:
+            return None
+        found = _only(role, candidates, heads, log)
+    return _by_type(role, found, source, log, frames_of)
+
+
+def candidates_of(role: Role, heads: Sequence[Head], cell: Cell) -> list[Head]:
+    """Return the channels that could serve a role by type and name, else those whose numbers could if declared."""
+    by_type = _candidates(role, None, heads, _taken(cell, role))
+    return by_type or [head for head in heads if head.count and is_undeclared(head)]
+
+
+def open_questions(heads: Sequence[Head], cell: Cell, log: str) -> tuple[Finding, ...]:
+    """Tell which roles that `identify` can do without were left empty because several channels could serve them."""
+    found = []
+    for role in (Role.TWIST, Role.GAINS, Role.DESIRED_FORCE):
+        candidates = _candidates(role, None, heads, set())
+        if source_of(cell, role) is None and len(candidates) > 1:
+            sentence = ambiguous_sentence(role, candidates, log)
+            found.append(Finding(code="role-open", severity="info", message=sentence, advice="None is used."))
+    return tuple(found)
+
+
+def source_of(cell: Cell, role: Role) -> Source | None:
+    """Return what the cell declares of a role."""
+    return (cell.pose or cell.displacement) if role is Role.POSE else getattr(cell, ENTRY[role])
+
+
+def declared_fields(source: Source | None) -> tuple[str | None, ...] | None:
+    """Return the declared paths of a role's numbers in the order that the role has them, None without any."""
+    fields = getattr(source, "fields", None)
+    if fields is None:
+        return None
+    return tuple(path for vector in vars(fields).values() for path in vector)
+
+
+def _taken(cell: Cell, role: Role) -> set[str]:
+    """Return topics that the cell gives to the other of measured and commanded pose."""
+    others = {Role.POSE: (cell.command,), Role.COMMAND: (cell.pose, cell.displacement)}.get(role, ())
+    return {source.topic for source in others if source is not None and source.topic is not None}
+
+
+def _candidates(role: Role, source: Source | None, heads: Sequence[Head], taken: set[str]) -> list[Head]:
+    """Return the channels that are plausible by type and name, of the first tier that has any."""
+    frame = None if source is None else source.frame
+    for types in TIERS[role]:
+        found = [
+            head
+            for head in heads
+            if head.count
+            and head.channel.type_name in types
+            and role in roles_of(head.channel)
+            and head.channel.topic not in taken
+            and frame in (None, head.frame)
+        ]
+        if role is Role.WRENCH:
+            found = [head for head in found if not is_processed_name(head.channel.topic)] or found
+        lasting = [head for head in found if head.count > 1]
+        if found:
+            return lasting or found
+    return []
+
+
+def _only(role: Role, found: Sequence[Head], heads: Sequence[Head], log: str) -> Head:
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        raise LogError(missing_sentence(role, log, heads))
+    raise LogError(ambiguous_sentence(role, found, log))
+
+
+def _named(role: Role, topic: str, heads: Sequence[Head], log: str) -> Head:
+    kinds = [name for types in TIERS[role] for name in types]
+    fitting = [
+        head
+        for head in heads
+        if head.count and head.channel.type_name in kinds and head.channel.encoding in ("cdr", "ros1")
+    ]
+    found = [head for head in fitting if head.channel.topic == topic]
+    if len(found) == 1:
+        return found[0]
+    others = ", ".join(head.channel.topic for head in fitting) or "none"
+    same_name = [head for head in heads if head.channel.topic == topic]
+    if found:
+        reason = f"Topic `{topic}` is in {log} more than once: {', '.join(map(str, found))}"
+    elif not same_name:
+        reason = f"Topic `{topic}` is not in {log}"
+    elif not any(head.count for head in same_name):
+        reason = f"Topic `{topic}` holds no message in {log}"
+    else:
+        is_type = same_name[0].channel.type_name or "of no known type"
+        reason = f"Topic `{topic}` in {log} is {is_type}, the {LABEL[role]} must be {NEEDS.get(role, kinds[0])}"
+        if is_undeclared(same_name[0]):
+            reason += f" or have its layout declared with `{ENTRY[role]}: {{topic: {topic}, fields: …}}` in cell.yaml"
+    raise LogError(f"{reason}; topics of that type: {others}.")
+
+
+def _check_distinct(role: Role, cell: Cell) -> None:
+    measured = source_of(cell, Role.POSE)
+    if (
+        role is Role.COMMAND
+        and measured is not None
+        and cell.command is not None
+        and measured.topic == cell.command.topic
+        and declared_fields(measured) is None
+    ):
+        raise LogError(f"Topic `{measured.topic}` cannot be the measured and the commanded pose at once.")
+
+
+def _by_type(role: Role, head: Head, source: Source | None, log: str, frames_of: FramesOf) -> Choice:
+    layout = LAYOUTS[role][head.channel.type_name]
+    pair = None
+    if head.channel.type_name in TRANSFORMS:
+        pairs = frames_of(head)
+        if len(pairs) != 1:
+            told = ", ".join(f"{child} in {parent}" for parent, child in pairs) or "none"
+            raise LogError(
+                f"Topic {head.channel.topic} of {log} tells {len(pairs)} transforms, of which one may be the "
+                f"{LABEL[role]}: {told}; say which with `{ENTRY[role]}: {{parent: …, child: …}}` in cell.yaml."
+            )
+        pair = pairs[0]
+    header = layout.header
+    if source is not None and source.header is not None:
+        header = source.header
+    named = source is not None and source.topic is not None
+    why = "named by you" if named else f"the only plausible {head.channel.type_name}"
+    return Choice(role=role, head=head, fields=layout.fields, header=header, frames=pair, reason=why)
+
+
+def _declared(role: Role, source: Source, fields: tuple[str | None, ...], heads: Sequence[Head], log: str) -> Choice:
+    wanted = {path for path in fields if path is not None}
+    filled = [head for head in heads if head.count]
+    if source.topic is not None:
+        found = [head for head in filled if head.channel.topic == source.topic]
+        if not found:
+            topics = ", ".join(head.channel.topic for head in filled) or "none"
+            raise LogError(
+                f"Topic `{source.topic}` is not in {log} or holds no message; topics with messages: {topics}."
+            )
+    else:
+        found = [head for head in filled if is_undeclared(head) and _has_columns(head, wanted)]
+    head = _only(role, found, heads, log)
+    header = source.header if source.header is not None else ("header" if head.has_header else "")
+    return Choice(role=role, head=head, fields=fields, header=header, reason="declared with its fields")
+
+
+def _has_columns(head: Head, wanted: set[str]) -> bool:
+    """Tell whether a table has the wanted columns, by name or number; of messages that is not known yet."""
+    numbers = {str(index) for index in range(len(head.columns))}
+    return not head.columns or wanted <= {*head.columns} | numbers
+
+
+def _transform(
+    role: Role, source: PoseSource, pair: tuple[str, str], heads: Sequence[Head], log: str, frames_of: FramesOf
+) -> Choice:
+    trees = [
+        head
+        for head in heads
+        if head.count and head.channel.type_name in TRANSFORMS and source.topic in (None, head.channel.topic)
+    ]
+    having = {head.channel: frames_of(head) for head in trees}
+    found = [head for head in trees if pair in having[head.channel]]
+    if not found:
+        told = sorted({f"{child} in {parent}" for pairs in having.values() for parent, child in pairs})
+        raise LogError(
+            f"No transform of {pair[1]} in {pair[0]} is in {log}, which tells: {', '.join(told) or 'no transforms'}."
+        )
+    head = _only(role, found, heads, log)
+    layout = LAYOUTS[role][head.channel.type_name]
+    return Choice(
+        role=role, head=head, fields=layout.fields, header="header", frames=pair, reason="declared by its frames"
+    )

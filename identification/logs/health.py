@@ -1,0 +1,234 @@
+"""What is wrong with the samples of a channel; what makes it unusable is a finding of severity `error`."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..recording import FloatArray
+from ..result import Finding
+from .deadband import find_deadband
+from .flat import Runs, quantum, repeated_share, saturated_samples, stuck_runs
+from .stamps import StampReport, report_stamps, stamp_faults
+
+__all__ = [
+    "StampReport",
+    "frame_faults",
+    "pose_faults",
+    "report_stamps",
+    "stamp_faults",
+    "turn_faults",
+    "wrench_faults",
+]
+
+QUATERNION_NORM_TOLERANCE = 1e-3
+"""A unit quaternion rounded to four digits is within this of norm 1; anything farther off is not one."""
+WRENCH_AXES = ("force x", "force y", "force z", "torque x", "torque y", "torque z")
+_SENSOR_ADVICE = "Check the sensor's cable and driver and record again."
+_POSE_AXES = ("position x", "position y", "position z")
+_LONGEST_TRAVEL_M = 20.0
+_FARTHEST_M = 50.0
+_LARGEST_TURN_RAD = 2.0 * np.pi * 1.01
+_RESTING_SHARE = 1e-7
+_REPEATED_SHARE = 0.3
+_COARSE_REPEATS = 0.5
+
+
+def frame_faults(topic: str, frame_ids: tuple[str, ...]) -> Iterator[Finding]:
+    """Yield a fault when a needed channel changes its frame."""
+    if len(frame_ids) > 1:
+        names = ", ".join(repr(name) for name in frame_ids[:5])
+        yield _error(
+            "several-frames",
+            f"Topic {topic} is told in {len(frame_ids)} frames: {names}.",
+            "Record each frame on a topic of its own.",
+        )
+
+
+def wrench_faults(
+    topic: str, values: FloatArray, since_start_s: FloatArray, limits: Sequence[float | None] | None = None
+) -> Iterator[Finding]:
+    """Yield what is wrong with a wrench (n, 6): NaN, dead and stuck axes, saturation, deadband, repeats, coarse steps.
+
+    `limits` is the declared range of each axis [N, N·m], symmetric about 0; without it a limit has to show itself.
+    """
+    bad = ~np.all(np.isfinite(values), axis=1)
+    yield from _finite_faults(topic, bad, since_start_s)
+    if len(values) < 2 or bool(np.all(bad)):
+        return
+    if bool(np.any(bad)):
+        values, since_start_s = values[~bad], since_start_s[~bad]
+    steps = np.abs(np.diff(values, axis=0))
+    resting = np.concatenate([[False], np.all(steps <= _RESTING_SHARE * np.ptp(values, axis=0), axis=1)])
+    for axis, column in enumerate(np.ascontiguousarray(values.T)):
+        if bool(np.all(column == column[0])):
+            yield _error(
+                "stuck-axis",
+                f"The {WRENCH_AXES[axis]} axis of topic {topic} is {column[0]:g} in all {len(column)} samples.",
+                _SENSOR_ADVICE,
+            )
+            continue
+        limit = None if limits is None else limits[axis]
+        saturated = saturated_samples(column, limit, resting)
+        yield from _saturation(topic, WRENCH_AXES[axis], column, since_start_s, saturated)
+        yield from _axis_faults(topic, WRENCH_AXES[axis], column[~saturated], since_start_s[~saturated])
+    yield from _repeat_faults(topic, values)
+
+
+def pose_faults(topic: str, values: FloatArray, since_start_s: FloatArray) -> Iterator[Finding]:
+    """Yield faults of a pose (n, 7), position and quaternion xyzw: NaN, wrong norm, stuck, repeated, in millimetres."""
+    bad = ~np.all(np.isfinite(values), axis=1)
+    yield from _finite_faults(topic, bad, since_start_s)
+    with np.errstate(invalid="ignore", over="ignore"):
+        norm = np.sqrt(np.sum(values[:, 3:] ** 2, axis=1))
+        off = np.abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE
+    if bool(np.any(off)):
+        first = int(np.flatnonzero(off)[0])
+        yield _error(
+            "quaternion-norm",
+            f"{np.count_nonzero(off)} orientations of topic {topic} are no unit quaternions, the first "
+            f"{since_start_s[first]:.3f} s after the start of the log (norm {norm[first]:.6g}).",
+            "Publish orientations as unit quaternions (x, y, z, w) and record again.",
+        )
+    good = ~(bad | off)
+    if np.count_nonzero(good) < 2:
+        return
+    values, since_start_s = values[good], since_start_s[good]
+    if bool(np.all(values == values[:1])):
+        yield _error(
+            "stuck-pose",
+            f"Topic {topic} holds one and the same pose in all {len(values)} samples.",
+            "Check that the topic is the robot's measured pose and that the robot moves, and record again.",
+        )
+        return
+    for axis, column in enumerate(np.ascontiguousarray(values[:, :3].T)):
+        if np.any(column != column[0]):
+            yield from _stuck_faults(topic, _POSE_AXES[axis], column, since_start_s)
+    yield from _repeat_faults(topic, values)
+    yield from _length_faults(topic, values[:, :3])
+
+
+def turn_faults(topic: str, rotation_vectors: FloatArray, since_start_s: FloatArray) -> Iterator[Finding]:
+    """Yield a fault when rotation vectors (n, 3) taken as radians turn by more than a whole turn: they are degrees."""
+    size = np.linalg.norm(rotation_vectors, axis=1)
+    over = size > _LARGEST_TURN_RAD
+    if bool(np.any(over)):
+        when = since_start_s[over]
+        yield _error(
+            "turn-unit",
+            f"{when.size} rotation vectors of topic {topic} are longer than one turn (up to {np.nanmax(size):.1f}), "
+            f"the first {when[0]:.3f} s after the start of the log.",
+            "Declare the unit of the rotation as deg if it is in degrees.",
+        )
+
+
+def _saturation(
+    topic: str, name: str, column: FloatArray, since_start_s: FloatArray, saturated: NDArray[np.bool_]
+) -> Iterator[Finding]:
+    if bool(np.any(saturated)):
+        when, level = since_start_s[saturated], float(np.max(np.abs(column[saturated])))
+        yield _error(
+            "saturation",
+            f"The {name} axis of topic {topic} is at the end of its range ({level:g}) in {when.size} samples, the "
+            f"first {when[0]:.3f} s and the last {when[-1]:.3f} s after the start of the log.",
+            "Stay within the sensor's range (slower contact, lighter payload, larger range) and record again.",
+        )
+
+
+def _axis_faults(topic: str, name: str, column: FloatArray, since_start_s: FloatArray) -> Iterator[Finding]:
+    if len(column) < 2:
+        return
+    band = find_deadband(column)
+    if band is None:
+        yield from _stuck_faults(topic, name, column, since_start_s)
+        yield from _step_faults(topic, name, column)
+        return
+    width = "a width that cannot be told" if band.width is None else f"a width of roughly {band.width:.2g}"
+    yield Finding(
+        code="deadband",
+        severity="warning",
+        message=f"A {band.kind} deadband of {width} was applied to the {name} axis of topic {topic}: "
+        f"{100.0 * band.zero_share:.1f} % of its samples are exactly 0.",
+        advice="Record the sensor's wrench before gravity compensation and deadband.",
+    )
+
+
+def _stuck_faults(topic: str, name: str, column: FloatArray, since_start_s: FloatArray) -> Iterator[Finding]:
+    period = float(since_start_s[-1] - since_start_s[0]) / max(len(since_start_s) - 1, 1)
+    runs = stuck_runs(column, max(period, 1e-9))
+    if len(runs.starts):
+        longest = float(np.max(since_start_s[runs.stops - 1] - since_start_s[runs.starts]))
+        yield _error(
+            "stuck-axis",
+            f"The {name} axis of topic {topic} stays exactly the same for up to {longest:.3f} s: "
+            f"{_spans(runs, since_start_s)}.",
+            _SENSOR_ADVICE,
+        )
+
+
+def _step_faults(topic: str, name: str, column: FloatArray) -> Iterator[Finding]:
+    step = quantum(column)
+    repeats = float(np.mean(column[1:] == column[:-1]))
+    if step > 0.0 and repeats > _COARSE_REPEATS:
+        yield Finding(
+            code="coarse-steps",
+            severity="warning",
+            message=f"The {name} axis of topic {topic} comes in steps of {step:.3g}, coarser than its noise: "
+            f"{100.0 * repeats:.0f} % of the samples equal the one before.",
+            advice="Record floating point numbers, or set the sensor to a smaller range.",
+        )
+
+
+def _repeat_faults(topic: str, values: FloatArray) -> Iterator[Finding]:
+    share = repeated_share(values)
+    if share > _REPEATED_SHARE:
+        yield Finding(
+            code="repeated-samples",
+            severity="warning",
+            message=f"{100.0 * share:.0f} % of the messages of topic {topic} repeat the one before in every axis: "
+            "it is published more often than it is measured.",
+            advice="Publish each measurement once, with the time at which it was taken.",
+        )
+
+
+def _length_faults(topic: str, position: FloatArray) -> Iterator[Finding]:
+    travel = float(np.max(np.ptp(position, axis=0)))
+    if travel > _LONGEST_TRAVEL_M:
+        yield _error(
+            "length-unit",
+            f"The pose of topic {topic} travels {travel:.0f} m, which no robot arm does.",
+            "Declare the unit of the position as mm if it is in millimetres.",
+        )
+        return
+    far = float(np.max(np.abs(np.median(position, axis=0))))
+    if far > _FARTHEST_M:
+        yield Finding(
+            code="length-unit",
+            severity="warning",
+            message=f"The pose of topic {topic} is {far:.0f} m away from its origin.",
+            advice="Declare the unit of the position as mm if it is in millimetres.",
+        )
+
+
+def _finite_faults(topic: str, bad: NDArray[np.bool_], since_start_s: FloatArray) -> Iterator[Finding]:
+    if bool(np.any(bad)):
+        when = since_start_s[bad]
+        yield _error(
+            "not-finite",
+            f"Topic {topic} holds {when.size} samples that are not finite numbers (NaN or infinite), "
+            f"the first {when[0]:.3f} s and the last {when[-1]:.3f} s after the start of the log.",
+            "Cut that part out of the log or record again once the driver reports no error.",
+        )
+
+
+def _spans(runs: Runs, since_start_s: FloatArray) -> str:
+    told = [
+        f"{since_start_s[a]:.3f} to {since_start_s[b - 1]:.3f} s"
+        for a, b in zip(runs.starts[:3], runs.stops[:3], strict=True)
+    ]
+    more = f" and {len(runs.starts) - 3} times more" if len(runs.starts) > 3 else ""
+    return ", ".join(told) + more
+
+
+def _error(code: str, message: str, advice: str) -> Finding:
+    return Finding(code=code, severity="error", message=message, advice=advice)

@@ -1,0 +1,289 @@
+"""Log files opened side by side: what they hold, and the numbers of the chosen roles, whatever the format."""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from ..containers.channel import Channel, Container, Survey
+from ..containers.open import is_table, open_container, sha256_of
+from ..errors import LogError
+from ..messages.read import read_series
+from ..messages.series import Series, Wanted
+from ..messages.transforms import list_frames, read_transform
+from ..recording import FloatArray, StampArray
+from ..result import Finding
+from .cell import Cell
+from .choose import Choice
+from .heads import Head, build_heads
+from .layouts import Role
+from .table_log import TableLog
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoleSeries:
+    """What a log holds of one role: `values` (n, k) in the order of `choice.fields`, NaN where it has no path."""
+
+    choice: Choice
+    log_ns: StampArray
+    stamp_ns: StampArray | None
+    frame_ids: tuple[str, ...]
+    values: FloatArray
+
+
+class OpenedLog(Protocol):
+    """One log file or folder."""
+
+    path: Path
+
+    @property
+    def survey(self) -> Survey:
+        """What it holds."""
+        ...
+
+    @property
+    def heads(self) -> tuple[Head, ...]:
+        """What is known of its channels."""
+        ...
+
+    def read(self, channels: Mapping[Channel, Wanted]) -> dict[Channel, Series]:
+        """Read channels."""
+        ...
+
+    def frames(self, channel: Channel) -> tuple[tuple[str, str], ...]:
+        """List the pairs (parent, child) of a channel of transforms."""
+        ...
+
+    def transform(self, channel: Channel, pair: tuple[str, str]) -> Series:
+        """Read one transform."""
+        ...
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Tell what was seen of the container and what reading had to leave out."""
+        ...
+
+    def close(self) -> None:
+        """Close the files."""
+        ...
+
+
+class ContainerLog:
+    """A log of messages."""
+
+    def __init__(self, path: Path, *, salvage: bool) -> None:
+        self.path = path
+        self._container: Container = open_container(path, salvage=salvage)
+        try:
+            self.survey = self._container.survey()
+            self.heads = build_heads(self.survey)
+        except BaseException:
+            self._container.close()
+            raise
+        self._lost: dict[Finding, None] = {}
+
+    def read(self, channels: Mapping[Channel, Wanted]) -> dict[Channel, Series]:
+        """Read channels; those of which only the time of recording is wanted are not decoded."""
+        decoded = {channel: wanted for channel, wanted in channels.items() if wanted.fields or wanted.header}
+        found = read_series(self._container, decoded) if decoded else {}
+        self._remember()
+        timed = [channel for channel in channels if channel not in decoded]
+        if timed:
+            found |= _times(self._container, timed)
+            self._remember()
+        return found
+
+    def frames(self, channel: Channel) -> tuple[tuple[str, str], ...]:
+        """List the pairs (parent, child) of a channel of transforms."""
+        found = list_frames(self._container, channel)
+        self._remember()
+        return found
+
+    def transform(self, channel: Channel, pair: tuple[str, str]) -> Series:
+        """Read one transform."""
+        found = read_transform(self._container, channel, *pair)
+        self._remember()
+        return found
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Tell what was seen of the container and what reading had to leave out."""
+        return tuple(dict.fromkeys((*self.survey.findings, *self._lost)))
+
+    def close(self) -> None:
+        """Close the files."""
+        self._container.close()
+
+    def _remember(self) -> None:
+        self._lost.update(dict.fromkeys(self._container.findings()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpenedLogs:
+    """The parts of one recording."""
+
+    parts: tuple[OpenedLog, ...]
+
+    @property
+    def name(self) -> str:
+        """Name the files for a message."""
+        return ", ".join(part.path.name or str(part.path) for part in self.parts)
+
+    @property
+    def start_ns(self) -> int:
+        """The first instant on the recording clock, 0 without messages."""
+        return min((part.survey.start_ns for part in self.parts if part.survey.end_ns), default=0)
+
+    @property
+    def end_ns(self) -> int:
+        """The last instant on the recording clock, 0 without messages."""
+        return max((part.survey.end_ns for part in self.parts), default=0)
+
+    @property
+    def heads(self) -> tuple[Head, ...]:
+        """The channels of all parts, a channel that is in several once, with all its messages."""
+        merged: dict[Channel, Head] = {}
+        for part in self.parts:
+            for head in part.heads:
+                other = merged.get(head.channel)
+                merged[head.channel] = head if other is None else _merged(other, head)
+        return tuple(sorted(merged.values(), key=lambda head: (head.channel.topic, head.channel.type_name)))
+
+    def frames_of(self, head: Head) -> tuple[tuple[str, str], ...]:
+        """List the pairs (parent, child) of a channel of transforms."""
+        pairs = {pair for part in self._having(head) for pair in part.frames(head.channel)}
+        return tuple(sorted(pairs))
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Tell what was seen of the containers and what reading had to leave out, each once."""
+        return tuple(dict.fromkeys(finding for part in self.parts for finding in part.findings()))
+
+    def read(self, channels: Mapping[Channel, Wanted]) -> dict[Channel, Series]:
+        """Read channels, each file once, what several files hold of one joined; channels of no file are left out."""
+        parts = []
+        for part in self.parts:
+            held = {head.channel for head in part.heads}
+            mine = {channel: wanted for channel, wanted in channels.items() if channel in held}
+            parts.append(part.read(mine) if mine else {})
+        return {channel: _joined([part[channel] for part in parts if channel in part]) for channel in channels}
+
+    def read_roles(self, choices: Collection[Choice]) -> list[dict[Role, RoleSeries]]:
+        """Read the chosen channels, each file once; one mapping per file, with the roles that it holds."""
+        return [_read_roles(part, [c for c in choices if part in self._having(c.head)]) for part in self.parts]
+
+    def _having(self, head: Head) -> list[OpenedLog]:
+        return [part for part in self.parts if any(h.channel == head.channel and h.count for h in part.heads)]
+
+
+@contextmanager
+def open_logs(paths: Sequence[Path], cell: Cell, *, salvage: bool) -> Iterator[OpenedLogs]:
+    """Open files or folders of any known format; raises LogError if one is none or damaged."""
+    if not paths:
+        raise LogError("At least one log must be named, found none.")
+    if len({path.resolve() for path in paths}) < len(paths):
+        raise LogError("Each log must be named once; one is named twice.")
+    parts: list[OpenedLog] = []
+    try:
+        for path in paths:
+            # What was opened is closed when the next one fails.
+            parts.append(_opened(path, cell, salvage=salvage))  # noqa: PERF401
+        yield OpenedLogs(parts=tuple(parts))
+    finally:
+        for part in parts:
+            part.close()
+
+
+def _times(container: Container, channels: Sequence[Channel]) -> dict[Channel, Series]:
+    """Read the time of recording of each message, in order."""
+    pieces: dict[Channel, list[StampArray]] = {channel: [] for channel in channels}
+    for channel, log_ns in container.read(tuple(channels), lambda batch: batch.log_ns.copy()):
+        pieces[channel].append(log_ns)
+    nothing = np.zeros(0, dtype=np.int64)
+    return {
+        channel: Series(
+            channel=channel,
+            fields=(),
+            log_ns=(log_ns := np.sort(np.concatenate([nothing, *parts]))),
+            stamp_ns=None,
+            frame_ids=(),
+            values=np.zeros((log_ns.size, 0)),
+        )
+        for channel, parts in pieces.items()
+    }
+
+
+def _opened(path: Path, cell: Cell, *, salvage: bool) -> OpenedLog:
+    if not path.is_dir() and is_table(path):
+        return TableLog(path, cell.table)
+    return ContainerLog(path, salvage=salvage)
+
+
+def digests(paths: Sequence[Path]) -> dict[str, str]:
+    """Return the SHA-256 in hexadecimal of each log; of a folder that of its files' names and digests."""
+    return {str(path): sha256_of(path) for path in paths}
+
+
+def _merged(one: Head, other: Head) -> Head:
+    rates = [rate for rate in (one.rate_hz, other.rate_hz) if rate is not None]
+    return Head(
+        channel=one.channel,
+        count=one.count + other.count,
+        rate_hz=float(np.mean(rates)) if rates else None,
+        frame=one.frame if one.frame is not None else other.frame,
+        has_header=one.has_header,
+        columns=one.columns,
+    )
+
+
+def _joined(parts: Sequence[Series]) -> Series:
+    """Put series of one channel one after the other, in the order of their recording clocks."""
+    if len(parts) == 1:
+        return parts[0]
+    parts = sorted(parts, key=lambda part: int(part.log_ns[0]) if part.log_ns.size else 0)
+    stamps = [part.stamp_ns for part in parts if part.stamp_ns is not None]
+    return Series(
+        channel=parts[0].channel,
+        fields=parts[0].fields,
+        log_ns=np.concatenate([part.log_ns for part in parts]),
+        stamp_ns=np.concatenate(stamps) if len(stamps) == len(parts) else None,
+        frame_ids=tuple(sorted({frame for part in parts for frame in part.frame_ids})),
+        values=np.concatenate([part.values for part in parts]),
+    )
+
+
+def _read_roles(part: OpenedLog, choices: Sequence[Choice]) -> dict[Role, RoleSeries]:
+    wanted: dict[Channel, Wanted] = {}
+    for choice in choices:
+        if choice.frames is None:
+            before = wanted.get(choice.head.channel, Wanted(fields=(), header=""))
+            paths = (*before.fields, *(path for path in choice.fields if path is not None))
+            header = before.header or choice.header
+            wanted[choice.head.channel] = Wanted(fields=tuple(dict.fromkeys(paths)), header=header)
+    series = part.read(wanted) if wanted else {}
+    return {
+        choice.role: _role_series(
+            choice,
+            series[choice.head.channel]
+            if choice.frames is None
+            else part.transform(choice.head.channel, choice.frames),
+        )
+        for choice in choices
+    }
+
+
+def _role_series(choice: Choice, series: Series) -> RoleSeries:
+    at = {path: index for index, path in enumerate(series.fields)}
+    columns = [at[path] for path in choice.fields if path is not None]
+    if len(columns) == len(choice.fields) and columns == [*range(columns[0], columns[0] + len(columns))]:
+        values = series.values[:, columns[0] : columns[0] + len(columns)]
+    else:
+        values = np.full((len(series.log_ns), len(choice.fields)), np.nan)
+        values[:, [path is not None for path in choice.fields]] = series.values[:, columns]
+    return RoleSeries(
+        choice=choice,
+        log_ns=series.log_ns,
+        stamp_ns=series.stamp_ns if choice.header else None,
+        frame_ids=series.frame_ids,
+        values=values,
+    )

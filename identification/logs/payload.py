@@ -1,0 +1,200 @@
+"""What the weight says about a wrench: its unit, its sign, and whether the payload or the bias changed midway."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..aligned import AlignedLog, align
+from ..errors import EstimateError, LogError
+from ..gravity import StaticPose, collect_static_poses
+from ..recording import AXES, FloatArray, Recording
+from ..result import Finding
+from ..segments import find_motion
+from .tare import find_tare_jumps
+
+_DISTINCT_COSINE = float(np.cos(np.radians(2.0)))
+_FEWEST_ORIENTATIONS = 4
+_FEWEST_AFTER = 3
+_LARGEST_CONDITION = 40.0
+_ROUNDS = 30
+_SCATTER_N = 0.05
+_SCATTER_SHARE = 3e-3
+_SIGNIFICANT = 6.0
+_MASS_SHARE = 0.03
+_SMALLEST_STEP_N = 0.5
+_EXPLAINED = 0.9
+_TOGETHER = 0.6
+_FOLLOWED = 0.6
+_SMALLEST_KG = 0.1
+_SAME_PLACE_M = 1e-3
+
+
+def check_payload(recording: Recording) -> tuple[Finding, ...]:
+    """Report tare jumps, a payload or a bias that changed midway, kilonewtons and a flipped sign, with their times.
+
+    Needs a raw wrench, a whole pose, and for all but the tare jumps rests in at least 4 orientations; says nothing
+    where they are missing or where wrench and pose do not fit together.
+    """
+    wrench, pose = recording.wrench, recording.pose
+    if wrench.gravity_compensated or wrench.deadband is not None or pose.is_displacement:
+        return ()
+    if {*AXES} - {*wrench.measured_axes} or {*AXES} - {*pose.measured_axes}:
+        return ()
+    try:
+        log = align(recording)
+    except (EstimateError, LogError):
+        return ()
+    return weigh_rests(wrench.topic, log, collect_static_poses(log, find_motion(log).still))
+
+
+def weigh_rests(topic: str, log: AlignedLog, poses: tuple[StaticPose, ...]) -> tuple[Finding, ...]:
+    """Do what `check_payload` does on a raw log that is aligned already, with its rests."""
+    jumps = find_tare_jumps(log)
+    found = [jump.finding(topic) for jump in jumps]
+    # A tare in the middle of the poses is told once.
+    change = None if jumps else _find_change(topic, log, poses)
+    return (*found, *(() if change is None else (change,)), *_unit_findings(topic, poses))
+
+
+def _directions(poses: tuple[StaticPose, ...]) -> FloatArray:
+    gravity = np.array([pose.gravity_S_m_s2 for pose in poses])
+    return np.asarray(gravity / np.linalg.norm(gravity, axis=1, keepdims=True))
+
+
+def _distinct(poses: tuple[StaticPose, ...]) -> int:
+    seen: list[FloatArray] = []
+    for direction in _directions(poses) if poses else ():
+        if all(float(direction @ other) < _DISTINCT_COSINE for other in seen):
+            seen.append(direction)
+    return len(seen)
+
+
+def _weigh(poses: tuple[StaticPose, ...]) -> tuple[FloatArray, float, float] | None:
+    """Return (m, b) of f = m g_S + b by an L1 fit, the mass's standard deviation and the scatter [N]; None if vague."""
+    if _distinct(poses) < _FEWEST_ORIENTATIONS:
+        return None
+    swing = float(np.max(np.ptp([pose.force_S_n for pose in poses], axis=0)))
+    floor = min(_SCATTER_N, _SCATTER_SHARE * swing) + 1e-9
+    rows = np.concatenate([np.column_stack([pose.gravity_S_m_s2, np.eye(3)]) for pose in poses])
+    values = np.concatenate([pose.force_S_n for pose in poses])
+    if np.linalg.cond(rows / np.array([9.81, 1.0, 1.0, 1.0])) > _LARGEST_CONDITION:
+        return None
+    weights = np.ones(len(poses))
+    solution = np.zeros(4)
+    for _ in range(_ROUNDS):
+        root = np.sqrt(np.repeat(weights, 3))[:, None]
+        solution = np.linalg.lstsq(rows * root, values * root[:, 0], rcond=None)[0]
+        misfit = np.linalg.norm((values - rows @ solution).reshape(-1, 3), axis=1)
+        weights = 1.0 / np.maximum(misfit, floor)
+    scatter = max(1.4826 * float(np.median(misfit)), floor)
+    inverse = np.linalg.inv(rows.T @ rows)
+    return np.asarray(solution), scatter * float(np.sqrt(inverse[0, 0])), scatter
+
+
+def _find_change(topic: str, log: AlignedLog, poses: tuple[StaticPose, ...]) -> Finding | None:
+    """Return the split of the rests at which the later ones stop fitting the earlier payload, all in one way."""
+    best: tuple[tuple[float, float], Finding] | None = None
+    for split in range(_FEWEST_ORIENTATIONS, len(poses) - _FEWEST_AFTER + 1):
+        earlier, later = poses[:split], poses[split:]
+        before = _weigh(earlier)
+        if before is None:
+            continue
+        solution, _, scatter = before
+        # Both halves must be clean: a split in the wrong place mixes two payloads in one of them.
+        off = np.array([p.force_S_n - solution[0] * p.gravity_S_m_s2 - solution[1:] for p in later])
+        size = np.linalg.norm(off, axis=1)
+        changed = float(np.mean(size > max(_SIGNIFICANT * scatter, _SMALLEST_STEP_N)))
+        if changed < _EXPLAINED:
+            continue
+        finding = _payload_change(topic, log, earlier, later) or _bias_change(topic, log, earlier, later, off)
+        if finding is not None and (best is None or (-changed, scatter) < best[0]):
+            best = ((-changed, scatter), finding)
+    return None if best is None else best[1]
+
+
+def _times(log: AlignedLog, earlier: tuple[StaticPose, ...], later: tuple[StaticPose, ...]) -> str:
+    last, first = log.time_s[earlier[-1].span.stop - 1], log.time_s[later[0].span.start]
+    return f"between {last:.2f} and {first:.2f} s"
+
+
+def _payload_change(
+    topic: str, log: AlignedLog, earlier: tuple[StaticPose, ...], later: tuple[StaticPose, ...]
+) -> Finding | None:
+    before, after = _weigh(earlier), _weigh(later)
+    if before is None or after is None:
+        return None
+    first, second = float(before[0][0]), float(after[0][0])
+    apart = abs(second - first)
+    if apart < max(_SIGNIFICANT * float(np.hypot(before[1], after[1])), _MASS_SHARE * abs(first), _SMALLEST_KG):
+        return None
+    return Finding(
+        code="payload-change",
+        severity="error",
+        message=f"The payload of {topic} weighs {first:.2f} ± {before[1]:.2f} kg in the {len(earlier)} rests before "
+        f"and {second:.2f} ± {after[1]:.2f} kg in the {len(later)} after: it changed {_times(log, earlier, later)}.",
+        advice="Record one log per payload, or cut the log there.",
+    )
+
+
+def _bias_change(
+    topic: str, log: AlignedLog, earlier: tuple[StaticPose, ...], later: tuple[StaticPose, ...], off: FloatArray
+) -> Finding | None:
+    """Return a step that all later rests share, where it cannot be a contact: at an earlier place or as it turns."""
+    step = np.median(off, axis=0)
+    spread = 1.4826 * float(np.median(np.linalg.norm(off - step, axis=1)))
+    together = np.mean(np.linalg.norm(off - step, axis=1) < max(_SIGNIFICANT * spread, _SMALLEST_STEP_N))
+    size = float(np.linalg.norm(step))
+    if size < max(_SIGNIFICANT * spread, _SMALLEST_STEP_N) or together < _TOGETHER:
+        return None
+    if _distinct(later) < 2 and not _returns(log, earlier, later):
+        return None
+    told = ", ".join(f"{value:+.2f}" for value in step)
+    return Finding(
+        code="bias-change",
+        severity="warning",
+        message=f"The force of {topic} at rest steps by ({told}) N {_times(log, earlier, later)} and stays so: the "
+        "sensor was tared, or something was added to or taken off the payload.",
+        advice="Tare before recording and keep the payload as it is, or cut the log there.",
+    )
+
+
+def _returns(log: AlignedLog, earlier: tuple[StaticPose, ...], later: tuple[StaticPose, ...]) -> bool:
+    """Return whether most later rests are where an earlier one was, without contact then."""
+
+    def places(poses: tuple[StaticPose, ...]) -> FloatArray:
+        return np.array([log.position_B_m[pose.span.slice].mean(axis=0) for pose in poses])
+
+    apart: NDArray[np.float64] = np.linalg.norm(places(later)[:, None] - places(earlier)[None], axis=2)
+    alike = _directions(later) @ _directions(earlier).T > _DISTINCT_COSINE
+    return bool(np.mean(np.any((apart < _SAME_PLACE_M) & alike, axis=1)) > 0.5)
+
+
+def _unit_findings(topic: str, poses: tuple[StaticPose, ...]) -> Iterator[Finding]:
+    fit = _weigh(poses)
+    if fit is None:
+        return
+    solution, _, scatter = fit
+    mass = float(solution[0])
+    gravity = np.array([pose.gravity_S_m_s2 for pose in poses])
+    force = np.array([pose.force_S_n for pose in poses])
+    weight = mass * gravity
+    fits = np.linalg.norm(force - weight - solution[1:], axis=1) < _SIGNIFICANT * scatter
+    # The weight has to swing by far more than what is left over, or it may be anything.
+    if np.mean(fits) < _FOLLOWED or float(np.max(np.ptp(weight[fits], axis=0))) < 2.0 * _SIGNIFICANT * scatter:
+        return
+    if mass < 0.0:
+        yield Finding(
+            code="force-sign",
+            severity="error",
+            message=f"The force of {topic} follows gravity with the opposite sign (it would be {mass:.3g} kg).",
+            advice="Declare the sign of the wrench: the force that the payload puts on the flange hangs downwards.",
+        )
+    if abs(mass) < _SMALLEST_KG:
+        yield Finding(
+            code="force-unit",
+            severity="error",
+            message=f"The force of {topic} follows gravity, but of {1e3 * abs(mass):.3g} g only; in kilonewtons it "
+            f"would be {1e3 * abs(mass):.3g} kg.",
+            advice="Declare the unit of the force as kN if it is in kilonewtons.",
+        )

@@ -1,0 +1,54 @@
+"""How the columns of a table are to be read."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from problems.errors import ParameterError
+
+TimeUnit = Literal["s", "ms", "us", "ns"]
+EXPONENT: dict[str, int] = {"s": 9, "ms": 6, "us": 3, "ns": 0}
+"""Power of ten that makes nanoseconds of a unit of time."""
+_LARGEST_COUNT = 10_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableLayout:
+    """The wanted columns of a table, its time, and for CSV how it is written.
+
+    `columns` are names, or indices from 0 as text where the table has no names. The time stands in the column `time`
+    in `time_unit`, or the rows follow each other with `sample_rate_hz`, from 0. `delimiter`, `header_rows` (the first
+    of which holds the names) and `encoding` are found out where they are None; lines that start with `comment` are left
+    out, as are `skip_rows` lines before everything else. Raises ParameterError.
+    """
+
+    columns: tuple[str, ...] = ()
+    time: str | None = None
+    time_unit: str = "s"
+    sample_rate_hz: float | None = None
+    delimiter: str | None = None
+    decimal: str = "."
+    comment: str = ""
+    skip_rows: int = 0
+    header_rows: int | None = None
+    encoding: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.time_unit not in EXPONENT:
+            raise ParameterError("time_unit", self.time_unit, "one of s, ms, us, ns")
+        if self.sample_rate_hz is not None and not 0 < self.sample_rate_hz <= 1e9:
+            raise ParameterError("sample_rate_hz", self.sample_rate_hz, "above 0 and at most 1e9")
+        if self.time is not None and self.sample_rate_hz is not None:
+            raise ParameterError("sample_rate_hz", self.sample_rate_hz, "left out where a time column is named")
+        if self.decimal not in (".", ","):
+            raise ParameterError("decimal", self.decimal, "a point or a comma")
+        if self.delimiter is not None and (
+            len(self.delimiter) != 1 or not self.delimiter.isascii() or self.delimiter in "\r\n\"'.+-0123456789eE"
+        ):
+            raise ParameterError("delimiter", self.delimiter, "one ASCII character that is in no number")
+        if self.delimiter == self.decimal:
+            raise ParameterError("delimiter", self.delimiter, "another character than the decimal mark")
+        if len(self.comment) > 8 or not self.comment.isascii() or any(mark in self.comment for mark in '\r\n"'):
+            raise ParameterError("comment", self.comment, "at most 8 ASCII characters without quotes")
+        for name, count in (("skip_rows", self.skip_rows), ("header_rows", self.header_rows)):
+            if count is not None and not 0 <= count <= _LARGEST_COUNT:
+                raise ParameterError(name, count, f"between 0 and {_LARGEST_COUNT}")
