@@ -3,6 +3,7 @@
 VENV ?= .venv
 PYTHON ?=
 DIR ?= autotune-demo
+FUZZ_SECONDS ?= 60
 
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check
@@ -11,13 +12,14 @@ DEV := $(VENV)/.installed-dev
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test check lint types imports wheel coverage benchmarks clean
+.PHONY: help demo test check lint types imports wheel coverage fuzz benchmarks clean
 
 help:
 	@echo "make demo        run the whole chain on the log of a simulated cell (DIR=$(DIR))"
 	@echo "make test        run the tests (ARGS=... goes to pytest)"
 	@echo "make check       format, lint, types, import contracts, tests and wheel content: what CI runs"
 	@echo "make coverage    run the tests and tell which lines they miss"
+	@echo "make fuzz        alter messages at random for a minute (FUZZ_SECONDS=$(FUZZ_SECONDS)) and compare the reader with rosbags"
 	@echo "make benchmarks  measure how long things take"
 	@echo "make clean       remove the virtual environment and everything that was built"
 
@@ -48,6 +50,9 @@ wheel: $(DEV)
 
 coverage: $(DEV)
 	@$(BIN)/python -m pytest --cov --cov-report=term-missing:skip-covered $(ARGS)
+
+fuzz: $(DEV)
+	@$(BIN)/python tools/fuzz_messages.py --seconds $(FUZZ_SECONDS)
 
 benchmarks: $(DEV)
 	@$(PIP_INSTALL) --editable '.[dev,benchmarks]'

@@ -238,11 +238,11 @@ def rank_conventions(poses: Sequence[StaticPose], frames: Frames | None = None) 
     free = scores.free_mounting
     if not _is_far_better(free, ranked, scores):
         return replace(ranked, verdict=_verdict(ranked, scores))
-    if free.angle_rad > _SMALLEST_ANGLE_RAD:
+    if free.angle_rad > _SMALLEST_ANGLE_RAD or not free.is_as_declared:
         mounting = declared.R_FS * free.turn if free.is_as_declared else None
         return replace(ranked, verdict=Verdict.NONE, mounting=mounting)
     # A little off the declared axes is for the mounting's estimate to say.
-    nearly = free.is_as_declared and free.turn.magnitude() < _SMALLEST_ANGLE_RAD and ranked.declared is not None
+    nearly = free.turn.magnitude() < _SMALLEST_ANGLE_RAD and ranked.declared is not None
     return replace(ranked, verdict=Verdict.DECLARED if nearly else _verdict(ranked, scores))
 
 

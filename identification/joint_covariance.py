@@ -1,16 +1,18 @@
 """The covariance of the joint fit, widened where the residuals say more than their size."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .joint_solve import Block, information
+from .joint_solve import Block, Point, Problem, cost, information, minimise, sizes_of
 
 FloatArray = NDArray[np.float64]
 
 _CHUNK_S = 0.1
+_STEPS = 4
+_DOUBTFUL_STDS = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,9 +41,21 @@ def widened(blocks: Sequence[Block], count: int, period_s: float) -> Spread:
     for scores in (np.concatenate(pieces), np.array([p.sum(axis=0) for p in pieces])):
         factor = factor + _excess(scores * scale @ root)
     inner = root @ factor @ root.T * np.outer(scale, scale)
+    inner += _doubtful(blocks, root @ root.T * np.outer(scale, scale), count)
     plain = root @ root.T * np.outer(scale, scale)
     widening = float(np.sqrt(np.max(np.diag(inner) / np.diag(plain))))
     return Spread(covariance=inner, plain=plain, widening=widening)
+
+
+def _doubtful(blocks: Sequence[Block], covariance: FloatArray, count: int) -> FloatArray:
+    """Return Σ δ δᵀ, δ the shift of all parameters by each force that the model may lack (`Block.doubts`)."""
+    told = [b for b in blocks if b.doubts is not None]
+    shift = np.zeros((count, max((b.doubts.shape[1] for b in told if b.doubts is not None), default=0)))
+    for block in told:
+        if block.doubts is not None:
+            shift[block.indices] += block.jacobian.T @ block.doubts
+    moved = covariance @ shift
+    return np.asarray(moved @ moved.T)
 
 
 def _scores(block: Block, count: int, length: int) -> FloatArray:
@@ -61,3 +75,33 @@ def _excess(scores: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(used.T @ used)
     limit = (1.0 + np.sqrt(scores.shape[1] / len(used))) ** 2
     return np.asarray((vectors * np.where(values > limit, values - 1.0, 0.0)) @ vectors.T)
+
+
+def other_minima(problem: Problem, point: Point, spread: Spread) -> Spread:
+    """Return the covariance with what a second minimum adds: the same surface without a moving mass.
+
+    Mass, damping and stiffness of a surface trade against each other along a bent valley, which may hold two minima
+    of nearly the same depth. One that is worse by Δ in −2 log L has the share w = e^(−Δ/2)/(1 + e^(−Δ/2)) of the
+    likelihood, and adds w δ δᵀ, δ from one minimum to the other, to the second moments.
+    """
+    layout, here = problem.layout, cost(problem, point)
+    sizes = sizes_of(point.values, layout, problem.signals.period_s)
+    covariance = spread.covariance.copy()
+    for i in range(layout.surfaces):
+        mass = layout.surface(i).start + 2
+        deviation = float(np.sqrt(spread.covariance[mass, mass])) * sizes[mass]
+        if not 0.0 < point.values[mass] < _DOUBTFUL_STDS * deviation:
+            continue
+        massless = point.values.copy()
+        massless[mass] = 0.0
+        start = Point(values=massless, nuisances=point.nuisances)
+        other, there = minimise(_fixing(problem, mass), start, _STEPS)
+        share = float(np.exp(-0.5 * np.clip(there - here, 0.0, 200.0)))
+        apart = (other.values - point.values) / sizes
+        covariance += share / (1.0 + share) * np.outer(apart, apart)
+    widening = float(np.sqrt(np.max(np.diag(covariance) / np.diag(spread.plain))))
+    return Spread(covariance=covariance, plain=spread.plain, widening=widening)
+
+
+def _fixing(problem: Problem, index: int) -> Problem:
+    return replace(problem, fixed=(*problem.fixed, index))

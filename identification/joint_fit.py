@@ -15,13 +15,14 @@ from .joint_model import Layout
 from .joint_noise import Smoother, fit_smoother, fit_whitener
 from .joint_result import JointFit, describe
 from .joint_segments import Segment, predict_force
-from .joint_solve import Point, Problem, Signals, information, linearise, minimise
+from .joint_solve import Point, Problem, Signals, linearise, minimise
+from .joint_start import fit_alone, start_coupling, start_surface
 from .segments import Span
 
 FloatArray = NDArray[np.float64]
 
 _ROUNDS = 2
-_STEPS_ALONE, _STEPS_FIRST, _STEPS_LATER = 10, 8, 4
+_STEPS_FIRST, _STEPS_LATER = 8, 4
 _SHORTEST_FREE_S = 1.0
 _LARGEST_MISFIT = 0.4
 _SAME_SECANT = 1.12
@@ -29,7 +30,8 @@ _POSE_EDGE_S = 0.3
 _FREE_EDGE_S = 0.12
 _SETTLING_S = 0.3
 _SHAKING = 1.3
-_MASS_STARTS = (0.0, 0.1, 0.4)
+_LIGHTEST_SHARE = 0.2
+_LIGHT_KG = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +42,7 @@ class JointData:
     or None: the command issued at each tick (or between it and the next: the delay then counts from the tick).
     `rests`, spans at rest for the noise; `moving`, all spans of motion along this axis; `free`, those without a hand;
     `holds`, rests under force. `coupling` is K_s, B_s, B_p, M_p, `robot` r(s) of one or two poles and T_d.
+    `mass_kg`, from gravity, is a start too and no information; a fifth of it is the least that M_p may be.
     `priors` maps names of `Layout.names` to value and standard deviation known from elsewhere.
     """
 
@@ -53,6 +56,7 @@ class JointData:
     holds: Sequence[Span]
     coupling: FloatArray
     robot: RobotModel | None
+    mass_kg: float | None = None
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
@@ -64,20 +68,26 @@ def identify_joint(data: JointData) -> JointFit:
     whitened by an autoregression, fitted again after every round. Raises EstimateError when no span can be used.
     """
     start = np.concatenate([data.coupling, _robot_values(data), np.zeros(3)])
-    layout = Layout(robot_order=_order(data), surfaces=1)
+    start[3] = max(start[3], _LIGHTEST_SHARE * (data.mass_kg if data.mass_kg is not None else _LIGHT_KG))
     base, start = _robot_first(data, start)
-    signals, rest_noise = base.signals, base.free_noise
-    path = signals.path(start, layout)
-    held = [start_contact(hold, path, data.force_n, start.copy(), layout, data.period_s) for hold in data.holds]
-    contacts = [c for c in held if c is not None]
-    problem, point = _free_motion(data, base, start[:-3], contacts)
-    found = [c for c in (_alone(problem, point, contact) for contact in contacts) if c.is_sound]
-    problem, point = _together(data, problem, point, found)
+    problem, point = _free_motion(data, base, start[:-3], _starts(data, base, start))
+    contacts = _starts(data, problem, np.concatenate([point.values, start[-3:]]))
+    alone = [fit_alone(problem, point, contact) for contact in contacts]
+    problem, point, found = _together(data, problem, point, [c for c in alone if c.is_sound])
     for _ in range(_ROUNDS):
         problem = _recoloured(problem, point)
         point, _ = minimise(problem, point, _STEPS_LATER)
-    blocks = linearise(_recoloured(problem, point), point)
-    return describe(_recoloured(problem, point), point, blocks, found, rest_noise)
+    problem = _recoloured(problem, point)
+    resting = np.concatenate([_settled(data.force_n[s]) for s in _quiet_rests(data)])
+    return describe(problem, point, linearise(problem, point), found, float(np.std(resting)))
+
+
+def _starts(data: JointData, problem: Problem, values: FloatArray) -> list[ContactStart]:
+    """Return the contacts, with what a coarse search says of each, for one value of the shared parameters."""
+    layout = Layout(robot_order=problem.layout.robot_order, surfaces=1)
+    path = problem.path(values)
+    starts = [start_contact(hold, path, data.force_n, values.copy(), layout, data.period_s) for hold in data.holds]
+    return [s for s in starts if s is not None]
 
 
 def _order(data: JointData) -> int:
@@ -115,6 +125,7 @@ def _robot_first(data: JointData, start: FloatArray) -> tuple[Problem, FloatArra
         contact_noise=rest_noise,
         pose_noise=fit_whitener([_settled(data.position_m[s]) for s in rests]),
         fixed=(0, 1, 2, 3),
+        lightest_kg=_LIGHTEST_SHARE * (data.mass_kg if data.mass_kg is not None else _LIGHT_KG),
     )
     point = Point(values=start[: len(layout)], nuisances=())
     if layout.robot_order:
@@ -151,7 +162,7 @@ def _pose_spans(data: JointData) -> tuple[slice, ...]:
 def _free_motion(
     data: JointData, base: Problem, values: FloatArray, contacts: Sequence[ContactStart]
 ) -> tuple[Problem, Point]:
-    """Choose the spans that the stages' payload and spring explain, and fit them alone."""
+    """Fit the most telling spans alone, let the best one choose its like, and fit those together."""
     edge = round(_FREE_EDGE_S / data.period_s)
     candidates = []
     for span in data.free:
@@ -159,17 +170,31 @@ def _free_motion(
         touched = any(c.segment.start < segment.stop and segment.start < c.segment.stop for c in contacts)
         if len(segment) * data.period_s >= _SHORTEST_FREE_S and not touched:
             candidates.append(segment)
-    used = tuple(s for s in candidates if _misfit(base, values, s) < _LARGEST_MISFIT)
+    by_force = sorted(candidates, key=lambda s: -float(np.sum(_centred(data.force_n[s.slice]) ** 2)))
+    explained = [s for s in by_force if _misfit(base, values, s) < _LARGEST_MISFIT]
+    telling = list(dict.fromkeys(by_force[:1] + explained[:1]))
+    starts = [start_coupling(base, values, segment, data.mass_kg)[0] for segment in telling]
+    best = min(
+        zip(starts, telling, strict=True), key=lambda pair: _misfit(base, pair[0], pair[1]), default=(values, None)
+    )[0]
+    used = tuple(s for s in candidates if _misfit(base, best, s) < _LARGEST_MISFIT)
     if not used:
         raise EstimateError(
             f"Of {len(data.free)} spans of free motion, none that lasts {_SHORTEST_FREE_S:g} s is explained by one "
             "payload on one spring; record a commanded sweep of 0.5 to 50 Hz in free space without a hand on it."
         )
-    problem = replace(base, segments=used)
-    point, _ = minimise(problem, Point(values=values, nuisances=tuple(np.zeros(3) for _ in used)), _STEPS_FIRST)
+    problem = replace(base, segments=used, signals=_smoothed_for(data, base, best, used))
+    point, _ = minimise(problem, Point(values=best, nuisances=tuple(np.zeros(3) for _ in used)), _STEPS_FIRST)
     problem = _recoloured(problem, point)
     point, _ = minimise(problem, point, _STEPS_LATER)
     return problem, point
+
+
+def _smoothed_for(data: JointData, problem: Problem, values: FloatArray, used: Sequence[Segment]) -> Signals:
+    """Return the signals with a filter made for the motion in these spans."""
+    misfit = problem.path(values).misfit_m
+    resting = [misfit[s] for s in _quiet_rests(data)]
+    return replace(problem.signals, smoother=fit_smoother([misfit[s.slice] for s in used], resting, data.period_s))
 
 
 def _misfit(problem: Problem, values: FloatArray, segment: Segment) -> float:
@@ -181,68 +206,30 @@ def _misfit(problem: Problem, values: FloatArray, segment: Segment) -> float:
     return float(np.sqrt(excess / max(float(force @ force), 1e-300)))
 
 
-def _alone(problem: Problem, point: Point, contact: ContactStart) -> FoundContact:
-    """Fit one contact with everything else as it is: from a massless start and from one with mass, the better counts."""
-    layout = Layout(robot_order=problem.layout.robot_order, surfaces=1)
-    fixed = tuple(range(layout.robot.stop))
-    single = replace(
-        problem,
-        layout=layout,
-        segments=(contact.segment,),
-        pose_spans=(),
-        fixed=fixed,
-        known_path=problem.path(point.values),
-    )
-    fits = []
-    for share in _MASS_STARTS:
-        surface = contact.surface + np.array([0.0, 0.0, share * point.values[3]])
-        start = Point(values=np.concatenate([point.values, surface]), nuisances=(contact.nuisance,))
-        fits.append(minimise(single, start, _STEPS_ALONE))
-    best, _ = min(fits, key=lambda fit: fit[1])
-    block = linearise(single, best)[0]
-    force = problem.signals.force_n[contact.segment.slice]
-    whitened = single.contact_noise.apply(_centred(force))
-    matrix, _ = information([block], len(layout))
-    k_s, k_e = float(best.values[0]), float(best.values[layout.surface(0).start])
-    noise = max(float(np.mean(block.residual**2)), 1.0)
-    spread = noise * np.linalg.pinv(matrix[fixed[-1] + 1 :, fixed[-1] + 1 :], hermitian=True)
-    secant = k_s * k_e / (k_s + k_e)
-    return FoundContact(
-        start=contact,
-        surface=best.values[layout.surface(0)],
-        nuisance=best.nuisances[0],
-        secant_n_per_m=secant,
-        secant_std_n_per_m=secant**2 / k_e * float(np.sqrt(max(spread[0, 0], 0.0))),
-        misfit_share=float(np.sqrt(float(block.residual @ block.residual) / max(float(whitened @ whitened), 1e-300))),
-    )
-
-
 def _together(
     data: JointData, problem: Problem, point: Point, found: Sequence[FoundContact]
-) -> tuple[Problem, Point]:
+) -> tuple[Problem, Point, list[FoundContact]]:
     """Join the contacts, grouped by surface, to the free motion, and fit all; a span far off all others drops out."""
     groups = group_contacts(
         [(c.start.segment.sign, c.secant_n_per_m, c.secant_std_n_per_m) for c in found], _SAME_SECANT
     )
     layout = Layout(robot_order=problem.layout.robot_order, surfaces=max(groups, default=-1) + 1)
-    surfaces = [
-        np.median([c.surface for c, g in zip(found, groups, strict=True) if g == i], axis=0)
-        for i in range(layout.surfaces)
-    ]
-    segments = tuple(replace(c.start.segment, surface=g) for c, g in zip(found, groups, strict=True))
+    order = sorted(range(len(found)), key=lambda i: groups[i])
+    surfaces, own = [], []
+    for index in range(layout.surfaces):
+        surface, nuisances = start_surface(problem, point, [found[i] for i in order if groups[i] == index])
+        surfaces.append(surface)
+        own += nuisances
     places = {name: i for i, name in enumerate(layout.names)}
     joined = replace(
         problem,
         layout=layout,
-        segments=problem.segments + segments,
+        segments=problem.segments + tuple(replace(found[i].start.segment, surface=groups[i]) for i in order),
         priors=tuple((places[name], *known) for name, known in data.priors.items() if name in places),
     )
-    whole = Point(
-        values=np.concatenate([point.values, *surfaces]),
-        nuisances=point.nuisances + tuple(c.nuisance for c in found),
-    )
+    whole = Point(values=np.concatenate([point.values, *surfaces]), nuisances=(*point.nuisances, *own))
     whole, _ = minimise(joined, whole, _STEPS_FIRST)
-    return joined, whole
+    return joined, whole, [found[i] for i in order]
 
 
 def _recoloured(problem: Problem, point: Point) -> Problem:

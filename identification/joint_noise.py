@@ -41,15 +41,13 @@ def fit_whitener(residuals: Sequence[FloatArray]) -> Whitener:
     used = [r for r in residuals if len(r) > 2 * longest]
     count = sum(len(r) for r in used)
     if count < 20 * longest:
-        flat = np.concatenate([np.ravel(r) for r in residuals])
+        flat = np.concatenate(residuals) if residuals else np.zeros(1)
         return Whitener(coefficients=np.ones(1), rms=max(float(np.sqrt(np.mean(flat**2))), 1e-12))
     lags = np.array([sum(float(r[: len(r) - k] @ r[k:]) for r in used) for k in range(longest + 1)]) / count
-    variance, best = float(lags[0]), np.ones(1)
-    if variance <= 0.0:
-        return Whitener(coefficients=best, rms=1e-12)
+    variance, best = max(float(lags[0]), 1e-24), np.ones(1)
     chosen, lowest = (best, variance), count * np.log(variance)
     for order in range(1, longest + 1):
-        reflection = -float(best @ lags[order : order - len(best) : -1] if order > 0 else 0.0) / variance
+        reflection = -float(best @ lags[order:0:-1]) / variance
         best = np.append(best, 0.0) + reflection * np.append(best, 0.0)[::-1]
         variance *= max(1.0 - reflection**2, 1e-12)
         criterion = count * np.log(variance) + order * np.log(count)

@@ -10,14 +10,16 @@ from numpy.typing import NDArray
 from problems.robot import RobotModel
 
 from .joint_contacts import FoundContact
-from .joint_covariance import Spread, widened
+from .joint_covariance import Spread, other_minima, widened
 from .joint_model import robot_model
-from .joint_noise import Whitener, whiteness
+from .joint_noise import whiteness
 from .joint_profile import bounded_intervals
 from .joint_segments import Segment, predict_force
-from .joint_solve import Block, Point, Problem, information, logarithmic, sizes_of
+from .joint_solve import Block, Point, Problem, information, logarithmic, minimise, sizes_of
 
 FloatArray = NDArray[np.float64]
+
+_STEPS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,11 +91,11 @@ class JointFit:
 
 
 def describe(
-    problem: Problem, point: Point, blocks: Sequence[Block], found: Sequence[FoundContact], rest_noise: Whitener
+    problem: Problem, point: Point, blocks: Sequence[Block], found: Sequence[FoundContact], rest_rms_n: float
 ) -> JointFit:
     """Turn the minimum into a result."""
     layout = problem.layout
-    spread = widened(blocks, len(layout), problem.signals.period_s)
+    spread = other_minima(problem, point, widened(blocks, len(layout), problem.signals.period_s))
     sizes = sizes_of(point.values, layout, problem.signals.period_s)
     covariance = spread.covariance * np.outer(sizes, sizes)
     surfaces = tuple(_surface(i, problem, point, covariance, found) for i in range(layout.surfaces))
@@ -104,7 +106,7 @@ def describe(
         ci95=bounded_intervals(problem, point, blocks, spread),
         robot=robot_model(point.values[layout.robot]) if layout.robot_order else None,
         surfaces=surfaces,
-        diagnostics=_diagnostics(problem, point, blocks, spread, rest_noise),
+        diagnostics=_diagnostics(problem, point, blocks, spread, rest_rms_n),
     )
 
 
@@ -129,19 +131,18 @@ def _surface(
 
 
 def _diagnostics(
-    problem: Problem, point: Point, blocks: Sequence[Block], spread: Spread, rest_noise: Whitener
+    problem: Problem, point: Point, blocks: Sequence[Block], spread: Spread, rest_rms_n: float
 ) -> Diagnostics:
     kinds = [tuple(i for i, s in enumerate(problem.segments) if s.is_contact == kind) for kind in (False, True)]
     errors = [_force_error(problem, point, segment, i) for i, segment in enumerate(problem.segments)]
     forces = [problem.signals.force_n[s.slice] for s in problem.segments]
-    rest = rest_noise.rms / max(float(np.sqrt(_power(rest_noise))), 1e-300)
     share, ratio = [], []
     for kind in kinds:
         left = float(sum(np.sum(errors[i] ** 2) for i in kind))
         all_of = float(sum(np.sum((forces[i] - np.mean(forces[i])) ** 2) for i in kind))
         count = sum(len(errors[i]) for i in kind)
         share.append(1.0 - left / all_of if all_of > 0.0 else 0.0)
-        ratio.append(float(np.sqrt(left / count)) / rest if count else 0.0)
+        ratio.append(float(np.sqrt(left / count)) / rest_rms_n if count else 0.0)
     return Diagnostics(
         fit_share=(share[0], share[1]),
         whiteness=(
@@ -153,18 +154,6 @@ def _diagnostics(
         widening=spread.widening,
         used=(len(kinds[0]), len(kinds[1])),
     )
-
-
-def _power(whitener: Whitener) -> float:
-    """Return the innovation's share of the variance of an autoregression: 1 over the sum of its squared response."""
-    impulse = np.zeros(2000)
-    impulse[0] = 1.0
-    response = np.zeros(2000)
-    a = whitener.coefficients
-    for k in range(len(impulse)):
-        past = response[max(0, k - len(a) + 1) : k][::-1]
-        response[k] = impulse[k] - float(a[1 : 1 + len(past)] @ past)
-    return 1.0 / float(response @ response)
 
 
 def _force_error(problem: Problem, point: Point, segment: Segment, index: int) -> FloatArray:
@@ -184,17 +173,18 @@ def _left_out(problem: Problem, point: Point, blocks: Sequence[Block], kind: Seq
     if not like:
         return None
     matrix, gradient = information([b for i, b in enumerate(blocks) if i != last], len(problem.layout))
-    step = -np.linalg.pinv(matrix, hermitian=True) @ gradient
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    step = -scale * (np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True) @ (scale * gradient))
     sizes = sizes_of(point.values, problem.layout, problem.signals.period_s)
     values = np.where(
         logarithmic(problem.layout), point.values * np.exp(step), np.maximum(point.values + step * sizes, 0.0)
     )
-    own = blocks[last].own
-    nuisances = list(point.nuisances)
-    if own is not None:
-        r, to_residual, to_shared = own
-        nuisances[last] = nuisances[last] - np.linalg.solve(r, to_residual + to_shared @ step[blocks[last].indices])
-    moved = replace(point, values=values, nuisances=tuple(nuisances))
+    alone = replace(
+        problem, segments=(segment,), pose_spans=(), fixed=tuple(range(len(values))), known_path=problem.path(values)
+    )
+    start = Point(values=values, nuisances=(point.nuisances[last],))
+    moved, _ = minimise(alone, start, _STEPS)
+    problem, last = alone, 0
     error = _force_error(problem, moved, segment, last)
     force = problem.signals.force_n[segment.slice]
     return float(np.linalg.norm(error) / max(float(np.linalg.norm(force - np.mean(force))), 1e-300))

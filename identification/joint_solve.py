@@ -16,6 +16,7 @@ FloatArray = NDArray[np.float64]
 _MOST_HALVINGS = 6
 _CONVERGED = 1e-3
 _LARGEST_LOG_STEP = 0.7
+_ROBOT_HZ = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +52,8 @@ class Problem:
     """What is fitted: force over `segments`, pose over `pose_spans`, with one whitener per kind of span.
 
     `priors` maps parameter names to value and standard deviation; `fixed` are indices that stay as they are,
-    and with the robot's among them `known_path` is the flange's path.
+    and with the robot's among them `known_path` is the flange's path. No payload is lighter than `lightest_kg`: next
+    to nothing, its own motion could not be told from rounding.
     """
 
     signals: Signals
@@ -64,6 +66,7 @@ class Problem:
     priors: tuple[tuple[int, float, float], ...] = ()
     fixed: tuple[int, ...] = ()
     known_path: FlangePath | None = None
+    lightest_kg: float = 0.01
 
     def path(self, values: FloatArray) -> FlangePath:
         """Return the flange's path at these parameters."""
@@ -76,12 +79,16 @@ class Problem:
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
-    """One span, whitened: residual and derivatives by the scaled shared parameters, free of the span's own ones."""
+    """One span, whitened: residual and derivatives by the scaled shared parameters, free of the span's own ones.
+
+    `doubts` are forces that the model may lack, treated alike, see `_untimed`.
+    """
 
     residual: FloatArray
     jacobian: FloatArray
     indices: NDArray[np.intp]
     own: tuple[FloatArray, FloatArray, FloatArray] | None  # R, Qᵀr, QᵀJ: how the span's own parameters follow
+    doubts: FloatArray | None = None
 
 
 def sizes_of(values: FloatArray, layout: Layout, period_s: float) -> FloatArray:
@@ -125,13 +132,16 @@ def linearise(problem: Problem, point: Point) -> list[Block]:
         )
         indices = shared_indices(segment, layout, through_robot=bool(all_moved))
         jacobian[:, : len(indices)] *= sizes[indices]
-        rows = np.column_stack([predicted - signals.force_n[segment.slice], jacobian])
-        blocks.append(_block(problem.noise(segment).apply(rows), indices))
+        columns = [predicted - signals.force_n[segment.slice], jacobian]
+        if here.robot is None:
+            columns.append(_untimed(point.values, segment, here, signals.period_s))
+        rows = problem.noise(segment).apply(np.column_stack(columns))
+        blocks.append(_block(rows, indices, segment.nuisance_count))
     if all_moved:
         indices = np.arange(layout.robot.start, layout.robot.stop)
         slopes = [(all_moved[i].misfit_m - here.misfit_m) / robot_step(sizes, i) * sizes[i] for i in indices]
         rows = np.column_stack([here.misfit_m, *slopes, np.ones(len(here.misfit_m))])
-        blocks += [_block(problem.pose_noise.apply(rows[span]), indices) for span in problem.pose_spans]
+        blocks += [_block(problem.pose_noise.apply(rows[span]), indices, 1) for span in problem.pose_spans]
     for index, value, std in problem.priors:
         one = np.array([[sizes[index] / std]])
         residual = np.array([(point.values[index] - value) / std])
@@ -139,17 +149,34 @@ def linearise(problem: Problem, point: Point) -> list[Block]:
     return blocks
 
 
-def _block(rows: FloatArray, indices: NDArray[np.intp]) -> Block:
-    """Split (residual, shared columns, own columns) and project the own ones out."""
-    residual, shared, own = rows[:, 0], rows[:, 1 : 1 + len(indices)], rows[:, 1 + len(indices) :]
+def _block(rows: FloatArray, indices: NDArray[np.intp], own_count: int) -> Block:
+    """Split (residual, shared columns, own columns, doubts) and project the own ones out."""
+    shared_end = 1 + len(indices)
+    own_end = shared_end + own_count
+    residual, shared, own = rows[:, 0], rows[:, 1:shared_end], rows[:, shared_end:own_end]
     q, r = np.linalg.qr(own)
     to_residual, to_shared = q.T @ residual, q.T @ shared
+    doubts = rows[:, own_end:]
     return Block(
         residual=residual - q @ to_residual,
         jacobian=shared - q @ to_shared,
         indices=indices,
         own=(r, to_residual, to_shared),
+        doubts=doubts - q @ (q.T @ doubts) if doubts.shape[1] else None,
     )
+
+
+def _untimed(values: FloatArray, segment: Segment, path: FlangePath, period_s: float) -> FloatArray:
+    """Return the force that is missed if the flange takes its speed half a sample sooner or later, (n, 2).
+
+    Between the ticks the pose says nothing. A robot that follows a held command jumps in speed at every tick, by up to
+    h (a + ω v); the coupling's damping passes that on. ω stands for 2π·5 Hz, the damping for at least a twentieth of
+    the critical one, since it is itself told by this.
+    """
+    damping = max(float(values[1]), 0.1 * float(np.sqrt(values[0] * values[3])))
+    speed = path.velocity[segment.slice] / period_s
+    acceleration = np.gradient(speed, period_s)
+    return 0.5 * period_s * damping * np.column_stack([acceleration, 2.0 * np.pi * _ROBOT_HZ * speed])
 
 
 def information(blocks: Sequence[Block], count: int) -> tuple[FloatArray, FloatArray]:
@@ -215,7 +242,9 @@ def _bounded_step(problem: Problem, point: Point, matrix: FloatArray, gradient: 
         inside = matrix[np.ix_(free, free)]
         ridge = 1e-10 * np.maximum(np.diag(inside), 1e-12)
         step[free] = -np.linalg.solve(inside + np.diag(ridge), gradient[free])
-        blocked = free & linear & (scaled <= 0.0) & (step < 0.0)
+        at_bound = linear & (scaled <= 0.0)
+        at_bound[3] = point.values[3] <= problem.lightest_kg
+        blocked = free & at_bound & (step < 0.0)
         if not np.any(blocked):
             break
         free &= ~blocked
@@ -228,6 +257,7 @@ def _moved(problem: Problem, point: Point, blocks: Sequence[Block], step: FloatA
     in_log = logarithmic(problem.layout)
     grown = point.values * np.exp(np.clip(step, -_LARGEST_LOG_STEP, _LARGEST_LOG_STEP))
     values = np.where(in_log, grown, np.maximum(point.values + step * sizes, 0.0))
+    values[3] = max(values[3], problem.lightest_kg)
     nuisances = []
     for nuisance, block in zip(point.nuisances, blocks[: len(problem.segments)], strict=True):
         if block.own is None:

@@ -45,7 +45,7 @@ class McapContainer(Closing):
     def survey(self) -> Survey:
         """Tell what the file holds, from its indexes where they tell it, else by counting."""
         with self._refusing():
-            return self._survey()
+            return self._told
 
     def read(self, wanted: Collection[Channel], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
         """Read the wanted channels; see `Container`."""
@@ -83,7 +83,8 @@ class McapContainer(Closing):
             ids.setdefault(definitions.channel(channel_id), []).append(channel_id)
         return ids
 
-    def _survey(self) -> Survey:
+    @cached_property
+    def _told(self) -> Survey:
         layout, _ = self._known
         total = total_counts(layout.pieces)
         first = self._first_messages()

@@ -74,7 +74,7 @@ def cut_chunk(file: FileBytes, start: int) -> Piece | None:
         piece = parse_chunk(head[FRAME_BYTES:], start, start + FRAME_BYTES + length)
     except Damage:
         return None
-    if piece.compression or piece.declared > CHUNK_LIMIT_BYTES or piece.stop <= file.size:
+    if piece.compression or piece.declared > CHUNK_LIMIT_BYTES or piece.body + piece.stored <= file.size:
         return None
     data = np.frombuffer(file.read(piece.body, piece.stored), dtype=np.uint8)
     tally = Counting().count(data)

@@ -24,6 +24,7 @@ _NEEDED = {
     "messages": {*_MESSAGE_COLUMNS},
 }
 _DEFINED = {"topic_type", "encoding", "encoded_message_definition", "type_description_hash"}
+_GROUP = 1000
 _KNOWN_SCHEMAS = ("ros2msg", "ros2idl")
 
 NO_CRC = Finding(
@@ -194,10 +195,16 @@ class SqliteBagContainer(Closing):
         if not self._salvage:
             yield from self._file.messages(topics)
             return
+        group: list[Row] = []
         for row in self._salvaged_rows([]):
             _, topic, log_ns, data = row
             if topic in topics and isinstance(log_ns, int) and isinstance(data, bytes):
-                yield [row]
+                group.append(row)
+            if len(group) == _GROUP:
+                yield group
+                group = []
+        if group:
+            yield group
 
     def _all_batches(self, topics: dict[int, Channel], gatherers: dict[Channel, Gatherer]) -> Iterator[Batch]:
         for rows in self._rows(topics) if topics else ():

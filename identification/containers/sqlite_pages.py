@@ -37,10 +37,7 @@ class SqlitePages:
         """Yield the rows (rowid, topic_id, timestamp, data) in order, and note in `missing` what is between them."""
         last = 0
         with self._path.open("rb") as file:
-            pages = self._message_pages(file)
-            for index, (first, page) in enumerate(pages):
-                # Pages do not overlap: a larger rowid is damaged, and one before belongs to a page that was given up.
-                end = next((other for other, _ in pages[index + 1 :] if other > first), 2**63)
+            for page, end in self._message_pages(file):
                 for row in self._page_rows(file, page):
                     if not last < row[0] < end:
                         continue
@@ -51,9 +48,19 @@ class SqlitePages:
         missing.append(f"what followed message {last}, if anything, is missing")
 
     def _message_pages(self, file: BinaryIO) -> list[tuple[int, int]]:
-        """Return the first rowid and the number of each leaf page that holds messages, in order."""
+        """Return the leaf pages that hold messages, in order, each with the rowid that the next one starts with.
+
+        Pages do not overlap: a larger rowid in a page is damaged.
+        """
         first = ((next(self._page_rows(file, page), None), page) for page in range(1, self._pages))
-        return sorted((row[0], page) for row, page in first if row is not None)
+        starts = sorted((row[0], page) for row, page in first if row is not None)
+        pages: list[tuple[int, int]] = []
+        end = following = 2**63
+        for start, page in reversed(starts):
+            end = following if start < following else end
+            pages.append((page, end))
+            following = start
+        return pages[::-1]
 
     def _page(self, file: BinaryIO, page: int) -> bytes:
         file.seek(page * self._page_bytes)

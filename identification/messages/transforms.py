@@ -16,7 +16,7 @@ from .kernel_bytes import FINE, FRAMES_FULL
 from .kernel_transforms import NUMBERS, SMALLEST_BYTES, take_transforms
 from .layout import parse_path
 from .objects import LackingError, as_number, build_object_parser, either, header_of, messages_of, pick
-from .read import join, read_parts
+from .read import gather
 from .series import Series, Wanted
 
 FIELDS = tuple(f"translation.{axis}" for axis in "xyz") + tuple(f"rotation.{axis}" for axis in "xyzw")
@@ -30,8 +30,7 @@ def read_transform(container: Container, channel: Channel, parent: str, child: s
     where the topic holds no transform of these frames, or a message is not as its type says.
     """
     decoder = build_transform_decoder(channel, (parent, child))
-    parts = read_parts(container, {channel: decoder})[channel]
-    series = join(channel, Wanted(fields=FIELDS), parts)
+    series = gather(container, {channel: decoder}, {channel: Wanted(fields=FIELDS)})[channel].finish(channel)
     if not series.log_ns.size:
         pairs = ", ".join(f"{first} to {second}" for first, second in sorted(decoder.pairs)[:10])
         raise LogError(
@@ -43,7 +42,7 @@ def read_transform(container: Container, channel: Channel, parent: str, child: s
 def list_frames(container: Container, channel: Channel) -> tuple[Pair, ...]:
     """Return the pairs of parent and child frame that occur on a topic of transforms, sorted."""
     decoder = build_transform_decoder(channel, None)
-    read_parts(container, {channel: decoder})
+    gather(container, {channel: decoder}, {channel: Wanted(fields=FIELDS)})
     return tuple(sorted(decoder.pairs))
 
 

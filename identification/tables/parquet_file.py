@@ -1,5 +1,6 @@
 """Parquet files, read by Arrow with the checksums of their pages verified; only the wanted columns are read."""
 
+import base64
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +16,8 @@ from .times import from_decimals, from_floats, from_integers
 MAGIC = b"PAR1"
 _FOREIGN = (pa.ArrowException, OSError, ValueError, KeyError, IndexError, TypeError, OverflowError, MemoryError)
 _BATCH_ROWS = 65_536
-_UNITS = ("s", "ms", "us", "ns")
+_KEPT_TYPES = (pa.float64(), pa.float32(), pa.int64())
+"""Types that Parquet has as Arrow has them."""
 
 
 def column_names(path: Path) -> tuple[str, ...]:
@@ -62,12 +64,26 @@ def _opened(path: Path) -> Iterator[pa.parquet.ParquetFile]:
             names = file.schema_arrow.names
             if len(set(names)) < len(names):
                 raise LogError(f"{path.name} has several columns of one name: {_twice(names)}; rename them.")
+            _check_footer(file)
             yield file
     except _FOREIGN as error:
         reason = " ".join(str(error).split())[:300] or type(error).__name__
         raise LogError(
             f"{path.name} is damaged or no Parquet file that can be read ({reason}); export it again."
         ) from error
+
+
+def _check_footer(file: pa.parquet.ParquetFile) -> None:
+    """Raise ValueError unless the footer, which has no checksum, agrees where it tells names and types twice."""
+    stored = (file.metadata.metadata or {}).get(b"ARROW:schema")
+    if stored is None:
+        return
+    read = list(file.schema_arrow)
+    told = list(pa.ipc.read_schema(pa.py_buffer(base64.b64decode(stored))))
+    if [field.name for field in read] != [field.name for field in told] or any(
+        one.type != other.type for one, other in zip(read, told, strict=True) if other.type in _KEPT_TYPES
+    ):
+        raise ValueError("its footer tells names or types of the columns in two ways")
 
 
 def _twice(names: Sequence[str]) -> str:

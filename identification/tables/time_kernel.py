@@ -28,53 +28,64 @@ def scaled(data: Bytes, offsets: NDArray[np.int32], power: int, mark: int, found
 
 @compiled
 def _number(data: Bytes, start: int, end: int, power: int, mark: int, found: StampArray, i: int) -> int:
-    while start < end and (data[start] == 32 or data[start] == 9):
+    while start < end and _is_blank(data[start]):
         start += 1
-    while end > start and (data[end - 1] == 32 or data[end - 1] == 9):
+    while end > start and _is_blank(data[end - 1]):
         end -= 1
     is_negative = start < end and data[start] == 45
-    if start < end and (data[start] == 45 or data[start] == 43):
-        start += 1
-    digits, before = 0, -1
-    stop = start
+    start += _has_sign(data, start, end)
+    digits, before, stop = 0, -1, start
     while stop < end and (48 <= data[stop] <= 57 or (data[stop] == mark and before < 0)):
         if data[stop] == mark:
             before = digits
         else:
             digits += 1
         stop += 1
-    if digits == 0:
-        return NO_NUMBER
     exponent = _exponent(data, stop, end)
-    if exponent < -_LONGEST_EXPONENT:
+    if digits == 0 or exponent < -_LONGEST_EXPONENT:
         return NO_NUMBER
-    # So many of the digits stand before the point of the result.
-    whole = (digits if before < 0 else before) + exponent + power
-    value, seen, first, rest = 0, 0, 0, False
+    value = _rounded(data, start, stop, mark, (digits if before < 0 else before) + exponent + power)
+    if value < 0:
+        return TOO_LARGE
+    found[i] = -value if is_negative else value
+    return SOUND
+
+
+@compiled
+def _rounded(data: Bytes, start: int, stop: int, mark: int, whole: int) -> int:
+    """Return the number of which the first `whole` digits stand before the point, or -1 where it is too large."""
+    value, seen, first, rest = 0, 0, 0, 0
     for at in range(start, stop):
         if data[at] == mark:
             continue
-        digit = np.int64(data[at]) - 48
+        digit = int(data[at]) - 48
         if seen < whole:
             if value > (_LARGEST - digit) // 10:
-                return TOO_LARGE
+                return -1
             value = value * 10 + digit
         elif seen == whole:
             first = digit
-        elif digit != 0:
-            rest = True
+        else:
+            rest |= digit
         seen += 1
     while seen < whole and value != 0:
         if value > _LARGEST // 10:
-            return TOO_LARGE
+            return -1
         value *= 10
         seen += 1
-    if first > 5 or (first == 5 and (rest or value % 2 == 1)):
-        if value == _LARGEST:
-            return TOO_LARGE
-        value += 1
-    found[i] = -value if is_negative else value
-    return SOUND
+    if first > 5 or (first == 5 and (rest != 0 or value % 2 == 1)):
+        return -1 if value == _LARGEST else value + 1
+    return value
+
+
+@compiled
+def _is_blank(character: int) -> bool:
+    return character in (32, 9)
+
+
+@compiled
+def _has_sign(data: Bytes, start: int, end: int) -> int:
+    return 1 if start < end and data[start] in (43, 45) else 0
 
 
 @compiled
@@ -87,13 +98,12 @@ def _exponent(data: Bytes, start: int, end: int) -> int:
         return none
     start += 1
     is_negative = start < end and data[start] == 45
-    if start < end and (data[start] == 45 or data[start] == 43):
-        start += 1
+    start += _has_sign(data, start, end)
     if start == end:
         return none
     value = 0
     for at in range(start, end):
         if data[at] < 48 or data[at] > 57:
             return none
-        value = min(value * 10 + np.int64(data[at]) - 48, _LONGEST_EXPONENT)
+        value = min(value * 10 + int(data[at]) - 48, _LONGEST_EXPONENT)
     return -value if is_negative else value

@@ -144,8 +144,8 @@ def summary(data: bytes, body: bytes, start: int | None = None, crc: int = 0) ->
     return data + body + record(raw.FOOTER, struct.pack("<QQI", place, 0, crc)) + MAGIC
 
 
-def statistics(messages: int, chunks: int) -> bytes:
-    told = raw.statistics({1: messages}, schemas=1, channels=1, chunks=chunks, span_ns=(5, 5))
+def statistics(messages: int, chunks: int, channel_id: int = 1) -> bytes:
+    told = raw.statistics({channel_id: messages}, schemas=1, channels=1, chunks=chunks, span_ns=(5, 5))
     return record(raw.STATISTICS, told)
 
 
@@ -213,6 +213,10 @@ SUMMARIES: dict[str, tuple[bytes, str]] = {
     "summary denied": (summary(HEAD + GOOD + END, SCHEMA, start=0), "its footer says at byte 0"),
     "too many": (summary(HEAD + chunk(GOOD) + END, statistics(2, 1)), "counts 2 messages in 1 chunks, the data hold 1"),
     "lost chunk": (summary(HEAD + chunk(GOOD) + END, statistics(1, 2)), "in 2 chunks, the data hold 1 in 1"),
+    "another channel": (
+        summary(HEAD + chunk(GOOD) + END, statistics(1, 1, channel_id=2)),
+        "counts 1 messages in 1 chunks, the data hold 1 in 1, of other channels",
+    ),
     "counted outside": (summary(HEAD + GOOD + END, statistics(3, 0)), "counts 3 messages in 0 chunks"),
     "false index": (
         summary(HEAD + chunk(GOOD) + index(1, 2) + END, SCHEMA + CHANNEL + statistics(2, 1)),

@@ -11,6 +11,8 @@ import pytest
 from identification.errors import LogError
 from tests.identification.containers import mcap_writer as raw
 from tests.identification.containers.mcap_reading import (
+    CHANNELS,
+    SCHEMAS,
     Contents,
     Message,
     expected,
@@ -84,6 +86,28 @@ def test_a_damaged_chunk_in_the_middle_costs_that_chunk_alone(
     if style.chunk_index:
         times = [sent.log_ns for sent in messages[4 * PER_CHUNK : 5 * PER_CHUNK]]
         assert f"recorded from {min(times)} to {max(times)} ns" in message
+
+
+def test_what_looks_like_a_chunk_but_is_damaged_too_does_not_end_the_search(tmp_path: Path) -> None:
+    messages, path = some_messages(200), tmp_path / "run.mcap"
+    writer = write_style(path, messages, BARE)
+    damage(path, writer, 3, 1, struct.pack("<Q", 2**63))
+    damage(path, writer, 4, -9, b"\xff\xff")
+    assert read_all(path, salvage=True).messages == without_chunks(messages, [3, 4])
+
+
+def test_no_message_is_taken_out_of_a_damaged_chunk_that_is_not_cut(tmp_path: Path) -> None:
+    """Without compression its messages could be found, but nothing says which of them are damaged."""
+    content = b"".join(raw.record(raw.MESSAGE, raw.message(1, log, bytes(30))) for log in range(1, 20))
+    defined = raw.record(raw.SCHEMA, SCHEMAS[1]) + raw.record(raw.CHANNEL, CHANNELS[1])
+    chunk = bytearray(raw.record(raw.CHUNK, raw.chunk(content, (1, 19))))
+    chunk[1:9] = struct.pack("<Q", 2**63)
+    end = raw.record(raw.DATA_END, bytes(4)) + raw.record(raw.FOOTER, bytes(20)) + MAGIC
+    path = tmp_path / "run.mcap"
+    path.write_bytes(MAGIC + raw.record(raw.HEADER, raw.header()) + defined + chunk + end)
+    contents = read_all(path, salvage=True)
+    assert contents.messages == {"/a": []}
+    assert "a record of kind 6 says 9223372036854775808 bytes should follow" in told(contents)
 
 
 def test_what_is_lost_is_counted_where_the_index_tells(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Random messages of any type, serialised by rosbags, and containers that hold them in memory."""
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -9,7 +10,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from identification.containers.channel import Batch, Channel, Survey, T
+from identification.containers.channel import Batch, Channel, Held, Survey, T
 from identification.result import Finding
 
 ADMITTANCE = "control_msgs/msg/AdmittanceControllerState"
@@ -176,7 +177,11 @@ class MemoryContainer:
     batches: tuple[Batch, ...]
 
     def survey(self) -> Survey:
-        raise NotImplementedError
+        counts = Counter[Channel]()
+        for batch in self.batches:
+            counts[batch.channel] += batch.count
+        held = tuple(Held(channel=channel, count=count, first_message=b"") for channel, count in counts.items())
+        return Survey(container="memory", held=held, start_ns=0, end_ns=0, findings=())
 
     def read(self, wanted: Collection[Channel], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
         for batch in self.batches:

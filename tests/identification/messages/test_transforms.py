@@ -109,6 +109,21 @@ def test_frames_that_do_not_occur_are_refused_with_those_that_do() -> None:
         list_frames(container, channel_of("geometry_msgs/msg/PoseStamped", "little"))
 
 
+def test_a_topic_may_hold_far_more_transforms_of_a_pair_than_messages() -> None:
+    channel = channel_of(TF, "little")
+    messages, every = [], []
+    for seed, count in ((1, 1000), (2, 3), (3, 1500)):
+        message = RandomMessages(seed, "little", count).message(TF)
+        for each in message.transforms:
+            each.header.frame_id, each.child_frame_id = "base", "tool"
+        every += [numbers(each) for each in message.transforms]
+        messages.append(serialise(message, TF, "little"))
+    container = MemoryContainer(tuple(batch_of(channel, [message]) for message in messages))
+    series = read_transform(container, channel, "base", "tool")
+    assert series.values.tobytes() == np.array(every).tobytes()
+    assert series.log_ns.size == 2503
+
+
 def test_hundreds_of_pairs_are_all_found() -> None:
     channel = channel_of(TF, "little")
     message = RandomMessages(1, "little", 200).message(TF)
