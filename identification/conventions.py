@@ -106,7 +106,7 @@ class Convention:
     def _read(self, pose: PoseSignal, frames: Frames) -> PoseSignal:
         logged = Rotation.from_quat(pose.quaternion_xyzw)
         turned = self.reading.orientation(logged, frames)
-        position = pose.position_m
+        position = np.array(pose.position_m)
         if self.reading.inverted:
             # p_BF = −R_BF p_FB, in our base on both sides.
             flange = frames.R_WB.inv() * turned * self.reading.quarter_turn.inv() * frames.R_FS.inv()

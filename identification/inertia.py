@@ -40,9 +40,9 @@ class InertiaFit:
     """The inertia tensor about the sensor's origin in S [kg·m²]: `components` xx, yy, zz, xy, xz, yz with verdicts.
 
     `matrix_S_kg_m2` (3, 3) is the physically consistent estimate, `std_S_kg_m2` (3, 3) its deviation; both None where
-    no component is told, and of components that are not told no more than one possible value. `mass_kg` is the inertial mass where the origin was accelerated, free of the weight.
-    `lag_s` is how much the wrench comes after the pose, `lag_std_s` its deviation (NaN without moves). `moves` took
-    part, `left_out` did not fit.
+    no component is told, and of components that are not told no more than one possible value. `mass_kg` is the
+    inertial mass where the origin was accelerated, free of the weight. `lag_s` is how much the wrench comes after the
+    pose, `lag_std_s` its deviation (NaN without moves). `moves` took part, `left_out` did not fit.
     """
 
     components: tuple[Estimate, ...]

@@ -131,7 +131,11 @@ def group_contacts(starts: Sequence[tuple[int, float, float]], ratio: float) -> 
     first: tuple[int, float, float] | None = None
     for i in order:
         sign, secant, std = starts[i]
-        if first is None or first[0] != sign or secant > max(ratio * first[1], first[1] + 4.0 * np.hypot(std, first[2])):
+        if (
+            first is None
+            or first[0] != sign
+            or secant > max(ratio * first[1], first[1] + 4.0 * np.hypot(std, first[2]))
+        ):
             first, surface = starts[i], surface + 1
         out[i] = surface
     return out

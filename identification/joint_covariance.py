@@ -13,6 +13,9 @@ FloatArray = NDArray[np.float64]
 _CHUNK_S = 0.1
 _STEPS = 4
 _DOUBTFUL_STDS = 5.0
+_OTHER_MASS_SHARE = 0.3
+_SMOOTH_SHARE = 0.003
+_UNKNOWN_SHARE = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +81,7 @@ def _excess(scores: FloatArray) -> FloatArray:
 
 
 def other_minima(problem: Problem, point: Point, spread: Spread) -> Spread:
-    """Return the covariance with what a second minimum adds: the same surface without a moving mass.
+    """Return the covariance with what a second minimum adds: the same surface without a moving mass, or with one.
 
     Mass, damping and stiffness of a surface trade against each other along a bent valley, which may hold two minima
     of nearly the same depth. One that is worse by Δ in −2 log L has the share w = e^(−Δ/2)/(1 + e^(−Δ/2)) of the
@@ -90,17 +93,37 @@ def other_minima(problem: Problem, point: Point, spread: Spread) -> Spread:
     for i in range(layout.surfaces):
         mass = layout.surface(i).start + 2
         deviation = float(np.sqrt(spread.covariance[mass, mass])) * sizes[mass]
-        if not 0.0 < point.values[mass] < _DOUBTFUL_STDS * deviation:
+        if point.values[mass] > _DOUBTFUL_STDS * deviation:
             continue
-        massless = point.values.copy()
-        massless[mass] = 0.0
-        start = Point(values=massless, nuisances=point.nuisances)
-        other, there = minimise(_fixing(problem, mass), start, _STEPS)
+        moved = point.values.copy()
+        has_mass = point.values[mass] > 0.0
+        moved[mass] = 0.0 if has_mass else _OTHER_MASS_SHARE * point.values[3]
+        start = Point(values=moved, nuisances=point.nuisances)
+        other, there = minimise(_fixing(problem, mass) if has_mass else problem, start, _STEPS)
         share = float(np.exp(-0.5 * np.clip(there - here, 0.0, 200.0)))
         apart = (other.values - point.values) / sizes
         covariance += share / (1.0 + share) * np.outer(apart, apart)
+    covariance += np.diag(_linear_no_more(problem, point, covariance, sizes))
     widening = float(np.sqrt(np.max(np.diag(covariance) / np.diag(spread.plain))))
     return Spread(covariance=covariance, plain=spread.plain, widening=widening)
+
+
+def _linear_no_more(problem: Problem, point: Point, covariance: FloatArray, sizes: FloatArray) -> FloatArray:
+    """Return variances for what no linear theory covers, in scaled parameters.
+
+    Without a command 0.3 % of K_s, B_p and M_p for a path that is smooth between the ticks only by assumption. Where
+    K_s or M_p is not known to a quarter, what lies behind them is not known at all: B_e to the critical damping, M_e
+    to the payload's mass.
+    """
+    out = np.zeros(len(point.values))
+    if problem.layout.robot_order == 0:
+        out[[0, 2, 3]] = (_SMOOTH_SHARE * point.values[[0, 2, 3]] / sizes[[0, 2, 3]]) ** 2
+    if max(covariance[0, 0], covariance[3, 3]) > _UNKNOWN_SHARE**2:
+        for i in range(problem.layout.surfaces):
+            first = problem.layout.surface(i).start
+            out[first + 1] = (2.0 * np.sqrt(point.values[first] * point.values[3]) / sizes[first + 1]) ** 2
+            out[first + 2] = (point.values[3] / sizes[first + 2]) ** 2
+    return out
 
 
 def _fixing(problem: Problem, index: int) -> Problem:

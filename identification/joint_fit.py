@@ -1,23 +1,21 @@
 """One refinement of everything on one axis by maximum likelihood on the raw signals, with one covariance."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import detrend
 
-from problems.robot import RobotModel
-
 from .errors import EstimateError
 from .joint_contacts import ContactStart, FoundContact, group_contacts, start_contact
+from .joint_data import JointData
 from .joint_model import Layout
 from .joint_noise import Smoother, fit_smoother, fit_whitener
 from .joint_result import JointFit, describe
 from .joint_segments import Segment, predict_force
 from .joint_solve import Point, Problem, Signals, linearise, minimise
 from .joint_start import fit_alone, start_coupling, start_surface
-from .segments import Span
 
 FloatArray = NDArray[np.float64]
 
@@ -32,32 +30,7 @@ _SETTLING_S = 0.3
 _SHAKING = 1.3
 _LIGHTEST_SHARE = 0.2
 _LIGHT_KG = 0.1
-
-
-@dataclass(frozen=True, kw_only=True)
-class JointData:
-    """What the refinement starts from: one axis of an aligned log, its spans, and the estimates of the stages.
-
-    `position_m`, `force_n` (n,) on one clock of period `period_s`, the force without weight and bias; `command_m` (n,)
-    or None: the command issued at each tick (or between it and the next: the delay then counts from the tick).
-    `rests`, spans at rest for the noise; `moving`, all spans of motion along this axis; `free`, those without a hand;
-    `holds`, rests under force. `coupling` is K_s, B_s, B_p, M_p, `robot` r(s) of one or two poles and T_d.
-    `mass_kg`, from gravity, is a start too and no information; a fifth of it is the least that M_p may be.
-    `priors` maps names of `Layout.names` to value and standard deviation known from elsewhere.
-    """
-
-    period_s: float
-    position_m: FloatArray
-    force_n: FloatArray
-    command_m: FloatArray | None
-    rests: Sequence[Span]
-    moving: Sequence[Span]
-    free: Sequence[Span]
-    holds: Sequence[Span]
-    coupling: FloatArray
-    robot: RobotModel | None
-    mass_kg: float | None = None
-    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+_OUTLYING, _ENOUGH_TO_TELL = 8.0, 3
 
 
 def identify_joint(data: JointData) -> JointFit:
@@ -79,7 +52,8 @@ def identify_joint(data: JointData) -> JointFit:
         point, _ = minimise(problem, point, _STEPS_LATER)
     problem = _recoloured(problem, point)
     resting = np.concatenate([_settled(data.force_n[s]) for s in _quiet_rests(data)])
-    return describe(problem, point, linearise(problem, point), found, float(np.std(resting)))
+    shift = 0.0 if data.command is None else data.command.shift_s
+    return describe(problem, point, found, rest_rms_n=float(np.std(resting)), command_shift_s=shift)
 
 
 def _starts(data: JointData, problem: Problem, values: FloatArray) -> list[ContactStart]:
@@ -90,15 +64,11 @@ def _starts(data: JointData, problem: Problem, values: FloatArray) -> list[Conta
     return [s for s in starts if s is not None]
 
 
-def _order(data: JointData) -> int:
-    return 0 if data.robot is None or data.command_m is None else data.robot.order
-
-
 def _robot_values(data: JointData) -> FloatArray:
     """Return ω, (ζ,) T_d, or nothing without a robot."""
-    if not _order(data) or data.robot is None:
+    if data.robot is None or data.command is None:
         return np.empty(0)
-    denominator, delay = data.robot.denominator, data.robot.delay_s
+    denominator, delay = data.robot.denominator, data.robot.delay_s + data.command.shift_s
     if data.robot.order == 1:
         return np.array([denominator[1], delay])
     omega = float(np.sqrt(denominator[2]))
@@ -107,12 +77,14 @@ def _robot_values(data: JointData) -> FloatArray:
 
 def _robot_first(data: JointData, start: FloatArray) -> tuple[Problem, FloatArray]:
     """Fit the robot to the pose alone; only then what the pose shows beside it can be told from a wrong robot."""
-    layout, rests = Layout(robot_order=_order(data), surfaces=0), _quiet_rests(data)
+    layout, rests = Layout(robot_order=data.robot_order, surfaces=0), _quiet_rests(data)
+    if not rests:
+        raise EstimateError("The noise is told by spans at rest without contact, found none; stand still for 1 s.")
     signals = Signals(
         period_s=data.period_s,
         position_m=data.position_m,
         force_n=data.force_n,
-        command_m=data.command_m if layout.robot_order else None,
+        command_m=None if data.command is None or data.robot is None else data.command.command_m,
         smoother=Smoother(taps=None),
     )
     rest_noise = fit_whitener([_settled(data.force_n[s]) for s in rests])
@@ -140,6 +112,8 @@ def _robot_first(data: JointData, start: FloatArray) -> tuple[Problem, FloatArra
 def _quiet_rests(data: JointData) -> list[slice]:
     """Return the rests without their first part, in which the cell still settles, and without those that shake."""
     settling = round(_SETTLING_S / data.period_s)
+    if not data.rests:
+        return []
     inner = [slice(s.start + min(settling, len(s) // 2), s.stop) for s in data.rests]
     spread = np.array([[np.std(_settled(v[s])) for v in (data.force_n, data.position_m)] for s in inner])
     usual = np.median(spread, axis=0)
@@ -215,7 +189,8 @@ def _together(
     )
     layout = Layout(robot_order=problem.layout.robot_order, surfaces=max(groups, default=-1) + 1)
     order = sorted(range(len(found)), key=lambda i: groups[i])
-    surfaces, own = [], []
+    surfaces: list[FloatArray] = []
+    own: list[FloatArray] = []
     for index in range(layout.surfaces):
         surface, nuisances = start_surface(problem, point, [found[i] for i in order if groups[i] == index])
         surfaces.append(surface)
@@ -229,7 +204,30 @@ def _together(
     )
     whole = Point(values=np.concatenate([point.values, *surfaces]), nuisances=(*point.nuisances, *own))
     whole, _ = minimise(joined, whole, _STEPS_FIRST)
-    return joined, whole, [found[i] for i in order]
+    kept = _unsuspicious(joined, whole)
+    if len(kept) < len(joined.segments):
+        joined = replace(joined, segments=tuple(joined.segments[i] for i in kept))
+        whole = replace(whole, nuisances=tuple(whole.nuisances[i] for i in kept))
+        whole, _ = minimise(joined, whole, _STEPS_FIRST)
+    free = len(problem.segments)
+    return joined, whole, [found[order[i - free]] for i in kept if i >= free]
+
+
+def _unsuspicious(problem: Problem, point: Point) -> list[int]:
+    """Return which spans are no outliers: misfit up to 8 times the usual one of their kind, three of a kind or more.
+
+    A surface keeps its best contact.
+    """
+    blocks = linearise(problem, point)[: len(problem.segments)]
+    misfit = np.array([float(np.mean(block.residual**2)) for block in blocks])
+    kept = []
+    for i, segment in enumerate(problem.segments):
+        alike = [j for j, s in enumerate(problem.segments) if s.is_contact == segment.is_contact]
+        same = [j for j in alike if problem.segments[j].surface == segment.surface]
+        usual = max(float(np.median(misfit[alike])), 1.0)
+        if len(alike) < _ENOUGH_TO_TELL or misfit[i] <= _OUTLYING * usual or misfit[i] == np.min(misfit[same]):
+            kept.append(i)
+    return kept
 
 
 def _recoloured(problem: Problem, point: Point) -> Problem:

@@ -118,9 +118,7 @@ def returns_at_once(body: Body) -> bool:
 
 
 @compiled
-def pressing(
-    state: FloatArray, ends: tuple[float, float, float, float], at: float, body: Body, touching: bool
-) -> bool:
+def pressing(state: FloatArray, ends: tuple[float, float, float, float], at: float, body: Body, touching: bool) -> bool:
     """Tell whether the payload is on the environment, given whether it was: force when on it, gap when off it."""
     if touching:
         force = body[4] * state[0] + body[5] * state[1]

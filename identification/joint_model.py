@@ -105,7 +105,9 @@ def body(coupling: FloatArray, surface: FloatArray, period_s: float) -> Body:
     return k_s, b_s / h, b_p / h, m_p / h**2, k_e, b_e / h, m_e / h**2
 
 
-def payload_step(of: Body, robot: FloatArray | None, fraction: float, *, touching: bool) -> tuple[FloatArray, FloatArray]:
+def payload_step(
+    of: Body, robot: FloatArray | None, fraction: float, *, touching: bool
+) -> tuple[FloatArray, FloatArray]:
     """Return (2, 2) and (2, m) matrices: p' = phi p + gamma w over one sample, exactly.
 
     w is (robot state, older and newer command, if there is a robot; then four Taylor coefficients of the rest of the

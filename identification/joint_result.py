@@ -15,7 +15,7 @@ from .joint_model import robot_model
 from .joint_noise import whiteness
 from .joint_profile import bounded_intervals
 from .joint_segments import Segment, predict_force
-from .joint_solve import Block, Point, Problem, information, logarithmic, minimise, sizes_of
+from .joint_solve import Block, Point, Problem, information, linearise, logarithmic, minimise, sizes_of
 
 FloatArray = NDArray[np.float64]
 
@@ -91,20 +91,23 @@ class JointFit:
 
 
 def describe(
-    problem: Problem, point: Point, blocks: Sequence[Block], found: Sequence[FoundContact], rest_rms_n: float
+    problem: Problem, point: Point, found: Sequence[FoundContact], *, rest_rms_n: float, command_shift_s: float
 ) -> JointFit:
-    """Turn the minimum into a result."""
-    layout = problem.layout
+    """Turn the minimum into a result; the delay counts from the command and not from the tick before it."""
+    layout, blocks = problem.layout, linearise(problem, point)
     spread = other_minima(problem, point, widened(blocks, len(layout), problem.signals.period_s))
     sizes = sizes_of(point.values, layout, problem.signals.period_s)
     covariance = spread.covariance * np.outer(sizes, sizes)
+    values = point.values.copy()
+    if layout.robot_order:
+        values[layout.robot.stop - 1] = max(values[layout.robot.stop - 1] - command_shift_s, 0.0)
     surfaces = tuple(_surface(i, problem, point, covariance, found) for i in range(layout.surfaces))
     return JointFit(
         names=layout.names,
-        values=point.values,
+        values=values,
         covariance=covariance,
         ci95=bounded_intervals(problem, point, blocks, spread),
-        robot=robot_model(point.values[layout.robot]) if layout.robot_order else None,
+        robot=robot_model(values[layout.robot]) if layout.robot_order else None,
         surfaces=surfaces,
         diagnostics=_diagnostics(problem, point, blocks, spread, rest_rms_n),
     )

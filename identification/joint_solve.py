@@ -48,12 +48,20 @@ class Point:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Summary:
+    """A quadratic form |root · u|² of all shared parameters about `values`, u counted as the steps are."""
+
+    root: FloatArray
+    values: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
 class Problem:
     """What is fitted: force over `segments`, pose over `pose_spans`, with one whitener per kind of span.
 
-    `priors` maps parameter names to value and standard deviation; `fixed` are indices that stay as they are,
-    and with the robot's among them `known_path` is the flange's path. No payload is lighter than `lightest_kg`: next
-    to nothing, its own motion could not be told from rounding.
+    `priors` are (index, value, standard deviation); `fixed` are indices that stay as they are, and with the robot's
+    among them `known_path` is the flange's path; `summary` stands for other spans. No payload is lighter than
+    `lightest_kg`: next to nothing, its own motion could not be told from rounding.
     """
 
     signals: Signals
@@ -66,6 +74,7 @@ class Problem:
     priors: tuple[tuple[int, float, float], ...] = ()
     fixed: tuple[int, ...] = ()
     known_path: FlangePath | None = None
+    summary: Summary | None = None
     lightest_kg: float = 0.01
 
     def path(self, values: FloatArray) -> FlangePath:
@@ -146,7 +155,21 @@ def linearise(problem: Problem, point: Point) -> list[Block]:
         one = np.array([[sizes[index] / std]])
         residual = np.array([(point.values[index] - value) / std])
         blocks.append(Block(residual=residual, jacobian=one, indices=np.array([index]), own=None))
+    if problem.summary is not None:
+        root = problem.summary.root
+        residual = root @ _apart(problem, point.values)
+        blocks.append(Block(residual=residual, jacobian=root, indices=np.arange(len(layout)), own=None))
     return blocks
+
+
+def _apart(problem: Problem, values: FloatArray) -> FloatArray:
+    """Return how many steps away from the summary's centre the parameters are."""
+    if problem.summary is None:
+        return np.zeros(len(values))
+    centre = problem.summary.values
+    ratio = np.log(np.maximum(values, 1e-300) / np.maximum(centre, 1e-300))
+    sizes = sizes_of(centre, problem.layout, problem.signals.period_s)
+    return np.where(logarithmic(problem.layout), ratio, (values - centre) / sizes)
 
 
 def _block(rows: FloatArray, indices: NDArray[np.intp], own_count: int) -> Block:
@@ -197,10 +220,12 @@ def cost(problem: Problem, point: Point) -> float:
         predicted = predict_force(point.values, nuisance, segment, path, layout, signals.period_s)
         error = problem.noise(segment).apply(predicted - signals.force_n[segment.slice])
         total += float(error @ error)
-    if layout.robot_order:
+    if layout.robot_order and problem.pose_spans:
         for span in problem.pose_spans:
             error = problem.pose_noise.apply(path.misfit_m[span] - np.mean(path.misfit_m[span]))
             total += float(error @ error) - len(error) * float(np.mean(error)) ** 2
+    if problem.summary is not None:
+        total += float(np.sum((problem.summary.root @ _apart(problem, point.values)) ** 2))
     total += sum(((float(point.values[i]) - value) / std) ** 2 for i, value, std in problem.priors)
     return total if np.isfinite(total) else np.inf
 

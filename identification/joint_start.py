@@ -28,15 +28,16 @@ def start_coupling(
 ) -> tuple[FloatArray, float]:
     """Return shared parameters whose K_s, B_s, B_p, M_p fit one span of free motion, and the sum of squares left.
 
-    `values` is one start; others have the drag and mass that slow motion shows (or
-    `mass_kg`) and a resonance at several frequencies: where the sweep ends below it, the linear estimates of the stages may be far off.
+    `values` is one start. Others have the drag and mass that slow motion shows (or `mass_kg`) and a resonance at
+    several frequencies: where the sweep ends below it, the linear estimates of the stages may be far off.
     """
     robot = tuple(range(4, len(problem.layout)))
     alone = replace(problem, segments=(segment,), pose_spans=(), fixed=robot, known_path=problem.path(values))
     drag, slow_mass = _slow_payload(problem, values, segment)
     mass = slow_mass if mass_kg is None else mass_kg
     starts = [values]
-    for frequency in _RESONANCES_HZ[_RESONANCES_HZ < _HIGHEST_SHARE / problem.signals.period_s]:
+    highest = _HIGHEST_SHARE / problem.signals.period_s
+    for frequency in (f for f in _RESONANCES_HZ if f < highest):
         omega = 2.0 * np.pi * frequency
         start = values.copy()
         start[:4] = mass * omega**2, 2.0 * _START_DAMPING_RATIO * mass * omega, drag, mass
@@ -108,8 +109,7 @@ def start_surface(
             proposals.append(contact.surface)
     own = tuple(c.nuisance for c in contacts)
     fits = [
-        minimise(group, Point(values=np.concatenate([point.values, p]), nuisances=own), _STEPS_GROUP)
-        for p in proposals
+        minimise(group, Point(values=np.concatenate([point.values, p]), nuisances=own), _STEPS_GROUP) for p in proposals
     ]
     best, _ = min(fits, key=lambda fit: fit[1])
     return best.values[group.layout.surface(0)], best.nuisances

@@ -17,6 +17,7 @@ from .segments import Span
 FloatArray = NDArray[np.float64]
 
 _TRIM_S = 0.12
+_SHAKING = 0.15
 _LONGEST_SEGMENT = 4096
 _SHORTEST_SEGMENT = 64
 _LINE_FACTOR = 30.0
@@ -76,7 +77,7 @@ def identify_sensor_noise(log: AlignedLog, still: Sequence[Span], wrench: Wrench
     if not rests:
         return None
     signal = np.hstack([log.force_S_n, log.torque_S_n_m])
-    pieces = [np.asarray(detrend(signal[rest], axis=0)) for rest in rests]
+    pieces = _quiet([np.asarray(detrend(signal[rest], axis=0)) for rest in rests])
     frequency, density, segments = _spectrum(pieces, 1.0 / log.period_s)
     samples = np.array([len(piece) for piece in pieces], dtype=np.float64)
     # Detrending takes two degrees of freedom of each rest.
@@ -87,6 +88,8 @@ def identify_sensor_noise(log: AlignedLog, still: Sequence[Span], wrench: Wrench
     step = float(frequency[1] - frequency[0])
     breadth = (np.sum(density, axis=0) * step) ** 2 / np.maximum(np.sum(density**2, axis=0) * step, 1e-300)
     independent = np.maximum(2.0 * breadth * float(np.sum(samples)) * log.period_s, 2.0)
+    # Rests that differ by more than chance, with a payload that still swings a little, say how far the rms is to trust.
+    between = np.std([np.std(piece, axis=0) for piece in pieces], axis=0) / np.sqrt(max(len(pieces) - 1, 1))
     columns = np.hstack([wrench.force_n, wrench.torque_n_m])
     lines = _lines(frequency, density, segments)
     resolution = tuple(find_resolution(column) for column in columns.T)
@@ -95,7 +98,7 @@ def identify_sensor_noise(log: AlignedLog, still: Sequence[Span], wrench: Wrench
         frequency_hz=frequency,
         density=density,
         rms=rms,
-        rms_std=rms / np.sqrt(2.0 * independent),
+        rms_std=np.hypot(rms / np.sqrt(2.0 * independent), between),
         bandwidth_hz=np.asarray(np.where(low > 0.0, variance / np.maximum(low, 1e-300), 0.0)),
         resolution=resolution,
         deadband=deadband,
@@ -103,6 +106,15 @@ def identify_sensor_noise(log: AlignedLog, still: Sequence[Span], wrench: Wrench
         rest_s=float(np.sum(samples)) * log.period_s,
         findings=(*_line_findings(lines, rms), *_coarse(resolution, rms), *_deadbands(deadband)),
     )
+
+
+def _quiet(pieces: list[FloatArray]) -> list[FloatArray]:
+    """Keep the rests that shake no more than the quieter ones: a payload that swings is not the sensor's noise."""
+    variance = np.array([np.var(piece, axis=0) for piece in pieces])
+    least = np.maximum(np.quantile(variance, 0.25, axis=0), 1e-300)
+    chance = np.sqrt(2.0 / np.array([len(piece) for piece in pieces]))
+    quiet = np.max(variance / least, axis=1) < 1.0 + np.maximum(_SHAKING, 4.0 * chance)
+    return [piece for piece, keep in zip(pieces, quiet, strict=True) if keep] if np.any(quiet) else pieces
 
 
 def _spectrum(pieces: Sequence[FloatArray], rate_hz: float) -> tuple[FloatArray, FloatArray, int]:

@@ -91,7 +91,7 @@ def _check_statistics(layout: Layout) -> None:
     total = total_counts(layout.pieces)
     chunks = sum(piece.is_chunk for piece in layout.pieces)
     per_channel = {key: count for key, count in told.channel_message_counts.items() if count}
-    are_others = False and bool(per_channel) and per_channel != total
+    are_others = bool(per_channel) and per_channel != total
     if (told.message_count, told.chunk_count) != (total.total(), chunks) or are_others:
         raise Damage(
             layout.data_stop,

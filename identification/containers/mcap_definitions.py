@@ -31,7 +31,9 @@ class Definitions:
             return
         if kind == Kind.SCHEMA:
             schema = parse_schema(body, offset)
-            if schema.id == 0 or self._schemas.setdefault(schema.id, schema) != schema:
+            if schema.id == 0:
+                raise Damage(offset, "a schema has the id 0, which stands for none")
+            if self._schemas.setdefault(schema.id, schema) != schema:
                 raise Damage(offset, f"schema {schema.id} is defined twice, differently")
         else:
             channel = parse_channel(body, offset)

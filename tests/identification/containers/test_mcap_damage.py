@@ -185,7 +185,7 @@ CASES: dict[str, tuple[bytes, str]] = {
         HEAD + SCHEMA + CHANNEL + chunk(record(raw.CHANNEL, raw.channel(1, 1, "/b", "cdr"))) + TAIL,
         "channel 1 is defined twice",
     ),
-    "schema 0": (HEAD + record(raw.SCHEMA, raw.schema(0, "A", "", b"")) + TAIL, "schema 0"),
+    "schema 0": (HEAD + record(raw.SCHEMA, raw.schema(0, "A", "", b"")) + TAIL, "a schema has the id 0"),
     "bogus length": (HEAD + struct.pack("<BQ", 6, HUGE) + TAIL, f"says {HUGE} bytes should follow"),
     "largest length": (HEAD + struct.pack("<BQ", 6, 2**64 - 1) + TAIL, "says 18446744073709551615 bytes"),
     "short top message": (HEAD + SCHEMA + CHANNEL + record(5, b"abc") + TAIL, "message record of 3 bytes is too short"),

@@ -365,6 +365,7 @@ HUGE = u32(2**30)
         (bag_of(message(3, START_NS, b"data"), [(START_NS, 0)]), "or others"),
         (bag_of(connection(0, b"/b") + ONE, [(START_NS, 0)]), "connection 0 is defined twice, differently"),
         (bag_of(record(9), [(START_NS, 0)]), "holds no record at byte 0"),
+        (bag_of(ONE.replace(time_of(START_NS), u32(5) + u32(10**9)), [(START_NS, 0)]), "holds no record at byte 0"),
         (b"#ROSBAG V1.2\n" + SOUND[13:], "must start with the line"),
         (SOUND.replace(b"\x0f\0\0\0conn_count", b"\x0f\0\0\x7fconn_count"), "header field is damaged"),
         (SOUND[:13] + u32(2**31) + SOUND[17:], "record header of 2147483648 bytes is not believable"),

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from identification.containers import sqlite_file, zstd_messages
 from identification.containers.sqlite_bag import SqliteBagContainer
+from identification.containers.sqlite_pages import SqlitePages
 from identification.errors import LogError
 from tests.identification.containers.database import TEXTS, change, write_db3
 from tests.identification.containers.stored import (
@@ -197,6 +198,28 @@ def test_a_page_that_cannot_be_read_costs_that_page_alone(
         # At least 17 bytes are needed for each message in a page.
         assert len(sound) - len(found) <= page_bytes // 17
         assert container.findings()[0].code == "salvaged"
+
+
+@pytest.mark.parametrize("page_bytes", [512, 1024])
+def test_records_of_every_length_are_salvaged(tmp_path: Path, page_bytes: int) -> None:
+    """How much of a record stands in its page and how much in others depends on its length."""
+    messages = [Stored(topic="/ft", log_ns=START_NS + i, data=bytes([i % 250]) * i) for i in range(1800)]
+    path = write_db3(tmp_path / "run.db3", messages, page_bytes=page_bytes)
+    with closing(sqlite3.connect(path)) as base:
+        (root,) = base.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'").fetchone()
+    data = bytearray(path.read_bytes())
+    data[(root - 1) * page_bytes : root * page_bytes] = bytes(page_bytes)
+    path.write_bytes(data)
+    assert read_all(SqliteBagContainer(path, salvage=True)) == told(messages)
+
+
+def test_a_record_that_its_columns_do_not_fill_is_no_message(tmp_path: Path) -> None:
+    pages = SqlitePages(write_db3(tmp_path / "run.db3", []), (1, 2, 3))
+    record = bytes([5, 0, 1, 1, 18]) + b"\x07\x08abc"
+    assert pages._values(record) == (7, 8, b"abc")
+    for wrong in (record + b"d", record[:-1], bytes([6]) + record[1:], bytes([4]) + record[1:]):
+        with pytest.raises((ValueError, IndexError)):
+            pages._values(wrong)
 
 
 def test_a_damaged_rowid_does_not_cost_what_follows(tmp_path: Path) -> None:

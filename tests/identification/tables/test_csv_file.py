@@ -129,6 +129,14 @@ def test_a_table_without_names_has_indices_and_so_have_columns_without(tmp_path:
     assert list_columns(path, replace(AB, header_rows=1)) == ("1", "2")
 
 
+def test_a_semicolon_separates_where_commas_are_decimal_marks(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.csv", "0,5;1,25\n1,5;2,25\n")
+    layout = TableLayout(columns=("0", "1"), sample_rate_hz=1000, decimal=",")
+    assert read_table(path, layout).values.tolist() == [[0.5, 1.25], [1.5, 2.25]]
+    with pytest.raises(LogError, match=r"line 1: column `0` holds '0,5', a number with a decimal comma"):
+        read_table(path, replace(layout, decimal="."))
+
+
 def test_columns_that_are_not_wanted_may_hold_anything(tmp_path: Path) -> None:
     path = write(tmp_path / "run.csv", 't,note,a,b\n0,"x, y",1,2\n1,NaN;,3,4\n')
     assert read_table(path, TIMED).values.tolist() == [[1, 2], [3, 4]]
