@@ -79,7 +79,7 @@ class Convention:
         if self.reading.inverted:
             told.append("pose.parent and pose.child: swapped (what is logged is flange from base)")
         if self.pull is Pull.WRENCH:
-            told.append("wrench.exerted_by: the other one (sensor where it was payload)")
+            told.append("wrench.exerted_by: sensor (payload where it is sensor now)")
         if self.pull is Pull.GRAVITY:
             told.append(f"gravity_direction: {_numbers(declared.R_WB.inv().apply([0.0, 0.0, 1.0]))}")
         if self.reading.is_turned:
@@ -170,25 +170,29 @@ class ConventionRanking:
         alike = self.alike
         told = "; ".join(self._told(each) for each in alike[:_MOST_TOLD])
         more = f"; and {len(alike) - _MOST_TOLD} more" if len(alike) > _MOST_TOLD else ""
-        declared = "" if self.declared is None else f" ({_residuals(self.declared)} as declared)"
         return (
-            f"The declared conventions do not fit the weight{declared}, and {len(alike)} others fit it alike. Say in "
+            f"The declared conventions {self._declared()}, and {len(alike)} others fit it alike. Say in "
             f"cell.yaml which it is: {told}{more}. Poses that also turn about the vertical tell more of them apart."
         )
 
     def _told(self, convention: Convention) -> str:
-        return f"`{', '.join(convention.entries(self.frames))}` ({_residuals(convention)})"
+        return f"`{', '.join(convention.entries(self.frames))}` ({_residuals(convention)} left)"
+
+    def _declared(self) -> str:
+        if self.declared is None:
+            return "make the payload's mass negative"
+        return f"leave {_residuals(self.declared)} of the weight unexplained"
 
     def findings(self) -> tuple[Finding, ...]:
         """Return what the user should know: a convention that was found, or that nothing could be checked."""
-        if self.verdict is Verdict.FOUND and self.declared is not None:
+        if self.verdict is Verdict.FOUND:
             best = self.alike[0]
             return (
                 Finding(
                     code="convention-found",
                     severity="warning",
-                    message=f"The declared conventions leave {_residuals(self.declared)} of the weight; the log was "
-                    f"read as {self._told(best)} instead, the only one of {len(self.candidates)} that fits.",
+                    message=f"The declared conventions {self._declared()}; the log was read as {self._told(best)} "
+                    f"instead, the only one of {len(self.candidates)} that fits.",
                     advice="Declare it in cell.yaml.",
                 ),
             )
@@ -290,7 +294,7 @@ def _candidates(scores: Scores) -> tuple[Convention, ...]:
 
 
 def _residuals(convention: Convention) -> str:
-    return f"{convention.residual_rms_n:.3g} N and {convention.torque_residual_rms_n_m:.3g} N·m left"
+    return f"{convention.residual_rms_n:.3g} N and {convention.torque_residual_rms_n_m:.3g} N·m"
 
 
 def _numbers(values: FloatArray) -> str:
