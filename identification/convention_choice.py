@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 from .aligned import AlignedLog, align
+from .convention import Convention, Pull
 from .convention_fit import Frames
-from .conventions import Convention, ConventionRanking, Pull, Verdict, rank_conventions
+from .conventions import ConventionRanking, Verdict, rank_conventions
 from .errors import EstimateError
 from .gravity import identify_gravity
 from .inertia import inertial_sign

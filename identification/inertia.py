@@ -27,7 +27,8 @@ _INCONSISTENT = 16.0
 _PRODUCT_FLOOR = 0.2
 # The equations are of a rigid payload: a gripper that swings at 20 Hz adds 1 % to a turn that takes half a second.
 _MODEL_STD_SHARE = 0.01
-_UNKNOWN = 1e2
+# Directions that no move excites stay 0 with a deviation far above any payload (kg, kg·m, kg·m², N, N·m; s).
+_PRIOR_STD = np.concatenate([np.full(16, 1e2), [1.0]])
 _METHOD = "Newton-Euler least squares over moves that turn the tool, below 8 Hz"
 _ADVICE = (
     "Record moves of 0.5 to 1 s each that turn the tool by 40 degrees or more and back, about each of its three axes, "
@@ -154,11 +155,10 @@ def _solve(data: MotionRows, inside: BoolArray) -> tuple[FloatArray, FloatArray]
     values = np.zeros(17)
     for _ in range(4):
         spread = np.maximum(spread, np.maximum(data.noise, 1e-9))
-        rows = (data.rows[inside] / spread[:, None]).reshape(-1, 17)
-        scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-12)
-        told = (data.values[inside] / spread).reshape(-1)
-        # A direction that no move excites stays 0 here; its variance says so.
-        values = np.linalg.lstsq(rows / scale, told, rcond=1e-9)[0] / scale
+        rows = np.vstack([(data.rows[inside] / spread[:, None]).reshape(-1, 17), np.diag(1.0 / _PRIOR_STD)])
+        told = np.concatenate([(data.values[inside] / spread).reshape(-1), np.zeros(17)])
+        scale = np.linalg.norm(rows, axis=0)
+        values = np.linalg.lstsq(rows / scale, told, rcond=None)[0] / scale
         left = data.values[inside] - data.rows[inside] @ values
         spread = np.sqrt(np.mean(left**2, axis=0))
         spread = np.repeat([np.sqrt(np.mean(spread[:3] ** 2)), np.sqrt(np.mean(spread[3:] ** 2))], 3)
@@ -169,9 +169,7 @@ def _covariance(rows: FloatArray, left: FloatArray, move: NDArray[np.int64]) -> 
     """Return the covariance (17, 17) of a whitened fit, widened by what whole moves misfit together."""
     flat = rows.reshape(-1, 17)
     freedom = max(left.size - 17, 1)
-    # Directions without information get a variance far above any payload instead of none.
-    prior = np.diag(1.0 / np.concatenate([[_UNKNOWN], np.full(9, _UNKNOWN), np.full(6, _UNKNOWN), [1.0]]) ** 2)
-    inverse = np.linalg.inv(flat.T @ flat + prior)
+    inverse = np.linalg.inv(flat.T @ flat + np.diag(1.0 / _PRIOR_STD**2))
     covariance = max(1.0, float(np.sum(left**2)) / freedom) * inverse
     meat = np.zeros((17, 17))
     for number in np.unique(move):

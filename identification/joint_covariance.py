@@ -1,5 +1,6 @@
 """The covariance of the joint fit, widened where the residuals say more than their size."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -10,12 +11,15 @@ from .joint_solve import Block, Point, Problem, cost, information, minimise, siz
 
 FloatArray = NDArray[np.float64]
 
-_CHUNK_S = 0.1
+_WHOLE_S = 1e4
+_PIECES_S = (0.1, 0.5, _WHOLE_S)
 _STEPS = 4
 _DOUBTFUL_STDS = 5.0
 _OTHER_MASS_SHARE = 0.3
 _SMOOTH_SHARE = 0.003
 _UNKNOWN_SHARE = 0.25
+_SWING_STIFFNESS_SHARE, _SWING_DAMPING_SHARE = 0.02, 0.1
+_FREE_MISFITS, _CONTACT_MISFITS = 40, 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,18 +34,20 @@ class Spread:
 def widened(blocks: Sequence[Block], count: int, period_s: float) -> Spread:
     """Return H⁻¹, H = JᵀJ of the whitened residuals, made larger where the scores Jᵀr scatter more than H says.
 
-    Were the residuals white noise, the scores of pieces of 0.1 s and of whole spans would scatter by H. Directions in
-    which they scatter by λ > (1 + √(p/n))², the largest that chance makes of n pieces and p parameters (Marchenko and
-    Pastur 1967), have their variance multiplied by λ: a misfit that is no noise counts as n independent ones.
+    Were the residuals white noise, the scores of pieces of 0.1 s, of 0.5 s and of whole spans would scatter by H.
+    Directions in which they scatter by λ > (1 + √(p/n))², the largest that chance makes of n pieces and p parameters
+    (Marchenko and Pastur 1967), have their variance multiplied by λ: a misfit that is no noise counts as n
+    independent ones.
     """
     matrix, _ = information(blocks, count)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
     # What nothing tells gets a variance that no verdict can overlook.
     root = vectors / np.sqrt(np.maximum(values, 1e-12))
-    pieces = [_scores(block, count, max(1, round(_CHUNK_S / period_s))) for block in blocks]
     factor = np.eye(count)
-    for scores in (np.concatenate(pieces), np.array([p.sum(axis=0) for p in pieces])):
+    for length_s in _PIECES_S:
+        length = max(1, round(length_s / period_s))
+        scores = np.concatenate([_scores(block, count, length) for block in blocks])
         factor = factor + _excess(scores * scale @ root)
     inner = root @ factor @ root.T * np.outer(scale, scale)
     inner += _doubtful(blocks, root @ root.T * np.outer(scale, scale), count)
@@ -113,17 +119,57 @@ def _linear_no_more(problem: Problem, point: Point, covariance: FloatArray, size
 
     Without a command 0.3 % of K_s, B_p and M_p for a path that is smooth between the ticks only by assumption. Where
     K_s or M_p is not known to a quarter, what lies behind them is not known at all: B_e to the critical damping, M_e
-    to the payload's mass.
+    to the payload's mass. An environment that may still swing when it is touched again is not the one at rest of the
+    model: the share of the swing that is left counts as a share of B_e's critical damping, M_e and K_e.
     """
     out = np.zeros(len(point.values))
     if problem.layout.robot_order == 0:
         out[[0, 2, 3]] = (_SMOOTH_SHARE * point.values[[0, 2, 3]] / sizes[[0, 2, 3]]) ** 2
-    if max(covariance[0, 0], covariance[3, 3]) > _UNKNOWN_SHARE**2:
-        for i in range(problem.layout.surfaces):
-            first = problem.layout.surface(i).start
-            out[first + 1] = (2.0 * np.sqrt(point.values[first] * point.values[3]) / sizes[first + 1]) ** 2
-            out[first + 2] = (point.values[3] / sizes[first + 2]) ** 2
+    unknown = max(covariance[0, 0], covariance[3, 3]) > _UNKNOWN_SHARE**2
+    for i in range(problem.layout.surfaces):
+        first = problem.layout.surface(i).start
+        k_e, b_e, m_e = (float(v) for v in point.values[first : first + 3])
+        left = _swing_left(problem, i, b_e, m_e)
+        critical, mass = 2.0 * np.sqrt(k_e * point.values[3]), point.values[3]
+        out[first] = (_SWING_STIFFNESS_SHARE * left) ** 2
+        out[first + 1] = ((1.0 if unknown else _SWING_DAMPING_SHARE * left) * critical / sizes[first + 1]) ** 2
+        out[first + 2] = ((mass if unknown else left * m_e) / sizes[first + 2]) ** 2
     return out
+
+
+def _swing_left(problem: Problem, surface: int, damping: float, mass: float) -> float:
+    """Return the largest share of a swing, e^(−B_e t/(2 M_e)), that is left after the pauses t between contacts."""
+    mine = sorted((s.start, s.stop) for s in problem.segments if s.surface == surface)
+    pauses = [later[0] - earlier[1] for earlier, later in itertools.pairwise(mine)]
+    if mass <= 0.0 or not pauses:
+        return 0.0
+    return float(np.exp(-0.5 * damping / mass * min(pauses) * problem.signals.period_s))
+
+
+def count_misfits(problem: Problem, spread: Spread, noise_ratio: tuple[float, float]) -> Spread:
+    """Return the covariance with what exceeds the noise counted as a few misfits, 40 in free motion, 10 a contact.
+
+    `noise_ratio` are residual RMS over the force's noise at rest, in free motion and in contact. N samples whose mean
+    square exceeds 1 by e, beyond chance (four deviations, √(2/N) each), multiply variances by 1 + e N/(misfits):
+    those of the surfaces by what contacts have more than free motion, and all by what free motion has; that only
+    where no pose noise comes in, which makes the residual larger without a misfit.
+    """
+    counts = [sum(len(s) for s in problem.segments if s.is_contact == kind) for kind in (False, True)]
+    free, contact = noise_ratio[0] ** 2, noise_ratio[1] ** 2 / max(noise_ratio[0] ** 2, 1.0)
+    contacts = sum(s.is_contact for s in problem.segments)
+    factor = np.ones(len(problem.layout))
+    if problem.layout.robot_order and problem.signals.smoother.taps is None:
+        factor *= _factor(free, counts[0], _FREE_MISFITS)
+    factor[problem.layout.robot.stop :] *= _factor(contact, counts[1], _CONTACT_MISFITS * contacts)
+    covariance = spread.covariance * np.outer(factor, factor)
+    return replace(spread, covariance=covariance, widening=spread.widening * float(np.max(factor)))
+
+
+def _factor(mean_square: float, count: int, misfits: int) -> float:
+    if count == 0:
+        return 1.0
+    excess = max(mean_square - 1.0 - 4.0 * float(np.sqrt(2.0 / count)), 0.0)
+    return float(np.sqrt(1.0 + excess * count / misfits))
 
 
 def _fixing(problem: Problem, index: int) -> Problem:

@@ -18,6 +18,8 @@ FloatArray = NDArray[np.float64]
 
 _SAME_PHASE = 0.05
 _ROUNDING = 1e-3
+_USUAL_RESONANCE_HZ = 25.0
+_USUAL_DRAG_N_S_PER_M = 200.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,12 +89,15 @@ def build_joint_data(
     motion: Motion,
     axis: AxisMotion,
     holds: Sequence[Span],
-    coupling: CouplingFit,
+    coupling: CouplingFit | None,
     robot: RobotModel | None,
     command: PoseSignal | None,
     mass_kg: float,
 ) -> JointData:
-    """Gather what `identify_joint` needs; `holds` are the rests that press along this axis, `mass_kg` from gravity."""
+    """Gather what `identify_joint` needs; `holds` are the rests that press along this axis, `mass_kg` from gravity.
+
+    Where the stage refused the coupling (None), the refinement starts from the mass and a usual resonance.
+    """
     held = None if command is None or robot is None else hold_command(command, log, axis)
     pressed = {(s.start, s.stop) for s in holds}
     return JointData(
@@ -104,9 +109,16 @@ def build_joint_data(
         moving=axis.spans,
         free=unguided_spans(axis),
         holds=tuple(holds),
-        coupling=np.array(
-            [coupling.stiffness_n_per_m, coupling.damping_n_s_per_m, coupling.drag_n_s_per_m, coupling.mass_kg]
-        ),
+        coupling=_start(mass_kg) if coupling is None else _values(coupling),
         robot=robot,
         mass_kg=mass_kg,
     )
+
+
+def _values(coupling: CouplingFit) -> FloatArray:
+    return np.array([coupling.stiffness_n_per_m, coupling.damping_n_s_per_m, coupling.drag_n_s_per_m, coupling.mass_kg])
+
+
+def _start(mass_kg: float) -> FloatArray:
+    omega = 2.0 * np.pi * _USUAL_RESONANCE_HZ
+    return np.array([mass_kg * omega**2, 0.1 * mass_kg * omega, _USUAL_DRAG_N_S_PER_M, mass_kg])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from problems.robot import RobotModel
 
 from .joint_contacts import FoundContact
-from .joint_covariance import Spread, other_minima, widened
+from .joint_covariance import Spread, count_misfits, other_minima, widened
 from .joint_model import robot_model
 from .joint_noise import whiteness
 from .joint_profile import bounded_intervals
@@ -95,7 +95,9 @@ def describe(
 ) -> JointFit:
     """Turn the minimum into a result; the delay counts from the command and not from the tick before it."""
     layout, blocks = problem.layout, linearise(problem, point)
+    share, ratio = _fit(problem, point, rest_rms_n)
     spread = other_minima(problem, point, widened(blocks, len(layout), problem.signals.period_s))
+    spread = count_misfits(problem, spread, ratio)
     sizes = sizes_of(point.values, layout, problem.signals.period_s)
     covariance = spread.covariance * np.outer(sizes, sizes)
     values = point.values.copy()
@@ -109,7 +111,7 @@ def describe(
         ci95=bounded_intervals(problem, point, blocks, spread),
         robot=robot_model(values[layout.robot]) if layout.robot_order else None,
         surfaces=surfaces,
-        diagnostics=_diagnostics(problem, point, blocks, spread, rest_rms_n),
+        diagnostics=_diagnostics(problem, point, blocks, spread, share, ratio),
     )
 
 
@@ -133,26 +135,36 @@ def _surface(
     )
 
 
-def _diagnostics(
-    problem: Problem, point: Point, blocks: Sequence[Block], spread: Spread, rest_rms_n: float
-) -> Diagnostics:
-    kinds = [tuple(i for i, s in enumerate(problem.segments) if s.is_contact == kind) for kind in (False, True)]
-    errors = [_force_error(problem, point, segment, i) for i, segment in enumerate(problem.segments)]
-    forces = [problem.signals.force_n[s.slice] for s in problem.segments]
+def _fit(problem: Problem, point: Point, rest_rms_n: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return, free and touching, the share of the force's variance that is explained, and residual over noise."""
     share, ratio = [], []
-    for kind in kinds:
-        left = float(sum(np.sum(errors[i] ** 2) for i in kind))
-        all_of = float(sum(np.sum((forces[i] - np.mean(forces[i])) ** 2) for i in kind))
-        count = sum(len(errors[i]) for i in kind)
+    for kind in (False, True):
+        mine = [(i, s) for i, s in enumerate(problem.segments) if s.is_contact == kind]
+        forces = [problem.signals.force_n[s.slice] for _, s in mine]
+        left = float(sum(np.sum(_force_error(problem, point, s, i) ** 2) for i, s in mine))
+        all_of = float(sum(np.sum((f - np.mean(f)) ** 2) for f in forces))
+        count = sum(len(f) for f in forces)
         share.append(1.0 - left / all_of if all_of > 0.0 else 0.0)
         ratio.append(float(np.sqrt(left / count)) / rest_rms_n if count else 0.0)
+    return (share[0], share[1]), (ratio[0], ratio[1])
+
+
+def _diagnostics(
+    problem: Problem,
+    point: Point,
+    blocks: Sequence[Block],
+    spread: Spread,
+    fit_share: tuple[float, float],
+    noise_ratio: tuple[float, float],
+) -> Diagnostics:
+    kinds = [tuple(i for i, s in enumerate(problem.segments) if s.is_contact == kind) for kind in (False, True)]
     return Diagnostics(
-        fit_share=(share[0], share[1]),
+        fit_share=fit_share,
         whiteness=(
             whiteness([blocks[i].residual for i in kinds[0]]),
             whiteness([blocks[i].residual for i in kinds[1]]),
         ),
-        noise_ratio=(ratio[0], ratio[1]),
+        noise_ratio=noise_ratio,
         left_out_error=(_left_out(problem, point, blocks, kinds[0]), _left_out(problem, point, blocks, kinds[1])),
         widening=spread.widening,
         used=(len(kinds[0]), len(kinds[1])),

@@ -19,6 +19,7 @@ _SMALLEST_SCATTER_N = 0.05
 _SMALLEST_SCATTER_N_M = 0.01
 _FEWEST_BESIDE_STEP = 3
 _NOISY = 4.0
+_OFF = 10.0
 _EXPLAINED = 0.4
 _SMALLEST_STEP_N = 0.5
 
@@ -76,11 +77,15 @@ class PoseEquations:
 
 @dataclass(frozen=True, kw_only=True)
 class RobustFit:
-    """Which poses fit (n,), the scatter of those, and the weighted sum of all misfits of the force."""
+    """Which poses fit (n,), the scatter of those, and the force's misfit (n,) of all about the first L1 fit."""
 
     keep: BoolArray
     scatter_n: float
-    cost_n: float
+    misfit_n: FloatArray
+
+    def cost(self, shares: FloatArray, unit_n: float) -> float:
+        """Return the weighted sum of the misfits in units between 1 and 10: a touched pose is no more than off."""
+        return float(np.sum(shares * np.clip(self.misfit_n / unit_n, 1.0, _OFF)))
 
 
 def robust_fit(equations: PoseEquations, groups: IntArray) -> RobustFit:
@@ -90,7 +95,7 @@ def robust_fit(equations: PoseEquations, groups: IntArray) -> RobustFit:
     """
     force, torque = equations.force_rows, equations.torque_rows
     keep = np.ones(len(groups), dtype=bool)
-    scatter = cost = 0.0
+    scatter, first = 0.0, None
     for _ in range(_REFITS):
         shares = np.zeros(len(groups))
         shares[keep] = group_shares(groups[keep])
@@ -98,12 +103,12 @@ def robust_fit(equations: PoseEquations, groups: IntArray) -> RobustFit:
         twist = _misfit(torque, equations.torque_n_m, shares, _SMALLEST_SCATTER_N_M)
         scatter = max(1.4826 * weighted_median(pull[keep], shares[keep]), _SMALLEST_SCATTER_N)
         turning = max(1.4826 * weighted_median(twist[keep], shares[keep]), _SMALLEST_SCATTER_N_M)
-        cost = cost or float(np.sum(group_shares(groups) * np.maximum(pull, _SMALLEST_SCATTER_N)))
+        first = pull if first is None else first
         following = (pull < _OUTLIER_DEVIATIONS * scatter) & (twist < _OUTLIER_DEVIATIONS * turning)
         if np.array_equal(following, keep) or not np.any(following):
             break
         keep = following
-    return RobustFit(keep=keep, scatter_n=scatter, cost_n=cost)
+    return RobustFit(keep=keep, scatter_n=scatter, misfit_n=np.zeros(0) if first is None else first)
 
 
 def _misfit(rows: FloatArray, values: FloatArray, shares: FloatArray, floor: float) -> FloatArray:
@@ -130,18 +135,16 @@ def find_bias_step(poses: Sequence[StaticPose], groups: IntArray, single: Robust
     noise = float(np.median([pose.force_mean_std_n for pose in poses]))
     if bool(np.all(single.keep)) and single.scatter_n < _NOISY * max(noise, _SMALLEST_SCATTER_N):
         return None
-    best: tuple[float, int] | None = None
+    shares, best = group_shares(groups), (_EXPLAINED, 0)
     for split in range(1, len(poses)):
         before, after = np.unique(groups[:split]), np.unique(groups[split:])
         if min(len(before), len(after)) < _FEWEST_BESIDE_STEP:
             continue
         early = np.arange(len(poses)) < split
         fit = robust_fit(PoseEquations.of(poses, early=early), groups)
-        if best is None or fit.cost_n < best[0]:
-            best = (fit.cost_n, split)
-    if best is None or best[0] > _EXPLAINED * single.cost_n:
-        return None
-    return best[1] if _step_size(poses, groups, best[1]) > _SMALLEST_STEP_N else None
+        left = fit.cost(shares, fit.scatter_n) / single.cost(shares, fit.scatter_n)
+        best = min(best, (left, split))
+    return best[1] if best[1] and _step_size(poses, groups, best[1]) > _SMALLEST_STEP_N else None
 
 
 def _step_size(poses: Sequence[StaticPose], groups: IntArray, split: int) -> float:

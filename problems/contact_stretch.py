@@ -168,16 +168,12 @@ def stretch_of_three(
     while k < aim:
         held = past[(head + chain - 1) & last]
         sensed = (f[0] * x + f[1] * p) + (f[2] * v + f[3] * held)
+        e = forces[0] + sensed
         if plain:
-            command = (law[0] + law[1]) + direct * (forces[0] + sensed)
-            law_after = (
-                law[0] + integral * (forces[0] + sensed),
-                pole * law[1] + gain * (forces[0] + sensed),
-                0.0,
-                0.0,
-            )
+            command = (law[0] + law[1]) + direct * e
+            law_after = (law[0] + integral * e, pole * law[1] + gain * e, 0.0, 0.0)
         else:
-            command, law_after = controller_step(blocks, law, forces[0] + sensed, rows[0, 0] * x)
+            command, law_after = controller_step(blocks, law, e, rows[0, 0] * x)
         newer = command if whole == 0 else past[(head + whole - 1) & last]
         x_after = a * x + (new[0] * newer + old[0] * held)
         # What hangs on this tick's state comes last: a sum waits for its slowest term.
@@ -193,7 +189,7 @@ def stretch_of_three(
         if touching and pressed > contact_peak:
             contact_peak, contact_tick = pressed, k
             _keep(crest, x, p, v, newer, held, k)
-        loud = k if abs(forces[0] + sensed) >= quiet else loud
+        loud = k if abs(e) >= quiet else loud
         pressed, law, x, p, v = pressing, law_after, x_after, p_after, v_after
         head, k = (head - 1) & last, k + 1
         past[head], aim = command, aim if k < aim else max(aim, min(end, length_of(loud)))

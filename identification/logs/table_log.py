@@ -39,7 +39,7 @@ class TableLog:
         channel, log_ns = self._times.channel, self._times.log_ns
         held = Held(channel=channel, count=int(log_ns.size), first_message=b"")
         start, end = (int(log_ns[0]), int(log_ns[-1])) if self._is_timed else (0, 0)
-        return Survey(container=channel.type_name, held=(held,), start_ns=start, end_ns=end, findings=self._untimed())
+        return Survey(container=channel.type_name, held=(held,), start_ns=start, end_ns=end, findings=self.findings())
 
     @cached_property
     def _times(self) -> Series:
@@ -65,8 +65,8 @@ class TableLog:
         raise LogError(f"{channel.topic} is a table and tells no transform of {pair[1]} in {pair[0]}.")
 
     def findings(self) -> tuple[Finding, ...]:
-        """Tell that the time is not declared, if it is not."""
-        return self._untimed()
+        """Tell that checksums are missing, and the time, if it is not declared."""
+        return (*_unprotected(self.path, self._times.channel.type_name), *self._untimed())
 
     def close(self) -> None:
         """Nothing is open."""
@@ -83,3 +83,19 @@ class TableLog:
                 advice="In cell.yaml name its time column (`table: {time: …}`) or give its `sample_rate_hz`.",
             ),
         )
+
+
+def _unprotected(path: Path, kind: str) -> tuple[Finding, ...]:
+    told = (
+        "the checksums of its pages are verified where they are there, but most writers leave them out"
+        if kind == "parquet"
+        else "a CSV carries none"
+    )
+    return (
+        Finding(
+            code="crc-absent",
+            severity="info",
+            message=f"{path.name} may have no checksums (CRC): {told}; a flipped bit may go unnoticed.",
+            advice="Record MCAP with chunk CRCs where that is possible.",
+        ),
+    )

@@ -65,9 +65,9 @@ def test_stated_deviations_are_those_that_repetition_shows() -> None:
         scores["force"].append((fit.force_bias_S_n - FORCE_BIAS_N) / fit.force_bias_std_n)
         scores["torque"].append((fit.torque_bias_S_n_m - TORQUE_BIAS_N_M) / fit.torque_bias_std_n_m)
     for name, values in scores.items():
-        # A spread over 200 draws is known to 5 %. Of the widenings (Student's law 5 %, never below the noise 10 %, poses
-        # that scatter unlike each other up to 20 %) each makes it smaller, none larger: four deviations above, and
-        # as far below as all of them together.
+        # A spread over 200 draws is known to 5 %. Of the widenings (Student's law 5 %, never below the noise 10 %,
+        # poses that scatter unlike each other up to 20 %) each makes it smaller, none larger: four
+        # deviations above, and as far below as all of them together.
         assert 0.65 < float(np.std(values)) < 1.2, name
         assert abs(float(np.mean(values))) < 4.0 / np.sqrt(draws), name
 

@@ -1,0 +1,216 @@
+"""The joint refinement over simulated cells: the truth within what is stated, and honest where it cannot tell."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from autotune.cell.phases import Program
+from autotune.cell.simulate import simulate_cell
+from autotune.cell.truth import Cell
+from identification.aligned import align
+from identification.axes import commanded_motion, find_axes, free_motions, unguided_spans
+from identification.coupling import Noise, identify_coupling
+from identification.environment import find_holds
+from identification.errors import EstimateError
+from identification.gravity import collect_static_poses, identify_gravity
+from identification.joint_data import JointData, build_joint_data, hold_command
+from identification.joint_fit import identify_joint
+from identification.joint_result import JointFit
+from identification.recording import PoseSignal, Recording
+from identification.robot import identify_robot
+from identification.segments import find_motion
+from problems.plant import Environment
+from problems.robot import RobotModel
+
+FloatArray = NDArray[np.float64]
+
+SHORT = Program(pose_count=5, jogging_s=0.0, sweep_s=7.0, contact_count=2)
+SLOW = Cell(
+    sample_time_s=4e-3,
+    payload_mass_kg=9.0,
+    robot=RobotModel(numerator=np.array([900.0]), denominator=np.array([1.0, 48.0, 900.0]), delay_s=6.3e-3),
+)
+
+
+def gathered(recording: Recording, *, with_command: bool = True) -> JointData:
+    """What the stages hand on."""
+    log = align(recording)
+    motion = find_motion(log)
+    gravity = identify_gravity(collect_static_poses(log, motion.still))
+    (axis,) = find_axes(log, motion, gravity.compensated_force_S_n(log)).axes
+    noise = Noise(force_rms_n=gravity.noise_rms_n, position_rms_m=2e-6)
+    free = free_motions(axis, unguided_spans(axis), log.period_s)
+    coupling = identify_coupling(free, log.period_s, log.pose_rate_hz, noise)
+    assert recording.command is not None
+    moved = commanded_motion(recording, recording.command, log, axis)
+    robot = identify_robot(moved.command_m, moved.position_m, moved.period_s).model
+    holds = find_holds(motion.still, axis.force_n, 4.0)
+    command = recording.command if with_command else None
+    return build_joint_data(log, motion, axis, holds, coupling, robot, command, gravity.mass_kg)
+
+
+def truth(cell: Cell, names: tuple[str, ...]) -> FloatArray:
+    k, e = cell.coupling, cell.environment
+    known = {
+        "stiffness_n_per_m": k.stiffness_n_per_m,
+        "damping_n_s_per_m": k.damping_n_s_per_m,
+        "drag_n_s_per_m": cell.drag_n_s_per_m,
+        "mass_kg": cell.payload_mass_kg,
+        "delay_s": cell.robot.delay_s,
+        "robot_frequency_rad_per_s": cell.robot.denominator[-1] ** (1.0 / cell.robot.order),
+        "robot_damping_ratio": 0.5 * cell.robot.denominator[1] / np.sqrt(cell.robot.denominator[-1]),
+        "environment1_stiffness_n_per_m": e.stiffness_n_per_m,
+        "environment1_damping_n_s_per_m": e.damping_n_s_per_m,
+        "environment1_mass_kg": e.mass_kg,
+    }
+    return np.array([known[name] for name in names])
+
+
+def scores(fit: JointFit, cell: Cell) -> FloatArray:
+    return np.asarray((fit.values - truth(cell, fit.names)) / fit.std)
+
+
+@pytest.fixture(scope="module")
+def demo_data(demo_recording: Recording) -> JointData:
+    return gathered(demo_recording)
+
+
+@pytest.fixture(scope="module")
+def demo_fit(demo_data: JointData) -> JointFit:
+    return identify_joint(demo_data)
+
+
+def test_every_parameter_of_the_demo_cell_is_where_it_is_said_to_be(demo_fit: JointFit) -> None:
+    cell = Cell()
+    # Nine values, none beyond the quantile of 1e-4 in all of them: 4.4 deviations.
+    assert np.max(np.abs(scores(demo_fit, cell))) < 4.4
+    # Half a percent is what a tuner can use without thinking of it.
+    for name in ("stiffness_n_per_m", "mass_kg", "drag_n_s_per_m", "environment1_stiffness_n_per_m", "delay_s"):
+        value, std = demo_fit.value(name)
+        assert std < 5e-3 * value
+    k_s, k_e = cell.coupling.stiffness_n_per_m, cell.environment.stiffness_n_per_m
+    (surface,) = demo_fit.surfaces
+    assert abs(surface.secant_n_per_m - k_s * k_e / (k_s + k_e)) < 4.4 * surface.secant_std_n_per_m
+    assert surface.sign == 1
+    assert len(surface.onsets) == len(surface.peak_force_n) == demo_fit.diagnostics.used[1] > 1
+
+
+def test_what_remains_is_the_sensors_noise(demo_fit: JointFit) -> None:
+    told = demo_fit.diagnostics
+    assert told.noise_ratio == pytest.approx((1.0, 1.0), abs=0.1)
+    assert min(told.whiteness) > 1e-3
+    assert min(told.fit_share) > 0.999
+    # A contact that took no part is predicted to its noise: 0.14 N of some 15 N.
+    assert told.left_out_error[1] == pytest.approx(0.01, abs=0.01)
+
+
+def test_the_covariance_is_a_covariance(demo_fit: JointFit) -> None:
+    np.testing.assert_allclose(demo_fit.covariance, demo_fit.covariance.T, rtol=1e-9, atol=1e-30)
+    scaled = demo_fit.covariance / np.outer(demo_fit.std, demo_fit.std)
+    assert np.min(np.linalg.eigvalsh(scaled)) > 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        demo_fit.covariance[0, 0] = 1.0
+
+
+def test_without_a_command_there_is_no_robot_and_less_certainty(demo_recording: Recording, demo_fit: JointFit) -> None:
+    fit = identify_joint(gathered(demo_recording, with_command=False))
+    assert fit.robot is None
+    assert "delay_s" not in fit.names
+    assert np.max(np.abs(scores(fit, Cell()))) < 4.4
+    for name in ("stiffness_n_per_m", "mass_kg"):
+        assert fit.value(name)[1] > demo_fit.value(name)[1]
+
+
+@pytest.mark.parametrize("moving_kg", [0.0, 4.0])
+def test_a_slow_loop_with_two_poles_and_an_environment_with_mass(moving_kg: float) -> None:
+    """At 4 ms the resonance of 30 Hz lies beyond the band of the stages."""
+    environment = Environment(stiffness_n_per_m=4.0e4, damping_n_s_per_m=200.0, mass_kg=moving_kg)
+    cell = dataclasses.replace(SLOW, environment=environment)
+    fit = identify_joint(gathered(simulate_cell(cell, dataclasses.replace(SHORT, contact_count=1), seed=2).recording))
+    assert np.max(np.abs(scores(fit, cell))) < 4.4
+    mass, std = fit.value("environment1_mass_kg")
+    assert std < 1.0
+    assert abs(mass - moving_kg) < 4.4 * std
+
+
+def test_a_parameter_near_zero_has_an_interval_that_ends_there(demo_fit: JointFit) -> None:
+    low, high = demo_fit.ci95["environment1_mass_kg"]
+    assert low == 0.0
+    assert demo_fit.value("environment1_mass_kg")[0] < high < 0.2
+    assert "stiffness_n_per_m" not in demo_fit.ci95
+
+
+def test_outside_knowledge_enters_as_a_prior(demo_data: JointData, demo_fit: JointFit) -> None:
+    mass, std = demo_fit.value("mass_kg")
+    told = dataclasses.replace(demo_data, priors={"mass_kg": (mass + 2.0 * std, std)})
+    fit = identify_joint(told)
+    # Two statements of one deviation each meet in the middle, and are surer by √2.
+    assert fit.value("mass_kg")[0] == pytest.approx(mass + std, abs=0.25 * std)
+    assert fit.value("mass_kg")[1] == pytest.approx(std / np.sqrt(2.0), rel=0.25)
+
+
+def test_a_contact_with_a_hand_in_it_is_left_out(demo_data: JointData, demo_fit: JointFit) -> None:
+    force = demo_data.force_n.copy()
+    hold = demo_data.holds[1]
+    time = np.arange(len(force)) * demo_data.period_s
+    pushed = slice(hold.start - round(0.4 / demo_data.period_s), hold.stop)
+    force[pushed] += 12.0 * np.sin(2.0 * np.pi * 3.0 * time[pushed])
+    fit = identify_joint(dataclasses.replace(demo_data, force_n=force))
+    assert fit.diagnostics.used[1] == demo_fit.diagnostics.used[1] - 1
+    assert np.max(np.abs(scores(fit, Cell()))) < 4.4
+
+
+def test_a_start_far_off_leads_to_the_same_place(demo_data: JointData, demo_fit: JointFit) -> None:
+    """As where the stage refuses the coupling: the mass and a resonance of 25 Hz are all that is known."""
+    mass, omega = 16.0, 2.0 * np.pi * 25.0
+    start = np.array([mass * omega**2, 0.1 * mass * omega, 200.0, mass])
+    fit = identify_joint(dataclasses.replace(demo_data, coupling=start))
+    # The last steps end within hundredths of a deviation.
+    assert np.max(np.abs(fit.values - demo_fit.values) / demo_fit.std) < 0.1
+
+
+def test_nothing_to_fit_is_refused_and_told(demo_data: JointData) -> None:
+    with pytest.raises(EstimateError, match=r"Of 0 spans of free motion.*record a commanded sweep"):
+        identify_joint(dataclasses.replace(demo_data, free=()))
+    with pytest.raises(EstimateError, match="spans at rest"):
+        identify_joint(dataclasses.replace(demo_data, rests=()))
+
+
+def test_a_log_without_contact_still_has_a_coupling(demo_data: JointData) -> None:
+    fit = identify_joint(dataclasses.replace(demo_data, holds=()))
+    assert fit.surfaces == ()
+    assert fit.diagnostics.used[1] == 0
+    assert np.max(np.abs(scores(fit, Cell()))) < 4.4
+
+
+@pytest.mark.parametrize("shift_s", [0.0, 3e-4])
+def test_a_command_issued_later_in_the_sample_shortens_the_delay(
+    demo_recording: Recording, demo_fit: JointFit, shift_s: float
+) -> None:
+    command = demo_recording.command
+    assert command is not None
+    late = dataclasses.replace(command, stamp_ns=command.stamp_ns + int(shift_s * 1e9))
+    fit = identify_joint(gathered(dataclasses.replace(demo_recording, command=late)))
+    # The same numbers reach the fit; only where the delay counts from differs.
+    assert fit.value("delay_s")[0] == pytest.approx(demo_fit.value("delay_s")[0] - shift_s, abs=1e-8)
+
+
+def test_a_command_at_no_steady_phase_is_not_taken_for_a_held_one(demo_recording: Recording) -> None:
+    command = demo_recording.command
+    assert command is not None
+    log = align(demo_recording)
+    motion = find_motion(log)
+    gravity = identify_gravity(collect_static_poses(log, motion.still))
+    (axis,) = find_axes(log, motion, gravity.compensated_force_S_n(log)).axes
+    shaken = command.stamp_ns + np.random.default_rng(0).integers(-(10**5), 10**5, len(command.stamp_ns))
+    assert hold_command(dataclasses.replace(command, stamp_ns=shaken), log, axis) is None
+    early = PoseSignal(
+        topic=command.topic,
+        frame_id=command.frame_id,
+        stamp_ns=command.stamp_ns[:-2000],
+        position_m=command.position_m[:-2000],
+        quaternion_xyzw=command.quaternion_xyzw[:-2000],
+    )
+    assert hold_command(early, log, axis) is None
