@@ -184,8 +184,7 @@ def stretch_of_three(
             break
         force[k], contact[k] = sensed, max(0.0, pressed) if touching else 0.0
         if -sensed > sensor_peak:
-            sensor_peak, sensor_tick = -sensed, k
-            quiet = max(quiet, 0.5 * SETTLED * sensor_peak)
+            sensor_peak, sensor_tick, quiet = -sensed, k, max(quiet, -0.5 * SETTLED * sensed)
         if touching and pressed > contact_peak:
             contact_peak, contact_tick = pressed, k
             _keep(crest, x, p, v, newer, held, k)
