@@ -4,6 +4,7 @@ VENV ?= .venv
 PYTHON ?=
 DIR ?= autotune-demo
 FUZZ_SECONDS ?= 60
+JOBS ?= auto
 
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check
@@ -16,7 +17,7 @@ DEV := $(VENV)/.installed-dev
 
 help:
 	@echo "make demo        run the whole chain on the log of a simulated cell (DIR=$(DIR))"
-	@echo "make test        run the tests (ARGS=... goes to pytest)"
+	@echo "make test        run the tests in JOBS=$(JOBS) processes (ARGS=... goes to pytest)"
 	@echo "make check       format, lint, types, import contracts, tests and wheel content: what CI runs"
 	@echo "make coverage    run the tests and tell which lines they miss"
 	@echo "make fuzz        alter messages at random for a minute (FUZZ_SECONDS=$(FUZZ_SECONDS)) and compare the reader with rosbags"
@@ -27,7 +28,7 @@ demo: $(RUNTIME)
 	@$(BIN)/autotune demo "$(DIR)"
 
 test: $(DEV)
-	@$(BIN)/python -m pytest $(ARGS)
+	@$(BIN)/python -m pytest --numprocesses $(JOBS) --dist worksteal $(ARGS)
 
 check: lint types imports test wheel
 

@@ -1,5 +1,6 @@
 """What a log cannot say of itself: topics, layouts, units, signs, frames and what was done before recording."""
 
+import math
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TypeVar
@@ -12,6 +13,7 @@ from .units import ANGLE_RAD, FORCE_N, LENGTH_M, TORQUE_N_M, check_unit, orienta
 Paths = tuple[str | None, ...]
 """Where the numbers of a vector stand in a message; None for an axis that the log does not have."""
 
+_NORM_TOLERANCE = 1e-3
 _Source = TypeVar("_Source", bound="Source")
 
 
@@ -154,7 +156,7 @@ class PoseSource(Source):
             raise ParameterError("orientation_as", self.orientation_as, f"of {told} numbers, as fields.orientation has")
         if (self.parent is None) != (self.child is None):
             missing = "parent" if self.parent is None else "child"
-            raise ParameterError(missing, None, "given: a transform needs parent and child")
+            raise ParameterError(missing, "nothing", "named too: a transform needs parent and child")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,6 +227,9 @@ class Mounting:
             raise ParameterError(
                 "orientation", list(self.orientation), f"{width} numbers, as {self.orientation_as} has"
             )
+        norm = math.hypot(*self.orientation)
+        if len(self.orientation) == 4 and abs(norm - 1.0) > _NORM_TOLERANCE:
+            raise ParameterError("orientation", list(self.orientation), f"a unit quaternion (its norm is {norm:.6g})")
         check_unit("angle", self.angle, ANGLE_RAD)
 
 
@@ -249,7 +254,7 @@ class Cell:
 
     def __post_init__(self) -> None:
         if self.pose is not None and self.displacement is not None:
-            raise ParameterError("displacement", "a displacement", "left out where there is a pose")
+            raise ParameterError("displacement", "both pose and displacement", "the only one of the two")
         if not any(self.gravity_direction):
             raise ParameterError("gravity_direction", list(self.gravity_direction), "a direction, not zero")
 

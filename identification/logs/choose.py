@@ -71,7 +71,7 @@ def choose(role: Role, heads: Sequence[Head], cell: Cell, log: str, frames_of: F
             return None
         if len(candidates) > 1 and role not in OPTION and source is None:
             return None
-        found = _only(role, candidates, heads, log)
+        found = _only(role, candidates, heads, log, source)
     return _by_type(role, found, source, log, frames_of)
 
 
@@ -132,11 +132,11 @@ def _candidates(role: Role, source: Source | None, heads: Sequence[Head], taken:
     return []
 
 
-def _only(role: Role, found: Sequence[Head], heads: Sequence[Head], log: str) -> Head:
+def _only(role: Role, found: Sequence[Head], heads: Sequence[Head], log: str, source: Source | None) -> Head:
     if len(found) == 1:
         return found[0]
     if not found:
-        raise LogError(missing_sentence(role, log, heads))
+        raise LogError(missing_sentence(role, log, heads, source))
     raise LogError(ambiguous_sentence(role, found, log))
 
 
@@ -210,7 +210,7 @@ def _declared(role: Role, source: Source, fields: tuple[str | None, ...], heads:
             )
     else:
         found = [head for head in filled if is_undeclared(head) and _has_columns(head, wanted)]
-    head = _only(role, found, heads, log)
+    head = _only(role, found, heads, log, source)
     header = source.header if source.header is not None else ("header" if head.has_header else "")
     return Choice(role=role, head=head, fields=fields, header=header, reason="declared with its fields")
 
@@ -236,7 +236,7 @@ def _transform(
         raise LogError(
             f"No transform of {pair[1]} in {pair[0]} is in {log}, which tells: {', '.join(told) or 'no transforms'}."
         )
-    head = _only(role, found, heads, log)
+    head = _only(role, found, heads, log, source)
     layout = LAYOUTS[role][head.channel.type_name]
     return Choice(
         role=role, head=head, fields=layout.fields, header="header", frames=pair, reason="declared by its frames"

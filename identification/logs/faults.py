@@ -1,35 +1,45 @@
 """What is wrong with the samples of a role, in the units of our signals."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..recording import FloatArray, StampArray
 from ..result import Finding
 from .cell import PoseSource, Source, WrenchSource
 from .health import frame_faults, pose_faults, stamp_faults, turn_faults, wrench_faults
+from .interpret import orientation_quaternion
 from .layouts import Role
 from .opened import RoleSeries
 from .units import ANGLE_RAD, FORCE_N, LENGTH_M, TORQUE_N_M
+
+_Number = TypeVar("_Number", np.float64, np.int64)
 
 _OF_A_DEADBAND = frozenset({"stuck-axis", "deadband", "coarse-steps", "repeated-samples"})
 """What a deadband does to a wrench: expected where one is declared, as is what looks like the end of a range at 0."""
 
 
 def role_faults(
-    role: Role, series: RoleSeries, stamp_ns: StampArray, source: Source | None, start_ns: int
+    role: Role, parts: Sequence[RoleSeries], stamps: Sequence[StampArray], source: Source | None, start_ns: int
 ) -> Iterator[Finding]:
     """Yield what is wrong with the samples of a role; those of severity `error` make it unusable.
 
-    `source` is what the cell declares of it; `start_ns` is where the log starts on the recording clock.
+    `parts` are those of one recording with their stamps: stamps are judged in each, values over all of them, since a
+    robot may rest for the whole of one. `source` is what the cell declares; `start_ns` is where the log starts on the
+    recording clock.
     """
-    topic, when = series.choice.head.channel.topic, (series.log_ns - start_ns) / 1e9
-    # A recording clock may start at 0; only a header stamp of 0 is one that was never set.
-    from_log = stamp_ns is series.log_ns
-    yield from frame_faults(topic, series.frame_ids)
-    yield from stamp_faults(topic, stamp_ns - stamp_ns[:1] + 1 if from_log else stamp_ns, when)
-    values = _without_unmeasured(series)
+    topic = parts[0].choice.head.channel.topic
+    for part, stamp_ns in zip(parts, stamps, strict=True):
+        # A recording clock may start at 0; only a header stamp of 0 is one that was never set.
+        told = stamp_ns - stamp_ns[:1] + 1 if stamp_ns is part.log_ns else stamp_ns
+        yield from frame_faults(topic, part.frame_ids)
+        yield from stamp_faults(topic, told, (part.log_ns - start_ns) / 1e9)
+    ordered = sorted(parts, key=lambda part: int(part.log_ns[0]) if part.log_ns.size else 0)
+    when = (_joined([part.log_ns for part in ordered]) - start_ns) / 1e9
+    values = _without_unmeasured(parts[0], _joined([part.values for part in ordered]))
     if role in (Role.POSE, Role.COMMAND):
         yield from _pose_faults(topic, values, source if isinstance(source, PoseSource) else PoseSource(), when)
     elif role is Role.WRENCH:
@@ -51,14 +61,17 @@ def _wrench_faults(topic: str, values: FloatArray, source: WrenchSource, when: F
 
 
 def _pose_faults(topic: str, values: FloatArray, source: PoseSource, when: FloatArray) -> Iterator[Finding]:
-    """Yield the faults of a pose; angles and rotation vectors stand as no turn where they are finite."""
+    """Yield the faults of a pose."""
     turns, kind = values[:, 3:], source.orientation_as
     seven = np.zeros((len(values), 7))
     seven[:, :3] = _scaled(values[:, :3], LENGTH_M[source.units.position], 1.0)
     if turns.shape[1] == 4:
         seven[:, 3:] = turns[:, [1, 2, 3, 0]] if kind == "quaternion_wxyz" else turns
     else:
-        seven[:, 6] = np.where(np.isfinite(turns).all(axis=1), 1.0, np.nan)
+        finite = np.isfinite(turns).all(axis=1)
+        seven[:, 6] = np.where(finite, 1.0, np.nan)
+        if turns.shape[1] == 3 and bool(np.any(finite)):
+            seven[finite, 3:] = orientation_quaternion(kind, turns[finite], ANGLE_RAD[source.units.angle])
     yield from pose_faults(topic, seven, when)
     if turns.shape[1] == 3 and kind == "rotation_vector":
         yield from turn_faults(topic, turns * ANGLE_RAD[source.units.angle], when)
@@ -79,11 +92,15 @@ def _scaled(values: FloatArray, first: float, second: float) -> FloatArray:
     return np.asarray(values * np.repeat([first, second], 3)[: values.shape[1]])
 
 
-def _without_unmeasured(series: RoleSeries) -> FloatArray:
+def _joined(arrays: Sequence[NDArray[_Number]]) -> NDArray[_Number]:
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+
+
+def _without_unmeasured(series: RoleSeries, values: FloatArray) -> FloatArray:
     """Return the values with a count in the columns that the log does not have, which is finite and not stuck."""
     unmeasured = [path is None for path in series.choice.fields]
     if not any(unmeasured):
-        return series.values
-    values = series.values.copy()
+        return values
+    values = values.copy()
     values[:, unmeasured] = 1e-6 * np.arange(float(len(values)))[:, None]
     return values

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..containers.channel import Channel
-from ..errors import LogError
+from ..errors import EstimateError, LogError
 from ..messages.series import Series, Wanted
 from ..result import Finding
 from .cell import Cell
@@ -19,8 +19,11 @@ from .heads import Head
 from .layouts import LAYOUTS, TRANSFORMS, Role
 from .numbers import number_fields, number_findings
 from .opened import OpenedLogs, RoleSeries, digests, open_logs
+from .read import read_checked_recording
 from .roles import ENTRY, is_undeclared, missing_sentence, roles_of
 from .summary import Candidate, ChannelSummary, LogSummary, RoleSummary
+
+_TOLD_ELSEWHERE = frozenset({"channel-chosen", "role-open"})
 
 
 def inspect_log(paths: Path | Sequence[Path], cell: Cell | None = None, *, salvage: bool = False) -> LogSummary:
@@ -42,6 +45,8 @@ def inspect_log(paths: Path | Sequence[Path], cell: Cell | None = None, *, salva
         seen = logs.findings()
         span = (logs.start_ns, logs.end_ns)
         container = logs.parts[0].survey.container
+    if Role.WRENCH in choices and Role.POSE in choices:
+        findings += _read_findings(files, told, findings, salvage=salvage)
     digest = digests(files)
     return LogSummary(
         path=files[0],
@@ -151,7 +156,7 @@ def _channel_findings(head: Head, series: Series, start_ns: int) -> Iterator[Fin
             frame_ids=series.frame_ids,
             values=series.values,
         )
-        yield from role_faults(roles[0], mine, series.stamp_ns, None, start_ns)
+        yield from role_faults(roles[0], [mine], [series.stamp_ns], None, start_ns)
 
 
 def _declared_findings(logs: OpenedLogs, choices: Mapping[Role, Choice], cell: Cell) -> list[Finding]:
@@ -162,11 +167,24 @@ def _declared_findings(logs: OpenedLogs, choices: Mapping[Role, Choice], cell: C
         parts = logs.read_roles(declared)
     except LogError as error:
         return [Finding(code="undecodable", severity="error", message=str(error), advice="Check cell.yaml.")]
-    for part in parts:
-        for role, mine in part.items():
-            stamps = mine.log_ns if mine.stamp_ns is None else mine.stamp_ns
-            found += role_faults(role, mine, stamps, source_of(cell, role), logs.start_ns)
+    for role in dict.fromkeys(role for part in parts for role in part):
+        mine = [part[role] for part in parts if role in part]
+        stamps = [part.log_ns if part.stamp_ns is None else part.stamp_ns for part in mine]
+        found += role_faults(role, mine, stamps, source_of(cell, role), logs.start_ns)
     return found
+
+
+def _read_findings(files: Sequence[Path], cell: Cell, told: Sequence[Finding], *, salvage: bool) -> list[Finding]:
+    """Return what reading for `identify` finds beside what was told: tare, payload, clocks, or why it is refused."""
+    try:
+        found = read_checked_recording(files, cell, salvage=salvage).findings
+    except EstimateError:
+        return []
+    except LogError as error:
+        if any(finding.severity == "error" and finding.message in str(error) for finding in told):
+            return []
+        return [Finding(code="unusable", severity="error", message=str(error), advice="")]
+    return [finding for finding in found if finding.code not in _TOLD_ELSEWHERE]
 
 
 def _summary(head: Head, series: Series) -> ChannelSummary:

@@ -173,11 +173,6 @@ def _mounted(mounting: Mounting) -> Rotation:
     if not mounting.orientation:
         return Rotation.identity()
     numbers = np.array([mounting.orientation])
-    if len(mounting.orientation) == 4 and abs(np.linalg.norm(numbers) - 1.0) > 1e-3:
-        raise LogError(
-            f"sensor.orientation must be a unit quaternion, found norm {np.linalg.norm(numbers):.6g}; "
-            "check its numbers in cell.yaml."
-        )
     quaternion = orientation_quaternion(mounting.orientation_as, numbers, ANGLE_RAD[mounting.angle])
     return Rotation.from_quat(quaternion[0])
 

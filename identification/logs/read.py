@@ -19,7 +19,7 @@ from .numbers import number_fields
 from .opened import OpenedLogs, RoleSeries, digests, open_logs
 from .payload import check_payload
 from .roles import ENTRY, LABEL
-from .signals import build_recording, chosen_clocks, refuse
+from .signals import build_recording, chosen_clocks, refuse, sample_findings
 
 Part = Mapping[Role, RoleSeries]
 
@@ -75,12 +75,13 @@ def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool) -> _Read:
         parts = _parts(logs.read_roles(tuple(choices.values())), choices, logs)
         clocks, about_clocks = chosen_clocks(parts, cell)
         times = _times(parts, clocks)
-        recordings = [build_recording(part, clocks, cell, logs.start_ns) for part in parts]
+        about_samples = sample_findings(parts, clocks, cell, logs.start_ns)
+        recordings = [build_recording(part, clocks, cell) for part in parts]
         del parts
         recording = _continuous(join_recordings(recordings))
         questions = open_questions(logs.heads, cell, logs.name)
         chosen = map(_chosen, choices.values())
-        findings = (*logs.findings(), *chosen, *questions, *about_clocks, *recording.findings)
+        findings = (*logs.findings(), *chosen, *questions, *about_clocks, *about_samples, *recording.findings)
     recording = replace(recording, sha256=digests(files), findings=findings)
     return _Read(recording=recording, times=times)
 

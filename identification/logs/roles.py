@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from ..containers.channel import Channel
+from .cell import Source
 from .heads import Head
 from .layouts import (
     ADMITTANCE_STATE,
@@ -75,8 +76,14 @@ def is_processed_name(topic: str) -> bool:
     return bool(PROCESSED_WORDS & {*_words(topic)})
 
 
-def missing_sentence(role: Role, log: str, heads: Sequence[Head]) -> str:
-    """Say that a log has no channel for a role, what it has instead and what to record."""
+def missing_sentence(role: Role, log: str, heads: Sequence[Head], source: Source | None = None) -> str:
+    """Say that a log has no channel for a role, what it has instead and what to record.
+
+    Where what the cell declares (`source`) rules channels of the right type out, that is said instead.
+    """
+    ruled_out = _ruled_out(role, log, heads, source)
+    if ruled_out:
+        return ruled_out
     types = sorted({head.channel.type_name for head in heads if head.count and head.channel.type_name})
     empty = sorted(head.channel.topic for head in heads if not head.count and role in roles_of(head.channel))
     silent = f" ({', '.join(empty)} is there but without messages)" if empty else ""
@@ -92,6 +99,27 @@ def missing_sentence(role: Role, log: str, heads: Sequence[Head]) -> str:
         f"`{ENTRY[role]}: {{topic: …, fields: …}}` in cell.yaml; `autotune inspect LOG --write-cell cell.yaml` begins "
         "such a file."
     )
+
+
+def _ruled_out(role: Role, log: str, heads: Sequence[Head], source: Source | None) -> str:
+    """Say why channels of the type that a role needs do not serve it, nothing where there are none."""
+    typed = [head for head in heads if head.count and head.channel.type_name == NEEDS.get(role)]
+    if not typed:
+        return ""
+    start = f"None of {', '.join(map(str, typed))} in {log} serves as the {LABEL[role]}"
+    if source is not None and getattr(source, "fields", None) is not None:
+        return (
+            f"{start}: `{ENTRY[role]}: {{fields: …}}` is for messages whose type does not tell their meaning; name "
+            "the `topic` as well if those of a typed one are meant, or leave `fields` out."
+        )
+    if source is not None and source.frame is not None:
+        return f"{start}: cell.yaml asks for the frame {source.frame!r}; correct `{ENTRY[role]}: {{frame: …}}`."
+    if role is Role.POSE and all(is_command_name(head.channel.topic) for head in typed):
+        return (
+            f"{start}, since by their names they are commands; record the measured flange pose as {POSE_STAMPED} too, "
+            "or name it with --pose-topic if one of them is measured."
+        )
+    return ""
 
 
 def is_undeclared(head: Head) -> bool:

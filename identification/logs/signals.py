@@ -63,19 +63,28 @@ def chosen_clocks(
     return clocks, tuple(findings)
 
 
-def build_recording(
-    series: Mapping[Role, RoleSeries], clocks: Mapping[Role, Clock], cell: Cell, start_ns: int
-) -> Recording:
-    """Check the samples of every role and interpret them; raises LogError for the first that cannot be used."""
+def sample_findings(
+    parts: Sequence[Mapping[Role, RoleSeries]], clocks: Mapping[Role, Clock], cell: Cell, start_ns: int
+) -> tuple[Finding, ...]:
+    """Check the samples of every role over all parts; raises LogError for the first that cannot be used."""
+    found: list[Finding] = []
+    for role in parts[0]:
+        mine = [part[role] for part in parts]
+        stamps = [_stamps(role, part, clocks, cell) for part in parts]
+        found += role_faults(role, mine, stamps, source_of(cell, role), start_ns)
+    refuse(found)
+    return tuple(found)
+
+
+def build_recording(series: Mapping[Role, RoleSeries], clocks: Mapping[Role, Clock], cell: Cell) -> Recording:
+    """Interpret the samples of every role, which `sample_findings` has found usable."""
     frames = build_frames(cell)
     stamps = {role: _stamps(role, series, clocks, cell) for role in series}
     columns = {role: _columns(series[role], stamps[role]) for role in series}
-    told = [f for r, s in series.items() for f in role_faults(r, s, stamps[r], source_of(cell, r), start_ns)]
-    refuse(told)
     pose = _pose(columns[Role.POSE], cell, frames)
     wrench, findings = _wrench(series[Role.WRENCH], columns[Role.WRENCH], cell, frames, pose)
     twist = _twist(columns, cell, frames, pose)
-    findings += [*told, *turn_findings(pose), *(twist_findings(pose, twist) if twist is not None else ())]
+    findings += [*turn_findings(pose), *(twist_findings(pose, twist) if twist is not None else ())]
     return Recording(
         wrench=wrench,
         pose=pose,

@@ -26,6 +26,8 @@ class ObjectDecoder:
 
     def __init__(self, channel: Channel, wanted: Wanted) -> None:
         self._parse = build_object_parser(channel)
+        # In ROS and Protobuf a boolean is a field like any other; a JSON `true` where a number belongs is a mistake.
+        self._number = as_number if channel.encoding != "json" else _as_json_number
         self._paths = [parse_path(path) for path in wanted.fields]
         self._fields = wanted.fields
         self._header = parse_path(wanted.header) if wanted.header else None
@@ -39,7 +41,7 @@ class ObjectDecoder:
             try:
                 thing = self._parse(message)
                 for column, path in enumerate(self._paths):
-                    values[index, column] = as_number(pick(thing, path))
+                    values[index, column] = self._number(pick(thing, path))
                 if self._header is not None:
                     stamps[index], frame = header_of(thing, self._header)
                     frames.add(frame)
@@ -116,6 +118,12 @@ def as_number(value: Any) -> float:
         return float(value)
     except OverflowError as error:
         raise LackingError(f"a number of {len(str(value))} digits is too large") from error
+
+
+def _as_json_number(value: Any) -> float:
+    if isinstance(value, bool):
+        raise LackingError(f"{str(value).lower()} is no number")
+    return as_number(value)
 
 
 def either(thing: Any, names: tuple[str, ...]) -> Any:

@@ -398,3 +398,19 @@ def test_what_mass_cannot_be_told_from_ends_in_a_reason(tmp_path: Path, change: 
     with pytest.raises(EstimateError, match=told):
         identify_cell(recording)
     assert any("cell.yaml declares" in sentence for sentence in inspect_log(path, Cell(**change)).missing)
+
+
+def test_a_pose_that_only_turns_is_no_stuck_pose(tmp_path: Path) -> None:
+    """Whether the orientation is told in four numbers or in three."""
+
+    def turning(i: int, stamp: int) -> Tree:
+        return {"header": header(stamp, ""), "position": [0.4, 0.0, 0.9, *TURN[i].as_rotvec()], "effort": [1.0]}
+
+    arm = Topic(topic="/arm", type_name="sensor_msgs/msg/JointState", message=turning)
+    fields = PoseFields(position=paths("position", 0, 3), orientation=paths("position", 3, 6))
+    cell = Cell(pose=PoseSource(topic="/arm", fields=fields, orientation_as="rotation_vector"))
+    recording = read_recording(write_log(tmp_path / "run.mcap", [FT, arm]), cell)
+    assert np.all(recording.pose.position_m == [0.4, 0.0, 0.9])
+    left = (Rotation.from_quat(recording.pose.quaternion_xyzw) * TURN.inv()).magnitude()
+    # The angle of a turn is known to the root of what its cosine is.
+    assert np.max(left) < 1e-7

@@ -36,6 +36,7 @@ from identification.logs.interpret import (
     orientation_quaternion,
 )
 from identification.recording import AXES, PoseSignal, WrenchSignal
+from problems.errors import ParameterError
 
 Array = NDArray[np.float64]
 STAMPS = np.arange(1, 201, dtype=np.int64) * 5_000_000
@@ -192,8 +193,8 @@ def test_the_pose_turns_with_the_sensor() -> None:
     # The sensor's x axis lies along the flange's y axis.
     turned = Rotation.from_quat(pose.quaternion_xyzw).apply([1.0, 0.0, 0.0])
     assert np.allclose(turned, [0.0, 1.0, 0.0], rtol=0, atol=ROUNDING)
-    with pytest.raises(LogError, match=r"unit quaternion, found norm 2"):
-        build_frames(Cell(sensor=Mounting(orientation=(0.0, 0.0, 0.0, 2.0))))
+    with pytest.raises(ParameterError, match=r"unit quaternion \(its norm is 2\)"):
+        Mounting(orientation=(0.0, 0.0, 0.0, 2.0))
 
 
 def test_a_displacement_along_one_axis_has_that_axis_alone() -> None:

@@ -164,7 +164,11 @@ def test_messages_of_varying_frame_name_length_keep_their_order(tmp_path: Path) 
             {},
             r"commanded pose: /cmd/a \(.*\), /cmd/b \(.*\); .*--command-topic",
         ),
-        ([wrench_stream(), command_stream()], {}, r"no channel for the measured pose: .* record the measured"),
+        (
+            [wrench_stream(), command_stream()],
+            {},
+            r"serves as the measured pose, since by their names .* record the measured",
+        ),
         ([pose_stream(), command_stream()], {}, r"no channel for the wrench: .* record the force/torque sensor"),
         (
             [wrench_stream("/wrist/ft_raw"), pose_stream()],
@@ -205,3 +209,29 @@ def test_a_pose_that_sounds_commanded_can_be_named_the_measured_one(tmp_path: Pa
     recording = read_recording(path, pose_topic="/target_tracker/pose")
     assert recording.pose.topic == "/target_tracker/pose"
     assert recording.command is None
+
+
+def part_of(stream: Stream, rows: slice) -> Stream:
+    return replace(stream, stamp_ns=stream.stamp_ns[rows], values=stream.values[rows], log_ns=stream.log_ns[rows])
+
+
+def test_a_robot_may_rest_for_a_whole_part_of_a_recording(tmp_path: Path) -> None:
+    """Recorders split where nothing moves; that a topic holds one pose is a fault of the whole, not of a part."""
+    wrench, pose, command = complete()
+    command.values[50:] = command.values[50]
+    halves = [
+        write_mcap(tmp_path / f"part{i}.mcap", [part_of(wrench, w), part_of(pose, p), part_of(command, p)])
+        for i, (w, p) in enumerate([(slice(0, 100), slice(0, 50)), (slice(100, 200), slice(50, 100))])
+    ]
+    joined = read_recording(halves)
+    assert joined.command is not None
+    np.testing.assert_array_equal(joined.command.position_m, command.values[:, :3])
+    with pytest.raises(LogError, match=r"/robot/pose_command holds one and the same pose"):
+        read_recording(halves[1])
+
+
+def test_the_checks_of_identify_are_told_by_inspect(tmp_path: Path) -> None:
+    """A pose an hour off the wrench: the channels are healthy each, together they are of no use."""
+    pose = pose_stream()
+    path = write_mcap(tmp_path / "run.mcap", [wrench_stream(), pose.with_stamps(pose.stamp_ns + 3600 * 10**9)])
+    assert {"clocks-differ", "unusable"} <= {finding.code for finding in inspect_log(path).findings}

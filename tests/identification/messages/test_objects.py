@@ -33,7 +33,7 @@ def read(channel: Channel, message: bytes, wanted: Wanted = WANTED) -> Series:
     ],
 )
 def test_stamps_of_json_messages_are_found_in_every_usual_form(header: str, stamp_ns: int, frame: str) -> None:
-    series = read(JSON, f'{{{header}, "f": [{{}}, {{"x": 2.5}}], "g": true}}'.encode())
+    series = read(JSON, f'{{{header}, "f": [{{}}, {{"x": 2.5}}], "g": 1}}'.encode())
     assert series.stamp_ns is not None
     assert (series.stamp_ns.tolist(), series.frame_ids) == ([stamp_ns], (frame,))
     assert series.values.tolist() == [[2.5, 1.0]]
@@ -118,3 +118,9 @@ def test_strings_of_wide_characters_are_refused_by_name() -> None:
     )
     with pytest.raises(LogError, match="wstring"):
         read(channel, bytes(20), Wanted(fields=("b",), header=""))
+
+
+@pytest.mark.parametrize("value", ["true", "false", "null", '"12"'])
+def test_what_is_no_number_in_json_is_refused(value: str) -> None:
+    with pytest.raises(LogError, match=r"is no number"):
+        read(JSON, f'{{"timestamp": {{"sec": 1, "nsec": 2}}, "f": [{{}}, {{"x": {value}}}], "g": 1}}'.encode())
