@@ -11,6 +11,7 @@ from identification.errors import EstimateError
 from identification.identify import identify_cell
 from identification.logs import read_checked_recording
 from identification.logs.cell import Cell
+from identification.logs.interpret import build_frames
 from identification.recording import Recording
 from identification.result import Finding, Identified
 
@@ -50,7 +51,7 @@ def identify_log(
         wrench=topics.wrench, pose=topics.pose, command=topics.command
     )
     recording = read_checked_recording(files, told, salvage=salvage)
-    result = identify_cell(recording)
+    result = identify_cell(recording, build_frames(told))
     missing = [finding for finding in result.findings if finding.severity == "error"]
     if missing and not allow_partial:
         raise EstimateError(_refusal(files, missing))

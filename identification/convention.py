@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from .convention_fit import Frames, Reading
+from .convention_fit import Reading
+from .frames import Frames
 from .recording import PoseSignal, Recording
 
 FloatArray = NDArray[np.float64]

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 from .aligned import AlignedLog, align
 from .convention import Convention, Pull
-from .convention_fit import Frames
 from .conventions import ConventionRanking, Verdict, rank_conventions
 from .errors import EstimateError
+from .frames import Frames
 from .gravity import identify_gravity
 from .inertia import inertial_sign
 from .recording import Recording

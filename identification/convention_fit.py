@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from .frames import Frames
 from .static_poses import GRAVITY_B_M_S2, StaticPose, cross_matrix, group_means, group_shares, weighted_median
 
 FloatArray = NDArray[np.float64]
@@ -23,19 +24,6 @@ _ALIKE = 1.5
 _OUTLIER_DEVIATIONS = 6.0
 _SMALLEST_SCATTER_N = 0.05
 _SMALLEST_SCATTER_N_M = 0.01
-
-
-@dataclass(frozen=True, kw_only=True)
-class Frames:
-    """What the cell declares already: `R_WB` our base (gravity along −z) from its, `R_FS` flange from sensor."""
-
-    R_WB: Rotation
-    R_FS: Rotation
-
-    @classmethod
-    def plain(cls) -> "Frames":
-        """Return frames that are all the same."""
-        return cls(R_WB=Rotation.identity(), R_FS=Rotation.identity())
 
 
 @dataclass(frozen=True, kw_only=True)

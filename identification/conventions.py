@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from .convention import Convention, Pull, numbers_text, residuals_text
-from .convention_fit import READINGS, Frames, FreeMounting, Scores, score_readings
+from .convention_fit import READINGS, FreeMounting, Scores, score_readings
 from .errors import EstimateError
+from .frames import Frames
 from .result import Finding
 from .static_poses import StaticPose, group_by_orientation
 

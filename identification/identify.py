@@ -7,10 +7,14 @@ from numpy.typing import NDArray
 
 from .aligned import AlignedLog, align, check_regular
 from .axes import AxisMotion, commanded_motion, find_axes, free_motions, unguided_spans
+from .convention_choice import read_by_weight
 from .coupling import CouplingFit, Noise, identify_coupling
 from .environment import Contact, Surface, find_holds, group_surfaces, identify_contact
 from .errors import EstimateError
-from .gravity import GravityFit, collect_static_poses, identify_gravity
+from .frames import Frames
+from .gravity import GravityFit, identify_gravity
+from .gravity_verdicts import com_estimate, gravity_findings, mass_estimate
+from .inertia import InertiaFit, identify_inertia
 from .recording import Recording
 from .result import (
     AxisEstimate,
@@ -19,13 +23,14 @@ from .result import (
     Estimate,
     Finding,
     Identified,
+    InertiaEstimate,
     PayloadEstimate,
     RobotEstimate,
-    SensorEstimate,
     Status,
 )
 from .robot import identify_robot
 from .segments import Motion, Span, find_motion
+from .sensor import describe_sensor
 from .verdicts import judged, unidentifiable, unidentifiable_vector, vector
 
 FloatArray = NDArray[np.float64]
@@ -41,18 +46,20 @@ _MODEL_STD_SHARE = 0.003
 _DAMPING_STD_SHARE = 0.001  # of the critical damping
 _POOR_CONTACT_FIT = 0.5
 _POOR_CONTACT_STD = 0.2
-_FIXED = "least squares over static poses"
 
 
-def identify_cell(recording: Recording) -> Identified:
+def identify_cell(recording: Recording, frames: Frames | None = None) -> Identified:
     """Estimate payload, sensor, and per axis robot, coupling and environments, each with a verdict.
 
+    `frames` is what the cell declares (all the same where nothing is): the payload's weight is asked whether the
+    declared signs, frames and quaternion order are true, and where only others fit, those are taken and named.
     What the log does not tell is `unidentifiable` and named by a finding of severity `error`. Raises EstimateError
     when not even gravity can be told (nothing else can be without it), LogError when the channels do not fit together.
     """
-    log = align(recording)
-    motion = find_motion(log)
-    gravity = identify_gravity(collect_static_poses(log, motion.still))
+    first = align(recording)
+    read = read_by_weight(recording, first, find_motion(first), frames)
+    recording, log, motion = read.recording, read.log, read.motion
+    gravity = identify_gravity(read.poses)
     force = gravity.compensated_force_S_n(log)
     findings: list[Finding] = []
     travel = find_axes(log, motion, force)
@@ -66,18 +73,32 @@ def identify_cell(recording: Recording) -> Identified:
         axes[axis.name] = estimate
         findings += found
     sample_time, found = _sample_time(recording)
+    sensor, about_sensor = describe_sensor(read, gravity, frames)
+    inertia = identify_inertia(log, motion, read.poses, gravity)
     return Identified(
         sample_time_s=sample_time,
         payload=PayloadEstimate(
-            mass_kg=judged(
-                gravity.mass_kg, gravity.mass_std_kg, method=_FIXED, note="includes the unknown local gravity"
-            ),
-            com_m=vector(gravity.com_S_m, gravity.com_std_m, method=_FIXED),
+            mass_kg=mass_estimate(gravity), com_m=com_estimate(gravity), inertia_kg_m2=_inertia(inertia)
         ),
         axes=axes,
-        sensor=_sensor(recording, gravity),
-        findings=(*findings, *found, *_gravity_findings(gravity)),
+        sensor=sensor,
+        findings=(
+            *read.findings,
+            *findings,
+            *found,
+            *gravity_findings(gravity),
+            *about_sensor,
+            *(f for f in inertia.findings if f.severity != "error"),
+        ),
     )
+
+
+def _inertia(fit: InertiaFit) -> InertiaEstimate | None:
+    """Return the tensor, None where no component is told."""
+    if all(component.value is None for component in fit.components):
+        return None
+    xx, yy, zz, xy, xz, yz = fit.components
+    return InertiaEstimate(xx=xx, yy=yy, zz=zz, xy=xy, xz=xz, yz=yz)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -282,42 +303,6 @@ def _position_noise(axis: AxisMotion, still: tuple[Span, ...]) -> float:
     longest = max(still, key=len)
     second = np.diff(axis.position_m[longest.slice], n=2)
     return max(float(np.std(second) / np.sqrt(6.0)), 1e-9)
-
-
-def _sensor(recording: Recording, gravity: GravityFit) -> SensorEstimate:
-    zeros = float(np.mean(recording.wrench.force_n == 0.0))
-    deadband = (
-        Estimate(value=0.0, std=0.0, status=Status.IDENTIFIED, method="share of exact zeros in the logged force")
-        if zeros < 1e-3
-        else unidentifiable(note=f"{100.0 * zeros:.1f} % of the logged forces are exactly 0: a deadband was applied")
-    )
-    rms = gravity.noise_rms_n
-    return SensorEstimate(
-        force_bias_n=vector(gravity.force_bias_S_n, gravity.force_bias_std_n, method=_FIXED),
-        torque_bias_n_m=vector(gravity.torque_bias_S_n_m, gravity.torque_bias_std_n_m, method=_FIXED),
-        force_noise_rms_n=Estimate(value=rms, std=0.02 * rms, status=Status.IDENTIFIED, method="spread within rests"),
-        gravity_residual_rms_n=Estimate(
-            value=gravity.residual_rms_n,
-            std=gravity.residual_rms_n / np.sqrt(6.0 * max(gravity.pose_count, 1)),
-            status=Status.IDENTIFIED,
-            method=_FIXED,
-        ),
-        deadband_n=deadband,
-    )
-
-
-def _gravity_findings(gravity: GravityFit) -> list[Finding]:
-    found = []
-    if gravity.rejected:
-        found.append(
-            Finding(
-                code="rests-with-contact",
-                severity="info",
-                message=f"{gravity.rejected} rests did not fit the payload's weight and were left out (contacts).",
-                advice="",
-            )
-        )
-    return found
 
 
 def _sample_time(recording: Recording) -> tuple[Estimate, list[Finding]]:

@@ -39,11 +39,24 @@ class VectorEstimate:
 
 
 @dataclass(frozen=True, kw_only=True)
+class InertiaEstimate:
+    """The inertia tensor about the sensor's origin in the sensor frame S [kg·m²], component by component."""
+
+    xx: Estimate
+    yy: Estimate
+    zz: Estimate
+    xy: Estimate
+    xz: Estimate
+    yz: Estimate
+
+
+@dataclass(frozen=True, kw_only=True)
 class PayloadEstimate:
-    """Mass and centre of mass (sensor frame S)."""
+    """Mass, centre of mass (sensor frame S) and, where the tool was turned fast enough, the inertia tensor."""
 
     mass_kg: Estimate
     com_m: VectorEstimate
+    inertia_kg_m2: InertiaEstimate | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,13 +102,20 @@ class AxisEstimate:
 
 @dataclass(frozen=True, kw_only=True)
 class SensorEstimate:
-    """The six-axis sensor at rest."""
+    """The six-axis sensor at rest.
+
+    `mounting_rad` (3) is the rotation vector of the real sensor axes as seen from the assumed ones, `base_tilt_rad` (2)
+    that of the vertical about x and y of the base; `torque_noise_rms_n_m` (3) per axis.
+    """
 
     force_bias_n: VectorEstimate
     torque_bias_n_m: VectorEstimate
     force_noise_rms_n: Estimate
     gravity_residual_rms_n: Estimate
     deadband_n: Estimate
+    torque_noise_rms_n_m: VectorEstimate | None = None
+    mounting_rad: VectorEstimate | None = None
+    base_tilt_rad: VectorEstimate | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

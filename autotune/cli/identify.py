@@ -1,5 +1,6 @@
 """`autotune identify`: plant parameters from a log."""
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -86,9 +87,16 @@ def print_identified(result: "Identified", out: Path) -> None:
 def _rows(result: "Identified") -> Iterator[tuple[str, ...]]:
     yield _row("payload mass", result.payload.mass_kg, "kg")
     yield from _vector_rows("centre of mass", result.payload.com_m, "mm", 1e3)
+    if result.payload.inertia_kg_m2 is not None:
+        for name, component in vars(result.payload.inertia_kg_m2).items():
+            yield _row(f"inertia {name}", component, "kg·m²")
     yield from _vector_rows("force bias", result.sensor.force_bias_n, "N", 1.0)
     yield _row("force noise", result.sensor.force_noise_rms_n, "N rms")
     yield _row("gravity residual", result.sensor.gravity_residual_rms_n, "N rms")
+    if result.sensor.mounting_rad is not None:
+        yield from _vector_rows("sensor turned about", result.sensor.mounting_rad, "deg", 180.0 / math.pi)
+    if result.sensor.base_tilt_rad is not None:
+        yield from _vector_rows("base tilted about", result.sensor.base_tilt_rad, "deg", 180.0 / math.pi)
     yield _row("control period", result.sample_time_s, "ms", 1e3)
     for name, axis in result.axes.items():
         yield _row(f"{name}: coupling K_s", axis.coupling.stiffness_n_per_m, "N/mm", 1e-3)
@@ -108,7 +116,7 @@ def _row(name: str, estimate: "Estimate", unit: str, scale: float = 1.0) -> tupl
 
 
 def _vector_rows(name: str, estimate: "VectorEstimate", unit: str, scale: float) -> Iterator[tuple[str, ...]]:
-    for i, axis in enumerate("xyz"):
+    for i, axis in enumerate("xyz" if estimate.value is None else "xyz"[: len(estimate.value)]):
         value = None if estimate.value is None else estimate.value[i]
         std = None if estimate.std is None else estimate.std[i]
         yield (f"{name} {axis}", *_numbers(value, std, scale), unit, estimate.status.value)

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from ..errors import LogError
+from ..frames import Frames
 from ..recording import AXES, Deadband, FloatArray, GainsSignal, PoseSignal, StampArray, TwistSignal, WrenchSignal
 from .cell import Cell, ExertedBy, Frame, Mounting, PoseSource, TwistSource, WrenchSource
 from .units import ANGLE_RAD, FORCE_N, LENGTH_M, TORQUE_N_M
@@ -23,14 +24,6 @@ class Columns:
     stamp_ns: StampArray
     values: FloatArray
     has: tuple[bool, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Frames:
-    """How the frames of the log become ours: `R_FS` flange from sensor, `R_WB` our base (gravity along −z) from its."""
-
-    R_FS: Rotation
-    R_WB: Rotation
 
 
 def build_frames(cell: Cell) -> Frames:

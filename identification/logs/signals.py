@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from ..errors import LogError
+from ..frames import Frames
 from ..recording import GainsSignal, PoseSignal, Recording, StampArray, TwistSignal, WrenchSignal
 from ..result import Finding
 from .cell import Cell, Clock, Frame, GainsSource, PoseSource, TwistSource, WrenchSource
@@ -13,7 +14,6 @@ from .consistency import turn_findings, twist_findings
 from .faults import role_faults
 from .interpret import (
     Columns,
-    Frames,
     build_frames,
     interpret_gains,
     interpret_pose,

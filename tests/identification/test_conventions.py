@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 from identification.aligned import align
 from identification.convention import Pull
 from identification.convention_choice import ReadLog, read_by_weight
-from identification.convention_fit import QUARTER_TURNS, Frames
+from identification.convention_fit import QUARTER_TURNS
 from identification.conventions import Verdict, rank_conventions
 from identification.errors import EstimateError
+from identification.frames import Frames
 from identification.gravity import identify_gravity
 from identification.recording import PoseSignal, Recording
 from identification.segments import find_motion

@@ -1,0 +1,59 @@
+"""What a log tells of the force/torque sensor: bias, noise, deadband, mounting."""
+
+import numpy as np
+
+from .convention_choice import ReadLog
+from .frames import Frames
+from .gravity import GravityFit
+from .mounting import identify_mounting
+from .result import Estimate, Finding, SensorEstimate, Status, VectorEstimate
+from .sensor_noise import SensorNoise, identify_sensor_noise
+from .verdicts import unidentifiable, vector
+
+_METHOD = "least squares over static poses"
+
+
+def describe_sensor(
+    read: ReadLog, gravity: GravityFit, frames: Frames | None
+) -> tuple[SensorEstimate, tuple[Finding, ...]]:
+    """Return bias, noise, deadband and mounting of the sensor, and findings about them."""
+    mounting = identify_mounting(read.poses, gravity, None if frames is None else frames.R_FS)
+    noise = identify_sensor_noise(read.log, read.motion.still, read.recording.wrench)
+    rms = gravity.noise_rms_n
+    within = Estimate(value=rms, std=0.02 * rms, status=Status.IDENTIFIED, method="spread within rests")
+    sensor = SensorEstimate(
+        force_bias_n=vector(gravity.force_bias_S_n, gravity.force_bias_std_n, method=_METHOD),
+        torque_bias_n_m=vector(gravity.torque_bias_S_n_m, gravity.torque_bias_std_n_m, method=_METHOD),
+        force_noise_rms_n=within if noise is None else noise.force_rms(),
+        gravity_residual_rms_n=Estimate(
+            value=gravity.residual_rms_n,
+            std=gravity.residual_rms_n / np.sqrt(6.0 * max(gravity.pose_count, 1)),
+            status=Status.IDENTIFIED,
+            method=_METHOD,
+        ),
+        deadband_n=_deadband(read, noise),
+        torque_noise_rms_n_m=None if noise is None else _torque_noise(noise),
+        mounting_rad=mounting.mounting_S_rad,
+        base_tilt_rad=mounting.base_tilt_B_rad,
+    )
+    return sensor, (*mounting.findings, *(() if noise is None else noise.findings))
+
+
+def _deadband(read: ReadLog, noise: SensorNoise | None) -> Estimate:
+    """Return the largest deadband of the three forces, 0 where there is none."""
+    if noise is None:
+        zeros = float(np.mean(read.recording.wrench.force_n == 0.0))
+        return unidentifiable(note=f"no rest is long enough; {100.0 * zeros:.1f} % of the forces are exactly 0")
+    found = [each for each in noise.deadband[:3] if each is not None]
+    method = "exact zeros in the logged force"
+    if not found:
+        return Estimate(value=0.0, std=0.0, status=Status.IDENTIFIED, method=method)
+    widest = max(found, key=lambda each: np.inf if each.width is None else each.width)
+    note = f"{widest.kind}, {100.0 * widest.zero_share:.1f} % of the forces on its axis are exactly 0"
+    if widest.width is None:
+        return unidentifiable(method=method, note=f"{note}; its width cannot be told")
+    return Estimate(value=widest.width, std=0.2 * widest.width, status=Status.WEAK, method=method, note=note)
+
+
+def _torque_noise(noise: SensorNoise) -> VectorEstimate:
+    return vector(noise.rms[3:], noise.rms_std[3:], method="spread within rests, drift taken out")
