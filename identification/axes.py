@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
-from .aligned import AlignedLog, check_regular
+from .aligned import AlignedLog, check_regular, find_gaps
 from .coupling import FreeMotion
 from .errors import EstimateError
 from .gravity import orientation_spread_rad
-from .recording import PoseSignal, Recording
+from .recording import PoseSignal, Recording, StampArray
 from .segments import Motion, Span
 
 FloatArray = NDArray[np.float64]
@@ -25,6 +25,7 @@ _SMALLEST_TRAVEL_M = 2e-3
 _CONSTANT_ORIENTATION_RAD = np.radians(2.0)
 _EDGE_S = 0.12
 _COVERED_SHARE = 0.9
+_REST_NS = 0.3e9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +67,7 @@ def find_axes(log: AlignedLog, motion: Motion, force_S_n: FloatArray) -> Travel:
         if np.mean(along) > 0.5:
             by_axis.setdefault(axis, []).append(span)
     axes = [_axis_motion(log, axis, spans, force_S_n) for axis, spans in sorted(by_axis.items())]
-    kept = tuple(a for a in axes if float(np.ptp(a.position_m)) > _SMALLEST_TRAVEL_M)
+    kept = tuple(a for a in axes if float(np.nanmax(a.position_m) - np.nanmin(a.position_m)) > _SMALLEST_TRAVEL_M)
     return Travel(axes=kept, oblique_share=oblique / total if total > 0.0 else 0.0)
 
 
@@ -113,12 +114,9 @@ def commanded_motion(recording: Recording, command: PoseSignal, log: AlignedLog,
 
     Raises EstimateError when the command does not cover that part.
     """
-    period = check_regular(command.topic, command.stamp_ns)
-    margin_ns = 0.3e9
-    first = log.start_ns + log.time_s[axis.spans[0].start] * 1e9 - margin_ns
-    last = log.start_ns + log.time_s[axis.spans[-1].stop - 1] * 1e9 + margin_ns
+    period = check_regular(command.topic, command.stamp_ns, keeps_holes=recording.keeps_holes)
     pose = recording.pose
-    first, last = max(first, pose.stamp_ns[0]), min(last, pose.stamp_ns[-1])
+    first, last = _moving_ns(log, axis, command.stamp_ns, pose.stamp_ns)
     inside = (command.stamp_ns >= first) & (command.stamp_ns <= last)
     covered, moving = float(np.count_nonzero(inside)) * period, float(last - first) * 1e-9
     if covered < _COVERED_SHARE * moving:
@@ -129,11 +127,34 @@ def commanded_motion(recording: Recording, command: PoseSignal, log: AlignedLog,
     stamps = command.stamp_ns[inside]
     origin = log.position_B_m[0]
     command_m = (command.position_m[inside] - origin) @ axis.direction_B
-    pose_time = (pose.stamp_ns - stamps[0]) * 1e-9
-    measured = (pose.position_m - origin) @ axis.direction_B
+    held = slice(*np.searchsorted(pose.stamp_ns, (first, last + 1.0)).tolist()) if log.holes else slice(None)
+    pose_time = (pose.stamp_ns[held] - stamps[0]) * 1e-9
+    measured = (pose.position_m[held] - origin) @ axis.direction_B
     spline = make_interp_spline(pose_time, measured, k=3)
     return CommandedMotion(
         command_m=np.asarray(command_m),
         position_m=np.asarray(spline((stamps - stamps[0]) * 1e-9)),
         period_s=period,
     )
+
+
+def _moving_ns(log: AlignedLog, axis: AxisMotion, command_ns: StampArray, pose_ns: StampArray) -> tuple[float, float]:
+    """Return from when to when the axis moves, with 0.3 s of rest on both sides; of a log with holes the longest part.
+
+    A part begins at rest; after a hole that is the first span that begins 0.3 s or more behind it.
+    """
+    spans = [
+        (log.start_ns + log.time_s[s.start] * 1e9, log.start_ns + log.time_s[s.stop - 1] * 1e9) for s in axis.spans
+    ]
+    gaps = [(float(ns[i]), float(ns[i + 1])) for ns in (command_ns, pose_ns) for i in find_gaps(ns).tolist()]
+    parts = []
+    for begin in (-np.inf, *(stop for _, stop in gaps)):
+        end = min([start for start, _ in gaps if start > begin], default=np.inf)
+        # Clipped where they run over a hole of the command that the pose does not have.
+        inside = [(a, min(b, end)) for a, b in spans if begin + _REST_NS <= a < end]
+        if inside:
+            parts.append((sum(b - a for a, b in inside), inside[0][0] - _REST_NS, min(inside[-1][1] + _REST_NS, end)))
+    if not parts:
+        raise EstimateError(f"Axis {axis.name} moves from rest nowhere outside the holes of the log; record again.")
+    _, first, last = max(parts)
+    return max(first, float(pose_ns[0])), min(last, float(pose_ns[-1]))

@@ -88,6 +88,8 @@ def identify_contact(
     if onset is None:
         return None
     used = slice(onset + round(_ONSET_SKIP_S / period_s), after - before)
+    if not bool(np.all(np.isfinite(payload.contact_force_n[max(onset - 1, 0) : used.stop]))):
+        return None  # a hole of the log hides the onset
     if used.stop - used.start < 20:
         return None
     one = np.ones(used.stop - used.start)
@@ -105,7 +107,7 @@ def identify_contact(
     return Contact(
         sign=sign,
         onset_s=(before + onset) * period_s,
-        peak_force_n=float(np.max(pressed)),
+        peak_force_n=float(np.nanmax(pressed)),
         hold_force_n=float(np.median(-sign * force_n[hold.slice])),
         stiffness_n_per_m=float(values[0]),
         stiffness_std_n_per_m=float(stds[0]),

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .aligned import AlignedLog, align, check_regular
+from .aligned import AlignedLog, align, check_regular, find_gaps
 from .axes import AxisMotion, commanded_motion, find_axes, free_motions, unguided_spans
 from .convention_choice import read_by_weight
 from .coupling import CouplingFit, Noise, identify_coupling
@@ -307,8 +307,8 @@ def _position_noise(axis: AxisMotion, still: tuple[Span, ...]) -> float:
 
 def _sample_time(recording: Recording) -> tuple[Estimate, list[Finding]]:
     source = recording.command if recording.command is not None else recording.wrench
-    period = check_regular(source.topic, source.stamp_ns)
-    spread = float(np.std(np.diff(source.stamp_ns))) * 1e-9
+    period = check_regular(source.topic, source.stamp_ns, keeps_holes=recording.keeps_holes)
+    spread = float(np.std(np.delete(np.diff(source.stamp_ns), find_gaps(source.stamp_ns)))) * 1e-9
     note = f"period of `{source.topic}`, taken as the control period"
     return (
         Estimate(

@@ -24,7 +24,7 @@ _HOLD_USED_S = 0.4
 _LONGEST_S = 3.0
 _LARGEST_MISFIT = 0.35
 _LARGEST_STD = 0.3
-_STIFFNESSES = np.geomspace(1.5e3, 3.0e6, 34)
+_STIFFNESSES = np.geomspace(1.5e3, 3.0e6, 24)
 _DAMPING_RATIOS = (0.02, 0.3)
 
 
@@ -80,6 +80,18 @@ def find_onset(hold: Span, path: FlangePath, force_n: FloatArray, coupling: Floa
     return before + first if first > _SMALLEST_LEAD_S / period_s else None
 
 
+def contact_segment(
+    hold: Span, path: FlangePath, force_n: FloatArray, coupling: FloatArray, period_s: float
+) -> tuple[Segment, int] | None:
+    """Return the span from a little before the onset into the hold, and the onset; None without an onset."""
+    onset = find_onset(hold, path, force_n, coupling, period_s)
+    if onset is None:
+        return None
+    sign = -1 if float(np.median(force_n[hold.slice])) > 0.0 else 1
+    stop = min(hold.start + round(_HOLD_USED_S / period_s), hold.stop, onset + round(_LONGEST_S / period_s))
+    return Segment(start=max(0, onset - round(_BEFORE_ONSET_S / period_s)), stop=stop, surface=0, sign=sign), onset
+
+
 def start_contact(
     hold: Span, path: FlangePath, force_n: FloatArray, values: FloatArray, layout: Layout, period_s: float
 ) -> ContactStart | None:
@@ -87,12 +99,11 @@ def start_contact(
 
     `values` holds the shared parameters of a `layout` with one surface, which is overwritten. None without an onset.
     """
-    onset = find_onset(hold, path, force_n, values[:4], period_s)
-    if onset is None:
+    cut = contact_segment(hold, path, force_n, values[:4], period_s)
+    if cut is None:
         return None
-    sign = -1 if float(np.median(force_n[hold.slice])) > 0.0 else 1
-    stop = min(hold.start + round(_HOLD_USED_S / period_s), hold.stop, onset + round(_LONGEST_S / period_s))
-    segment = Segment(start=max(0, onset - round(_BEFORE_ONSET_S / period_s)), stop=stop, surface=0, sign=sign)
+    segment, onset = cut
+    sign, stop = segment.sign, segment.stop
     measured = force_n[segment.slice]
     settled = slice(max(hold.start, stop - round(0.2 / period_s)), stop)
     held_force = float(np.mean(force_n[settled]))

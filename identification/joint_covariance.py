@@ -7,14 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .joint_solve import Block, Point, Problem, cost, information, minimise, sizes_of
+from .joint_problem import Point, Problem, sizes_of
+from .joint_solve import Block, cost, information, minimise
 
 FloatArray = NDArray[np.float64]
 
 _WHOLE_S = 1e4
 _PIECES_S = (0.1, 0.5, _WHOLE_S)
 _STEPS = 4
-_DOUBTFUL_STDS = 5.0
+_DOUBTFUL_STDS = 20.0
 _OTHER_MASS_SHARE = 0.3
 _SMOOTH_SHARE = 0.003
 _UNKNOWN_SHARE = 0.25
@@ -143,7 +144,7 @@ def _swing_left(problem: Problem, surface: int, damping: float, mass: float) -> 
     pauses = [later[0] - earlier[1] for earlier, later in itertools.pairwise(mine)]
     if mass <= 0.0 or not pauses:
         return 0.0
-    return float(np.exp(-0.5 * damping / mass * min(pauses) * problem.signals.period_s))
+    return float(np.exp(-0.5 * damping / mass * max(min(pauses), 0) * problem.signals.period_s))
 
 
 def count_misfits(problem: Problem, spread: Spread, noise_ratio: tuple[float, float]) -> Spread:

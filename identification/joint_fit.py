@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 from scipy.signal import detrend
 
 from .errors import EstimateError
-from .joint_contacts import ContactStart, FoundContact, group_contacts, start_contact
+from .joint_contacts import ContactStart, FoundContact, contact_segment, group_contacts, start_contact
 from .joint_data import JointData
 from .joint_model import Layout
 from .joint_noise import Smoother, fit_smoother, fit_whitener
+from .joint_problem import Point, Problem, Signals
 from .joint_result import JointFit, describe
 from .joint_segments import Segment, predict_force
-from .joint_solve import Point, Problem, Signals, linearise, minimise
+from .joint_solve import linearise, minimise
 from .joint_start import fit_alone, start_coupling, start_surface
 
 FloatArray = NDArray[np.float64]
@@ -43,7 +44,7 @@ def identify_joint(data: JointData) -> JointFit:
     start = np.concatenate([data.coupling, _robot_values(data), np.zeros(3)])
     start[3] = max(start[3], _LIGHTEST_SHARE * (data.mass_kg if data.mass_kg is not None else _LIGHT_KG))
     base, start = _robot_first(data, start)
-    problem, point = _free_motion(data, base, start[:-3], _starts(data, base, start))
+    problem, point = _free_motion(data, base, start[:-3])
     contacts = _starts(data, problem, np.concatenate([point.values, start[-3:]]))
     alone = [fit_alone(problem, point, contact) for contact in contacts]
     problem, point, found = _together(data, problem, point, [c for c in alone if c.is_sound])
@@ -133,15 +134,16 @@ def _pose_spans(data: JointData) -> tuple[slice, ...]:
     return tuple(slice(max(0, s.start - edge), min(count, s.stop + edge)) for s in data.moving)
 
 
-def _free_motion(
-    data: JointData, base: Problem, values: FloatArray, contacts: Sequence[ContactStart]
-) -> tuple[Problem, Point]:
+def _free_motion(data: JointData, base: Problem, values: FloatArray) -> tuple[Problem, Point]:
     """Fit the most telling spans alone, let the best one choose its like, and fit those together."""
     edge = round(_FREE_EDGE_S / data.period_s)
+    path = base.path(values)
+    cuts = [contact_segment(hold, path, data.force_n, values[:4], data.period_s) for hold in data.holds]
+    contacts = [cut[0] for cut in cuts if cut is not None]
     candidates = []
     for span in data.free:
         segment = Segment(start=max(0, span.start - edge), stop=min(len(data.force_n), span.stop + edge))
-        touched = any(c.segment.start < segment.stop and segment.start < c.segment.stop for c in contacts)
+        touched = any(c.start < segment.stop and segment.start < c.stop for c in contacts)
         if len(segment) * data.period_s >= _SHORTEST_FREE_S and not touched:
             candidates.append(segment)
     by_force = sorted(candidates, key=lambda s: -float(np.sum(_centred(data.force_n[s.slice]) ** 2)))

@@ -15,6 +15,7 @@ Body = tuple[float, float, float, float, float, float, float]
 _BISECTIONS = 40
 _RADIANS_PER_STEP = 0.15
 _MOST_STEPS = 400
+_MOST_SWITCHES = 8
 # A freed environment that swings faster than this [rad/sample] is back before the payload is.
 _BACK_AT_ONCE = 20.0
 
@@ -158,13 +159,12 @@ def switch(state: FloatArray, ends: tuple[float, float, float, float], body: Bod
     if not returns_at_once(body):
         rate = max(rate, np.sqrt(k_e / m_e) + b_e / m_e)
     steps = int(min(max(np.ceil(rate / _RADIANS_PER_STEP), 8.0), _MOST_STEPS))
-    size, at = 1.0 / steps, 0.0
-    for _ in range(8 * steps):
-        if at >= 1.0 - 1e-12:
-            break
+    size, at, switches = 1.0 / steps, 0.0, 0
+    while at < 1.0 - 1e-12:
         dt = min(size, 1.0 - at)
         end = _advance(state, ends, at, dt, body, touching)
-        if pressing(end, ends, at + dt, body, touching) == touching:
+        # What chatters more often than this within a sample is taken to stay as it is until the next tick.
+        if switches >= _MOST_SWITCHES or pressing(end, ends, at + dt, body, touching) == touching:
             state[:] = end
             at += dt
             continue
@@ -178,6 +178,7 @@ def switch(state: FloatArray, ends: tuple[float, float, float, float], body: Bod
                 high = middle
         state[:] = _advance(state, ends, at, high, body, touching)
         at += high
+        switches += 1
         touching = not touching
         if touching:
             # The payload takes the environment's mass along without rebound.

@@ -32,7 +32,7 @@ class Whitener:
 
     def apply(self, columns: FloatArray) -> FloatArray:
         """Whiten along the first axis; the samples without a past are left out."""
-        return np.asarray(lfilter(self.coefficients, [1.0], columns, axis=0)[self.order :] / self.rms)
+        return np.asarray(lfilter(self.coefficients / self.rms, [1.0], columns, axis=0)[self.order :])
 
 
 def fit_whitener(residuals: Sequence[FloatArray]) -> Whitener:

@@ -54,7 +54,11 @@ def commanded_path(
     older = command_m[np.maximum(np.arange(count) - hold.older, 0)]
     newer = command_m[np.maximum(np.arange(count) - hold.older + 1, 0)]
     misfit = position_m - states[:, 0]
-    rest = _taylor(smoother.spline(misfit))
+    rest = np.zeros((count, 4))
+    if smoother.taps is None:
+        rest[:, 0] = np.mean(misfit)
+    else:
+        rest = _taylor(smoother.spline(misfit))
     acting = older if hold.fraction > 0.0 else newer
     order = states.shape[1]
     after = states @ rate[0, :order] + rate[0, order] * acting
@@ -62,7 +66,7 @@ def commanded_path(
     before = states[1:] @ rate[0, :order] + rate[0, order] * newer[:-1]
     position, velocity = states[:, 0] + rest[:, 0], after + rest[:, 1]
     return FlangePath(
-        drive=np.column_stack([states, older, newer, rest]),
+        drive=np.ascontiguousarray(np.concatenate([states.T, [older, newer], rest.T]).T),
         position=position,
         velocity=velocity,
         ends=_ends(position, velocity, np.append(velocity[:1], before + rest[1:, 1])),
@@ -75,7 +79,7 @@ def commanded_path(
 def _ends(position: FloatArray, after: FloatArray, before: FloatArray) -> FloatArray:
     following = np.append(position[1:], position[-1] + after[-1])
     arriving = np.append(before[1:], after[-1])
-    return np.column_stack([position, after, following, arriving])
+    return np.ascontiguousarray(np.array([position, after, following, arriving]).T)
 
 
 def _taylor(coefficients: FloatArray) -> FloatArray:

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .joint_covariance import Spread
-from .joint_solve import Block, Point, Problem, Summary, cost, information, minimise, sizes_of
+from .joint_problem import Point, Problem, Summary, sizes_of
+from .joint_solve import Block, cost, information, minimise
 
 FloatArray = NDArray[np.float64]
 

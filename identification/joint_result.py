@@ -13,9 +13,10 @@ from .joint_contacts import FoundContact
 from .joint_covariance import Spread, count_misfits, other_minima, widened
 from .joint_model import robot_model
 from .joint_noise import whiteness
+from .joint_problem import Point, Problem, logarithmic, sizes_of
 from .joint_profile import bounded_intervals
 from .joint_segments import Segment, predict_force
-from .joint_solve import Block, Point, Problem, information, linearise, logarithmic, minimise, sizes_of
+from .joint_solve import Block, information, linearise, minimise
 
 FloatArray = NDArray[np.float64]
 

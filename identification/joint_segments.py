@@ -1,6 +1,8 @@
 """Spans of the log that one payload on one spring explains, and the force that the model predicts there."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,9 @@ FloatArray = NDArray[np.float64]
 
 _NO_SURFACE = np.zeros(3)
 _STEP_SHARE = 1e-6
+_OWN_SIZES = (1.0, 1.0, 1.0, 1e-3)
+_OFFSET = 2
+_DOMINATED = 0.2
 FREE = -1
 
 
@@ -90,32 +95,52 @@ def force_jacobian(
     sizes: FloatArray,
     nuisance: FloatArray,
     segment: Segment,
-    paths: tuple[FlangePath, dict[int, FlangePath]],
+    paths: Callable[[int, int], FlangePath],
+    indices: NDArray[np.intp],
     layout: Layout,
     period_s: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the prediction and its derivative by the shared parameters of the segment and then its nuisances.
+    """Return the prediction and its derivative by the shared parameters `indices` and then its nuisances.
 
     One-sided differences of an exact solution: `sizes` are the parameters' units, and the error of a difference is a
-    millionth of the curvature. `paths` holds the flange's path and those of a moved robot parameter.
+    millionth of the curvature. `paths(i, n)` is the flange's path with parameter i moved by n steps. A bounce that
+    begins or ends at a tick makes the prediction jump there; a derivative that one sample dominates is therefore taken
+    over the next step too, and the smaller one counts, sample by sample.
     """
-    here, moved = paths
-    base = predict_force(values, nuisance, segment, here, layout, period_s)
-    columns = []
-    for index in shared_indices(segment, layout, through_robot=bool(moved)):
-        step = np.zeros(len(values))
-        step[index] = _STEP_SHARE * sizes[index]
-        path = moved.get(int(index), here)
-        columns.append((predict_force(values + step, nuisance, segment, path, layout, period_s) - base) / step[index])
-    for index, size in enumerate((1.0, 1.0, None, 1e-3)[: segment.nuisance_count]):
-        if size is None:
-            columns.append(np.ones(len(base)))
-            continue
-        step = np.zeros(len(nuisance))
-        step[index] = _STEP_SHARE * size
-        after = predict_force(values, nuisance + step, segment, here, layout, period_s)
-        columns.append((after - base) / step[index])
-    return base, np.column_stack(columns)
+
+    def shared(index: int, steps: int) -> FloatArray:
+        there = values.copy()
+        there[index] += steps * _STEP_SHARE * sizes[index]
+        return predict_force(there, nuisance, segment, paths(index, steps), layout, period_s)
+
+    def own(index: int, steps: int) -> FloatArray:
+        there = nuisance.copy()
+        there[index] += steps * _STEP_SHARE * _OWN_SIZES[index]
+        return predict_force(values, there, segment, paths(0, 0), layout, period_s)
+
+    base = predict_force(values, nuisance, segment, paths(0, 0), layout, period_s)
+    columns = [difference(partial(shared, int(i)), base, _STEP_SHARE * sizes[i]) for i in indices]
+    for index in range(segment.nuisance_count):
+        is_offset = index == _OFFSET
+        step = _STEP_SHARE * _OWN_SIZES[index]
+        columns.append(np.ones(len(base)) if is_offset else difference(partial(own, index), base, step))
+    return base, np.array(columns).T
+
+
+def difference(predicted: Callable[[int], FloatArray], base: FloatArray, step: float) -> FloatArray:
+    """Return the slope of what 1 and 2 steps predict, a jump in a few samples left out (see `force_jacobian`)."""
+    once = predicted(1)
+    slope = (once - base) / step
+    return _smaller(slope, (predicted(2) - once) / step) if _is_jump(slope) else slope
+
+
+def _is_jump(slope: FloatArray) -> bool:
+    square = slope * slope
+    return bool(np.max(square) > _DOMINATED * np.sum(square))
+
+
+def _smaller(first: FloatArray, second: FloatArray) -> FloatArray:
+    return np.where(np.abs(first) <= np.abs(second), first, second)
 
 
 def robot_step(sizes: FloatArray, index: int) -> float:

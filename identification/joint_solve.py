@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .joint_model import Layout
-from .joint_noise import Smoother, Whitener
-from .joint_path import FlangePath, commanded_path, measured_path
+from .joint_path import FlangePath
+from .joint_problem import Point, Problem, logarithmic, sizes_of
 from .joint_segments import Segment, force_jacobian, predict_force, robot_step, shared_indices
 
 FloatArray = NDArray[np.float64]
@@ -17,73 +17,6 @@ _MOST_HALVINGS = 6
 _CONVERGED = 1e-3
 _LARGEST_LOG_STEP = 0.7
 _ROBOT_HZ = 5.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Signals:
-    """One axis on one clock: flange position, force without weight and bias, command; (n,) each, the last or None.
-
-    `command_m[k]` is the command issued at or after tick k and before the next; `smoother` belongs to the pose.
-    """
-
-    period_s: float
-    position_m: FloatArray
-    force_n: FloatArray
-    command_m: FloatArray | None
-    smoother: Smoother
-
-    def path(self, values: FloatArray, layout: Layout) -> FlangePath:
-        """Return the flange's path for robot parameters."""
-        if self.command_m is None or layout.robot_order == 0:
-            return measured_path(self.position_m, self.smoother)
-        return commanded_path(values[layout.robot], self.command_m, self.position_m, self.smoother, self.period_s)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Point:
-    """A value of everything: shared parameters, and each segment's own."""
-
-    values: FloatArray
-    nuisances: tuple[FloatArray, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Summary:
-    """A quadratic form |root · u|² of all shared parameters about `values`, u counted as the steps are."""
-
-    root: FloatArray
-    values: FloatArray
-
-
-@dataclass(frozen=True, kw_only=True)
-class Problem:
-    """What is fitted: force over `segments`, pose over `pose_spans`, with one whitener per kind of span.
-
-    `priors` are (index, value, standard deviation); `fixed` are indices that stay as they are, and with the robot's
-    among them `known_path` is the flange's path; `summary` stands for other spans. No payload is lighter than
-    `lightest_kg`: next to nothing, its own motion could not be told from rounding.
-    """
-
-    signals: Signals
-    layout: Layout
-    segments: tuple[Segment, ...]
-    pose_spans: tuple[slice, ...]
-    free_noise: Whitener
-    contact_noise: Whitener
-    pose_noise: Whitener
-    priors: tuple[tuple[int, float, float], ...] = ()
-    fixed: tuple[int, ...] = ()
-    known_path: FlangePath | None = None
-    summary: Summary | None = None
-    lightest_kg: float = 0.01
-
-    def path(self, values: FloatArray) -> FlangePath:
-        """Return the flange's path at these parameters."""
-        return self.signals.path(values, self.layout) if self.known_path is None else self.known_path
-
-    def noise(self, segment: Segment) -> Whitener:
-        """Return the whitener of a segment's force."""
-        return self.contact_noise if segment.is_contact else self.free_noise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,57 +33,45 @@ class Block:
     doubts: FloatArray | None = None
 
 
-def sizes_of(values: FloatArray, layout: Layout, period_s: float) -> FloatArray:
-    """Return a unit for every parameter: itself where it cannot vanish, else a tenth of what would be critical."""
-    out = np.array(values, dtype=np.float64)
-    mass = float(values[3])
-    out[1] = out[2] = 0.2 * np.sqrt(float(values[0]) * mass)
-    if layout.robot_order:
-        out[layout.robot.stop - 1] = period_s
-    for i in range(layout.surfaces):
-        first = layout.surface(i).start
-        out[first + 1] = 0.2 * np.sqrt(float(values[first]) * mass)
-        out[first + 2] = 0.1 * mass
-    return out
-
-
-def logarithmic(layout: Layout) -> NDArray[np.bool_]:
-    """Return which parameters are stepped in their logarithm: K_s, M_p, ω, ζ and K_e."""
-    out = np.zeros(len(layout), dtype=bool)
-    out[[0, 3]] = True
-    out[layout.robot.start : layout.robot.stop - 1] = layout.robot_order > 0
-    for i in range(layout.surfaces):
-        out[layout.surface(i).start] = True
-    return out
-
-
 def linearise(problem: Problem, point: Point) -> list[Block]:
     """Return the whitened residuals and derivatives of every span at a point: forces, then poses, then priors."""
     signals, layout = problem.signals, problem.layout
     sizes = sizes_of(point.values, layout, signals.period_s)
     here = problem.path(point.values)
-    all_moved: dict[int, FlangePath] = {}
-    for index in range(layout.robot.start, layout.robot.stop if problem.known_path is None else layout.robot.start):
+    robot = range(layout.robot.start, layout.robot.stop)
+
+    @cache
+    def moved(index: int, steps: int) -> FlangePath:
         values = point.values.copy()
-        values[index] += robot_step(sizes, index)
-        all_moved[index] = signals.path(values, layout)
+        values[index] += steps * robot_step(sizes, index)
+        return problem.path(values)
+
+    def paths(index: int, steps: int) -> FlangePath:
+        return moved(index, steps) if index in robot and problem.known_path is None else here
+
     blocks = []
     for segment, nuisance in zip(problem.segments, point.nuisances, strict=True):
+        indices = shared_indices(segment, layout, through_robot=problem.known_path is None)
         predicted, jacobian = force_jacobian(
-            point.values, sizes, nuisance, segment, (here, all_moved), layout, signals.period_s
+            point.values, sizes, nuisance, segment, paths, indices, layout, signals.period_s
         )
-        indices = shared_indices(segment, layout, through_robot=bool(all_moved))
         jacobian[:, : len(indices)] *= sizes[indices]
-        columns = [predicted - signals.force_n[segment.slice], jacobian]
+        lines = [(predicted - signals.force_n[segment.slice])[None], jacobian.T]
         if here.robot is None:
-            columns.append(_untimed(point.values, segment, here, signals.period_s))
-        rows = problem.noise(segment).apply(np.column_stack(columns))
+            lines.append(_untimed(point.values, segment, here, signals.period_s))
+        rows = problem.noise(segment).apply(np.concatenate(lines).T)
         blocks.append(_block(rows, indices, segment.nuisance_count))
-    if all_moved:
-        indices = np.arange(layout.robot.start, layout.robot.stop)
-        slopes = [(all_moved[i].misfit_m - here.misfit_m) / robot_step(sizes, i) * sizes[i] for i in indices]
-        rows = np.column_stack([here.misfit_m, *slopes, np.ones(len(here.misfit_m))])
+    if problem.pose_spans:
+        indices = np.array(robot)
+        slopes = [(moved(i, 1).misfit_m - here.misfit_m) / robot_step(sizes, i) * sizes[i] for i in robot]
+        rows = np.array([here.misfit_m, *slopes, np.ones(len(here.misfit_m))]).T
         blocks += [_block(problem.pose_noise.apply(rows[span]), indices, 1) for span in problem.pose_spans]
+    return blocks + _known(problem, point)
+
+
+def _known(problem: Problem, point: Point) -> list[Block]:
+    """Return what priors and other spans' summary say, as blocks of their own."""
+    sizes, blocks = sizes_of(point.values, problem.layout, problem.signals.period_s), []
     for index, value, std in problem.priors:
         one = np.array([[sizes[index] / std]])
         residual = np.array([(point.values[index] - value) / std])
@@ -158,7 +79,7 @@ def linearise(problem: Problem, point: Point) -> list[Block]:
     if problem.summary is not None:
         root = problem.summary.root
         residual = root @ _apart(problem, point.values)
-        blocks.append(Block(residual=residual, jacobian=root, indices=np.arange(len(layout)), own=None))
+        blocks.append(Block(residual=residual, jacobian=root, indices=np.arange(len(problem.layout)), own=None))
     return blocks
 
 
@@ -190,7 +111,7 @@ def _block(rows: FloatArray, indices: NDArray[np.intp], own_count: int) -> Block
 
 
 def _untimed(values: FloatArray, segment: Segment, path: FlangePath, period_s: float) -> FloatArray:
-    """Return the force that is missed if the flange takes its speed half a sample sooner or later, (n, 2).
+    """Return the force that is missed if the flange takes its speed half a sample sooner or later, (2, n).
 
     Between the ticks the pose says nothing. A robot that follows a held command jumps in speed at every tick, by up to
     h (a + ω v); the coupling's damping passes that on. ω stands for 2π·5 Hz, the damping for at least a twentieth of
@@ -199,7 +120,7 @@ def _untimed(values: FloatArray, segment: Segment, path: FlangePath, period_s: f
     damping = max(float(values[1]), 0.1 * float(np.sqrt(values[0] * values[3])))
     speed = path.velocity[segment.slice] / period_s
     acceleration = np.gradient(speed, period_s)
-    return 0.5 * period_s * damping * np.column_stack([acceleration, 2.0 * np.pi * _ROBOT_HZ * speed])
+    return 0.5 * period_s * damping * np.array([acceleration, 2.0 * np.pi * _ROBOT_HZ * speed])
 
 
 def information(blocks: Sequence[Block], count: int) -> tuple[FloatArray, FloatArray]:

@@ -8,18 +8,19 @@ from numpy.typing import NDArray
 
 from .joint_contacts import ContactStart, FoundContact
 from .joint_model import Layout
+from .joint_problem import Point, Problem
 from .joint_segments import Segment
-from .joint_solve import Point, Problem, information, linearise, minimise
+from .joint_solve import information, linearise, minimise
 from .segments import low_pass
 
 FloatArray = NDArray[np.float64]
 
 _SLOW_HZ = 6.0
-_RESONANCES_HZ = np.geomspace(6.0, 220.0, 9)
+_RESONANCES_HZ = np.geomspace(6.0, 220.0, 7)
 _HIGHEST_SHARE = 0.45  # of the sampling rate
 _START_DAMPING_RATIO = 0.05
 _STEPS_HELD, _STEPS_ALONE, _STEPS_GROUP = 2, 10, 6
-_MASS_STARTS = (0.0, 0.1, 0.4)
+_MASS_STARTS = (0.0, 0.2)
 _ALIKE = 1.1
 
 

@@ -132,7 +132,8 @@ class Recording:
     """The channels of one or more logs that `identify` needs, each on its own clock.
 
     `sha256` maps every log path to the digest of its bytes; `clocks` maps each role to the clock that stamps it
-    (`header` or `log`); `findings` tell what was chosen, assumed or left out on the way.
+    (`header` or `log`); `findings` tell what was chosen, assumed or left out on the way. With `keeps_holes` (a salvaged
+    log) times without messages are kept as holes, of which nothing is known, instead of being refused.
     """
 
     wrench: WrenchSignal
@@ -144,6 +145,7 @@ class Recording:
     sha256: Mapping[str, str] = field(default_factory=dict)
     clocks: Mapping[str, str] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
+    keeps_holes: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sha256", MappingProxyType(dict(self.sha256)))

@@ -8,7 +8,9 @@ from scipy.ndimage import binary_closing, binary_opening, uniform_filter1d
 from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
-from .aligned import AlignedLog
+from .aligned import AlignedLog, Span, spans_of
+
+__all__ = ["Motion", "Span", "find_motion", "low_pass"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -19,24 +21,10 @@ _SHORTEST_STILL_S = 0.4
 _LONGEST_PAUSE_S = 0.12
 _MOTION_BAND_HZ = 25.0
 _SHAKE_WINDOW_S = 0.12
+_HOLE_MARGIN_S = 0.15
+_FEWEST_FILTERED = 30
 _SHAKE_FACTOR = 3.0
 _SHAKE_FLOOR_N = 0.2
-
-
-@dataclass(frozen=True, kw_only=True)
-class Span:
-    """Samples `start` up to, not including, `stop`."""
-
-    start: int
-    stop: int
-
-    @property
-    def slice(self) -> slice:
-        """The span as an index."""
-        return slice(self.start, self.stop)
-
-    def __len__(self) -> int:
-        return self.stop - self.start
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,13 +37,23 @@ class Motion:
 
 
 def low_pass(values: FloatArray, period_s: float, cutoff_hz: float) -> FloatArray:
-    """Filter (n, …) along the first axis forwards and backwards: no phase shift."""
+    """Filter (n, …) along the first axis forwards and backwards: no phase shift, each stretch without NaN alone."""
     sections = butter(3, min(cutoff_hz, 0.45 / period_s), fs=1.0 / period_s, output="sos")
-    return np.asarray(sosfiltfilt(sections, values, axis=0))
+    known = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+    if bool(np.all(known)):
+        return np.asarray(sosfiltfilt(sections, values, axis=0))
+    smooth = np.full(values.shape, np.nan)
+    for span in spans_of(np.asarray(known)):
+        if len(span) > _FEWEST_FILTERED:
+            smooth[span.slice] = sosfiltfilt(sections, values[span.slice], axis=0)
+    return smooth
 
 
 def find_motion(log: AlignedLog) -> Motion:
-    """Split the log into spans at rest (≥ 0.4 s) and spans of motion between them."""
+    """Split the log into spans at rest (≥ 0.4 s) and spans of motion between them, neither across a hole of the log.
+
+    Motion ends 0.15 s off a hole: what is derived from it looks that far beyond a span.
+    """
     smooth = low_pass(log.position_B_m, log.period_s, _MOTION_BAND_HZ)
     velocity_B = np.gradient(smooth, log.period_s, axis=0)
     velocity_S = np.asarray(log.orientation_BS.inv().apply(velocity_B))
@@ -63,19 +61,27 @@ def find_motion(log: AlignedLog) -> Motion:
     still = (np.linalg.norm(velocity_B, axis=1) < _STILL_SPEED_M_S) & (turning < _STILL_TURN_RAD_S) & _quiet_force(log)
     # An oscillation passes through zero speed: short pauses belong to the motion, and rest has a least length.
     pause = max(1, round(_LONGEST_PAUSE_S / log.period_s))
-    moving = binary_closing(~still, structure=np.ones(2 * pause + 1))
     shortest = max(1, round(_SHORTEST_STILL_S / log.period_s))
-    rest = binary_opening(~moving, structure=np.ones(shortest))
-    return Motion(velocity_S_m_s=velocity_S, still=_spans(rest), moving=_spans(~rest))
+    rest, away = np.zeros(len(log), dtype=np.bool_), np.ones(len(log), dtype=np.bool_)
+    for piece in log.pieces:
+        moving = binary_closing(~still[piece.slice], structure=np.ones(2 * pause + 1))
+        rest[piece.slice] = binary_opening(~moving, structure=np.ones(shortest))
+    margin = round(_HOLE_MARGIN_S / log.period_s)
+    for hole in log.holes:
+        away[max(0, hole.start - margin) : hole.stop + margin] = False
+    return Motion(velocity_S_m_s=velocity_S, still=spans_of(rest), moving=spans_of(~rest & away))
 
 
 def _quiet_force(log: AlignedLog) -> BoolArray:
     """Return where the force does not shake: vibration above the band of the speed estimate shows here."""
     width = max(3, round(_SHAKE_WINDOW_S / log.period_s))
-    mean = uniform_filter1d(log.force_S_n, width, axis=0)
-    variance = uniform_filter1d(log.force_S_n**2, width, axis=0) - mean**2
-    shake = np.sqrt(np.maximum(variance, 0.0)).max(axis=1)
-    return np.asarray(shake < _SHAKE_FACTOR * np.quantile(shake, 0.1) + _SHAKE_FLOOR_N)
+    shake = np.full(len(log), np.nan)
+    for piece in log.pieces:
+        force = log.force_S_n[piece.slice]
+        mean = uniform_filter1d(force, width, axis=0)
+        variance = uniform_filter1d(force**2, width, axis=0) - mean**2
+        shake[piece.slice] = np.sqrt(np.maximum(variance, 0.0)).max(axis=1)
+    return np.asarray(shake < _SHAKE_FACTOR * np.nanquantile(shake, 0.1) + _SHAKE_FLOOR_N)
 
 
 def _turn_rate(log: AlignedLog) -> FloatArray:
@@ -87,10 +93,3 @@ def _turn_rate(log: AlignedLog) -> FloatArray:
     rate = (before.inv() * after).magnitude() / (lag * log.period_s)
     half = lag // 2
     return np.concatenate([np.full(half, rate[0]), rate, np.full(lag - half, rate[-1])])
-
-
-def _spans(mask: BoolArray) -> tuple[Span, ...]:
-    padded = np.concatenate([[False], mask, [False]])
-    starts = np.flatnonzero(~padded[:-1] & padded[1:])
-    stops = np.flatnonzero(padded[:-1] & ~padded[1:])
-    return tuple(Span(start=int(a), stop=int(b)) for a, b in zip(starts, stops, strict=True))

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from numpy.typing import NDArray
 
 from autotune.cell.phases import Program
@@ -119,6 +120,25 @@ def check_identified(tree: dict[str, Any]) -> None:
         assert found["value"] == pytest.approx(truth, rel=PROMISED)
     # The command's clock is the controller's, whatever the sensors run at.
     assert tree["sample_time_s"]["value"] == pytest.approx(cell.sample_time_s, rel=1e-6)
+
+
+def test_a_damaged_chunk_costs_a_salvaged_log_its_chunk_alone(
+    run_cli: RunCli, tmp_path: Path, recording: Recording
+) -> None:
+    path = write_mcap(tmp_path / "run.mcap", streams(recording, PLAIN), Options(chunk_size=256 * 1024))
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    damaged, data = summary.chunk_indexes[len(summary.chunk_indexes) // 2], bytearray(path.read_bytes())
+    data[damaged.chunk_start_offset + damaged.chunk_length // 2] ^= 0x10
+    path.write_bytes(data)
+    refused = run_cli("identify", path, "-o", tmp_path / "refused.yaml")
+    assert (refused.returncode, (tmp_path / "refused.yaml").exists()) == (3, False)
+    assert f"byte {damaged.chunk_start_offset}" in refused.stderr
+    found = json_of(run_cli("identify", path, "--salvage", "--json", "-o", tmp_path / "found.yaml"))
+    check_identified(found)
+    assert found["provenance"]["options"]["salvage"] is True
+    assert {"salvaged", "hole"} <= {finding["code"] for finding in found["findings"]}
 
 
 def test_from_a_log_to_an_exported_controller(run_cli: RunCli, tmp_path: Path, plain_log: Path) -> None:

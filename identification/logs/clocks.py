@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..aligned import longest_whole
 from ..recording import Recording, StampArray
 from ..result import Finding
 from .channel_clock import ChannelClock, clock_findings, measure_clock
@@ -79,7 +80,8 @@ def check_clocks(recording: Recording, times: Sequence[ChannelTimes] = ()) -> Cl
     apart = between[0] if wrench is not None and pose is not None else None
     far = apart is not None and not apart.agree and abs(apart.offset_s) > _CERTAIN_S
     around = apart.offset_s if far and apart is not None else 0.0
-    offset = estimate_clock_offset(recording.wrench, recording.pose, around_s=around)
+    whole = longest_whole(recording)
+    offset = estimate_clock_offset(whole.wrench, whole.pose, around_s=around)
     findings = [each for clock in clocks.values() for each in clock_findings(clock, periods[clock.topic])]
     findings += [_disagreement(each) for each in between if each is not apart and not each.agree]
     findings.append(_offset_finding(recording, offset, apart, far=far))

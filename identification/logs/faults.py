@@ -23,7 +23,13 @@ _OF_A_DEADBAND = frozenset({"stuck-axis", "deadband", "coarse-steps", "repeated-
 
 
 def role_faults(
-    role: Role, parts: Sequence[RoleSeries], stamps: Sequence[StampArray], source: Source | None, start_ns: int
+    role: Role,
+    parts: Sequence[RoleSeries],
+    stamps: Sequence[StampArray],
+    source: Source | None,
+    start_ns: int,
+    *,
+    keeps_holes: bool = False,
 ) -> Iterator[Finding]:
     """Yield what is wrong with the samples of a role; those of severity `error` make it unusable.
 
@@ -36,7 +42,7 @@ def role_faults(
         # A recording clock may start at 0; only a header stamp of 0 is one that was never set.
         told = stamp_ns - stamp_ns[:1] + 1 if stamp_ns is part.log_ns else stamp_ns
         yield from frame_faults(topic, part.frame_ids)
-        yield from stamp_faults(topic, told, (part.log_ns - start_ns) / 1e9)
+        yield from stamp_faults(topic, told, (part.log_ns - start_ns) / 1e9, keeps_holes=keeps_holes)
     ordered = sorted(parts, key=lambda part: int(part.log_ns[0]) if part.log_ns.size else 0)
     when = (_joined([part.log_ns for part in ordered]) - start_ns) / 1e9
     values = _without_unmeasured(parts[0], _joined([part.values for part in ordered]))

@@ -37,8 +37,10 @@ def inspect_log(paths: Path | Sequence[Path], cell: Cell | None = None, *, salva
         series = _read_all(logs, findings)
         channels = tuple(_summary(head, series[head.channel]) for head in heads)
         numbers = tuple(found for part in logs.parts for found in number_fields(part))
-        findings += [f for head in heads for f in _channel_findings(head, series[head.channel], logs.start_ns)]
-        findings += _declared_findings(logs, choices, told)
+        findings += [
+            f for head in heads for f in _channel_findings(head, series[head.channel], logs.start_ns, salvage=salvage)
+        ]
+        findings += _declared_findings(logs, choices, told, salvage=salvage)
         findings += number_findings(logs, numbers, {choice.head.channel for choice in choices.values()})
         findings += _clock_findings(series, choices)
         findings += open_questions(heads, told, logs.name)
@@ -143,7 +145,7 @@ def _wanted(head: Head) -> Wanted:
     return Wanted(fields=by_type[0].fields if is_plain else (), header="header" if head.has_header else "")
 
 
-def _channel_findings(head: Head, series: Series, start_ns: int) -> Iterator[Finding]:
+def _channel_findings(head: Head, series: Series, start_ns: int, *, salvage: bool) -> Iterator[Finding]:
     roles = [role for role in roles_of(head.channel) if role in LAYOUTS]
     if not roles or not series.log_ns.size or series.stamp_ns is None:
         return
@@ -156,10 +158,10 @@ def _channel_findings(head: Head, series: Series, start_ns: int) -> Iterator[Fin
             frame_ids=series.frame_ids,
             values=series.values,
         )
-        yield from role_faults(roles[0], [mine], [series.stamp_ns], None, start_ns)
+        yield from role_faults(roles[0], [mine], [series.stamp_ns], None, start_ns, keeps_holes=salvage)
 
 
-def _declared_findings(logs: OpenedLogs, choices: Mapping[Role, Choice], cell: Cell) -> list[Finding]:
+def _declared_findings(logs: OpenedLogs, choices: Mapping[Role, Choice], cell: Cell, *, salvage: bool) -> list[Finding]:
     """Return the faults of roles whose layout the cell declares; others are examined by their type."""
     declared = [choice for choice in choices.values() if choice.reason.startswith("declared")]
     found: list[Finding] = []
@@ -170,7 +172,7 @@ def _declared_findings(logs: OpenedLogs, choices: Mapping[Role, Choice], cell: C
     for role in dict.fromkeys(role for part in parts for role in part):
         mine = [part[role] for part in parts if role in part]
         stamps = [part.log_ns if part.stamp_ns is None else part.stamp_ns for part in mine]
-        found += role_faults(role, mine, stamps, source_of(cell, role), logs.start_ns)
+        found += role_faults(role, mine, stamps, source_of(cell, role), logs.start_ns, keeps_holes=salvage)
     return found
 
 

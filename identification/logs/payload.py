@@ -1,6 +1,8 @@
 """What the weight says about a wrench: its unit, its sign, and whether the payload or the bias changed midway."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +13,7 @@ from ..gravity import StaticPose, collect_static_poses
 from ..recording import AXES, FloatArray, Recording
 from ..result import Finding
 from ..segments import find_motion
-from .tare import find_tare_jumps
+from .tare import TareJump, find_tare_jumps
 
 _DISTINCT_COSINE = float(np.cos(np.radians(2.0)))
 _FEWEST_ORIENTATIONS = 4
@@ -27,6 +29,8 @@ _EXPLAINED = 0.9
 _TOGETHER = 0.6
 _FOLLOWED = 0.6
 _SMALLEST_KG = 0.1
+_HARMLESS_N = 3.0
+_FEWEST_BESIDE = 3
 _SAME_PLACE_M = 1e-3
 
 
@@ -34,7 +38,8 @@ def check_payload(recording: Recording) -> tuple[Finding, ...]:
     """Report tare jumps, a payload or a bias that changed midway, kilonewtons and a flipped sign, with their times.
 
     Needs a raw wrench, a whole pose, and for all but the tare jumps rests in at least 4 orientations; says nothing
-    where they are missing or where wrench and pose do not fit together.
+    where they are missing or where wrench and pose do not fit together. A tare jump is an error where the rests beside
+    it do not tell both biases: contacts would be weighed wrongly.
     """
     wrench, pose = recording.wrench, recording.pose
     if wrench.gravity_compensated or wrench.deadband is not None or pose.is_displacement:
@@ -51,10 +56,32 @@ def check_payload(recording: Recording) -> tuple[Finding, ...]:
 def weigh_rests(topic: str, log: AlignedLog, poses: tuple[StaticPose, ...]) -> tuple[Finding, ...]:
     """Do what `check_payload` does on a raw log that is aligned already, with its rests."""
     jumps = find_tare_jumps(log)
-    found = [jump.finding(topic) for jump in jumps]
+    found = [_judged(jump.finding(topic), jump, jumps, log, poses) for jump in jumps]
     # A tare in the middle of the poses is told once.
     change = None if jumps else _find_change(topic, log, poses)
     return (*found, *(() if change is None else (change,)), *_unit_findings(topic, poses))
+
+
+def _judged(
+    finding: Finding, jump: TareJump, jumps: Sequence[TareJump], log: AlignedLog, poses: tuple[StaticPose, ...]
+) -> Finding:
+    """Return the finding as an error where the rests on one side of a jump cannot tell the bias that holds there."""
+    if float(np.linalg.norm(jump.force_n)) < _HARMLESS_N:
+        return finding
+    edges = [-np.inf, *(each.time_s for each in jumps), np.inf]
+    sides = [
+        tuple(pose for pose in poses if start <= log.time_s[pose.span.start] < stop) for start, stop in pairwise(edges)
+    ]
+    # Of a side without more than the rest of the jump itself nothing is asked.
+    asked = [_distinct(side) for side in sides if len(side) > 1]
+    if len(asked) <= 2 and min(asked, default=_FEWEST_BESIDE) >= _FEWEST_BESIDE:
+        return finding
+    return replace(
+        finding,
+        severity="error",
+        message=f"{finding.message} The bias beside it cannot be told: the tool rests in {', '.join(map(str, asked))} "
+        f"orientations on its sides, and {_FEWEST_BESIDE} are needed on each of two.",
+    )
 
 
 def _directions(poses: tuple[StaticPose, ...]) -> FloatArray:
@@ -186,9 +213,9 @@ def _unit_findings(topic: str, poses: tuple[StaticPose, ...]) -> Iterator[Findin
     if mass < 0.0:
         yield Finding(
             code="force-sign",
-            severity="error",
+            severity="warning",
             message=f"The force of {topic} follows gravity with the opposite sign (it would be {mass:.3g} kg).",
-            advice="Declare the sign of the wrench: the force that the payload puts on the flange hangs downwards.",
+            advice="Declare `wrench: {exerted_by: …}` or `gravity_direction` in cell.yaml; `identify` tries which is true.",
         )
     if abs(mass) < _SMALLEST_KG:
         yield Finding(

@@ -75,14 +75,14 @@ def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool) -> _Read:
         parts = _parts(logs.read_roles(tuple(choices.values())), choices, logs)
         clocks, about_clocks = chosen_clocks(parts, cell)
         times = _times(parts, clocks)
-        about_samples = sample_findings(parts, clocks, cell, logs.start_ns)
+        about_samples = sample_findings(parts, clocks, cell, logs.start_ns, keeps_holes=salvage)
         recordings = [build_recording(part, clocks, cell) for part in parts]
         del parts
         recording = _continuous(join_recordings(recordings))
         questions = open_questions(logs.heads, cell, logs.name)
         chosen = map(_chosen, choices.values())
         findings = (*logs.findings(), *chosen, *questions, *about_clocks, *about_samples, *recording.findings)
-    recording = replace(recording, sha256=digests(files), findings=findings)
+    recording = replace(recording, sha256=digests(files), findings=findings, keeps_holes=salvage)
     return _Read(recording=recording, times=times)
 
 

@@ -64,14 +64,19 @@ def chosen_clocks(
 
 
 def sample_findings(
-    parts: Sequence[Mapping[Role, RoleSeries]], clocks: Mapping[Role, Clock], cell: Cell, start_ns: int
+    parts: Sequence[Mapping[Role, RoleSeries]],
+    clocks: Mapping[Role, Clock],
+    cell: Cell,
+    start_ns: int,
+    *,
+    keeps_holes: bool,
 ) -> tuple[Finding, ...]:
     """Check the samples of every role over all parts; raises LogError for the first that cannot be used."""
     found: list[Finding] = []
     for role in parts[0]:
         mine = [part[role] for part in parts]
         stamps = [_stamps(role, part, clocks, cell) for part in parts]
-        found += role_faults(role, mine, stamps, source_of(cell, role), start_ns)
+        found += role_faults(role, mine, stamps, source_of(cell, role), start_ns, keeps_holes=keeps_holes)
     refuse(found)
     return tuple(found)
 

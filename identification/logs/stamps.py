@@ -1,6 +1,6 @@
 """Header stamps of a channel: rate, jitter, gaps, and what makes them unusable."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,11 @@ LARGEST_GAP_PERIODS = 12.0
 _LOST_PERIODS = 1.5
 _LOST_DEVIATIONS = 6.0
 _JITTER_SHARE = 0.1
+_FOLDED_PERIODS = 1.5
+_FEWEST_FOLDED = 8
+_MOSTLY = 0.9
+_TOLD_HOLES = 5
+_CLOCK_ADVICE = "Keep the clock from being set during a recording (NTP, PTP, a restarted driver), and record again."
 _ADVICE = "Record with the sensor driver's own clock in the header and one publisher per topic."
 
 
@@ -59,10 +64,13 @@ def report_stamps(stamp_ns: StampArray) -> StampReport:
     )
 
 
-def stamp_faults(topic: str, stamp_ns: StampArray, since_start_s: FloatArray) -> Iterator[Finding]:
+def stamp_faults(
+    topic: str, stamp_ns: StampArray, since_start_s: FloatArray, *, keeps_holes: bool = False
+) -> Iterator[Finding]:
     """Yield what is wrong with header stamps (n,): zero, constant, backwards, repeated; gaps and jitter.
 
-    `since_start_s` (n,) tells when each message was recorded.
+    `since_start_s` (n,) tells when each message was recorded. With `keeps_holes` (a salvaged log) a long gap is a
+    warning: it is kept as a hole.
     """
     if stamp_ns.size < 2:
         yield _error("too-few-messages", f"Topic {topic} holds {stamp_ns.size} message(s).", "Record the whole run.")
@@ -77,31 +85,90 @@ def stamp_faults(topic: str, stamp_ns: StampArray, since_start_s: FloatArray) ->
             "zero-stamps", f"Topic {topic} has {when.size} header stamps of zero or less, {_at(when)}.", _ADVICE
         )
     steps = np.diff(stamp_ns)
-    for code, chosen, what in (
-        ("backwards-stamps", steps < 0, "go backwards"),
-        ("duplicate-stamps", steps == 0, "repeat the one before"),
-    ):
-        if bool(np.any(chosen)):
-            when = since_start_s[1:][chosen]
-            yield _error(code, f"{when.size} header stamps of topic {topic} {what}, {_at(when)}.", _ADVICE)
-    if bool(np.all(steps > 0)):
-        yield from _uneven(topic, report_stamps(stamp_ns), since_start_s)
+    back = steps < 0
+    if bool(np.any(back)):
+        when = since_start_s[1:][back]
+        yield _error(
+            "backwards-stamps",
+            f"{when.size} header stamps of topic {topic} go backwards, {_at(when)}, by up to "
+            f"{-float(steps.min()) * 1e-9:.6f} s.",
+            _CLOCK_ADVICE,
+        )
+    # What a clock that was set back stamped twice explains the duplicates there.
+    folded = np.zeros(len(steps), dtype=np.bool_)
+    for start, stop in _find_folds(steps):
+        folded[start:stop] = True
+        yield _error(
+            "backwards-stamps",
+            f"The header stamps of topic {topic} go back by about {(stamp_ns[stop] - stamp_ns[start]) * 1e-9:.3f} s: "
+            f"the time from {since_start_s[start]:.3f} to {since_start_s[stop]:.3f} s after the start of the log is "
+            "told twice, by two messages in each period. The clock of the recording went back too.",
+            _CLOCK_ADVICE,
+        )
+    repeated = (steps == 0) & ~folded
+    if bool(np.any(repeated)):
+        when = since_start_s[1:][repeated]
+        yield _error(
+            "duplicate-stamps",
+            f"{when.size} header stamps of topic {topic} repeat the one before, {_at(when)}.",
+            _ADVICE,
+        )
+    if bool(np.all(steps > 0)) and not bool(np.any(folded)):
+        yield from _uneven(topic, report_stamps(stamp_ns), since_start_s, keeps_holes=keeps_holes)
 
 
-def _uneven(topic: str, report: StampReport, since_start_s: FloatArray) -> Iterator[Finding]:
-    if report.gaps:
-        when = since_start_s[[index - 1 for index, _ in report.gaps]]
-        longest, length = max(report.gaps, key=lambda gap: gap[1])
-        severe = length > LARGEST_GAP_PERIODS * report.period_s
+def _find_folds(steps: StampArray) -> Iterator[tuple[int, int]]:
+    """Yield the runs of steps (start, stop) in which two messages fall into each period, as when a clock is set back.
+
+    A topic that is published twice does so all along; what was held up comes in a bunch after a gap.
+    """
+    if len(steps) < _FEWEST_FOLDED or bool(np.any(steps < 0)):
+        return
+    period = float(np.median(steps))
+    paired = steps[:-1] + steps[1:] < _FOLDED_PERIODS * period
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], paired, [False]]).astype(np.int8)))
+    for start, stop in edges.reshape(-1, 2).tolist():
+        if stop - start < _FEWEST_FOLDED or stop - start > _MOSTLY * len(steps):
+            continue
+        if bool(np.all(steps[max(start - 1, 0) : stop + 1] < _FOLDED_PERIODS * period)):
+            yield start, stop + 1
+
+
+def _uneven(topic: str, report: StampReport, since_start_s: FloatArray, *, keeps_holes: bool) -> Iterator[Finding]:
+    holes = [gap for gap in report.gaps if gap[1] > LARGEST_GAP_PERIODS * report.period_s]
+    if holes and keeps_holes:
+        yield _kept(topic, holes, since_start_s)
+    gaps = [gap for gap in report.gaps if not (keeps_holes and gap in holes)]
+    if gaps:
+        severe = bool(holes) and not keeps_holes
+        when = since_start_s[[index - 1 for index, _ in gaps]]
+        longest, length = max(gaps, key=lambda gap: gap[1])
+        lost = sum(round(gap / report.period_s) - 1 for _, gap in gaps)
         yield Finding(
             code="dropped-samples",
             severity="error" if severe else "warning",
-            message=f"Topic {topic} lacks about {report.lost} messages in {len(report.gaps)} gaps, {_at(when)}; the "
-            f"longest lasts {length:.4f} s from {since_start_s[longest - 1]:.3f} s (period {report.period_s:.6f} s).",
+            message=f"Topic {topic} lacks about {lost} messages in {len(gaps)} gaps, {_at(when)}; the longest lasts "
+            f"{length:.4f} s from {since_start_s[longest - 1]:.3f} s (period {report.period_s:.6f} s).",
             advice="Record again without losing messages, or cut the log there."
             if severe
             else "Single lost messages are interpolated; record to a faster disk or fewer topics.",
         )
+    yield from _jitter(topic, report)
+
+
+def _kept(topic: str, holes: Sequence[tuple[int, float]], since_start_s: FloatArray) -> Finding:
+    told = ", ".join(f"{length:.3f} s from {since_start_s[index - 1]:.3f} s" for index, length in holes[:_TOLD_HOLES])
+    more = f" and {len(holes) - _TOLD_HOLES} more" if len(holes) > _TOLD_HOLES else ""
+    return Finding(
+        code="hole",
+        severity="warning",
+        message=f"Topic {topic} has {len(holes)} hole(s) in which nothing is known: {told}{more} after the start of "
+        f"the log, {sum(length for _, length in holes):.3f} s in all. Nothing is interpolated across them.",
+        advice="Check that what a parameter needs (rests, sweep, contacts) lies outside, or record again.",
+    )
+
+
+def _jitter(topic: str, report: StampReport) -> Iterator[Finding]:
     if report.jitter_std_s > _JITTER_SHARE * report.period_s:
         yield Finding(
             code="stamp-jitter",

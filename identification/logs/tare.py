@@ -53,7 +53,7 @@ def find_tare_jumps(log: AlignedLog) -> tuple[TareJump, ...]:
     side, width = max(_FEWEST, round(_SIDE_S / log.period_s)), max(1, round(_STEP_S / log.period_s))
     if len(wrench) < 2 * side + width + 2:
         return ()
-    noise = np.median(np.abs(np.diff(wrench, n=2, axis=0)), axis=0) / (0.6745 * np.sqrt(6.0))
+    noise = np.nanmedian(np.abs(np.diff(wrench, n=2, axis=0)), axis=0) / (0.6745 * np.sqrt(6.0))
     least = np.maximum(_NOISE_FACTOR * noise, _SMALLEST)
     steep = find_runs(np.any(np.abs(wrench[width:] - wrench[:-width]) > least, axis=1))
     still = _still(log)

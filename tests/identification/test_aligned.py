@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from identification.aligned import align, check_regular
+from identification.aligned import Span, align, check_regular, longest_whole
 from identification.errors import LogError
 from identification.recording import PoseSignal, Recording, WrenchSignal
 
@@ -141,3 +141,74 @@ def test_a_few_lost_messages_do_not_stretch_the_period() -> None:
     lost = np.delete(exact, np.arange(100, 8900, 1100))
     # 8 of 9000 messages: the plain mean would be 9e-4 too long, three samples at the end of the log.
     assert check_regular("/ft", lost) == pytest.approx(1.0 / 3000.0, rel=1e-8)
+
+
+def salvaged(wrench: Stamps, pose: Stamps) -> Recording:
+    return dataclasses.replace(recording(wrench, pose), keeps_holes=True)
+
+
+def without(stamps: Stamps, start_s: float, stop_s: float) -> Stamps:
+    since = (stamps - START_NS) * 1e-9
+    return stamps[(since <= start_s) | (since >= stop_s)]
+
+
+@pytest.mark.parametrize("which", ["/ft", "/tcp", "both"])
+@pytest.mark.parametrize("pose_hz", [500.0, 250.0])
+def test_a_hole_of_a_salvaged_log_is_kept_and_nothing_is_told_in_it(which: str, pose_hz: float) -> None:
+    wrench, pose = clock(500.0, 6.0), clock(pose_hz, 6.0)
+    log = align(
+        salvaged(
+            without(wrench, 2.0, 2.5) if which != "/tcp" else wrench,
+            without(pose, 2.0, 2.5) if which != "/ft" else pose,
+        )
+    )
+    (hole,) = log.holes
+    # Half a period on either side belongs to the last message before and the first after.
+    assert log.time_s[hole.start] == pytest.approx(2.0, abs=1.01 / 500.0)
+    assert log.time_s[hole.stop] == pytest.approx(2.5, abs=1.01 / 500.0)
+    for values in (log.force_S_n, log.torque_S_n_m, log.position_B_m):
+        assert np.all(np.isnan(values[hole.slice]))
+    assert log.pieces == (Span(start=0, stop=hole.start), Span(start=hole.stop, stop=len(log)))
+    for piece in log.pieces:
+        at = START_NS + np.round(log.time_s[piece.slice] * 1e9).astype(np.int64)
+        # As a log without holes: a cubic spline's ends, 0.05 m·(2π)⁴·(4 ms)⁴ at most; the last sample is held.
+        np.testing.assert_allclose(log.position_B_m[piece.slice][:-2], path(at)[:-2], rtol=0.0, atol=2e-8)
+        np.testing.assert_allclose(log.force_S_n[piece.slice][:-2], force(at)[:-2], rtol=0.0, atol=1e-6)
+        assert np.max((log.orientation_BS[piece.slice].inv() * turning(at)).magnitude()[:-2]) < 1e-7
+    assert log.period_s == pytest.approx(1.0 / 500.0, rel=1e-9)
+
+
+def test_what_lies_across_a_hole_does_not_matter() -> None:
+    stamps = without(clock(500.0, 6.0), 2.0, 2.5)
+    whole = salvaged(stamps, stamps)
+    late = (stamps - START_NS)[:, None] > 2.2e9
+    thrown = dataclasses.replace(whole.pose, position_m=whole.pose.position_m + 5.0 * late)
+    kept, moved = align(whole), align(dataclasses.replace(whole, pose=thrown))
+    before = kept.pieces[0].slice
+    np.testing.assert_array_equal(kept.position_B_m[before], moved.position_B_m[before])
+
+
+def test_a_log_without_holes_is_the_same_salvaged_or_not() -> None:
+    stamps, others = clock(500.0, 3.0), clock(250.0, 3.0)
+    kept, usual = align(salvaged(stamps, others)), align(recording(stamps, others))
+    assert kept.holes == ()
+    np.testing.assert_array_equal(kept.position_B_m, usual.position_B_m)
+
+
+def test_a_hole_adds_nothing_to_the_period() -> None:
+    jitter = np.random.default_rng(3).integers(-300_000, 300_001, 3000)
+    stamps = without(np.sort(clock(500.0, 6.0) + jitter), 2.0, 2.5003)
+    # The mean over 5.5 s, in which the ends jitter by up to 0.6 ms in each piece.
+    assert check_regular("/ft", stamps, keeps_holes=True) == pytest.approx(1.0 / 500.0, rel=2.2e-4)
+
+
+def test_the_longest_time_without_a_hole_is_cut_out() -> None:
+    stamps = clock(500.0, 10.0)
+    whole = salvaged(without(without(stamps, 2.0, 2.5), 7.0, 7.2), without(stamps, 4.0, 4.1))
+    cut = longest_whole(whole)
+    for signal in (cut.wrench, cut.pose):
+        assert (signal.stamp_ns[0] - START_NS) * 1e-9 == pytest.approx(4.1, abs=0.002)
+        assert (signal.stamp_ns[-1] - START_NS) * 1e-9 == pytest.approx(7.0, abs=0.002)
+    assert align(cut).holes == ()
+    unbroken = salvaged(stamps, stamps)
+    assert longest_whole(unbroken) is unbroken

@@ -1,5 +1,7 @@
 """Rest and motion on logs whose motion is written down."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -129,6 +131,43 @@ def test_the_low_pass_keeps_phase_and_slow_signals() -> None:
     kept = low_pass(slow + fast, 1.0 / RATE_HZ, 25.0)
     # Third order, twice: (2/25)^6 of the slow wave is lost, (25/100)^6 of the fast one is left.
     assert np.max(np.abs(kept - slow)[200:-200]) < 1e-3
+
+
+def with_hole(log: AlignedLog, start_s: float, stop_s: float) -> AlignedLog:
+    hole = Span(start=round(start_s * RATE_HZ), stop=round(stop_s * RATE_HZ))
+    force, position = log.force_S_n.copy(), log.position_B_m.copy()
+    force[hole.slice] = position[hole.slice] = np.nan
+    return replace(log, force_S_n=force, position_B_m=position, holes=(hole,))
+
+
+@pytest.mark.parametrize("at_s", [0.5, 1.6, 2.05, 2.6, 4.3])
+@pytest.mark.parametrize("length_s", [0.03, 0.14, 0.7])
+def test_no_span_holds_a_hole_and_the_rest_of_the_log_is_as_before(at_s: float, length_s: float) -> None:
+    log = log_of(line(held(1.5), moved(1.0, 0.05), held(1.5, 0.05), 0.05 + moved(1.0, 0.05), held(1.5, 0.1)))
+    holed = with_hole(log, at_s, at_s + length_s)
+    (hole,) = holed.holes
+    motion, usual = find_motion(holed), find_motion(log)
+    margin = round(0.15 * RATE_HZ)
+    for span in motion.still:
+        assert span.stop <= hole.start or span.start >= hole.stop
+    for span in motion.moving:
+        assert span.stop <= hole.start - margin or span.start >= hole.stop + margin
+    near = round(0.5 * RATE_HZ)
+    for mine, theirs in ((motion.still, usual.still), (motion.moving, usual.moving)):
+        far = [s for s in theirs if s.stop < hole.start - near or s.start > hole.stop + near]
+        assert {*far} <= {*mine}
+
+
+def test_a_filter_does_not_see_across_a_hole() -> None:
+    t = np.arange(2000) / RATE_HZ
+    values = np.column_stack([np.sin(2.0 * np.pi * 2.0 * t), t])
+    values[900:1000] = np.nan
+    thrown = values + 100.0 * (np.arange(2000) >= 1000)[:, None]
+    first, second = (low_pass(each, 1.0 / RATE_HZ, 25.0) for each in (values, thrown))
+    np.testing.assert_array_equal(first[:900], second[:900])
+    np.testing.assert_array_equal(first[:900], low_pass(values[:900], 1.0 / RATE_HZ, 25.0))
+    assert np.all(np.isnan(first[900:1000]))
+    assert np.all(np.isfinite(first[1000:]))
 
 
 def test_a_span_is_an_index() -> None:

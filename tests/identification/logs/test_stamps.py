@@ -81,3 +81,45 @@ def test_stamps_that_are_no_clock_are_errors(stamps: Stamps, code: str) -> None:
     found = {each.code: each for each in faults(stamps)}
     assert found[code].severity == "error"
     assert "/ft" in found[code].message
+
+
+def test_a_clock_set_back_is_named_before_the_stamps_that_it_repeats() -> None:
+    raw = clock(3000)
+    raw[1000:] -= 375 * PERIOD_NS
+    (found,) = faults(raw)
+    assert (found.code, found.severity) == ("backwards-stamps", "error")
+    assert "go backwards, the first 0.800 s after the start of the log, by up to 0.299200 s" in found.message
+
+
+@pytest.mark.parametrize("shift_ns", [375 * PERIOD_NS, 375 * PERIOD_NS + PERIOD_NS // 3])
+def test_a_clock_set_back_is_named_where_the_recording_clock_went_back_too(shift_ns: int) -> None:
+    """In the order of the recording clock the two halves interleave: duplicates, or steps shorter than a period."""
+    raw = clock(3000)
+    raw[1000:] -= shift_ns
+    stamps = np.sort(raw)
+    (found,) = list(stamp_faults("/ft", stamps, (stamps - stamps[0]) * 1e-9))
+    assert (found.code, found.severity) == ("backwards-stamps", "error")
+    told = float(found.message.split("about ")[1].split(" s")[0])
+    # From the first message told twice to the last: up to two periods are not seen, and the time is told in ms.
+    assert told == pytest.approx(shift_ns * 1e-9, abs=3.0 * PERIOD_NS * 1e-9)
+    assert "from 0.499 to 0.8" in found.message
+
+
+def test_a_topic_that_is_published_twice_repeats_and_does_not_go_back() -> None:
+    assert [each.code for each in faults(np.repeat(clock(), 2))] == ["duplicate-stamps"]
+
+
+def test_what_was_held_up_did_not_go_back() -> None:
+    stamps = clock()
+    # Twenty periods late, the backlog comes at half the period.
+    stamps[300:340] = stamps[340] - PERIOD_NS // 2 * np.arange(40, 0, -1)
+    assert [each.code for each in faults(stamps)] == ["dropped-samples"]
+
+
+def test_a_long_gap_of_a_salvaged_log_is_a_hole_told_with_its_place() -> None:
+    kept = np.delete(np.arange(1000), [*range(300, 400), 700])
+    hole, lost = list(stamp_faults("/ft", clock()[kept], seconds(kept), keeps_holes=True))
+    assert (hole.code, hole.severity) == ("hole", "warning")
+    assert "0.081 s from 0.239 s" in hole.message
+    assert (lost.code, lost.severity) == ("dropped-samples", "warning")
+    assert "lacks about 1 messages in 1 gaps" in lost.message

@@ -1,0 +1,104 @@
+"""What the joint refinement minimises: the signals of one axis, its spans, the noise, and the parameters' units."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .joint_model import Layout
+from .joint_noise import Smoother, Whitener
+from .joint_path import FlangePath, commanded_path, measured_path
+from .joint_segments import Segment
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Signals:
+    """One axis on one clock: flange position, force without weight and bias, command; (n,) each, the last or None.
+
+    `command_m[k]` is the command issued at or after tick k and before the next; `smoother` belongs to the pose.
+    """
+
+    period_s: float
+    position_m: FloatArray
+    force_n: FloatArray
+    command_m: FloatArray | None
+    smoother: Smoother
+
+    def path(self, values: FloatArray, layout: Layout) -> FlangePath:
+        """Return the flange's path for robot parameters."""
+        if self.command_m is None or layout.robot_order == 0:
+            return measured_path(self.position_m, self.smoother)
+        return commanded_path(values[layout.robot], self.command_m, self.position_m, self.smoother, self.period_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Point:
+    """A value of everything: shared parameters, and each segment's own."""
+
+    values: FloatArray
+    nuisances: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """A quadratic form |root · u|² of all shared parameters about `values`, u counted as the steps are."""
+
+    root: FloatArray
+    values: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """What is fitted: force over `segments`, pose over `pose_spans`, with one whitener per kind of span.
+
+    `priors` are (index, value, standard deviation); `fixed` are indices that stay as they are, and with the robot's
+    among them `known_path` is the flange's path; `summary` stands for other spans. No payload is lighter than
+    `lightest_kg`: next to nothing, its own motion could not be told from rounding.
+    """
+
+    signals: Signals
+    layout: Layout
+    segments: tuple[Segment, ...]
+    pose_spans: tuple[slice, ...]
+    free_noise: Whitener
+    contact_noise: Whitener
+    pose_noise: Whitener
+    priors: tuple[tuple[int, float, float], ...] = ()
+    fixed: tuple[int, ...] = ()
+    known_path: FlangePath | None = None
+    summary: Summary | None = None
+    lightest_kg: float = 0.01
+
+    def path(self, values: FloatArray) -> FlangePath:
+        """Return the flange's path at these parameters."""
+        return self.signals.path(values, self.layout) if self.known_path is None else self.known_path
+
+    def noise(self, segment: Segment) -> Whitener:
+        """Return the whitener of a segment's force."""
+        return self.contact_noise if segment.is_contact else self.free_noise
+
+
+def sizes_of(values: FloatArray, layout: Layout, period_s: float) -> FloatArray:
+    """Return a unit for every parameter: itself where it cannot vanish, else a tenth of what would be critical."""
+    out = np.array(values, dtype=np.float64)
+    mass = float(values[3])
+    out[1] = out[2] = 0.2 * np.sqrt(float(values[0]) * mass)
+    if layout.robot_order:
+        out[layout.robot.stop - 1] = period_s
+    for i in range(layout.surfaces):
+        first = layout.surface(i).start
+        out[first + 1] = 0.2 * np.sqrt(float(values[first]) * mass)
+        out[first + 2] = 0.1 * mass
+    return out
+
+
+def logarithmic(layout: Layout) -> NDArray[np.bool_]:
+    """Return which parameters are stepped in their logarithm: K_s, M_p, ω, ζ and K_e."""
+    out = np.zeros(len(layout), dtype=bool)
+    out[[0, 3]] = True
+    out[layout.robot.start : layout.robot.stop - 1] = layout.robot_order > 0
+    for i in range(layout.surfaces):
+        out[layout.surface(i).start] = True
+    return out
