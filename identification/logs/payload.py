@@ -215,7 +215,7 @@ def _unit_findings(topic: str, poses: tuple[StaticPose, ...]) -> Iterator[Findin
             code="force-sign",
             severity="warning",
             message=f"The force of {topic} follows gravity with the opposite sign (it would be {mass:.3g} kg).",
-            advice="Declare `exerted_by` of the wrench or `gravity_direction` in cell.yaml; `identify` tells which is true.",
+            advice="Declare `exerted_by` of the wrench or `gravity_direction`; `identify` tells which is true.",
         )
     if abs(mass) < _SMALLEST_KG:
         yield Finding(
