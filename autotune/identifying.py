@@ -7,11 +7,13 @@ from typing import Any
 
 from autotune import __version__
 from autotune.files.cell import CellFile
+from identification.combine import NamedResult, combine_identified
 from identification.errors import EstimateError
 from identification.identify import identify_cell
 from identification.logs import read_checked_recording
 from identification.logs.cell import Cell
 from identification.logs.interpret import build_frames
+from identification.logs.runs import separate_runs
 from identification.recording import Recording
 from identification.result import Finding, Identified
 
@@ -41,21 +43,28 @@ def identify_log(
     salvage: bool = False,
     allow_partial: bool = False,
 ) -> IdentifiedLog:
-    """Read the logs of one recording and identify the cell.
+    """Read logs and identify the cell.
 
-    Raises LogError for a log that cannot be used, EstimateError when a parameter that a controller needs is missing
-    (unless `allow_partial`, which keeps it as unidentifiable).
+    Logs that follow each other within a second are one recording; each recording is identified on its own, and what
+    they tell is combined. Raises LogError for a log that cannot be used, EstimateError when a parameter that a
+    controller needs is missing from all of them or they disagree on one (unless `allow_partial`, which keeps the former
+    as unidentifiable and the latter as a widened mean).
     """
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     told = (Cell() if cell is None else cell.cell).with_topics(
         wrench=topics.wrench, pose=topics.pose, command=topics.command
     )
-    recording = read_checked_recording(files, told, salvage=salvage)
-    result = identify_cell(recording, build_frames(told))
+    parts, recordings = [], []
+    for run in separate_runs(files, told, salvage=salvage):
+        recording = read_checked_recording(run, told, salvage=salvage)
+        found = identify_cell(recording, build_frames(told))
+        found = replace(found, findings=(*recording.findings, *found.findings))
+        recordings.append(recording)
+        parts.append(NamedResult(name=", ".join(path.name for path in run), result=found))
+    result = combine_identified(parts)
     missing = [finding for finding in result.findings if finding.severity == "error"]
     if missing and not allow_partial:
         raise EstimateError(_refusal(files, missing))
-    result = replace(result, findings=(*recording.findings, *result.findings))
     options = {
         "wrench_topic": topics.wrench,
         "pose_topic": topics.pose,
@@ -63,7 +72,7 @@ def identify_log(
         "allow_partial": allow_partial,
         "salvage": salvage,
     }
-    return IdentifiedLog(result=result, provenance=_provenance(recording, cell, options))
+    return IdentifiedLog(result=result, provenance=_provenance(recordings, cell, options))
 
 
 def _refusal(files: Sequence[Path], missing: list[Finding]) -> str:
@@ -73,20 +82,25 @@ def _refusal(files: Sequence[Path], missing: list[Finding]) -> str:
     return f"{names}: {first.message} {first.advice}".rstrip() + others
 
 
-def _provenance(recording: Recording, cell: CellFile | None, options: Mapping[str, Any]) -> dict[str, Any]:
-    wrench = recording.wrench
-    others = {"twist": recording.twist, "gains": recording.gains, "desired_force": recording.desired_force}
+def _provenance(recordings: Sequence[Recording], cell: CellFile | None, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return where the numbers come from; channels and clocks are those of the first recording."""
+    first = recordings[0]
+    wrench = first.wrench
+    others = {"twist": first.twist, "gains": first.gains, "desired_force": first.desired_force}
+    logs = [(path, digest) for recording in recordings for path, digest in recording.sha256.items()]
+    spans = [[float(r.wrench.stamp_ns[0]) / 1e9, float(r.wrench.stamp_ns[-1]) / 1e9] for r in recordings]
     return {
         "tool": f"autotune {__version__}",
-        "logs": [{"path": path, "sha256": digest} for path, digest in recording.sha256.items()],
+        "logs": [{"path": path, "sha256": digest} for path, digest in logs],
         "cell": None if cell is None else {"path": str(cell.path), "sha256": cell.sha256},
         "channels": {
             "wrench": wrench.topic,
-            "pose": recording.pose.topic,
-            "command": recording.command.topic if recording.command is not None else None,
+            "pose": first.pose.topic,
+            "command": first.command.topic if first.command is not None else None,
             **{name: signal.topic for name, signal in others.items() if signal is not None},
         },
-        "clocks": dict(recording.clocks),
-        "time_span_s": [wrench.stamp_ns[0] / 1e9, wrench.stamp_ns[-1] / 1e9],
+        "clocks": dict(first.clocks),
+        "time_span_s": spans[0],
+        **({"recordings": spans} if len(spans) > 1 else {}),
         "options": dict(options),
     }

@@ -1,7 +1,7 @@
 """Several logs of one cell: one set of parameters, and a loud word where the logs disagree."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from .result import (
     Estimate,
     Finding,
     Identified,
+    InertiaEstimate,
     PayloadEstimate,
     RobotEstimate,
     SensorEstimate,
@@ -42,6 +43,8 @@ class NamedResult:
 def combine_identified(parts: Sequence[NamedResult]) -> Identified:
     """Average what several logs of one cell told, each parameter weighted by 1/σ² (least squares).
 
+    The deviation of a mean is the smallest of its logs': what they share (local gravity, the sensor's calibration, what
+    the model leaves out) does not average out.
     Where the scatter of a parameter is larger than its standard deviations let expect (χ² test at 1e-3), a finding of
     severity `error` names it with its values, and its deviation is widened by √(χ²/(n − 1)). The bias of the sensor may
     change from log to log: there it is a warning. Surfaces on one axis are one where their K_e agree within three
@@ -62,6 +65,7 @@ def combine_identified(parts: Sequence[NamedResult]) -> Identified:
         payload=PayloadEstimate(
             mass_kg=merge.scalars("payload mass [kg]", [r.payload.mass_kg for r in results]),
             com_m=merge.vectors("centre of mass [m]", [r.payload.com_m for r in results]),
+            inertia_kg_m2=_inertia(merge, [r.payload.inertia_kg_m2 for r in results]),
         ),
         axes={name: _axis(merge, name, results) for name in names},
         sensor=_sensor(merge, [r.sensor for r in results]),
@@ -113,7 +117,7 @@ class _Merge:
         mean = np.sum(weights * values, axis=0) / np.sum(weights, axis=0)
         squares = np.sum(((values - mean) / spread) ** 2, axis=0)
         freedom = len(values) - 1
-        std = np.sqrt(1.0 / np.sum(weights, axis=0)) * np.sqrt(np.maximum(squares / freedom, 1.0))
+        std = np.min(stds, axis=0) * np.sqrt(np.maximum(squares / freedom, 1.0))
         if bool(np.any(chi2.sf(squares, freedom) < _CHANCE / len(squares))):
             self.findings.append(_disagreement(what, names, values, stds, int(np.argmax(squares)), may_change))
         return mean, std
@@ -133,6 +137,19 @@ def _disagreement(
         advice=""
         if may_change
         else "Leave out the log of another payload, tool or surface, or identify each on its own.",
+    )
+
+
+def _inertia(merge: _Merge, tensors: Sequence[InertiaEstimate | None]) -> InertiaEstimate | None:
+    if all(tensor is None for tensor in tensors):
+        return None
+    return InertiaEstimate(
+        **{
+            name: merge.scalars(
+                f"inertia {name} [kg·m²]", [None if tensor is None else getattr(tensor, name) for tensor in tensors]
+            )
+            for name in (field.name for field in fields(InertiaEstimate))
+        }
     )
 
 
@@ -224,7 +241,18 @@ def _sensor(merge: _Merge, sensors: Sequence[SensorEstimate]) -> SensorEstimate:
         force_noise_rms_n=_largest([s.force_noise_rms_n for s in sensors]),
         gravity_residual_rms_n=_largest([s.gravity_residual_rms_n for s in sensors]),
         deadband_n=_largest([s.deadband_n for s in sensors]),
+        torque_noise_rms_n_m=_optional(merge, "torque noise [N·m]", [s.torque_noise_rms_n_m for s in sensors]),
+        mounting_rad=_optional(merge, "mounting of the sensor [rad]", [s.mounting_rad for s in sensors]),
+        base_tilt_rad=_optional(merge, "tilt of the base [rad]", [s.base_tilt_rad for s in sensors]),
     )
+
+
+def _optional(merge: _Merge, what: str, estimates: Sequence[VectorEstimate | None]) -> VectorEstimate | None:
+    """Average vectors of which logs may know nothing; what changes with the day is a warning."""
+    if all(estimate is None for estimate in estimates):
+        return None
+    empty = VectorEstimate(value=None, std=None, status=Status.UNIDENTIFIABLE)
+    return merge.vectors(what, [empty if e is None else e for e in estimates], may_change=True)
 
 
 def _largest(estimates: Sequence[Estimate]) -> Estimate:

@@ -56,9 +56,10 @@ def command(
 ) -> None:
     """Estimate payload, sensor, robot, coupling and environment from LOG, each with its uncertainty and a verdict.
 
-    Several LOGs are parts of one recording. It needs a wrench, the measured flange pose and the commanded one; in it: 6
-    to 12 tilted poses at rest, a commanded sweep in free space, and contacts. Exit code 3: the log cannot be used. 4:
-    it does not tell enough, and nothing is written.
+    LOGs that follow each other within a second are one recording; others are identified apart and combined, and a
+    parameter on which they disagree is named. A recording needs a wrench, the measured flange pose and the commanded
+    one; in it: 6 to 12 tilted poses at rest, a commanded sweep in free space, and contacts. Exit code 3: a log cannot
+    be used. 4: they do not tell enough, or disagree, and nothing is written.
     """
     from autotune.files.atomic import check_target
     from autotune.files.cell import read_cell
