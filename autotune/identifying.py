@@ -9,6 +9,7 @@ from autotune import __version__
 from autotune.files.cell import CellFile
 from identification.combine import NamedResult, combine_identified
 from identification.errors import EstimateError
+from identification.given import Given, apply_given
 from identification.identify import identify_cell
 from identification.logs import read_checked_recording
 from identification.logs.cell import Cell
@@ -42,13 +43,14 @@ def identify_log(
     cell: CellFile | None = None,
     salvage: bool = False,
     allow_partial: bool = False,
+    given: Mapping[str, Given] | None = None,
 ) -> IdentifiedLog:
     """Read logs and identify the cell.
 
     Logs that follow each other within a second are one recording; each recording is identified on its own, and what
-    they tell is combined. Raises LogError for a log that cannot be used, EstimateError when a parameter that a
-    controller needs is missing from all of them or they disagree on one (unless `allow_partial`, which keeps the former
-    as unidentifiable and the latter as a widened mean).
+    they tell is combined with each other and with what is `given` from elsewhere. Raises LogError for a log that cannot
+    be used, EstimateError when a parameter that a controller needs is missing from all of them or they disagree on one
+    (unless `allow_partial`, which keeps the former as unidentifiable and the latter as a widened mean).
     """
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     told = (Cell() if cell is None else cell.cell).with_topics(
@@ -61,7 +63,7 @@ def identify_log(
         found = replace(found, findings=(*recording.findings, *found.findings))
         recordings.append(recording)
         parts.append(NamedResult(name=", ".join(path.name for path in run), result=found))
-    result = combine_identified(parts)
+    result = apply_given(combine_identified(parts), given or {})
     missing = [finding for finding in result.findings if finding.severity == "error"]
     if missing and not allow_partial:
         raise EstimateError(_refusal(files, missing))
@@ -71,6 +73,7 @@ def identify_log(
         "command_topic": topics.command,
         "allow_partial": allow_partial,
         "salvage": salvage,
+        **({"given": {name: [prior.value, prior.std] for name, prior in given.items()}} if given else {}),
     }
     return IdentifiedLog(result=result, provenance=_provenance(recordings, cell, options))
 

@@ -18,6 +18,7 @@ Examples:
   autotune identify run7.mcap -o identified.yaml
   autotune identify run7.mcap --wrench-topic /ft/raw --command-topic /servo/target
   autotune identify part1.bag part2.bag --cell cell.yaml
+  autotune identify monday.mcap friday.mcap --given mass_kg=16.2±0.1
 """
 
 
@@ -42,6 +43,12 @@ Examples:
     "--allow-partial", is_flag=True, help="Write the file even if a parameter is missing; it is marked unidentifiable."
 )
 @click.option("--salvage", is_flag=True, help="Read what a damaged log still holds, and tell what is lost.")
+@click.option(
+    "--given",
+    metavar="NAME=VALUE±STD",
+    multiple=True,
+    help="What is known from elsewhere, e.g. mass_kg=16.2±0.1 or x.delay_s=2.4e-3+-1e-4; without ± it is exact.",
+)
 @output_options
 def command(
     output: Output,
@@ -53,6 +60,7 @@ def command(
     command_topic: str | None,
     allow_partial: bool,
     salvage: bool,
+    given: tuple[str, ...],
 ) -> None:
     """Estimate payload, sensor, robot, coupling and environment from LOG, each with its uncertainty and a verdict.
 
@@ -64,13 +72,16 @@ def command(
     from autotune.files.atomic import check_target
     from autotune.files.cell import read_cell
     from autotune.files.identified import identified_tree, write_identified
+    from autotune.given import parse_given
     from autotune.identifying import Topics, identify_log
 
     check_target(out)
     topics = Topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
     cell = None if cell_path is None else read_cell(cell_path)
     with output.progress(f"identifying {', '.join(log.name for log in logs)}", None):
-        found = identify_log(logs, topics, cell=cell, salvage=salvage, allow_partial=allow_partial)
+        found = identify_log(
+            logs, topics, cell=cell, salvage=salvage, allow_partial=allow_partial, given=parse_given(given)
+        )
     write_identified(out, found.result, found.provenance)
     output.result(identified_tree(found.result, found.provenance), lambda: print_identified(found.result, out))
 

@@ -1,0 +1,36 @@
+"""What the command line gives beside a log: `mass_kg=16.2±0.1`."""
+
+import math
+import re
+from collections.abc import Sequence
+
+from autotune.errors import UsageError
+from identification.given import Given
+
+_FORM = re.compile(r"(?P<name>[a-z][a-z_.]*)=(?P<value>[^±]+?)(?:(?:±|\+-|\+/-)(?P<std>.+))?")
+
+
+def parse_given(texts: Sequence[str]) -> dict[str, Given]:
+    """Read priors; raise UsageError for a form, number or repetition that is none."""
+    found: dict[str, Given] = {}
+    for text in texts:
+        match = _FORM.fullmatch(text.strip())
+        if match is None:
+            raise UsageError(f"--given must be NAME=VALUE±STD (or +- for ±), found {text!r}.")
+        name, value, std = match["name"], _number(text, match["value"]), _number(text, match["std"] or "0")
+        if std < 0.0:
+            raise UsageError(f"The deviation in --given {text} must not be negative.")
+        if name in found:
+            raise UsageError(f"--given {name} stands there twice; give it once.")
+        found[name] = Given(value=value, std=std)
+    return found
+
+
+def _number(text: str, written: str) -> float:
+    try:
+        value = float(written)
+    except ValueError as error:
+        raise UsageError(f"--given {text} must hold numbers, found {written.strip()!r}.") from error
+    if not math.isfinite(value):
+        raise UsageError(f"--given {text} must hold finite numbers, found {written.strip()!r}.")
+    return value

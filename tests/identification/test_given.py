@@ -1,0 +1,75 @@
+"""What is known from elsewhere, entered as a prior."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from identification.errors import EstimateError
+from identification.given import Given, apply_given
+from identification.result import Status
+from tests.identification.test_combine import UNTOLD, known, told
+from tests.problems.axes import LAW
+
+VALUES, STDS = st.floats(15.0, 17.0), st.floats(0.01, 1.0)
+
+
+@LAW
+@given(VALUES, STDS, VALUES, STDS)
+def test_the_posterior_is_where_the_product_of_both_densities_is_largest(
+    seen: float, std: float, prior: float, prior_std: float
+) -> None:
+    found = apply_given(told(known(seen, std)), {"mass_kg": Given(value=prior, std=prior_std)}).payload.mass_kg
+    assert found.value is not None
+    assert found.std is not None
+
+    def deviance(at: float) -> float:
+        return ((at - seen) / std) ** 2 + ((at - prior) / prior_std) ** 2
+
+    # A parabola: its minimum from three points, its curvature is 2/σ².
+    step = min(std, prior_std)
+    low, middle, high = (deviance(found.value + k * step) for k in (-1.0, 0.0, 1.0))
+    assert low == pytest.approx(high, rel=1e-6)
+    assert (low + high - 2.0 * middle) / step**2 == pytest.approx(2.0 / found.std**2, rel=1e-6)
+    assert found.status is (Status.GIVEN if prior_std <= std else Status.IDENTIFIED)
+
+
+def test_what_the_log_does_not_tell_is_the_given_value() -> None:
+    found = apply_given(told(delay=UNTOLD), {"x.delay_s": Given(value=2.5e-3, std=1e-4)}).axes["x"].robot.delay_s
+    assert (found.value, found.std, found.status) == (2.5e-3, 1e-4, Status.GIVEN)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("x.coupling_stiffness_n_per_m", 3.01e5),
+        ("x.coupling_damping_n_s_per_m", 152.0),
+        ("x.drag_n_s_per_m", 331.0),
+        ("x.delay_s", 2.4e-3),
+    ],
+)
+def test_each_name_moves_its_own_number_alone(name: str, value: float) -> None:
+    before = told()
+    after = apply_given(before, {name: Given(value=value, std=0.0)})
+    flat = [
+        (axis.coupling.stiffness_n_per_m, axis.coupling.damping_n_s_per_m, axis.drag_n_s_per_m, axis.robot.delay_s)
+        for axis in (before.axes["x"], after.axes["x"])
+    ]
+    moved = [one != other for one, other in zip(*flat, strict=True)]
+    assert np.count_nonzero(moved) == 1
+    assert flat[1][moved.index(True)].value == value
+    assert after.payload == before.payload
+
+
+def test_a_prior_that_contradicts_the_log_is_an_error() -> None:
+    found = apply_given(told(known(16.2, 0.02)), {"mass_kg": Given(value=22.0, std=0.1)})
+    (finding,) = (f for f in found.findings if f.code == "given-contradicts")
+    assert (finding.severity, "16.2 ± 0.02, given is 22 ± 0.1" in finding.message) == ("error", True)
+    near = apply_given(told(known(16.2, 0.02)), {"mass_kg": Given(value=16.25, std=0.1)})
+    assert not near.findings
+
+
+@pytest.mark.parametrize("name", ["mass", "y.delay_s", "x.mass_kg"])
+def test_an_unknown_name_is_refused_with_those_that_are_known(name: str) -> None:
+    with pytest.raises(EstimateError, match=rf"Nothing called {name} can be given.*mass_kg, sample_time_s, x\.coup"):
+        apply_given(told(), {name: Given(value=1.0, std=0.1)})
