@@ -17,7 +17,8 @@ _PIECES_S = (0.1, 0.5, _WHOLE_S)
 _STEPS = 4
 _DOUBTFUL_STDS = 20.0
 _OTHER_MASS_SHARE = 0.3
-_SMOOTH_SHARE = 0.003
+_SMOOTH_SHARE, _EXACT_SHARE = 0.003, 0.0003
+_RESTING_SHARE, _MOVING_SHARE = 0.003, 0.02
 _UNKNOWN_SHARE = 0.25
 _SWING_STIFFNESS_SHARE, _SWING_DAMPING_SHARE = 0.02, 0.1
 _FREE_MISFITS, _CONTACT_MISFITS = 40, 10
@@ -94,7 +95,10 @@ def other_minima(problem: Problem, point: Point, spread: Spread) -> Spread:
     of nearly the same depth. One that is worse by Δ in −2 log L has the share w = e^(−Δ/2)/(1 + e^(−Δ/2)) of the
     likelihood, and adds w δ δᵀ, δ from one minimum to the other, to the second moments.
     """
-    layout, here = problem.layout, cost(problem, point)
+    layout = problem.layout
+    robot = tuple(range(layout.robot.start, layout.robot.stop))
+    forces = replace(problem, pose_spans=(), fixed=robot, known_path=problem.path(point.values))
+    here = cost(forces, point)
     sizes = sizes_of(point.values, layout, problem.signals.period_s)
     covariance = spread.covariance.copy()
     for i in range(layout.surfaces):
@@ -102,39 +106,52 @@ def other_minima(problem: Problem, point: Point, spread: Spread) -> Spread:
         deviation = float(np.sqrt(spread.covariance[mass, mass])) * sizes[mass]
         if point.values[mass] > _DOUBTFUL_STDS * deviation:
             continue
-        moved = point.values.copy()
-        has_mass = point.values[mass] > 0.0
-        moved[mass] = 0.0 if has_mass else _OTHER_MASS_SHARE * point.values[3]
-        start = Point(values=moved, nuisances=point.nuisances)
-        other, there = minimise(_fixing(problem, mass) if has_mass else problem, start, _STEPS)
-        share = float(np.exp(-0.5 * np.clip(there - here, 0.0, 200.0)))
-        apart = (other.values - point.values) / sizes
-        covariance += share / (1.0 + share) * np.outer(apart, apart)
+        for other, there in _others(forces, point, mass):
+            share = float(np.exp(-0.5 * np.clip(there - here, -200.0, 200.0)))
+            apart = (other.values - point.values) / sizes
+            covariance += share / (1.0 + share) * np.outer(apart, apart)
     covariance += np.diag(_linear_no_more(problem, point, covariance, sizes))
     widening = float(np.sqrt(np.max(np.diag(covariance) / np.diag(spread.plain))))
     return Spread(covariance=covariance, plain=spread.plain, widening=widening)
 
 
+def _others(problem: Problem, point: Point, mass: int) -> list[tuple[Point, float]]:
+    """Return the minima beside this one: with no moving mass, and from a large mass with little damping."""
+    found = []
+    if point.values[mass] > 0.0:
+        massless = point.values.copy()
+        massless[mass] = 0.0
+        start = Point(values=massless, nuisances=point.nuisances)
+        found.append(minimise(_fixing(problem, mass), start, _STEPS))
+    heavy = point.values.copy()
+    heavy[mass] = _OTHER_MASS_SHARE * point.values[3]
+    heavy[mass - 1] = min(heavy[mass - 1], 0.05 * float(np.sqrt(heavy[mass - 2] * point.values[3])))
+    found.append(minimise(problem, Point(values=heavy, nuisances=point.nuisances), _STEPS))
+    return found
+
+
 def _linear_no_more(problem: Problem, point: Point, covariance: FloatArray, sizes: FloatArray) -> FloatArray:
     """Return variances for what no linear theory covers, in scaled parameters.
 
-    Without a command 0.3 % of K_s, B_p and M_p for a path that is smooth between the ticks only by assumption. Where
+    Of K_s, B_p, M_p, ω and ζ 0.03 %, which no sensor's scale is better than; without a command 0.3 % of the first
+    three, for a path that is smooth between the ticks only by assumption; of K_e 0.3 % and of M_e 2 %. Where
     K_s or M_p is not known to a quarter, what lies behind them is not known at all: B_e to the critical damping, M_e
     to the payload's mass. An environment that may still swing when it is touched again is not the one at rest of the
     model: the share of the swing that is left counts as a share of B_e's critical damping, M_e and K_e.
     """
-    out = np.zeros(len(point.values))
-    if problem.layout.robot_order == 0:
-        out[[0, 2, 3]] = (_SMOOTH_SHARE * point.values[[0, 2, 3]] / sizes[[0, 2, 3]]) ** 2
+    share = np.zeros(len(point.values))
+    share[[0, 2, 3]] = _EXACT_SHARE if problem.layout.robot_order else _SMOOTH_SHARE
+    share[problem.layout.robot.start : problem.layout.robot.stop - 1] = _EXACT_SHARE
+    out = (share * point.values / sizes) ** 2
     unknown = max(covariance[0, 0], covariance[3, 3]) > _UNKNOWN_SHARE**2
     for i in range(problem.layout.surfaces):
         first = problem.layout.surface(i).start
         k_e, b_e, m_e = (float(v) for v in point.values[first : first + 3])
         left = _swing_left(problem, i, b_e, m_e)
         critical, mass = 2.0 * np.sqrt(k_e * point.values[3]), point.values[3]
-        out[first] = (_SWING_STIFFNESS_SHARE * left) ** 2
+        out[first] = (_SWING_STIFFNESS_SHARE * left) ** 2 + _RESTING_SHARE**2
         out[first + 1] = ((1.0 if unknown else _SWING_DAMPING_SHARE * left) * critical / sizes[first + 1]) ** 2
-        out[first + 2] = ((mass if unknown else left * m_e) / sizes[first + 2]) ** 2
+        out[first + 2] = ((mass if unknown else (left + _MOVING_SHARE) * m_e) / sizes[first + 2]) ** 2
     return out
 
 

@@ -40,8 +40,9 @@ class JointData:
     `position_m`, `force_n` (n,) on one clock of period `period_s`, the force without weight and bias; `command` on the
     same clock, or None. `rests`, spans at rest for the noise; `moving`, all spans of motion along this axis; `free`,
     those without a hand; `holds`, rests under force. `coupling` is K_s, B_s, B_p, M_p (4,), `robot` r(s) of one or two
-    poles and T_d. `mass_kg`, from gravity, is a start too and no information; a fifth of it is the least that M_p may
-    be. `priors` maps names of `Layout.names` to value and standard deviation known from elsewhere.
+    poles and T_d. `mass_kg`, from gravity, is a start too and no information; M_p is looked for
+    between a fifth of it and five times it. `priors` maps names of `Layout.names` to value and standard deviation
+    known from elsewhere.
     """
 
     period_s: float

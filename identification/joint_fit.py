@@ -31,6 +31,7 @@ _SETTLING_S = 0.3
 _SHAKING = 1.3
 _LIGHTEST_SHARE = 0.2
 _LIGHT_KG = 0.1
+_LEAST_EXPLAINED = 0.8
 _OUTLYING, _ENOUGH_TO_TELL = 8.0, 3
 
 
@@ -54,7 +55,15 @@ def identify_joint(data: JointData) -> JointFit:
     problem = _recoloured(problem, point)
     resting = np.concatenate([_settled(data.force_n[s]) for s in _quiet_rests(data)])
     shift = 0.0 if data.command is None else data.command.shift_s
-    return describe(problem, point, found, rest_rms_n=float(np.std(resting)), command_shift_s=shift)
+    fit = describe(problem, point, found, rest_rms_n=float(np.std(resting)), command_shift_s=shift)
+    if not np.all(np.isfinite(fit.covariance)) or fit.diagnostics.fit_share[0] < _LEAST_EXPLAINED:
+        explained = 100.0 * max(fit.diagnostics.fit_share[0], 0.0)
+        raise EstimateError(
+            f"One payload on one spring explains {explained:.0f} % of the force in free motion, "
+            f"{100.0 * _LEAST_EXPLAINED:.0f} % are needed; record a commanded sweep of 0.5 to 50 Hz in free space "
+            "without a hand on the payload, with the command that the robot receives."
+        )
+    return fit
 
 
 def _starts(data: JointData, problem: Problem, values: FloatArray) -> list[ContactStart]:
@@ -99,6 +108,7 @@ def _robot_first(data: JointData, start: FloatArray) -> tuple[Problem, FloatArra
         pose_noise=fit_whitener([_settled(data.position_m[s]) for s in rests]),
         fixed=(0, 1, 2, 3),
         lightest_kg=_LIGHTEST_SHARE * (data.mass_kg if data.mass_kg is not None else _LIGHT_KG),
+        heaviest_kg=np.inf if data.mass_kg is None else data.mass_kg / _LIGHTEST_SHARE,
     )
     point = Point(values=start[: len(layout)], nuisances=())
     if layout.robot_order:

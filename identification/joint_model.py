@@ -146,6 +146,6 @@ def payload_step(
 
 def swing_step(of: Body, *, back_at_once: bool) -> FloatArray:
     """Return the (2, 2) step of a freed environment, M_e x'' + B_e x' + K_e x = 0."""
-    if back_at_once:
+    if back_at_once or not of[6] > 0.0:
         return np.zeros((2, 2))
     return np.asarray(expm(np.array([[0.0, 1.0], [-of[4] / of[6], -of[5] / of[6]]])))

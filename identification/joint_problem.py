@@ -55,7 +55,7 @@ class Problem:
 
     `priors` are (index, value, standard deviation); `fixed` are indices that stay as they are, and with the robot's
     among them `known_path` is the flange's path; `summary` stands for other spans. No payload is lighter than
-    `lightest_kg`: next to nothing, its own motion could not be told from rounding.
+    `lightest_kg`: next to nothing, its own motion could not be told from rounding. None is heavier than `heaviest_kg`.
     """
 
     signals: Signals
@@ -70,6 +70,7 @@ class Problem:
     known_path: FlangePath | None = None
     summary: Summary | None = None
     lightest_kg: float = 0.01
+    heaviest_kg: float = np.inf
 
     def path(self, values: FloatArray) -> FlangePath:
         """Return the flange's path at these parameters."""

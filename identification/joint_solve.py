@@ -162,7 +162,7 @@ def minimise(problem: Problem, point: Point, most_steps: int) -> tuple[Point, fl
         share, better = 1.0, False
         for _ in range(_MOST_HALVINGS):
             trial = _moved(problem, point, blocks, share * step, share)
-            after = cost(problem, trial)
+            after = cost(problem, trial) if np.all(np.isfinite(trial.values)) else np.inf
             if after < now:
                 better = True
                 break
@@ -191,6 +191,7 @@ def _bounded_step(problem: Problem, point: Point, matrix: FloatArray, gradient: 
         at_bound = linear & (scaled <= 0.0)
         at_bound[3] = point.values[3] <= problem.lightest_kg
         blocked = free & at_bound & (step < 0.0)
+        blocked[3] |= free[3] and point.values[3] >= problem.heaviest_kg and step[3] > 0.0
         if not np.any(blocked):
             break
         free &= ~blocked
@@ -203,7 +204,7 @@ def _moved(problem: Problem, point: Point, blocks: Sequence[Block], step: FloatA
     in_log = logarithmic(problem.layout)
     grown = point.values * np.exp(np.clip(step, -_LARGEST_LOG_STEP, _LARGEST_LOG_STEP))
     values = np.where(in_log, grown, np.maximum(point.values + step * sizes, 0.0))
-    values[3] = max(values[3], problem.lightest_kg)
+    values[3] = np.clip(values[3], problem.lightest_kg, problem.heaviest_kg)
     nuisances = []
     for nuisance, block in zip(point.nuisances, blocks[: len(problem.segments)], strict=True):
         if block.own is None:

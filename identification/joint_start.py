@@ -20,7 +20,9 @@ _RESONANCES_HZ = np.geomspace(6.0, 220.0, 7)
 _HIGHEST_SHARE = 0.45  # of the sampling rate
 _START_DAMPING_RATIO = 0.05
 _STEPS_HELD, _STEPS_ALONE, _STEPS_GROUP = 2, 10, 6
-_MASS_STARTS = (0.0, 0.2)
+_MASS_STARTS = (0.0, 0.1, 0.4)
+_MORE_MASSES = (0.05, 0.2, 0.4, 0.7)
+_CHANCES = 4.0
 _ALIKE = 1.1
 
 
@@ -95,6 +97,7 @@ def start_surface(
     """Return K_e, B_e, M_e of one surface and the own parameters of its contacts.
 
     Every contact proposes what it found alone; proposals that differ are fitted to all contacts, the best one counts.
+    Where that leaves more than noise, several masses are tried.
     """
     group = _contacts_only(problem, point, tuple(replace(c.start.segment, surface=0) for c in contacts))
     proposals: list[FloatArray] = []
@@ -109,11 +112,20 @@ def start_surface(
         if not any(known):
             proposals.append(contact.surface)
     own = tuple(c.nuisance for c in contacts)
-    fits = [
-        minimise(group, Point(values=np.concatenate([point.values, p]), nuisances=own), _STEPS_GROUP) for p in proposals
-    ]
-    best, _ = min(fits, key=lambda fit: fit[1])
-    return best.values[group.layout.surface(0)], best.nuisances
+
+    def fitted(surface: FloatArray) -> tuple[Point, float]:
+        start = Point(values=np.concatenate([point.values, surface]), nuisances=own)
+        return minimise(group, start, _STEPS_GROUP)
+
+    best = min((fitted(p) for p in proposals), key=lambda fit: fit[1])
+    samples = sum(len(s) for s in group.segments)
+    if best[1] > samples + _CHANCES * np.sqrt(2.0 * samples):
+        # More is left than noise: a bounce that the fit has not found, which another mass may bring.
+        k_e = float(best[0].values[group.layout.surface(0).start])
+        damping = 2.0 * _START_DAMPING_RATIO * np.sqrt(k_e * mass)
+        others = [fitted(np.array([k_e, damping, share * mass])) for share in _MORE_MASSES]
+        best = min([best, *others], key=lambda fit: fit[1])
+    return best[0].values[group.layout.surface(0)], best[0].nuisances
 
 
 def _contacts_only(problem: Problem, point: Point, segments: tuple[Segment, ...]) -> Problem:
