@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from problems.compiled import compiled
 from problems.contact import build_sampled_contact
-from problems.contact_events import contact_force, presses, switch_within
+from problems.contact_events import advance_surface, contact_force, presses, switch_within
 from problems.contact_kernel import Contact
 from problems.controller import controller_blocks, controller_step
 from problems.sampled import build_sampled_plant, controller_rest
@@ -99,8 +99,12 @@ def _step_axis(
         mode = 0 if touching else 1
         phi = step[mode, :, :n].copy()
         following = phi @ state + step[mode, :, n] * newer + step[mode, :, n + 1] * older + step[mode, :, n + 2] * push
-        if presses(following, surface_state, wall, rows, (newer, push), touching) == touching:
-            state = following
+        swung = surface_state.copy()
+        if not touching:
+            # An environment with mass swings back on its own.
+            advance_surface(swung, wall, 1.0)
+        if presses(following, swung, wall, rows, (newer, push), touching) == touching:
+            state, surface_state = following, swung
         else:
             inputs = (older, newer, push)
             touching, _, _, _ = switch_within(flow, state, surface_state, wall, rows, inputs, fraction, touching, 1)

@@ -1,5 +1,7 @@
 """The laws that a simulated cell obeys, checked by other means than the simulator's."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -309,3 +311,19 @@ def test_the_program_decides_what_the_log_holds() -> None:
     assert np.all(run.axis.contact_force_n == 0.0)
     assert len(run.recording.wrench.stamp_ns) == len(run.script)
     np.testing.assert_array_equal(np.diff(run.recording.wrench.stamp_ns), 800_000)
+
+
+def test_a_wall_with_mass_is_at_rest_again_before_the_next_contact() -> None:
+    """Each contact shares the payload's momentum with a wall that stands still: v falls to M_p/(M_p + M_e) of it."""
+    cell = silent(Cell())
+    cell = replace(cell, environment=replace(cell.environment, mass_kg=3.0, damping_n_s_per_m=60.0))
+    program = Program(pose_count=1, pose_hold_s=0.2, pose_move_s=0.2, jogging_s=0.0, sweep_s=0.0, contact_count=3)
+    run = simulate_cell(cell, program, seed=1)
+    force, speed = run.axis.contact_force_n, run.axis.payload_velocity_m_s
+    begins = np.flatnonzero((force[1:] > 0.0) & (force[:-1] == 0.0))
+    # Touches of one contact follow each other within a second.
+    first = begins[np.concatenate([[True], np.diff(begins) * cell.sample_time_s > 1.0])]
+    assert len(first) == 3
+    kept = cell.payload_mass_kg / (cell.payload_mass_kg + 3.0)
+    # Within the rest of the sample, 0.8 ms, spring and drag slow the payload by less than a percent.
+    np.testing.assert_allclose(speed[first + 1] / speed[first], kept, rtol=0.01)
