@@ -57,6 +57,30 @@ def run_axis(cell: Cell, script: Script, measured_noise_n: FloatArray) -> AxisRu
 
 
 @compiled
+def _advance(
+    plant: Contact,
+    state: FloatArray,
+    surface_state: FloatArray,
+    inputs: tuple[float, float, float],
+    touching: bool,
+) -> bool:
+    """Step payload and environment over one sample; `inputs` are older and newer command and push. Tell the touch."""
+    (step, flow), (rows, _), (_, _, fraction), wall = plant
+    (older, newer, push), n, mode = inputs, step.shape[1], 0 if touching else 1
+    phi = step[mode, :, :n].copy()
+    following = phi @ state + step[mode, :, n] * newer + step[mode, :, n + 1] * older + step[mode, :, n + 2] * push
+    swung = surface_state.copy()
+    if not touching:
+        # An environment with mass swings back on its own.
+        advance_surface(swung, wall, 1.0)
+    if presses(following, swung, wall, rows, (newer, push), touching) != touching:
+        touching, _, _, _ = switch_within(flow, state, surface_state, wall, rows, inputs, fraction, touching, 1)
+        return touching
+    state[:], surface_state[:] = following, swung
+    return touching
+
+
+@compiled
 def _step_axis(
     plant: Contact,
     blocks: FloatArray,
@@ -66,7 +90,7 @@ def _step_axis(
     noise: FloatArray,
 ) -> FloatArray:
     """Return rows flange, command, payload, payload velocity·h, F, F_e, hand force over the ticks; the wall is at 0."""
-    (step, flow), (rows, _), (whole, chain, fraction), wall = plant
+    (step, _), (rows, _), (whole, chain, _), _ = plant
     admittance, script_command, desired, hand_force, homing = script
     n, samples = step.shape[1], len(admittance)
     state, past, control, surface_state = np.zeros(n), np.full(max(chain, 1), -limits[0]), rest.copy(), np.zeros(2)
@@ -96,18 +120,7 @@ def _step_axis(
         out[5, k] = max(0.0, contact_force(state, rows, (held, push))) if touching else 0.0
         newer = command if whole == 0 else past[whole - 1]
         older = held if chain > whole else newer
-        mode = 0 if touching else 1
-        phi = step[mode, :, :n].copy()
-        following = phi @ state + step[mode, :, n] * newer + step[mode, :, n + 1] * older + step[mode, :, n + 2] * push
-        swung = surface_state.copy()
-        if not touching:
-            # An environment with mass swings back on its own.
-            advance_surface(swung, wall, 1.0)
-        if presses(following, swung, wall, rows, (newer, push), touching) == touching:
-            state, surface_state = following, swung
-        else:
-            inputs = (older, newer, push)
-            touching, _, _, _ = switch_within(flow, state, surface_state, wall, rows, inputs, fraction, touching, 1)
+        touching = _advance(plant, state, surface_state, (older, newer, push), touching)
         for i in range(chain - 1, 0, -1):
             past[i] = past[i - 1]
         past[0] = command
