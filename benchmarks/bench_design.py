@@ -12,8 +12,7 @@ Usage: python benchmarks/bench_design.py
 
 import os
 import sys
-import time
-from collections.abc import Callable
+from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -21,6 +20,9 @@ import control
 import numpy as np
 from scipy.linalg import matrix_balance
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks.timing import best
 from problems.batch import Batch, build_batch
 from problems.contact import Approach, SampledContact, build_sampled_contact, transient_from
 from problems.controller import AdmittanceController
@@ -50,7 +52,7 @@ def main() -> int:
     result = batch.evaluate(controllers, APPROACH)  # compiled code is loaded outside the measurement
     scale = _scale(pair)
     samples = len(transient_from(pair, controllers[0], APPROACH).time_s)
-    fast = _best(lambda: batch.evaluate(controllers, APPROACH), 20) / DESIGNS
+    fast = best(lambda: batch.evaluate(controllers, APPROACH), 20) / DESIGNS
     print(f"{samples} samples")
     print("                        stable  modulus margin  peak at the sensor [N]   time [µs]  ratio")
     row = (bool(result.is_stable[0, 0]), float(result.modulus[0, 0]), float(result.peak_sensor_force_n[0, 0]))
@@ -59,14 +61,14 @@ def main() -> int:
         if norm and not HAS_SLYCOT:
             continue
         theirs = peer(pair, scale, controllers[0], samples, norm)
-        slow = _best(lambda by_norm=norm: peer(pair, scale, controllers[0], samples, by_norm), 10)  # type: ignore[misc]
+        slow = best(lambda by_norm=norm: peer(pair, scale, controllers[0], samples, by_norm), 10)  # type: ignore[misc]
         _print(name, theirs, slow, fast)
     print("\nscenarios  designs  per evaluation [µs]")
     for scenarios in (1, 9, 81):
         several = _batch(scenarios)
         for count in (10, 100):
             several.evaluate(controllers[:count], APPROACH)
-            seconds = _best(lambda s=several, n=count: s.evaluate(controllers[:n], APPROACH), 5)  # type: ignore[misc]
+            seconds = best(lambda s=several, n=count: s.evaluate(controllers[:n], APPROACH), 5)  # type: ignore[misc]
             print(f"{scenarios:9d}  {count:7d}  {seconds / (scenarios * count) * 1e6:19.1f}")
     return 0
 
@@ -141,15 +143,6 @@ def _batch(scenarios: int) -> Batch:
             for m in np.linspace(12.0, 20.0, side)
         ]
     )
-
-
-def _best(run: Callable[[], object], times: int) -> float:
-    found = []
-    for _ in range(times):
-        begin = time.perf_counter()
-        run()
-        found.append(time.perf_counter() - begin)
-    return min(found)
 
 
 if __name__ == "__main__":

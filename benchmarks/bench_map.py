@@ -22,6 +22,9 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks.timing import best
 from problems.controller import AdmittanceController
 from problems.map_plants import Where
 from problems.map_search import IntervalCase, IntervalRequest, find_stable_intervals
@@ -155,17 +158,6 @@ def starts() -> None:
             )
             imports, spent = map(float, done.stdout.split())
             print(f"  {name:25}    {imports:7.2f}  {spent:5.2f}")
-
-
-def best(run: Callable[[], object], times: int) -> float:
-    """Return the shortest of several runs, the first of which only warms up."""
-    run()
-    found = []
-    for _ in range(times):
-        begin = time.perf_counter()
-        run()
-        found.append(time.perf_counter() - begin)
-    return min(found)
 
 
 if __name__ == "__main__":

@@ -72,11 +72,10 @@ def identify_cell(recording: Recording, frames: Frames | None = None) -> Identif
         estimate, found = _identify_axis(recording, log, motion, gravity, force, axis)
         axes[axis.name] = estimate
         findings += found
-    sample_time, found = _sample_time(recording)
     sensor, about_sensor = describe_sensor(read, gravity, frames)
     inertia = identify_inertia(log, motion, read.poses, gravity)
     return Identified(
-        sample_time_s=sample_time,
+        sample_time_s=_sample_time(recording),
         payload=PayloadEstimate(
             mass_kg=mass_estimate(gravity), com_m=com_estimate(gravity), inertia_kg_m2=_inertia(inertia)
         ),
@@ -85,10 +84,9 @@ def identify_cell(recording: Recording, frames: Frames | None = None) -> Identif
         findings=(
             *read.findings,
             *findings,
-            *found,
             *gravity_findings(gravity),
             *about_sensor,
-            *(f for f in inertia.findings if f.severity != "error"),
+            *inertia.findings,
         ),
     )
 
@@ -305,20 +303,17 @@ def _position_noise(axis: AxisMotion, still: tuple[Span, ...]) -> float:
     return max(float(np.std(second) / np.sqrt(6.0)), 1e-9)
 
 
-def _sample_time(recording: Recording) -> tuple[Estimate, list[Finding]]:
+def _sample_time(recording: Recording) -> Estimate:
     source = recording.command if recording.command is not None else recording.wrench
     period = check_regular(source.topic, source.stamp_ns, keeps_holes=recording.keeps_holes)
     spread = float(np.std(np.delete(np.diff(source.stamp_ns), find_gaps(source.stamp_ns)))) * 1e-9
     note = f"period of `{source.topic}`, taken as the control period"
-    return (
-        Estimate(
-            value=period,
-            std=spread / np.sqrt(len(source.stamp_ns)),
-            status=Status.IDENTIFIED if recording.command is not None else Status.WEAK,
-            method="header stamps",
-            note=note,
-        ),
-        [],
+    return Estimate(
+        value=period,
+        std=spread / np.sqrt(len(source.stamp_ns)),
+        status=Status.IDENTIFIED if recording.command is not None else Status.WEAK,
+        method="header stamps",
+        note=note,
     )
 
 

@@ -163,3 +163,21 @@ STRUCTURES: dict[str, AdmittanceController] = {
         admittance(lead=0.02), compensation_mass_kg=8.0, compensation="ideal", discretization="backward_euler"
     ),
 }
+
+
+# A light payload on a soft coupling against a hard wall leaves it several times.
+BOUNCING = paper_plant(stiffness=5e5, mass=4.0, drag=50.0, coupling=3e4)
+DAMPED = paper_plant(
+    stiffness=5e5,
+    mass=4.0,
+    drag=20.0,
+    coupling=3e4,
+    coupling_damping=5.0,
+    environment_damping=15.0,
+    robot=one_pole(2.0e-3),
+)
+QUIET = admittance(damping=3000.0, lead=0.02)
+
+
+def heavy_wall(mass: float, damping: float = 0.0) -> Plant:
+    return BOUNCING.in_contact_with(Environment(stiffness_n_per_m=5e5, mass_kg=mass, damping_n_s_per_m=damping))

@@ -15,16 +15,20 @@ from problems.contact_start import contact_forces, steady_start
 from problems.controller import AdmittanceController, controller_blocks, needed_states
 from problems.errors import ParameterError
 from problems.margins import UnstableLoopError
-from problems.plant import Environment, Plant
+from problems.plant import Plant
 from problems.sampled import build_loop, build_sampled_plant, spectral_radius
 from tests.problems.axes import (
+    BOUNCING,
+    DAMPED,
     LAW,
     PERIOD_S,
+    QUIET,
     STRUCTURES,
     admittance,
     any_controllers,
     any_plants,
     environments,
+    heavy_wall,
     one_pole,
     paper_plant,
 )
@@ -51,24 +55,6 @@ def oracle_approach(pair: SampledContact, controller: AdmittanceController, appr
         speed=approach.speed_m_s,
         hand=approach.driven_by == "hand",
     )
-
-
-# A light payload on a soft coupling against a hard wall leaves it several times.
-BOUNCING = paper_plant(stiffness=5e5, mass=4.0, drag=50.0, coupling=3e4)
-DAMPED = paper_plant(
-    stiffness=5e5,
-    mass=4.0,
-    drag=20.0,
-    coupling=3e4,
-    coupling_damping=5.0,
-    environment_damping=15.0,
-    robot=one_pole(2.0e-3),
-)
-QUIET = admittance(damping=3000.0, lead=0.02)
-
-
-def heavy_wall(mass: float, damping: float = 0.0) -> Plant:
-    return BOUNCING.in_contact_with(Environment(stiffness_n_per_m=5e5, mass_kg=mass, damping_n_s_per_m=damping))
 
 
 @LAW

@@ -9,7 +9,17 @@ from problems.contact import Approach, ContactTransient, build_sampled_contact, 
 from problems.controller import AdmittanceController
 from problems.plant import Environment, Plant
 from problems.sampled import build_loop, build_sampled_plant
-from tests.problems.axes import PERIOD_S, STRUCTURES, admittance, one_pole, paper_plant
+from tests.problems.axes import (
+    BOUNCING,
+    DAMPED,
+    PERIOD_S,
+    QUIET,
+    STRUCTURES,
+    admittance,
+    heavy_wall,
+    one_pole,
+    paper_plant,
+)
 from tests.problems.collision import Collision, collide
 from tests.problems.reference import steady_approach
 
@@ -30,26 +40,8 @@ def both(
     return run, collide(plant, controller, period_s, start, forces, samples), after
 
 
-# A light payload on a soft coupling against a hard wall leaves it several times.
-BOUNCING = paper_plant(stiffness=5e5, mass=4.0, drag=50.0, coupling=3e4)
-DAMPED = paper_plant(
-    stiffness=5e5,
-    mass=4.0,
-    drag=20.0,
-    coupling=3e4,
-    coupling_damping=5.0,
-    environment_damping=15.0,
-    robot=one_pole(2.0e-3),
-)
-QUIET = admittance(damping=3000.0, lead=0.02)
-
-
 def hard(stiffness: float, mass: float = 16.0, drag: float = 630.0, coupling: float = 3e5) -> Plant:
     return paper_plant(stiffness=stiffness, mass=mass, drag=drag, coupling=coupling)
-
-
-def heavy_wall(mass: float, damping: float = 0.0) -> Plant:
-    return BOUNCING.in_contact_with(Environment(stiffness_n_per_m=5e5, mass_kg=mass, damping_n_s_per_m=damping))
 
 
 @pytest.mark.parametrize(

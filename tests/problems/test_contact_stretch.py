@@ -18,6 +18,7 @@ from problems.controller import AdmittanceController, controller_blocks, needed_
 from problems.plant import Environment, Plant
 from problems.sampled import build_loop, build_sampled_plant, spectral_radius
 from tests.problems.axes import (
+    BOUNCING,
     LAW,
     PERIOD_S,
     STRUCTURES,
@@ -32,7 +33,6 @@ from tests.problems.axes import (
 FloatArray = NDArray[np.float64]
 SAMPLES = 250
 # A light payload on a soft coupling against a hard wall leaves it several times.
-BOUNCING = paper_plant(stiffness=5e5, mass=4.0, drag=50.0, coupling=3e4)
 
 
 @st.composite
