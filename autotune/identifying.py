@@ -9,7 +9,7 @@ from autotune import __version__
 from autotune.files.cell import CellFile
 from identification.combine import NamedResult, combine_identified
 from identification.errors import EstimateError
-from identification.given import Given, apply_given
+from identification.given import Given, check_names
 from identification.identify import identify_cell
 from identification.logs import read_checked_recording
 from identification.logs.cell import Cell
@@ -59,11 +59,12 @@ def identify_log(
     parts, recordings = [], []
     for run in separate_runs(files, told, salvage=salvage):
         recording = read_checked_recording(run, told, salvage=salvage)
-        found = identify_cell(recording, build_frames(told))
+        found = identify_cell(recording, build_frames(told), given)
         found = replace(found, findings=(*recording.findings, *found.findings))
         recordings.append(recording)
         parts.append(NamedResult(name=", ".join(path.name for path in run), result=found))
-    result = apply_given(combine_identified(parts), given or {})
+    result = combine_identified(parts)
+    check_names(given or {}, result.axes)
     missing = [finding for finding in result.findings if finding.severity == "error"]
     if missing and not allow_partial:
         raise EstimateError(_refusal(files, missing))

@@ -11,6 +11,7 @@ from .errors import LogError
 from .result import (
     AxisEstimate,
     CouplingEstimate,
+    Covariance,
     EnvironmentEstimate,
     Estimate,
     Finding,
@@ -88,9 +89,7 @@ class _Merge:
             return told[0][1] if told else next(e for e in estimates if e is not None)
         values = np.array([[e.value] for _, e in told], dtype=np.float64)
         mean, std = self._mean(what, [name for name, _ in told], values, _stds([e.std for _, e in told]), may_change)
-        return Estimate(
-            value=float(mean[0]), std=float(std[0]), status=_best([e.status for _, e in told]), method=_method(told)
-        )
+        return Estimate(value=float(mean[0]), std=float(std[0]), status=_sharpest(told), method=_method(told))
 
     def vectors(self, what: str, estimates: Sequence[VectorEstimate], *, may_change: bool = False) -> VectorEstimate:
         """Return the same for vectors, component by component."""
@@ -160,7 +159,7 @@ def _axis(merge: _Merge, name: str, results: Sequence[Identified]) -> AxisEstima
         return merge.scalars(f"{what} of axis {name}", [None if axis is None else pick(axis) for axis in axes])
 
     there = [axis for axis in axes if axis is not None]
-    return AxisEstimate(
+    combined = AxisEstimate(
         coupling=CouplingEstimate(
             stiffness_n_per_m=scalar("coupling stiffness K_s", lambda a: a.coupling.stiffness_n_per_m),
             damping_n_s_per_m=scalar("coupling damping B_s", lambda a: a.coupling.damping_n_s_per_m),
@@ -168,6 +167,54 @@ def _axis(merge: _Merge, name: str, results: Sequence[Identified]) -> AxisEstima
         drag_n_s_per_m=scalar("payload drag B_p", lambda a: a.drag_n_s_per_m),
         environments=_environments(merge, name, axes),
         robot=_robot(merge, name, there, axes),
+        mass_kg=_mass(merge, name, axes),
+        fits=tuple(fit for axis in there for fit in axis.fits),
+    )
+    return replace(combined, covariance=_covariance(combined, there))
+
+
+def _mass(merge: _Merge, name: str, axes: Sequence[AxisEstimate | None]) -> Estimate | None:
+    masses = [None if axis is None else axis.mass_kg for axis in axes]
+    if all(mass is None for mass in masses):
+        return None
+    return merge.scalars(f"payload mass from motion of axis {name}", masses)
+
+
+def _covariance(combined: AxisEstimate, there: Sequence[AxisEstimate]) -> Covariance | None:
+    """Return the correlations of the log that tells most parameters, with the combined values and deviations.
+
+    Surfaces of that log which another one names differently keep their own values.
+    """
+    told = [axis for axis in there if axis.covariance is not None]
+    if not told:
+        return None
+    best = max(told, key=lambda axis: len(axis.covariance.names) if axis.covariance is not None else 0)
+    if best.covariance is None or len(told) == 1:
+        return best.covariance
+    known: dict[str, Estimate | None] = {
+        "K_s": combined.coupling.stiffness_n_per_m,
+        "B_s": combined.coupling.damping_n_s_per_m,
+        "B_p": combined.drag_n_s_per_m,
+        "M_p": combined.mass_kg,
+        "T_d": combined.robot.delay_s,
+    }
+    for surface, mine in zip(combined.environments, best.environments, strict=False):
+        if surface.name == mine.name and _alike(surface, mine):
+            known[f"{surface.name}.K_e"] = surface.stiffness_n_per_m
+            known[f"{surface.name}.B_e"] = surface.damping_n_s_per_m
+            known[f"{surface.name}.M_e"] = surface.mass_kg
+    matrix = np.array(best.covariance.matrix)
+    std = np.sqrt(np.diag(matrix))
+    values, scale = list(best.covariance.values), np.ones(len(std))
+    for i, name in enumerate(best.covariance.names):
+        estimate = known.get(name)
+        if estimate is not None and estimate.value is not None and estimate.std is not None and std[i] > 0.0:
+            values[i], scale[i] = estimate.value, estimate.std / std[i]
+    scaled = matrix * np.outer(scale, scale)
+    return Covariance(
+        names=best.covariance.names,
+        values=tuple(values),
+        matrix=tuple(tuple(float(v) for v in row) for row in scaled),
     )
 
 
@@ -294,6 +341,11 @@ def _stds(values: Sequence[float | None]) -> FloatArray:
 
 def _best(statuses: Sequence[Status]) -> Status:
     return min(statuses, key=_ORDER.index)
+
+
+def _sharpest(told: Sequence[tuple[str, Estimate]]) -> Status:
+    """Return the verdict of the log that knows best: a prior is in each of them."""
+    return min((e for _, e in told), key=lambda e: np.inf if e.std is None else e.std).status
 
 
 def _method(told: Sequence[tuple[str, Estimate]] | Sequence[tuple[str, VectorEstimate]]) -> str:

@@ -1,21 +1,27 @@
 """Knowledge from outside the log, entered as a prior."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 from .errors import EstimateError
 from .result import AxisEstimate, Estimate, Finding, Identified, Status
 
 _CONTRADICTION_STDS = 4.0
 
-AXIS_KEYS = (
-    "coupling_stiffness_n_per_m",
-    "coupling_damping_n_s_per_m",
-    "drag_n_s_per_m",
-    "delay_s",
+AXIS_KEYS: Mapping[str, str] = MappingProxyType(
+    {
+        "coupling_stiffness_n_per_m": "stiffness_n_per_m",
+        "coupling_damping_n_s_per_m": "damping_n_s_per_m",
+        "drag_n_s_per_m": "drag_n_s_per_m",
+        "delay_s": "delay_s",
+    }
 )
-"""What may be given of an axis, as `x.drag_n_s_per_m`; `mass_kg` and `sample_time_s` stand alone."""
+"""What may be given of an axis, as `x.drag_n_s_per_m`, and what the joint fit calls it.
+
+`mass_kg` and `sample_time_s` stand alone.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,69 +32,79 @@ class Given:
     std: float
 
 
-def apply_given(result: Identified, given: Mapping[str, Given]) -> Identified:
-    """Combine estimates with what is given of them, as independent normal knowledge of one number (Bayes).
+def check_names(given: Mapping[str, Given], axes: Iterable[str]) -> None:
+    """Raise EstimateError for a name that is unknown or an axis that is not there."""
+    known = ["mass_kg", "sample_time_s", *(f"{axis}.{key}" for axis in axes for key in AXIS_KEYS)]
+    unknown = sorted(set(given) - set(known))
+    if unknown:
+        raise EstimateError(f"Nothing called {unknown[0]} can be given of this log; what can: {', '.join(known)}.")
+
+
+def settle_cell(result: Identified, given: Mapping[str, Given]) -> Identified:
+    """Combine mass and control period with what is given of them, as independent normal knowledge (Bayes).
 
     A number that the log did not tell becomes the given one. Where log and prior are more than four joint deviations
     apart, a finding of severity `error` says so. A parameter whose prior is as sharp as the log or sharper is `given`.
-    Other parameters are not moved. Raises EstimateError for a name that is unknown or an axis that is not there.
     """
     findings = list(result.findings)
-    settled: set[str] = set()
-
-    def known(name: str, estimate: Estimate) -> Estimate:
-        settled.add(name)
-        found, contradiction = _posterior(name, estimate, given[name])
-        findings.extend(contradiction)
-        return found
-
     changed = result
     if "mass_kg" in given:
-        mass = known("mass_kg", result.payload.mass_kg)
+        mass, contradiction = _posterior("mass_kg", result.payload.mass_kg, None, given["mass_kg"])
         changed = replace(changed, payload=replace(changed.payload, mass_kg=mass))
+        findings += contradiction
     if "sample_time_s" in given:
-        changed = replace(changed, sample_time_s=known("sample_time_s", result.sample_time_s))
-    axes = {name: _axis(name, axis, given, known) for name, axis in changed.axes.items()}
-    unknown = sorted(set(given) - settled)
-    if unknown:
-        names = ", ".join(["mass_kg", "sample_time_s", *(f"{axis}.{key}" for axis in axes for key in AXIS_KEYS)])
-        raise EstimateError(f"Nothing called {unknown[0]} can be given of this log; what can: {names}.")
-    return replace(changed, axes=axes, findings=tuple(findings))
+        period, contradiction = _posterior("sample_time_s", result.sample_time_s, None, given["sample_time_s"])
+        changed = replace(changed, sample_time_s=period)
+        findings += contradiction
+    return replace(changed, findings=tuple(findings))
 
 
-def _axis(
-    name: str, axis: AxisEstimate, given: Mapping[str, Given], known: Callable[[str, Estimate], Estimate]
-) -> AxisEstimate:
-    told = {
+def settle_axis(
+    name: str, alone: AxisEstimate, both: AxisEstimate | None, given: Mapping[str, Given]
+) -> tuple[AxisEstimate, list[Finding]]:
+    """Give the parameters of an axis that are known from elsewhere their verdict.
+
+    `alone` is what the log tells, `both` what it tells with the priors in the fit; where there was none (None), each
+    prior moves its own number only.
+    """
+    changed, findings = alone if both is None else both, []
+    for key in AXIS_KEYS:
+        full = f"{name}.{key}"
+        if full in given:
+            found, contradiction = _posterior(
+                full, _get(alone, key), None if both is None else _get(both, key), given[full]
+            )
+            changed = _set(changed, key, found)
+            findings += contradiction
+    return changed, findings
+
+
+def _get(axis: AxisEstimate, key: str) -> Estimate:
+    return {
         "coupling_stiffness_n_per_m": axis.coupling.stiffness_n_per_m,
         "coupling_damping_n_s_per_m": axis.coupling.damping_n_s_per_m,
         "drag_n_s_per_m": axis.drag_n_s_per_m,
         "delay_s": axis.robot.delay_s,
-    }
-    new = {
-        key: known(f"{name}.{key}", estimate) if f"{name}.{key}" in given else estimate
-        for key, estimate in told.items()
-    }
-    return replace(
-        axis,
-        coupling=replace(
-            axis.coupling,
-            stiffness_n_per_m=new["coupling_stiffness_n_per_m"],
-            damping_n_s_per_m=new["coupling_damping_n_s_per_m"],
-        ),
-        drag_n_s_per_m=new["drag_n_s_per_m"],
-        robot=replace(axis.robot, delay_s=new["delay_s"]),
-    )
+    }[key]
 
 
-def _posterior(name: str, estimate: Estimate, prior: Given) -> tuple[Estimate, list[Finding]]:
+def _set(axis: AxisEstimate, key: str, estimate: Estimate) -> AxisEstimate:
+    if key == "drag_n_s_per_m":
+        return replace(axis, drag_n_s_per_m=estimate)
+    if key == "delay_s":
+        return replace(axis, robot=replace(axis.robot, delay_s=estimate))
+    return replace(axis, coupling=replace(axis.coupling, **{key.removeprefix("coupling_"): estimate}))
+
+
+def _posterior(name: str, estimate: Estimate, fitted: Estimate | None, prior: Given) -> tuple[Estimate, list[Finding]]:
+    """Return what log and prior tell together: as the fit found it, else the product of two normal densities."""
+    method = "given" if fitted is None or fitted.value is None else fitted.method
     if estimate.value is None or estimate.std is None:
-        return (
-            Estimate(
-                value=prior.value, std=prior.std, status=Status.GIVEN, method="given", note="the log does not tell it"
-            ),
-            [],
+        note = "the log alone does not tell it"
+        told = (
+            (fitted.value, fitted.std) if fitted is not None and fitted.value is not None else (prior.value, prior.std)
         )
+        return Estimate(value=told[0], std=told[1], status=Status.GIVEN, method=method, note=note), []
     apart, together = abs(estimate.value - prior.value), math.hypot(estimate.std, prior.std)
     contradiction = []
     if apart > _CONTRADICTION_STDS * together:
@@ -101,13 +117,14 @@ def _posterior(name: str, estimate: Estimate, prior: Given) -> tuple[Estimate, l
                 advice="Check the given value and its unit, and that the log is of this cell and payload.",
             )
         )
-    if prior.std == 0.0 or estimate.std == 0.0:
+    if fitted is not None and fitted.value is not None and fitted.std is not None and prior.std > 0.0:
+        value, std = fitted.value, fitted.std
+    elif prior.std == 0.0 or estimate.std == 0.0:
         value, std = (prior.value, prior.std) if prior.std == 0.0 else (estimate.value, estimate.std)
     else:
         precision = estimate.std**-2.0 + prior.std**-2.0
         value = (estimate.value / estimate.std**2 + prior.value / prior.std**2) / precision
         std = precision**-0.5
-    is_given = prior.std <= estimate.std
     note = f"given {prior.value:.6g} ± {prior.std:.2g}, the log tells {estimate.value:.6g} ± {estimate.std:.2g}"
-    status = Status.GIVEN if is_given else estimate.status
+    status = Status.GIVEN if prior.std <= estimate.std else estimate.status
     return Estimate(value=value, std=std, status=status, method=estimate.method, note=note), contradiction

@@ -60,6 +60,11 @@ class FoundContact:
         return self.misfit_share < _LARGEST_MISFIT and self.secant_std_n_per_m < _LARGEST_STD * self.secant_n_per_m
 
 
+def find_holds(still: Sequence[Span], force_n: FloatArray, threshold_n: float) -> tuple[Span, ...]:
+    """Return the rests during which the payload presses on something: a force that gravity does not explain."""
+    return tuple(span for span in still if abs(float(np.median(force_n[span.slice]))) > threshold_n)
+
+
 def find_onset(hold: Span, path: FlangePath, force_n: FloatArray, coupling: FloatArray, period_s: float) -> int | None:
     """Return the first touch that leads to the hold, bounces included; None when the force was always there.
 

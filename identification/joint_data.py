@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from problems.robot import RobotModel
 
-from .aligned import AlignedLog
+from .aligned import AlignedLog, find_gaps
 from .axes import AxisMotion, unguided_spans
 from .coupling import CouplingFit
 from .recording import PoseSignal
@@ -20,6 +20,9 @@ _SAME_PHASE = 0.05
 _ROUNDING = 1e-3
 _USUAL_RESONANCE_HZ = 25.0
 _USUAL_DRAG_N_S_PER_M = 200.0
+_SETTLED_S = 1.5
+_LONGEST_APPROACH_S = 3.25
+_BEFORE_HOLE_S = 0.35
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,25 +67,38 @@ class JointData:
         return 0 if self.robot is None or self.command is None else self.robot.order
 
 
-def hold_command(command: PoseSignal, log: AlignedLog, axis: AxisMotion) -> HeldCommand | None:
-    """Put the command on the log's clock; None when its stamps do not lie at one phase of that clock, or not over it.
+def hold_command(command: PoseSignal, log: AlignedLog, axis: AxisMotion) -> HeldCommand:
+    """Put the command on the log's clock.
 
-    The exact answer of a held command needs to know when in a sample it changes: a command at the log's rate or at a
-    whole fraction of it does so always at the same time.
+    A command at the log's rate or at a whole fraction of it changes always at one phase of a sample, and the robot's
+    answer is exact. Any other is replaced by its mean over every sample: the same push at slightly another time, which
+    a robot that is slow beside the sample hardly feels (the position differs by less than ω h/8 of one step of the
+    command). Before its first message the command is that one; `uncovered` tells where it says nothing.
     """
     period = log.period_s
     ticks = (command.stamp_ns - log.start_ns) * 1e-9 / period
+    issued = (command.position_m - log.position_B_m[0]) @ axis.direction_B
     inside = (ticks >= 0.0) & (ticks <= len(log) - 1)
-    if np.count_nonzero(inside) < 2 or ticks[0] > 1.0 or ticks[-1] < len(log) - 2:
-        return None
     # A stamp that rounding puts just before its tick belongs to that tick.
     phase = np.mod(ticks[inside] + _ROUNDING, 1.0) - _ROUNDING
-    shift = float(np.median(phase))
-    if float(np.max(np.abs(phase - shift))) > _SAME_PHASE:
-        return None
-    latest = np.searchsorted(ticks, np.arange(len(log)) + 1.0 - _ROUNDING, side="left") - 1
-    issued = (command.position_m[np.maximum(latest, 0)] - log.position_B_m[0]) @ axis.direction_B
-    return HeldCommand(command_m=np.asarray(issued), shift_s=max(shift, 0.0) * period)
+    shift = float(np.median(phase)) if phase.size else 0.0
+    if phase.size and float(np.max(np.abs(phase - shift))) <= _SAME_PHASE:
+        latest = np.searchsorted(ticks, np.arange(len(log)) + 1.0 - _ROUNDING, side="left") - 1
+        return HeldCommand(command_m=np.asarray(issued[np.maximum(latest, 0)]), shift_s=max(shift, 0.0) * period)
+    pushed = np.concatenate([[0.0], np.cumsum(issued[:-1] * np.diff(ticks))])
+    edges = np.arange(len(log) + 1.0)
+    total = np.interp(edges, ticks, pushed)
+    total += np.minimum(edges - ticks[0], 0.0) * issued[0] + np.maximum(edges - ticks[-1], 0.0) * issued[-1]
+    return HeldCommand(command_m=np.diff(total), shift_s=0.0)
+
+
+def uncovered(command: PoseSignal, log: AlignedLog) -> tuple[Span, ...]:
+    """Return the parts of the log about which the command says nothing: before it, after it, in its gaps."""
+    ticks = (command.stamp_ns - log.start_ns) * 1e-9 / log.period_s
+    usual = 2.0 * float(np.median(np.diff(ticks)))
+    edges = [(0.0, ticks[0] - usual), (ticks[-1] + usual, len(log) - 1.0)]
+    edges += [(ticks[i], ticks[i + 1]) for i in find_gaps(command.stamp_ns).tolist()]
+    return tuple(Span(start=int(max(a, 0.0)), stop=int(min(b, len(log) - 1.0)) + 1) for a, b in edges if b > a)
 
 
 def build_joint_data(
@@ -99,21 +115,57 @@ def build_joint_data(
 
     Where the stage refused the coupling (None), the refinement starts from the mass and a usual resonance.
     """
-    held = None if command is None or robot is None else hold_command(command, log, axis)
+    known = command is not None and robot is not None
+    holes = (*log.holes, *(uncovered(command, log) if known and command is not None else ()))
     pressed = {(s.start, s.stop) for s in holds}
     return JointData(
         period_s=log.period_s,
-        position_m=axis.position_m,
-        force_n=axis.force_n,
-        command=held,
+        position_m=_without_holes(axis.position_m, log.holes),
+        force_n=_without_holes(axis.force_n, log.holes),
+        command=hold_command(command, log, axis) if known and command is not None else None,
         rests=tuple(s for s in motion.still if (s.start, s.stop) not in pressed),
-        moving=axis.spans,
-        free=unguided_spans(axis),
-        holds=tuple(holds),
+        moving=_off_holes(axis.spans, holes, log.period_s),
+        free=_off_holes(unguided_spans(axis), holes, log.period_s),
+        holds=_approached(holds, holes, log.period_s),
         coupling=_start(mass_kg) if coupling is None else _values(coupling),
         robot=robot,
         mass_kg=mass_kg,
     )
+
+
+def _without_holes(values: FloatArray, holes: Sequence[Span]) -> FloatArray:
+    """Return values (n,) with straight lines across the holes, which no span that is used comes near."""
+    if not holes:
+        return values
+    inside = np.zeros(len(values), dtype=bool)
+    for hole in holes:
+        inside[hole.slice] = True
+    known = np.flatnonzero(~inside)
+    return np.asarray(np.interp(np.arange(len(values)), known, values[known]))
+
+
+def _off_holes(spans: Sequence[Span], holes: Sequence[Span], period_s: float) -> tuple[Span, ...]:
+    """Return what is left of spans of motion that begin 1.5 s after a hole at the earliest, and end before the next.
+
+    After a hole of the command the robot's answer is known again once what it did before has died away.
+    """
+    behind, before = round(_SETTLED_S / period_s), round(_BEFORE_HOLE_S / period_s)
+    left = list(spans)
+    for hole in holes:
+        first, last = hole.start - before, hole.stop + behind
+        left = [
+            Span(start=a, stop=b)
+            for s in left
+            for a, b in ((s.start, min(s.stop, first)), (max(s.start, last), s.stop))
+            if b > a
+        ]
+    return tuple(left)
+
+
+def _approached(holds: Sequence[Span], holes: Sequence[Span], period_s: float) -> tuple[Span, ...]:
+    """Return the holds before which, as far as an approach may reach, and in which the log has no hole."""
+    reach = round((_SETTLED_S + _LONGEST_APPROACH_S) / period_s)
+    return tuple(s for s in holds if not any(s.start - reach < h.stop and h.start < s.stop for h in holes))
 
 
 def _values(coupling: CouplingFit) -> FloatArray:

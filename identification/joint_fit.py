@@ -32,6 +32,7 @@ _SHAKING = 1.3
 _LIGHTEST_SHARE = 0.2
 _LIGHT_KG = 0.1
 _LEAST_EXPLAINED = 0.8
+_AT_LIMIT = 0.2
 _OUTLYING, _ENOUGH_TO_TELL = 8.0, 3
 
 
@@ -53,6 +54,7 @@ def identify_joint(data: JointData) -> JointFit:
         problem = _recoloured(problem, point)
         point, _ = minimise(problem, point, _STEPS_LATER)
     problem = _recoloured(problem, point)
+    _require_mass(problem, float(point.values[3]))
     resting = np.concatenate([_settled(data.force_n[s]) for s in _quiet_rests(data)])
     shift = 0.0 if data.command is None else data.command.shift_s
     fit = describe(problem, point, found, rest_rms_n=float(np.std(resting)), command_shift_s=shift)
@@ -64,6 +66,16 @@ def identify_joint(data: JointData) -> JointFit:
             "without a hand on the payload, with the command that the robot receives."
         )
     return fit
+
+
+def _require_mass(problem: Problem, mass_kg: float) -> None:
+    """Raise EstimateError when the mass ran to the limits of its search: then motion does not tell it."""
+    low, high = (1.0 + _AT_LIMIT) * problem.lightest_kg, problem.heaviest_kg / (1.0 + _AT_LIMIT)
+    if not low < mass_kg < high:
+        raise EstimateError(
+            "The payload's acceleration hardly shows in the force, so motion tells neither its mass nor the coupling; "
+            "record a commanded sweep of 0.5 to 50 Hz in free space without a hand on the payload."
+        )
 
 
 def _starts(data: JointData, problem: Problem, values: FloatArray) -> list[ContactStart]:

@@ -140,7 +140,8 @@ def cost(problem: Problem, point: Point) -> float:
     for segment, nuisance in zip(problem.segments, point.nuisances, strict=True):
         predicted = predict_force(point.values, nuisance, segment, path, layout, signals.period_s)
         error = problem.noise(segment).apply(predicted - signals.force_n[segment.slice])
-        total += float(error @ error)
+        with np.errstate(over="ignore"):  # a trial that runs away is worse than any
+            total += float(error @ error)
     if layout.robot_order and problem.pose_spans:
         for span in problem.pose_spans:
             error = problem.pose_noise.apply(path.misfit_m[span] - np.mean(path.misfit_m[span]))
@@ -155,6 +156,8 @@ def minimise(problem: Problem, point: Point, most_steps: int) -> tuple[Point, fl
     """Step to the least squares with steps halved until they help; parameters at a bound of 0 stay there if pushed."""
     count = len(problem.layout)
     now = cost(problem, point)
+    if not np.isfinite(now):
+        return point, now  # no slope leads out of numbers that ran away
     for _ in range(most_steps):
         blocks = linearise(problem, point)
         matrix, gradient = information(blocks, count)

@@ -91,13 +91,57 @@ class RobotEstimate:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Covariance:
+    """How the errors of one axis go together: `matrix` (p, p) in SI, in the order of `names`.
+
+    Names are K_s, B_s, B_p, M_p, then of the robot omega (rad/s), zeta, T_d, then K_e, B_e, M_e after the name of the
+    surface and a point, as in `x1.K_e`. `values` (p,) is where the likelihood is highest, also of what is no value to
+    trust when taken alone.
+    """
+
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    matrix: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitQuality:
+    """How well one log is explained, in free motion and in contact.
+
+    `explained_*`: share of the force's variance; `whiteness_*`: probability of a residual at least as coloured if the
+    whitened one were white (Ljung-Box); `noise_ratio_*`: residual RMS over the force's noise at rest; `left_out_*`:
+    residual over force of a span that is predicted by all others, None where there is no other; `widening`: the largest
+    factor by which deviations were widened for what the model leaves out. Without contacts those entries are None.
+    """
+
+    free_spans: int
+    explained_free: float
+    whiteness_free: float
+    noise_ratio_free: float
+    left_out_free: float | None
+    contacts: int
+    explained_contact: float | None
+    whiteness_contact: float | None
+    noise_ratio_contact: float | None
+    left_out_contact: float | None
+    widening: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class AxisEstimate:
-    """Everything that one axis of the control frame needs; `drag_n_s_per_m` is B_p."""
+    """Everything that one axis of the control frame needs.
+
+    `drag_n_s_per_m` is B_p; `mass_kg` is M_p as motion along this axis tells it; `fits` has an entry for every log that
+    tells something of the axis.
+    """
 
     coupling: CouplingEstimate
     drag_n_s_per_m: Estimate
     environments: tuple[EnvironmentEstimate, ...]
     robot: RobotEstimate
+    mass_kg: Estimate | None = None
+    covariance: Covariance | None = None
+    fits: tuple[FitQuality, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

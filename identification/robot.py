@@ -61,7 +61,7 @@ def identify_robot(command_m: FloatArray, position_m: FloatArray, period_s: floa
             "robot follows, in the same frame and unit as the measured pose."
         )
     fastest = _RESOLVED_SHARE / period_s
-    if _bandwidth_hz(_model(chosen.order, chosen.parameters, period_s)) > fastest:
+    if find_bandwidth_hz(_model(chosen.order, chosen.parameters, period_s)) > fastest:
         raise EstimateError(
             "The measured pose follows the command as if there were no robot between them (a bandwidth above the "
             f"{fastest:.0f} Hz that this rate resolves); check that the pose is measured and no echo of the command."
@@ -192,7 +192,7 @@ def _correlation_factor(residual: FloatArray) -> float:
 
 def _described(fit: _Fit, error: float) -> RobotFit:
     model = _model(fit.order, fit.parameters, fit.period_s)
-    bandwidth = _bandwidth_hz(model)
+    bandwidth = find_bandwidth_hz(model)
     denominator_jacobian = np.zeros((fit.order + 1, len(fit.parameters)))
     bandwidth_jacobian = np.zeros(len(fit.parameters))
     for i in range(len(fit.parameters)):
@@ -200,7 +200,7 @@ def _described(fit: _Fit, error: float) -> RobotFit:
         step[i] = 1e-6
         moved = _model(fit.order, fit.parameters + step, fit.period_s)
         denominator_jacobian[:, i] = (moved.denominator - model.denominator) / 1e-6
-        bandwidth_jacobian[i] = (_bandwidth_hz(moved) - bandwidth) / 1e-6
+        bandwidth_jacobian[i] = (find_bandwidth_hz(moved) - bandwidth) / 1e-6
     spread = denominator_jacobian @ fit.covariance @ denominator_jacobian.T
     denominator_std = np.sqrt(np.maximum(np.diag(spread), 0.0))
     return RobotFit(
@@ -214,7 +214,7 @@ def _described(fit: _Fit, error: float) -> RobotFit:
     )
 
 
-def _bandwidth_hz(model: RobotModel) -> float:
+def find_bandwidth_hz(model: RobotModel) -> float:
     """Return where |r| falls to 1/√2."""
     low, high = 1e-2, 1e4
     for _ in range(80):

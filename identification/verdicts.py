@@ -1,9 +1,11 @@
 """From a number and its standard deviation to a verdict."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from .result import Estimate, Status, VectorEstimate
+from .result import Estimate, Finding, Status, VectorEstimate
 
 FloatArray = NDArray[np.float64]
 
@@ -12,7 +14,14 @@ _WEAK_SHARE = 0.25
 
 
 def judged(
-    value: float, std: float, *, method: str, note: str = "", identified: float = _IDENTIFIED_SHARE, floor: float = 0.0
+    value: float,
+    std: float,
+    *,
+    method: str,
+    note: str = "",
+    identified: float = _IDENTIFIED_SHARE,
+    floor: float = 0.0,
+    ci95: tuple[float, float] | None = None,
 ) -> Estimate:
     """Return an estimate whose status follows from std over value; nothing is claimed above `weak`'s limit.
 
@@ -20,12 +29,18 @@ def judged(
     """
     size = max(abs(value), floor)
     share = std / size if size > 0.0 and np.isfinite(std) else np.inf
-    if share <= identified:
-        return Estimate(value=float(value), std=float(std), status=Status.IDENTIFIED, method=method, note=note)
     if share <= max(_WEAK_SHARE, identified):
-        return Estimate(value=float(value), std=float(std), status=Status.WEAK, method=method, note=note)
+        status = Status.IDENTIFIED if share <= identified else Status.WEAK
+        return Estimate(value=float(value), std=float(std), status=status, method=method, note=note, ci95=ci95)
     told = f"standard deviation {std:.3g} for a value of {value:.3g}"
     return unidentifiable(method=method, note=f"{note}; {told}" if note else told)
+
+
+def weak_at_best(estimate: Estimate, why: str) -> Estimate:
+    """Return the estimate, `weak` with the reason where it was `identified`."""
+    if estimate.status is not Status.IDENTIFIED:
+        return estimate
+    return replace(estimate, status=Status.WEAK, note=f"{estimate.note}; {why}" if estimate.note else why)
 
 
 def unidentifiable(*, method: str = "", note: str = "") -> Estimate:
@@ -43,3 +58,8 @@ def vector(values: FloatArray, stds: FloatArray, *, method: str, status: Status 
 def unidentifiable_vector(note: str) -> VectorEstimate:
     """Return a vector about which the log says nothing."""
     return VectorEstimate(value=None, std=None, status=Status.UNIDENTIFIABLE, note=note)
+
+
+def missing(code: str, message: str, advice: str = "") -> Finding:
+    """Return the finding that a parameter which a controller needs is not told."""
+    return Finding(code=code, severity="error", message=message, advice=advice)

@@ -114,6 +114,8 @@ def _rows(result: "Identified") -> Iterator[tuple[str, ...]]:
         yield _row(f"{name}: coupling K_s", axis.coupling.stiffness_n_per_m, "N/mm", 1e-3)
         yield _row(f"{name}: coupling B_s", axis.coupling.damping_n_s_per_m, "N·s/m")
         yield _row(f"{name}: drag B_p", axis.drag_n_s_per_m, "N·s/m")
+        if axis.mass_kg is not None:
+            yield _row(f"{name}: mass from motion", axis.mass_kg, "kg")
         yield _row(f"{name}: robot bandwidth", axis.robot.bandwidth_hz, "Hz")
         yield _row(f"{name}: delay T_d", axis.robot.delay_s, "ms", 1e3)
         for surface in axis.environments:
@@ -121,6 +123,7 @@ def _rows(result: "Identified") -> Iterator[tuple[str, ...]]:
             yield _row(f"{told}: K_e", surface.stiffness_n_per_m, "N/mm", 1e-3)
             yield _row(f"{told}: secant", surface.secant_stiffness_n_per_m, "N/mm", 1e-3)
             yield _row(f"{told}: B_e", surface.damping_n_s_per_m, "N·s/m")
+            yield _row(f"{told}: M_e", surface.mass_kg, "kg")
 
 
 def _row(name: str, estimate: "Estimate", unit: str, scale: float = 1.0) -> tuple[str, ...]:

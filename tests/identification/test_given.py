@@ -1,12 +1,14 @@
 """What is known from elsewhere, entered as a prior."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from identification.errors import EstimateError
-from identification.given import Given, apply_given
+from identification.given import Given, check_names, settle_axis, settle_cell
 from identification.result import Status
 from tests.identification.test_combine import UNTOLD, known, told
 from tests.problems.axes import LAW
@@ -19,7 +21,7 @@ VALUES, STDS = st.floats(15.0, 17.0), st.floats(0.01, 1.0)
 def test_the_posterior_is_where_the_product_of_both_densities_is_largest(
     seen: float, std: float, prior: float, prior_std: float
 ) -> None:
-    found = apply_given(told(known(seen, std)), {"mass_kg": Given(value=prior, std=prior_std)}).payload.mass_kg
+    found = settle_cell(told(known(seen, std)), {"mass_kg": Given(value=prior, std=prior_std)}).payload.mass_kg
     assert found.value is not None
     assert found.std is not None
 
@@ -35,8 +37,10 @@ def test_the_posterior_is_where_the_product_of_both_densities_is_largest(
 
 
 def test_what_the_log_does_not_tell_is_the_given_value() -> None:
-    found = apply_given(told(delay=UNTOLD), {"x.delay_s": Given(value=2.5e-3, std=1e-4)}).axes["x"].robot.delay_s
-    assert (found.value, found.std, found.status) == (2.5e-3, 1e-4, Status.GIVEN)
+    axis = told(delay=UNTOLD).axes["x"]
+    found, _ = settle_axis("x", axis, None, {"x.delay_s": Given(value=2.5e-3, std=1e-4)})
+    delay = found.robot.delay_s
+    assert (delay.value, delay.std, delay.status) == (2.5e-3, 1e-4, Status.GIVEN)
 
 
 @pytest.mark.parametrize(
@@ -48,28 +52,39 @@ def test_what_the_log_does_not_tell_is_the_given_value() -> None:
         ("x.delay_s", 2.4e-3),
     ],
 )
-def test_each_name_moves_its_own_number_alone(name: str, value: float) -> None:
-    before = told()
-    after = apply_given(before, {name: Given(value=value, std=0.0)})
+def test_without_a_fit_each_name_moves_its_own_number_alone(name: str, value: float) -> None:
+    before = told().axes["x"]
+    after, findings = settle_axis("x", before, None, {name: Given(value=value, std=0.0)})
     flat = [
         (axis.coupling.stiffness_n_per_m, axis.coupling.damping_n_s_per_m, axis.drag_n_s_per_m, axis.robot.delay_s)
-        for axis in (before.axes["x"], after.axes["x"])
+        for axis in (before, after)
     ]
     moved = [one != other for one, other in zip(*flat, strict=True)]
     assert np.count_nonzero(moved) == 1
     assert flat[1][moved.index(True)].value == value
-    assert after.payload == before.payload
+    assert findings == []
+
+
+def test_a_fit_with_the_prior_in_it_decides_and_the_log_alone_is_what_it_is_compared_with() -> None:
+    alone = told().axes["x"]
+    both = dataclasses.replace(alone, drag_n_s_per_m=known(341.0, 2.0))
+    near, findings = settle_axis("x", alone, both, {"x.drag_n_s_per_m": Given(value=342.0, std=2.5)})
+    assert (near.drag_n_s_per_m.value, near.drag_n_s_per_m.std) == (341.0, 2.0)
+    assert "the log tells 330" in near.drag_n_s_per_m.note
+    assert findings == []
+    _, findings = settle_axis("x", alone, both, {"x.drag_n_s_per_m": Given(value=900.0, std=0.1)})
+    assert [finding.code for finding in findings] == ["given-contradicts"]
 
 
 def test_a_prior_that_contradicts_the_log_is_an_error() -> None:
-    found = apply_given(told(known(16.2, 0.02)), {"mass_kg": Given(value=22.0, std=0.1)})
+    found = settle_cell(told(known(16.2, 0.02)), {"mass_kg": Given(value=22.0, std=0.1)})
     (finding,) = (f for f in found.findings if f.code == "given-contradicts")
     assert (finding.severity, "16.2 ± 0.02, given is 22 ± 0.1" in finding.message) == ("error", True)
-    near = apply_given(told(known(16.2, 0.02)), {"mass_kg": Given(value=16.25, std=0.1)})
+    near = settle_cell(told(known(16.2, 0.02)), {"mass_kg": Given(value=16.25, std=0.1)})
     assert not near.findings
 
 
 @pytest.mark.parametrize("name", ["mass", "y.delay_s", "x.mass_kg"])
 def test_an_unknown_name_is_refused_with_those_that_are_known(name: str) -> None:
     with pytest.raises(EstimateError, match=rf"Nothing called {name} can be given.*mass_kg, sample_time_s, x\.coup"):
-        apply_given(told(), {name: Given(value=1.0, std=0.1)})
+        check_names({name: Given(value=1.0, std=0.1)}, ["x"])

@@ -121,7 +121,7 @@ def test_contacts_alone_do_not_tell_the_coupling() -> None:
     check_honesty(found)
     told = finding(found, "coupling")
     assert told.severity == "error"
-    assert "Record a commanded sweep" in told.message
+    assert "record a commanded sweep" in told.message
     axis = found.axes["x"]
     assert axis.coupling.stiffness_n_per_m.value is None
     assert axis.environments == ()
@@ -136,7 +136,13 @@ def test_a_log_without_command_has_no_robot(demo_recording: Recording, complete:
     robot = found.axes["x"].robot
     assert all(estimate.value is None for estimate in estimates(robot))
     assert found.sample_time_s.status is Status.WEAK
-    assert found.axes["x"].coupling == complete.axes["x"].coupling
+    # The same payload on the same spring, less sure without the robot's exact path.
+    for with_command, without in zip(
+        vars(complete.axes["x"].coupling).values(), vars(found.axes["x"].coupling).values(), strict=True
+    ):
+        assert abs(with_command.value - without.value) < 4.0 * without.std
+        assert without.std > with_command.std
+    assert {e.stiffness_n_per_m.status for e in found.axes["x"].environments} <= {Status.WEAK, Status.UNIDENTIFIABLE}
 
 
 def test_a_command_from_another_time_has_no_robot(demo_recording: Recording) -> None:

@@ -1,0 +1,259 @@
+"""Everything that a recording tells of one axis: robot, coupling, payload, surfaces."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .aligned import AlignedLog
+from .axes import AxisMotion, commanded_motion, free_motions, unguided_spans
+from .coupling import CouplingFit, Noise, identify_coupling
+from .errors import EstimateError
+from .given import AXIS_KEYS, Given, settle_axis
+from .gravity import GravityFit
+from .joint_contacts import find_holds
+from .joint_data import build_joint_data
+from .joint_estimates import JointEstimates
+from .joint_fit import identify_joint
+from .joint_result import JointFit
+from .recording import Recording
+from .result import AxisEstimate, CouplingEstimate, Finding, RobotEstimate
+from .robot import RobotFit, identify_robot
+from .segments import Motion, Span
+from .verdicts import judged, missing, unidentifiable, unidentifiable_vector, vector
+
+FloatArray = NDArray[np.float64]
+
+_HOLD_THRESHOLD_N = 4.0
+_HOLD_RESIDUALS = 6.0
+_MASS_DISAGREEMENT_STDS = 3.0
+_MASS_DISAGREEMENT_SHARE = 0.02
+_OBLIQUE_CONTACT_DEG = 10.0
+# The continuous model is fitted to signals sampled behind a hold: measured on simulated cells, this is what it costs.
+_MODEL_STD_SHARE = 0.003
+_MORE_THAN_NOISE = 1.5
+_EXACT_SHARE = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellSignals:
+    """What the axes of a recording share; `force_S_n` (n, 3) is free of weight and bias."""
+
+    recording: Recording
+    log: AlignedLog
+    motion: Motion
+    gravity: GravityFit
+    force_S_n: FloatArray
+    given: Mapping[str, Given]
+
+
+def identify_axis(cell: CellSignals, axis: AxisMotion) -> tuple[AxisEstimate, list[Finding]]:
+    """Estimate one axis: the stages find where to start, the joint fit tells values and uncertainty.
+
+    What cannot be told is `unidentifiable`, and named by a finding of severity `error`.
+    """
+    findings: list[Finding] = []
+    robot_fit, robot = _robot(cell, axis, findings)
+    holds = _holds(cell, axis, findings)
+    data = build_joint_data(
+        cell.log,
+        cell.motion,
+        axis,
+        holds,
+        _coupling(cell, axis),
+        None if robot_fit is None else robot_fit.model,
+        cell.recording.command,
+        cell.gravity.mass_kg,
+    )
+    try:
+        fit = identify_joint(data)
+        priors = _priors(cell.given, axis.name)
+        with_priors = identify_joint(replace(data, priors=priors)) if priors else None
+    except EstimateError as error:
+        findings.append(missing("coupling", f"Axis {axis.name}: {error}"))
+        estimate, contradictions = settle_axis(axis.name, _without_coupling(robot, str(error)), None, cell.given)
+        return estimate, [*findings, *contradictions]
+    findings += [*_about_contacts(axis.name, holds, fit), *_about_masses(axis.name, cell.gravity, fit)]
+    findings += _about_fit(axis.name, fit)
+    alone = _estimate(axis, fit, robot, data.period_s)
+    both = alone if with_priors is None else _estimate(axis, with_priors, robot, data.period_s)
+    estimate, contradictions = settle_axis(axis.name, alone, both, cell.given)
+    return estimate, [*findings, *contradictions]
+
+
+def _estimate(axis: AxisMotion, fit: JointFit, robot: RobotEstimate, period_s: float) -> AxisEstimate:
+    told = JointEstimates(axis.name, fit, period_s)
+    return AxisEstimate(
+        coupling=told.coupling,
+        drag_n_s_per_m=told.drag_n_s_per_m,
+        environments=told.environments,
+        robot=told.robot or robot,
+        mass_kg=told.mass_kg,
+        covariance=told.covariance,
+        fits=(told.quality,),
+    )
+
+
+def _robot(cell: CellSignals, axis: AxisMotion, findings: list[Finding]) -> tuple[RobotFit | None, RobotEstimate]:
+    """Return the start of the joint fit, and what the command tells where that fit cannot use it."""
+    recording = cell.recording
+    if recording.command is None:
+        findings.append(
+            missing(
+                "no-command",
+                "The log has no commanded pose, so neither the robot's response nor its delay can be told.",
+                "Record the position command that the robot receives as a PoseStamped topic, or name it with "
+                "--command-topic.",
+            )
+        )
+        return None, _no_robot("no commanded pose in the log")
+    try:
+        moved = commanded_motion(recording, recording.command, cell.log, axis)
+        fit = identify_robot(moved.command_m, moved.position_m, moved.period_s)
+    except EstimateError as error:
+        findings.append(missing("robot", f"Axis {axis.name}: {error}"))
+        return None, _no_robot(str(error))
+    method = f"output error of r(s) behind a hold, residual {100.0 * fit.fit_error:.2g} % of the motion"
+    bandwidth_std = float(np.hypot(fit.bandwidth_std_hz, _MODEL_STD_SHARE * fit.bandwidth_hz))
+    delay_std = fit.delay_std_s
+    return fit, RobotEstimate(
+        numerator=vector(fit.model.numerator, fit.numerator_std, method=method),
+        denominator=vector(fit.model.denominator, fit.denominator_std, method=method),
+        delay_s=judged(
+            fit.model.delay_s, delay_std, method=method, identified=np.inf if delay_std < 0.2 * moved.period_s else 0.05
+        ),
+        bandwidth_hz=judged(fit.bandwidth_hz, bandwidth_std, method=method),
+    )
+
+
+def _no_robot(note: str) -> RobotEstimate:
+    return RobotEstimate(
+        numerator=unidentifiable_vector(note),
+        denominator=unidentifiable_vector(note),
+        delay_s=unidentifiable(note=note),
+        bandwidth_hz=unidentifiable(note=note),
+    )
+
+
+def _without_coupling(robot: RobotEstimate, why: str) -> AxisEstimate:
+    nothing = unidentifiable(note=why)
+    return AxisEstimate(
+        coupling=CouplingEstimate(stiffness_n_per_m=nothing, damping_n_s_per_m=nothing),
+        drag_n_s_per_m=nothing,
+        environments=(),
+        robot=robot,
+    )
+
+
+def _coupling(cell: CellSignals, axis: AxisMotion) -> CouplingFit | None:
+    """Return a start for the joint fit, None where free motion does not show the coupling in the frequency domain."""
+    log = cell.log
+    noise = Noise(
+        force_rms_n=cell.gravity.noise_rms_n, position_rms_m=_position_noise(axis.position_m, cell.motion.still)
+    )
+    try:
+        return identify_coupling(
+            free_motions(axis, unguided_spans(axis), log.period_s), log.period_s, log.pose_rate_hz, noise
+        )
+    except EstimateError:
+        return None
+
+
+def _position_noise(position_m: FloatArray, still: tuple[Span, ...]) -> float:
+    """Return the white noise of the position at rest, from second differences (they leave drift out)."""
+    longest = max(still, key=len)
+    second = np.diff(position_m[longest.slice], n=2)
+    return max(float(np.std(second) / np.sqrt(6.0)), 1e-9)
+
+
+def _holds(cell: CellSignals, axis: AxisMotion, findings: list[Finding]) -> tuple[Span, ...]:
+    """Return the rests that press along this axis; an oblique normal is told with its direction."""
+    threshold = max(_HOLD_THRESHOLD_N, _HOLD_RESIDUALS * cell.gravity.residual_rms_n)
+    holds = find_holds(cell.motion.still, axis.force_n, threshold)
+    return tuple(hold for hold in holds if _is_along(hold, cell.force_S_n, axis, findings))
+
+
+def _is_along(hold: Span, force_S_n: FloatArray, axis: AxisMotion, findings: list[Finding]) -> bool:
+    normal = np.median(force_S_n[hold.slice], axis=0)
+    normal = normal / np.linalg.norm(normal)
+    angle = float(np.degrees(np.arccos(np.clip(np.max(np.abs(normal)), 0.0, 1.0))))
+    along = axis.name == "xyz"[int(np.argmax(np.abs(normal)))]
+    if along and angle > _OBLIQUE_CONTACT_DEG:
+        text = ", ".join(f"{component:+.2f}" for component in normal)
+        findings.append(
+            Finding(
+                code="oblique-contact",
+                severity="warning",
+                message=f"A contact's normal lies {angle:.0f} degrees off axis {axis.name}: ({text}) in S.",
+                advice="Touch a surface square to one axis, or turn the tool.",
+            )
+        )
+    return along
+
+
+def _about_contacts(axis: str, holds: Sequence[Span], fit: JointFit) -> list[Finding]:
+    used = sum(len(surface.onsets) for surface in fit.surfaces)
+    findings = []
+    if used < len(holds):
+        findings.append(
+            Finding(
+                code="rests-without-spring",
+                severity="warning",
+                message=f"Axis {axis}: {len(holds) - used} of {len(holds)} rests under force do not look like pressing "
+                "on a surface after a free approach (a hand, perhaps) and were left out.",
+                advice="Keep hands off the payload during contacts.",
+            )
+        )
+    if not fit.surfaces:
+        findings.append(
+            missing(
+                "no-contact",
+                f"Axis {axis}: no contact with an onset and a hold was found, so the environment's stiffness "
+                "cannot be told.",
+                "Record 3 or more contacts: approach at 1 to 3 cm/s, press with 20 to 50 N, hold for 1 s, back off.",
+            )
+        )
+    return findings
+
+
+def _about_masses(axis: str, gravity: GravityFit, fit: JointFit) -> list[Finding]:
+    """Compare the mass from motion with that from gravity: two methods, one payload."""
+    moved, moved_std = fit.value("mass_kg")
+    apart, together = abs(moved - gravity.mass_kg), float(np.hypot(moved_std, gravity.mass_std_kg))
+    if apart <= max(_MASS_DISAGREEMENT_STDS * together, _MASS_DISAGREEMENT_SHARE * gravity.mass_kg):
+        return []
+    return [
+        Finding(
+            code="mass-disagreement",
+            severity="warning",
+            message=f"Axis {axis}: the mass from motion, {moved:.3f} ± {moved_std:.2g} kg, and from gravity, "
+            f"{gravity.mass_kg:.3f} ± {gravity.mass_std_kg:.2g} kg, disagree.",
+            advice="Check force and length units, the clocks of wrench and pose, and that the payload is the same.",
+        )
+    ]
+
+
+def _about_fit(axis: str, fit: JointFit) -> list[Finding]:
+    """Tell when the residual says that the model leaves something out."""
+    parts = zip(("free motion", "contacts"), fit.diagnostics.noise_ratio, strict=True)
+    told = [f"{ratio:.1f} times in {where}" for where, ratio in parts if ratio > _MORE_THAN_NOISE]
+    if not told:
+        return []
+    return [
+        Finding(
+            code="model-misfit",
+            severity="info",
+            message=f"Axis {axis}: what the fit leaves of the force is larger than the sensor's noise at rest, "
+            f"{' and '.join(told)}; the stated deviations are wider by what that costs.",
+            advice="A payload that is not one mass on one spring, friction, a hand, or clocks that drift do this.",
+        )
+    ]
+
+
+def _priors(given: Mapping[str, Given], axis: str) -> dict[str, tuple[float, float]]:
+    """Return what is given under the names of the joint fit; what is exact counts as known to a millionth."""
+    known = {name: given[f"{axis}.{key}"] for key, name in AXIS_KEYS.items() if f"{axis}.{key}" in given}
+    if "mass_kg" in given:
+        known["mass_kg"] = given["mass_kg"]
+    return {name: (g.value, max(g.std, _EXACT_SHARE * abs(g.value))) for name, g in known.items()}

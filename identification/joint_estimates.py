@@ -1,0 +1,177 @@
+"""From the joint fit of one axis to estimates with verdicts."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .joint_model import COUPLING_NAMES, SURFACE_NAMES, robot_model
+from .joint_result import JointFit, JointSurface
+from .result import (
+    CouplingEstimate,
+    Covariance,
+    EnvironmentEstimate,
+    Estimate,
+    FitQuality,
+    RobotEstimate,
+)
+from .robot import find_bandwidth_hz
+from .verdicts import judged, vector, weak_at_best
+
+FloatArray = NDArray[np.float64]
+
+# Sizes below which a value does not matter: a tenth of the critical damping, a tenth of the payload.
+_DAMPING_FLOOR = 0.1
+_MASS_FLOOR = 0.1
+_SYMBOLS = {
+    **dict(zip(COUPLING_NAMES, ("K_s", "B_s", "B_p", "M_p"), strict=True)),
+    "robot_frequency_rad_per_s": "omega",
+    "robot_damping_ratio": "zeta",
+    "delay_s": "T_d",
+}
+_SURFACE_SYMBOLS = ("K_e", "B_e", "M_e")
+
+
+@dataclass(frozen=True)
+class JointEstimates:
+    """What the joint fit of axis `name` tells, parameter by parameter; `period_s` judges the delay."""
+
+    name: str
+    fit: JointFit
+    period_s: float
+
+    @cached_property
+    def method(self) -> str:
+        """Return how the numbers came about."""
+        free, contacts = self.fit.diagnostics.used
+        of = f"free motion ({free})" + (f" and contacts ({contacts})" if contacts else "")
+        return f"maximum likelihood of pose and force in {of}"
+
+    @property
+    def coupling(self) -> CouplingEstimate:
+        """Return K_s and B_s."""
+        return CouplingEstimate(
+            stiffness_n_per_m=self._judged("stiffness_n_per_m"),
+            damping_n_s_per_m=self._judged("damping_n_s_per_m", floor=self._damping_floor("stiffness_n_per_m")),
+        )
+
+    @property
+    def drag_n_s_per_m(self) -> Estimate:
+        """Return B_p."""
+        return self._judged("drag_n_s_per_m", floor=self._damping_floor("stiffness_n_per_m"))
+
+    @property
+    def mass_kg(self) -> Estimate:
+        """Return M_p."""
+        return self._judged("mass_kg")
+
+    @property
+    def robot(self) -> RobotEstimate | None:
+        """Return r(s) and T_d, None where no command took part."""
+        model, names = self.fit.robot, self.fit.names
+        if model is None:
+            return None
+        first, last = len(COUPLING_NAMES), names.index("delay_s")
+        values, covariance = self.fit.values[first:last], self.fit.covariance[first:last, first:last]
+
+        def described(parameters: FloatArray) -> FloatArray:
+            moved = robot_model(np.append(parameters, model.delay_s))
+            return np.append(moved.denominator, find_bandwidth_hz(moved))
+
+        here = described(values)
+        steps = 1e-6 * values
+        slopes = np.array([(described(values + step) - here) / step.sum() for step in np.diag(steps)]).T
+        std = np.sqrt(np.maximum(np.diag(slopes @ covariance @ slopes.T), 0.0))
+        _, delay_std = self.fit.value("delay_s")
+        return RobotEstimate(
+            numerator=vector(model.numerator, std[-2:-1], method=self.method),
+            denominator=vector(model.denominator, std[:-1], method=self.method),
+            # A delay matters beside the period: to a fifth of a sample it is identified, however short it is.
+            delay_s=judged(
+                model.delay_s,
+                delay_std,
+                method=self.method,
+                identified=np.inf if delay_std < 0.2 * self.period_s else 0.05,
+            ),
+            bandwidth_hz=judged(float(here[-1]), float(std[-1]), method=self.method),
+        )
+
+    @property
+    def environments(self) -> tuple[EnvironmentEstimate, ...]:
+        """Return the surfaces, softest first on each side; their stiffness is weak at best where no command was logged.
+
+        Without a command the payload's path rests on a pose that is smooth between the ticks by assumption.
+        """
+        return tuple(self._environment(i, surface) for i, surface in enumerate(self.fit.surfaces))
+
+    def surface_name(self, index: int) -> str:
+        """Return how a surface is called, x1 for the first one on axis x."""
+        return f"{self.name}{index + 1}"
+
+    def _environment(self, index: int, surface: JointSurface) -> EnvironmentEstimate:
+        prefix = f"environment{index + 1}_"
+        stiffness = self._judged(f"{prefix}stiffness_n_per_m")
+        secant = judged(
+            surface.secant_n_per_m, surface.secant_std_n_per_m, method="K_s and K_e in series, out of the same fit"
+        )
+        if self.fit.robot is None:
+            stiffness, secant = (weak_at_best(e, "no commanded pose took part") for e in (stiffness, secant))
+        mass, _ = self.fit.value("mass_kg")
+        return EnvironmentEstimate(
+            name=self.surface_name(index),
+            stiffness_n_per_m=stiffness,
+            secant_stiffness_n_per_m=secant,
+            damping_n_s_per_m=self._judged(
+                f"{prefix}damping_n_s_per_m", floor=self._damping_floor(f"{prefix}stiffness_n_per_m")
+            ),
+            mass_kg=self._judged(f"{prefix}mass_kg", floor=_MASS_FLOOR * mass),
+            contacts=len(surface.onsets),
+            peak_force_n=surface.peak_force_n,
+        )
+
+    @property
+    def covariance(self) -> Covariance:
+        """Return the covariance under short names."""
+        names = [_SYMBOLS.get(name, name) for name in self.fit.names]
+        for index, surface in enumerate(self.fit.surfaces):
+            for k in range(len(SURFACE_NAMES)):
+                names[surface.first_parameter + k] = f"{self.surface_name(index)}.{_SURFACE_SYMBOLS[k]}"
+        return Covariance(
+            names=tuple(names),
+            values=tuple(float(v) for v in self.fit.values),
+            matrix=tuple(tuple(float(v) for v in row) for row in self.fit.covariance),
+        )
+
+    @property
+    def quality(self) -> FitQuality:
+        """Return how well it fits."""
+        told = self.fit.diagnostics
+        contacts = told.used[1]
+
+        def of_contacts(value: float | None) -> float | None:
+            return value if contacts else None
+
+        return FitQuality(
+            free_spans=told.used[0],
+            explained_free=told.fit_share[0],
+            whiteness_free=told.whiteness[0],
+            noise_ratio_free=told.noise_ratio[0],
+            left_out_free=told.left_out_error[0],
+            contacts=contacts,
+            explained_contact=of_contacts(told.fit_share[1]),
+            whiteness_contact=of_contacts(told.whiteness[1]),
+            noise_ratio_contact=of_contacts(told.noise_ratio[1]),
+            left_out_contact=told.left_out_error[1],
+            widening=told.widening,
+        )
+
+    def _judged(self, name: str, *, floor: float = 0.0) -> Estimate:
+        value, std = self.fit.value(name)
+        interval = self.fit.ci95.get(name)
+        known = interval is not None and bool(np.all(np.isfinite(interval)))
+        return judged(value, std, method=self.method, floor=floor, ci95=interval if known else None)
+
+    def _damping_floor(self, stiffness: str) -> float:
+        critical = 2.0 * float(np.sqrt(self.fit.value(stiffness)[0] * self.fit.value("mass_kg")[0]))
+        return _DAMPING_FLOOR * critical
