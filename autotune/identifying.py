@@ -7,6 +7,7 @@ from typing import Any
 
 from autotune import __version__
 from autotune.files.cell import CellFile
+from identification.advice import advise
 from identification.combine import NamedResult, combine_identified
 from identification.errors import EstimateError
 from identification.given import Given, check_names
@@ -65,6 +66,7 @@ def identify_log(
         parts.append(NamedResult(name=", ".join(path.name for path in run), result=found))
     result = combine_identified(parts)
     check_names(given or {}, result.axes)
+    result = replace(result, findings=(*result.findings, *advise(result)))
     missing = [finding for finding in result.findings if finding.severity == "error"]
     if missing and not allow_partial:
         raise EstimateError(_refusal(files, missing))

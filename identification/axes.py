@@ -58,7 +58,7 @@ def find_axes(log: AlignedLog, motion: Motion, force_S_n: FloatArray) -> Travel:
         velocity = motion.velocity_S_m_s[span.slice]
         speed = np.linalg.norm(velocity, axis=1)
         travelling = speed > _TRAVELLING_M_S
-        if not np.any(travelling) or orientation_spread_rad(log.orientation_BS[span.slice]) > _CONSTANT_ORIENTATION_RAD:
+        if not np.any(travelling) or not keeps_orientation(log, span):
             continue
         axis = int(np.argmax(np.sum(np.abs(velocity), axis=0)))
         along = np.abs(velocity[travelling, axis]) > _ALONG_ONE_AXIS * speed[travelling]
@@ -69,6 +69,11 @@ def find_axes(log: AlignedLog, motion: Motion, force_S_n: FloatArray) -> Travel:
     axes = [_axis_motion(log, axis, spans, force_S_n) for axis, spans in sorted(by_axis.items())]
     kept = tuple(a for a in axes if float(np.nanmax(a.position_m) - np.nanmin(a.position_m)) > _SMALLEST_TRAVEL_M)
     return Travel(axes=kept, oblique_share=oblique / total if total > 0.0 else 0.0)
+
+
+def keeps_orientation(log: AlignedLog, span: Span) -> bool:
+    """Return whether the tool keeps its orientation to two degrees."""
+    return bool(orientation_spread_rad(log.orientation_BS[span.slice]) <= _CONSTANT_ORIENTATION_RAD)
 
 
 def _axis_motion(log: AlignedLog, axis: int, spans: list[Span], force_S_n: FloatArray) -> AxisMotion:

@@ -65,6 +65,7 @@ def identify_axis(cell: CellSignals, axis: AxisMotion) -> tuple[AxisEstimate, li
         None if robot_fit is None else robot_fit.model,
         cell.recording.command,
         cell.gravity.mass_kg,
+        cell.gravity.noise_rms_n,
     )
     try:
         fit = identify_joint(data)

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from problems.robot import RobotModel
 
 from .aligned import AlignedLog, find_gaps
-from .axes import AxisMotion, unguided_spans
+from .axes import AxisMotion, keeps_orientation, unguided_spans
 from .coupling import CouplingFit
 from .recording import PoseSignal
+from .ringing import find_rings
 from .segments import Motion, Span
 
 FloatArray = NDArray[np.float64]
@@ -42,9 +43,10 @@ class JointData:
 
     `position_m`, `force_n` (n,) on one clock of period `period_s`, the force without weight and bias; `command` on the
     same clock, or None. `rests`, spans at rest for the noise; `moving`, all spans of motion along this axis; `free`,
-    those without a hand; `holds`, rests under force. `coupling` is K_s, B_s, B_p, M_p (4,), `robot` r(s) of one or two
-    poles and T_d. `mass_kg`, from gravity, is a start too and no information; M_p is looked for
-    between a fifth of it and five times it. `priors` maps names of `Layout.names` to value and standard deviation
+    those without a hand; `rings`, where the payload swings after something let go; `holds`, rests under force.
+    `coupling` is K_s, B_s, B_p, M_p (4,), `robot` r(s) of one or two poles and T_d. `mass_kg`, from gravity, is a start
+    too and no information; M_p is looked for between a fifth of it and five times it. `priors` maps names of
+    `Layout.names` to value and standard deviation
     known from elsewhere.
     """
 
@@ -59,6 +61,7 @@ class JointData:
     coupling: FloatArray
     robot: RobotModel | None
     mass_kg: float | None = None
+    rings: Sequence[Span] = ()
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
@@ -110,13 +113,17 @@ def build_joint_data(
     robot: RobotModel | None,
     command: PoseSignal | None,
     mass_kg: float,
+    noise_rms_n: float = 0.0,
 ) -> JointData:
-    """Gather what `identify_joint` needs; `holds` are the rests that press along this axis, `mass_kg` from gravity.
+    """Gather what `identify_joint` needs.
 
-    Where the stage refused the coupling (None), the refinement starts from the mass and a usual resonance.
+    `holds` are the rests that press along this axis, `mass_kg` is from gravity, `noise_rms_n` the force's at
+    rest. Where the stage refused the coupling (None), the refinement starts from the mass and a usual resonance.
     """
     known = command is not None and robot is not None
     holes = (*log.holes, *(uncovered(command, log) if known and command is not None else ()))
+    free = unguided_spans(axis)
+    steady = [s for s in motion.moving if keeps_orientation(log, s)]
     pressed = {(s.start, s.stop) for s in holds}
     return JointData(
         period_s=log.period_s,
@@ -125,7 +132,8 @@ def build_joint_data(
         command=hold_command(command, log, axis) if known and command is not None else None,
         rests=tuple(s for s in motion.still if (s.start, s.stop) not in pressed),
         moving=_off_holes(axis.spans, holes, log.period_s),
-        free=_off_holes(unguided_spans(axis), holes, log.period_s),
+        free=_off_holes(free, holes, log.period_s),
+        rings=_off_holes(find_rings(axis, steady, free, holds, noise_rms_n, log.period_s), holes, log.period_s),
         holds=_approached(holds, holes, log.period_s),
         coupling=_start(mass_kg) if coupling is None else _values(coupling),
         robot=robot,

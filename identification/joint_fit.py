@@ -10,6 +10,7 @@ from scipy.signal import detrend
 from .errors import EstimateError
 from .joint_contacts import ContactStart, FoundContact, contact_segment, group_contacts, start_contact
 from .joint_data import JointData
+from .joint_delay import either_side
 from .joint_model import Layout
 from .joint_noise import Smoother, fit_smoother, fit_whitener
 from .joint_problem import Point, Problem, Signals
@@ -33,6 +34,7 @@ _LIGHTEST_SHARE = 0.2
 _LIGHT_KG = 0.1
 _LEAST_EXPLAINED = 0.8
 _AT_LIMIT = 0.2
+_RING_STARTS = 2
 _OUTLYING, _ENOUGH_TO_TELL = 8.0, 3
 
 
@@ -54,10 +56,11 @@ def identify_joint(data: JointData) -> JointFit:
         problem = _recoloured(problem, point)
         point, _ = minimise(problem, point, _STEPS_LATER)
     problem = _recoloured(problem, point)
+    point, rival = either_side(problem, point)
     _require_mass(problem, float(point.values[3]))
     resting = np.concatenate([_settled(data.force_n[s]) for s in _quiet_rests(data)])
     shift = 0.0 if data.command is None else data.command.shift_s
-    fit = describe(problem, point, found, rest_rms_n=float(np.std(resting)), command_shift_s=shift)
+    fit = describe(problem, point, found, rival, rest_rms_n=float(np.std(resting)), command_shift_s=shift)
     if not np.all(np.isfinite(fit.covariance)) or fit.diagnostics.fit_share[0] < _LEAST_EXPLAINED:
         explained = 100.0 * max(fit.diagnostics.fit_share[0], 0.0)
         raise EstimateError(
@@ -168,14 +171,22 @@ def _free_motion(data: JointData, base: Problem, values: FloatArray) -> tuple[Pr
         touched = any(c.start < segment.stop and segment.start < c.stop for c in contacts)
         if len(segment) * data.period_s >= _SHORTEST_FREE_S and not touched:
             candidates.append(segment)
-    by_force = sorted(candidates, key=lambda s: -float(np.sum(_centred(data.force_n[s.slice]) ** 2)))
+    rings = [Segment(start=s.start, stop=s.stop) for s in data.rings]
+    by_force = _strongest(data, candidates)
     explained = [s for s in by_force if _misfit(base, values, s) < _LARGEST_MISFIT]
     telling = list(dict.fromkeys(by_force[:1] + explained[:1]))
     starts = [start_coupling(base, values, segment, data.mass_kg)[0] for segment in telling]
     best = min(
         zip(starts, telling, strict=True), key=lambda pair: _misfit(base, pair[0], pair[1]), default=(values, None)
     )[0]
-    used = tuple(s for s in candidates if _misfit(base, best, s) < _LARGEST_MISFIT)
+    used = _explained(base, best, [*candidates, *rings])
+    if len(used) < len(candidates) + len(rings) and telling:
+        # A sweep that ends below the resonance leaves K_s open: what rings tells it, with the mass that motion told.
+        for ring in _strongest(data, rings)[:_RING_STARTS]:
+            start = start_coupling(base, best, ring, float(best[3]))[0]
+            more = _explained(base, start, [*candidates, *rings])
+            if len(more) > len(used) and telling[0] in more:
+                best, used = start, more
     if not used:
         raise EstimateError(
             f"Of {len(data.free)} spans of free motion, none that lasts {_SHORTEST_FREE_S:g} s is explained by one "
@@ -186,6 +197,14 @@ def _free_motion(data: JointData, base: Problem, values: FloatArray) -> tuple[Pr
     problem = _recoloured(problem, point)
     point, _ = minimise(problem, point, _STEPS_LATER)
     return problem, point
+
+
+def _strongest(data: JointData, segments: Sequence[Segment]) -> list[Segment]:
+    return sorted(segments, key=lambda s: -float(np.sum(_centred(data.force_n[s.slice]) ** 2)))
+
+
+def _explained(problem: Problem, values: FloatArray, segments: Sequence[Segment]) -> tuple[Segment, ...]:
+    return tuple(s for s in segments if _misfit(problem, values, s) < _LARGEST_MISFIT)
 
 
 def _smoothed_for(data: JointData, problem: Problem, values: FloatArray, used: Sequence[Segment]) -> Signals:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from problems.robot import RobotModel
 
 from .joint_contacts import FoundContact
-from .joint_covariance import Spread, count_misfits, other_minima, widened
+from .joint_covariance import Spread, beside_rival, count_misfits, other_minima, widened
+from .joint_delay import Rival
 from .joint_model import robot_model
 from .joint_noise import whiteness
 from .joint_problem import Point, Problem, logarithmic, sizes_of
@@ -92,13 +93,19 @@ class JointFit:
 
 
 def describe(
-    problem: Problem, point: Point, found: Sequence[FoundContact], *, rest_rms_n: float, command_shift_s: float
+    problem: Problem,
+    point: Point,
+    found: Sequence[FoundContact],
+    rival: Rival | None,
+    *,
+    rest_rms_n: float,
+    command_shift_s: float,
 ) -> JointFit:
     """Turn the minimum into a result; the delay counts from the command and not from the tick before it."""
     layout, blocks = problem.layout, linearise(problem, point)
     share, ratio = _fit(problem, point, rest_rms_n)
     spread = other_minima(problem, point, widened(blocks, len(layout), problem.signals.period_s))
-    spread = count_misfits(problem, spread, ratio)
+    spread = count_misfits(problem, beside_rival(problem, point, spread, rival), ratio)
     sizes = sizes_of(point.values, layout, problem.signals.period_s)
     covariance = spread.covariance * np.outer(sizes, sizes)
     values = point.values.copy()

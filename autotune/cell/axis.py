@@ -20,7 +20,10 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class AxisRun:
-    """Signals at the ticks of the controller, (n,) each, relative to the start; the wall is at `wall_distance_m`."""
+    """Signals at the ticks of the controller, (n,) each, relative to the start; the wall is at `wall_distance_m`.
+
+    On a rotational axis angles [rad] and torques [N·m].
+    """
 
     flange_m: FloatArray
     command_m: FloatArray

@@ -1,6 +1,7 @@
 """What the operator and the program do with the cell: poses, hand-led jogging, a commanded sweep, contacts."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +12,9 @@ from problems.errors import ParameterError
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_GUIDED_FORCE_N = 35.0
 _GUIDED_BAND_HZ = 1.5
-_HOME_GAIN_N_PER_M = 1200.0
-_RETURN_GAIN_N_PER_M = 3000.0
 _HOMING_S = 2.5
+_TAP_S, _SWINGING_S = 0.012, 1.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,16 +40,21 @@ class Script:
 
 @dataclass(frozen=True, kw_only=True)
 class Program:
-    """How long and how strongly each phase runs."""
+    """How long and how strongly each phase runs; on a rotational axis in rad and N·m, see `turning`."""
 
     pose_count: int = 9
     pose_hold_s: float = 1.0
     pose_move_s: float = 0.8
     largest_tilt_rad: float = 1.2
     jogging_s: float = 11.0
+    jogging_force_n: float = 35.0
+    home_n_per_m: float = 1200.0
+    return_n_per_m: float = 3000.0
     sweep_s: float = 12.0
     sweep_hz: tuple[float, float] = (0.4, 55.0)
     sweep_speed_m_s: float = 0.012
+    tap_count: int = 0
+    tap_force_n: float = 60.0
     contact_count: int = 4
     contact_force_n: float = 30.0
     contact_hold_s: float = 1.2
@@ -63,6 +67,19 @@ class Program:
         if not 0.0 < self.sweep_hz[0] < self.sweep_hz[1]:
             raise ParameterError("sweep_hz", self.sweep_hz, "an increasing pair above 0")
 
+    @classmethod
+    def turning(cls, **changes: Any) -> "Program":
+        """Return a program for `Cell.turning`, with `changes` of fields."""
+        usual = {
+            "jogging_force_n": 6.0,
+            "home_n_per_m": 40.0,
+            "return_n_per_m": 100.0,
+            "sweep_speed_m_s": 0.065,
+            "tap_force_n": 8.0,
+            "contact_force_n": 5.5,
+        }
+        return cls(**{**usual, **changes})
+
 
 def build_script(program: Program, sample_time_s: float, rng: np.random.Generator) -> Script:
     """Lay the phases one after the other, with a rest between them."""
@@ -73,6 +90,7 @@ def build_script(program: Program, sample_time_s: float, rng: np.random.Generato
         parts += [_jogging(program, h, rng), rest]
     if program.sweep_s > 0.0:
         parts += [_sweep(program, h), rest]
+    parts += [_tap(program, h) for _ in range(program.tap_count)]
     for _ in range(program.contact_count):
         parts.append(_contact(program, h))
     parts.append(rest)
@@ -129,13 +147,13 @@ def _jogging(program: Program, h: float, rng: np.random.Generator) -> Script:
     samples = round(program.jogging_s / h)
     sections = butter(2, _GUIDED_BAND_HZ, fs=1.0 / h, output="sos")
     force = sosfilt(sections, rng.standard_normal(samples))
-    force *= _GUIDED_FORCE_N / max(float(np.std(force)), 1e-12)
+    force *= program.jogging_force_n / max(float(np.std(force)), 1e-12)
     edge, homing = max(2, round(0.5 / h)), min(round(_HOMING_S / h), samples // 2)
     push, hold = np.ones(samples), np.ones(samples)
     push[:edge], push[-homing:] = _smooth(edge), 0.0
     push[-homing - edge : -homing] = _smooth(edge)[::-1]
     hold[:edge], hold[-edge:] = _smooth(edge), _smooth(edge)[::-1]
-    gain = np.where(np.arange(samples) < samples - homing, _HOME_GAIN_N_PER_M, _RETURN_GAIN_N_PER_M)
+    gain = np.where(np.arange(samples) < samples - homing, program.home_n_per_m, program.return_n_per_m)
     return _replaced(
         _quiet(samples),
         admittance=np.ones(samples, dtype=bool),
@@ -158,6 +176,14 @@ def _sweep(program: Program, h: float) -> Script:
     # Constant command speed would leave nothing above the robot's bandwidth: let it grow with frequency.
     speed = program.sweep_speed_m_s * np.sqrt(1.0 + (frequency / 3.0) ** 2)
     return _replaced(_quiet(samples), command_m=np.asarray(window * speed / (2.0 * np.pi * frequency) * np.sin(phase)))
+
+
+def _tap(program: Program, h: float) -> Script:
+    """Knock on the payload while the robot stands: half a sine of 12 ms, then time to swing out."""
+    before, knock, after = round(0.3 / h), max(2, round(_TAP_S / h)), round(_SWINGING_S / h)
+    force = np.zeros(before + knock + after)
+    force[before : before + knock] = program.tap_force_n * np.sin(np.pi * (np.arange(knock) + 0.5) / knock)
+    return _replaced(_quiet(len(force)), hand_force_n=force)
 
 
 def _contact(program: Program, h: float) -> Script:

@@ -1,4 +1,4 @@
-"""Simulate a whole cell: the approach axis with its compliance, everything else rigid."""
+"""Simulate a whole cell: the approach axis, along or about which it moves, with its compliance; the rest is rigid."""
 
 from dataclasses import dataclass
 
@@ -41,21 +41,15 @@ def simulate_cell(cell: Cell, program: Program, *, seed: int = 0) -> CellRun:
     n = len(script)
     force_noise = cell.force_noise_rms_n * rng.standard_normal((n, 3))
     torque_noise = cell.torque_noise_rms_n_m * rng.standard_normal((n, 3))
-    axis = run_axis(cell, script, np.ascontiguousarray(force_noise[:, cell.axis_index]))
-
-    orientation = WORKING_ORIENTATION * Rotation.from_rotvec(script.rotation_rad)
+    noise = torque_noise if cell.is_turning else force_noise
+    axis = run_axis(cell, script, np.ascontiguousarray(noise[:, cell.axis_index]))
+    place, orientation = _placed(cell, script, axis.flange_m)
+    commanded_place, commanded = _placed(cell, script, axis.command_m)
     force, torque = _rigid_wrench(cell, script, orientation)
-    direction_S = np.eye(3)[cell.axis_index]
-    force += axis.force_n[:, None] * direction_S
-    com, point = np.array(cell.com_S_m), np.array(cell.contact_point_S_m)
-    # On the payload: −F + hand − drag − contact = M a; hand, drag and inertia act at the centre of mass.
-    torque += (axis.force_n + axis.contact_force_n)[:, None] * np.cross(com, direction_S)
-    torque -= axis.contact_force_n[:, None] * np.cross(point, direction_S)
-
-    direction_B = WORKING_ORIENTATION.apply(direction_S)
+    (_add_turning if cell.is_turning else _add_pushing)(cell, axis, force, torque)
     stamps = FIRST_STAMP_NS + np.round(np.arange(n) * cell.sample_time_s * 1e9).astype(np.int64)
     wobble = Rotation.from_rotvec(cell.orientation_noise_rms_rad * rng.standard_normal((n, 3)))
-    measured = axis.flange_m[:, None] * direction_B + cell.position_noise_rms_m * rng.standard_normal((n, 3))
+    measured = place + cell.position_noise_rms_m * rng.standard_normal((n, 3))
     base = np.array(cell.base_position_m)
     recording = Recording(
         wrench=WrenchSignal(
@@ -66,9 +60,18 @@ def simulate_cell(cell: Cell, program: Program, *, seed: int = 0) -> CellRun:
             torque_n_m=torque + np.array(cell.torque_bias_S_n_m) + torque_noise,
         ),
         pose=_pose("/flange/pose", stamps, base + measured, orientation * wobble),
-        command=_pose("/flange/command", stamps, base + axis.command_m[:, None] * direction_B, orientation),
+        command=_pose("/flange/command", stamps, base + commanded_place, commanded),
     )
     return CellRun(cell=cell, script=script, axis=axis, recording=recording)
+
+
+def _placed(cell: Cell, script: Script, along: FloatArray) -> tuple[FloatArray, Rotation]:
+    """Return where the flange is from the start (n, 3) in the base, and how it is turned, `along` (n,) its axis."""
+    direction_S = np.eye(3)[cell.axis_index]
+    posed = WORKING_ORIENTATION * Rotation.from_rotvec(script.rotation_rad)
+    if cell.is_turning:
+        return np.zeros((len(along), 3)), posed * Rotation.from_rotvec(along[:, None] * direction_S)
+    return along[:, None] * WORKING_ORIENTATION.apply(direction_S), posed
 
 
 def _pose(topic: str, stamps: NDArray[np.int64], position: FloatArray, orientation: Rotation) -> PoseSignal:
@@ -79,6 +82,34 @@ def _pose(topic: str, stamps: NDArray[np.int64], position: FloatArray, orientati
         position_m=position,
         quaternion_xyzw=orientation.as_quat(canonical=True),
     )
+
+
+def _add_pushing(cell: Cell, axis: AxisRun, force: FloatArray, torque: FloatArray) -> None:
+    """Add to force and torque (n, 3) in S what moving along the approach axis and pressing on the wall does."""
+    direction_S = np.eye(3)[cell.axis_index]
+    com, point = np.array(cell.com_S_m), np.array(cell.contact_point_S_m)
+    force += axis.force_n[:, None] * direction_S
+    # On the payload: −F + hand − drag − contact = M a; hand, drag and inertia act at the centre of mass.
+    torque += (axis.force_n + axis.contact_force_n)[:, None] * np.cross(com, direction_S)
+    torque -= axis.contact_force_n[:, None] * np.cross(point, direction_S)
+
+
+def _add_turning(cell: Cell, axis: AxisRun, force: FloatArray, torque: FloatArray) -> None:
+    """Add to force and torque (n, 3) in S what turning about the approach axis and pressing on the wall does.
+
+    Hand and drag are torques about the axis. The wall pushes at the contact point, square to the axis and the lever;
+    the centre of mass moves on its arc with the payload. The few milliradians that the coupling gives leave the weight
+    as it is.
+    """
+    direction_S = np.eye(3)[cell.axis_index]
+    com, point = np.array(cell.com_S_m), np.array(cell.contact_point_S_m)
+    across = np.cross(direction_S, point)
+    wall = -axis.contact_force_n[:, None] * across / (across @ across)
+    rate = axis.payload_velocity_m_s[:, None] * direction_S
+    acceleration = np.gradient(rate, cell.sample_time_s, axis=0)
+    force += wall - cell.payload_mass_kg * (np.cross(acceleration, com) + np.cross(rate, np.cross(rate, com)))
+    aside = np.cross(point, wall)
+    torque += axis.force_n[:, None] * direction_S + aside - (aside @ direction_S)[:, None] * direction_S
 
 
 def _rigid_wrench(cell: Cell, script: Script, orientation: Rotation) -> tuple[FloatArray, FloatArray]:

@@ -1,7 +1,7 @@
 """What a simulated cell really is; identification has to find it again from the log."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from problems.robot import RobotModel
 
 FloatArray = NDArray[np.float64]
 
-AXES = ("x", "y", "z")
+AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,8 +21,10 @@ class Cell:
     """A robot with a six-axis sensor, a compliant gripper and a payload, in front of a wall.
 
     Vectors are in the sensor frame S, which is the flange's. `approach_axis` is the axis of S along which the robot
-    moves and touches; the other translations are rigid and at rest. `deadband_n` is the threshold deadband that the
-    cell's present controller applies after gravity compensation.
+    moves and touches; the others are rigid and at rest. About rx, ry or rz the robot turns about the origin of S:
+    coupling, drag, environment, robot, controller, deadband and `wall_distance_m` then hold rad, N·m and kg·m², and
+    the moment of inertia about that axis takes the mass's place; see `turning`. `deadband_n` is the threshold deadband
+    that the cell's present controller applies after gravity compensation.
     """
 
     payload_mass_kg: float = 16.2
@@ -43,7 +45,7 @@ class Cell:
         default_factory=lambda: AdmittanceController(mass_kg=10.0, damping_n_s_per_m=1400.0)
     )
     sample_time_s: float = 8e-4
-    approach_axis: Literal["x", "y", "z"] = "x"
+    approach_axis: Literal["x", "y", "z", "rx", "ry", "rz"] = "x"
     deadband_n: float = 5.0
     force_bias_S_n: tuple[float, float, float] = (4.2, -7.5, 11.0)
     torque_bias_S_n_m: tuple[float, float, float] = (0.35, -0.22, 0.11)
@@ -65,16 +67,41 @@ class Cell:
         if not self.wall_distance_m > 0.0:
             raise ParameterError("wall_distance_m", self.wall_distance_m, "above 0")
 
+    @classmethod
+    def turning(cls, axis: Literal["rx", "ry", "rz"], **changes: Any) -> "Cell":
+        """Return a cell that turns about an axis of S and presses 0.2 to 0.3 m off it; `changes` are fields."""
+        usual: dict[str, Any] = {
+            "approach_axis": axis,
+            "contact_point_S_m": (0.16, 0.11, 0.28),
+            "coupling": Coupling(stiffness_n_per_m=1.0e4, damping_n_s_per_m=5.0),
+            "drag_n_s_per_m": 11.0,
+            "environment": Environment(stiffness_n_per_m=4.0e3, damping_n_s_per_m=1.4),
+            "controller": AdmittanceController(mass_kg=0.35, damping_n_s_per_m=48.0),
+            "deadband_n": 1.0,
+            "wall_distance_m": 0.13,
+        }
+        return cls(**{**usual, **changes})
+
     @property
     def axis_index(self) -> int:
-        """0, 1 or 2 for the approach axis."""
-        return AXES.index(self.approach_axis)
+        """0, 1 or 2 for the approach axis, along it or about it."""
+        return AXES.index(self.approach_axis) % 3
+
+    @property
+    def is_turning(self) -> bool:
+        """Whether the approach axis is a rotational one."""
+        return self.approach_axis.startswith("r")
+
+    @property
+    def moved_mass_kg(self) -> float:
+        """M_p of the approach axis: the mass, or the moment of inertia about it [kg·m²]."""
+        return self.inertia_S_kg_m2[self.axis_index] if self.is_turning else self.payload_mass_kg
 
     def contact_plant(self) -> Plant:
         """Return the one-axis plant against the wall."""
         return Plant(
             robot=self.robot,
             coupling=self.coupling,
-            payload=Payload(mass_kg=self.payload_mass_kg, drag_n_s_per_m=self.drag_n_s_per_m),
+            payload=Payload(mass_kg=self.moved_mass_kg, drag_n_s_per_m=self.drag_n_s_per_m),
             environment=self.environment,
         )

@@ -59,6 +59,7 @@ COMMANDS: Mapping[str, CommandEntry] = MappingProxyType(
         "map": CommandEntry(
             module="autotune.cli.map", help="Draw two parameters against stability, margins or the peak."
         ),
+        "plan": CommandEntry(module="autotune.cli.plan", help="Propose what to record next."),
         "completion": CommandEntry(module="autotune.cli.completion", help="Print the completion script for a shell."),
     }
 )

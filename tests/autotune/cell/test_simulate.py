@@ -286,7 +286,7 @@ def test_the_controller_ignores_forces_inside_its_deadband() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"approach_axis": "rx"},
+        {"approach_axis": "r"},
         {"environment": FREE_SPACE},
         {"deadband_n": -1.0},
         {"force_noise_rms_n": float("nan")},

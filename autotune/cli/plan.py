@@ -1,0 +1,191 @@
+"""`autotune plan`: what to record next."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ._common import Output, output_options
+from ._table import printable, table_lines
+
+if TYPE_CHECKING:
+    from identification.plan_contacts import ContactPlan
+    from identification.plan_poses import PosePlan
+    from identification.plan_result import ExperimentPlan, Prediction, Step
+    from identification.plan_sweep import SweepPlan
+    from identification.plan_taps import TapPlan
+
+_EPILOG = """\b
+Examples:
+  autotune plan identified.yaml -o plan.yaml
+  autotune plan --mass 25 --max-tilt 30 --max-force 60
+  autotune plan identified.yaml --poses 0 --max-speed 0.1 --json
+"""
+_POSITIVE = click.FloatRange(min=0.0, min_open=True)
+_UNITS = {
+    "mass_kg": ("kg", 1.0),
+    "com_m": ("mm", 1e3),
+    "stiffness_n_per_m": ("N/mm", 1e-3),
+    "damping_n_s_per_m": ("N·s/m", 1.0),
+    "drag_n_s_per_m": ("N·s/m", 1.0),
+    "motion_mass_kg": ("kg", 1.0),
+    "bandwidth_hz": ("Hz", 1.0),
+    "delay_s": ("ms", 1e3),
+    "environment_stiffness_n_per_m": ("N/mm", 1e-3),
+    "environment_damping_n_s_per_m": ("N·s/m", 1.0),
+}
+
+
+@click.command("plan", epilog=_EPILOG)
+@click.argument("identified", required=False, type=click.Path(path_type=Path, dir_okay=False))
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path("plan.yaml"),
+    show_default=True,
+    help="The file to write.",
+)
+@click.option("--axis", type=click.Choice(["x", "y", "z"]), help="The axis of sweep and contacts.")
+@click.option("--mass", type=_POSITIVE, metavar="KG", help="A guess of the payload's mass, where no file tells it.")
+@click.option("--stiffness", type=_POSITIVE, metavar="N/M", help="A guess of K_s, where no file tells it.")
+@click.option("--max-tilt", type=_POSITIVE, default=60.0, show_default=True, metavar="DEG", help="Largest tilt.")
+@click.option("--poses", type=click.IntRange(0, 24), default=9, show_default=True, help="How many; 0 for none.")
+@click.option("--max-speed", type=_POSITIVE, default=0.25, show_default=True, metavar="M/S", help="Of the command.")
+@click.option("--max-force", type=_POSITIVE, default=100.0, show_default=True, metavar="N", help="At the sensor.")
+@click.option("--max-stroke", type=_POSITIVE, default=0.02, show_default=True, metavar="M", help="To each side.")
+@click.option("--max-duration", type=_POSITIVE, default=60.0, show_default=True, metavar="S", help="Of the sweep.")
+@click.option("--max-frequency", type=_POSITIVE, metavar="HZ", help="Of the sweep; default: what the robot passes.")
+@output_options
+def command(
+    output: Output,
+    identified: Path | None,
+    out: Path,
+    axis: str | None,
+    mass: float | None,
+    stiffness: float | None,
+    max_tilt: float,
+    poses: int,
+    max_speed: float,
+    max_force: float,
+    max_stroke: float,
+    max_duration: float,
+    max_frequency: float | None,
+) -> None:
+    """Propose the recording that cuts the binding uncertainty most: poses, sweep, taps and contacts.
+
+    With IDENTIFIED, from its values, noise and deviations; without, a first recording from usual values. Exit code 4:
+    poses are needed and no orientations within the largest tilt tell mass and centre of mass; nothing is written then.
+    """
+    from autotune import __version__
+    from autotune.errors import UsageError
+    from autotune.files.atomic import check_target
+    from autotune.files.identified import read_identified
+    from autotune.files.plan import plan_tree, write_plan
+    from identification.plan_experiment import plan_experiment
+    from identification.plan_result import Limits
+    from identification.plan_values import usual_values, values_of
+
+    check_target(out)
+    limits = Limits(
+        max_tilt_deg=max_tilt,
+        pose_count=poses,
+        max_speed_m_s=max_speed,
+        max_force_n=max_force,
+        max_stroke_m=max_stroke,
+        max_duration_s=max_duration,
+        max_frequency_hz=max_frequency,
+    )
+    provenance: dict[str, object] = {"tool": f"autotune {__version__}"}
+    if identified is None:
+        name, values = axis or "x", usual_values(mass_kg=mass, stiffness_n_per_m=stiffness)
+    elif mass is not None or stiffness is not None:
+        raise UsageError("--mass and --stiffness are guesses for a first recording; leave them out beside a file.")
+    else:
+        source = read_identified(identified)
+        name, values = values_of(source.result, axis)
+        provenance["identified"] = {"path": str(source.path), "sha256": source.sha256}
+    with output.progress("planning", None):
+        plan = plan_experiment(name, values, limits)
+    write_plan(out, plan, provenance)
+    output.result(plan_tree(plan, provenance), lambda: print_plan(plan, out))
+
+
+def print_plan(plan: "ExperimentPlan", out: Path) -> None:
+    """Print the steps in their order, then what each parameter would gain, then what was assumed."""
+    from identification.plan_result import LABELS
+
+    click.echo(f"axis {plan.axis}, binding uncertainty: {LABELS[plan.binding]}")
+    for number, step in enumerate(plan.steps, start=1):
+        wanted = "" if step.is_needed else " (not needed)"
+        click.echo(printable(f"{number}. {step.kind.value}{wanted}: {step.why}"))
+        for line in _settings(step, plan):
+            click.echo(printable(f"   {line}"))
+    rows: list[tuple[str, ...]] = [("parameter", "value", "± now", "± after", "allowed", "unit", "by")]
+    rows += [_row(entry, LABELS[entry.name], step.kind.value) for step in plan.steps for entry in step.predictions]
+    for line in table_lines(rows, left=(0, 5, 6)):
+        click.echo(line)
+    if plan.values.assumed:
+        told = ", ".join(f"{name} {value:.4g}" for name, value in plan.values.assumed.items())
+        click.echo(f"assumed, not measured: {told}")
+    click.echo(f"written: {out}")
+
+
+def _row(entry: "Prediction", label: str, step: str) -> tuple[str, ...]:
+    unit, scale = _UNITS[entry.name]
+    now, after = (f"{std * scale:.2g}" if std is not None else "-" for std in (entry.std_now, entry.std_after))
+    return label, f"{entry.value * scale:.4g}", now, after, f"{entry.allowed_std * scale:.2g}", unit, step
+
+
+def _settings(step: "Step", plan: "ExperimentPlan") -> list[str]:
+    from identification.plan_contacts import ContactPlan
+    from identification.plan_poses import PosePlan
+    from identification.plan_sweep import SweepPlan
+
+    settings = step.settings
+    if settings is None:
+        return ["nothing within the limits tells it"]
+    if isinstance(settings, PosePlan):
+        return _poses(settings)
+    if isinstance(settings, SweepPlan):
+        return _sweep(settings, plan)
+    return _contacts(settings) if isinstance(settings, ContactPlan) else _taps(settings)
+
+
+def _poses(poses: "PosePlan") -> list[str]:
+    turns = ", ".join(f"{t:.0f}/{a:.0f}" for t, a in zip(poses.tilt_deg, poses.azimuth_deg, strict=True))
+    return [
+        f"{len(poses.tilt_deg)} rests of {poses.hold_s:g} s, turned from the present orientation about a horizontal",
+        f"axis of the base, angle/azimuth of the axis [deg]: {turns}",
+        f"mass to ±{poses.mass_std_kg:.2g} kg, centre to ±{1e3 * poses.com_std_m:.2g} mm; as many in equal steps",
+        f"about two axes: ±{poses.naive_mass_std_kg:.2g} kg, ±{1e3 * poses.naive_com_std_m:.2g} mm",
+    ]
+
+
+def _sweep(found: "SweepPlan", plan: "ExperimentPlan") -> list[str]:
+    sweep = found.sweep
+    speed = 1e3 * sweep.command_speed_m_s(plan.values.robot)
+    amplitude = speed / (2.0 * math.pi * sweep.frequency_hz())
+    return [
+        f"{sweep.low_hz:.2g} to {sweep.high_hz:.3g} Hz in {sweep.duration_s:g} s (logarithmic), in free space, command",
+        f"logged; its amplitude {amplitude[0]:.2g} to {amplitude[-1]:.2g} mm, {speed[0]:.3g} to {speed[-1]:.3g} mm/s,",
+        f"so that the flange keeps {1e3 * sweep.flange_speed_m_s:.3g} mm/s; up to {found.peak_force_n:.0f} N",
+        f"{found.bound_by} holds the amplitude down; the robot passes little above {found.robot_limit_hz:.0f} Hz",
+    ]
+
+
+def _taps(taps: "TapPlan") -> list[str]:
+    return [
+        f"{taps.count} taps along the axis with a soft hammer, {taps.spacing_s:g} s apart, the robot holding still:",
+        f"about {taps.impulse_n_s:.2g} N·s, {taps.peak_force_n:.0f} N at the sensor",
+    ]
+
+
+def _contacts(contacts: "ContactPlan") -> list[str]:
+    return [
+        f"{contacts.count} contacts at {1e3 * contacts.speed_m_s:.3g} mm/s, each held at {contacts.hold_force_n:g} N",
+        f"expected peak {contacts.peak_contact_force_n:.0f} N on the surface, {contacts.peak_sensor_force_n:.0f} N at",
+        f"the sensor, with B_a = {contacts.assumed_damping_n_s_per_m:g} N·s/m",
+    ]

@@ -1,0 +1,98 @@
+"""What an experiment plan hands on: phases, why, and what each parameter would gain."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from problems.errors import ParameterError
+
+from .plan_contacts import ContactPlan
+from .plan_poses import FEWEST_POSES, PosePlan
+from .plan_sweep import SweepPlan
+from .plan_taps import TapPlan
+from .plan_values import PlanValues
+
+LABELS = {
+    "mass_kg": "payload mass",
+    "com_m": "centre of mass",
+    "stiffness_n_per_m": "coupling K_s",
+    "damping_n_s_per_m": "coupling B_s",
+    "drag_n_s_per_m": "drag B_p",
+    "motion_mass_kg": "M_p from motion",
+    "bandwidth_hz": "robot bandwidth",
+    "delay_s": "delay T_d",
+    "environment_stiffness_n_per_m": "environment K_e",
+    "environment_damping_n_s_per_m": "environment B_e",
+}
+"""What people call the parameters of a plan."""
+
+
+class StepKind(StrEnum):
+    """A phase of a recording."""
+
+    POSES = "poses"
+    SWEEP = "sweep"
+    TAPS = "taps"
+    CONTACTS = "contacts"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What the cell allows; `pose_count` 0 leaves the poses out. Raises ParameterError where that leaves nothing."""
+
+    max_tilt_deg: float = 60.0
+    pose_count: int = 9
+    max_speed_m_s: float = 0.25
+    max_force_n: float = 100.0
+    max_stroke_m: float = 0.02
+    max_duration_s: float = 60.0
+    max_frequency_hz: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.pose_count != 0 and self.pose_count < FEWEST_POSES:
+            raise ParameterError("pose_count", self.pose_count, f"0 or at least {FEWEST_POSES}")
+        if not 0.0 < self.max_tilt_deg <= 180.0:
+            raise ParameterError("max_tilt_deg", self.max_tilt_deg, "above 0 and at most 180")
+        for name in ("max_speed_m_s", "max_force_n", "max_stroke_m", "max_duration_s", "max_frequency_hz"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < np.inf:
+                raise ParameterError(name, value, "finite and above 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prediction:
+    """One parameter (named as in `PlanValues`): std now and after the whole plan, None where nothing tells it."""
+
+    name: str
+    value: float
+    allowed_std: float
+    std_now: float | None
+    std_after: float | None
+
+    @property
+    def urgency(self) -> float:
+        """How many times what is allowed the deviation is now."""
+        return np.inf if self.std_now is None else self.std_now / self.allowed_std
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """One phase to record; `settings` is None where the limits leave none, `is_needed` tells whether anything asks."""
+
+    kind: StepKind
+    is_needed: bool
+    why: str
+    predictions: tuple[Prediction, ...]
+    settings: PosePlan | SweepPlan | TapPlan | ContactPlan | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExperimentPlan:
+    """What to record, most urgent first; `binding` names the parameter with the largest std over allowed std now."""
+
+    axis: str
+    binding: str
+    steps: tuple[Step, ...]
+    values: PlanValues
+    limits: Limits

@@ -1,0 +1,267 @@
+"""Which sweep tells coupling, payload and robot best: predicted deviations from the Fisher information."""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from problems.robot import RobotModel
+
+from .coupling import felt_impedance
+from .plan_values import Known, PlanValues
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_POINTS = 400
+_STARTS_HZ = (0.5, 1.0, 2.0)
+_ENDS = 12
+_DURATIONS_S = (8.0, 12.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0)
+_HIGHEST_HZ = 70.0  # identification looks at nothing faster
+_SAMPLES_PER_CYCLE = 8.0
+_PASSED_SHARE = 0.05
+_AIM = 0.5
+# What the model misses bends each parameter by a part that no length of recording takes away.
+_MODEL_SHARE = 0.3  # of the misfit
+_MODEL_DAMPING_SHARE = 0.1  # of the misfit, times the critical damping
+_INDEPENDENT_MISFITS = 40.0
+_SINGULAR = 1e13
+_STEP = 1e-5
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepLimits:
+    """What the cell allows: speed of the command, force at the sensor, travel to each side, length, frequency."""
+
+    max_speed_m_s: float
+    max_force_n: float
+    max_stroke_m: float
+    max_duration_s: float
+    max_frequency_hz: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sweep:
+    """A logarithmic sine sweep whose flange keeps one speed amplitude; the command makes up for r(s)."""
+
+    low_hz: float
+    high_hz: float
+    flange_speed_m_s: float
+    duration_s: float
+
+    def frequency_hz(self) -> FloatArray:
+        """Return the frequencies (n,) at equal steps of time."""
+        return np.geomspace(self.low_hz, self.high_hz, _POINTS)
+
+    def command_speed_m_s(self, robot: RobotModel) -> FloatArray:
+        """Return the speed amplitude of the command (n,) at those frequencies."""
+        return self.flange_speed_m_s / _passed(robot, self.frequency_hz())
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepPlan:
+    """The sweep and the deviations (keyed as `PlanValues`) after it; `peak_force_n` is its largest force amplitude.
+
+    `bound_by` tells which limit keeps the speed down. `robot_limit_hz`: above it the robot passes less than a twentieth
+    of the command.
+    """
+
+    sweep: Sweep
+    std: dict[str, float]
+    peak_force_n: float
+    bound_by: str
+    robot_limit_hz: float
+
+
+def plan_sweep(values: PlanValues, limits: SweepLimits, allowed: dict[str, float]) -> SweepPlan:
+    """Search band and speed for the smallest worst std/allowed, and the shortest length that brings it to a half.
+
+    Where nothing does, the longest that is allowed. `allowed` is keyed as `PlanValues`; only its entries count.
+    """
+    robot_limit = robot_limit_hz(values.robot)
+    highest = min(_HIGHEST_HZ, robot_limit, 1.0 / (_SAMPLES_PER_CYCLE * values.sample_time_s.value))
+    highest = min(highest, limits.max_frequency_hz or highest)
+    lowest = [start for start in _STARTS_HZ if start < 0.4 * highest] or [0.1 * highest]
+    ends = np.geomspace(0.25 * highest, highest, _ENDS)
+    lengths = [length for length in _DURATIONS_S if length < limits.max_duration_s] + [limits.max_duration_s]
+
+    def worst(plan: SweepPlan) -> float:
+        return max(plan.std[name] / limit for name, limit in allowed.items())
+
+    bands = [(low, float(high)) for low, high in product(lowest, ends) if high > 2.0 * low]
+    for length in lengths:
+        plans = [_predicted(values, limits, low, high, length, robot_limit) for low, high in bands]
+        best = min(plans, key=worst)
+        if worst(best) <= _AIM:
+            break
+    return best
+
+
+def robot_limit_hz(robot: RobotModel) -> float:
+    """Return the highest frequency [Hz] up to which the robot passes a twentieth of the command."""
+    frequency = np.geomspace(0.1, 1000.0, 2000)
+    passed = _passed(robot, frequency) >= _PASSED_SHARE
+    return float(frequency[np.flatnonzero(passed)[-1]]) if np.any(passed) else float(frequency[0])
+
+
+def sweep_information(values: PlanValues, sweep: Sweep) -> FloatArray:
+    """Return the information (5 + n, 5 + n) in pose and force about what lies between command and force.
+
+    Parameters: K_s, B_s, B_p, M_p in SI, then the relative sizes of the n coefficients of r(s)'s monic denominator (the
+    numerator follows from r(0) = 1) and of T_d. x = R x^d, F = Z R x^d with R = r(s) e^(-s T_d).
+
+    White noise of σ per sample gives (1/(σ² h)) ∫ (dy/dθ)² dt (Kay 1993, 3.9); a sweep slow beside the payload's
+    ringing stays a sine, whose square is half that of its amplitude on average. The misfit counts as noise that is
+    smooth over the band: what shows in less of the force than that is not told, however long the sweep.
+    """
+    s = _s(sweep.frequency_hz())
+    payload, impedance = _slopes(values, s)
+    robot, passed = _robot_slopes(values.robot, s)
+    command = sweep.command_speed_m_s(values.robot)[:, None] / np.abs(s)[:, None]
+    none = np.zeros_like(payload)
+    position = command * np.concatenate([none, robot], axis=1)
+    force = command * np.concatenate([payload * passed[:, None], impedance[:, None] * robot], axis=1)
+    per_sample = 2.0 * values.sample_time_s.value / sweep.duration_s
+    smooth = values.misfit_share.value**2 / _INDEPENDENT_MISFITS * np.abs(impedance * passed * command[:, 0]) ** 2
+    force_spread = per_sample * values.force_noise_rms_n.value**2 + smooth
+    position_spread = per_sample * values.position_noise_rms_m.value**2
+    total = np.conj(force).T @ (force / force_spread[:, None]) + np.conj(position).T @ position / position_spread
+    return np.asarray(np.real(total) / len(s))
+
+
+def _robot_slopes(robot: RobotModel, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return dR (n, p) per relative change of each denominator coefficient and of T_d, and R (n,)."""
+    count = robot.order + 1
+    slopes = [
+        (
+            _changed(robot, which, _STEP).position_response(s.imag)
+            - _changed(robot, which, -_STEP).position_response(s.imag)
+        )
+        / (2.0 * _STEP)
+        for which in range(count)
+    ]
+    return np.stack(slopes, axis=1), robot.position_response(s.imag)
+
+
+def _changed(robot: RobotModel, which: int, step: float) -> RobotModel:
+    """Return the robot with one coefficient of the denominator, or last the delay, changed by a share."""
+    scale = np.ones(robot.order + 1)
+    if which < robot.order:
+        scale[1 + which] += step
+    denominator = robot.denominator * scale
+    return RobotModel(
+        numerator=robot.numerator / robot.numerator[-1] * denominator[-1],
+        denominator=denominator,
+        delay_s=robot.delay_s + step * _delay_size(robot) * (which == robot.order),
+    )
+
+
+def _delay_size(robot: RobotModel) -> float:
+    return max(robot.delay_s, 1e-4)
+
+
+def _predicted(
+    values: PlanValues, limits: SweepLimits, low: float, high: float, length: float, robot_limit: float
+) -> SweepPlan:
+    frequency = np.geomspace(low, high, _POINTS)
+    s = _s(frequency)
+    per_speed = np.abs(_slopes(values, s)[1] / s)
+    speeds = {
+        "max-speed": limits.max_speed_m_s * float(np.min(_passed(values.robot, frequency))),
+        "max-force": limits.max_force_n / float(np.max(per_speed)),
+        "max-stroke": limits.max_stroke_m * 2.0 * np.pi * low,
+    }
+    bound_by = min(speeds, key=lambda name: speeds[name])
+    sweep = Sweep(low_hz=low, high_hz=high, flange_speed_m_s=speeds[bound_by], duration_s=length)
+    return SweepPlan(
+        sweep=sweep,
+        std=_std_after(values, sweep),
+        peak_force_n=float(np.max(per_speed)) * sweep.flange_speed_m_s,
+        bound_by=bound_by,
+        robot_limit_hz=robot_limit,
+    )
+
+
+def _std_after(values: PlanValues, sweep: Sweep) -> dict[str, float]:
+    known: dict[str, Known] = {
+        "stiffness_n_per_m": values.stiffness_n_per_m,
+        "damping_n_s_per_m": values.damping_n_s_per_m,
+        "drag_n_s_per_m": values.drag_n_s_per_m,
+        "motion_mass_kg": values.motion_mass_kg,
+    }
+    misfit = values.misfit_share.value
+    model = misfit * _MODEL_SHARE * np.array([entry.value for entry in known.values()])
+    model[1] = np.hypot(model[1], misfit * _MODEL_DAMPING_SHARE * values.critical_damping_n_s_per_m)
+    robot = values.robot
+    slope = np.array(
+        [
+            (_bandwidth_hz(_changed(robot, k, _STEP)) - _bandwidth_hz(_changed(robot, k, -_STEP))) / (2.0 * _STEP)
+            for k in range(robot.order + 1)
+        ]
+    )
+    bandwidth, beside = values.bandwidth_hz, misfit * _MODEL_SHARE * values.bandwidth_hz.value
+    information = sweep_information(values, sweep)
+    prior = [entry.information(part) for entry, part in zip(known.values(), model, strict=True)]
+    information[:4, :4] += np.diag(prior)
+    information[4:, 4:] += np.outer(slope, slope) * bandwidth.information(beside)
+    information[-1, -1] += values.delay_s.information() * _delay_size(robot) ** 2
+    std = standard_deviations(information)
+    found = dict(zip(known, (float(v) for v in np.hypot(std[:4], model)), strict=True))
+    spread = covariance_of(information)[4:, 4:]
+    found["bandwidth_hz"] = float(np.hypot(np.sqrt(slope @ spread @ slope), beside))
+    found["delay_s"] = float(std[-1]) * _delay_size(robot)
+    return found
+
+
+def covariance_of(information: FloatArray) -> FloatArray:
+    """Invert an information matrix whose parameters differ by decades; infinite where something is not told."""
+    size = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = information * np.outer(size, size)
+    if np.linalg.cond(scaled) > _SINGULAR:
+        return np.full_like(information, np.inf)
+    return np.asarray(np.linalg.inv(scaled) * np.outer(size, size))
+
+
+def standard_deviations(information: FloatArray) -> FloatArray:
+    """Return the roots of the covariance's diagonal."""
+    return np.sqrt(np.diag(covariance_of(information)))
+
+
+def _slopes(values: PlanValues, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return dZ/dθ (n, 4) for K_s, B_s, B_p, M_p by central differences, and Z (n,)."""
+    theta = np.array(
+        [
+            values.stiffness_n_per_m.value,
+            values.damping_n_s_per_m.value,
+            values.drag_n_s_per_m.value,
+            values.mass_kg.value,
+        ]
+    )
+    critical = values.critical_damping_n_s_per_m
+    steps = 1e-5 * np.array([theta[0], critical, critical, theta[3]])
+    slopes = [
+        (felt_impedance(theta + step, s) - felt_impedance(theta - step, s)) / (2.0 * np.sum(step))
+        for step in np.diag(steps)
+    ]
+    return np.stack(slopes, axis=1), felt_impedance(theta, s)
+
+
+def _s(frequency_hz: FloatArray) -> ComplexArray:
+    return np.asarray(2j * np.pi * frequency_hz, dtype=np.complex128)
+
+
+def _passed(robot: RobotModel, frequency_hz: FloatArray) -> FloatArray:
+    return np.abs(robot.position_response(2.0 * np.pi * frequency_hz))
+
+
+def _bandwidth_hz(robot: RobotModel) -> float:
+    """Return where |r| falls to 1/√2, by straight line between close points."""
+    frequency = np.geomspace(0.01, 1000.0, 4001)
+    passed = np.asarray(_passed(robot, frequency))
+    above = np.flatnonzero(passed > np.sqrt(0.5))
+    i = int(above[-1]) if above.size else 0
+    if i + 1 >= len(frequency):
+        return float(frequency[-1])
+    share = (passed[i] - np.sqrt(0.5)) / (passed[i] - passed[i + 1])
+    return float(frequency[i] + share * (frequency[i + 1] - frequency[i]))

@@ -1,0 +1,115 @@
+"""`autotune plan` through the real entry point."""
+
+import json
+import subprocess
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from autotune.cli.main import main
+from autotune.files.identified import write_identified
+from identification.result import Identified
+from tests.autotune.files.samples import make_identified
+
+RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def one_axis() -> Identified:
+    found = make_identified()
+    return replace(found, axes={"x": found.axes["x"]})
+
+
+def test_people_see_the_steps_the_gains_and_what_was_assumed(run_cli: RunCli, tmp_path: Path) -> None:
+    write_identified(tmp_path / "identified.yaml", one_axis(), {})
+    done = run_cli("plan", "identified.yaml")
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    # The drag has no value in this file, everything else is given.
+    assert lines[0] == "axis x, binding uncertainty: drag B_p"
+    assert lines[1] == "1. sweep: drag B_p is not known yet"
+    assert any("contacts (not needed)" in line for line in lines)
+    (drag,) = [line.split() for line in lines if line.startswith("drag B_p  ")]
+    assert drag[3] == "-"
+    assert float(drag[4]) < float(drag[5])
+    assumed = next(line for line in lines if line.startswith("assumed, not measured: "))
+    # All that the file does not tell, and the torque's misfit at rest, which is reckoned from one of those.
+    told = {"drag_n_s_per_m", "torque_noise_rms_n_m", "pose_torque_std_n_m", "misfit_share", "position_noise_rms_m"}
+    assert {entry.split()[0] for entry in assumed.removeprefix("assumed, not measured: ").split(", ")} == told
+    assert lines[-1] == "written: plan.yaml"
+    assert (tmp_path / "plan.yaml").is_file()
+
+
+def test_json_is_the_file_and_names_its_source(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_identified("identified.yaml", one_axis(), {})
+    assert main(["plan", "identified.yaml", "--json", "-o", "a.yaml"]) == 0
+    first = capsys.readouterr()
+    tree = json.loads(first.out)
+    assert tree["provenance"]["identified"]["path"] == "identified.yaml"
+    assert len(tree["provenance"]["identified"]["sha256"]) == 64
+    written = (folder / "a.yaml").read_bytes()
+    assert main(["plan", "identified.yaml", "--json", "-o", "a.yaml"]) == 0
+    assert capsys.readouterr() == first
+    assert (folder / "a.yaml").read_bytes() == written
+
+
+def test_without_a_file_a_first_recording_is_planned_from_guesses(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = [
+        "plan",
+        "--mass",
+        "25",
+        "--axis",
+        "z",
+        "--poses",
+        "6",
+        "--max-tilt",
+        "30",
+        "--max-force",
+        "60",
+        "--json",
+    ]
+    assert main(arguments) == 0
+    tree = json.loads(capsys.readouterr().out)
+    assert tree["axis"] == "z"
+    assert "mass_kg" not in tree["assumed"]
+    assert "stiffness_n_per_m" in tree["assumed"]
+    poses, sweep = tree["steps"][0]["settings"], tree["steps"][1]["settings"]
+    assert [pose["tilt_deg"] <= 30.0 for pose in poses["poses"]] == [True] * 6
+    assert sweep["peak_force_n"] <= 60.0
+    assert "identified" not in tree["provenance"]
+    assert (folder / "plan.yaml").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "told"),
+    [
+        (["--max-tilt", "2"], 4, "it takes 15 degrees"),
+        (["--poses", "2"], 2, "at least 4"),
+        (["missing.yaml"], 2, "missing.yaml"),
+        (["identified.yaml", "--mass", "3"], 2, "--mass and --stiffness"),
+        (["two.yaml"], 2, "--axis"),
+        (["--max-force", "0"], 2, "--max-force"),
+        (["-o", "nowhere/plan.yaml"], 2, "does not exist"),
+    ],
+)
+def test_what_cannot_be_planned_is_one_line_with_its_code(
+    folder: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], code: int, told: str
+) -> None:
+    found = one_axis()
+    write_identified("identified.yaml", found, {})
+    write_identified("two.yaml", replace(found, axes={"x": found.axes["x"], "y": found.axes["x"]}), {})
+    assert main(["plan", *arguments]) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert told in err
+    assert not (folder / "plan.yaml").exists()

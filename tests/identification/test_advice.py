@@ -1,0 +1,69 @@
+"""Every weak or missing parameter comes with what to record next."""
+
+import dataclasses
+from typing import Any
+
+import pytest
+
+from identification.advice import advise
+from identification.result import Estimate, Finding, Identified, Status
+from tests.identification.test_combine import UNTOLD, known, surface, told
+
+
+def weak(value: float, std: float) -> Estimate:
+    return Estimate(value=value, std=std, status=Status.WEAK)
+
+
+def with_surface(**changes: Any) -> Identified:
+    return told(surfaces=(dataclasses.replace(surface(1.0e5, 500.0), **changes),))
+
+
+def with_stiffness(result: Identified, stiffness: Estimate) -> Identified:
+    axis = result.axes["x"]
+    coupling = dataclasses.replace(axis.coupling, stiffness_n_per_m=stiffness)
+    return dataclasses.replace(result, axes={"x": dataclasses.replace(axis, coupling=coupling)})
+
+
+def needed(findings: tuple[Finding, ...]) -> list[Finding]:
+    return [f for f in findings if f.severity != "info"]
+
+
+def test_what_is_known_well_needs_no_advice() -> None:
+    assert needed(advise(told())) == []
+
+
+def test_a_missing_stiffness_is_an_error_and_a_weak_one_a_warning() -> None:
+    (missing,) = needed(advise(with_stiffness(told(), UNTOLD)))
+    assert (missing.code, missing.severity) == ("unidentifiable", "error")
+    assert "Axis x: K_s" in missing.message
+    assert "sweep" in missing.advice
+    (uncertain,) = needed(advise(with_stiffness(told(), weak(3.0e5, 3.0e4))))
+    assert (uncertain.code, uncertain.severity) == ("weak", "warning")
+    assert "K_s (± 10 %)" in uncertain.message
+
+
+def test_a_missing_number_is_not_told_twice() -> None:
+    because = Finding(code="coupling", severity="error", message="Axis x: a reason.", advice="")
+    broken = dataclasses.replace(with_stiffness(told(), UNTOLD), findings=(because,))
+    assert needed(advise(broken)) == []
+
+
+def test_damping_and_mass_of_a_surface_are_information() -> None:
+    findings = advise(with_surface(damping_n_s_per_m=UNTOLD, mass_kg=weak(1.0, 0.2)))
+    assert needed(findings) == []
+    text = " ".join(f.message for f in findings)
+    assert "x1 B_e" in text
+    assert "x1 M_e (± 20 %)" in text
+    assert all("cm/s" in f.advice for f in findings)
+
+
+@pytest.mark.parametrize(("k_s_std", "sweep"), [(3.0e4, True), (30.0, False)])
+def test_the_binding_uncertainty_decides_what_is_recorded_for_the_environment(k_s_std: float, sweep: bool) -> None:
+    """More contacts do not help where K_s is what K_e hides behind."""
+    k_s, k_e = 3.0e5, 1.0e5
+    secant = k_s * k_e / (k_s + k_e)
+    result = with_surface(stiffness_n_per_m=weak(k_e, 0.1 * k_e), secant_stiffness_n_per_m=known(secant, 0.01 * secant))
+    findings = needed(advise(with_stiffness(result, known(k_s, k_s_std))))
+    (about,) = (f for f in findings if "K_e" in f.message)
+    assert ("sweep" in about.advice) == sweep
+    assert ("contacts" in about.advice) != sweep
