@@ -6,9 +6,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from .errors import LogError
+from .quaternions import slerp
 from .recording import PoseSignal, Recording, StampArray, WrenchSignal
 
 FloatArray = NDArray[np.float64]
@@ -37,11 +38,16 @@ class Span:
         return self.stop - self.start
 
 
+def edges_of(mask: BoolArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the starts and stops (m,) of the stretches in which a mask (n,) is true."""
+    padded = np.concatenate([[False], mask, [False]])
+    changes = np.flatnonzero(padded[1:] != padded[:-1]).astype(np.int64)
+    return changes[::2], changes[1::2]
+
+
 def spans_of(mask: BoolArray) -> tuple[Span, ...]:
     """Return the spans in which a mask (n,) is true."""
-    padded = np.concatenate([[False], mask, [False]])
-    starts = np.flatnonzero(~padded[:-1] & padded[1:])
-    stops = np.flatnonzero(padded[:-1] & ~padded[1:])
+    starts, stops = edges_of(mask)
     return tuple(Span(start=int(a), stop=int(b)) for a, b in zip(starts, stops, strict=True))
 
 
@@ -246,4 +252,4 @@ def _interpolated(time: FloatArray, values: FloatArray, at: FloatArray, *, degre
 def _turned(time: FloatArray, orientation: Rotation, at: FloatArray) -> Rotation:
     if len(time) == len(at) and np.max(np.abs(time - at)) < 1e-9:
         return orientation
-    return Slerp(time, orientation)(np.clip(at, time[0], time[-1]))
+    return Rotation.from_quat(slerp(time, orientation.as_quat(), np.clip(at, time[0], time[-1])))

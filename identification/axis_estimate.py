@@ -1,26 +1,29 @@
 """Everything that a recording tells of one axis: robot, coupling, payload, surfaces."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .aligned import AlignedLog
-from .axes import AxisMotion, commanded_motion, free_motions, unguided_spans
+from .axes import AXIS_NAMES, AxisMotion, commanded_motion, free_motions, unguided_spans
 from .coupling import CouplingFit, Noise, identify_coupling
 from .errors import EstimateError
-from .given import AXIS_KEYS, Given, settle_axis
+from .given import Given, axis_keys, settle_axis
 from .gravity import GravityFit
 from .joint_contacts import find_holds
-from .joint_data import build_joint_data
+from .joint_data import build_joint_data, usual_coupling
 from .joint_estimates import JointEstimates
 from .joint_fit import identify_joint
+from .joint_model import COUPLING_NAMES
 from .joint_result import JointFit
 from .recording import Recording
 from .result import AxisEstimate, CouplingEstimate, Finding, RobotEstimate
 from .robot import RobotFit, identify_robot
+from .rotation import AxisTurn, rests_after
 from .segments import Motion, Span
+from .timeline import AxisContacts
 from .verdicts import judged, missing, unidentifiable, unidentifiable_vector, vector
 
 FloatArray = NDArray[np.float64]
@@ -38,7 +41,11 @@ _EXACT_SHARE = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class CellSignals:
-    """What the axes of a recording share; `force_S_n` (n, 3) is free of weight and bias."""
+    """What the axes of a recording share; `force_S_n` (n, 3) is free of weight and bias.
+
+    `robots` are those that the admittance's known gains tell where no command was logged; `turns`, the axes about which
+    the tool turned.
+    """
 
     recording: Recording
     log: AlignedLog
@@ -46,41 +53,96 @@ class CellSignals:
     gravity: GravityFit
     force_S_n: FloatArray
     given: Mapping[str, Given]
+    robots: Mapping[str, RobotEstimate]
+    turns: tuple[AxisTurn, ...] = ()
 
 
-def identify_axis(cell: CellSignals, axis: AxisMotion) -> tuple[AxisEstimate, list[Finding]]:
-    """Estimate one axis: the stages find where to start, the joint fit tells values and uncertainty.
+@dataclass(frozen=True, kw_only=True)
+class AxisTold:
+    """What is told of one axis: the estimate, what there is to know about it, and the fit that only the log is in.
 
-    What cannot be told is `unidentifiable`, and named by a finding of severity `error`.
+    `contacts` are its rests under force with the coupling as far as it is known.
     """
-    findings: list[Finding] = []
-    robot_fit, robot = _robot(cell, axis, findings)
-    holds = _holds(cell, axis, findings)
-    data = build_joint_data(
-        cell.log,
-        cell.motion,
-        axis,
-        holds,
-        _coupling(cell, axis),
-        None if robot_fit is None else robot_fit.model,
-        cell.recording.command,
-        cell.gravity.mass_kg,
-        cell.gravity.noise_rms_n,
+
+    estimate: AxisEstimate
+    findings: tuple[Finding, ...]
+    contacts: AxisContacts
+    fit: JointFit | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisView:
+    """One axis as the estimators see it: `axis` on the log's clock, its `holds`, the force's noise at rest.
+
+    `mass_kg` is where the search for M_p starts. `in_units` turns the fit into the units of the axis.
+    """
+
+    recording: Recording
+    log: AlignedLog
+    axis: AxisMotion
+    holds: tuple[Span, ...]
+    noise_rms_n: float
+    mass_kg: float | None
+    priors: Mapping[str, tuple[float, float]]
+    in_units: Callable[[JointFit], JointFit]
+
+
+def identify_axis(cell: CellSignals, axis: AxisMotion) -> AxisTold:
+    """Estimate one translational axis; what cannot be told is `unidentifiable`, with a finding of severity `error`."""
+    holds, findings = _holds(cell, axis)
+    view = AxisView(
+        recording=cell.recording,
+        log=cell.log,
+        axis=axis,
+        holds=holds,
+        noise_rms_n=cell.gravity.noise_rms_n,
+        mass_kg=cell.gravity.mass_kg,
+        priors=axis_priors(cell.given, axis.name),
+        in_units=lambda fit: fit,
     )
+    told = fit_axis(cell, view)
+    findings += told.findings
+    if told.fit is not None:
+        findings += _about_masses(axis.name, cell.gravity, told.fit)
+    return replace(told, findings=tuple(findings))
+
+
+def fit_axis(cell: CellSignals, view: AxisView) -> AxisTold:
+    """Let the stages find where to start, and the joint fit tell values and uncertainty."""
+    axis, findings = view.axis, list[Finding]()
+    robot_fit, robot = _robot(cell, view, findings)
+    coupling = _coupling(view, cell.motion)
     try:
-        fit = identify_joint(data)
-        priors = _priors(cell.given, axis.name)
-        with_priors = identify_joint(replace(data, priors=priors)) if priors else None
+        mass_kg = view.mass_kg if coupling is None or view.mass_kg is not None else coupling.mass_kg
+        if mass_kg is None:
+            raise EstimateError(
+                "What moves is not known well enough to begin; record a commanded sweep about the axis."
+            )
+        data = build_joint_data(
+            view.log,
+            cell.motion,
+            axis,
+            view.holds,
+            coupling,
+            None if robot_fit is None else robot_fit.model,
+            view.recording.command,
+            mass_kg,
+            view.noise_rms_n,
+        )
+        found = identify_joint(data)
+        fit = view.in_units(found)
+        with_priors = view.in_units(identify_joint(replace(data, priors=view.priors))) if view.priors else None
     except EstimateError as error:
         findings.append(missing("coupling", f"Axis {axis.name}: {error}"))
         estimate, contradictions = settle_axis(axis.name, _without_coupling(robot, str(error)), None, cell.given)
-        return estimate, [*findings, *contradictions]
-    findings += [*_about_contacts(axis.name, holds, fit), *_about_masses(axis.name, cell.gravity, fit)]
-    findings += _about_fit(axis.name, fit)
+        contacts = AxisContacts(axis=axis, holds=view.holds, coupling=usual_coupling(cell.gravity.mass_kg))
+        return AxisTold(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=None)
+    findings += [*_about_contacts(axis.name, view.holds, fit), *_about_fit(axis.name, fit)]
     alone = _estimate(axis, fit, robot, data.period_s)
     both = alone if with_priors is None else _estimate(axis, with_priors, robot, data.period_s)
     estimate, contradictions = settle_axis(axis.name, alone, both, cell.given)
-    return estimate, [*findings, *contradictions]
+    contacts = AxisContacts(axis=axis, holds=view.holds, coupling=found.values[: len(COUPLING_NAMES)])
+    return AxisTold(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=fit)
 
 
 def _estimate(axis: AxisMotion, fit: JointFit, robot: RobotEstimate, period_s: float) -> AxisEstimate:
@@ -96,10 +158,12 @@ def _estimate(axis: AxisMotion, fit: JointFit, robot: RobotEstimate, period_s: f
     )
 
 
-def _robot(cell: CellSignals, axis: AxisMotion, findings: list[Finding]) -> tuple[RobotFit | None, RobotEstimate]:
+def _robot(cell: CellSignals, view: AxisView, findings: list[Finding]) -> tuple[RobotFit | None, RobotEstimate]:
     """Return the start of the joint fit, and what the command tells where that fit cannot use it."""
-    recording = cell.recording
+    recording, axis = view.recording, view.axis
     if recording.command is None:
+        if axis.name in cell.robots:
+            return None, cell.robots[axis.name]
         findings.append(
             missing(
                 "no-command",
@@ -110,7 +174,7 @@ def _robot(cell: CellSignals, axis: AxisMotion, findings: list[Finding]) -> tupl
         )
         return None, _no_robot("no commanded pose in the log")
     try:
-        moved = commanded_motion(recording, recording.command, cell.log, axis)
+        moved = commanded_motion(recording, recording.command, view.log, axis)
         fit = identify_robot(moved.command_m, moved.position_m, moved.period_s)
     except EstimateError as error:
         findings.append(missing("robot", f"Axis {axis.name}: {error}"))
@@ -147,16 +211,12 @@ def _without_coupling(robot: RobotEstimate, why: str) -> AxisEstimate:
     )
 
 
-def _coupling(cell: CellSignals, axis: AxisMotion) -> CouplingFit | None:
+def _coupling(view: AxisView, motion: Motion) -> CouplingFit | None:
     """Return a start for the joint fit, None where free motion does not show the coupling in the frequency domain."""
-    log = cell.log
-    noise = Noise(
-        force_rms_n=cell.gravity.noise_rms_n, position_rms_m=_position_noise(axis.position_m, cell.motion.still)
-    )
+    axis, period = view.axis, view.log.period_s
+    noise = Noise(force_rms_n=view.noise_rms_n, position_rms_m=_position_noise(axis.position_m, motion.still))
     try:
-        return identify_coupling(
-            free_motions(axis, unguided_spans(axis), log.period_s), log.period_s, log.pose_rate_hz, noise
-        )
+        return identify_coupling(free_motions(axis, unguided_spans(axis), period), period, view.log.pose_rate_hz, noise)
     except EstimateError:
         return None
 
@@ -168,11 +228,17 @@ def _position_noise(position_m: FloatArray, still: tuple[Span, ...]) -> float:
     return max(float(np.std(second) / np.sqrt(6.0)), 1e-9)
 
 
-def _holds(cell: CellSignals, axis: AxisMotion, findings: list[Finding]) -> tuple[Span, ...]:
-    """Return the rests that press along this axis; an oblique normal is told with its direction."""
+def _holds(cell: CellSignals, axis: AxisMotion) -> tuple[tuple[Span, ...], list[Finding]]:
+    """Return the rests that press along this axis; an oblique normal is told with its direction.
+
+    What is touched at the end of a turn is pressed sideways, and belongs to the turn.
+    """
+    findings: list[Finding] = []
     threshold = max(_HOLD_THRESHOLD_N, _HOLD_RESIDUALS * cell.gravity.residual_rms_n)
     holds = find_holds(cell.motion.still, axis.force_n, threshold)
-    return tuple(hold for hold in holds if _is_along(hold, cell.force_S_n, axis, findings))
+    turned = {hold for turn in cell.turns for hold in rests_after(turn.motion.spans, holds)}
+    mine = tuple(h for h in holds if h not in turned and _is_along(h, cell.force_S_n, axis, findings))
+    return mine, findings
 
 
 def _is_along(hold: Span, force_S_n: FloatArray, axis: AxisMotion, findings: list[Finding]) -> bool:
@@ -252,9 +318,9 @@ def _about_fit(axis: str, fit: JointFit) -> list[Finding]:
     ]
 
 
-def _priors(given: Mapping[str, Given], axis: str) -> dict[str, tuple[float, float]]:
-    """Return what is given under the names of the joint fit; what is exact counts as known to a millionth."""
-    known = {name: given[f"{axis}.{key}"] for key, name in AXIS_KEYS.items() if f"{axis}.{key}" in given}
-    if "mass_kg" in given:
+def axis_priors(given: Mapping[str, Given], axis: str) -> dict[str, tuple[float, float]]:
+    """Return what is given of an axis under the names of the joint fit; what is exact is known to a millionth."""
+    known = {name: given[f"{axis}.{key}"] for key, name in axis_keys(axis).items() if f"{axis}.{key}" in given}
+    if "mass_kg" in given and axis in AXIS_NAMES:
         known["mass_kg"] = given["mass_kg"]
     return {name: (g.value, max(g.std, _EXACT_SHARE * abs(g.value))) for name, g in known.items()}

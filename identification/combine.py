@@ -71,6 +71,7 @@ def combine_identified(parts: Sequence[NamedResult]) -> Identified:
         axes={name: _axis(merge, name, results) for name in names},
         sensor=_sensor(merge, [r.sensor for r in results]),
         findings=(),
+        timelines=tuple(replace(line, log=part.name) for part in parts for line in part.result.timelines),
     )
     return replace(combined, findings=tuple(_without_settled(findings, combined)))
 

@@ -10,18 +10,27 @@ from .result import AxisEstimate, Estimate, Finding, Identified, Status
 
 _CONTRADICTION_STDS = 4.0
 
-AXIS_KEYS: Mapping[str, str] = MappingProxyType(
-    {
-        "coupling_stiffness_n_per_m": "stiffness_n_per_m",
-        "coupling_damping_n_s_per_m": "damping_n_s_per_m",
-        "drag_n_s_per_m": "drag_n_s_per_m",
-        "delay_s": "delay_s",
-    }
-)
-"""What may be given of an axis, as `x.drag_n_s_per_m`, and what the joint fit calls it.
+_AXIS_KEYS = {
+    "coupling_stiffness_n_per_m": "stiffness_n_per_m",
+    "coupling_damping_n_s_per_m": "damping_n_s_per_m",
+    "drag_n_s_per_m": "drag_n_s_per_m",
+    "delay_s": "delay_s",
+}
+_ROTATIONAL_UNITS = {"_n_per_m": "_n_m_per_rad", "_n_s_per_m": "_n_m_s_per_rad", "_s": "_s"}
+_ROTATIONAL_KEYS = {
+    key.removesuffix(unit) + turned: name
+    for key, name in _AXIS_KEYS.items()
+    for unit, turned in _ROTATIONAL_UNITS.items()
+    if key.endswith(unit)
+}
 
-`mass_kg` and `sample_time_s` stand alone.
-"""
+
+def axis_keys(axis: str) -> Mapping[str, str]:
+    """Return what may be given of an axis, in its units as in `x.drag_n_s_per_m`, and what the joint fit calls it.
+
+    `mass_kg` and `sample_time_s` stand alone.
+    """
+    return MappingProxyType(_ROTATIONAL_KEYS if axis.startswith("r") else _AXIS_KEYS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +43,7 @@ class Given:
 
 def check_names(given: Mapping[str, Given], axes: Iterable[str]) -> None:
     """Raise EstimateError for a name that is unknown or an axis that is not there."""
-    known = ["mass_kg", "sample_time_s", *(f"{axis}.{key}" for axis in axes for key in AXIS_KEYS)]
+    known = ["mass_kg", "sample_time_s", *(f"{axis}.{key}" for axis in axes for key in axis_keys(axis))]
     unknown = sorted(set(given) - set(known))
     if unknown:
         raise EstimateError(f"Nothing called {unknown[0]} can be given of this log; what can: {', '.join(known)}.")
@@ -68,32 +77,32 @@ def settle_axis(
     prior moves its own number only.
     """
     changed, findings = alone if both is None else both, []
-    for key in AXIS_KEYS:
+    for key, own in axis_keys(name).items():
         full = f"{name}.{key}"
         if full in given:
             found, contradiction = _posterior(
-                full, _get(alone, key), None if both is None else _get(both, key), given[full]
+                full, _get(alone, own), None if both is None else _get(both, own), given[full]
             )
-            changed = _set(changed, key, found)
+            changed = _set(changed, own, found)
             findings += contradiction
     return changed, findings
 
 
-def _get(axis: AxisEstimate, key: str) -> Estimate:
+def _get(axis: AxisEstimate, name: str) -> Estimate:
     return {
-        "coupling_stiffness_n_per_m": axis.coupling.stiffness_n_per_m,
-        "coupling_damping_n_s_per_m": axis.coupling.damping_n_s_per_m,
+        "stiffness_n_per_m": axis.coupling.stiffness_n_per_m,
+        "damping_n_s_per_m": axis.coupling.damping_n_s_per_m,
         "drag_n_s_per_m": axis.drag_n_s_per_m,
         "delay_s": axis.robot.delay_s,
-    }[key]
+    }[name]
 
 
-def _set(axis: AxisEstimate, key: str, estimate: Estimate) -> AxisEstimate:
-    if key == "drag_n_s_per_m":
+def _set(axis: AxisEstimate, name: str, estimate: Estimate) -> AxisEstimate:
+    if name == "drag_n_s_per_m":
         return replace(axis, drag_n_s_per_m=estimate)
-    if key == "delay_s":
+    if name == "delay_s":
         return replace(axis, robot=replace(axis.robot, delay_s=estimate))
-    return replace(axis, coupling=replace(axis.coupling, **{key.removeprefix("coupling_"): estimate}))
+    return replace(axis, coupling=replace(axis.coupling, **{name: estimate}))
 
 
 def _posterior(name: str, estimate: Estimate, fitted: Estimate | None, prior: Given) -> tuple[Estimate, list[Finding]]:

@@ -3,21 +3,30 @@
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
-from .aligned import align, check_regular, find_gaps
+from .admittance_estimates import AdmittanceRobots, identify_admittance_robots, with_compensated_force
+from .aligned import AlignedLog, align, check_regular, find_gaps
 from .axes import find_axes
-from .axis_estimate import CellSignals, identify_axis
+from .axis_estimate import AxisTold, CellSignals, identify_axis
 from .convention_choice import read_by_weight
 from .frames import Frames
 from .given import Given, settle_cell
 from .gravity import identify_gravity
 from .gravity_verdicts import com_estimate, gravity_findings, mass_estimate
 from .inertia import InertiaFit, identify_inertia
+from .partial import identify_partial
 from .recording import Recording
 from .result import Estimate, Finding, Identified, InertiaEstimate, PayloadEstimate, Status
+from .rotation import find_turns
 from .segments import find_motion
 from .sensor import describe_sensor
+from .timeline import build_timeline, tell_surfaces
+from .timeline_phases import Timeline
+from .turn_estimate import identify_turn, not_told
 from .verdicts import missing
+
+FloatArray = NDArray[np.float64]
 
 _OBLIQUE_SHARE = 0.3
 
@@ -34,43 +43,100 @@ def identify_cell(
     `unidentifiable` and named by a finding of severity `error`. Raises EstimateError when not even gravity can be told
     (nothing else can be without it), LogError when the channels do not fit together.
     """
+    if recording.wrench.gravity_compensated:
+        return settle_cell(identify_partial(recording, _sample_time(recording)), given or {})
     first = align(recording)
     read = read_by_weight(recording, first, find_motion(first), frames)
     recording, log, motion = read.recording, read.log, read.motion
     gravity = identify_gravity(read.poses)
     force = gravity.compensated_force_S_n(log)
-    findings: list[Finding] = []
-    travel = find_axes(log, motion, force)
-    if travel.oblique_share > _OBLIQUE_SHARE:
-        findings.append(_oblique(travel.oblique_share))
-    if not travel.axes:
-        findings.append(_no_travel())
-    cell = CellSignals(
-        recording=recording, log=log, motion=motion, gravity=gravity, force_S_n=force, given=dict(given or {})
-    )
-    axes = {}
-    for axis in travel.axes:
-        estimate, about_axis = identify_axis(cell, axis)
-        axes[axis.name] = estimate
-        findings += about_axis
-    sensor, about_sensor = describe_sensor(read, gravity, frames)
     inertia = identify_inertia(log, motion, read.poses, gravity)
+    robots = _led_robots(recording, log, force)
+    cell = CellSignals(
+        recording=recording,
+        log=log,
+        motion=motion,
+        gravity=gravity,
+        force_S_n=force,
+        given=dict(given or {}),
+        robots=robots.robots,
+        turns=find_turns(recording, log, motion, gravity),
+    )
+    told, about_axes = _identify_axes(cell, inertia)
+    timeline = _timeline(cell, told)
+    sensor, about_sensor = describe_sensor(read, gravity, frames)
     found = Identified(
         sample_time_s=_sample_time(recording),
         payload=PayloadEstimate(
             mass_kg=mass_estimate(gravity), com_m=com_estimate(gravity), inertia_kg_m2=_inertia(inertia)
         ),
-        axes=axes,
+        axes={name: axis.estimate for name, axis in told.items()},
         sensor=sensor,
         findings=(
             *read.findings,
-            *findings,
+            *robots.findings,
+            *about_axes,
+            *_hands(timeline),
             *gravity_findings(gravity),
             *about_sensor,
             *inertia.findings,
         ),
+        timelines=(timeline,),
     )
     return settle_cell(found, cell.given)
+
+
+def _identify_axes(cell: CellSignals, inertia: InertiaFit) -> tuple[dict[str, AxisTold], list[Finding]]:
+    """Estimate every axis along which, or about which, the tool moved."""
+    findings: list[Finding] = []
+    travel = find_axes(cell.log, cell.motion, cell.force_S_n)
+    if travel.oblique_share > _OBLIQUE_SHARE:
+        findings.append(_oblique(travel.oblique_share))
+    if not travel.axes and not cell.turns:
+        findings.append(_no_travel())
+    axes = {axis.name: identify_axis(cell, axis) for axis in travel.axes}
+    for turn in cell.turns:
+        turned = identify_turn(cell, turn, inertia)
+        if turned is None:
+            findings.append(not_told(turn))
+        else:
+            axes[turn.name] = turned
+    return axes, [*findings, *(finding for axis in axes.values() for finding in axis.findings)]
+
+
+def _timeline(cell: CellSignals, told: Mapping[str, AxisTold]) -> Timeline:
+    """Return what happened when, contacts with the names of their surfaces."""
+    contacts = [axis.contacts for axis in told.values()]
+    command = cell.recording.command
+    phases = build_timeline(cell.log, cell.motion, cell.force_S_n, contacts, command, cell.gravity.mass_kg)
+    for name, axis in told.items():
+        surfaces = () if axis.fit is None else axis.fit.surfaces
+        onsets = [[onset * cell.log.period_s for onset in surface.onsets] for surface in surfaces]
+        phases = tell_surfaces(phases, name, onsets)
+    return Timeline(phases=phases)
+
+
+def _hands(timeline: Timeline) -> list[Finding]:
+    """Tell of contacts during which somebody pushed."""
+    pushed = [p for p in timeline.phases if p.contact is not None and p.contact.hand_suspected]
+    if not pushed:
+        return []
+    when = ", ".join(f"{phase.start_s:.1f} s" for phase in pushed)
+    return [
+        Finding(
+            code="hand-in-contact",
+            severity="warning",
+            message=f"During the contact at {when} the force changes as no surface makes it: a hand, perhaps.",
+            advice="Keep hands off the payload while it touches, and record these contacts again.",
+        )
+    ]
+
+
+def _led_robots(recording: Recording, log: AlignedLog, force_S_n: FloatArray) -> AdmittanceRobots:
+    """Return what the admittance's gains tell of the robot where no command was logged."""
+    if recording.command is not None or recording.gains is None:
+        return AdmittanceRobots(robots={}, findings=())
+    return identify_admittance_robots(with_compensated_force(recording, log, force_S_n))
 
 
 def _inertia(fit: InertiaFit) -> InertiaEstimate | None:

@@ -135,7 +135,7 @@ def build_joint_data(
         free=_off_holes(free, holes, log.period_s),
         rings=_off_holes(find_rings(axis, steady, free, holds, noise_rms_n, log.period_s), holes, log.period_s),
         holds=_approached(holds, holes, log.period_s),
-        coupling=_start(mass_kg) if coupling is None else _values(coupling),
+        coupling=usual_coupling(mass_kg) if coupling is None else _values(coupling),
         robot=robot,
         mass_kg=mass_kg,
     )
@@ -180,6 +180,7 @@ def _values(coupling: CouplingFit) -> FloatArray:
     return np.array([coupling.stiffness_n_per_m, coupling.damping_n_s_per_m, coupling.drag_n_s_per_m, coupling.mass_kg])
 
 
-def _start(mass_kg: float) -> FloatArray:
+def usual_coupling(mass_kg: float) -> FloatArray:
+    """Return K_s, B_s, B_p, M_p (4,) of a usual cell with this payload: where a search may start."""
     omega = 2.0 * np.pi * _USUAL_RESONANCE_HZ
     return np.array([mass_kg * omega**2, 0.1 * mass_kg * omega, _USUAL_DRAG_N_S_PER_M, mass_kg])

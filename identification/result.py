@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
 
+from .timeline_phases import Timeline
+
 
 class Status(StrEnum):
     """How far a parameter may be trusted."""
@@ -174,13 +176,14 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class Identified:
-    """The plant as the log tells it; `axes` is keyed x y z rx ry rz of the control frame."""
+    """The plant as the log tells it; `axes` is keyed x y z rx ry rz of the control frame, `timelines` one per log."""
 
     sample_time_s: Estimate
     payload: PayloadEstimate
     axes: Mapping[str, AxisEstimate]
     sensor: SensorEstimate
     findings: tuple[Finding, ...]
+    timelines: tuple[Timeline, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", MappingProxyType(dict(self.axes)))

@@ -4,16 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_closing, binary_opening, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, sosfiltfilt
-from scipy.spatial.transform import Rotation
 
-from .aligned import AlignedLog, Span, spans_of
+from .aligned import AlignedLog, Span, edges_of, spans_of
+from .quaternions import turned_rad
 
-__all__ = ["Motion", "Span", "find_motion", "low_pass"]
+__all__ = ["Motion", "Span", "find_motion", "low_pass", "without_pauses", "without_short"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
 
 _STILL_SPEED_M_S = 1.5e-3
 _STILL_TURN_RAD_S = 0.02
@@ -64,12 +65,36 @@ def find_motion(log: AlignedLog) -> Motion:
     shortest = max(1, round(_SHORTEST_STILL_S / log.period_s))
     rest, away = np.zeros(len(log), dtype=np.bool_), np.ones(len(log), dtype=np.bool_)
     for piece in log.pieces:
-        moving = binary_closing(~still[piece.slice], structure=np.ones(2 * pause + 1))
-        rest[piece.slice] = binary_opening(~moving, structure=np.ones(shortest))
+        moving = without_pauses(~still[piece.slice], 2 * pause)
+        # The margin of a piece is too short to tell motion from a pause.
+        moving[:pause] = moving[-pause:] = False
+        rest[piece.slice] = without_short(~moving, shortest)
     margin = round(_HOLE_MARGIN_S / log.period_s)
     for hole in log.holes:
         away[max(0, hole.start - margin) : hole.stop + margin] = False
     return Motion(velocity_S_m_s=velocity_S, still=spans_of(rest), moving=spans_of(~rest & away))
+
+
+def without_pauses(mask: BoolArray, longest: int) -> BoolArray:
+    """Fill stretches of at most `longest` samples between two in which `mask` (n,) holds."""
+    starts, stops = edges_of(mask)
+    apart = np.flatnonzero(starts[1:] - stops[:-1] > longest)
+    return _mask_of(
+        np.concatenate([starts[:1], starts[apart + 1]]), np.concatenate([stops[apart], stops[-1:]]), len(mask)
+    )
+
+
+def without_short(mask: BoolArray, shortest: int) -> BoolArray:
+    """Leave out stretches of fewer than `shortest` samples."""
+    starts, stops = edges_of(mask)
+    long = stops - starts >= shortest
+    return _mask_of(starts[long], stops[long], len(mask))
+
+
+def _mask_of(starts: IntArray, stops: IntArray, count: int) -> BoolArray:
+    steps = np.zeros(count + 1, dtype=np.int8)
+    steps[starts], steps[stops] = 1, -1
+    return np.asarray(np.cumsum(steps[:-1], dtype=np.int8).astype(np.bool_))
 
 
 def _quiet_force(log: AlignedLog) -> BoolArray:
@@ -88,8 +113,6 @@ def _turn_rate(log: AlignedLog) -> FloatArray:
     """Return the turning speed [rad/s], differenced over a few samples against encoder noise."""
     lag = max(1, round(0.02 / log.period_s))
     quaternions = log.orientation_BS.as_quat()
-    before = Rotation.from_quat(quaternions[:-lag])
-    after = Rotation.from_quat(quaternions[lag:])
-    rate = (before.inv() * after).magnitude() / (lag * log.period_s)
+    rate = turned_rad(quaternions[:-lag], quaternions[lag:]) / (lag * log.period_s)
     half = lag // 2
     return np.concatenate([np.full(half, rate[0]), rate, np.full(lag - half, rate[-1])])

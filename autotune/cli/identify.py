@@ -11,7 +11,7 @@ from ._common import Output, output_options
 from ._table import printable, table_lines
 
 if TYPE_CHECKING:
-    from identification.result import Estimate, Identified, VectorEstimate
+    from identification.result import AxisEstimate, Estimate, Identified, VectorEstimate
 
 _EPILOG = """\b
 Examples:
@@ -111,19 +111,27 @@ def _rows(result: "Identified") -> Iterator[tuple[str, ...]]:
         yield from _vector_rows("base tilted about", result.sensor.base_tilt_rad, "deg", 180.0 / math.pi)
     yield _row("control period", result.sample_time_s, "ms", 1e3)
     for name, axis in result.axes.items():
-        yield _row(f"{name}: coupling K_s", axis.coupling.stiffness_n_per_m, "N/mm", 1e-3)
-        yield _row(f"{name}: coupling B_s", axis.coupling.damping_n_s_per_m, "N·s/m")
-        yield _row(f"{name}: drag B_p", axis.drag_n_s_per_m, "N·s/m")
-        if axis.mass_kg is not None:
-            yield _row(f"{name}: mass from motion", axis.mass_kg, "kg")
-        yield _row(f"{name}: robot bandwidth", axis.robot.bandwidth_hz, "Hz")
-        yield _row(f"{name}: delay T_d", axis.robot.delay_s, "ms", 1e3)
-        for surface in axis.environments:
-            told = f"{name}: {surface.name}, {surface.contacts} contacts"
-            yield _row(f"{told}: K_e", surface.stiffness_n_per_m, "N/mm", 1e-3)
-            yield _row(f"{told}: secant", surface.secant_stiffness_n_per_m, "N/mm", 1e-3)
-            yield _row(f"{told}: B_e", surface.damping_n_s_per_m, "N·s/m")
-            yield _row(f"{told}: M_e", surface.mass_kg, "kg")
+        yield from _axis_rows(name, axis)
+
+
+def _axis_rows(name: str, axis: "AxisEstimate") -> Iterator[tuple[str, ...]]:
+    turning = name.startswith("r")
+    stiffness, scale = ("N·m/rad", 1.0) if turning else ("N/mm", 1e-3)
+    damping, mass = ("N·m·s/rad", "kg·m²") if turning else ("N·s/m", "kg")
+    yield _row(f"{name}: coupling K_s", axis.coupling.stiffness_n_per_m, stiffness, scale)
+    yield _row(f"{name}: coupling B_s", axis.coupling.damping_n_s_per_m, damping)
+    yield _row(f"{name}: drag B_p", axis.drag_n_s_per_m, damping)
+    if axis.mass_kg is not None:
+        yield _row(f"{name}: {'inertia' if turning else 'mass'} from motion", axis.mass_kg, mass)
+    yield _row(f"{name}: robot bandwidth", axis.robot.bandwidth_hz, "Hz")
+    yield _row(f"{name}: delay T_d", axis.robot.delay_s, "ms", 1e3)
+    for surface in axis.environments:
+        count = f"{surface.contacts} contact{'' if surface.contacts == 1 else 's'}"
+        told = f"{name}: {surface.name}, {count}"
+        yield _row(f"{told}: K_e", surface.stiffness_n_per_m, stiffness, scale)
+        yield _row(f"{told}: secant", surface.secant_stiffness_n_per_m, stiffness, scale)
+        yield _row(f"{told}: B_e", surface.damping_n_s_per_m, damping)
+        yield _row(f"{told}: M_e", surface.mass_kg, mass)
 
 
 def _row(name: str, estimate: "Estimate", unit: str, scale: float = 1.0) -> tuple[str, ...]:

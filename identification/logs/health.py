@@ -52,15 +52,18 @@ def wrench_faults(
 
     `limits` is the declared range of each axis [N, N·m], symmetric about 0; without it a limit has to show itself.
     """
-    bad = ~np.all(np.isfinite(values), axis=1)
+    bad = _not_finite(values)
     yield from _finite_faults(topic, bad, since_start_s)
     if len(values) < 2 or bool(np.all(bad)):
         return
     if bool(np.any(bad)):
         values, since_start_s = values[~bad], since_start_s[~bad]
-    steps = np.abs(np.diff(values, axis=0))
-    resting = np.concatenate([[False], np.all(steps <= _RESTING_SHARE * np.ptp(values, axis=0), axis=1)])
-    for axis, column in enumerate(np.ascontiguousarray(values.T)):
+    columns = np.ascontiguousarray(values.T)
+    resting = np.ones(len(values), dtype=np.bool_)
+    resting[0] = False
+    for column in columns:
+        resting[1:] &= np.abs(np.diff(column)) <= _RESTING_SHARE * np.ptp(column)
+    for axis, column in enumerate(columns):
         if bool(np.all(column == column[0])):
             yield _error(
                 "stuck-axis",
@@ -77,10 +80,10 @@ def wrench_faults(
 
 def pose_faults(topic: str, values: FloatArray, since_start_s: FloatArray) -> Iterator[Finding]:
     """Yield faults of a pose (n, 7), position and quaternion xyzw: NaN, wrong norm, stuck, repeated, in millimetres."""
-    bad = ~np.all(np.isfinite(values), axis=1)
+    bad = _not_finite(values)
     yield from _finite_faults(topic, bad, since_start_s)
     with np.errstate(invalid="ignore", over="ignore"):
-        norm = np.sqrt(np.sum(values[:, 3:] ** 2, axis=1))
+        norm = np.sqrt(np.einsum("ij,ij->i", values[:, 3:], values[:, 3:]))
         off = np.abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE
     if bool(np.any(off)):
         first = int(np.flatnonzero(off)[0])
@@ -93,7 +96,8 @@ def pose_faults(topic: str, values: FloatArray, since_start_s: FloatArray) -> It
     good = ~(bad | off)
     if np.count_nonzero(good) < 2:
         return
-    values, since_start_s = values[good], since_start_s[good]
+    if not bool(np.all(good)):
+        values, since_start_s = values[good], since_start_s[good]
     if bool(np.all(values == values[:1])):
         yield _error(
             "stuck-pose",
@@ -208,6 +212,14 @@ def _length_faults(topic: str, position: FloatArray) -> Iterator[Finding]:
             message=f"The pose of topic {topic} is {far:.0f} m away from its origin.",
             advice="Declare the unit of the position as mm if it is in millimetres.",
         )
+
+
+def _not_finite(values: FloatArray) -> NDArray[np.bool_]:
+    """Return which rows of (n, k) hold a number that is not finite."""
+    bad = np.zeros(len(values), dtype=np.bool_)
+    for column in values.T:
+        bad |= ~np.isfinite(column)
+    return bad
 
 
 def _finite_faults(topic: str, bad: NDArray[np.bool_], since_start_s: FloatArray) -> Iterator[Finding]:

@@ -90,33 +90,41 @@ def _directions(poses: tuple[StaticPose, ...]) -> FloatArray:
 
 
 def _distinct(poses: tuple[StaticPose, ...]) -> int:
-    seen: list[FloatArray] = []
-    for direction in _directions(poses) if poses else ():
-        if all(float(direction @ other) < _DISTINCT_COSINE for other in seen):
-            seen.append(direction)
-    return len(seen)
+    """Count the directions of gravity, each of which stands for those within 2 degrees of it."""
+    if not poses:
+        return 0
+    left, count = _directions(poses), 0
+    while len(left):
+        left, count = left[left @ left[0] < _DISTINCT_COSINE], count + 1
+    return count
 
 
 def _weigh(poses: tuple[StaticPose, ...]) -> tuple[FloatArray, float, float] | None:
     """Return (m, b) of f = m g_S + b by an L1 fit, the mass's standard deviation and the scatter [N]; None if vague."""
     if _distinct(poses) < _FEWEST_ORIENTATIONS:
         return None
-    swing = float(np.max(np.ptp([pose.force_S_n for pose in poses], axis=0)))
+    gravity = np.array([pose.gravity_S_m_s2 for pose in poses])
+    force = np.array([pose.force_S_n for pose in poses])
+    swing = float(np.max(np.ptp(force, axis=0)))
     floor = min(_SCATTER_N, _SCATTER_SHARE * swing) + 1e-9
-    rows = np.concatenate([np.column_stack([pose.gravity_S_m_s2, np.eye(3)]) for pose in poses])
-    values = np.concatenate([pose.force_S_n for pose in poses])
+    rows = np.column_stack([gravity.ravel(), np.tile(np.eye(3), (len(poses), 1))])
     if np.linalg.cond(rows / np.array([9.81, 1.0, 1.0, 1.0])) > _LARGEST_CONDITION:
         return None
     weights = np.ones(len(poses))
-    solution = np.zeros(4)
+    mass, bias = 0.0, np.zeros(3)
     for _ in range(_ROUNDS):
-        root = np.sqrt(np.repeat(weights, 3))[:, None]
-        solution = np.linalg.lstsq(rows * root, values * root[:, 0], rcond=None)[0]
-        misfit = np.linalg.norm((values - rows @ solution).reshape(-1, 3), axis=1)
+        # Least squares with a mean taken out: the bias is what the mean force has beyond the mean weight.
+        share = weights / weights.sum()
+        mean_gravity, mean_force = share @ gravity, share @ force
+        swung = gravity - mean_gravity
+        mass = float(share @ np.einsum("ij,ij->i", swung, force - mean_force))
+        mass /= float(share @ np.einsum("ij,ij->i", swung, swung))
+        bias = mean_force - mass * mean_gravity
+        misfit = np.linalg.norm(force - mass * gravity - bias, axis=1)
         weights = 1.0 / np.maximum(misfit, floor)
     scatter = max(1.4826 * float(np.median(misfit)), floor)
     inverse = np.linalg.inv(rows.T @ rows)
-    return np.asarray(solution), scatter * float(np.sqrt(inverse[0, 0])), scatter
+    return np.concatenate([[mass], bias]), scatter * float(np.sqrt(inverse[0, 0])), scatter
 
 
 def _find_change(topic: str, log: AlignedLog, poses: tuple[StaticPose, ...]) -> Finding | None:

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.ndimage import binary_closing, binary_opening
 from scipy.spatial.transform import Rotation
 
 from identification.aligned import AlignedLog
-from identification.segments import Span, find_motion, low_pass
+from identification.segments import Span, find_motion, low_pass, without_pauses, without_short
 from tests.identification.synthetic import ramp
 
 FloatArray = NDArray[np.float64]
@@ -174,3 +175,16 @@ def test_a_span_is_an_index() -> None:
     span = Span(start=3, stop=7)
     assert len(span) == 4
     assert list(np.arange(10)[span.slice]) == [3, 4, 5, 6]
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.tuples(st.booleans(), st.integers(1, 12)), min_size=1, max_size=20), st.integers(1, 10))
+def test_pauses_and_short_stretches_are_those_of_mathematical_morphology(
+    runs: list[tuple[bool, int]], length: int
+) -> None:
+    mask = np.concatenate([np.full(count, value) for value, count in runs])
+    # Beyond its ends the line goes on without the mask.
+    padded = np.pad(mask, 2 * length + 1)
+    closed = binary_closing(padded, structure=np.ones(length + 1))[2 * length + 1 : -2 * length - 1]
+    np.testing.assert_array_equal(without_pauses(mask, length), closed)
+    np.testing.assert_array_equal(without_short(mask, length), binary_opening(mask, structure=np.ones(length)))

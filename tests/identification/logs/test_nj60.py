@@ -12,7 +12,6 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from autotune.files.cell import read_cell
-from identification.errors import EstimateError
 from identification.identify import identify_cell
 from identification.logs import inspect_log, read_recording
 from identification.logs.cell import Cell, PoseSource
@@ -112,8 +111,11 @@ def test_what_was_done_before_recording_is_known(recordings: dict[str, Recording
     assert recording.wrench.deadband is not None
     assert recording.wrench.deadband.type == "subtractive"
     assert set(recording.clocks.values()) == {"header"}
-    with pytest.raises(EstimateError, match="Gravity is already removed from the force of topic /robot_state"):
-        identify_cell(recording)
+    found = identify_cell(recording)
+    (removed,) = (f for f in found.findings if f.code == "gravity-removed")
+    assert "Gravity is already removed from the force of topic /robot_state" in removed.message
+    assert removed.severity == "error"
+    assert found.payload.mass_kg.value is None
 
 
 def test_clocks_are_told_to_be_off(shared_data: Path, cell: Cell) -> None:
@@ -124,10 +126,11 @@ def test_clocks_are_told_to_be_off(shared_data: Path, cell: Cell) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "peak_n", "secant_n_per_mm"), [("yellow_feet_imco.csv", 55.6, 11.1), ("flex_jt_imco.csv", 34.4, 2.62)]
+    ("name", "peak_n", "secant_n_per_mm", "printed_n_per_mm"),
+    [("yellow_feet_imco.csv", 55.6, 11.1, 11.2), ("flex_jt_imco.csv", 34.4, 2.62, 2.7)],
 )
 def test_traces_have_the_published_peak_and_stiffness(
-    shared_data: Path, traces: Cell, name: str, peak_n: float, secant_n_per_mm: float
+    shared_data: Path, traces: Cell, name: str, peak_n: float, secant_n_per_mm: float, printed_n_per_mm: float
 ) -> None:
     recording = read_recording(shared_data / "nj60" / name, traces)
     depth, force = recording.pose.position_m[:, 2], -recording.wrench.force_n[:, 2]
@@ -135,5 +138,7 @@ def test_traces_have_the_published_peak_and_stiffness(
     assert np.max(force) == pytest.approx(peak_n, abs=0.05)
     # Told to three digits, by a fit whose details are not.
     assert depth @ force / (depth @ depth) / 1e3 == pytest.approx(secant_n_per_mm, rel=0.01)
-    with pytest.raises(EstimateError):
-        identify_cell(recording)
+    (surface,) = identify_cell(recording).axes["z"].environments
+    assert surface.peak_force_n == pytest.approx((peak_n,), abs=0.1)
+    assert surface.secant_stiffness_n_per_m.value == pytest.approx(printed_n_per_mm * 1e3, rel=0.03)
+    assert surface.stiffness_n_per_m.value is None
