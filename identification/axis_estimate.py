@@ -128,6 +128,7 @@ def fit_axis(cell: CellSignals, view: AxisView) -> AxisTold:
             view.recording.command,
             mass_kg,
             view.noise_rms_n,
+            view.recording.wrench_lag_s,
         )
         found = identify_joint(data)
         fit = view.in_units(found)
@@ -137,7 +138,7 @@ def fit_axis(cell: CellSignals, view: AxisView) -> AxisTold:
         estimate, contradictions = settle_axis(axis.name, _without_coupling(robot, str(error)), None, cell.given)
         contacts = AxisContacts(axis=axis, holds=view.holds, coupling=usual_coupling(cell.gravity.mass_kg))
         return AxisTold(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=None)
-    findings += [*_about_contacts(axis.name, view.holds, fit), *_about_fit(axis.name, fit)]
+    findings += [*_about_contacts(axis.name, view.holds, fit), *_about_lag(axis.name, fit), *_about_fit(axis.name, fit)]
     alone = _estimate(axis, fit, robot, data.period_s)
     both = alone if with_priors is None else _estimate(axis, with_priors, robot, data.period_s)
     estimate, contradictions = settle_axis(axis.name, alone, both, cell.given)
@@ -297,6 +298,22 @@ def _about_masses(axis: str, gravity: GravityFit, fit: JointFit) -> list[Finding
             message=f"Axis {axis}: the mass from motion, {moved:.3f} ± {moved_std:.2g} kg, and from gravity, "
             f"{gravity.mass_kg:.3f} ± {gravity.mass_std_kg:.2g} kg, disagree.",
             advice="Check force and length units, the clocks of wrench and pose, and that the payload is the same.",
+        )
+    ]
+
+
+def _about_lag(axis: str, fit: JointFit) -> list[Finding]:
+    """Tell when the wrench comes late, or early: the motion shows it, and it was taken out."""
+    if fit.lag.applied_s == 0.0:
+        return []
+    late = "late" if fit.lag.seconds > 0.0 else "early"
+    return [
+        Finding(
+            code="wrench-lag",
+            severity="info",
+            message=f"Axis {axis}: the wrench is stamped {1e3 * abs(fit.lag.seconds):.3f} ± "
+            f"{1e3 * fit.lag.std_s:.2g} ms {late} against pose and command, as its motion shows; this was taken out.",
+            advice="A filter of the sensor or of its driver does this as well as a clock.",
         )
     ]
 

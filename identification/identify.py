@@ -1,6 +1,7 @@
 """From a recording to plant parameters: one driver over the estimators of this floor."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from .given import Given, settle_cell
 from .gravity import identify_gravity
 from .gravity_verdicts import com_estimate, gravity_findings, mass_estimate
 from .inertia import InertiaFit, identify_inertia
+from .lost_commands import restore_commands
 from .partial import identify_partial
 from .recording import Recording
 from .result import Estimate, Finding, Identified, InertiaEstimate, PayloadEstimate, Status
@@ -45,6 +47,8 @@ def identify_cell(
     """
     if recording.wrench.gravity_compensated:
         return settle_cell(identify_partial(recording, _sample_time(recording)), given or {})
+    if recording.command is not None:
+        recording = replace(recording, command=restore_commands(recording.command))
     first = align(recording)
     read = read_by_weight(recording, first, find_motion(first), frames)
     recording, log, motion = read.recording, read.log, read.motion

@@ -16,6 +16,7 @@ FloatArray = NDArray[np.float64]
 _WHOLE_S = 1e4
 _PIECES_S = (0.1, 0.5, _WHOLE_S)
 _STEPS = 4
+_DEEPER = 1.0
 _DOUBTFUL_STDS = 20.0
 _OTHER_MASS_SHARE = 0.3
 _SMOOTH_SHARE, _EXACT_SHARE = 0.003, 0.0003
@@ -90,6 +91,17 @@ def _excess(scores: FloatArray) -> FloatArray:
     return np.asarray((vectors * np.where(values > limit, values - 1.0, 0.0)) @ vectors.T)
 
 
+def deepest_surfaces(problem: Problem, point: Point) -> tuple[Problem, Point]:
+    """Return the point from which no other minimum of a surface (see `other_minima`) is deeper, all fitted again."""
+    for i in range(problem.layout.surfaces):
+        forces = _forces_only(problem, point)
+        here = cost(forces, point)
+        for other, there in _others(forces, point, problem.layout.surface(i).start + 2):
+            if there < here - _DEEPER:
+                here, point = there, minimise(problem, other, _STEPS)[0]
+    return problem, point
+
+
 def other_minima(problem: Problem, point: Point, spread: Spread) -> Spread:
     """Return the covariance with what a second minimum adds: the same surface without a moving mass, or with one.
 
@@ -98,8 +110,7 @@ def other_minima(problem: Problem, point: Point, spread: Spread) -> Spread:
     likelihood, and adds w δ δᵀ, δ from one minimum to the other, to the second moments.
     """
     layout = problem.layout
-    robot = tuple(range(layout.robot.start, layout.robot.stop))
-    forces = replace(problem, pose_spans=(), fixed=robot, known_path=problem.path(point.values))
+    forces = _forces_only(problem, point)
     here = cost(forces, point)
     sizes = sizes_of(point.values, layout, problem.signals.period_s)
     covariance = spread.covariance.copy()
@@ -115,6 +126,12 @@ def other_minima(problem: Problem, point: Point, spread: Spread) -> Spread:
     covariance += np.diag(_linear_no_more(problem, point, covariance, sizes))
     widening = float(np.sqrt(np.max(np.diag(covariance) / np.diag(spread.plain))))
     return Spread(covariance=covariance, plain=spread.plain, widening=widening)
+
+
+def _forces_only(problem: Problem, point: Point) -> Problem:
+    """Return the problem with the robot as it is at a point."""
+    robot = tuple(range(problem.layout.robot.start, problem.layout.robot.stop))
+    return replace(problem, pose_spans=(), fixed=robot, known_path=problem.path(point.values))
 
 
 def _others(problem: Problem, point: Point, mass: int) -> list[tuple[Point, float]]:
@@ -166,15 +183,19 @@ def _swing_left(problem: Problem, surface: int, damping: float, mass: float) -> 
     return float(np.exp(-0.5 * damping / mass * max(min(pauses), 0) * problem.signals.period_s))
 
 
-def beside_rival(problem: Problem, point: Point, spread: Spread, rival: Rival | None) -> Spread:
+def beside_rival(problem: Problem, point: Point, spread: Spread, rival: Rival | None, *, blurred: bool) -> Spread:
     """Return the covariance with what a rival minimum adds, as in `other_minima`; a delay is known to 0.001 samples.
 
-    At a step of the command beside a tick a difference over the jump would promise more.
+    At a step of the command beside a tick a difference over the jump would promise more. A command that is `blurred`
+    over every sample costs ω h²/8 of the delay and, of ω, half of what that is of its own time constant.
     """
     covariance = spread.covariance.copy()
     if problem.layout.robot_order:
-        # The delay's unit is the period.
-        covariance[problem.layout.robot.stop - 1, problem.layout.robot.stop - 1] += _SHARPEST_DELAY_SAMPLES**2
+        first, last = problem.layout.robot.start, problem.layout.robot.stop - 1
+        turned = float(point.values[first]) * problem.signals.period_s / 8.0 if blurred else 0.0
+        # The delay's unit is the period, that of ω is itself.
+        covariance[last, last] += _SHARPEST_DELAY_SAMPLES**2 + turned**2
+        covariance[first, first] += (0.5 * turned * float(point.values[first]) * problem.signals.period_s) ** 2
     if rival is not None:
         apart = rival.point.values - point.values
         apart = apart / sizes_of(point.values, problem.layout, problem.signals.period_s)

@@ -21,6 +21,8 @@ _SAME_PHASE = 0.05
 _ROUNDING = 1e-3
 _USUAL_RESONANCE_HZ = 25.0
 _USUAL_DRAG_N_S_PER_M = 200.0
+_USUAL_LAG_S = 1e-3
+_USUAL_LAG_PERIODS = 1.5
 _SETTLED_S = 1.5
 _LONGEST_APPROACH_S = 3.25
 _BEFORE_HOLE_S = 0.35
@@ -30,11 +32,13 @@ _BEFORE_HOLE_S = 0.35
 class HeldCommand:
     """The command on the log's clock: `command_m[k]` (n,) is what was issued from tick k until before the next.
 
-    It was issued `shift_s` after the tick, always, so a delay counted from the ticks is `shift_s` too long.
+    It was issued `shift_s` after the tick, always, so a delay counted from the ticks is `shift_s` too long. With
+    `is_mean` each is the mean of what was issued in that sample.
     """
 
     command_m: FloatArray
     shift_s: float
+    is_mean: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +48,8 @@ class JointData:
     `position_m`, `force_n` (n,) on one clock of period `period_s`, the force without weight and bias; `command` on the
     same clock, or None. `rests`, spans at rest for the noise; `moving`, all spans of motion along this axis; `free`,
     those without a hand; `rings`, where the payload swings after something let go; `holds`, rests under force.
-    `coupling` is K_s, B_s, B_p, M_p (4,), `robot` r(s) of one or two poles and T_d. `mass_kg`, from gravity, is a start
+    `coupling` is K_s, B_s, B_p, M_p (4,), `robot` r(s) of one or two poles and T_d. `lag_s` is how late the wrench may
+    be stamped, mean and standard deviation. `mass_kg`, from gravity, is a start
     too and no information; M_p is looked for between a fifth of it and five times it. `priors` maps names of
     `Layout.names` to value and standard deviation
     known from elsewhere.
@@ -62,6 +67,7 @@ class JointData:
     robot: RobotModel | None
     mass_kg: float | None = None
     rings: Sequence[Span] = ()
+    lag_s: tuple[float, float] = (0.0, _USUAL_LAG_S)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
@@ -75,8 +81,8 @@ def hold_command(command: PoseSignal, log: AlignedLog, axis: AxisMotion) -> Held
 
     A command at the log's rate or at a whole fraction of it changes always at one phase of a sample, and the robot's
     answer is exact. Any other is replaced by its mean over every sample: the same push at slightly another time, which
-    a robot that is slow beside the sample hardly feels (the position differs by less than ω h/8 of one step of the
-    command). Before its first message the command is that one; `uncovered` tells where it says nothing.
+    makes the delay wrong by about ω h²/12. Before its first message the command is that one; `uncovered` tells where it
+    says nothing.
     """
     period = log.period_s
     ticks = (command.stamp_ns - log.start_ns) * 1e-9 / period
@@ -92,7 +98,7 @@ def hold_command(command: PoseSignal, log: AlignedLog, axis: AxisMotion) -> Held
     edges = np.arange(len(log) + 1.0)
     total = np.interp(edges, ticks, pushed)
     total += np.minimum(edges - ticks[0], 0.0) * issued[0] + np.maximum(edges - ticks[-1], 0.0) * issued[-1]
-    return HeldCommand(command_m=np.diff(total), shift_s=0.0)
+    return HeldCommand(command_m=np.diff(total), shift_s=0.0, is_mean=True)
 
 
 def uncovered(command: PoseSignal, log: AlignedLog) -> tuple[Span, ...]:
@@ -114,6 +120,7 @@ def build_joint_data(
     command: PoseSignal | None,
     mass_kg: float,
     noise_rms_n: float = 0.0,
+    lag_s: tuple[float, float] | None = None,
 ) -> JointData:
     """Gather what `identify_joint` needs.
 
@@ -138,6 +145,7 @@ def build_joint_data(
         coupling=usual_coupling(mass_kg) if coupling is None else _values(coupling),
         robot=robot,
         mass_kg=mass_kg,
+        lag_s=(0.0, max(_USUAL_LAG_S, _USUAL_LAG_PERIODS * log.period_s)) if lag_s is None else lag_s,
     )
 
 

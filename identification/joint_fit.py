@@ -9,8 +9,10 @@ from scipy.signal import detrend
 
 from .errors import EstimateError
 from .joint_contacts import ContactStart, FoundContact, contact_segment, group_contacts, start_contact
+from .joint_covariance import deepest_surfaces
 from .joint_data import JointData
 from .joint_delay import either_side
+from .joint_lag import fit_lag
 from .joint_model import Layout
 from .joint_noise import Smoother, fit_smoother, fit_whitener
 from .joint_problem import Point, Problem, Signals
@@ -49,18 +51,20 @@ def identify_joint(data: JointData) -> JointFit:
     start[3] = max(start[3], _LIGHTEST_SHARE * (data.mass_kg if data.mass_kg is not None else _LIGHT_KG))
     base, start = _robot_first(data, start)
     problem, point = _free_motion(data, base, start[:-3])
+    problem, point, lag = fit_lag(problem, point, data.force_n, data.lag_s, 0.0)
     contacts = _starts(data, problem, np.concatenate([point.values, start[-3:]]))
     alone = [fit_alone(problem, point, contact) for contact in contacts]
     problem, point, found = _together(data, problem, point, [c for c in alone if c.is_sound])
     for _ in range(_ROUNDS):
         problem = _recoloured(problem, point)
         point, _ = minimise(problem, point, _STEPS_LATER)
+    problem, point, lag = fit_lag(problem, point, data.force_n, data.lag_s, lag.applied_s)
+    problem, point = deepest_surfaces(problem, point)
     problem = _recoloured(problem, point)
     point, rival = either_side(problem, point)
     _require_mass(problem, float(point.values[3]))
     resting = np.concatenate([_settled(data.force_n[s]) for s in _quiet_rests(data)])
-    shift = 0.0 if data.command is None else data.command.shift_s
-    fit = describe(problem, point, found, rival, rest_rms_n=float(np.std(resting)), command_shift_s=shift)
+    fit = describe(problem, point, found, rival, command=data.command, lag=lag, rest_rms_n=float(np.std(resting)))
     if not np.all(np.isfinite(fit.covariance)) or fit.diagnostics.fit_share[0] < _LEAST_EXPLAINED:
         explained = 100.0 * max(fit.diagnostics.fit_share[0], 0.0)
         raise EstimateError(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter, oaconvolve, welch
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 FloatArray = NDArray[np.float64]
 
@@ -124,4 +124,4 @@ def whiteness(residuals: Sequence[FloatArray]) -> float:
     lags = np.array([sum(float(r[: len(r) - k] @ r[k:]) for r in used) for k in range(_LAGS + 1)])
     share = lags[1:] / max(lags[0], 1e-300)
     statistic = count * (count + 2.0) * float(np.sum(share**2 / (count - np.arange(1, _LAGS + 1))))
-    return float(chi2.sf(statistic, _LAGS))
+    return float(chdtrc(_LAGS, statistic))

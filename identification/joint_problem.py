@@ -17,7 +17,8 @@ FloatArray = NDArray[np.float64]
 class Signals:
     """One axis on one clock: flange position, force without weight and bias, command; (n,) each, the last or None.
 
-    `command_m[k]` is the command issued at or after tick k and before the next; `smoother` belongs to the pose.
+    `command_m[k]` is the command issued at or after tick k and before the next; `smoother` belongs to the pose. The
+    force may be off in time by `lag_std_s`.
     """
 
     period_s: float
@@ -25,6 +26,7 @@ class Signals:
     force_n: FloatArray
     command_m: FloatArray | None
     smoother: Smoother
+    lag_std_s: float = 0.0
 
     def path(self, values: FloatArray, layout: Layout) -> FlangePath:
         """Return the flange's path for robot parameters."""

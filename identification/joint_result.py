@@ -11,7 +11,9 @@ from problems.robot import RobotModel
 
 from .joint_contacts import FoundContact
 from .joint_covariance import Spread, beside_rival, count_misfits, other_minima, widened
+from .joint_data import HeldCommand
 from .joint_delay import Rival
+from .joint_lag import Lag
 from .joint_model import robot_model
 from .joint_noise import whiteness
 from .joint_problem import Point, Problem, logarithmic, sizes_of
@@ -63,7 +65,8 @@ class Diagnostics:
 class JointFit:
     """All parameters of one axis with one covariance, (p,) and (p, p) in SI, in the order of `names`.
 
-    `ci95` holds intervals where plus and minus two deviations would be wrong (a damping or mass near 0).
+    `ci95` holds intervals where plus and minus two deviations would be wrong (a damping or mass near 0); `lag` is the
+    wrench's against pose and command.
     """
 
     names: tuple[str, ...]
@@ -73,6 +76,7 @@ class JointFit:
     robot: RobotModel | None
     surfaces: tuple[JointSurface, ...]
     diagnostics: Diagnostics
+    lag: Lag
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ci95", MappingProxyType(dict(self.ci95)))
@@ -98,19 +102,23 @@ def describe(
     found: Sequence[FoundContact],
     rival: Rival | None,
     *,
+    command: HeldCommand | None,
+    lag: Lag,
     rest_rms_n: float,
-    command_shift_s: float,
 ) -> JointFit:
     """Turn the minimum into a result; the delay counts from the command and not from the tick before it."""
     layout, blocks = problem.layout, linearise(problem, point)
     share, ratio = _fit(problem, point, rest_rms_n)
     spread = other_minima(problem, point, widened(blocks, len(layout), problem.signals.period_s))
-    spread = count_misfits(problem, beside_rival(problem, point, spread, rival), ratio)
+    blurred = command is not None and command.is_mean
+    spread = beside_rival(problem, point, spread, rival, blurred=blurred)
+    spread = count_misfits(problem, spread, ratio)
     sizes = sizes_of(point.values, layout, problem.signals.period_s)
     covariance = spread.covariance * np.outer(sizes, sizes)
     values = point.values.copy()
     if layout.robot_order:
-        values[layout.robot.stop - 1] = max(values[layout.robot.stop - 1] - command_shift_s, 0.0)
+        shift = 0.0 if command is None else command.shift_s
+        values[layout.robot.stop - 1] = max(values[layout.robot.stop - 1] - shift, 0.0)
     surfaces = tuple(_surface(i, problem, point, covariance, found) for i in range(layout.surfaces))
     return JointFit(
         names=layout.names,
@@ -120,6 +128,7 @@ def describe(
         robot=robot_model(values[layout.robot]) if layout.robot_order else None,
         surfaces=surfaces,
         diagnostics=_diagnostics(problem, point, blocks, spread, share, ratio),
+        lag=lag,
     )
 
 

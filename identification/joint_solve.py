@@ -23,7 +23,7 @@ _ROBOT_HZ = 5.0
 class Block:
     """One span, whitened: residual and derivatives by the scaled shared parameters, free of the span's own ones.
 
-    `doubts` are forces that the model may lack, treated alike, see `_untimed`.
+    `doubts` are forces that the model may lack, treated alike: see `_untimed`; the last one is the wrench's lag.
     """
 
     residual: FloatArray
@@ -59,6 +59,8 @@ def linearise(problem: Problem, point: Point) -> list[Block]:
         lines = [(predicted - signals.force_n[segment.slice])[None], jacobian.T]
         if here.robot is None:
             lines.append(_untimed(point.values, segment, here, signals.period_s))
+        if signals.lag_std_s > 0.0:
+            lines.append((signals.lag_std_s / signals.period_s * np.gradient(predicted))[None])
         rows = problem.noise(segment).apply(np.concatenate(lines).T)
         blocks.append(_block(rows, indices, segment.nuisance_count))
     if problem.pose_spans:

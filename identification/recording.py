@@ -133,7 +133,8 @@ class Recording:
 
     `sha256` maps every log path to the digest of its bytes; `clocks` maps each role to the clock that stamps it
     (`header` or `log`); `findings` tell what was chosen, assumed or left out on the way. With `keeps_holes` (a salvaged
-    log) times without messages are kept as holes, of which nothing is known, instead of being refused.
+    log) times without messages are kept as holes, of which nothing is known, instead of being refused. `wrench_lag_s`
+    is how late the wrench is stamped against the pose, value and standard deviation, where the log told it.
     """
 
     wrench: WrenchSignal
@@ -144,6 +145,7 @@ class Recording:
     desired_force: WrenchSignal | None = None
     sha256: Mapping[str, str] = field(default_factory=dict)
     clocks: Mapping[str, str] = field(default_factory=dict)
+    wrench_lag_s: tuple[float, float] | None = None
     findings: tuple[Finding, ...] = ()
     keeps_holes: bool = False
 

@@ -113,7 +113,8 @@ class FitQuality:
     `explained_*`: share of the force's variance; `whiteness_*`: probability of a residual at least as coloured if the
     whitened one were white (Ljung-Box); `noise_ratio_*`: residual RMS over the force's noise at rest; `left_out_*`:
     residual over force of a span that is predicted by all others, None where there is no other; `widening`: the largest
-    factor by which deviations were widened for what the model leaves out. Without contacts those entries are None.
+    factor by which deviations were widened for what the model leaves out; `wrench_lag_s`: how late the wrench is
+    stamped against pose and command. Without contacts those entries are None.
     """
 
     free_spans: int
@@ -127,6 +128,8 @@ class FitQuality:
     noise_ratio_contact: float | None
     left_out_contact: float | None
     widening: float
+    wrench_lag_s: float
+    wrench_lag_std_s: float
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -55,6 +55,13 @@ class ClockReport:
     recording: Recording
     findings: tuple[Finding, ...]
 
+    @property
+    def lag_left_s(self) -> tuple[float, float] | None:
+        """Return how late the wrench still is against the pose, value and deviation, None where nothing tells."""
+        if self.offset.offset_s is None or self.offset.std_s is None:
+            return None
+        return (0.0 if self.offset.verdict is OffsetVerdict.FOUND else self.offset.offset_s), self.offset.std_s
+
 
 def check_clocks(recording: Recording, times: Sequence[ChannelTimes] = ()) -> ClockReport:
     """Measure all clocks of a recording and take the offset between wrench and pose out where physics tells it.
