@@ -129,6 +129,7 @@ def fit_axis(cell: CellSignals, view: AxisView) -> AxisTold:
             mass_kg,
             view.noise_rms_n,
             view.recording.wrench_lag_s,
+            view.recording.pose.stamp_ns,
         )
         found = identify_joint(data)
         fit = view.in_units(found)

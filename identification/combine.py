@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from .errors import LogError
 from .result import (
@@ -118,7 +118,7 @@ class _Merge:
         squares = np.sum(((values - mean) / spread) ** 2, axis=0)
         freedom = len(values) - 1
         std = np.min(stds, axis=0) * np.sqrt(np.maximum(squares / freedom, 1.0))
-        if bool(np.any(chi2.sf(squares, freedom) < _CHANCE / len(squares))):
+        if bool(np.any(chdtrc(freedom, squares) < _CHANCE / len(squares))):
             self.findings.append(_disagreement(what, names, values, stds, int(np.argmax(squares)), may_change))
         return mean, std
 
@@ -211,7 +211,7 @@ def _covariance(combined: AxisEstimate, there: Sequence[AxisEstimate]) -> Covari
         estimate = known.get(name)
         if estimate is not None and estimate.value is not None and estimate.std is not None and std[i] > 0.0:
             values[i], scale[i] = estimate.value, estimate.std / std[i]
-    scaled = matrix * np.outer(scale, scale)
+    scaled = 0.5 * (matrix + matrix.T) * np.outer(scale, scale)
     return Covariance(
         names=best.covariance.names,
         values=tuple(values),

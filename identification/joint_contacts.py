@@ -32,6 +32,7 @@ _DAMPING_RATIOS = (0.02, 0.3)
 class ContactStart:
     """A span from free motion into a hold, where its onset is, and the best of a coarse search for K_e, B_e and x_w.
 
+    `softer` is the same of the next softer stiffness, from where a descent comes to another side of the onset's sample.
     `misfit_share` is the residual's RMS over that of the force in the span; `peak_force_n` the highest pressing force.
     """
 
@@ -39,6 +40,7 @@ class ContactStart:
     onset: int
     surface: FloatArray
     nuisance: FloatArray
+    softer: tuple[FloatArray, FloatArray]
     misfit_share: float
     peak_force_n: float
 
@@ -114,24 +116,29 @@ def start_contact(
     held_force = float(np.mean(force_n[settled]))
     at_hold = float(np.mean(path.position[settled])) + held_force / values[0]
     entering = float(np.mean(measured[: max(5, round(0.02 / period_s))]))
-    best: tuple[float, FloatArray, FloatArray] | None = None
+
+    def nuisance_of(stiffness: float) -> FloatArray:
+        return np.array([sign * entering, 0.0, 0.0, at_hold + held_force / stiffness])
+
+    best: tuple[float, FloatArray] | None = None
     for stiffness in _STIFFNESSES:
         for ratio in _DAMPING_RATIOS:
             surface = np.array([stiffness, 2.0 * ratio * np.sqrt(stiffness * values[3]), 0.0])
-            nuisance = np.array([sign * entering, 0.0, 0.0, at_hold + held_force / stiffness])
             values[layout.surface(0)] = surface
-            error = predict_force(values, nuisance, segment, path, layout, period_s) - measured
+            error = predict_force(values, nuisance_of(stiffness), segment, path, layout, period_s) - measured
             cost = float(error @ error)
             if np.isfinite(cost) and (best is None or cost < best[0]):
-                best = cost, surface, nuisance
+                best = cost, surface
     if best is None:
         return None
+    softer = best[1] * np.array([_STIFFNESSES[0] / _STIFFNESSES[1], 1.0, 1.0])
     pressed = -sign * force_n[onset - round(0.02 / period_s) : hold.stop]
     return ContactStart(
         segment=segment,
         onset=onset,
         surface=best[1],
-        nuisance=best[2],
+        nuisance=nuisance_of(best[1][0]),
+        softer=(softer, nuisance_of(softer[0])),
         misfit_share=float(np.sqrt(best[0] / max(float(measured @ measured), 1e-300))),
         peak_force_n=float(np.max(pressed)),
     )

@@ -8,17 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .joint_delay import Rival
+from .joint_minima import forces_only, other_surfaces
 from .joint_problem import Point, Problem, sizes_of
-from .joint_solve import Block, cost, information, minimise
+from .joint_solve import Block, cost, information
 
 FloatArray = NDArray[np.float64]
 
 _WHOLE_S = 1e4
 _PIECES_S = (0.1, 0.5, _WHOLE_S)
-_STEPS = 4
-_DEEPER = 1.0
 _DOUBTFUL_STDS = 20.0
-_OTHER_MASS_SHARE = 0.3
 _SMOOTH_SHARE, _EXACT_SHARE = 0.003, 0.0003
 _RESTING_SHARE, _MOVING_SHARE = 0.003, 0.02
 _UNKNOWN_SHARE = 0.25
@@ -91,17 +89,6 @@ def _excess(scores: FloatArray) -> FloatArray:
     return np.asarray((vectors * np.where(values > limit, values - 1.0, 0.0)) @ vectors.T)
 
 
-def deepest_surfaces(problem: Problem, point: Point) -> tuple[Problem, Point]:
-    """Return the point from which no other minimum of a surface (see `other_minima`) is deeper, all fitted again."""
-    for i in range(problem.layout.surfaces):
-        forces = _forces_only(problem, point)
-        here = cost(forces, point)
-        for other, there in _others(forces, point, problem.layout.surface(i).start + 2):
-            if there < here - _DEEPER:
-                here, point = there, minimise(problem, other, _STEPS)[0]
-    return problem, point
-
-
 def other_minima(problem: Problem, point: Point, spread: Spread) -> Spread:
     """Return the covariance with what a second minimum adds: the same surface without a moving mass, or with one.
 
@@ -110,7 +97,7 @@ def other_minima(problem: Problem, point: Point, spread: Spread) -> Spread:
     likelihood, and adds w δ δᵀ, δ from one minimum to the other, to the second moments.
     """
     layout = problem.layout
-    forces = _forces_only(problem, point)
+    forces = forces_only(problem, point)
     here = cost(forces, point)
     sizes = sizes_of(point.values, layout, problem.signals.period_s)
     covariance = spread.covariance.copy()
@@ -119,34 +106,13 @@ def other_minima(problem: Problem, point: Point, spread: Spread) -> Spread:
         deviation = float(np.sqrt(spread.covariance[mass, mass])) * sizes[mass]
         if point.values[mass] > _DOUBTFUL_STDS * deviation:
             continue
-        for other, there in _others(forces, point, mass):
+        for other, there in other_surfaces(forces, point, mass):
             share = float(np.exp(-0.5 * np.clip(there - here, -200.0, 200.0)))
             apart = (other.values - point.values) / sizes
             covariance += share / (1.0 + share) * np.outer(apart, apart)
     covariance += np.diag(_linear_no_more(problem, point, covariance, sizes))
     widening = float(np.sqrt(np.max(np.diag(covariance) / np.diag(spread.plain))))
     return Spread(covariance=covariance, plain=spread.plain, widening=widening)
-
-
-def _forces_only(problem: Problem, point: Point) -> Problem:
-    """Return the problem with the robot as it is at a point."""
-    robot = tuple(range(problem.layout.robot.start, problem.layout.robot.stop))
-    return replace(problem, pose_spans=(), fixed=robot, known_path=problem.path(point.values))
-
-
-def _others(problem: Problem, point: Point, mass: int) -> list[tuple[Point, float]]:
-    """Return the minima beside this one: with no moving mass, and from a large mass with little damping."""
-    found = []
-    if point.values[mass] > 0.0:
-        massless = point.values.copy()
-        massless[mass] = 0.0
-        start = Point(values=massless, nuisances=point.nuisances)
-        found.append(minimise(_fixing(problem, mass), start, _STEPS))
-    heavy = point.values.copy()
-    heavy[mass] = _OTHER_MASS_SHARE * point.values[3]
-    heavy[mass - 1] = min(heavy[mass - 1], 0.05 * float(np.sqrt(heavy[mass - 2] * point.values[3])))
-    found.append(minimise(problem, Point(values=heavy, nuisances=point.nuisances), _STEPS))
-    return found
 
 
 def _linear_no_more(problem: Problem, point: Point, covariance: FloatArray, sizes: FloatArray) -> FloatArray:
@@ -227,7 +193,3 @@ def _factor(mean_square: float, count: int, misfits: int) -> float:
         return 1.0
     excess = max(mean_square - 1.0 - 4.0 * float(np.sqrt(2.0 / count)), 0.0)
     return float(np.sqrt(1.0 + excess * count / misfits))
-
-
-def _fixing(problem: Problem, index: int) -> Problem:
-    return replace(problem, fixed=(*problem.fixed, index))

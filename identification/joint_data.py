@@ -11,7 +11,7 @@ from problems.robot import RobotModel
 from .aligned import AlignedLog, find_gaps
 from .axes import AxisMotion, keeps_orientation, unguided_spans
 from .coupling import CouplingFit
-from .recording import PoseSignal
+from .recording import PoseSignal, StampArray
 from .ringing import find_rings
 from .segments import Motion, Span
 
@@ -49,9 +49,9 @@ class JointData:
     same clock, or None. `rests`, spans at rest for the noise; `moving`, all spans of motion along this axis; `free`,
     those without a hand; `rings`, where the payload swings after something let go; `holds`, rests under force.
     `coupling` is K_s, B_s, B_p, M_p (4,), `robot` r(s) of one or two poles and T_d. `lag_s` is how late the wrench may
-    be stamped, mean and standard deviation. `mass_kg`, from gravity, is a start
-    too and no information; M_p is looked for between a fifth of it and five times it. `priors` maps names of
-    `Layout.names` to value and standard deviation
+    be stamped, mean and standard deviation; `measured`, first tick at which the pose was measured and every how many it
+    was (between them it is interpolated). `mass_kg`, from gravity, is a start too and no information; M_p is looked for
+    between a fifth of it and five times it. `priors` maps names of `Layout.names` to value and standard deviation
     known from elsewhere.
     """
 
@@ -68,6 +68,7 @@ class JointData:
     mass_kg: float | None = None
     rings: Sequence[Span] = ()
     lag_s: tuple[float, float] = (0.0, _USUAL_LAG_S)
+    measured: tuple[int, int] = (0, 1)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
@@ -121,6 +122,7 @@ def build_joint_data(
     mass_kg: float,
     noise_rms_n: float = 0.0,
     lag_s: tuple[float, float] | None = None,
+    pose_stamp_ns: StampArray | None = None,
 ) -> JointData:
     """Gather what `identify_joint` needs.
 
@@ -145,8 +147,21 @@ def build_joint_data(
         coupling=usual_coupling(mass_kg) if coupling is None else _values(coupling),
         robot=robot,
         mass_kg=mass_kg,
+        measured=(0, 1) if pose_stamp_ns is None else _measured(pose_stamp_ns, log),
         lag_s=(0.0, max(_USUAL_LAG_S, _USUAL_LAG_PERIODS * log.period_s)) if lag_s is None else lag_s,
     )
+
+
+def _measured(pose_stamp_ns: StampArray, log: AlignedLog) -> tuple[int, int]:
+    """Return the first tick with a measured pose and every how many there is one; (0, 1) where they keep no step."""
+    ticks = (pose_stamp_ns - log.start_ns) * 1e-9 / log.period_s
+    step = float(np.median(np.diff(ticks)))
+    every = round(step)
+    phase = np.mod(ticks + 0.5, 1.0) - 0.5
+    if every < 2 or abs(step - every) > _SAME_PHASE or float(np.max(np.abs(phase))) > _SAME_PHASE:
+        return 0, 1
+    counts = np.bincount(np.mod(np.round(ticks).astype(np.int64), every), minlength=every)
+    return int(np.argmax(counts)), every
 
 
 def _without_holes(values: FloatArray, holes: Sequence[Span]) -> FloatArray:

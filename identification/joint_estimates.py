@@ -140,7 +140,7 @@ class JointEstimates:
         return Covariance(
             names=tuple(names),
             values=tuple(float(v) for v in self.fit.values),
-            matrix=tuple(tuple(float(v) for v in row) for row in self.fit.covariance),
+            matrix=tuple(tuple(float(v) for v in row) for row in 0.5 * (self.fit.covariance + self.fit.covariance.T)),
         )
 
     @property

@@ -9,10 +9,10 @@ from scipy.signal import detrend
 
 from .errors import EstimateError
 from .joint_contacts import ContactStart, FoundContact, contact_segment, group_contacts, start_contact
-from .joint_covariance import deepest_surfaces
 from .joint_data import JointData
 from .joint_delay import either_side
 from .joint_lag import fit_lag
+from .joint_minima import deepest_stiffness, deepest_surfaces
 from .joint_model import Layout
 from .joint_noise import Smoother, fit_smoother, fit_whitener
 from .joint_problem import Point, Problem, Signals
@@ -51,15 +51,16 @@ def identify_joint(data: JointData) -> JointFit:
     start[3] = max(start[3], _LIGHTEST_SHARE * (data.mass_kg if data.mass_kg is not None else _LIGHT_KG))
     base, start = _robot_first(data, start)
     problem, point = _free_motion(data, base, start[:-3])
-    problem, point, lag = fit_lag(problem, point, data.force_n, data.lag_s, 0.0)
+    blurred = data.command is not None and data.command.is_mean
+    problem, point, lag = fit_lag(problem, point, data.force_n, data.lag_s, 0.0, blurred=blurred)
     contacts = _starts(data, problem, np.concatenate([point.values, start[-3:]]))
     alone = [fit_alone(problem, point, contact) for contact in contacts]
     problem, point, found = _together(data, problem, point, [c for c in alone if c.is_sound])
     for _ in range(_ROUNDS):
         problem = _recoloured(problem, point)
         point, _ = minimise(problem, point, _STEPS_LATER)
-    problem, point, lag = fit_lag(problem, point, data.force_n, data.lag_s, lag.applied_s)
-    problem, point = deepest_surfaces(problem, point)
+    problem, point, lag = fit_lag(problem, point, data.force_n, data.lag_s, lag.applied_s, blurred=blurred)
+    problem, point = deepest_surfaces(problem, deepest_stiffness(problem, point))
     problem = _recoloured(problem, point)
     point, rival = either_side(problem, point)
     _require_mass(problem, float(point.values[3]))
@@ -115,6 +116,7 @@ def _robot_first(data: JointData, start: FloatArray) -> tuple[Problem, FloatArra
         force_n=data.force_n,
         command_m=None if data.command is None or data.robot is None else data.command.command_m,
         smoother=Smoother(taps=None),
+        measured=data.measured,
     )
     rest_noise = fit_whitener([_settled(data.force_n[s]) for s in rests])
     problem = Problem(
@@ -124,7 +126,7 @@ def _robot_first(data: JointData, start: FloatArray) -> tuple[Problem, FloatArra
         pose_spans=_pose_spans(data) if layout.robot_order else (),
         free_noise=rest_noise,
         contact_noise=rest_noise,
-        pose_noise=fit_whitener([_settled(data.position_m[s]) for s in rests]),
+        pose_noise=fit_whitener([_settled(data.position_m[signals.at_poses(s)]) for s in rests]),
         fixed=(0, 1, 2, 3),
         lightest_kg=_LIGHTEST_SHARE * (data.mass_kg if data.mass_kg is not None else _LIGHT_KG),
         heaviest_kg=np.inf if data.mass_kg is None else data.mass_kg / _LIGHTEST_SHARE,
@@ -285,7 +287,7 @@ def _recoloured(problem: Problem, point: Point) -> Problem:
     for segment, nuisance in zip(problem.segments, point.nuisances, strict=True):
         predicted = predict_force(point.values, nuisance, segment, path, layout, signals.period_s)
         left[segment.is_contact].append(predicted - signals.force_n[segment.slice])
-    poses = [_centred(path.misfit_m[span]) for span in problem.pose_spans]
+    poses = [_centred(path.misfit_m[signals.at_poses(span)]) for span in problem.pose_spans]
     return replace(
         problem,
         free_noise=fit_whitener(left[False]) if left[False] else problem.free_noise,

@@ -15,7 +15,7 @@ _ROUNDS = 3
 _STEPS = 4
 _SETTLED = 0.1
 _SIGNIFICANT_STDS = 2.0
-_BETWEEN_SAMPLES = 0.03
+_BETWEEN_SAMPLES, _BLURRED_SAMPLES = 0.03, 0.06
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,14 +28,20 @@ class Lag:
 
 
 def fit_lag(
-    problem: Problem, point: Point, force_n: FloatArray, prior: tuple[float, float], applied_s: float
+    problem: Problem,
+    point: Point,
+    force_n: FloatArray,
+    prior: tuple[float, float],
+    applied_s: float,
+    *,
+    blurred: bool,
 ) -> tuple[Problem, Point, Lag]:
     """Fit the wrench's lag, take it out where it shows, and fit all again; the problem then doubts what is left of it.
 
     `force_n` (n,) is the force as logged, `prior` the lag's mean and deviation [s], `applied_s` what the problem's
     force is already shifted by. One Gauss-Newton step of the lag beside all other parameters, -F'(t) being what it does
     to the force, repeated while it moves. A lag within two deviations of what is applied is left where it is: shifting
-    interpolates the noise.
+    interpolates the noise. `blurred`: the command is a mean over every sample.
     """
     period = problem.signals.period_s
     for _ in range(_ROUNDS):
@@ -49,9 +55,9 @@ def fit_lag(
         if abs(step) < _SETTLED * std:
             break
     step, std = _step(problem, point, prior, applied_s)
-    if applied_s != 0.0:
-        # Between its samples the force has the steps of the held command, which no spline knows.
-        std = float(np.hypot(std, _BETWEEN_SAMPLES * period))
+    if blurred or applied_s != 0.0:
+        # Between its samples the force has the steps of the held command, which no spline and no mean knows.
+        std = float(np.hypot(std, (_BLURRED_SAMPLES if blurred else _BETWEEN_SAMPLES) * period))
     # What may be left: the deviation, and the part that was not worth a shift.
     left = float(np.hypot(std, step))
     problem = replace(problem, signals=replace(problem.signals, lag_std_s=left))

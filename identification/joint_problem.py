@@ -18,7 +18,7 @@ class Signals:
     """One axis on one clock: flange position, force without weight and bias, command; (n,) each, the last or None.
 
     `command_m[k]` is the command issued at or after tick k and before the next; `smoother` belongs to the pose. The
-    force may be off in time by `lag_std_s`.
+    force may be off in time by `lag_std_s`; the pose was measured at tick `measured[0]` and every `measured[1]` ticks.
     """
 
     period_s: float
@@ -27,6 +27,12 @@ class Signals:
     command_m: FloatArray | None
     smoother: Smoother
     lag_std_s: float = 0.0
+    measured: tuple[int, int] = (0, 1)
+
+    def at_poses(self, span: slice) -> slice:
+        """Return the ticks of a span at which the pose was measured."""
+        first, every = self.measured
+        return slice(span.start + (first - span.start) % every, span.stop, every)
 
     def path(self, values: FloatArray, layout: Layout) -> FlangePath:
         """Return the flange's path for robot parameters."""

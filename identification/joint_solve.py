@@ -67,7 +67,9 @@ def linearise(problem: Problem, point: Point) -> list[Block]:
         indices = np.array(robot)
         slopes = [(moved(i, 1).misfit_m - here.misfit_m) / robot_step(sizes, i) * sizes[i] for i in robot]
         rows = np.array([here.misfit_m, *slopes, np.ones(len(here.misfit_m))]).T
-        blocks += [_block(problem.pose_noise.apply(rows[span]), indices, 1) for span in problem.pose_spans]
+        blocks += [
+            _block(problem.pose_noise.apply(rows[signals.at_poses(span)]), indices, 1) for span in problem.pose_spans
+        ]
     return blocks + _known(problem, point)
 
 
@@ -146,7 +148,8 @@ def cost(problem: Problem, point: Point) -> float:
             total += float(error @ error)
     if layout.robot_order and problem.pose_spans:
         for span in problem.pose_spans:
-            error = problem.pose_noise.apply(path.misfit_m[span] - np.mean(path.misfit_m[span]))
+            misfit = path.misfit_m[signals.at_poses(span)]
+            error = problem.pose_noise.apply(misfit - np.mean(misfit))
             total += float(error @ error) - len(error) * float(np.mean(error)) ** 2
     if problem.summary is not None:
         total += float(np.sum((problem.summary.root @ _apart(problem, point.values)) ** 2))

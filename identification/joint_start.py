@@ -19,7 +19,7 @@ _SLOW_HZ = 6.0
 _RESONANCES_HZ = np.geomspace(6.0, 220.0, 7)
 _HIGHEST_SHARE = 0.45  # of the sampling rate
 _START_DAMPING_RATIO = 0.05
-_STEPS_HELD, _STEPS_ALONE, _STEPS_GROUP = 2, 10, 6
+_STEPS_HELD, _STEPS_ALONE, _STEPS_POLISH, _STEPS_GROUP = 2, 10, 30, 6
 _MASS_STARTS = (0.0, 0.1, 0.4)
 _MORE_MASSES = (0.05, 0.2, 0.4, 0.7)
 _CHANCES = 4.0
@@ -63,15 +63,21 @@ def _slow_payload(problem: Problem, values: FloatArray, segment: Segment) -> tup
 
 
 def fit_alone(problem: Problem, point: Point, contact: ContactStart) -> FoundContact:
-    """Fit one contact with everything else as it is: from a massless start and from some with mass; the best counts."""
+    """Fit one contact with everything else as it is: from massless starts and from some with mass; the best counts."""
     single = _contacts_only(problem, point, (contact.segment,))
     layout = single.layout
-    fits = []
-    for share in _MASS_STARTS:
-        surface = contact.surface + np.array([0.0, 0.0, share * point.values[3]])
-        start = Point(values=np.concatenate([point.values, surface]), nuisances=(contact.nuisance,))
-        fits.append(minimise(single, start, _STEPS_ALONE))
-    best, _ = min(fits, key=lambda fit: fit[1])
+    heavier = [np.array([0.0, 0.0, share * point.values[3]]) for share in _MASS_STARTS]
+    starts = [(contact.surface + mass, contact.nuisance) for mass in heavier] + [contact.softer]
+    fits = [
+        minimise(
+            single,
+            Point(values=np.concatenate([point.values, surface]), nuisances=(nuisance,)),
+            _STEPS_ALONE,
+        )
+        for surface, nuisance in starts
+    ]
+    # The onset's sample makes a descent creep: the best goes on until it stands.
+    best, _ = minimise(single, min(fits, key=lambda fit: fit[1])[0], _STEPS_POLISH)
     block = linearise(single, best)[0]
     force = problem.signals.force_n[contact.segment.slice]
     whitened = single.contact_noise.apply(force - np.mean(force))

@@ -1,9 +1,12 @@
 """What identification hands on: every parameter with its uncertainty and a verdict."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from types import MappingProxyType
+
+from problems.errors import ParameterError
 
 from .timeline_phases import Timeline
 
@@ -105,6 +108,17 @@ class Covariance:
     values: tuple[float, ...]
     matrix: tuple[tuple[float, ...], ...]
 
+    def __post_init__(self) -> None:
+        count = len(self.names)
+        if len(set(self.names)) < count:
+            raise ParameterError("names", ", ".join(self.names), "different names")
+        if len(self.values) != count:
+            raise ParameterError("values", len(self.values), f"as many numbers as there are names, {count}")
+        if len(self.matrix) != count or any(len(row) != count for row in self.matrix):
+            raise ParameterError("matrix", [len(row) for row in self.matrix], f"{count} rows of {count} numbers")
+        if any(row[j] != self.matrix[j][i] for i, row in enumerate(self.matrix) for j in range(i)):
+            raise ParameterError("matrix", "another number across the diagonal", "symmetric")
+
 
 @dataclass(frozen=True, kw_only=True)
 class FitQuality:
@@ -190,3 +204,7 @@ class Identified:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", MappingProxyType(dict(self.axes)))
+
+    def __reduce__(self) -> tuple[Callable[[], "Identified"], tuple[()]]:
+        """Pickle by what the constructor takes: a view of a mapping has no copy of its own."""
+        return partial(Identified, **{**vars(self), "axes": dict(self.axes)}), ()

@@ -74,13 +74,20 @@ def command(
     from autotune.files.identified import identified_tree, write_identified
     from autotune.given import parse_given
     from autotune.identifying import Topics, identify_log
+    from autotune.processes import count_processors
 
     check_target(out)
     topics = Topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
     cell = None if cell_path is None else read_cell(cell_path)
     with output.progress(f"identifying {', '.join(log.name for log in logs)}", None):
         found = identify_log(
-            logs, topics, cell=cell, salvage=salvage, allow_partial=allow_partial, given=parse_given(given)
+            logs,
+            topics,
+            cell=cell,
+            salvage=salvage,
+            allow_partial=allow_partial,
+            given=parse_given(given),
+            processes=count_processors(),
         )
     write_identified(out, found.result, found.provenance)
     output.result(identified_tree(found.result, found.provenance), lambda: print_identified(found.result, out))

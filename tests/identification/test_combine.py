@@ -12,6 +12,7 @@ from identification.errors import LogError
 from identification.result import (
     AxisEstimate,
     CouplingEstimate,
+    Covariance,
     EnvironmentEstimate,
     Estimate,
     Finding,
@@ -22,6 +23,7 @@ from identification.result import (
     Status,
     VectorEstimate,
 )
+from identification.timeline_phases import Kind, Phase, Timeline
 from tests.problems.axes import LAW
 
 
@@ -160,3 +162,33 @@ def test_an_axis_that_only_one_log_moved_is_kept() -> None:
     one = told()
     other = replace(one, axes={"y": one.axes["x"]})
     assert dict(combined(one, other).axes) == {"x": one.axes["x"], "y": one.axes["x"]}
+
+
+def with_covariance(result: Identified, stiffness: float, std: float, correlation: float) -> Identified:
+    axis = result.axes["x"]
+    drag_std = axis.drag_n_s_per_m.std
+    assert drag_std is not None
+    covariance = Covariance(
+        names=("K_s", "B_p"),
+        values=(stiffness, 330.0),
+        matrix=((std**2, correlation * std * drag_std), (correlation * std * drag_std, drag_std**2)),
+    )
+    coupling = replace(axis.coupling, stiffness_n_per_m=known(stiffness, std))
+    return replace(result, axes={"x": replace(axis, coupling=coupling, covariance=covariance)})
+
+
+def test_a_combined_covariance_has_the_combined_values_and_the_correlation_of_one_log() -> None:
+    one, other = with_covariance(told(), 3.00e5, 1e3, 0.5), with_covariance(told(), 3.01e5, 2e3, 0.2)
+    axis = combined(one, other).axes["x"]
+    assert axis.covariance is not None
+    matrix, std = np.array(axis.covariance.matrix), axis.coupling.stiffness_n_per_m.std
+    assert std is not None
+    assert axis.covariance.values[0] == axis.coupling.stiffness_n_per_m.value
+    assert matrix[0, 0] == pytest.approx(std**2)
+    assert matrix[0, 1] / np.sqrt(matrix[0, 0] * matrix[1, 1]) == pytest.approx(0.5)
+
+
+def test_each_log_keeps_its_time_line_under_its_name() -> None:
+    phase = Phase(kind=Kind.REST, start_s=0.0, stop_s=1.0)
+    parts = [replace(told(), timelines=(Timeline(phases=(phase,)),)) for _ in range(2)]
+    assert [line.log for line in combined(*parts).timelines] == ["log0", "log1"]

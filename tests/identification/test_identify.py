@@ -225,3 +225,36 @@ def test_a_wrench_after_a_deadband_is_noticed(demo_recording: Recording) -> None
 
 def test_the_same_recording_gives_the_same_numbers(demo_recording: Recording, complete: Identified) -> None:
     assert identify_cell(demo_recording) == complete
+
+
+def test_an_axis_of_rotation_is_told_in_its_own_units_beside_the_tensor() -> None:
+    cell = Cell.turning("ry")
+    found = identify_cell(simulate_cell(cell, Program.turning(jogging_s=0.0, contact_count=2), seed=3).recording)
+    check_honesty(found)
+    assert [f for f in found.findings if f.severity == "error"] == []
+    (axis,) = found.axes.values()
+    (surface,) = axis.environments
+    assert surface.name == "ry1"
+    assert axis.mass_kg is not None
+    for estimate, truth in (
+        (axis.coupling.stiffness_n_per_m, cell.coupling.stiffness_n_per_m),
+        (axis.drag_n_s_per_m, cell.drag_n_s_per_m),
+        (axis.mass_kg, cell.moved_mass_kg),
+        (surface.stiffness_n_per_m, cell.environment.stiffness_n_per_m),
+        (axis.robot.delay_s, cell.robot.delay_s),
+    ):
+        assert estimate.status is Status.IDENTIFIED
+        assert estimate.value is not None
+        assert estimate.std is not None
+        # 4.4 deviations: the quantile of 1e-5 for one value.
+        assert abs(estimate.value - truth) < 4.4 * estimate.std
+    kinds = {phase.kind.value for phase in found.timelines[0].phases}
+    assert {"rest", "turning"} <= kinds
+
+
+def test_the_time_line_names_the_surface_of_each_contact(complete: Identified) -> None:
+    (line,) = complete.timelines
+    contacts = [phase.contact for phase in line.phases if phase.contact is not None]
+    assert [contact.surface for contact in contacts] == ["x1"] * Program().contact_count
+    assert not any(contact.hand_suspected for contact in contacts)
+    assert "hand-in-contact" not in {finding.code for finding in complete.findings}

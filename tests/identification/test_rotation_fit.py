@@ -20,6 +20,7 @@ from identification.joint_contacts import find_holds
 from identification.joint_data import build_joint_data
 from identification.joint_fit import identify_joint
 from identification.joint_model import COUPLING_NAMES, Layout
+from identification.joint_lag import Lag
 from identification.joint_result import Diagnostics, JointFit, JointSurface
 from identification.result import Estimate, Status
 from identification.robot import identify_robot
@@ -52,6 +53,7 @@ def joint_fit(names: tuple[str, ...], values: FloatArray) -> JointFit:
                 peak_force_n=(40.0,),
             ),
         ),
+        lag=Lag(seconds=0.0, std_s=1e-5, applied_s=0.0),
         diagnostics=Diagnostics(
             fit_share=(1.0, 1.0),
             whiteness=(0.5, 0.5),

@@ -25,9 +25,11 @@ from autotune.files.controller import (
 from identification.result import (
     AxisEstimate,
     CouplingEstimate,
+    Covariance,
     EnvironmentEstimate,
     Estimate,
     Finding,
+    FitQuality,
     Identified,
     PayloadEstimate,
     RobotEstimate,
@@ -35,6 +37,7 @@ from identification.result import (
     Status,
     VectorEstimate,
 )
+from identification.timeline_phases import ContactPhase, Kind, Phase, Timeline
 
 GAINS = AxisGains(
     mass=12.5,
@@ -246,6 +249,13 @@ def identified_results() -> st.SearchStrategy[Identified]:
             RobotEstimate, numerator=vectors(size=1), denominator=vectors(size=3), delay_s=free, bandwidth_hz=free
         ),
     )
+    axis = st.builds(
+        replace,
+        axis,
+        mass_kg=st.none() | positive,
+        covariance=st.none() | covariances(),
+        fits=st.lists(st.just(FIT), max_size=2).map(tuple),
+    )
     sensor = st.builds(
         SensorEstimate,
         force_bias_n=vectors(),
@@ -268,7 +278,60 @@ def identified_results() -> st.SearchStrategy[Identified]:
         axes=st.dictionaries(st.sampled_from(("x", "z", "rx", "rz")), axis, max_size=2),
         sensor=sensor,
         findings=st.lists(finding, max_size=2).map(tuple),
+        timelines=st.lists(timelines(), max_size=2).map(tuple),
     )
+
+
+FIT = FitQuality(
+    free_spans=1,
+    explained_free=0.999,
+    whiteness_free=0.2,
+    noise_ratio_free=1.01,
+    left_out_free=None,
+    contacts=0,
+    explained_contact=None,
+    whiteness_contact=None,
+    noise_ratio_contact=None,
+    left_out_contact=None,
+    widening=1.5,
+    wrench_lag_s=-1e-4,
+    wrench_lag_std_s=1e-5,
+)
+
+
+@st.composite
+def covariances(draw: st.DrawFn) -> Covariance:
+    names = draw(st.lists(st.text(min_size=1, max_size=6), min_size=1, max_size=3, unique=True))
+    half = {(i, j): draw(FLOATS) for i in range(len(names)) for j in range(i + 1)}
+    return Covariance(
+        names=tuple(names),
+        values=tuple(draw(FLOATS) for _ in names),
+        matrix=tuple(tuple(half[max(i, j), min(i, j)] for j in range(len(names))) for i in range(len(names))),
+    )
+
+
+def timelines() -> st.SearchStrategy[Timeline]:
+    maybe = st.none() | FLOATS
+    contact = st.builds(
+        ContactPhase,
+        onset_s=maybe,
+        peak_s=FLOATS,
+        peak_force_n=FLOATS,
+        hold_s=st.none() | st.tuples(FLOATS, FLOATS),
+        release_s=maybe,
+        bounces_s=st.lists(FLOATS, max_size=3).map(tuple),
+        surface=st.none() | TEXTS,
+        hand_suspected=st.none() | st.booleans(),
+    )
+    phase = st.builds(
+        Phase,
+        kind=st.sampled_from(Kind),
+        start_s=FLOATS,
+        stop_s=FLOATS,
+        axis=st.none() | st.sampled_from(("x", "rz")),
+        contact=st.none() | contact,
+    )
+    return st.builds(Timeline, phases=st.lists(phase, max_size=3).map(tuple), log=TEXTS)
 
 
 def make_identified() -> Identified:

@@ -9,7 +9,7 @@ from autotune.errors import UsageError
 from autotune.files.dump import dump_json
 from autotune.files.identified import identified_tree, read_identified, write_identified
 from autotune.files.yaml12 import dump_yaml
-from identification.result import Estimate, Identified, Status
+from identification.result import Covariance, Estimate, Identified, Status
 from problems.errors import ParameterError
 from tests.autotune.files.samples import TREES, identified_results, make_identified
 
@@ -52,6 +52,22 @@ def test_a_rotational_axis_tells_its_units() -> None:
     environment = axis["environments"][0]
     assert {"secant_stiffness_n_m_per_rad", "inertia_kg_m2", "peak_torque_n_m"} <= set(environment)
     assert not [key for key in environment if key.endswith(("_per_m", "_kg", "_n"))]
+
+
+@pytest.mark.parametrize(
+    ("names", "values", "matrix", "must"),
+    [
+        (("K_s", "K_s"), (1.0, 1.0), ((1.0, 0.0), (0.0, 1.0)), "different names"),
+        (("K_s",), (1.0, 2.0), ((1.0,),), "as many numbers as there are names, 1"),
+        (("K_s", "B_s"), (1.0, 2.0), ((1.0, 0.0),), "2 rows of 2 numbers"),
+        (("K_s", "B_s"), (1.0, 2.0), ((1.0, 0.5), (0.4, 1.0)), "symmetric"),
+    ],
+)
+def test_a_covariance_that_is_none_is_refused(
+    names: tuple[str, ...], values: tuple[float, ...], matrix: tuple[tuple[float, ...], ...], must: str
+) -> None:
+    with pytest.raises(ParameterError, match=must):
+        Covariance(names=names, values=values, matrix=matrix)
 
 
 def test_empty_remarks_are_left_out() -> None:
