@@ -2,14 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from autotune import __version__
 from autotune.files.cell import CellFile
+from autotune.processes import map_in_processes
 from identification.advice import advise
 from identification.combine import NamedResult, combine_identified
-from identification.errors import EstimateError
+from identification.errors import EstimateError, LogError
 from identification.given import Given, check_names
 from identification.identify import identify_cell
 from identification.logs import read_checked_recording
@@ -45,26 +47,24 @@ def identify_log(
     salvage: bool = False,
     allow_partial: bool = False,
     given: Mapping[str, Given] | None = None,
+    processes: int = 1,
 ) -> IdentifiedLog:
     """Read logs and identify the cell.
 
-    Logs that follow each other within a second are one recording; each recording is identified on its own, and what
-    they tell is combined with each other and with what is `given` from elsewhere. Raises LogError for a log that cannot
-    be used, EstimateError when a parameter that a controller needs is missing from all of them or they disagree on one
-    (unless `allow_partial`, which keeps the former as unidentifiable and the latter as a widened mean).
+    Logs that follow each other within a second are one recording; each recording is identified on its own, `processes`
+    of them at a time (`map_in_processes` tells what a script must do for more than one). What they tell is combined
+    with each other and with what is `given` from elsewhere. Raises LogError for a log that cannot be used,
+    EstimateError when a parameter that a controller needs is missing from all of them or they disagree on one (unless
+    `allow_partial`, which keeps the former as unidentifiable and the latter as a widened mean).
     """
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     told = (Cell() if cell is None else cell.cell).with_topics(
         wrench=topics.wrench, pose=topics.pose, command=topics.command
     )
-    parts, recordings = [], []
-    for run in separate_runs(files, told, salvage=salvage):
-        recording = read_checked_recording(run, told, salvage=salvage)
-        found = identify_cell(recording, build_frames(told), given)
-        found = replace(found, findings=(*recording.findings, *found.findings))
-        recordings.append(recording)
-        parts.append(NamedResult(name=", ".join(path.name for path in run), result=found))
-    result = combine_identified(parts)
+    runs = separate_runs(files, told, salvage=salvage)
+    work = partial(_identify_run, cell=told, salvage=salvage, given=dict(given or {}), is_one_of_many=len(runs) > 1)
+    done = map_in_processes(work, runs, processes)
+    result = combine_identified([run.told for run in done])
     check_names(given or {}, result.axes)
     result = replace(result, findings=(*result.findings, *advise(result)))
     missing = [finding for finding in result.findings if finding.severity == "error"]
@@ -78,7 +78,57 @@ def identify_log(
         "salvage": salvage,
         **({"given": {name: [prior.value, prior.std] for name, prior in given.items()}} if given else {}),
     }
-    return IdentifiedLog(result=result, provenance=_provenance(recordings, cell, options))
+    return IdentifiedLog(result=result, provenance=_provenance([run.source for run in done], cell, options))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Source:
+    """What the provenance keeps of a recording."""
+
+    channels: Mapping[str, str | None]
+    clocks: Mapping[str, str]
+    sha256: Mapping[str, str]
+    span_s: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Run:
+    """What one recording told, and where it comes from; small, so that it passes from process to process."""
+
+    told: NamedResult
+    source: _Source
+
+
+def _identify_run(
+    run: tuple[Path, ...], *, cell: Cell, salvage: bool, given: Mapping[str, Given], is_one_of_many: bool
+) -> _Run:
+    """Read and identify one recording; where it is one of many, errors bear its name."""
+    name = ", ".join(path.name for path in run)
+    try:
+        recording = read_checked_recording(run, cell, salvage=salvage)
+        found = identify_cell(recording, build_frames(cell), given)
+    except (EstimateError, LogError) as error:
+        if not is_one_of_many or name in str(error):
+            raise
+        raise type(error)(f"{name}: {error}") from error
+    found = replace(found, findings=(*recording.findings, *found.findings))
+    return _Run(told=NamedResult(name=name, result=found), source=_source(recording))
+
+
+def _source(recording: Recording) -> _Source:
+    wrench, command = recording.wrench, recording.command
+    others = {"twist": recording.twist, "gains": recording.gains, "desired_force": recording.desired_force}
+    return _Source(
+        channels={
+            "wrench": wrench.topic,
+            "pose": recording.pose.topic,
+            "command": None if command is None else command.topic,
+            **{name: signal.topic for name, signal in others.items() if signal is not None},
+        },
+        clocks=dict(recording.clocks),
+        sha256=dict(recording.sha256),
+        span_s=(float(wrench.stamp_ns[0]) / 1e9, float(wrench.stamp_ns[-1]) / 1e9),
+    )
 
 
 def _refusal(files: Sequence[Path], missing: list[Finding]) -> str:
@@ -88,23 +138,15 @@ def _refusal(files: Sequence[Path], missing: list[Finding]) -> str:
     return f"{names}: {first.message} {first.advice}".rstrip() + others
 
 
-def _provenance(recordings: Sequence[Recording], cell: CellFile | None, options: Mapping[str, Any]) -> dict[str, Any]:
+def _provenance(sources: Sequence[_Source], cell: CellFile | None, options: Mapping[str, Any]) -> dict[str, Any]:
     """Return where the numbers come from; channels and clocks are those of the first recording."""
-    first = recordings[0]
-    wrench = first.wrench
-    others = {"twist": first.twist, "gains": first.gains, "desired_force": first.desired_force}
-    logs = [(path, digest) for recording in recordings for path, digest in recording.sha256.items()]
-    spans = [[float(r.wrench.stamp_ns[0]) / 1e9, float(r.wrench.stamp_ns[-1]) / 1e9] for r in recordings]
+    first, spans = sources[0], [list(source.span_s) for source in sources]
+    logs = [(path, digest) for source in sources for path, digest in source.sha256.items()]
     return {
         "tool": f"autotune {__version__}",
         "logs": [{"path": path, "sha256": digest} for path, digest in logs],
         "cell": None if cell is None else {"path": str(cell.path), "sha256": cell.sha256},
-        "channels": {
-            "wrench": wrench.topic,
-            "pose": first.pose.topic,
-            "command": first.command.topic if first.command is not None else None,
-            **{name: signal.topic for name, signal in others.items() if signal is not None},
-        },
+        "channels": dict(first.channels),
         "clocks": dict(first.clocks),
         "time_span_s": spans[0],
         **({"recordings": spans} if len(spans) > 1 else {}),

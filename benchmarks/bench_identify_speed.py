@@ -1,12 +1,12 @@
 """`autotune identify` from the command line in a process of its own, on 75 s and on ten minutes at 1250 Hz.
 
-Usage: python benchmarks/bench_identify_speed.py [--seconds 75 600]
+Usage: python benchmarks/bench_identify_speed.py [--seconds 75 600] [--logs 4]
 
 The logs hold wrench, measured and commanded pose of the demo cell (poses, hand-led motion, sweep, contacts; the longer
 log has more of each) as zstd-compressed CDR. The time is that of the process from start to end, imports included, with
 the kernels compiled before; the memory is the highest of that process less that of one which only imports the same,
 beside the arrays of the three channels. No peer identifies a whole cell: what rosbags takes for reading the same
-messages alone stands beside it.
+messages alone stands beside it. At last several logs of 75 s, recorded an hour apart: on one processor, and on all.
 """
 
 import os
@@ -20,7 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +38,7 @@ from identification.recording import PoseSignal, Recording, WrenchSignal
 
 _TARGETS_S = {75.0: 5.0, 600.0: 20.0}
 _MEMORY_TIMES = 5.0
+_TOGETHER_S = 75.0
 _FIXED_S, _CONTACT_S = 30.0, 4.7
 _IMPORTS = "import autotune.cli.main, autotune.identifying, autotune.files.identified, problems.symbolic"
 
@@ -46,11 +47,13 @@ def main() -> int:
     """Measure and print; return 1 when a target is missed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, nargs="+", default=[75.0, 600.0], help="lengths of the logs")
+    parser.add_argument("--logs", type=int, default=4, help="how many logs are identified side by side")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         bare = run_alone([sys.executable, "-c", _IMPORTS]).peak_mib
         print(f"a process that only imports: {bare:.0f} MiB at its highest")
         good = [measure(Path(folder), seconds, bare) for seconds in options.seconds]
+        measure_together(Path(folder), options.logs)
     return 0 if all(good) else 1
 
 
@@ -82,6 +85,35 @@ def measure(folder: Path, seconds: float, bare_mib: float) -> bool:
         f"{arrays_mib:.0f} MiB: {times:.1f} times (target: at most {_MEMORY_TIMES:g})"
     )
     return (target is None or taken <= target) and times <= _MEMORY_TIMES
+
+
+def measure_together(folder: Path, count: int) -> None:
+    """Measure several logs of the same cell, one after the other and side by side."""
+    logs = []
+    for hour in range(count):
+        recording = simulate_cell(Cell(), program_of(_TOGETHER_S), seed=hour).recording
+        logs.append(str(write_log(folder / f"hour{hour}.mcap", later(recording, hour))))
+    # Logs of different seeds may disagree on a parameter; that is no matter here.
+    command = [sys.executable, "-m", "autotune", "identify", *logs, "--quiet", "--allow-partial"]
+    command += ["-o", str(folder / "out.yaml")]
+    processors = sorted(os.sched_getaffinity(0))
+    several = run_alone(command).seconds
+    os.sched_setaffinity(0, processors[:1])
+    single = run_alone(command).seconds
+    os.sched_setaffinity(0, processors)
+    print(f"{count} logs of {_TOGETHER_S:g} s: {single:.2f} s on one processor, {several:.2f} s on {len(processors)}")
+
+
+def later(recording: Recording, hours: int) -> Recording:
+    """Return the recording as if it had been made some hours later."""
+    shift_ns = hours * 3600 * 10**9
+    assert recording.command is not None
+    return replace(
+        recording,
+        wrench=replace(recording.wrench, stamp_ns=recording.wrench.stamp_ns + shift_ns),
+        pose=replace(recording.pose, stamp_ns=recording.pose.stamp_ns + shift_ns),
+        command=replace(recording.command, stamp_ns=recording.command.stamp_ns + shift_ns),
+    )
 
 
 def program_of(seconds: float) -> Program:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from .errors import LogError
+from .gravity_verdicts import load_growth_findings
 from .result import (
     AxisEstimate,
     CouplingEstimate,
@@ -58,6 +59,7 @@ def combine_identified(parts: Sequence[NamedResult]) -> Identified:
         for part in parts
         for finding in part.result.findings
     ]
+    findings += load_growth_findings([load for part in parts for load in _load(part.result)])
     merge = _Merge(names=tuple(part.name for part in parts), findings=findings)
     results = [part.result for part in parts]
     names = sorted({axis for result in results for axis in result.axes}, key=["x", "y", "z", "rx", "ry", "rz"].index)
@@ -74,6 +76,12 @@ def combine_identified(parts: Sequence[NamedResult]) -> Identified:
         timelines=tuple(replace(line, log=part.name) for part in parts for line in part.result.timelines),
     )
     return replace(combined, findings=tuple(_without_settled(findings, combined)))
+
+
+def _load(result: Identified) -> list[tuple[float, float]]:
+    """Return the payload's mass and what its weight leaves, nothing where one of them is not told."""
+    mass, left = result.payload.mass_kg.value, result.sensor.gravity_residual_rms_n.value
+    return [] if mass is None or left is None else [(mass, left)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from .aligned import AlignedLog
 from .errors import EstimateError
 from .pose_fit import BiasStep, PoseEquations, find_bias_step, robust_fit
 from .pose_terms import ResidualTerm, find_terms
+from .quaternions import turned_rad
 from .static_poses import (
     GRAVITY_B_M_S2,
     StaticPose,
@@ -205,7 +206,7 @@ def _solve(
     freedom = max(len(target) - count, 1)
     # The noise floor is known as it is; the scatter is itself estimated from few numbers.
     variance = max(
-        float(residual @ residual) / freedom * float(student.ppf(0.975, freedom) / 1.96) ** 2,
+        float(residual @ residual) / freedom * float(stdtrit(freedom, 0.975) / 1.96) ** 2,
         float(np.median(np.square(mean_std))),
     )
     covariance = variance * np.linalg.inv(means.T @ means)
@@ -294,4 +295,4 @@ def _check_com(com_m: FloatArray, std_m: FloatArray, mass_kg: float, mass_std_kg
 
 def orientation_spread_rad(orientation: Rotation) -> float:
     """Return the largest turn away from the mean orientation."""
-    return float(np.max((orientation.mean().inv() * orientation).magnitude()))
+    return float(np.max(turned_rad(orientation.mean().as_quat(), orientation.as_quat())))

@@ -106,24 +106,24 @@ def _term_finding(term: ResidualTerm) -> Finding:
     )
 
 
-def load_growth_findings(fits: Sequence[GravityFit]) -> tuple[Finding, ...]:
+def load_growth_findings(loads: Sequence[tuple[float, float]]) -> tuple[Finding, ...]:
     """Compare logs of different payloads: a residual that grows faster than the load is the sensor's nonlinearity.
 
-    The paper finds 1.1 N at 16 kg and 23.3 N at 50 kg: three times the load, twenty times the residual.
+    `loads` are the payload's mass [kg] and what its weight leaves [N rms] in each log. The paper finds 1.1 N at 16 kg
+    and 23.3 N at 50 kg: three times the load, twenty times the residual.
     """
-    if len(fits) < 2:
+    if len(loads) < 2:
         return ()
-    light, heavy = min(fits, key=lambda fit: fit.mass_kg), max(fits, key=lambda fit: fit.mass_kg)
-    load = heavy.mass_kg / light.mass_kg
-    residual = heavy.residual_rms_n / max(light.residual_rms_n, 1e-9)
+    (light, before), (heavy, after) = min(loads), max(loads)
+    load, residual = heavy / light, after / max(before, 1e-9)
     if load < 1.2 or residual < _GROWTH_FACTOR * load:
         return ()
     return (
         Finding(
             code="residual-grows-with-load",
             severity="warning",
-            message=f"From {light.mass_kg:.1f} to {heavy.mass_kg:.1f} kg the load grows {load:.1f} times and what the "
-            f"weight leaves {residual:.1f} times ({light.residual_rms_n:.2f} to {heavy.residual_rms_n:.2f} N rms).",
+            message=f"From {light:.1f} to {heavy:.1f} kg the load grows {load:.1f} times and what the weight leaves "
+            f"{residual:.1f} times ({before:.2f} to {after:.2f} N rms).",
             advice=_ADVICE[TermKind.LOAD_CURVE],
         ),
     )

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from .aligned import AlignedLog
 from .gravity import GravityFit
+from .quaternions import turn_vectors_rad
 from .segments import Motion, Span, low_pass
 from .static_poses import StaticPose, cross_matrix
 
@@ -57,25 +58,48 @@ def build_motion_rows(
     )
     linear = np.asarray(log.orientation_BS.inv().apply(acceleration_B))
     turning = np.gradient(rate, log.period_s, axis=0)
-    measured = np.hstack([log.force_S_n, log.torque_S_n_m])
-    values = np.hstack([gravity.compensated_force_S_n(log), gravity.compensated_torque_S_n_m(log)])
     edge, step = round(_EDGE_S / log.period_s), max(1, round(0.5 / (_BAND_HZ * log.period_s)))
-    smooth = low_pass(values, log.period_s, _BAND_HZ)
-    lag = -np.gradient(low_pass(measured, log.period_s, _BAND_HZ), log.period_s, axis=0)
     signals = _Signals(linear=linear, turning=turning, rate=rate, period_s=log.period_s)
     inner = [np.arange(max(0, span.start - edge), min(len(log), span.stop + edge), step) for span in spans]
     columns = np.concatenate([signals.columns(at) for at in inner])
     attenuation = _attenuation(columns, signals, motion, 2 * edge, step)
     columns[:, :, attenuation > _MOST_NOISE] = 0.0
     every = np.concatenate(inner)
+    wrench = _smooth_wrench(log, motion, gravity, every)
     nuisance = np.broadcast_to(np.eye(6), (len(every), 6, 6))
     return MotionRows(
-        rows=np.concatenate([columns, nuisance, lag[every][:, :, None]], axis=2),
-        values=smooth[every],
+        rows=np.concatenate([columns, nuisance, wrench.lag[:, :, None]], axis=2),
+        values=wrench.values,
         move=np.repeat(np.arange(len(spans)), [len(at) for at in inner]),
-        noise=_noise(smooth, motion),
+        noise=wrench.noise,
         attenuation=np.where(attenuation > _MOST_NOISE, 0.0, attenuation),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _SmoothWrench:
+    """The filtered wrench without weight and bias at some samples, (n, 6), what a lag adds to it, and its `noise`."""
+
+    values: FloatArray
+    lag: FloatArray
+    noise: FloatArray
+
+
+def _smooth_wrench(log: AlignedLog, motion: Motion, gravity: GravityFit, at: NDArray[np.int64]) -> _SmoothWrench:
+    values, lag, noise = np.empty((len(at), 6)), np.empty((len(at), 6)), np.empty(6)
+    # Column by column: the whole wrench of a long log, filtered twice, would be the most that is ever in memory.
+    for first, compensated, measured in (
+        (0, gravity.compensated_force_S_n, log.force_S_n),
+        (3, gravity.compensated_torque_S_n_m, log.torque_S_n_m),
+    ):
+        free = compensated(log)
+        for i in range(3):
+            smooth = low_pass(free[:, i], log.period_s, _BAND_HZ)
+            values[:, first + i] = smooth[at]
+            noise[first + i] = np.median([np.std(smooth[rest.slice]) for rest in motion.still])
+            raw = low_pass(measured[:, i], log.period_s, _BAND_HZ)
+            lag[:, first + i] = -np.gradient(raw, log.period_s)[at]
+    return _SmoothWrench(values=values, lag=lag, noise=noise)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,8 +132,8 @@ def _attenuation(columns: FloatArray, signals: _Signals, motion: Motion, edge: i
 
 def _turn_rate_S(log: AlignedLog) -> FloatArray:
     """Return ω (n, 3) of the tool in S, smoothed without phase shift."""
-    before, after = log.orientation_BS[:-1], log.orientation_BS[1:]
-    between = (before.inv() * after).as_rotvec() / log.period_s
+    quaternions = log.orientation_BS.as_quat()
+    between = turn_vectors_rad(quaternions[:-1], quaternions[1:]) / log.period_s
     # Differences lie between samples; their means lie on them again.
     rate = np.concatenate([between[:1], 0.5 * (between[1:] + between[:-1]), between[-1:]])
     return low_pass(rate, log.period_s, _RATE_BAND_HZ)
@@ -159,8 +183,3 @@ def _times(vector: FloatArray) -> FloatArray:
     zero = np.zeros_like(x)
     rows = [[x, zero, zero, y, z, zero], [zero, y, zero, x, zero, z], [zero, zero, z, zero, x, y]]
     return np.asarray(np.stack([np.stack(row, axis=-1) for row in rows], axis=-2))
-
-
-def _noise(smooth: FloatArray, motion: Motion) -> FloatArray:
-    """Return the spread (6,) of the filtered wrench within rests."""
-    return np.asarray(np.median([np.std(smooth[rest.slice], axis=0) for rest in motion.still], axis=0))

@@ -49,7 +49,7 @@ def forces_only(problem: Problem, point: Point) -> Problem:
 
 
 def other_surfaces(problem: Problem, point: Point, mass: int) -> list[tuple[Point, float]]:
-    """Return minima beside this one with their depths: a surface, told by the index of its M_e, without mass or with."""
+    """Return minima beside this one and their depths: a surface, told by its M_e's index, without mass or with."""
     found = []
     if point.values[mass] > 0.0:
         massless = point.values.copy()

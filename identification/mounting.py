@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import f as fisher
-from scipy.stats import t as student
+from scipy.special import fdtrc, stdtrit
 
 from .gravity import GravityFit
 from .result import Finding, Status, VectorEstimate
@@ -182,13 +181,13 @@ def _linearised(means: _Means, angles: FloatArray, weights: FloatArray) -> tuple
 
 def _judged(values: FloatArray, covariance: FloatArray, freedom: int) -> tuple[VectorEstimate, bool | None]:
     """Return the angles with their verdict, and whether they are consistent with none."""
-    std = np.sqrt(np.diag(covariance)) * float(student.ppf(0.975, freedom) / 1.96)
+    std = np.sqrt(np.diag(covariance)) * float(stdtrit(freedom, 0.975) / 1.96)
     if float(np.max(std)) > _LARGEST_STD_RAD:
         told = ", ".join(f"{np.degrees(each):.2g}" for each in std)
         note = f"standard deviations of {told} degrees; record poses that differ more, turned about the vertical too"
         return VectorEstimate(value=None, std=None, status=Status.UNIDENTIFIABLE, method=_METHOD, note=note), None
     wald = float(values @ np.linalg.solve(covariance, values)) / len(values)
-    is_zero = float(fisher.sf(wald, len(values), freedom)) > _SIGNIFICANCE
+    is_zero = float(fdtrc(len(values), freedom, wald)) > _SIGNIFICANCE
     estimate = VectorEstimate(
         value=tuple(float(v) for v in values),
         std=tuple(float(s) for s in std),

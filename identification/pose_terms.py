@@ -6,8 +6,7 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as fisher
-from scipy.stats import t as student
+from scipy.special import fdtrc, stdtrit
 
 from .static_poses import StaticPose, group_means
 
@@ -115,7 +114,7 @@ def _compare(rests: _Rests, extended: FloatArray, extra: int) -> _Pair | None:
         std=np.asarray(np.sqrt(variance * np.diag(inverse)) / scale),
         before=float(np.sqrt(before / len(values))),
         after=float(np.sqrt(after / len(values))),
-        p_value=float(fisher.sf((before - after) / extra / variance, extra, freedom)),
+        p_value=float(fdtrc(extra, freedom, max(0.0, before - after) / extra / variance)),
     )
 
 
@@ -147,7 +146,7 @@ def _axis_gain(rests: _Rests) -> ResidualTerm | None:
     masses = pair.extended[:3]
     effect = np.abs(masses - pair.plain[0]) * np.max(np.abs(rests.gravity), axis=0)
     # How far the axes lie apart tells how far their mean may be off; three of them tell it as Student's law says.
-    spread = float(np.std(masses, ddof=1)) / np.sqrt(3.0) * float(student.ppf(0.975, 2) / 1.96)
+    spread = float(np.std(masses, ddof=1)) / np.sqrt(3.0) * float(stdtrit(2, 0.975) / 1.96)
     return _term(TermKind.AXIS_GAIN, pair, slice(0, 3), effect, spread, pair.extended[3:] - pair.plain[1:])
 
 

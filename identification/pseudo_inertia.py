@@ -10,6 +10,9 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Places of the six numbers of an inertia tensor: xx, yy, zz, xy, xz, yz."""
 
 _LOWER = np.tril_indices(4)
+_ROW, _COLUMN = _LOWER
+_DIAGONAL = np.flatnonzero(_ROW == _COLUMN)
+_LARGEST_LOG = 30.0
 _SMALLEST_SHARE = 1e-4
 _EVALUATIONS = 300
 
@@ -44,6 +47,9 @@ def parameters_of(matrix: FloatArray) -> FloatArray:
     return np.concatenate([[matrix[3, 3]], matrix[:3, 3], [inertia[i, j] for i, j in PAIRS]])
 
 
+_PARAMETERS = np.array([parameters_of(unit.reshape(4, 4)) for unit in np.eye(16)]).T
+
+
 def is_consistent(parameters: FloatArray) -> bool:
     """Return whether some distribution of positive mass has these parameters."""
     return bool(np.all(np.linalg.eigvalsh(pseudo_inertia(parameters)) > 0.0))
@@ -64,8 +70,11 @@ def nearest_consistent(parameters: FloatArray, covariance: FloatArray) -> tuple[
     def misfit(free: FloatArray) -> FloatArray:
         return np.asarray(whitening @ (parameters_of(_unfold(free)) - parameters))
 
+    def slope(free: FloatArray) -> FloatArray:
+        return np.asarray(whitening @ _unfold_slope(free))
+
     starts = (parameters, _rounded_off(parameters, covariance))
-    found = [least_squares(misfit, _fold(start), x_scale="jac", max_nfev=_EVALUATIONS) for start in starts]
+    found = [least_squares(misfit, _fold(start), slope, x_scale="jac", max_nfev=_EVALUATIONS) for start in starts]
     best = min(found, key=lambda each: float(each.cost))
     return parameters_of(_unfold(best.x)), float(2.0 * best.cost)
 
@@ -88,8 +97,22 @@ def _fold(parameters: FloatArray) -> FloatArray:
     return np.asarray(factor[_LOWER])
 
 
-def _unfold(free: FloatArray) -> FloatArray:
+def _factor(free: FloatArray) -> FloatArray:
     factor = np.zeros((4, 4))
     factor[_LOWER] = free
-    factor[np.diag_indices(4)] = np.exp(np.clip(np.diag(factor), -30.0, 30.0))
+    factor[np.diag_indices(4)] = np.exp(np.clip(np.diag(factor), -_LARGEST_LOG, _LARGEST_LOG))
+    return factor
+
+
+def _unfold(free: FloatArray) -> FloatArray:
+    factor = _factor(free)
     return np.asarray(factor @ factor.T)
+
+
+def _unfold_slope(free: FloatArray) -> FloatArray:
+    """Return how (m, h, I) (10,) change with the free numbers (10,): d(L Lᵀ) = dL Lᵀ + L dLᵀ, as columns."""
+    factor = _factor(free)
+    changes = np.zeros((len(free), 4, 4))
+    changes[np.arange(len(free)), _ROW] = factor[:, _COLUMN].T
+    changes[_DIAGONAL] *= np.diag(factor)[:, None, None]
+    return _PARAMETERS @ (changes + changes.transpose(0, 2, 1)).reshape(len(free), 16).T

@@ -7,14 +7,36 @@ FloatArray = NDArray[np.float64]
 
 
 def turned_rad(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the angle [rad], 0 to π, between orientations (n, 4) each: 2 atan2(|v|, |w|) of before⁻¹ · after."""
+    """Return the angle [rad], 0 to π, between orientations (n, 4) or one (4,): 2 atan2(|v|, |w|) of before⁻¹ · after."""
+    same, across = _between(before, after)
+    return np.asarray(2.0 * np.arctan2(_length(across), np.abs(same)))
+
+
+def turn_vectors_rad(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Return the rotation vectors (n, 3) [rad], at most π long, of before⁻¹ · after, as `before` sees them."""
+    same, across = _between(before, after)
+    sine = _length(across)
+    # Where nothing turns the angle is twice the sine, and 0/0 is left out.
+    ratio = np.full(len(sine), 2.0)
+    np.divide(2.0 * np.arctan2(sine, np.abs(same)), sine, out=ratio, where=sine > 0.0)
+    ratio[same < 0.0] *= -1.0
+    return np.column_stack([each * ratio for each in across])
+
+
+def _between(before: FloatArray, after: FloatArray) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
+    """Return w and the three components of v of before⁻¹ · after, (n,) each."""
     x, y, z, w = before.T
     a, b, c, d = after.T
-    same = w * d + x * a + y * b + z * c
-    square = (w * a - d * x - y * c + z * b) ** 2
-    square += (w * b - d * y - z * a + x * c) ** 2
-    square += (w * c - d * z - x * b + y * a) ** 2
-    return np.asarray(2.0 * np.arctan2(np.sqrt(square), np.abs(same)))
+    across = (w * a - d * x - y * c + z * b, w * b - d * y - z * a + x * c, w * c - d * z - x * b + y * a)
+    return w * d + x * a + y * b + z * c, across
+
+
+def _length(across: tuple[FloatArray, FloatArray, FloatArray]) -> FloatArray:
+    x, y, z = across
+    square = x * x
+    square += y * y
+    square += z * z
+    return np.asarray(np.sqrt(square, out=square))
 
 
 def slerp(time_s: FloatArray, quaternion_xyzw: FloatArray, at_s: FloatArray) -> FloatArray:

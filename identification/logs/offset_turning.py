@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation
 
 from ..aligned import AlignedLog
 from ..gravity import GRAVITY_B_M_S2
+from ..quaternions import turn_vectors_rad
 from ..segments import low_pass
 from .told import Told, Untold
 
@@ -136,8 +136,7 @@ def _prepare(log: AlignedLog, longest_s: float) -> _Turning | None:
 def _body_rate(log: AlignedLog) -> FloatArray:
     """Return ω in S [rad/s], (n, 3), by central differences."""
     quaternion = log.orientation_BS.as_quat()
-    before, after = Rotation.from_quat(quaternion[:-2]), Rotation.from_quat(quaternion[2:])
-    inner = (before.inv() * after).as_rotvec() / (2.0 * log.period_s)
+    inner = turn_vectors_rad(quaternion[:-2], quaternion[2:]) / (2.0 * log.period_s)
     return np.concatenate([inner[:1], inner, inner[-1:]])
 
 

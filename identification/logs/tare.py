@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
-from scipy.spatial.transform import Rotation
 
 from ..aligned import AlignedLog
+from ..quaternions import turned_rad
 from ..recording import FloatArray
 from ..result import Finding
 from ..segments import low_pass
@@ -75,7 +75,7 @@ def _still(log: AlignedLog) -> BoolArray:
     velocity = np.gradient(low_pass(log.position_B_m, log.period_s, _POSE_BAND_HZ), log.period_s, axis=0)
     lag = max(1, round(0.02 / log.period_s))
     quaternion = log.orientation_BS.as_quat()
-    turned = (Rotation.from_quat(quaternion[:-lag]).inv() * Rotation.from_quat(quaternion[lag:])).magnitude()
+    turned = turned_rad(quaternion[:-lag], quaternion[lag:])
     turning = maximum_filter1d(np.concatenate([turned, np.zeros(lag)]), 2 * lag + 1) / (lag * log.period_s)
     return np.asarray((np.linalg.norm(velocity, axis=1) < _STILL_M_S) & (turning < _STILL_RAD_S))
 

@@ -94,11 +94,13 @@ def test_a_large_residual_is_told_as_a_share_of_the_load() -> None:
 
 def test_a_residual_that_outgrows_the_load_is_told() -> None:
     light, heavy = identify_gravity(curved(16.0, 3e-5)), identify_gravity(curved(50.0, 3e-4))
-    (found,) = load_growth_findings((heavy, light))
+    loads = [(fit.mass_kg, fit.residual_rms_n) for fit in (heavy, light)]
+    (found,) = load_growth_findings(loads)
     assert "From 16." in found.message
-    assert load_growth_findings((light,)) == ()
-    # In proportion to the load is no nonlinearity.
-    assert load_growth_findings((identify_gravity(rests(1)), identify_gravity(rests(2, mass_kg=50.0)))) == ()
+    assert load_growth_findings(loads[:1]) == ()
+    # The paper's two payloads; in proportion to the load is no nonlinearity.
+    assert len(load_growth_findings([(16.0, 1.1), (50.0, 23.3)])) == 1
+    assert load_growth_findings([(16.0, 1.1), (50.0, 3.4)]) == ()
 
 
 def test_a_centre_that_one_tilt_does_not_tell_has_no_value() -> None:

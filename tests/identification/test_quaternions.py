@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from identification.quaternions import slerp, turned_rad
+from identification.quaternions import slerp, turn_vectors_rad, turned_rad
 
 FloatArray = NDArray[np.float64]
 
@@ -28,6 +28,21 @@ def test_the_angle_between_orientations_is_the_librarys(largest_rad: float) -> N
     np.testing.assert_allclose(
         turned_rad(turns[:-1], turns[1:]), (before.inv() * after).magnitude(), rtol=0.0, atol=2e-15
     )
+
+
+@pytest.mark.parametrize("largest_rad", [0.0, 1e-9, 1e-6, 1e-2, 1.0, 3.0])
+def test_the_turn_between_orientations_is_the_librarys_vector(largest_rad: float) -> None:
+    turns = walk(300, largest_rad)
+    before, after = Rotation.from_quat(turns[:-1]), Rotation.from_quat(turns[1:])
+    # Some roundings of numbers of size 1, times the largest angle.
+    np.testing.assert_allclose(
+        turn_vectors_rad(turns[:-1], turns[1:]), (before.inv() * after).as_rotvec(), rtol=0.0, atol=4e-15
+    )
+
+
+def test_what_rests_turns_by_nothing() -> None:
+    rests = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
+    np.testing.assert_array_equal(turn_vectors_rad(rests, rests), np.zeros((3, 3)))
 
 
 @pytest.mark.parametrize("largest_rad", [0.0, 1e-7, 1e-3, 1.0])

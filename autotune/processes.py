@@ -1,0 +1,49 @@
+"""Independent pieces of work side by side, each in a process of its own."""
+
+import os
+import signal
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import active_children, get_context
+from typing import TypeVar
+
+_Task = TypeVar("_Task")
+_Result = TypeVar("_Result")
+
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def count_processors() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def map_in_processes(work: Callable[[_Task], _Result], tasks: Sequence[_Task], processes: int) -> list[_Result]:
+    """Return `work` of every task, in their order, by at most `processes` at a time.
+
+    One process, or one task, is done here. Otherwise `work`, tasks and results are pickled, `work` stands at the top of
+    a module, and a script that calls this guards its own start (`if __name__ == "__main__"`). What a task raises is
+    raised here, of several the first in order; that, or an interrupt, ends all processes at once.
+    """
+    count = min(processes, len(tasks))
+    if count < 2:
+        return [work(task) for task in tasks]
+    others = active_children()
+    # A fork would copy the threads' locks of the libraries that are loaded already.
+    with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_prepare) as pool:
+        try:
+            futures = [pool.submit(work, task) for task in tasks]
+            return [future.result() for future in futures]
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in active_children():
+                if process not in others:
+                    process.terminate()
+            raise
+
+
+def _prepare() -> None:
+    """Leave an interrupt to the process that waits, and the other processors to the other processes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in _THREADS:
+        os.environ.setdefault(name, "1")

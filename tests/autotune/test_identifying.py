@@ -1,0 +1,79 @@
+"""Several recordings of one cell: identified side by side as one after the other, and told apart when one fails."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from autotune.cell.phases import Program
+from autotune.cell.simulate import simulate_cell
+from autotune.cell.truth import Cell
+from autotune.cell.write import write_mcap
+from autotune.identifying import IdentifiedLog, Topics, identify_log
+from identification.errors import EstimateError
+from identification.recording import Recording
+from tests.autotune.cell.runs import SHORT
+
+
+def later(recording: Recording, hours: int) -> Recording:
+    """The same recording, made some hours later."""
+    shift_ns = hours * 3600 * 10**9
+    assert recording.command is not None
+    return replace(
+        recording,
+        wrench=replace(recording.wrench, stamp_ns=recording.wrench.stamp_ns + shift_ns),
+        pose=replace(recording.pose, stamp_ns=recording.pose.stamp_ns + shift_ns),
+        command=replace(recording.command, stamp_ns=recording.command.stamp_ns + shift_ns),
+    )
+
+
+def written(path: Path, program: Program, seed: int) -> Path:
+    write_mcap(later(simulate_cell(Cell(), program, seed=seed).recording, seed), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def two_logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("days")
+    program = replace(SHORT, pose_count=5, pose_hold_s=1.0, jogging_s=2.0, sweep_s=2.0, contact_count=0)
+    return [written(folder / f"{name}.mcap", program, seed) for seed, name in enumerate(("monday", "friday"), 1)]
+
+
+@pytest.fixture(scope="module")
+def one_orientation(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    program = replace(SHORT, pose_count=1, jogging_s=2.0, sweep_s=1.0, contact_count=0)
+    return written(tmp_path_factory.mktemp("rest") / "sunday.mcap", program, seed=0)
+
+
+@pytest.fixture(scope="module")
+def in_one_process(two_logs: list[Path]) -> IdentifiedLog:
+    return identify_log(two_logs, Topics(), allow_partial=True)
+
+
+def test_recordings_side_by_side_tell_what_they_tell_one_after_the_other(
+    two_logs: list[Path], in_one_process: IdentifiedLog
+) -> None:
+    # The same code on the same numbers: nothing may differ, not by rounding.
+    assert identify_log(two_logs, Topics(), allow_partial=True, processes=2) == in_one_process
+
+
+def test_the_provenance_names_both_recordings(two_logs: list[Path], in_one_process: IdentifiedLog) -> None:
+    provenance = in_one_process.provenance
+    assert [entry["path"] for entry in provenance["logs"]] == [str(path) for path in two_logs]
+    (first, second), gap_s = provenance["recordings"], 3600.0
+    assert second[0] - first[0] == pytest.approx(gap_s, abs=1e-3)
+    assert provenance["time_span_s"] == first
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_of_several_recordings_the_one_that_fails_is_named(
+    two_logs: list[Path], one_orientation: Path, processes: int
+) -> None:
+    with pytest.raises(EstimateError, match=r"^sunday\.mcap: "):
+        identify_log([one_orientation, two_logs[0]], Topics(), processes=processes)
+
+
+def test_an_only_recording_needs_no_name(one_orientation: Path) -> None:
+    with pytest.raises(EstimateError) as refused:
+        identify_log(one_orientation, Topics())
+    assert "sunday" not in str(refused.value)

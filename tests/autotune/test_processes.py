@@ -1,0 +1,106 @@
+"""Work side by side: the results of one after the other, and an end when one fails or is interrupted."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from autotune.processes import count_processors, map_in_processes
+from identification.errors import EstimateError
+
+# Work that another process can import: at the top of a module, and of none that pytest rewrites.
+_PIDS = """
+import os, sys, time
+from pathlib import Path
+from autotune.processes import map_in_processes
+
+def linger(path):
+    path.with_suffix(".half").write_text(str(os.getpid()))
+    path.with_suffix(".half").rename(path)
+    time.sleep(60.0)
+
+if __name__ == "__main__":
+    map_in_processes(linger, [Path(name) for name in sys.argv[1:]], 2)
+"""
+_PATIENCE_S = 30.0
+
+
+def refuse(number: int) -> int:
+    """Fail at once on 1 and later on any other number."""
+    if number != 1:
+        time.sleep(_PATIENCE_S)
+    raise EstimateError(f"number {number}")
+
+
+def own_pid(_: int) -> int:
+    """Tell which process this is."""
+    return os.getpid()
+
+
+def waited_for(condition: object, until_s: float = _PATIENCE_S) -> bool:
+    assert callable(condition)
+    begin = time.monotonic()
+    while not condition():
+        if time.monotonic() - begin > until_s:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    # A process that ended and was not waited for still has a number.
+    return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text(encoding="ascii")
+
+
+def test_results_stand_in_the_order_of_the_tasks() -> None:
+    numbers = [-3, 2, -1, 7, -9]
+    assert map_in_processes(abs, numbers, 2) == [abs(number) for number in numbers]
+
+
+@pytest.mark.parametrize(("tasks", "processes"), [([1, 2, 3], 1), ([1], 4), ([], 4)])
+def test_one_task_or_one_process_stays_in_this_one(tasks: list[int], processes: int) -> None:
+    assert map_in_processes(own_pid, tasks, processes) == [os.getpid()] * len(tasks)
+
+
+def test_two_tasks_leave_this_process() -> None:
+    assert os.getpid() not in map_in_processes(own_pid, [1, 2], 2)
+
+
+def test_a_failure_ends_what_still_runs() -> None:
+    begin = time.monotonic()
+    with pytest.raises(EstimateError, match="number 1"):
+        map_in_processes(refuse, [1, 2], 2)
+    # Far less than the other task takes, far more than two processes need to begin.
+    assert time.monotonic() - begin < 0.7 * _PATIENCE_S
+
+
+def test_at_least_one_processor_serves() -> None:
+    assert 1 <= count_processors() <= (os.cpu_count() or 1)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc")
+@pytest.mark.parametrize("to_the_group", [True, False])
+def test_an_interrupt_ends_the_processes(tmp_path: Path, *, to_the_group: bool) -> None:
+    script, told = tmp_path / "linger.py", [tmp_path / "first.pid", tmp_path / "second.pid"]
+    script.write_text(_PIDS, encoding="utf-8")
+    command = [sys.executable, str(script), *map(str, told)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        try:
+            assert waited_for(lambda: all(path.exists() for path in told))
+            # A terminal interrupts all of its processes, a supervisor only the one that it started.
+            os.killpg(process.pid, signal.SIGINT) if to_the_group else process.send_signal(signal.SIGINT)
+            _, errors = process.communicate(timeout=_PATIENCE_S)
+        finally:
+            process.kill()
+    assert process.returncode == -signal.SIGINT
+    assert errors.rstrip().endswith("KeyboardInterrupt")
+    pids = [int(path.read_text(encoding="ascii")) for path in told]
+    assert waited_for(lambda: not any(is_alive(pid) for pid in pids), 5.0)
