@@ -5,7 +5,8 @@ import re
 from collections.abc import Sequence
 
 from autotune.errors import UsageError
-from identification.given import Given
+from autotune.files.records import AXES
+from identification.given import Given, axis_keys
 
 _FORM = re.compile(r"(?P<name>[a-z][a-z_.]*)=(?P<value>[^±]+?)(?:(?:±|\+-|\+/-)(?P<std>.+))?")
 
@@ -18,12 +19,23 @@ def parse_given(texts: Sequence[str]) -> dict[str, Given]:
         if match is None:
             raise UsageError(f"--given must be NAME=VALUE±STD (or +- for ±), found {text!r}.")
         name, value, std = match["name"], _number(text, match["value"]), _number(text, match["std"] or "0")
+        _check_name(name)
         if std < 0.0:
             raise UsageError(f"The deviation in --given {text} must not be negative.")
         if name in found:
             raise UsageError(f"--given {name} stands there twice; give it once.")
         found[name] = Given(value=value, std=std)
     return found
+
+
+def _check_name(name: str) -> None:
+    axis, _, key = name.rpartition(".")
+    if name in ("mass_kg", "sample_time_s") or (axis in AXES and key in axis_keys(axis)):
+        return
+    known = ", ".join(
+        ["mass_kg", "sample_time_s", *(f"{axis if axis in AXES else 'x'}.{key}" for key in axis_keys(axis))]
+    )
+    raise UsageError(f"Nothing called {name} can be given; what can: {known}.")
 
 
 def _number(text: str, written: str) -> float:

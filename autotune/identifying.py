@@ -22,6 +22,9 @@ from identification.recording import Recording
 from identification.result import Finding, Identified
 
 
+_CONTRADICTIONS = frozenset({"given-contradicts", "logs-disagree"})
+
+
 @dataclass(frozen=True, kw_only=True)
 class Topics:
     """Channels named by the user; None where they are to be found by type and name."""
@@ -132,6 +135,8 @@ def _source(recording: Recording) -> _Source:
 
 
 def _refusal(files: Sequence[Path], missing: list[Finding]) -> str:
+    """Return one sentence: a contradiction first, since what is missing may follow from it."""
+    missing = sorted(missing, key=lambda finding: finding.code not in _CONTRADICTIONS)
     first = missing[0]
     others = f" (and {len(missing) - 1} more: {', '.join(f.code for f in missing[1:])})" if len(missing) > 1 else ""
     names = ", ".join(path.name for path in files)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +17,17 @@ from .joint_contacts import find_holds
 from .joint_data import build_joint_data, usual_coupling
 from .joint_estimates import JointEstimates
 from .joint_fit import identify_joint
+from .joint_gain import with_gain_error
 from .joint_model import COUPLING_NAMES
 from .joint_result import JointFit
 from .recording import Recording
-from .result import AxisEstimate, CouplingEstimate, Finding, RobotEstimate
+from .result import AxisEstimate, CouplingEstimate, EnvironmentEstimate, Finding, RobotEstimate
 from .robot import RobotFit, identify_robot
 from .rotation import AxisTurn, rests_after
+from .secant import secant_surfaces
 from .segments import Motion, Span
 from .timeline import AxisContacts
-from .verdicts import judged, missing, unidentifiable, unidentifiable_vector, vector
+from .verdicts import judged, missing, unidentifiable, unidentifiable_vector, vector, weak_at_best
 
 FloatArray = NDArray[np.float64]
 
@@ -98,13 +101,31 @@ def identify_axis(cell: CellSignals, axis: AxisMotion) -> AxisTold:
         noise_rms_n=cell.gravity.noise_rms_n,
         mass_kg=cell.gravity.mass_kg,
         priors=axis_priors(cell.given, axis.name),
-        in_units=lambda fit: fit,
+        in_units=partial(with_gain_error, share=cell.gravity.gain_error_share),
     )
     told = fit_axis(cell, view)
     findings += told.findings
     if told.fit is not None:
-        findings += _about_masses(axis.name, cell.gravity, told.fit)
+        disagreement = _about_masses(axis.name, cell.gravity, told.fit)
+        findings += disagreement
+        if disagreement:
+            told = replace(told, estimate=_doubted(told.estimate))
     return replace(told, findings=tuple(findings))
+
+
+def _doubted(estimate: AxisEstimate) -> AxisEstimate:
+    """Return the estimate with nothing more than weak of what hangs on the force's scale."""
+    why = "the masses from motion and from gravity disagree"
+    coupling = estimate.coupling
+    return replace(
+        estimate,
+        coupling=CouplingEstimate(
+            stiffness_n_per_m=weak_at_best(coupling.stiffness_n_per_m, why),
+            damping_n_s_per_m=weak_at_best(coupling.damping_n_s_per_m, why),
+        ),
+        drag_n_s_per_m=weak_at_best(estimate.drag_n_s_per_m, why),
+        mass_kg=None if estimate.mass_kg is None else weak_at_best(estimate.mass_kg, why),
+    )
 
 
 def fit_axis(cell: CellSignals, view: AxisView) -> AxisTold:
@@ -136,10 +157,11 @@ def fit_axis(cell: CellSignals, view: AxisView) -> AxisTold:
         with_priors = view.in_units(identify_joint(replace(data, priors=view.priors))) if view.priors else None
     except EstimateError as error:
         findings.append(missing("coupling", f"Axis {axis.name}: {error}"))
-        estimate, contradictions = settle_axis(axis.name, _without_coupling(robot, str(error)), None, cell.given)
+        alone = _without_coupling(robot, secant_surfaces(axis, view.holds, view.log.period_s), str(error))
+        estimate, contradictions = settle_axis(axis.name, alone, None, cell.given)
         contacts = AxisContacts(axis=axis, holds=view.holds, coupling=usual_coupling(cell.gravity.mass_kg))
         return AxisTold(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=None)
-    findings += [*_about_contacts(axis.name, view.holds, fit), *_about_lag(axis.name, fit), *_about_fit(axis.name, fit)]
+    findings += [*_about_contacts(axis.name, data.holds, fit), *_about_lag(axis.name, fit), *_about_fit(axis.name, fit)]
     alone = _estimate(axis, fit, robot, data.period_s)
     both = alone if with_priors is None else _estimate(axis, with_priors, robot, data.period_s)
     estimate, contradictions = settle_axis(axis.name, alone, both, cell.given)
@@ -203,12 +225,12 @@ def _no_robot(note: str) -> RobotEstimate:
     )
 
 
-def _without_coupling(robot: RobotEstimate, why: str) -> AxisEstimate:
+def _without_coupling(robot: RobotEstimate, environments: tuple[EnvironmentEstimate, ...], why: str) -> AxisEstimate:
     nothing = unidentifiable(note=why)
     return AxisEstimate(
         coupling=CouplingEstimate(stiffness_n_per_m=nothing, damping_n_s_per_m=nothing),
         drag_n_s_per_m=nothing,
-        environments=(),
+        environments=environments,
         robot=robot,
     )
 

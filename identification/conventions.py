@@ -76,7 +76,8 @@ class ConventionRanking:
                 f"No quarter turn of the sensor fits the weight: {best.residual_rms_n:.2f} N of a swing of "
                 f"{self.swing_rms_n:.2f} N are left under the best of {len(self.candidates)} conventions. The sensor "
                 f"seems mounted at an angle: declare `sensor.orientation: {told}` in cell.yaml "
-                "(xyzw, flange from sensor) after checking it against the drawing."
+                "(xyzw, flange from sensor) after checking it against the drawing, or `gravity_direction` if the base "
+                "is tilted."
             )
         if self.verdict is Verdict.NONE:
             return (

@@ -10,7 +10,7 @@ from scipy.special import stdtrit
 from .aligned import AlignedLog
 from .errors import EstimateError
 from .pose_fit import BiasStep, PoseEquations, find_bias_step, robust_fit
-from .pose_terms import ResidualTerm, find_terms
+from .pose_terms import ResidualTerm, TermKind, find_terms
 from .quaternions import turned_rad
 from .static_poses import (
     GRAVITY_B_M_S2,
@@ -42,6 +42,9 @@ _SINGULAR = 1e8
 _FARTHEST_COM_M = 1.5
 _SMALLEST_MASS_KG = 0.1
 _SIGNIFICANT_MASS = 3.0
+
+
+_GAIN_SLOPES = {TermKind.AXIS_GAIN: 1.0, TermKind.LOAD_CURVE: 2.0}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +83,20 @@ class GravityFit:
     def com_is_excited(self) -> bool:
         """Whether the poses tell all three components of the centre of mass apart from the torque bias."""
         return self.com_condition <= _LARGEST_CONDITION
+
+    @property
+    def gain_error_share(self) -> float:
+        """By which share the force's scale may be wrong, from what the rests show to follow axis or load.
+
+        The slope of q w|w| is twice its size over w; an axis of its own scale shows its share directly.
+        """
+        weight_n = self.mass_kg * float(np.linalg.norm(GRAVITY_B_M_S2))
+        shares = [
+            _GAIN_SLOPES[term.kind] * float(np.max(term.effect_n)) / weight_n
+            for term in self.terms
+            if term.kind in _GAIN_SLOPES and term.is_significant
+        ]
+        return max(shares, default=0.0)
 
     def compensated_force_S_n(self, log: AlignedLog) -> FloatArray:
         """Return the force (n, 3) without bias and weight."""

@@ -23,6 +23,7 @@ from .result import Estimate, Finding, Identified, InertiaEstimate, PayloadEstim
 from .rotation import find_turns
 from .segments import find_motion
 from .sensor import describe_sensor
+from .spikes import without_spikes
 from .timeline import build_timeline, tell_surfaces
 from .timeline_phases import Timeline
 from .turn_estimate import identify_turn, not_told
@@ -49,6 +50,7 @@ def identify_cell(
         return settle_cell(identify_partial(recording, _sample_time(recording)), given or {})
     if recording.command is not None:
         recording = replace(recording, command=restore_commands(recording.command))
+    recording, about_spikes = without_spikes(recording)
     first = align(recording)
     read = read_by_weight(recording, first, find_motion(first), frames)
     recording, log, motion = read.recording, read.log, read.motion
@@ -77,6 +79,7 @@ def identify_cell(
         axes={name: axis.estimate for name, axis in told.items()},
         sensor=sensor,
         findings=(
+            *about_spikes,
             *read.findings,
             *robots.findings,
             *about_axes,

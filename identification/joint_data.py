@@ -24,6 +24,8 @@ _USUAL_DRAG_N_S_PER_M = 200.0
 _USUAL_LAG_S = 1e-3
 _USUAL_LAG_PERIODS = 1.5
 _SETTLED_S = 1.5
+_MOST_MOVING_S, _MOST_FREE_S, _PIECE_S = 120.0, 60.0, 15.0
+_MOST_PER_PLACE, _SAME_PLACE_M = 8, 3e-3
 _LONGEST_APPROACH_S = 3.25
 _BEFORE_HOLE_S = 0.35
 
@@ -140,10 +142,10 @@ def build_joint_data(
         force_n=_without_holes(axis.force_n, log.holes),
         command=hold_command(command, log, axis) if known and command is not None else None,
         rests=tuple(s for s in motion.still if (s.start, s.stop) not in pressed),
-        moving=_off_holes(axis.spans, holes, log.period_s),
-        free=_off_holes(free, holes, log.period_s),
+        moving=_most_telling(_off_holes(axis.spans, holes, log.period_s), axis, log.period_s, _MOST_MOVING_S),
+        free=_most_telling(_off_holes(free, holes, log.period_s), axis, log.period_s, _MOST_FREE_S),
         rings=_off_holes(find_rings(axis, steady, free, holds, noise_rms_n, log.period_s), holes, log.period_s),
-        holds=_approached(holds, holes, log.period_s),
+        holds=_few_of_each_place(_approached(holds, holes, log.period_s), axis),
         coupling=usual_coupling(mass_kg) if coupling is None else _values(coupling),
         robot=robot,
         mass_kg=mass_kg,
@@ -162,6 +164,44 @@ def _measured(pose_stamp_ns: StampArray, log: AlignedLog) -> tuple[int, int]:
         return 0, 1
     counts = np.bincount(np.mod(np.round(ticks).astype(np.int64), every), minlength=every)
     return int(np.argmax(counts)), every
+
+
+def _most_telling(spans: Sequence[Span], axis: AxisMotion, period_s: float, most_s: float) -> tuple[Span, ...]:
+    """Return the spans, cut into pieces where they are too long, with most force until `most_s` are full.
+
+    Ten minutes tell no more than the best of them.
+    """
+    left = round(most_s / period_s)
+    if sum(len(span) for span in spans) <= left:
+        return tuple(spans)
+    piece = round(_PIECE_S / period_s)
+    cut = [
+        Span(start=start, stop=min(start + piece, span.stop))
+        for span in spans
+        for start in range(span.start, span.stop, piece)
+    ]
+    kept = []
+    for span in sorted(cut, key=lambda s: -float(np.var(axis.force_n[s.slice]))):
+        if left > 0:
+            kept.append(span)
+            left -= len(span)
+    return tuple(sorted(kept, key=lambda s: s.start))
+
+
+def _few_of_each_place(holds: Sequence[Span], axis: AxisMotion) -> tuple[Span, ...]:
+    """Return at most 8 rests under force at each place, to a few millimetres, and on each side, spread over the log."""
+    places: dict[tuple[int, bool], list[Span]] = {}
+    for hold in holds:
+        place = round(float(np.median(axis.position_m[hold.slice])) / _SAME_PLACE_M)
+        side = bool(np.median(axis.force_n[hold.slice]) > 0.0)
+        near = next((key for key in places if abs(key[0] - place) <= 1 and key[1] == side), (place, side))
+        places.setdefault(near, []).append(hold)
+    few = [
+        each[i]
+        for each in places.values()
+        for i in np.unique(np.linspace(0, len(each) - 1, min(len(each), _MOST_PER_PLACE)).round().astype(int)).tolist()
+    ]
+    return tuple(sorted(few, key=lambda s: s.start))
 
 
 def _without_holes(values: FloatArray, holes: Sequence[Span]) -> FloatArray:

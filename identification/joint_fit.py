@@ -36,7 +36,7 @@ _LIGHTEST_SHARE = 0.2
 _LIGHT_KG = 0.1
 _LEAST_EXPLAINED = 0.8
 _AT_LIMIT = 0.2
-_RING_STARTS = 2
+_RING_STARTS, _AS_WELL = 2, 1.05
 _OUTLYING, _ENOUGH_TO_TELL = 8.0, 3
 
 
@@ -71,7 +71,8 @@ def identify_joint(data: JointData) -> JointFit:
         raise EstimateError(
             f"One payload on one spring explains {explained:.0f} % of the force in free motion, "
             f"{100.0 * _LEAST_EXPLAINED:.0f} % are needed; record a commanded sweep of 0.5 to 50 Hz in free space "
-            "without a hand on the payload, with the command that the robot receives."
+            "without a hand on the payload, with the command that the robot receives. If the log has one: a filter in "
+            "the sensor or its driver, or a robot that is not one of one or two poles, does this too."
         )
     return fit
 
@@ -191,7 +192,7 @@ def _free_motion(data: JointData, base: Problem, values: FloatArray) -> tuple[Pr
         for ring in _strongest(data, rings)[:_RING_STARTS]:
             start = start_coupling(base, best, ring, float(best[3]))[0]
             more = _explained(base, start, [*candidates, *rings])
-            if len(more) > len(used) and telling[0] in more:
+            if len(more) > len(used) and _misfit(base, start, telling[0]) < _AS_WELL * _misfit(base, best, telling[0]):
                 best, used = start, more
     if not used:
         raise EstimateError(

@@ -51,8 +51,7 @@ def commanded_path(
     hold, rate = held(float(values[-1]), period_s), robot_rate(values, period_s)
     states = robot_path(values, command_m, period_s)
     count = len(command_m)
-    older = command_m[np.maximum(np.arange(count) - hold.older, 0)]
-    newer = command_m[np.maximum(np.arange(count) - hold.older + 1, 0)]
+    older, newer = _late(command_m, hold.older), _late(command_m, hold.older - 1)
     misfit = position_m - states[:, 0]
     rest = np.zeros((count, 4))
     if smoother.taps is None:
@@ -66,7 +65,7 @@ def commanded_path(
     before = states[1:] @ rate[0, :order] + rate[0, order] * newer[:-1]
     position, velocity = states[:, 0] + rest[:, 0], after + rest[:, 1]
     return FlangePath(
-        drive=np.ascontiguousarray(np.concatenate([states.T, [older, newer], rest.T]).T),
+        drive=np.column_stack([states, older, newer, rest]),
         position=position,
         velocity=velocity,
         ends=_ends(position, velocity, np.append(velocity[:1], before + rest[1:, 1])),
@@ -79,7 +78,12 @@ def commanded_path(
 def _ends(position: FloatArray, after: FloatArray, before: FloatArray) -> FloatArray:
     following = np.append(position[1:], position[-1] + after[-1])
     arriving = np.append(before[1:], after[-1])
-    return np.ascontiguousarray(np.array([position, after, following, arriving]).T)
+    return np.column_stack([position, after, following, arriving])
+
+
+def _late(command_m: FloatArray, samples: int) -> FloatArray:
+    """Return the command (n,) a number of samples later; before its first value it is that one."""
+    return command_m if samples == 0 else np.concatenate([np.full(samples, command_m[0]), command_m[:-samples]])
 
 
 def _taylor(coefficients: FloatArray) -> FloatArray:

@@ -1,6 +1,6 @@
 """What the joint refinement minimises: the signals of one axis, its spans, the noise, and the parameters' units."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,32 @@ from .joint_path import FlangePath, commanded_path, measured_path
 from .joint_segments import Segment
 
 FloatArray = NDArray[np.float64]
+
+_KEPT = 2
+
+
+class Paths:
+    """The flange's paths that were asked for last: most questions of a descent leave the robot as it is."""
+
+    def __init__(self) -> None:
+        self._kept: dict[bytes, FlangePath] = {}
+
+    def of(self, robot: FloatArray, signals: "Signals") -> FlangePath:
+        """Return the path for robot parameters (ω, (ζ,) T_d), or that of the pose alone where there are none."""
+        key = robot.tobytes()
+        found = self._kept.pop(key, None)
+        if found is None:
+            found = _path(robot, signals)
+            for oldest in list(self._kept)[: 1 - _KEPT]:
+                del self._kept[oldest]
+        self._kept[key] = found
+        return found
+
+
+def _path(robot: FloatArray, signals: "Signals") -> FlangePath:
+    if signals.command_m is None or robot.size == 0:
+        return measured_path(signals.position_m, signals.smoother)
+    return commanded_path(robot, signals.command_m, signals.position_m, signals.smoother, signals.period_s)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +54,7 @@ class Signals:
     smoother: Smoother
     lag_std_s: float = 0.0
     measured: tuple[int, int] = (0, 1)
+    paths: Paths = field(default_factory=Paths, init=False, repr=False, compare=False)
 
     def at_poses(self, span: slice) -> slice:
         """Return the ticks of a span at which the pose was measured."""
@@ -36,9 +63,7 @@ class Signals:
 
     def path(self, values: FloatArray, layout: Layout) -> FlangePath:
         """Return the flange's path for robot parameters."""
-        if self.command_m is None or layout.robot_order == 0:
-            return measured_path(self.position_m, self.smoother)
-        return commanded_path(values[layout.robot], self.command_m, self.position_m, self.smoother, self.period_s)
+        return self.paths.of(values[layout.robot], self)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,6 +24,7 @@ from .joint_solve import Block, information, linearise, minimise
 FloatArray = NDArray[np.float64]
 
 _STEPS = 4
+_LARGEST_STEP = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,7 +210,9 @@ def _left_out(problem: Problem, point: Point, blocks: Sequence[Block], kind: Seq
     step = -scale * (np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True) @ (scale * gradient))
     sizes = sizes_of(point.values, problem.layout, problem.signals.period_s)
     values = np.where(
-        logarithmic(problem.layout), point.values * np.exp(step), np.maximum(point.values + step * sizes, 0.0)
+        logarithmic(problem.layout),
+        point.values * np.exp(np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)),
+        np.maximum(point.values + step * sizes, 0.0),
     )
     alone = replace(
         problem, segments=(segment,), pose_spans=(), fixed=tuple(range(len(values))), known_path=problem.path(values)

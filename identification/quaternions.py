@@ -7,7 +7,7 @@ FloatArray = NDArray[np.float64]
 
 
 def turned_rad(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the angle [rad], 0 to π, between orientations (n, 4) or one (4,): 2 atan2(|v|, |w|) of before⁻¹ · after."""
+    """Return the angle [rad], 0 to π, between orientations (n, 4) or one (4,): 2 atan2(|v|, |w|) of before⁻¹ after."""
     same, across = _between(before, after)
     return np.asarray(2.0 * np.arctan2(_length(across), np.abs(same)))
 

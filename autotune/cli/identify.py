@@ -139,6 +139,10 @@ def _axis_rows(name: str, axis: "AxisEstimate") -> Iterator[tuple[str, ...]]:
         yield _row(f"{told}: secant", surface.secant_stiffness_n_per_m, stiffness, scale)
         yield _row(f"{told}: B_e", surface.damping_n_s_per_m, damping)
         yield _row(f"{told}: M_e", surface.mass_kg, mass)
+        lowest, highest = min(surface.peak_force_n, default=None), max(surface.peak_force_n, default=None)
+        if lowest is not None and highest is not None:
+            peaks = f"{highest:.1f}" if lowest == highest else f"{lowest:.1f} to {highest:.1f}"
+            yield f"{told}: peak", peaks, "", "N·m" if turning else "N", ""
 
 
 def _row(name: str, estimate: "Estimate", unit: str, scale: float = 1.0) -> tuple[str, ...]:

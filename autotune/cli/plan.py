@@ -53,11 +53,29 @@ _UNITS = {
 @click.option("--stiffness", type=_POSITIVE, metavar="N/M", help="A guess of K_s, where no file tells it.")
 @click.option("--max-tilt", type=_POSITIVE, default=60.0, show_default=True, metavar="DEG", help="Largest tilt.")
 @click.option("--poses", type=click.IntRange(0, 24), default=9, show_default=True, help="How many; 0 for none.")
-@click.option("--max-speed", type=_POSITIVE, default=0.25, show_default=True, metavar="M/S", help="Of the command.")
-@click.option("--max-force", type=_POSITIVE, default=100.0, show_default=True, metavar="N", help="At the sensor.")
-@click.option("--max-stroke", type=_POSITIVE, default=0.02, show_default=True, metavar="M", help="To each side.")
-@click.option("--max-duration", type=_POSITIVE, default=60.0, show_default=True, metavar="S", help="Of the sweep.")
-@click.option("--max-frequency", type=_POSITIVE, metavar="HZ", help="Of the sweep; default: what the robot passes.")
+@click.option(
+    "--max-speed",
+    type=click.FloatRange(min=1e-3),
+    default=0.25,
+    show_default=True,
+    metavar="M/S",
+    help="Of the command.",
+)
+@click.option(
+    "--max-force", type=click.FloatRange(min=5.0), default=100.0, show_default=True, metavar="N", help="At the sensor."
+)
+@click.option(
+    "--max-stroke", type=click.FloatRange(min=1e-4), default=0.02, show_default=True, metavar="M", help="To each side."
+)
+@click.option(
+    "--max-duration", type=click.FloatRange(min=2.0), default=60.0, show_default=True, metavar="S", help="Of the sweep."
+)
+@click.option(
+    "--max-frequency",
+    type=click.FloatRange(min=2.0),
+    metavar="HZ",
+    help="Of the sweep; default: what the robot passes.",
+)
 @output_options
 def command(
     output: Output,

@@ -18,6 +18,7 @@ from .units import ANGLE_RAD, FORCE_N, LENGTH_M, TORQUE_N_M
 
 _Number = TypeVar("_Number", np.float64, np.int64)
 
+_OF_A_RESTING_COMMAND = frozenset({"stuck-axis", "repeated-samples"})
 _OF_A_DEADBAND = frozenset({"stuck-axis", "deadband", "coarse-steps", "repeated-samples"})
 """What a deadband does to a wrench: expected where one is declared, as is what looks like the end of a range at 0."""
 
@@ -47,7 +48,11 @@ def role_faults(
     when = (_joined([part.log_ns for part in ordered]) - start_ns) / 1e9
     values = _without_unmeasured(parts[0], _joined([part.values for part in ordered]))
     if role in (Role.POSE, Role.COMMAND):
-        yield from _pose_faults(topic, values, source if isinstance(source, PoseSource) else PoseSource(), when)
+        declared = source if isinstance(source, PoseSource) else PoseSource()
+        for finding in _pose_faults(topic, values, declared, when):
+            # A command that stands still is no broken sensor.
+            if role is Role.POSE or finding.code not in _OF_A_RESTING_COMMAND:
+                yield finding
     elif role is Role.WRENCH:
         yield from _wrench_faults(topic, values, source if isinstance(source, WrenchSource) else WrenchSource(), when)
     else:

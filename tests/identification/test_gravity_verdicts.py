@@ -103,6 +103,12 @@ def test_a_residual_that_outgrows_the_load_is_told() -> None:
     assert load_growth_findings([(16.0, 1.1), (50.0, 3.4)]) == ()
 
 
+def test_a_sensor_that_bends_with_the_load_doubts_the_scale_of_every_force() -> None:
+    """q w|w| has the slope 2 q w: 30 % of a load of 50 kg for q = 3e-4 1/N."""
+    assert identify_gravity(curved(50.0, 3e-4)).gain_error_share == pytest.approx(2.0 * 3e-4 * 50.0 * 9.81, rel=0.2)
+    assert identify_gravity(rests(1)).gain_error_share < 1e-3
+
+
 def test_a_centre_that_one_tilt_does_not_tell_has_no_value() -> None:
     down = Rotation.from_euler("x", np.pi)
     one_axis = down * Rotation.from_rotvec(np.outer(np.linspace(-0.35, 0.35, 8), [1.0, 0.0, 0.0]))

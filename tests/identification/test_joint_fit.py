@@ -17,6 +17,7 @@ from identification.gravity import collect_static_poses, identify_gravity
 from identification.joint_contacts import find_holds
 from identification.joint_data import JointData, build_joint_data, hold_command, uncovered
 from identification.joint_fit import identify_joint
+from identification.joint_gain import with_gain_error
 from identification.joint_result import JointFit
 from identification.recording import PoseSignal, Recording
 from identification.robot import identify_robot
@@ -262,3 +263,16 @@ def test_what_a_command_says_nothing_about_is_not_used(demo_recording: Recording
     assert behind.start * log.period_s == pytest.approx(begins, abs=0.01)
     assert behind.stop == len(log)
     assert uncovered(command, log) == ()
+
+
+def test_a_doubtful_scale_is_common_to_everything_mechanical(demo_fit: JointFit) -> None:
+    doubted = with_gain_error(demo_fit, 0.1)
+    for name in ("stiffness_n_per_m", "mass_kg", "environment1_stiffness_n_per_m"):
+        value, std = doubted.value(name)
+        assert std == pytest.approx(0.1 * value, rel=0.01)
+    assert doubted.value("delay_s") == demo_fit.value("delay_s")
+    # The scale does not move the payload's own frequency: K_s and M_p go together.
+    scaled = doubted.covariance / np.outer(doubted.values, np.maximum(doubted.values, 1e-12))
+    i, j = (doubted.names.index(name) for name in ("stiffness_n_per_m", "mass_kg"))
+    assert scaled[i, i] + scaled[j, j] - 2.0 * scaled[i, j] < 1e-5
+    assert with_gain_error(demo_fit, 0.0) is demo_fit

@@ -19,8 +19,8 @@ from identification.inertia import InertiaFit
 from identification.joint_contacts import find_holds
 from identification.joint_data import build_joint_data
 from identification.joint_fit import identify_joint
-from identification.joint_model import COUPLING_NAMES, Layout
 from identification.joint_lag import Lag
+from identification.joint_model import COUPLING_NAMES, Layout
 from identification.joint_result import Diagnostics, JointFit, JointSurface
 from identification.result import Estimate, Status
 from identification.robot import identify_robot
