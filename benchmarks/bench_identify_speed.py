@@ -20,7 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +32,7 @@ from rosbags.typesys import Stores, get_typestore
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from autotune.cell.phases import Program
-from autotune.cell.simulate import simulate_cell
+from autotune.cell.simulate import made_later, simulate_cell
 from autotune.cell.truth import Cell
 from identification.recording import PoseSignal, Recording, WrenchSignal
 
@@ -92,7 +92,7 @@ def measure_together(folder: Path, count: int) -> None:
     logs = []
     for hour in range(count):
         recording = simulate_cell(Cell(), program_of(_TOGETHER_S), seed=hour).recording
-        logs.append(str(write_log(folder / f"hour{hour}.mcap", later(recording, hour))))
+        logs.append(str(write_log(folder / f"hour{hour}.mcap", made_later(recording, hour))))
     # Logs of different seeds may disagree on a parameter; that is no matter here.
     command = [sys.executable, "-m", "autotune", "identify", *logs, "--quiet", "--allow-partial"]
     command += ["-o", str(folder / "out.yaml")]
@@ -102,18 +102,6 @@ def measure_together(folder: Path, count: int) -> None:
     single = run_alone(command).seconds
     os.sched_setaffinity(0, processors)
     print(f"{count} logs of {_TOGETHER_S:g} s: {single:.2f} s on one processor, {several:.2f} s on {len(processors)}")
-
-
-def later(recording: Recording, hours: int) -> Recording:
-    """Return the recording as if it had been made some hours later."""
-    shift_ns = hours * 3600 * 10**9
-    assert recording.command is not None
-    return replace(
-        recording,
-        wrench=replace(recording.wrench, stamp_ns=recording.wrench.stamp_ns + shift_ns),
-        pose=replace(recording.pose, stamp_ns=recording.pose.stamp_ns + shift_ns),
-        command=replace(recording.command, stamp_ns=recording.command.stamp_ns + shift_ns),
-    )
 
 
 def program_of(seconds: float) -> Program:

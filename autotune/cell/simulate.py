@@ -1,6 +1,6 @@
 """Simulate a whole cell: the approach axis, along or about which it moves, with its compliance; the rest is rigid."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,18 @@ def simulate_cell(cell: Cell, program: Program, *, seed: int = 0) -> CellRun:
         command=_pose("/flange/command", stamps, base + commanded_place, commanded),
     )
     return CellRun(cell=cell, script=script, axis=axis, recording=recording)
+
+
+def made_later(recording: Recording, hours: int) -> Recording:
+    """Return the recording as if it had been made some hours later: a log of its own beside the first."""
+    shift_ns = hours * 3600 * 10**9
+    command = recording.command
+    return replace(
+        recording,
+        wrench=replace(recording.wrench, stamp_ns=recording.wrench.stamp_ns + shift_ns),
+        pose=replace(recording.pose, stamp_ns=recording.pose.stamp_ns + shift_ns),
+        command=None if command is None else replace(command, stamp_ns=command.stamp_ns + shift_ns),
+    )
 
 
 def _placed(cell: Cell, script: Script, along: FloatArray) -> tuple[FloatArray, Rotation]:

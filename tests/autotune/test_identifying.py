@@ -6,29 +6,16 @@ from pathlib import Path
 import pytest
 
 from autotune.cell.phases import Program
-from autotune.cell.simulate import simulate_cell
+from autotune.cell.simulate import made_later, simulate_cell
 from autotune.cell.truth import Cell
 from autotune.cell.write import write_mcap
 from autotune.identifying import IdentifiedLog, Topics, identify_log
 from identification.errors import EstimateError
-from identification.recording import Recording
 from tests.autotune.cell.runs import SHORT
 
 
-def later(recording: Recording, hours: int) -> Recording:
-    """The same recording, made some hours later."""
-    shift_ns = hours * 3600 * 10**9
-    assert recording.command is not None
-    return replace(
-        recording,
-        wrench=replace(recording.wrench, stamp_ns=recording.wrench.stamp_ns + shift_ns),
-        pose=replace(recording.pose, stamp_ns=recording.pose.stamp_ns + shift_ns),
-        command=replace(recording.command, stamp_ns=recording.command.stamp_ns + shift_ns),
-    )
-
-
 def written(path: Path, program: Program, seed: int) -> Path:
-    write_mcap(later(simulate_cell(Cell(), program, seed=seed).recording, seed), path)
+    write_mcap(made_later(simulate_cell(Cell(), program, seed=seed).recording, seed), path)
     return path
 
 

@@ -346,6 +346,20 @@ def test_an_axis_that_stays_in_the_deadband_is_refused_unless_one_is_declared(tm
     assert [finding.severity for finding in told] == ["warning"]
 
 
+def test_a_command_that_stands_still_is_no_broken_sensor(tmp_path: Path) -> None:
+    def resting(i: int, stamp: int) -> Tree:
+        at = max(i - 150, 0)
+        return {"header": header(stamp), "pose": {"position": xyz(POSITION[at]), "orientation": xyzw(QUATERNION[at])}}
+
+    command = replace(POSE, topic="/pose_command", message=resting)
+    recording = read_recording(write_log(tmp_path / "run.mcap", [FT, POSE, command]))
+    assert recording.command is not None
+    assert not {"stuck-axis", "repeated-samples"} & set(codes(recording))
+    # The same of the measured pose is a fault.
+    with pytest.raises(LogError, match="stays exactly the same"):
+        read_recording(write_log(tmp_path / "stuck.mcap", [FT, replace(POSE, message=resting)]))
+
+
 def test_a_declared_layout_is_not_asked_for(tmp_path: Path) -> None:
     path = write_log(tmp_path / "run.mcap", [JOINTS])
     assert "layout-undeclared" in [finding.code for finding in inspect_log(path).findings]
