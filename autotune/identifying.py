@@ -21,7 +21,6 @@ from identification.logs.runs import separate_runs
 from identification.recording import Recording
 from identification.result import Finding, Identified
 
-
 _CONTRADICTIONS = frozenset({"given-contradicts", "logs-disagree"})
 
 

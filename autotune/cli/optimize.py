@@ -1,14 +1,18 @@
 """`autotune optimize`: a validated controller from identified parameters."""
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from ._common import Output, output_options
+from ._compare import compare_lines, compare_tree
 from ._table import table_lines
 
 if TYPE_CHECKING:
+    from autotune.files.controller import ControllerFile, ScenarioPrediction
+    from autotune.files.units import AxisUnits
     from autotune.tuning.optimize import Optimized
 
 _EPILOG = """\b
@@ -16,6 +20,7 @@ Examples:
   autotune optimize identified.yaml -o controller.yaml
   autotune optimize identified.yaml --payload-mass 10,22 --environment-stiffness 2e4:5e5
   autotune optimize identified.yaml --problem problem.yaml --json
+  autotune optimize identified.yaml --compare old.yaml
 """
 
 
@@ -67,6 +72,13 @@ def _ordered(low: float, high: float, what: str) -> tuple[float, float]:
 @click.option(
     "--environment-stiffness", callback=_stiffness, metavar="LO:HI", help="A range [N/m] that must all be safe."
 )
+@click.option(
+    "--compare",
+    "old",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="CONTROLLER",
+    help="Put this controller beside the new one on the same problem; the search starts from it too.",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same file.")
 @output_options
 def command(
@@ -76,83 +88,127 @@ def command(
     problem: Path | None,
     payload_mass: tuple[float, float] | None,
     environment_stiffness: tuple[float, float] | None,
+    old: Path | None,
     seed: int,
 ) -> None:
     """Search the controller with the gentlest contact that stays stable and moves freely, and validate it.
 
-    Peak force, stability and margins are those of the exact sampled loop, over the whole range of payload mass and
-    environment stiffness. Exit code 5: no controller meets the requirements. 6: a claim could not be verified. Nothing
+    Every identified axis is tuned, rotational ones in rad, N·m and kg·m². Peak force, stability and margins are those
+    of the exact sampled loop, over the whole range of payload mass and environment stiffness. Exit code 5: no
+    controller meets the requirements. 6: a claim could not be verified, or the file to compare with is altered. Nothing
     is written then.
     """
     from autotune.files.atomic import check_target
     from autotune.files.canonical import short
-    from autotune.files.controller import controller_tree, write_controller
+    from autotune.files.controller import controller_tree, read_controller, write_controller
     from autotune.files.identified import read_identified
     from autotune.files.problem import ProblemSpec, read_problem
+    from autotune.files.records import ROTATIONAL_AXES
     from autotune.tuning.optimize import optimize
     from autotune.tuning.problems import Wishes
 
     check_target(out)
     plant = read_identified(identified)
+    existing = None if old is None else read_controller(old)
     spec = ProblemSpec() if problem is None else read_problem(problem)
     wishes = Wishes(payload_mass_kg=payload_mass, environment_stiffness_n_per_m=environment_stiffness)
     with output.progress("searching", 1.0) as advance:
-        found = optimize(plant, spec, wishes, seed=seed, problem_path=problem, progress=advance)
+        found = optimize(plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, progress=advance)
     checksum = write_controller(out, found.controller)
     if found.controller.payload.mass_kg != plant.result.payload.mass_kg.value:
         output.note(
             f"The runtime will compensate {found.controller.payload.mass_kg:g} kg with the centre of mass of the "
             "identified payload; identify the new payload before it is led by hand."
         )
+    turning = [name for name in found.controller.axes if name in ROTATIONAL_AXES]
+    if turning and environment_stiffness is not None:
+        output.note(
+            f"--environment-stiffness is in N/m and says nothing of {', '.join(turning)}; the range certified there is "
+            "the identified one, or that of problem.yaml."
+        )
     tree = {**controller_tree(found.controller), "active": active_tree(found)}
-    output.result(tree, lambda: print_optimized(found, out, short(checksum)))
+    if existing is not None:
+        tree["compare"] = compare_tree(existing, found.compared)
+    output.result(tree, lambda: print_optimized(found, out, short(checksum), existing))
 
 
 def active_tree(found: "Optimized") -> dict[str, Any]:
-    """Return, per axis, the active requirements and bounds with the price of one percent in N."""
+    """Return, per axis, the active requirements and bounds with the price of one percent in N, or in N·m."""
+    from autotune.files.records import ROTATIONAL_AXES
+
     return {
-        name: [{"name": a.name, "price_n_per_percent": a.price_n} for a in active]
+        name: [
+            {
+                "name": a.name,
+                "price_n_m_per_percent" if name in ROTATIONAL_AXES else "price_n_per_percent": a.price_n,
+            }
+            for a in active
+        ]
         for name, active in found.active.items()
     }
 
 
-def print_optimized(found: "Optimized", out: Path, checksum: str) -> None:
+def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "ControllerFile | None" = None) -> None:
     """Print the chosen gains, the predicted peaks, what holds them up, and what was verified."""
+    from autotune.files.units import axis_units
+
     controller = found.controller
     for name, gains in controller.axes.items():
+        units = axis_units(name)
         click.echo(
-            f"axis {name}: M_a {gains.mass:g} kg, B_a {gains.damping:g} N·s/m, K_l {gains.lead_s:g} s, "
-            f"B_fb {gains.feedback_damping_s:g} s"
+            f"axis {name}: M_a {gains.mass:g} {units.mass}, B_a {gains.damping:g} {units.damping}, "
+            f"K_l {gains.lead_s:g} s, B_fb {gains.feedback_damping_s:g} s"
         )
-        rows = [("K_e [N/mm]", "payload [kg]", "peak at contact [N]", "at sensor [N]", "after [ms]")]
-        rows += [
-            (
-                f"{s.environment_stiffness_n_per_m / 1e3:.1f}",
-                f"{s.payload_mass_kg:.2f}",
-                f"{s.peak_contact_force_n:.1f}",
-                f"{s.peak_sensor_force_n:.1f}",
-                f"{s.time_of_peak_s * 1e3:.0f}",
-            )
-            for s in controller.predicted[name].scenarios
-        ]
-        for line in table_lines(rows, left=(), indent="  "):
+        for line in _peak_lines(controller.predicted[name].scenarios, units):
             click.echo(line)
         for line in active_lines(found, name):
             click.echo(f"  {line}")
     for check in found.report.checks:
-        click.echo(f"  {'ok' if check.passed else 'FAILED':6} {check.name}: {check.message}")
+        axis = f"{check.axis}: " if len(controller.axes) > 1 else ""
+        click.echo(f"  {'ok' if check.passed else 'FAILED':6} {axis}{check.name}: {check.message}")
+    if existing is not None:
+        for line in compare_lines(existing, found.compared):
+            click.echo(line)
     click.echo(f"written: {out}, checksum {checksum}")
+
+
+def _peak_lines(scenarios: "Iterable[ScenarioPrediction]", units: "AxisUnits") -> Iterator[str]:
+    """Yield the table of predicted contacts; lengths in mm along an axis, digits as its unit needs them."""
+    straight = units.force == "N"
+    scale, stiffness, digits = (1e-3, "N/mm", 1) if straight else (1.0, units.stiffness, 2)
+    rows = [
+        (
+            f"K_e [{stiffness}]",
+            f"{'payload' if straight else units.mass_name} [{units.mass}]",
+            f"peak at contact [{units.force}]",
+            f"at sensor [{units.force}]",
+            "after [ms]",
+        )
+    ]
+    rows += [
+        (
+            f"{s.environment_stiffness_n_per_m * scale:.1f}",
+            f"{s.payload_mass_kg:.{digits if not straight else 2}f}",
+            f"{s.peak_contact_force_n:.{digits}f}",
+            f"{s.peak_sensor_force_n:.{digits}f}",
+            f"{s.time_of_peak_s * 1e3:.0f}",
+        )
+        for s in scenarios
+    ]
+    yield from table_lines(rows, left=(), indent="  ")
 
 
 def active_lines(found: "Optimized", name: str) -> list[str]:
     """Say in words what holds the peak of one axis up."""
-    active = found.active[name]
+    from autotune.files.units import axis_units
+
+    active, units = found.active[name], axis_units(name)
     if not active:
-        return ["no requirement is active: the peak is the approach force itself"]
+        return [f"no requirement is active: the peak is the approach {units.force_name} itself"]
     lines = []
     for entry in active:
         if entry.price_n > 1e-3:
-            lines.append(f"{entry.name} holds the peak up: easing it by 1 % saves {entry.price_n:.2f} N")
+            lines.append(f"{entry.name} holds the peak up: easing it by 1 % saves {entry.price_n:.2f} {units.force}")
         else:
             lines.append(f"{entry.name} is active, easing it alone saves nothing")
     return lines

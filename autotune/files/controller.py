@@ -46,8 +46,8 @@ class ControllerFile:
 def controller_tree(controller: Controller) -> dict[str, Any]:
     """Return the plain tree of `controller.yaml`, its checksum last.
 
-    On rx, ry, rz the keys of `predicted` and `certificate.domain` tell the rotational unit
-    (`autotune.files.records.ROTATIONAL_KEYS`).
+    On rx, ry, rz the keys of `predicted`, `certificate.domain`, `certificate.margins` and
+    `certificate.rotational_requirements` tell the rotational unit (`autotune.files.records.ROTATIONAL_KEYS`).
 
     Raises ParameterError: a number is not finite, or an entry is out of its range.
     """
@@ -104,10 +104,11 @@ def _renamed(body: dict[str, Any], *, reading: bool) -> dict[str, Any]:
         return {axis: rename_axis_keys(axis, tree, reading=reading) for axis, tree in trees.items()}
 
     certificate = body["certificate"]
-    return body | {
-        "predicted": axes(body["predicted"]),
-        "certificate": certificate | {"domain": axes(certificate["domain"])},
-    }
+    renamed = {"domain": axes(certificate["domain"]), "margins": axes(certificate["margins"])}
+    if "rotational_requirements" in certificate:
+        rotational = rename_axis_keys("rx", certificate["rotational_requirements"], reading=reading)
+        renamed["rotational_requirements"] = rotational
+    return body | {"predicted": axes(body["predicted"]), "certificate": certificate | renamed}
 
 
 __all__ = [

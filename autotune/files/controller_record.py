@@ -9,6 +9,8 @@ from typing import Any
 
 from problems.errors import ParameterError
 
+from .records import ROTATIONAL_AXES
+
 Vector = tuple[float, float, float]
 Interval = tuple[float, float]
 
@@ -205,18 +207,31 @@ class AdmittanceRequirement:
         _check_interval("band_hz", self.band_hz)
 
 
+Asked = Mapping[str, float | bool | AdmittanceRequirement]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """What was shown about the controller, and for which plants."""
+    """What was shown about the controller, and for which plants.
+
+    `requirements` are those of x, y, z, `rotational_requirements` those of rx, ry, rz (rad, N·m), None without them.
+    """
 
     domain: Mapping[str, AxisDomain]
     sample_time_s: float
     requirements: Mapping[str, float | bool | AdmittanceRequirement]
     proved: tuple[Proof, ...]
     margins: Mapping[str, AxisMargins]
+    rotational_requirements: Mapping[str, float | bool | AdmittanceRequirement] | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, "domain", "requirements", "margins")
+        if self.rotational_requirements is not None:
+            _freeze(self, "rotational_requirements")
+
+    def requirements_of(self, axis: str) -> Asked | None:
+        """Return what was asked of one axis; None for a rotational one of which the file does not say it."""
+        return self.rotational_requirements if axis in ROTATIONAL_AXES else self.requirements
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,24 +11,51 @@ from problems.contact import Approach
 from problems.design import AdmittanceTarget, Objective, Requirements
 from problems.errors import ParameterError
 
-from .canonical import Place
+from .canonical import Place, spell
+from .records import rename_axis_keys
 from .schema import check_document
 from .yaml12 import Document, load_document
 
 Interval = tuple[float, float]
+
+_RANGES = (
+    "environment_stiffness_n_per_m",
+    "payload_mass_kg",
+    "environment_stiffness_n_m_per_rad",
+    "payload_inertia_kg_m2",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotationalSpec:
+    """What `problem.yaml` says of rx, ry, rz alone; the fields hold rad, N·m and kg·m².
+
+    `requirements` holds those that were said, None where nothing is asked.
+    """
+
+    bounds: Mapping[str, Interval] = field(default_factory=dict)
+    approach: Approach | None = None
+    environment_stiffness_n_per_m: Interval | None = None
+    payload_mass_kg: Interval | None = None
+    requirements: Mapping[str, float | AdmittanceTarget | None] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("bounds", "requirements"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProblemSpec:
     """Everything that `problem.yaml` may say; None or empty where it says nothing and the default holds."""
 
-    axis: str | None = None
+    axes: tuple[str, ...] | None = None
     bounds: Mapping[str, Interval] = field(default_factory=dict)
     approach: Approach | None = None
     environment_stiffness_n_per_m: Interval | None = None
     payload_mass_kg: Interval | None = None
     requirements: Requirements = field(default_factory=Requirements)
     objective: Objective = "contact_force"
+    rotational: RotationalSpec = field(default_factory=RotationalSpec)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "bounds", MappingProxyType(dict(self.bounds)))
@@ -41,38 +68,46 @@ def read_problem(path: Path) -> ProblemSpec:
     tree = document.tree
     for place in _intervals(tree):
         _check_order(document, place)
+    axis, turned = tree.get("axis"), rename_axis_keys("rx", tree.get("rotational", {}), reading=True)
     try:
         return ProblemSpec(
-            axis=tree.get("axis"),
-            bounds={name: _pair(value) for name, value in tree.get("bounds", {}).items()},
-            approach=Approach(**tree["approach"]) if "approach" in tree else None,
-            environment_stiffness_n_per_m=_optional_pair(tree.get("environment_stiffness_n_per_m")),
-            payload_mass_kg=_optional_pair(tree.get("payload_mass_kg")),
-            requirements=_requirements(tree.get("requirements", {})),
+            axes=(axis,) if isinstance(axis, str) else axis and tuple(axis),
+            **_ranges(tree),
+            requirements=Requirements(**_requirements(tree.get("requirements", {}))),
             objective=tree.get("objective", "contact_force"),
+            rotational=RotationalSpec(**_ranges(turned), requirements=_requirements(turned.get("requirements", {}))),
         )
     except ParameterError as error:
         raise UsageError(f"{path}: {error}") from error
 
 
-def _requirements(tree: Mapping[str, Any]) -> Requirements:
+def _ranges(tree: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        "bounds": {name: _pair(value) for name, value in tree.get("bounds", {}).items()},
+        "approach": Approach(**tree["approach"]) if "approach" in tree else None,
+        "environment_stiffness_n_per_m": _optional_pair(tree.get("environment_stiffness_n_per_m")),
+        "payload_mass_kg": _optional_pair(tree.get("payload_mass_kg")),
+    }
+
+
+def _requirements(tree: Mapping[str, Any]) -> dict[str, Any]:
     known = dict(tree)
-    target = known.pop("free_space_admittance", False)
-    if target is None:
-        known["free_space_admittance"] = None
-    elif target is not False:
+    target = known.get("free_space_admittance")
+    if target is not None:
         known["free_space_admittance"] = AdmittanceTarget(
             min_m_s_per_n=target["min_m_s_per_n"], band_hz=_pair(target["band_hz"])
         )
-    return Requirements(**known)
+    return known
 
 
-def _intervals(tree: Mapping[str, Any]) -> list[Place]:
+def _intervals(tree: Mapping[str, Any], within: Place = ()) -> list[Place]:
+    """Return where the ranges stand, those of rotational axes included."""
     places: list[Place] = [("bounds", name) for name in tree.get("bounds", {})]
-    places += [(name,) for name in ("environment_stiffness_n_per_m", "payload_mass_kg") if name in tree]
+    places += [(name,) for name in tree if name in _RANGES]
     if (tree.get("requirements") or {}).get("free_space_admittance"):
         places.append(("requirements", "free_space_admittance", "band_hz"))
-    return places
+    places = [(*within, *place) for place in places]
+    return places + (_intervals(tree["rotational"], ("rotational",)) if "rotational" in tree else [])
 
 
 def _check_order(document: Document, place: Place) -> None:
@@ -80,7 +115,7 @@ def _check_order(document: Document, place: Place) -> None:
     for key in place:
         value = value[key]
     if value[0] > value[1]:
-        document.refuse(place, f"{'.'.join(map(str, place))} must be [low, high], found {value[0]} above {value[1]}.")
+        document.refuse(place, f"{spell(place)} must be [low, high], found {value[0]} above {value[1]}.")
 
 
 def _pair(value: list[float]) -> Interval:

@@ -29,10 +29,13 @@ ROTATIONAL_KEYS: Mapping[str, str] = types.MappingProxyType(
         "payload_mass_kg": "payload_inertia_kg_m2",
         "coupling_stiffness_n_per_m": "coupling_stiffness_n_m_per_rad",
         "coupling_damping_n_s_per_m": "coupling_damping_n_m_s_per_rad",
+        "force_n": "torque_n_m",
+        "speed_m_s": "speed_rad_s",
         "approach_force_n": "approach_torque_n_m",
         "approach_speed_m_s": "approach_speed_rad_s",
         "peak_sensor_force_n": "peak_sensor_torque_n_m",
         "peak_contact_force_n": "peak_contact_torque_n_m",
+        "max_peak_force_n": "max_peak_torque_n_m",
         "min_m_s_per_n": "min_rad_s_per_n_m",
         "hand_force_n_per_m_s": "hand_torque_n_m_per_rad_s",
     }

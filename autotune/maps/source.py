@@ -18,6 +18,7 @@ from autotune.files.yaml12 import LARGEST_FILE_BYTES
 from autotune.validation.validate import admittance_controller, uncertain_plant
 from identification.errors import EstimateError
 from identification.result import AxisEstimate, Estimate, Identified, Status
+from identification.rotation import LEVER_M
 from problems.contact import Approach
 from problems.controller import AdmittanceController
 from problems.robot import RobotModel
@@ -149,10 +150,11 @@ def _identified(path: Path, found: Identified, wanted: str | None) -> MapSource:
         "coupling_damping": axis.coupling.damping_n_s_per_m,
     }
     known, missing = {}, {}
-    if name in ROTATIONAL_AXES:
-        missing["payload_mass"] = "no log tells the payload's inertia"
+    moving = axis.mass_kg if name in ROTATIONAL_AXES else found.payload.mass_kg
+    if moving is None:
+        missing["payload_mass"] = "the log does not tell the payload's inertia about this axis"
     else:
-        estimates["payload_mass"] = found.payload.mass_kg
+        estimates["payload_mass"] = moving
     for key, estimate in estimates.items():
         value = _number(estimate)
         if value is None:
@@ -176,7 +178,7 @@ def _identified(path: Path, found: Identified, wanted: str | None) -> MapSource:
         known=known,
         missing=missing,
         controller=None,
-        approach=Approach(force_n=_DEFAULT_APPROACH_N),
+        approach=Approach(force_n=_DEFAULT_APPROACH_N * (LEVER_M if name in ROTATIONAL_AXES else 1.0)),
     )
 
 

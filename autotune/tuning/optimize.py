@@ -1,18 +1,22 @@
 """From identified parameters to a validated controller: search, prove, write down, verify."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from autotune import __version__
+from autotune.errors import InfeasibleError
+from autotune.files.controller import ControllerFile
 from autotune.files.controller_record import Controller
 from autotune.files.identified import IdentifiedFile
 from autotune.files.problem import ProblemSpec
 from autotune.validation.validate import ValidationReport, prove_axis, validate_controller
+from problems.design import DesignProblem
 
+from .compare import SideBySide, check_comparable, compare, start_design
 from .explain import Active, explain
-from .problems import Wishes, build_problems, runtime_mass_kg
+from .problems import Wishes, build_problems, certified_mass_kg, runtime_mass_kg
 from .record import build_controller, build_domain
 from .search import SearchResult, solve_design
 
@@ -21,12 +25,16 @@ _SEARCH_SHARE, _PROOF_SHARE = 0.7, 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Optimized:
-    """A controller that passed validation, the searches behind it, what each rests on, and the checks it passed."""
+    """A controller that passed validation, the searches behind it, what each rests on, and the checks it passed.
+
+    `compared` puts it beside an existing controller, axis by axis, if one was given.
+    """
 
     controller: Controller
     searches: Mapping[str, SearchResult]
     active: Mapping[str, tuple[Active, ...]]
     report: ValidationReport
+    compared: Mapping[str, SideBySide] = field(default_factory=dict)
 
 
 def optimize(
@@ -36,20 +44,27 @@ def optimize(
     *,
     seed: int = 0,
     problem_path: Path | None = None,
+    existing: ControllerFile | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Optimized:
     """Tune every axis and return a controller that the independent validation has passed.
 
-    `progress` is told the share of the work done since the last call. Raises InfeasibleError when nothing meets the
-    requirements, CertificateError when a claim cannot be proved or verified, EstimateError for a missing parameter.
+    `existing` is a controller to compare with; its gains join the search where they lie inside the bounds. `progress`
+    is told the share of the work done since the last call. Raises InfeasibleError when nothing meets the
+    requirements, CertificateError when a claim cannot be proved or verified, EstimateError for a missing parameter,
+    UsageError for wishes or an existing controller that do not fit.
     """
     report = progress if progress is not None else _silent
     problems = build_problems(identified.result, spec, wishes)
+    if existing is not None:
+        check_comparable(existing, problems)
     # Asked before the search, because it may refuse.
-    runtime_mass_kg(identified.result, next(iter(problems.values())).payload_mass_kg)
-    share = 1.0 / len(problems)
+    mass_kg = runtime_mass_kg(
+        identified.result, certified_mass_kg(problems) or wishes.payload_mass_kg or spec.payload_mass_kg
+    )
+    share = _SEARCH_SHARE / len(problems)
     searches = {
-        name: solve_design(problem, seed=seed, progress=lambda done: report(_SEARCH_SHARE * share * done))
+        name: _search(name, problem, seed, existing, lambda done: report(share * done))
         for name, problem in problems.items()
     }
     active = {name: explain(search) for name, search in searches.items()}
@@ -64,18 +79,31 @@ def optimize(
     }
     report(_PROOF_SHARE)
     controller = build_controller(
-        searches, identified.result, proofs, _provenance(identified, wishes, seed, problem_path)
+        searches, identified.result, proofs, _provenance(identified, wishes, seed, problem_path, existing), mass_kg
     )
     checked = validate_controller(controller, lambda done: report((1.0 - _SEARCH_SHARE - _PROOF_SHARE) * done))
     checked.require()
-    return Optimized(controller=controller, searches=searches, active=active, report=checked)
+    compared = {} if existing is None else compare(existing.controller, searches)
+    return Optimized(controller=controller, searches=searches, active=active, report=checked, compared=compared)
+
+
+def _search(
+    name: str, problem: DesignProblem, seed: int, existing: ControllerFile | None, report: Callable[[float], None]
+) -> SearchResult:
+    start = None if existing is None else start_design(existing.controller, name, problem)
+    try:
+        return solve_design(problem, seed=seed, start=start, progress=report)
+    except InfeasibleError as error:
+        raise InfeasibleError(f"Axis {name}: {error}") from error
 
 
 def _silent(_: float) -> None:
     return None
 
 
-def _provenance(identified: IdentifiedFile, wishes: Wishes, seed: int, problem_path: Path | None) -> dict[str, Any]:
+def _provenance(
+    identified: IdentifiedFile, wishes: Wishes, seed: int, problem_path: Path | None, existing: ControllerFile | None
+) -> dict[str, Any]:
     mass, stiffness = wishes.payload_mass_kg, wishes.environment_stiffness_n_per_m
     return {
         "tool": f"autotune {__version__}",
@@ -85,5 +113,6 @@ def _provenance(identified: IdentifiedFile, wishes: Wishes, seed: int, problem_p
             "payload_mass_kg": None if mass is None else list(mass),
             "environment_stiffness_n_per_m": None if stiffness is None else list(stiffness),
             "seed": seed,
+            "compare": None if existing is None else {"path": str(existing.path), "checksum": existing.checksum},
         },
     }

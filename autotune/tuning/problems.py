@@ -1,19 +1,22 @@
 """From identified parameters and wishes to one design problem per axis."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from autotune.errors import UsageError
-from autotune.files.problem import ProblemSpec
+from autotune.files.problem import ProblemSpec, RotationalSpec
+from autotune.files.records import ROTATIONAL_AXES, ROTATIONAL_KEYS
 from identification.errors import EstimateError
 from identification.result import AxisEstimate, Estimate, Identified, Status, VectorEstimate
 from problems.contact import Approach
 from problems.design import DesignProblem
 from problems.plant import Coupling
 from problems.robot import RobotModel
+
+from .rotational import through_lever
 
 Interval = tuple[float, float]
 
@@ -26,40 +29,83 @@ _DEFAULT_APPROACH_N = 30.0
 
 @dataclass(frozen=True, kw_only=True)
 class Wishes:
-    """What the command line adds to `problem.yaml`; None where nothing was said."""
+    """What the command line adds to `problem.yaml`, for translational axes; None where nothing was said."""
 
     payload_mass_kg: Interval | None = None
     environment_stiffness_n_per_m: Interval | None = None
 
 
 def build_problems(identified: Identified, spec: ProblemSpec, wishes: Wishes) -> dict[str, DesignProblem]:
-    """Return a design problem for every axis that the log identified (or for the one that `spec` names).
+    """Return a design problem for every axis that the log identified (or for those that `spec` names).
 
-    The command line wins over `problem.yaml`, and that over the identified value with its uncertainty. Raises
-    UsageError for an axis that is not there, EstimateError for a parameter that is missing and was not given.
+    The command line wins over `problem.yaml`, and that over the identified value with its uncertainty. The problem of
+    a rotational axis is the same in rad, N·m and kg·m², with the axis's moment of inertia as its mass. Raises
+    UsageError for an axis that is not there and for a payload of which nobody says the inertia, EstimateError for a
+    parameter that is missing and was not given.
     """
     if not identified.axes:
         raise EstimateError("The identified file holds no axis, so there is nothing to tune.")
-    names = list(identified.axes) if spec.axis is None else [spec.axis]
+    names = list(identified.axes) if spec.axes is None else list(spec.axes)
     unknown = [name for name in names if name not in identified.axes]
     if unknown:
         raise UsageError(f"Axis {unknown[0]} is not in the identified file; it holds {', '.join(identified.axes)}.")
-    rotational = [name for name in names if name.startswith("r")]
-    if rotational:
+    _check_use(names, spec, wishes)
+    approach = spec.approach or Approach(force_n=_DEFAULT_APPROACH_N)
+    straight = replace(
+        spec,
+        approach=approach,
+        environment_stiffness_n_per_m=wishes.environment_stiffness_n_per_m or spec.environment_stiffness_n_per_m,
+        payload_mass_kg=wishes.payload_mass_kg or spec.payload_mass_kg,
+    )
+    turned = through_lever(spec, approach)
+    problems = {}
+    for name in names:
+        if name in ROTATIONAL_AXES:
+            if turned.payload_mass_kg is None:
+                _check_same_payload(identified, name, straight.payload_mass_kg)
+            problems[name] = _build_problem(identified, name, turned)
+        else:
+            problems[name] = _build_problem(identified, name, straight)
+    return problems
+
+
+def _check_use(names: list[str], spec: ProblemSpec, wishes: Wishes) -> None:
+    """Refuse ranges that no axis takes, unless axes were named: their author believes that they are certified."""
+    turning, unnamed = ROTATIONAL_AXES.intersection(names), spec.axes is None
+    if unnamed and not turning and spec.rotational != RotationalSpec():
+        raise UsageError(f"problem.yaml has an entry rotational, and no rotational axis is tuned: {', '.join(names)}.")
+    stiffness = wishes.environment_stiffness_n_per_m or (spec.environment_stiffness_n_per_m if unnamed else None)
+    if len(turning) == len(names) and stiffness is not None:
         raise UsageError(
-            f"Axis {rotational[0]} is rotational, which this release does not tune; name a translational one in "
-            "problem.yaml."
+            f"A surface's stiffness in N/m says nothing of rotation, and only {', '.join(names)} is tuned; say "
+            "rotational.environment_stiffness_n_m_per_rad in problem.yaml."
         )
-    return {name: _build_problem(identified, name, spec, wishes) for name in names}
 
 
-def runtime_mass_kg(identified: Identified, certified: Interval) -> float:
+def _check_same_payload(identified: Identified, name: str, asked: Interval | None) -> None:
+    """Refuse another payload than the identified one on a rotational axis: its moment of inertia is not known."""
+    if asked is None:
+        return
+    low, high = _range(identified.payload.mass_kg, "payload.mass_kg", _LEAST_MASS_SHARE)
+    if not low <= asked[0] <= asked[1] <= high:
+        told = f"{asked[0]:g} kg" if asked[0] == asked[1] else f"{asked[0]:g} to {asked[1]:g} kg"
+        raise UsageError(
+            f"A payload of {told} is not the identified one ({low:g} to {high:g} kg), and its "
+            f"moment of inertia about {name} does not follow from its mass. Say rotational.payload_inertia_kg_m2 in "
+            "problem.yaml, or name the translational axes there with axis."
+        )
+
+
+def runtime_mass_kg(identified: Identified, certified: Interval | None) -> float:
     """Return the mass that the runtime's gravity compensation takes: one that the certificate holds for.
 
-    The identified mass where the range holds it, else the one mass that was asked for. Raises UsageError for a range
-    that leaves the identified mass out: nobody could say which weight to compensate.
+    The identified mass where the range holds it, else the one mass that was asked for; `certified` is None where only
+    rotational axes are tuned, whose certificates speak of inertia. Raises UsageError for a range that leaves the
+    identified mass out: nobody could say which weight to compensate.
     """
     mass = _value(identified.payload.mass_kg, "payload.mass_kg")
+    if certified is None:
+        return mass
     low, high = certified
     if low <= mass <= high:
         return mass
@@ -71,21 +117,24 @@ def runtime_mass_kg(identified: Identified, certified: Interval) -> float:
     )
 
 
-def _build_problem(identified: Identified, name: str, spec: ProblemSpec, wishes: Wishes) -> DesignProblem:
-    axis = identified.axes[name]
-    stiffness = wishes.environment_stiffness_n_per_m or spec.environment_stiffness_n_per_m
-    mass = wishes.payload_mass_kg or spec.payload_mass_kg
+def certified_mass_kg(problems: Mapping[str, DesignProblem]) -> Interval | None:
+    """Return the range of payload mass that the translational axes share, None where there are none."""
+    return next((each.payload_mass_kg for name, each in problems.items() if name not in ROTATIONAL_AXES), None)
+
+
+def _build_problem(identified: Identified, name: str, spec: ProblemSpec) -> DesignProblem:
+    axis, coupling = identified.axes[name], identified.axes[name].coupling
     return DesignProblem(
         robot=_robot(axis, name),
         coupling=Coupling(
-            stiffness_n_per_m=_value(axis.coupling.stiffness_n_per_m, f"axes.{name}.coupling.stiffness_n_per_m"),
+            stiffness_n_per_m=_value(coupling.stiffness_n_per_m, _place(name, "coupling.", "stiffness_n_per_m")),
             damping_n_s_per_m=max(
-                _value(axis.coupling.damping_n_s_per_m, f"axes.{name}.coupling.damping_n_s_per_m"), 0.0
+                _value(coupling.damping_n_s_per_m, _place(name, "coupling.", "damping_n_s_per_m")), 0.0
             ),
         ),
-        drag_n_s_per_m=max(_value(axis.drag_n_s_per_m, f"axes.{name}.drag_n_s_per_m"), 0.0),
-        environment_stiffness_n_per_m=stiffness or _stiffness_range(axis, name),
-        payload_mass_kg=mass or _range(identified.payload.mass_kg, "payload.mass_kg", _LEAST_MASS_SHARE),
+        drag_n_s_per_m=max(_value(axis.drag_n_s_per_m, _place(name, "", "drag_n_s_per_m")), 0.0),
+        environment_stiffness_n_per_m=spec.environment_stiffness_n_per_m or _stiffness_range(axis, name),
+        payload_mass_kg=spec.payload_mass_kg or _mass_range(identified, name),
         sample_time_s=_value(identified.sample_time_s, "sample_time_s"),
         approach=spec.approach or Approach(force_n=_DEFAULT_APPROACH_N),
         bounds=spec.bounds,
@@ -102,13 +151,35 @@ def _robot(axis: AxisEstimate, name: str) -> RobotModel:
     )
 
 
+def _place(name: str, within: str, key: str) -> str:
+    """Return where an entry stands in `identified.yaml`, a rotational one under the name that it has there."""
+    return f"axes.{name}.{within}{ROTATIONAL_KEYS[key] if name in ROTATIONAL_AXES else key}"
+
+
+def _mass_range(identified: Identified, name: str) -> Interval:
+    if name not in ROTATIONAL_AXES:
+        return _range(identified.payload.mass_kg, "payload.mass_kg", _LEAST_MASS_SHARE)
+    inertia, where = identified.axes[name].mass_kg, _place(name, "", "mass_kg")
+    if inertia is None:
+        raise EstimateError(_absent(where, "no motion tells it"))
+    return _range(inertia, where, _LEAST_MASS_SHARE)
+
+
 def _stiffness_range(axis: AxisEstimate, name: str) -> Interval:
     if not axis.environments:
+        say = (
+            "say rotational.environment_stiffness_n_m_per_rad in problem.yaml"
+            if name in ROTATIONAL_AXES
+            else "say --environment-stiffness LO:HI"
+        )
         raise EstimateError(
-            f"Axis {name} has no identified environment; record contacts, or say --environment-stiffness LO:HI."
+            f"Axis {name} has no identified environment; record contacts, or {say}. To tune other axes alone, name "
+            "them in problem.yaml with axis."
         )
     ranges = [
-        _range(e.stiffness_n_per_m, f"axes.{name}.environments[{e.name}].stiffness_n_per_m", _LEAST_STIFFNESS_SHARE)
+        _range(
+            e.stiffness_n_per_m, _place(name, f"environments[{e.name}].", "stiffness_n_per_m"), _LEAST_STIFFNESS_SHARE
+        )
         for e in axis.environments
     ]
     return min(low for low, _ in ranges), max(high for _, high in ranges)

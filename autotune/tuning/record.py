@@ -21,17 +21,20 @@ from autotune.files.controller_record import (
     RuntimePayload,
     ScenarioPrediction,
 )
+from autotune.files.records import ROTATIONAL_AXES
+from autotune.files.units import axis_units
 from identification.errors import EstimateError
 from identification.result import Identified
+from identification.rotation import LEVER_M
 from problems.controller import AdmittanceController
-from problems.design import DesignProblem, Requirements
+from problems.design import DesignProblem, Requirements, Scenario
 from problems.evaluation import PlantMargins, build_scenarios, smallest_admittance
 
-from .problems import runtime_mass_kg
 from .search import SearchResult
 
 _DEFAULT_DEADBAND_N = 5.0
 _ACCELERATION_FILTER_RAD_PER_S = 200.0
+_DEFAULT_BAND_HZ = (0.1, 2.0)
 _PREDICTED_STIFFNESS, _PREDICTED_MASS = 5, 2
 _NAMES = ("modulus", "gain_db", "phase_deg", "delay_s")
 
@@ -41,31 +44,35 @@ def build_controller(
     identified: Identified,
     proofs: Mapping[str, tuple[Proof, ...]],
     provenance: Mapping[str, Any],
+    mass_kg: float,
 ) -> Controller:
     """Assemble the controller of all tuned axes; `proofs` are what validation's code has shown, per axis.
 
-    The axes share h, filters, payload and requirements, which come from one identified file and one problem.
+    The axes share h, filters and payload, and axes of a kind their requirements; they come from one identified file
+    and one problem. `mass_kg` is what the runtime compensates.
     """
     first = next(iter(results.values())).problem
     controllers = {name: _controller(result) for name, result in results.items()}
+    asked = {name in ROTATIONAL_AXES: _requirements(result.problem.requirements) for name, result in results.items()}
     return Controller(
         status=ControllerStatus.VALIDATED,
         sample_time_s=first.sample_time_s,
         discretization="tustin",
         delay_samples=max(r.problem.robot.delay_s for r in results.values()) / first.sample_time_s,
-        axes={name: _gains(controller) for name, controller in controllers.items()},
+        axes={name: _gains(name, controller) for name, controller in controllers.items()},
         filters=Filters(
             velocity_rad_per_s=first.velocity_filter_rad_per_s,
             acceleration_rad_per_s=_ACCELERATION_FILTER_RAD_PER_S,
         ),
         compensation_mass_kg=0.0,
         collision=Collision(response=CollisionResponse.NONE, threshold_n=None),
-        payload=_payload(identified, first.payload_mass_kg),
-        predicted={name: _prediction(results[name].problem, c) for name, c in controllers.items()},
+        payload=_payload(identified, mass_kg),
+        predicted={name: _prediction(name, results[name].problem, c) for name, c in controllers.items()},
         certificate=Certificate(
             domain={name: build_domain(result.problem) for name, result in results.items()},
             sample_time_s=first.sample_time_s,
-            requirements=_requirements(first.requirements),
+            requirements=asked.get(False, {}),
+            rotational_requirements=asked.get(True),
             proved=tuple(proof for of_axis in proofs.values() for proof in of_axis),
             margins={name: _margins(result.margins) for name, result in results.items()},
         ),
@@ -77,42 +84,56 @@ def _controller(result: SearchResult) -> AdmittanceController:
     return result.problem.controller(result.design)
 
 
-def _gains(controller: AdmittanceController) -> AxisGains:
+def _gains(name: str, controller: AdmittanceController) -> AxisGains:
     return AxisGains(
         mass=controller.mass_kg,
         damping=controller.damping_n_s_per_m,
         lead_s=controller.lead_s,
         feedback_damping_s=controller.feedback_damping_s,
-        deadband=_DEFAULT_DEADBAND_N,
+        deadband=_DEFAULT_DEADBAND_N * LEVER_M if name in ROTATIONAL_AXES else _DEFAULT_DEADBAND_N,
         deadband_type=DeadbandType.THRESHOLD,
     )
 
 
-def _payload(identified: Identified, certified: tuple[float, float]) -> RuntimePayload:
+def _payload(identified: Identified, mass_kg: float) -> RuntimePayload:
     """Return what gravity compensation needs; raises EstimateError for a file without centre of mass or bias."""
     com, force = identified.payload.com_m.value, identified.sensor.force_bias_n.value
-    torque, mass = identified.sensor.torque_bias_n_m.value, runtime_mass_kg(identified, certified)
+    torque = identified.sensor.torque_bias_n_m.value
     if com is None or force is None or torque is None:
         raise EstimateError(
             "payload.com_m, sensor.force_bias_n and sensor.torque_bias_n_m must be identified, because the runtime "
             "compensates gravity with them; record poses at rest."
         )
     return RuntimePayload(
-        mass_kg=mass,
+        mass_kg=mass_kg,
         com_m=(com[0], com[1], com[2]),
         force_bias_n=(force[0], force[1], force[2]),
         torque_bias_n_m=(torque[0], torque[1], torque[2]),
     )
 
 
-def _prediction(problem: DesignProblem, controller: AdmittanceController) -> AxisPrediction:
+def admittance_band_hz(requirements: Requirements) -> tuple[float, float]:
+    """Return the band over which the free-space admittance is told: that of the target, if there is one."""
+    target = requirements.free_space_admittance
+    return target.band_hz if target is not None else _DEFAULT_BAND_HZ
+
+
+def scenario_name(axis: str, scenario: Scenario) -> str:
+    """Return a short label with the units of the axis."""
+    units = axis_units(axis)
+    return (
+        f"K_e {scenario.environment_stiffness_n_per_m:.4g} {units.stiffness}, "
+        f"{scenario.payload_mass_kg:.4g} {units.mass}"
+    )
+
+
+def _prediction(name: str, problem: DesignProblem, controller: AdmittanceController) -> AxisPrediction:
     prepared = build_scenarios(problem, problem.scenarios(_PREDICTED_STIFFNESS, _PREDICTED_MASS))
-    target = problem.requirements.free_space_admittance
-    band = target.band_hz if target is not None else (0.1, 2.0)
+    band = admittance_band_hz(problem.requirements)
     return AxisPrediction(
         scenarios=tuple(
             ScenarioPrediction(
-                name=peak.scenario.name,
+                name=scenario_name(name, peak.scenario),
                 environment_stiffness_n_per_m=peak.scenario.environment_stiffness_n_per_m,
                 payload_mass_kg=peak.scenario.payload_mass_kg,
                 peak_sensor_force_n=peak.peak_sensor_force_n,

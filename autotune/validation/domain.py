@@ -3,7 +3,9 @@
 from collections.abc import Iterator
 
 from autotune.files.controller_record import AxisDomain, Controller
-from identification.result import AxisEstimate, Estimate, Identified
+from autotune.files.records import ROTATIONAL_AXES
+from autotune.files.units import axis_units
+from identification.result import AxisEstimate, Estimate, Identified, Status
 
 from .validate import Check
 
@@ -12,12 +14,18 @@ _LEAST_SHARE = 0.01
 
 
 def check_domain(controller: Controller, identified: Identified) -> tuple[Check, ...]:
-    """Compare payload, coupling, drag, delay and environments of every tuned axis with the certificate's domain."""
+    """Compare payload, coupling, drag, delay and environments of every tuned axis with the certificate's domain.
+
+    The payload of a rotational axis is the moment of inertia about it.
+    """
     checks = []
     for name, domain in controller.certificate.domain.items():
         axis = identified.axes.get(name)
-        problems = ["the identified file does not hold this axis"] if axis is None else list(_outside(domain, axis))
-        problems += _interval("payload mass [kg]", identified.payload.mass_kg, domain.payload_mass_kg)
+        problems = (
+            ["the identified file does not hold this axis"] if axis is None else list(_outside(name, domain, axis))
+        )
+        if name not in ROTATIONAL_AXES:
+            problems += _interval("payload mass [kg]", identified.payload.mass_kg, domain.payload_mass_kg)
         checks.append(
             Check(
                 axis=name,
@@ -29,14 +37,20 @@ def check_domain(controller: Controller, identified: Identified) -> tuple[Check,
     return tuple(checks)
 
 
-def _outside(domain: AxisDomain, axis: AxisEstimate) -> Iterator[str]:
+def _outside(name: str, domain: AxisDomain, axis: AxisEstimate) -> Iterator[str]:
+    units = axis_units(name)
+    if name in ROTATIONAL_AXES:
+        inertia = axis.mass_kg or Estimate(value=None, std=None, status=Status.UNIDENTIFIABLE)
+        yield from _interval(f"payload inertia [{units.mass}]", inertia, domain.payload_mass_kg)
     for surface in axis.environments:
         yield from _interval(
-            f"K_e of {surface.name} [N/m]", surface.stiffness_n_per_m, domain.environment_stiffness_n_per_m
+            f"K_e of {surface.name} [{units.stiffness}]",
+            surface.stiffness_n_per_m,
+            domain.environment_stiffness_n_per_m,
         )
-    yield from _same("K_s [N/m]", axis.coupling.stiffness_n_per_m, domain.coupling_stiffness_n_per_m)
-    yield from _same("B_s [N·s/m]", axis.coupling.damping_n_s_per_m, domain.coupling_damping_n_s_per_m)
-    yield from _same("B_p [N·s/m]", axis.drag_n_s_per_m, domain.drag_n_s_per_m)
+    yield from _same(f"K_s [{units.stiffness}]", axis.coupling.stiffness_n_per_m, domain.coupling_stiffness_n_per_m)
+    yield from _same(f"B_s [{units.damping}]", axis.coupling.damping_n_s_per_m, domain.coupling_damping_n_s_per_m)
+    yield from _same(f"B_p [{units.damping}]", axis.drag_n_s_per_m, domain.drag_n_s_per_m)
     yield from _same("T_d [s]", axis.robot.delay_s, domain.delay_s)
 
 

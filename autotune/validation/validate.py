@@ -9,12 +9,15 @@ import numpy as np
 from autotune.errors import CertificateError
 from autotune.files.controller_record import (
     AdmittanceRequirement,
+    Asked,
     AxisDomain,
     AxisMargins,
     CollisionResponse,
     Controller,
     Proof,
 )
+from autotune.files.records import ROTATIONAL_AXES
+from autotune.files.units import axis_units
 from problems.controller import AdmittanceController
 from problems.errors import ParameterError
 from problems.plant import Coupling
@@ -31,7 +34,7 @@ _SAME_MARGIN = 0.01
 # Replayed contacts begin anywhere between two samples, predicted ones on a sample (measured: up to 0.5 %).
 _SAME_PEAK = 0.02
 _SAME_NUMBER = 1e-6
-_CHECKS = 9.0  # per axis, all passing
+_CHECKS = 9  # per axis, all passing; that of the payload's mass is none of a rotational axis
 _MARGIN_OF = {
     "modulus_margin": "modulus",
     "gain_margin_db": "gain_db",
@@ -76,10 +79,11 @@ def validate_controller(controller: Controller, progress: Callable[[float], None
     """
     checks: list[Check] = []
     for name in controller.axes:
+        count = _CHECKS - (name in ROTATIONAL_AXES)
         for check in _axis_checks(controller, name):
             checks.append(check)
             if progress is not None:
-                progress(1.0 / (_CHECKS * len(controller.axes)))
+                progress(1.0 / (count * len(controller.axes)))
     return ValidationReport(checks=tuple(checks))
 
 
@@ -99,7 +103,8 @@ def _axis_checks(controller: Controller, name: str) -> Iterator[Check]:
         return
     h = controller.sample_time_s
     yield Check(axis=name, name="parameters", passed=True, message="gains and plant are within their ranges")
-    yield _payload(controller, name, domain)
+    if name not in ROTATIONAL_AXES:
+        yield _payload(controller, name, domain)
     yield _delay(controller, name, domain)
     for proof, where in (
         (prove_stability(plants.in_free_space(), law, h), "free space"),
@@ -117,8 +122,8 @@ def _axis_checks(controller: Controller, name: str) -> Iterator[Check]:
 
 def _unsupported(controller: Controller, name: str) -> str:
     """Say what in the file this release cannot verify; a claim that cannot be verified does not hold."""
-    if name.startswith("r"):
-        return "rotational axes cannot be verified by this release"
+    if controller.certificate.requirements_of(name) is None:
+        return "the certificate does not say what was asked of rotational axes (rotational_requirements)"
     if controller.compensation_mass_kg != 0.0:
         return "acceleration compensation cannot be verified by this release; compensation_mass_kg must be 0"
     if controller.collision.response is not CollisionResponse.NONE:
@@ -164,18 +169,18 @@ def prove_axis(domain: AxisDomain, law: AdmittanceController, sample_time_s: flo
     plants = uncertain_plant(domain)
     low, high = domain.environment_stiffness_n_per_m
     light, heavy = domain.payload_mass_kg
-    proofs = []
+    units, proofs = axis_units(name), []
     for where, these in (("in free space", plants.in_free_space()), ("in contact", plants)):
         proof = prove_stability(these, law, sample_time_s)
         check = _stability(name, proof, where, plants)
         if not proof.holds:
             raise CertificateError(f"Axis {name}: {check.message}")
-        stiffness = f", K_e in [{low:g}, {high:g}] N/m" if where == "in contact" else ""
+        stiffness = f", K_e in [{low:g}, {high:g}] {units.stiffness}" if where == "in contact" else ""
         proofs.append(
             Proof(
                 claim=f"axis {name}: the exact sampled loop is stable {where}",
                 method="interval Lyapunov, double precision with a bound on rounding",
-                over=f"every M_p in [{light:g}, {heavy:g}] kg{stiffness}",
+                over=f"every M_p in [{light:g}, {heavy:g}] {units.mass}{stiffness}",
                 numbers={"cells": float(proof.cells), "smallest_decrease": float(proof.slack)},
             )
         )
@@ -212,13 +217,15 @@ def _delay(controller: Controller, name: str, domain: AxisDomain) -> Check:
 def _stability(name: str, proof: StabilityProof, where: str, plants: UncertainPlant) -> Check:
     low, high = plants.environment_stiffness_n_per_m
     light, heavy = plants.payload_mass_kg
+    units = axis_units(name)
     if proof.holds:
-        stiffness = "" if "free" in where else f" and every K_e in [{low:g}, {high:g}] N/m"
-        message = f"proved for every M_p in [{light:g}, {heavy:g}] kg{stiffness} ({proof.cells} cells)"
+        stiffness = "" if "free" in where else f" and every K_e in [{low:g}, {high:g}] {units.stiffness}"
+        message = f"proved for every M_p in [{light:g}, {heavy:g}] {units.mass}{stiffness} ({proof.cells} cells)"
     else:
         message = (
             f"stability in {where.removeprefix('in ')} does not hold or cannot be proved: fails at "
-            f"M_p = {proof.failed_mass_kg:.6g} kg, K_e = {proof.failed_stiffness_n_per_m:.6g} N/m"
+            f"M_p = {proof.failed_mass_kg:.6g} {units.mass}, K_e = {proof.failed_stiffness_n_per_m:.6g} "
+            f"{units.stiffness}"
         )
     return Check(axis=name, name=f"stability in {where.removeprefix('in ')}", passed=proof.holds, message=message)
 
@@ -242,7 +249,7 @@ def _margins(name: str, claimed: AxisMargins, swept: SweptMargins) -> Check:
 
 def _requirements(controller: Controller, name: str, swept: SweptMargins) -> Check:
     missed, known = [], 0
-    for key, required in controller.certificate.requirements.items():
+    for key, required in _asked(controller, name).items():
         if isinstance(required, AdmittanceRequirement):
             continue
         if key in _MARGIN_OF:
@@ -269,29 +276,33 @@ def _admittance(controller: Controller, name: str, plants: UncertainPlant, law: 
     predicted = controller.predicted[name].free_space_admittance
     found = sampled_admittance(plants.robot, law, controller.sample_time_s, predicted.band_hz)
     wrong = []
+    units = axis_units(name)
     hand = law.damping_n_s_per_m + plants.drag_n_s_per_m
     if abs(predicted.hand_force_n_per_m_s / hand - 1.0) > _SAME_MARGIN:
-        wrong.append(f"the hand force is claimed as {predicted.hand_force_n_per_m_s:.6g} N/(m/s), found {hand:.6g}")
+        said = f"{predicted.hand_force_n_per_m_s:.6g} {units.hand}"
+        wrong.append(f"the hand {units.force_name} is claimed as {said}, found {hand:.6g}")
     if abs(found / predicted.min_m_s_per_n - 1.0) > _SAME_MARGIN:
-        wrong.append(f"|G| is claimed as {predicted.min_m_s_per_n:.6g} m/s/N, found {found:.6g}")
-    for required in controller.certificate.requirements.values():
+        wrong.append(f"|G| is claimed as {predicted.min_m_s_per_n:.6g} {units.admittance}, found {found:.6g}")
+    for required in _asked(controller, name).values():
         if isinstance(required, AdmittanceRequirement):
             reached = sampled_admittance(plants.robot, law, controller.sample_time_s, required.band_hz)
             if reached < required.min_m_s_per_n * (1.0 - 0.1 * _SAME_MARGIN):
-                wrong.append(f"|G| must be at least {required.min_m_s_per_n:.6g} m/s/N, found {reached:.6g}")
+                wrong.append(
+                    f"|G| must be at least {required.min_m_s_per_n:.6g} {units.admittance}, found {reached:.6g}"
+                )
     band = f"{predicted.band_hz[0]:g} to {predicted.band_hz[1]:g} Hz"
     return Check(
         axis=name,
         name="free-space admittance",
         passed=not wrong,
-        message="; ".join(wrong) or f"at least {found:.4g} m/s/N from {band}",
+        message="; ".join(wrong) or f"at least {found:.4g} {units.admittance} from {band}",
     )
 
 
 def _peaks(
     controller: Controller, name: str, domain: AxisDomain, plants: UncertainPlant, law: AdmittanceController
 ) -> Check:
-    speed = domain.approach_speed_m_s
+    units, speed = axis_units(name), domain.approach_speed_m_s
     force = domain.approach_force_n if speed is None else speed * (law.damping_n_s_per_m + domain.drag_n_s_per_m)
     if force is None:
         return Check(axis=name, name="peak force", passed=False, message="the domain names no approach")
@@ -312,20 +323,30 @@ def _peaks(
         ):
             if abs(found - said) > _SAME_PEAK * max(said, force):
                 wrong.append(
-                    f"{scenario.name}: the peak {what} force is predicted as {said:.2f} N, replayed {found:.2f} N"
+                    f"{scenario.name}: the peak {what} {units.force_name} is predicted as {said:.2f} {units.force}, "
+                    f"replayed {found:.2f} {units.force}"
                 )
-    limit = controller.certificate.requirements.get("max_peak_force_n")
+    limit = _asked(controller, name).get("max_peak_force_n")
     if limit is not None and not isinstance(limit, AdmittanceRequirement):
         # The limit is promised for the whole domain, whatever contacts the file lists.
         largest = max(largest, _largest_at_corners(plants, law, controller.sample_time_s, force))
         if largest > float(limit) * (1.0 + _SAME_PEAK):
-            wrong.append(f"the peak force must be at most {float(limit):g} N, found {largest:.2f} N")
+            wrong.append(
+                f"the peak {units.force_name} must be at most {float(limit):g} {units.force}, found {largest:.2f} "
+                f"{units.force}"
+            )
     return Check(
         axis=name,
         name="peak force",
         passed=not wrong,
-        message="; ".join(wrong) or f"{len(scenarios)} contacts replayed, largest {largest:.1f} N, as predicted",
+        message="; ".join(wrong)
+        or f"{len(scenarios)} contacts replayed, largest {largest:.1f} {units.force}, as predicted",
     )
+
+
+def _asked(controller: Controller, name: str) -> Asked:
+    """Return what was asked of one axis; that it is said at all was checked."""
+    return controller.certificate.requirements_of(name) or {}
 
 
 def _inside(value: float, interval: tuple[float, float]) -> bool:

@@ -12,6 +12,7 @@ import pytest
 from autotune.files.controller import read_controller, short
 from autotune.files.yaml12 import load_yaml
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
+from tests.autotune.tuning.turning import write_two_axes
 from tests.autotune.validation.test_validate import EVERY_CHECK
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -69,6 +70,68 @@ def test_json_is_the_tree_of_the_file_and_the_same_seed_gives_the_same_bytes(
         f"{side} bound of {name}" for side in ("lower", "upper") for name in ("damping", "lead_s")
     }
     assert (tmp_path / "controller.yaml").read_bytes() == (first_run[0] / "controller.yaml").read_bytes()
+
+
+def test_an_existing_controller_stands_beside_the_new_one(
+    run_cli: RunCli, tmp_path: Path, first_run: tuple[Path, str, str]
+) -> None:
+    prepare(tmp_path)
+    old = first_run[0] / "controller.yaml"
+    done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml", "--compare", old, "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    told, digest = json.loads(done.stdout), read_controller(old).checksum
+    assert (told["compare"]["path"], told["compare"]["checksum"]) == (str(old), digest)
+    assert told["provenance"]["options"]["compare"] == {"path": str(old), "checksum": digest}
+    both = told["compare"]["axes"]["x"]
+    assert (both["started_from_old"], both["old"]["missed"], both["new"]["missed"]) == (True, {}, {})
+    assert both["new"]["mass"] == told["axes"]["x"]["mass"]
+    # The old controller is the optimum of the same problem: the new one can only be it, or better by a hair.
+    assert both["new"]["peak_contact_force_n"] <= both["old"]["peak_contact_force_n"]
+
+
+@pytest.mark.parametrize(
+    ("edit", "code", "told"),
+    [
+        (("lead_s: 0.0", "lead_s: 0.1"), 6, "the file is altered"),
+        (("format: autotune/controller", "format: autotune/identified"), 6, "format must be autotune/controller"),
+        (None, 2, "old.yaml cannot be read"),
+    ],
+)
+def test_an_existing_controller_that_is_altered_or_absent_is_refused_before_the_search(
+    run_cli: RunCli,
+    tmp_path: Path,
+    first_run: tuple[Path, str, str],
+    edit: tuple[str, str] | None,
+    code: int,
+    told: str,
+) -> None:
+    prepare(tmp_path)
+    if edit is not None:
+        text = (first_run[0] / "controller.yaml").read_text(encoding="utf-8")
+        assert edit[0] in text
+        (tmp_path / "old.yaml").write_text(text.replace(*edit, 1), encoding="utf-8")
+    done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml", "--compare", "old.yaml")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (code, "", 1)
+    assert told in done.stderr
+    assert not (tmp_path / "controller.yaml").exists()
+
+
+def test_a_straight_and_a_turning_axis_come_from_one_call(run_cli: RunCli, tmp_path: Path) -> None:
+    write_two_axes(tmp_path / "identified.yaml")
+    rotational = (
+        "rotational:\n  environment_stiffness_n_m_per_rad: [4000, 4800]\n  payload_inertia_kg_m2: [0.64, 0.64]\n"
+    )
+    (tmp_path / "problem.yaml").write_text(FAST_PROBLEM_YAML + rotational, encoding="utf-8")
+    ranges = ["--environment-stiffness", "1.0e5:1.2e5"]
+    done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml", *ranges)
+    assert done.returncode == 0
+    assert done.stderr.startswith("--environment-stiffness is in N/m and says nothing of ry")
+    assert "axis ry: M_a 0.24 kg·m², B_a " in done.stdout
+    assert "inertia [kg·m²]  peak at contact [N·m]" in done.stdout
+    assert sum(line.startswith("  ok     ry: ") for line in done.stdout.splitlines()) == len(EVERY_CHECK) - 1
+    valid = run_cli("validate", "controller.yaml")
+    assert (valid.returncode, valid.stderr) == (0, "")
+    assert run_cli("export", "controller.yaml", "--target", "json", "-o", "controller.json").returncode == 0
 
 
 def test_quiet_and_the_ranges_of_the_command_line(run_cli: RunCli, tmp_path: Path) -> None:

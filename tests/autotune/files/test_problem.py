@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from autotune.errors import UsageError
-from autotune.files.problem import ProblemSpec, read_problem
+from autotune.files.problem import ProblemSpec, RotationalSpec, read_problem
 from autotune.files.schema import load_schema
 from problems.contact import Approach
 from problems.design import VARIABLES, AdmittanceTarget, Requirements
@@ -57,13 +57,13 @@ def refusal(path: Path, text: str) -> str:
 
 def test_the_schema_is_one() -> None:
     Draft202012Validator.check_schema(load_schema("problem"))
-    assert set(load_schema("problem")["properties"]["bounds"]["properties"]) == set(VARIABLES)
+    assert set(load_schema("problem")["$defs"]["bounds"]["properties"]) == set(VARIABLES)
 
 
 def test_everything_can_be_said(path: Path) -> None:
     spec = read(path, WHOLE)
     assert spec == ProblemSpec(
-        axis="z",
+        axes=("z",),
         bounds={
             "mass": (5.0, 20.0),
             "damping": (550.0, 2000.0),
@@ -86,6 +86,36 @@ def test_everything_can_be_said(path: Path) -> None:
     )
 
 
+def test_rotational_axes_have_their_own_units_and_keep_what_is_not_said(path: Path) -> None:
+    spec = read(
+        path,
+        """\
+axis: [x, ry]
+requirements: {modulus_margin: 0.4, max_peak_force_n: 90}
+rotational:
+  bounds: {mass: [0.2, 0.8]}
+  approach: {torque_n_m: 4}
+  environment_stiffness_n_m_per_rad: [1e3, 5e3]
+  payload_inertia_kg_m2: [0.4, 0.6]
+  requirements:
+    max_peak_torque_n_m: null
+    free_space_admittance: {min_rad_s_per_n_m: 0.01, band_hz: [0.2, 3]}
+""",
+    )
+    assert spec.axes == ("x", "ry")
+    assert spec.requirements == Requirements(modulus_margin=0.4, max_peak_force_n=90.0)
+    assert spec.rotational == RotationalSpec(
+        bounds={"mass": (0.2, 0.8)},
+        approach=Approach(force_n=4.0),
+        environment_stiffness_n_per_m=(1e3, 5e3),
+        payload_mass_kg=(0.4, 0.6),
+        requirements={
+            "max_peak_force_n": None,
+            "free_space_admittance": AdmittanceTarget(min_m_s_per_n=0.01, band_hz=(0.2, 3.0)),
+        },
+    )
+
+
 def test_json_is_yaml(path: Path) -> None:
     assert read(path, '{"payload_mass_kg": [10, 22]}') == ProblemSpec(payload_mass_kg=(10.0, 22.0))
 
@@ -105,6 +135,19 @@ def test_null_asks_for_nothing_and_absence_for_the_default(path: Path) -> None:
     ("text", "line", "told"),
     [
         ("axis: w\n", 1, "axis must be one of x, y, z"),
+        ("axis: [x, x]\n", 1, "a list of different ones"),
+        ("axis: []\n", 1, "a list of different ones"),
+        ("rotational: {payload_mass_kg: [1, 2]}\n", 1, "rotational.payload_mass_kg must be one of bounds, approach"),
+        ("payload_inertia_kg_m2: [1, 2]\n", 1, "payload_inertia_kg_m2 must be one of"),
+        ("rotational:\n  payload_inertia_kg_m2: [2, 1]\n", 2, "rotational.payload_inertia_kg_m2 must be [low, high]"),
+        ("rotational:\n  bounds:\n    mass: [2, 1]\n", 3, "rotational.bounds.mass must be [low, high]"),
+        ("rotational: {approach: {force_n: 3}}\n", 1, "rotational.approach.force_n must be one of torque_n_m"),
+        ("rotational: {requirements: {modulus_margin: 0.4}}\n", 1, "one of max_peak_torque_n_m, free_space_admittance"),
+        (
+            "rotational:\n  requirements:\n    free_space_admittance: {min_rad_s_per_n_m: 1, band_hz: [2, 1]}\n",
+            3,
+            "rotational.requirements.free_space_admittance.band_hz must be [low, high]",
+        ),
         ("bounds:\n  mass: [5, 20]\n  stiffness: [1, 2]\n", 3, "bounds.stiffness must be one of mass"),
         ("bounds:\n  mass: [20, 5]\n", 2, "bounds.mass must be [low, high], found 20 above 5"),
         ("payload_mass_kg: [22, 10]\n", 1, "payload_mass_kg must be [low, high]"),

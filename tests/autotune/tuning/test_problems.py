@@ -84,7 +84,7 @@ def test_the_command_line_wins_over_the_problem_file_and_that_over_the_log() -> 
 
 def test_the_problem_file_sets_the_rest() -> None:
     spec = ProblemSpec(
-        axis="x",
+        axes=("x",),
         bounds={"mass": (6.0, 9.0)},
         approach=Approach(speed_m_s=0.02),
         requirements=Requirements(modulus_margin=0.4),
@@ -145,13 +145,9 @@ def test_a_value_that_is_called_unidentifiable_is_not_used() -> None:
 
 def test_an_axis_that_is_not_there_is_a_wrong_request() -> None:
     with pytest.raises(UsageError, match="Axis y is not in the identified file; it holds x"):
-        build_problems(identified_plant(), ProblemSpec(axis="y"), NOTHING)
+        build_problems(identified_plant(), ProblemSpec(axes=("y",)), NOTHING)
     with pytest.raises(EstimateError, match="no axis"):
         build_problems(replace(identified_plant(), axes={}), DEFAULT, NOTHING)
-    rotating = replace(identified_plant(), axes={"x": identified_axis(), "rz": identified_axis()})
-    with pytest.raises(UsageError, match="Axis rz is rotational"):
-        build_problems(rotating, DEFAULT, NOTHING)
-    assert list(build_problems(rotating, ProblemSpec(axis="x"), NOTHING)) == ["x"]
 
 
 def test_two_translational_axes_are_two_problems() -> None:

@@ -1,0 +1,128 @@
+"""Put a new controller beside an existing one: both evaluated on the new problem, over the same dense scenarios."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autotune.errors import UsageError
+from autotune.files.controller import ControllerFile
+from autotune.files.controller_record import CollisionResponse, Controller
+from autotune.validation.validate import admittance_controller
+from problems.controller import AdmittanceController
+from problems.design import VARIABLES, DesignProblem
+from problems.evaluation import PreparedScenarios, build_scenarios, smallest_admittance
+
+from .record import admittance_band_hz
+from .search import DENSE_MASS, DENSE_STIFFNESS, SearchResult
+
+FloatArray = NDArray[np.float64]
+
+_SAME_PERIOD = 1e-6
+_MARGINS = ("modulus", "gain_db", "phase_deg", "delay_s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Performance:
+    """What a stable controller does over the uncertainty: worst peaks, smallest margins, least |G| over the band.
+
+    `missed` maps each requirement that is not met to required/achieved.
+    """
+
+    peak_sensor_force_n: float
+    peak_contact_force_n: float
+    margins: Mapping[str, float]
+    min_m_s_per_n: float
+    hand_force_n_per_m_s: float
+    missed: Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standing:
+    """One controller on one axis; `performance` is None when the loop is unstable, since nothing of it is a number.
+
+    `unstable_at` is then the worst plant, M_p and K_e (0 in free space).
+    """
+
+    law: AdmittanceController
+    spectral_radius: float
+    performance: Performance | None
+    unstable_at: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SideBySide:
+    """The old and the new controller of one axis; `is_start` tells whether the search began from the old one too."""
+
+    old: Standing
+    new: Standing
+    is_start: bool
+
+
+def check_comparable(old: ControllerFile, problems: Mapping[str, DesignProblem]) -> None:
+    """Raise UsageError unless the old controller has one of the axes and runs as the new one will."""
+    controller = old.controller
+    if not set(problems) & set(controller.axes):
+        raise UsageError(
+            f"{old.path} holds {', '.join(controller.axes)}, and {', '.join(problems)} is tuned here; compare with a "
+            "controller of the same axes."
+        )
+    period = next(iter(problems.values())).sample_time_s
+    if abs(controller.sample_time_s / period - 1.0) > _SAME_PERIOD:
+        raise UsageError(
+            f"{old.path} runs every {controller.sample_time_s * 1e3:.6g} ms and this cell every {period * 1e3:.6g} ms; "
+            "its numbers make another controller here."
+        )
+    if controller.compensation_mass_kg != 0.0 or controller.collision.response is not CollisionResponse.NONE:
+        raise UsageError(
+            f"{old.path} compensates acceleration or responds to collisions, which the comparison does not evaluate."
+        )
+
+
+def start_design(controller: Controller, name: str, problem: DesignProblem) -> FloatArray | None:
+    """Return the old gains as a design of the new problem, None where there are none inside its bounds."""
+    gains = controller.axes.get(name)
+    if gains is None or controller.filters.velocity_rad_per_s != problem.velocity_filter_rad_per_s:
+        return None
+    design = np.array([getattr(gains, each) for each in VARIABLES])
+    bounds = np.array([problem.bounds[each] for each in VARIABLES])
+    return design if bool(np.all((bounds[:, 0] <= design) & (design <= bounds[:, 1]))) else None
+
+
+def compare(old: Controller, searches: Mapping[str, SearchResult]) -> dict[str, SideBySide]:
+    """Evaluate both controllers of every axis that both have, exactly, over the dense grid of the new problem."""
+    found = {}
+    for name, search in searches.items():
+        if name in old.axes:
+            problem = search.problem
+            dense = build_scenarios(problem, problem.scenarios(DENSE_STIFFNESS, DENSE_MASS))
+            found[name] = SideBySide(
+                old=stand(dense, admittance_controller(old, name)),
+                new=stand(dense, problem.controller(search.design)),
+                is_start=start_design(old, name, problem) is not None,
+            )
+    return found
+
+
+def stand(prepared: PreparedScenarios, law: AdmittanceController) -> Standing:
+    """Evaluate one controller over the scenarios."""
+    radii = prepared.radii(law)
+    worst = int(np.argmax(radii))
+    radius = float(radii[worst])
+    if not radius < 1.0:
+        plant = prepared.plants[worst].sampled.plant
+        where = plant.payload.mass_kg, plant.environment.stiffness_n_per_m
+        return Standing(law=law, spectral_radius=radius, performance=None, unstable_at=where)
+    exact = prepared.evaluate_exactly(law)
+    peaks, problem = exact.evaluation.peaks, prepared.problem
+    band = admittance_band_hz(problem.requirements)
+    performance = Performance(
+        peak_sensor_force_n=max(peak.peak_sensor_force_n for peak in peaks),
+        peak_contact_force_n=max(peak.peak_contact_force_n for peak in peaks),
+        margins={name: min(float(getattr(each.margins, name)) for each in exact.margins) for name in _MARGINS},
+        min_m_s_per_n=smallest_admittance(prepared.free[0], law, band),
+        hand_force_n_per_m_s=law.damping_n_s_per_m + problem.drag_n_s_per_m,
+        missed={name: value for name, value in exact.evaluation.requirements.items() if value > 1.0},
+    )
+    return Standing(law=law, spectral_radius=radius, performance=performance)
