@@ -12,6 +12,7 @@ from ._table import printable, table_lines
 
 if TYPE_CHECKING:
     from identification.result import AxisEstimate, Estimate, Identified, VectorEstimate
+    from identification.timeline_phases import Timeline
 
 _EPILOG = """\b
 Examples:
@@ -98,9 +99,21 @@ def print_identified(result: "Identified", out: Path) -> None:
     rows = [("parameter", "value", "± std", "unit", "verdict"), *_rows(result)]
     for line in table_lines(rows, left=(0, 3, 4)):
         click.echo(line)
+    for timeline in result.timelines:
+        click.echo(printable(_timeline_line(timeline)))
     for finding in result.findings:
         click.echo(printable(f"{finding.severity}: {finding.message} {finding.advice}".rstrip()))
     click.echo(f"written: {out}")
+
+
+def _timeline_line(timeline: "Timeline") -> str:
+    """Return what happened in a log and for how long, in the order of its first time."""
+    spent: dict[str, tuple[int, float]] = {}
+    for phase in timeline.phases:
+        count, seconds = spent.get(phase.kind.value, (0, 0.0))
+        spent[phase.kind.value] = count + 1, seconds + phase.stop_s - phase.start_s
+    told = ", ".join(f"{count} x {kind} {seconds:.1f} s" for kind, (count, seconds) in spent.items())
+    return f"time line{f' of {timeline.log}' if timeline.log else ''}: {told}"
 
 
 def _rows(result: "Identified") -> Iterator[tuple[str, ...]]:

@@ -46,6 +46,9 @@ def test_people_see_a_table_and_nothing_on_standard_error(first_run: tuple[Path,
     lines = told.splitlines()
     assert lines[0].split() == ["parameter", "value", "±", "std", "unit", "verdict"]
     assert any(line.startswith("x: coupling K_s") and line.endswith("identified") for line in lines)
+    (line,) = (each for each in lines if each.startswith("time line: "))
+    assert "contact" in line
+    assert "commanded-motion" in line
     assert lines[-1] == "written: identified.yaml"
     assert [path.name for path in folder.iterdir()] == ["identified.yaml"]
 
@@ -129,6 +132,8 @@ def test_what_is_missing_can_be_left_open_on_request(run_cli: RunCli, tmp_path: 
         ([], "Missing argument 'LOG...'"),
         (["cell.mcap", "--wrench"], "No such option"),
         (["cell.mcap", "-o", "."], "is a directory"),
+        (["cell.mcap", "--given", "x.drga=300"], "Nothing called x.drga can be given; what can: mass_kg"),
+        (["cell.mcap", "--given", "rz.drag_n_s_per_m=3"], "rz.drag_n_m_s_per_rad"),
     ],
 )
 def test_a_wrong_request_is_exit_2(run_cli: RunCli, arguments: list[str], told: str) -> None:
