@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from identification.recording import Recording
 from identification.spikes import without_spikes
@@ -28,6 +29,18 @@ def test_a_log_without_spikes_stays_as_it_is(demo_recording: Recording) -> None:
     clean, findings = without_spikes(demo_recording)
     assert clean is demo_recording
     assert findings == ()
+
+
+@pytest.mark.parametrize("samples_per_period", [4.3, 6.0, 9.7])
+def test_a_vibration_near_the_sampling_rate_is_no_row_of_spikes(
+    demo_recording: Recording, samples_per_period: float
+) -> None:
+    force = demo_recording.wrench.force_n.copy()
+    ticks = np.arange(4000)
+    burst = np.exp(-(((ticks - 2000) / 600.0) ** 2)) * np.sin(2.0 * np.pi * ticks / samples_per_period)
+    force[20000:24000, 0] += 60.0 * burst
+    shaking = dataclasses.replace(demo_recording, wrench=dataclasses.replace(demo_recording.wrench, force_n=force))
+    assert without_spikes(shaking)[0] is shaking
 
 
 def test_a_deadband_that_is_zero_most_of_the_time_has_no_spikes(demo_recording: Recording) -> None:
