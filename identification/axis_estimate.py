@@ -21,10 +21,9 @@ from .joint_gain import with_gain_error
 from .joint_model import COUPLING_NAMES
 from .joint_result import JointFit
 from .recording import Recording
-from .result import AxisEstimate, CouplingEstimate, EnvironmentEstimate, Finding, RobotEstimate
+from .result import AxisEstimate, CouplingEstimate, Finding, RobotEstimate
 from .robot import RobotFit, identify_robot
 from .rotation import AxisTurn, rests_after
-from .secant import secant_surfaces
 from .segments import Motion, Span
 from .timeline import AxisContacts
 from .verdicts import judged, missing, unidentifiable, unidentifiable_vector, vector, weak_at_best
@@ -157,8 +156,7 @@ def fit_axis(cell: CellSignals, view: AxisView) -> AxisTold:
         with_priors = view.in_units(identify_joint(replace(data, priors=view.priors))) if view.priors else None
     except EstimateError as error:
         findings.append(missing("coupling", f"Axis {axis.name}: {error}"))
-        alone = _without_coupling(robot, secant_surfaces(axis, view.holds, view.log.period_s), str(error))
-        estimate, contradictions = settle_axis(axis.name, alone, None, cell.given)
+        estimate, contradictions = settle_axis(axis.name, _without_coupling(robot, str(error)), None, cell.given)
         contacts = AxisContacts(axis=axis, holds=view.holds, coupling=usual_coupling(cell.gravity.mass_kg))
         return AxisTold(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=None)
     findings += [*_about_contacts(axis.name, data.holds, fit), *_about_lag(axis.name, fit), *_about_fit(axis.name, fit)]
@@ -225,12 +223,12 @@ def _no_robot(note: str) -> RobotEstimate:
     )
 
 
-def _without_coupling(robot: RobotEstimate, environments: tuple[EnvironmentEstimate, ...], why: str) -> AxisEstimate:
+def _without_coupling(robot: RobotEstimate, why: str) -> AxisEstimate:
     nothing = unidentifiable(note=why)
     return AxisEstimate(
         coupling=CouplingEstimate(stiffness_n_per_m=nothing, damping_n_s_per_m=nothing),
         drag_n_s_per_m=nothing,
-        environments=environments,
+        environments=(),
         robot=robot,
     )
 

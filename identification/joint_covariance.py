@@ -20,7 +20,7 @@ _DOUBTFUL_STDS = 20.0
 _SMOOTH_SHARE, _EXACT_SHARE = 0.003, 0.0003
 _RESTING_SHARE, _MOVING_SHARE = 0.003, 0.02
 _UNKNOWN_SHARE = 0.25
-_SHARPEST_DELAY_SAMPLES = 1e-3
+SHARPEST_DELAY_SAMPLES = 1e-3
 _SWING_STIFFNESS_SHARE, _SWING_DAMPING_SHARE = 0.02, 0.1
 _FREE_MISFITS, _CONTACT_MISFITS = 40, 10
 
@@ -160,7 +160,7 @@ def beside_rival(problem: Problem, point: Point, spread: Spread, rival: Rival | 
         first, last = problem.layout.robot.start, problem.layout.robot.stop - 1
         turned = float(point.values[first]) * problem.signals.period_s / 8.0 if blurred else 0.0
         # The delay's unit is the period, that of ω is itself.
-        covariance[last, last] += _SHARPEST_DELAY_SAMPLES**2 + turned**2
+        covariance[last, last] += SHARPEST_DELAY_SAMPLES**2 + turned**2
         covariance[first, first] += (0.5 * turned * float(point.values[first]) * problem.signals.period_s) ** 2
     if rival is not None:
         apart = rival.point.values - point.values

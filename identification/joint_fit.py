@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 _ROUNDS = 2
 _STEPS_FIRST, _STEPS_LATER = 8, 4
 _SHORTEST_FREE_S = 1.0
-_LARGEST_MISFIT = 0.4
+_LARGEST_MISFIT, _LARGEST_RING_MISFIT = 0.4, 0.2
 _SAME_SECANT = 1.12
 _POSE_EDGE_S = 0.3
 _FREE_EDGE_S = 0.12
@@ -186,12 +186,12 @@ def _free_motion(data: JointData, base: Problem, values: FloatArray) -> tuple[Pr
     best = min(
         zip(starts, telling, strict=True), key=lambda pair: _misfit(base, pair[0], pair[1]), default=(values, None)
     )[0]
-    used = _explained(base, best, [*candidates, *rings])
+    used = _explained(base, best, candidates, rings)
     if len(used) < len(candidates) + len(rings) and telling:
         # A sweep that ends below the resonance leaves K_s open: what rings tells it, with the mass that motion told.
         for ring in _strongest(data, rings)[:_RING_STARTS]:
             start = start_coupling(base, best, ring, float(best[3]))[0]
-            more = _explained(base, start, [*candidates, *rings])
+            more = _explained(base, start, candidates, rings)
             if len(more) > len(used) and _misfit(base, start, telling[0]) < _AS_WELL * _misfit(base, best, telling[0]):
                 best, used = start, more
     if not used:
@@ -210,8 +210,14 @@ def _strongest(data: JointData, segments: Sequence[Segment]) -> list[Segment]:
     return sorted(segments, key=lambda s: -float(np.sum(_centred(data.force_n[s.slice]) ** 2)))
 
 
-def _explained(problem: Problem, values: FloatArray, segments: Sequence[Segment]) -> tuple[Segment, ...]:
-    return tuple(s for s in segments if _misfit(problem, values, s) < _LARGEST_MISFIT)
+def _explained(
+    problem: Problem, values: FloatArray, candidates: Sequence[Segment], rings: Sequence[Segment]
+) -> tuple[Segment, ...]:
+    """Return the spans that these values explain; a ring, which drag alone may look like, must be explained better."""
+    return (
+        *(s for s in candidates if _misfit(problem, values, s) < _LARGEST_MISFIT),
+        *(s for s in rings if _misfit(problem, values, s) < _LARGEST_RING_MISFIT),
+    )
 
 
 def _smoothed_for(data: JointData, problem: Problem, values: FloatArray, used: Sequence[Segment]) -> Signals:

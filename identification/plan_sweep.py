@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from problems.robot import RobotModel
 
 from .coupling import felt_impedance
+from .joint_covariance import SHARPEST_DELAY_SAMPLES
 from .plan_values import Known, PlanValues
 
 FloatArray = NDArray[np.float64]
@@ -210,7 +211,8 @@ def _std_after(values: PlanValues, sweep: Sweep) -> dict[str, float]:
     found = dict(zip(known, (float(v) for v in np.hypot(std[:4], model)), strict=True))
     spread = covariance_of(information)[4:, 4:]
     found["bandwidth_hz"] = float(np.hypot(np.sqrt(slope @ spread @ slope), beside))
-    found["delay_s"] = float(std[-1]) * _delay_size(robot)
+    sharpest = SHARPEST_DELAY_SAMPLES * values.sample_time_s.value
+    found["delay_s"] = float(np.hypot(std[-1] * _delay_size(robot), sharpest))
     return found
 
 

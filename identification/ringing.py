@@ -18,6 +18,7 @@ _TAP_SHARE = 0.3
 _NOISES = 8.0
 _BEHIND_S = 0.2
 _MOST = 12
+_LARGEST_TRAVEL_M = 2e-3
 
 
 def find_rings(
@@ -32,7 +33,8 @@ def find_rings(
 
     `moving` are all spans that are not at rest (a tap is one, the flange need not travel), `free` those known to be
     without a hand, `holds` the rests under force. After a tap, from 25 ms behind the highest force; after a hold, from
-    where the force changes its sign: pressed, the payload pushes the flange back, drawn away it is dragged along.
+    where the force changes its sign: pressed, the payload pushes the flange back, drawn away it is dragged along. Where
+    the flange travels 2 mm or more without a hold before, somebody leads it.
     Whether a hand was still there is for the fit to tell.
     """
     known = {(s.start, s.stop) for s in free}
@@ -42,7 +44,10 @@ def find_rings(
         if (span.start, span.stop) in known:
             continue
         hold = held.get(span.start)
-        found += _taps(axis, span, noise_rms_n, period_s) if hold is None else _release(axis, span, hold, period_s)
+        if hold is not None:
+            found += _release(axis, span, hold, period_s)
+        elif float(np.ptp(axis.position_m[span.slice])) < _LARGEST_TRAVEL_M:
+            found += _taps(axis, span, noise_rms_n, period_s)
     found.sort(key=lambda s: -float(np.sum(axis.force_n[s.slice] ** 2)))
     return tuple(sorted(found[:_MOST], key=lambda s: s.start))
 
