@@ -13,7 +13,7 @@ from .coupling import CouplingFit, Noise, identify_coupling
 from .errors import EstimateError
 from .given import Given, axis_keys, settle_axis
 from .gravity import GravityFit
-from .joint_contacts import find_holds
+from .joint_contacts import find_holds, hold_threshold_n
 from .joint_data import build_joint_data, usual_coupling
 from .joint_estimates import JointEstimates
 from .joint_fit import identify_joint
@@ -30,8 +30,6 @@ from .verdicts import judged, missing, unidentifiable, unidentifiable_vector, ve
 
 FloatArray = NDArray[np.float64]
 
-_HOLD_THRESHOLD_N = 4.0
-_HOLD_RESIDUALS = 6.0
 _MASS_DISAGREEMENT_STDS = 3.0
 _MASS_DISAGREEMENT_SHARE = 0.02
 _OBLIQUE_CONTACT_DEG = 10.0
@@ -168,7 +166,7 @@ def fit_axis(cell: CellSignals, view: AxisView) -> AxisTold:
 
 
 def _estimate(axis: AxisMotion, fit: JointFit, robot: RobotEstimate, period_s: float) -> AxisEstimate:
-    told = JointEstimates(axis.name, fit, period_s)
+    told = JointEstimates(name=axis.name, fit=fit, period_s=period_s)
     return AxisEstimate(
         coupling=told.coupling,
         drag_n_s_per_m=told.drag_n_s_per_m,
@@ -256,8 +254,7 @@ def _holds(cell: CellSignals, axis: AxisMotion) -> tuple[tuple[Span, ...], list[
     What is touched at the end of a turn is pressed sideways, and belongs to the turn.
     """
     findings: list[Finding] = []
-    threshold = max(_HOLD_THRESHOLD_N, _HOLD_RESIDUALS * cell.gravity.residual_rms_n)
-    holds = find_holds(cell.motion.still, axis.force_n, threshold)
+    holds = find_holds(cell.motion.still, axis.force_n, hold_threshold_n(cell.gravity.residual_rms_n))
     turned = {hold for turn in cell.turns for hold in rests_after(turn.motion.spans, holds)}
     mine = tuple(h for h in holds if h not in turned and _is_along(h, cell.force_S_n, axis, findings))
     return mine, findings

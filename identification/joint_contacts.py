@@ -15,6 +15,7 @@ FloatArray = NDArray[np.float64]
 
 _SLOW_HZ = 20.0
 _SMALLEST_CONTACT_N = 2.0
+_SMALLEST_HOLD_N, _HOLD_RESIDUALS = 4.0, 6.0
 _TOUCHED_SHARE = 0.1
 _FURTHEST_BEFORE_S = 3.0
 _LONGEST_BOUNCE_S = 0.3
@@ -60,6 +61,11 @@ class FoundContact:
     def is_sound(self) -> bool:
         """Whether it looks like pressing on something elastic: a hand that holds does not."""
         return self.misfit_share < _LARGEST_MISFIT and self.secant_std_n_per_m < _LARGEST_STD * self.secant_n_per_m
+
+
+def hold_threshold_n(residual_rms_n: float) -> float:
+    """Return the least force of a hold: 4 N, or six times what the weight leaves of the force at rest."""
+    return max(_SMALLEST_HOLD_N, _HOLD_RESIDUALS * residual_rms_n)
 
 
 def find_holds(still: Sequence[Span], force_n: FloatArray, threshold_n: float) -> tuple[Span, ...]:

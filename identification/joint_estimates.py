@@ -33,7 +33,7 @@ _SYMBOLS = {
 _SURFACE_SYMBOLS = ("K_e", "B_e", "M_e")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class JointEstimates:
     """What the joint fit of axis `name` tells, parameter by parameter; `period_s` judges the delay."""
 

@@ -12,6 +12,7 @@ from problems.errors import ParameterError
 from problems.plant import Coupling, Environment, Payload, Plant
 from problems.sampled import build_loop, build_sampled_plant, spectral_radius
 
+from .joint_contacts import hold_threshold_n
 from .plan_values import PlanValues
 from .segments import low_pass
 
@@ -19,8 +20,6 @@ FloatArray = NDArray[np.float64]
 
 _SPEEDS_M_S = (0.005, 0.01, 0.02, 0.03, 0.05)
 _HOLDS_N = (10.0, 20.0, 30.0, 50.0, 80.0)
-_HOLD_THRESHOLD_N = 4.0  # identification takes a rest under less, or under 6 residuals of gravity, for no contact
-_HOLD_RESIDUALS = 6.0
 _COUNTS = (3, 4, 6, 10)
 _AIM = 0.5
 _DAMPINGS_N_S_PER_M = (1000.0, 1400.0, 2000.0, 2800.0, 4000.0, 5600.0, 8000.0)
@@ -70,7 +69,7 @@ def plan_contacts(values: PlanValues, *, max_force_n: float, allowed: dict[str, 
         return None
     pair, controller = found
     touches = []
-    least = 2.0 * max(_HOLD_THRESHOLD_N, _HOLD_RESIDUALS * values.pose_force_std_n.value)
+    least = 2.0 * hold_threshold_n(values.pose_force_std_n.value)
     for speed, hold in product(_SPEEDS_M_S, [hold for hold in _HOLDS_N if hold >= least]):
         touch = _touch(values, pair, controller, speed, hold)
         if touch is not None and max(touch.peak_contact_n, touch.peak_sensor_n) <= max_force_n:

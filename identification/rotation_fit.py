@@ -17,11 +17,6 @@ _DISAGREEMENT_STDS = 3.0
 _DISAGREEMENT_SHARE = 0.03
 
 
-def torque_of(force: tuple[float, float]) -> tuple[float, float]:
-    """Return what a stiffness, damping or mass on the unrolled path, value and deviation, is about the axis."""
-    return LEVER_M**2 * force[0], LEVER_M**2 * force[1]
-
-
 def path_of(torque: tuple[float, float]) -> tuple[float, float]:
     """Return what a stiffness, damping or inertia about the axis, value and deviation, is on the unrolled path."""
     return torque[0] / LEVER_M**2, torque[1] / LEVER_M**2

@@ -9,13 +9,10 @@ from scipy.signal import detrend
 from .axis_estimate import AxisTold, AxisView, CellSignals, axis_priors, fit_axis
 from .errors import EstimateError
 from .inertia import InertiaFit
-from .joint_contacts import find_holds
+from .joint_contacts import find_holds, hold_threshold_n
 from .result import Finding
 from .rotation import LEVER_M, AxisTurn, Unrolled, rests_after, unroll
 from .rotation_fit import fit_about_axis, inertia_findings, path_of
-
-_HOLD_THRESHOLD_N = 4.0
-_HOLD_RESIDUALS = 6.0
 
 
 def identify_turn(cell: CellSignals, turn: AxisTurn, inertia: InertiaFit) -> AxisTold | None:
@@ -31,7 +28,7 @@ def identify_turn(cell: CellSignals, turn: AxisTurn, inertia: InertiaFit) -> Axi
     holds = find_holds(
         cell.motion.still,
         unrolled.axis.force_n,
-        max(_HOLD_THRESHOLD_N, _HOLD_RESIDUALS * cell.gravity.torque_residual_rms_n_m / LEVER_M),
+        hold_threshold_n(cell.gravity.torque_residual_rms_n_m / LEVER_M),
     )
     tensor = inertia.components[turn.index]
     told = fit_axis(

@@ -135,14 +135,17 @@ def _rows(result: "Identified") -> Iterator[tuple[str, ...]]:
 
 
 def _axis_rows(name: str, axis: "AxisEstimate") -> Iterator[tuple[str, ...]]:
-    turning = name.startswith("r")
-    stiffness, scale = ("N·m/rad", 1.0) if turning else ("N/mm", 1e-3)
-    damping, mass = ("N·m·s/rad", "kg·m²") if turning else ("N·s/m", "kg")
+    from autotune.files.units import axis_units
+
+    units = axis_units(name)
+    # Stiffnesses of translations are told in N/mm, as on data sheets.
+    stiffness, scale = ("N/mm", 1e-3) if units.stiffness == "N/m" else (units.stiffness, 1.0)
+    damping, mass = units.damping, units.mass
     yield _row(f"{name}: coupling K_s", axis.coupling.stiffness_n_per_m, stiffness, scale)
     yield _row(f"{name}: coupling B_s", axis.coupling.damping_n_s_per_m, damping)
     yield _row(f"{name}: drag B_p", axis.drag_n_s_per_m, damping)
     if axis.mass_kg is not None:
-        yield _row(f"{name}: {'inertia' if turning else 'mass'} from motion", axis.mass_kg, mass)
+        yield _row(f"{name}: {units.mass_name} from motion", axis.mass_kg, mass)
     yield _row(f"{name}: robot bandwidth", axis.robot.bandwidth_hz, "Hz")
     yield _row(f"{name}: delay T_d", axis.robot.delay_s, "ms", 1e3)
     for surface in axis.environments:
@@ -155,7 +158,7 @@ def _axis_rows(name: str, axis: "AxisEstimate") -> Iterator[tuple[str, ...]]:
         lowest, highest = min(surface.peak_force_n, default=None), max(surface.peak_force_n, default=None)
         if lowest is not None and highest is not None:
             peaks = f"{highest:.1f}" if lowest == highest else f"{lowest:.1f} to {highest:.1f}"
-            yield f"{told}: peak", peaks, "", "N·m" if turning else "N", ""
+            yield f"{told}: peak", peaks, "", units.force, ""
 
 
 def _row(name: str, estimate: "Estimate", unit: str, scale: float = 1.0) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ from identification.joint_result import Diagnostics, JointFit, JointSurface
 from identification.result import Estimate, Status
 from identification.robot import identify_robot
 from identification.rotation import LEVER_M, AxisTurn, find_turns, rests_after, unroll
-from identification.rotation_fit import fit_about_axis, inertia_findings, path_of, torque_of
+from identification.rotation_fit import fit_about_axis, inertia_findings, path_of
 from identification.segments import find_motion
 from identification.verdicts import unidentifiable
 from problems.controller import AdmittanceController
@@ -84,7 +84,7 @@ def test_a_fit_is_told_in_the_units_of_a_rotation() -> None:
     assert surface.secant_n_per_m == pytest.approx(square * 5e4)
     assert surface.secant_std_n_per_m == pytest.approx(square * 50.0)
     assert surface.peak_force_n == pytest.approx((LEVER_M * 40.0,))
-    assert path_of(torque_of((3.0, 0.1))) == pytest.approx((3.0, 0.1))
+    assert path_of((3.0, 0.1)) == pytest.approx((3.0 / LEVER_M**2, 0.1 / LEVER_M**2))
 
 
 @pytest.mark.parametrize(("value", "std", "agrees"), [(0.48, 5e-3, True), (0.6, 5e-3, False), (0.6, 0.1, True)])
