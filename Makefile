@@ -17,7 +17,7 @@ DEV := $(VENV)/.installed-dev
 
 help:
 	@echo "make demo        run the whole chain on the log of a simulated cell (DIR=$(DIR))"
-	@echo "make test        run the tests in JOBS=$(JOBS) processes (ARGS=... goes to pytest)"
+	@echo "make test        run the tests in JOBS=$(JOBS) processes (ARGS=... goes to pytest; HYPOTHESIS_PROFILE=random tries new cases)"
 	@echo "make check       format, lint, types, import contracts, tests and wheel content: what CI runs"
 	@echo "make coverage    run the tests and tell which lines they miss"
 	@echo "make fuzz        alter messages at random for a minute (FUZZ_SECONDS=$(FUZZ_SECONDS)) and compare the reader with rosbags"

@@ -50,6 +50,15 @@ def low_pass(values: FloatArray, period_s: float, cutoff_hz: float) -> FloatArra
     return smooth
 
 
+def rate_of(values: FloatArray, period_s: float) -> FloatArray:
+    """Return the derivative of (n,) by central differences, one-sided at the ends of each stretch without NaN."""
+    rate = np.full(len(values), np.nan)
+    for span in spans_of(np.isfinite(values)):
+        if len(span) > 1:
+            rate[span.slice] = np.gradient(values[span.slice], period_s)
+    return rate
+
+
 def find_motion(log: AlignedLog) -> Motion:
     """Split the log into spans at rest (≥ 0.4 s) and spans of motion between them, neither across a hole of the log.
 

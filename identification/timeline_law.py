@@ -62,7 +62,7 @@ class Law:
 def learn_law(contact: ContactTimes, of: AxisContacts, payload: Payload, period_s: float) -> Law | None:
     """Learn the law of what is touched on the way in, from the last touch into the hold, or else on the way out.
 
-    None where the log shows neither.
+    None where the log shows neither, or has a hole there.
     """
     learnt, skip = round(_LEARNT_S / period_s), round(_ONSET_SKIP_S / period_s)
     hold = contact.hold
@@ -76,6 +76,8 @@ def learn_law(contact: ContactTimes, of: AxisContacts, payload: Payload, period_
         return None
     force, position = payload.touch_n[used], payload.position_m[used]
     rows = np.column_stack([position - position.mean(), payload.velocity_m_s[used], np.ones(len(force))])
+    if not np.all(np.isfinite(rows)):
+        return None
     size = np.maximum(np.max(np.abs(rows), axis=0), 1e-300)
     solution = np.linalg.lstsq(rows / size, force, rcond=None)[0]
     share = float(np.var(force - rows / size @ solution) / max(float(np.var(force)), 1e-300))

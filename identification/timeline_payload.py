@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .axes import AxisMotion
-from .segments import Span, low_pass
+from .segments import Span, low_pass, rate_of
 
 FloatArray = NDArray[np.float64]
 
@@ -53,9 +53,9 @@ def see_payload(of: AxisContacts, period_s: float) -> Payload:
     band = min(_HIGHEST_HZ, max(_LOWEST_HZ, _RESONANCES * resonance))
     force = low_pass(of.axis.force_n, period_s, band)
     position = low_pass(of.axis.position_m, period_s, band)
-    position = position + (force - damping / stiffness * np.gradient(force, period_s)) / stiffness
-    velocity = np.gradient(position, period_s)
-    touch = -force - drag * velocity - mass * np.gradient(velocity, period_s)
+    position = position + (force - damping / stiffness * rate_of(force, period_s)) / stiffness
+    velocity = rate_of(position, period_s)
+    touch = -force - drag * velocity - mass * rate_of(velocity, period_s)
     return Payload(position_m=position, velocity_m_s=velocity, touch_n=np.asarray(touch))
 
 

@@ -7,9 +7,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 # As the command line does: the matrices are small, and threads that wait for each other cost tenfold.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# A test that passed passes again; HYPOTHESIS_PROFILE=random looks for cases that nobody has seen.
+settings.register_profile("same", derandomize=True)
+settings.register_profile("random", derandomize=False)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 ROOT = Path(__file__).resolve().parent.parent
 

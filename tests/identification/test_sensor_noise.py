@@ -116,7 +116,7 @@ def test_a_payload_that_swings_is_not_the_sensors_noise() -> None:
     assert found.force_rms().status is Status.IDENTIFIED
 
 
-@settings(derandomize=True, max_examples=40, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     step=st.floats(1e-3, 2.0),
     noise=st.floats(0.05, 3.0),

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -257,10 +257,12 @@ def command_of(log: AlignedLog) -> PoseSignal:
 
 
 @settings(max_examples=30, deadline=None)
+@example(pieces=[(0.5, 0.0, 1.0), (0.5, 0.03125, 1.0)], hole=(0.5, 0.25), pressed_n=-20.0)
+@example(pieces=[(1.0, 0.0, 1.0), (0.5, 0.03125, 0.5)], hole=(0.5, 0.25), pressed_n=-20.0)
 @given(
-    st.lists(st.tuples(st.floats(0.02, 1.0), st.floats(-0.05, 0.05), st.floats(0.002, 1.0)), max_size=6),
-    st.one_of(st.none(), st.tuples(st.floats(0.05, 0.8), st.floats(0.05, 0.5))),
-    st.sampled_from([0.0, -20.0]),
+    pieces=st.lists(st.tuples(st.floats(0.02, 1.0), st.floats(-0.05, 0.05), st.floats(0.002, 1.0)), max_size=6),
+    hole=st.one_of(st.none(), st.tuples(st.floats(0.05, 0.8), st.floats(0.05, 0.5))),
+    pressed_n=st.sampled_from([0.0, -20.0]),
 )
 def test_the_line_covers_any_log_once(
     pieces: list[tuple[float, float, float]], hole: tuple[float, float] | None, pressed_n: float

@@ -14,7 +14,7 @@ PERIOD_S = 8e-4
 DELAY_S = 2.4e-3
 
 # A law is checked on the same cases everywhere: a failure on one machine is a failure on all of them.
-LAW = settings(deadline=None, max_examples=30, derandomize=True)
+LAW = settings(deadline=None, max_examples=30)
 
 
 def one_pole(delay_s: float = DELAY_S, bandwidth_rad_per_s: float = 20.0) -> RobotModel:

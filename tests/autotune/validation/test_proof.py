@@ -54,9 +54,7 @@ def check_not_contradicted(plants: UncertainPlant, law: AdmittanceController) ->
     return found
 
 
-LAW = settings(
-    deadline=None, max_examples=30, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+LAW = settings(deadline=None, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @LAW

@@ -136,7 +136,7 @@ def test_a_bag_gives_the_messages_that_were_written(
         assert container.findings() == ()
 
 
-@settings(derandomize=True, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(
     content=st.lists(
         st.tuples(st.sampled_from(sorted(TYPES)), st.integers(0, 2**32 * 10**9 - 1), st.binary(max_size=40)),

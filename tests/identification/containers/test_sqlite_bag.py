@@ -53,7 +53,7 @@ def test_every_schema_gives_the_messages_that_were_written(tmp_path: Path, versi
     assert [each.name for each in tmp_path.iterdir()] == ["run.db3"]
 
 
-@settings(derandomize=True, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(
     content=st.lists(
         st.tuples(st.sampled_from(sorted(TYPES)), st.integers(-(2**63), 2**63 - 1), st.binary(max_size=2000)),

@@ -114,7 +114,7 @@ def test_degrees_are_radians_after_their_factor() -> None:
 
 
 @given(st.lists(st.booleans(), min_size=0, max_size=40))
-@settings(derandomize=True, deadline=None)
+@settings(deadline=None)
 def test_signs_of_quaternions_never_matter(flips: list[bool]) -> None:
     smooth = make_continuous(turning(1).as_quat()[: len(flips)])
     signs = np.where(np.array(flips, dtype=bool), -1.0, 1.0)
@@ -131,7 +131,7 @@ def test_signs_of_quaternions_never_matter(flips: list[bool]) -> None:
     st.sampled_from(list(Frame)),
     st.integers(0, 10**6),
 )
-@settings(derandomize=True, deadline=None)
+@settings(deadline=None)
 def test_a_wrench_told_in_any_unit_sign_and_frame_comes_back(
     force: str, torque: str, signs: list[float], by: ExertedBy, frame: Frame, seed: int
 ) -> None:

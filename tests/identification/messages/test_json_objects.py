@@ -22,7 +22,7 @@ TREES = st.recursive(
 )
 
 
-@settings(derandomize=True, max_examples=200, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(tree=TREES)
 def test_what_was_written_is_read(tree: object) -> None:
     for ascii_only in (False, True):
@@ -33,7 +33,7 @@ def test_what_was_written_is_read(tree: object) -> None:
         assert parse_json(data) == tree
 
 
-@settings(derandomize=True, max_examples=300, deadline=None)
+@settings(max_examples=300, deadline=None)
 @given(data=st.binary(max_size=60) | st.text(alphabet='{}[]":,.-+eE0123456789naINfty \\u', max_size=40).map(str.encode))
 def test_any_bytes_are_read_or_refused(data: bytes) -> None:
     try:

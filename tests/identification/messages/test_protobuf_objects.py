@@ -171,7 +171,7 @@ def test_a_required_field_must_be_there() -> None:
         parse(b"")
 
 
-@settings(derandomize=True, max_examples=300, deadline=None)
+@settings(max_examples=300, deadline=None)
 @given(data=st.binary(max_size=80))
 def test_any_bytes_are_read_or_refused(data: bytes) -> None:
     parse = build_parser(SOUND)
@@ -181,7 +181,7 @@ def test_any_bytes_are_read_or_refused(data: bytes) -> None:
         assert "\n" not in str(error)  # noqa: PT017 - some inputs are messages
 
 
-@settings(derandomize=True, max_examples=200, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(place=st.integers(0, len(SOUND.schema) - 1), bit=st.integers(0, 7))
 def test_a_flipped_bit_in_the_descriptors_raises_nothing_else(place: int, bit: int) -> None:
     schema = bytearray(SOUND.schema)

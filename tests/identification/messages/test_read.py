@@ -31,7 +31,7 @@ from tests.identification.messages.message_builder import (
     store_of,
 )
 
-LAW = settings(deadline=None, max_examples=60, derandomize=True)
+LAW = settings(deadline=None, max_examples=60)
 TYPES = {
     "geometry_msgs/msg/WrenchStamped": "header",
     "geometry_msgs/msg/PoseStamped": "header",

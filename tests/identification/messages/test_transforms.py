@@ -22,7 +22,7 @@ from tests.identification.messages.message_builder import (
     serialise,
 )
 
-LAW = settings(deadline=None, max_examples=60, derandomize=True)
+LAW = settings(deadline=None, max_examples=60)
 TF, TRANSFORM = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/TransformStamped"
 NAMES = ("base", "base_link", "tool0", "")
 

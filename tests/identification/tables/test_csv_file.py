@@ -38,9 +38,7 @@ def test_recorded_tables_are_read_as_numpy_reads_them(shared_data: Path, name: s
     assert (series.stamp_ns, series.frame_ids, series.fields) == (None, (), ("0", "1"))
 
 
-@settings(
-    derandomize=True, max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
-)
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(
     rows=st.lists(st.tuples(st.integers(-(2**62), 2**62), st.floats(), st.floats()), min_size=1, max_size=30),
     style=st.sampled_from([(",", "."), (";", "."), (";", ","), ("\t", ","), ("\t", "."), ("|", ".")]),

@@ -21,7 +21,7 @@ from identification.tables.times import (
 UNITS = st.sampled_from(sorted(EXPONENT))
 
 
-@settings(derandomize=True, max_examples=300, deadline=None)
+@settings(max_examples=300, deadline=None)
 @given(unit=UNITS, ns=st.integers(-(2**62), 2**62), thousandths=st.integers(-499, 499))
 def test_decimals_and_texts_are_rounded_to_the_nearest_nanosecond(unit: str, ns: int, thousandths: int) -> None:
     number = (Decimal(ns) + Decimal(thousandths) / 1000).scaleb(-EXPONENT[unit])
@@ -31,7 +31,7 @@ def test_decimals_and_texts_are_rounded_to_the_nearest_nanosecond(unit: str, ns:
         assert from_texts(pa.array([text.replace(".", ",")]), unit, ",").tolist() == [ns]
 
 
-@settings(derandomize=True, max_examples=500, deadline=None)
+@settings(max_examples=500, deadline=None)
 @given(unit=UNITS, text=st.from_regex(r"[-+]?[0-9]{0,25}(\.[0-9]{0,25})?([eE][-+]?[0-9]{1,3})?", fullmatch=True))
 def test_texts_are_rounded_as_decimals_are_ties_to_even(unit: str, text: str) -> None:
     try:
@@ -57,7 +57,7 @@ def test_texts_that_are_no_numbers_are_refused(text: str) -> None:
         from_texts(pa.array(["5", text, "6"]), "s")
 
 
-@settings(derandomize=True, max_examples=500, deadline=None)
+@settings(max_examples=500, deadline=None)
 @given(unit=UNITS, value=st.floats(-1e9, 1e9) | st.floats(1.6e9, 1.8e9))
 def test_doubles_are_rounded_to_the_nearest_nanosecond_of_their_exact_value(unit: str, value: float) -> None:
     exact = Fraction(value) * 10 ** EXPONENT[unit]
