@@ -29,12 +29,19 @@ class _Lack:
     advice: str
     needed: bool
 
+    @property
+    def code(self) -> str:
+        """How it lacks: `unidentifiable`, `bounded` to an interval, `weak`, or nothing."""
+        bounded = isinstance(self.estimate, Estimate) and self.estimate.ci95 is not None
+        codes = {Status.WEAK: "weak", Status.UNIDENTIFIABLE: "bounded" if bounded else "unidentifiable"}
+        return codes.get(self.estimate.status, "")
+
 
 def advise(result: Identified) -> tuple[Finding, ...]:
     """Return a finding for everything that is weak or missing, those with the same remedy together.
 
     What is missing and needed is an error, unless another error says why already; what is weak and needed is a warning;
-    the rest is information.
+    so is what is needed and told as an interval only; the rest is information.
     """
     findings = list(_findings("", list(_payload_lacks(result))))
     for name, axis in result.axes.items():
@@ -44,25 +51,22 @@ def advise(result: Identified) -> tuple[Finding, ...]:
 
 
 def _findings(where: str, lacks: Sequence[_Lack]) -> Iterator[Finding]:
-    for status, severities in (
-        (Status.UNIDENTIFIABLE, ("error", "info")),
-        (Status.WEAK, ("warning", "info")),
+    for code, verb, severities in (
+        ("unidentifiable", "not told by the log", ("error", "info")),
+        ("bounded", "told as an interval only", ("warning", "info")),
+        ("weak", "weak", ("warning", "info")),
     ):
         for needed, severity in zip((True, False), severities, strict=True):
-            mine = [lack for lack in lacks if lack.estimate.status is status and lack.needed is needed]
+            mine = [lack for lack in lacks if lack.code == code and lack.needed is needed]
             for advice in dict.fromkeys(lack.advice for lack in mine):
                 told = ", ".join(_told(lack) for lack in mine if lack.advice == advice)
-                verb = "not told by the log" if status is Status.UNIDENTIFIABLE else "weak"
-                yield Finding(
-                    code="unidentifiable" if status is Status.UNIDENTIFIABLE else "weak",
-                    severity=severity,
-                    message=f"{where}{told}: {verb}.",
-                    advice=advice,
-                )
+                yield Finding(code=code, severity=severity, message=f"{where}{told}: {verb}.", advice=advice)
 
 
 def _told(lack: _Lack) -> str:
     estimate = lack.estimate
+    if isinstance(estimate, Estimate) and estimate.value is None and estimate.ci95 is not None:
+        return "{} ({:.3g} to {:.3g} with 95 %)".format(lack.name, *estimate.ci95)
     if isinstance(estimate, VectorEstimate) or not estimate.value or estimate.std is None:
         return lack.name
     return f"{lack.name} (± {100.0 * estimate.std / abs(estimate.value):.0f} %)"

@@ -17,7 +17,7 @@ from .result import (
     RobotEstimate,
 )
 from .robot import find_bandwidth_hz
-from .verdicts import judged, vector, weak_at_best
+from .verdicts import judged, judged_damping, vector, weak_at_best
 
 FloatArray = NDArray[np.float64]
 
@@ -53,13 +53,13 @@ class JointEstimates:
         """Return K_s and B_s."""
         return CouplingEstimate(
             stiffness_n_per_m=self._judged("stiffness_n_per_m"),
-            damping_n_s_per_m=self._judged("damping_n_s_per_m", floor=self._damping_floor("stiffness_n_per_m")),
+            damping_n_s_per_m=self._judged_damping("damping_n_s_per_m", "stiffness_n_per_m"),
         )
 
     @property
     def drag_n_s_per_m(self) -> Estimate:
         """Return B_p."""
-        return self._judged("drag_n_s_per_m", floor=self._damping_floor("stiffness_n_per_m"))
+        return self._judged_damping("drag_n_s_per_m", "stiffness_n_per_m")
 
     @property
     def mass_kg(self) -> Estimate:
@@ -122,9 +122,7 @@ class JointEstimates:
             name=self.surface_name(index),
             stiffness_n_per_m=stiffness,
             secant_stiffness_n_per_m=secant,
-            damping_n_s_per_m=self._judged(
-                f"{prefix}damping_n_s_per_m", floor=self._damping_floor(f"{prefix}stiffness_n_per_m")
-            ),
+            damping_n_s_per_m=self._judged_damping(f"{prefix}damping_n_s_per_m", f"{prefix}stiffness_n_per_m"),
             mass_kg=self._judged(f"{prefix}mass_kg", floor=_MASS_FLOOR * mass),
             contacts=len(surface.onsets),
             peak_force_n=surface.peak_force_n,
@@ -170,10 +168,13 @@ class JointEstimates:
 
     def _judged(self, name: str, *, floor: float = 0.0) -> Estimate:
         value, std = self.fit.value(name)
-        interval = self.fit.ci95.get(name)
-        known = interval is not None and bool(np.all(np.isfinite(interval)))
-        return judged(value, std, method=self.method, floor=floor, ci95=interval if known else None)
+        return judged(value, std, method=self.method, floor=floor, ci95=self._interval(name))
 
-    def _damping_floor(self, stiffness: str) -> float:
+    def _judged_damping(self, name: str, stiffness: str) -> Estimate:
+        value, std = self.fit.value(name)
         critical = 2.0 * float(np.sqrt(self.fit.value(stiffness)[0] * self.fit.value("mass_kg")[0]))
-        return _DAMPING_FLOOR * critical
+        return judged_damping(value, std, _DAMPING_FLOOR * critical, method=self.method, ci95=self._interval(name))
+
+    def _interval(self, name: str) -> tuple[float, float] | None:
+        interval = self.fit.ci95.get(name)
+        return interval if interval is not None and bool(np.all(np.isfinite(interval))) else None

@@ -10,7 +10,9 @@ from .result import Estimate, Finding, Status, VectorEstimate
 FloatArray = NDArray[np.float64]
 
 _IDENTIFIED_SHARE = 0.05
-_WEAK_SHARE = 0.25
+_WEAK_SHARE = 0.2
+_BOUND_SHARE = 0.25
+_TWO_SIDED = 1.96
 
 
 def judged(
@@ -34,6 +36,21 @@ def judged(
         return Estimate(value=float(value), std=float(std), status=status, method=method, note=note, ci95=ci95)
     told = f"standard deviation {std:.3g} for a value of {value:.3g}"
     return unidentifiable(method=method, note=f"{note}; {told}" if note else told)
+
+
+def judged_damping(
+    value: float, std: float, floor: float, *, method: str, ci95: tuple[float, float] | None = None
+) -> Estimate:
+    """Return the verdict on a damping: the value itself as any other, else an interval where that says enough.
+
+    A damping near zero is not told to a share of itself, though it may be known well beside `floor`, a size that
+    matters: up to a deviation of a quarter of it the 95 % interval is told, without a value.
+    """
+    estimate = judged(value, std, method=method, ci95=ci95)
+    if estimate.status is not Status.UNIDENTIFIABLE or not std <= _BOUND_SHARE * floor:
+        return estimate
+    interval = (max(value - _TWO_SIDED * std, 0.0), max(value, 0.0) + _TWO_SIDED * std) if ci95 is None else ci95
+    return replace(estimate, ci95=interval)
 
 
 def weak_at_best(estimate: Estimate, why: str) -> Estimate:

@@ -354,15 +354,26 @@ def build_contact_forces(structure: Structure, approach: Approach, samples: int)
     past = [newest - (i + 1) * speed * h for i in range(structure.chain_length)]
     s = ca.vertcat(state, *past, control[list(structure.controller_states)])
 
-    sensed, pressed = [], []
-    for _ in range(samples):
-        sensed.append(-(loop.c_force @ s + loop.d_force * desired))
-        pressed.append(loop.c_contact @ s + loop.d_contact * desired + loop.push_contact * push_after)
-        s = loop.a @ s + loop.b * desired + loop.b_push * push_after
-    outputs = [ca.vertcat(*sensed), ca.vertcat(*pressed), ca.SX(speed)]
-    return ca.Function(
-        "contact_forces", symbols.all(), outputs, list(_INPUTS), ["sensor_force", "contact_force", "speed"]
+    parts = [loop.a, loop.b * desired + loop.b_push * push_after, loop.c_force, loop.c_contact]
+    direct = ca.vertcat(loop.d_force * desired, loop.d_contact * desired + loop.push_contact * push_after)
+    prepared = ca.Function("prepared", symbols.all(), [s, *parts, direct, ca.SX(speed)])
+    inputs = [ca.MX.sym(name, value.shape) for name, value in zip(_INPUTS, symbols.all(), strict=True)]
+    start, *matrices, impact_speed = prepared.call(inputs)
+    walked = (
+        _walk(structure.state_count, [part.sparsity() for part in parts])
+        .mapaccum(samples)
+        .call([start, *(ca.repmat(matrix, 1, samples) for matrix in (*matrices,))])
     )
+    outputs = [-walked[1].T, walked[2].T, impact_speed]
+    return ca.Function("contact_forces", inputs, outputs, list(_INPUTS), ["sensor_force", "contact_force", "speed"])
+
+
+def _walk(states: int, sparsities: Sequence[Any]) -> ca.Function:
+    """Return one tick of a run under constant forces: the next state, F and F_e."""
+    state, direct = ca.SX.sym("state", states), ca.SX.sym("direct", 2)
+    a, b, c_force, c_contact = (ca.SX.sym(f"part_{i}", sparsity) for i, sparsity in enumerate(sparsities))
+    outputs = [a @ state + b, c_force @ state + direct[0], c_contact @ state + direct[1]]
+    return ca.Function("tick", [state, a, b, c_force, c_contact, direct], outputs)
 
 
 def _drive(approach: Approach, resistance: ca.SX) -> tuple[Any, Any, Any, Any]:

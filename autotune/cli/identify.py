@@ -162,6 +162,9 @@ def _axis_rows(name: str, axis: "AxisEstimate") -> Iterator[tuple[str, ...]]:
 
 
 def _row(name: str, estimate: "Estimate", unit: str, scale: float = 1.0) -> tuple[str, ...]:
+    if estimate.value is None and estimate.ci95 is not None:
+        low, high = estimate.ci95
+        return name, f"{low * scale:.4g} to {high * scale:.4g}", "-", unit, estimate.status.value
     return (name, *_numbers(estimate.value, estimate.std, scale), unit, estimate.status.value)
 
 

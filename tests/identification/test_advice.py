@@ -42,6 +42,15 @@ def test_a_missing_stiffness_is_an_error_and_a_weak_one_a_warning() -> None:
     assert "K_s (± 10 %)" in uncertain.message
 
 
+def test_an_interval_is_a_warning() -> None:
+    bounded = dataclasses.replace(UNTOLD, ci95=(0.0, 63.0))
+    axis = told().axes["x"]
+    coupling = dataclasses.replace(axis.coupling, damping_n_s_per_m=bounded)
+    (found,) = needed(advise(dataclasses.replace(told(), axes={"x": dataclasses.replace(axis, coupling=coupling)})))
+    assert (found.code, found.severity) == ("bounded", "warning")
+    assert "B_s (0 to 63 with 95 %): told as an interval only" in found.message
+
+
 def test_a_missing_number_is_not_told_twice() -> None:
     because = Finding(code="coupling", severity="error", message="Axis x: a reason.", advice="")
     broken = dataclasses.replace(with_stiffness(told(), UNTOLD), findings=(because,))

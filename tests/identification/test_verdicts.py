@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from identification.result import Status
-from identification.verdicts import judged, unidentifiable, unidentifiable_vector, vector
+from identification.verdicts import judged, judged_damping, unidentifiable, unidentifiable_vector, vector
 
 
 @pytest.mark.parametrize(
@@ -15,8 +15,8 @@ from identification.verdicts import judged, unidentifiable, unidentifiable_vecto
         (0.0, Status.IDENTIFIED),
         (5.0, Status.IDENTIFIED),
         (5.1, Status.WEAK),
-        (25.0, Status.WEAK),
-        (25.1, Status.UNIDENTIFIABLE),
+        (20.0, Status.WEAK),
+        (20.1, Status.UNIDENTIFIABLE),
         (float("inf"), Status.UNIDENTIFIABLE),
         (float("nan"), Status.UNIDENTIFIABLE),
     ],
@@ -33,7 +33,7 @@ def test_no_number_is_told_that_is_not_trusted(value: float, std: float, floor: 
     assert (estimate.value is not None) == trusted
     assert (estimate.std is not None) == trusted
     if trusted:
-        assert std <= 0.25 * max(abs(value), floor)
+        assert std <= 0.2 * max(abs(value), floor)
 
 
 @given(st.floats(0.1, 1e6), st.floats(1e-6, 1.0))
@@ -61,3 +61,20 @@ def test_vectors_carry_plain_numbers() -> None:
     assert estimate.std == (0.1, 0.2)
     assert all(type(number) is float for number in (*estimate.value, *estimate.std))
     assert unidentifiable_vector("why").value is None
+
+
+@pytest.mark.parametrize(
+    ("std", "status"), [(4.0, Status.IDENTIFIED), (15.0, Status.WEAK), (40.0, Status.UNIDENTIFIABLE)]
+)
+def test_a_damping_is_judged_by_itself(std: float, status: Status) -> None:
+    """However small it is beside the critical one: 100 ± 40 is no value."""
+    assert judged_damping(100.0, std, 1e6, method="m").status is status
+
+
+def test_a_small_damping_that_is_no_value_is_an_interval() -> None:
+    told = judged_damping(30.0, 20.0, 100.0, method="m")
+    assert (told.value, told.std) == (None, None)
+    assert told.ci95 == pytest.approx((0.0, 30.0 + 1.96 * 20.0))
+    assert judged_damping(-5.0, 20.0, 100.0, method="m").ci95 == pytest.approx((0.0, 1.96 * 20.0))
+    assert judged_damping(30.0, 20.0, 100.0, method="m", ci95=(3.0, 80.0)).ci95 == (3.0, 80.0)
+    assert judged_damping(30.0, 25.1, 100.0, method="m").ci95 is None
