@@ -2,12 +2,11 @@
 
 from dataclasses import dataclass, replace
 
-from problems.design import VARIABLES, DesignProblem
-from problems.evaluation import build_scenarios
+from problems.design import DesignProblem
 
-from .search import Search, SearchResult
+from .optimality import LINEAR_VARIABLES, Optimality
 
-_ACTIVE = 0.995
+_PERCENT = 0.01
 
 
 def relaxed(problem: DesignProblem, requirement: str, share: float) -> DesignProblem:
@@ -32,33 +31,19 @@ class Active:
     price_n: float
 
 
-def explain(result: SearchResult) -> tuple[Active, ...]:
-    """Return the active requirements and bounds, dearest first.
-
-    Each active requirement is eased by one percent and the design polished again; each active bound is moved by one
-    percent of its value.
-    """
-    problem, found = result.problem, []
-    base = result.active.evaluate(result.design, peaks_if_missed=True).objective_n
-    for name, value in result.evaluation.requirements.items():
-        if value > _ACTIVE:
-            found.append(Active(name=name, price_n=base - _eased_objective(result, relaxed(problem, name, 0.01))))
-    for i, name in enumerate(VARIABLES):
-        low, high = problem.bounds[name]
-        for side, bound in (("lower", low), ("upper", high)):
-            if high > low and abs(result.design[i] - bound) <= 1e-6 * (high - low):
-                moved = (max(low * 0.99, 0.0), high) if side == "lower" else (low, high * 1.01)
-                eased = replace(problem, bounds={**problem.bounds, name: moved})
-                price = 0.0 if bound == 0.0 else base - _eased_objective(result, eased)
-                found.append(Active(name=f"{side} bound of {name}", price_n=price))
+def explain(problem: DesignProblem, peak_n: float, optimality: Optimality) -> tuple[Active, ...]:
+    """Return the active requirements and bounds, dearest first, by their multipliers at a design with this peak."""
+    found = [
+        Active(name=name, price_n=_PERCENT * _moved(problem, name) * multiplier * peak_n)
+        for name, multiplier in optimality.multipliers.items()
+    ]
     return tuple(sorted(found, key=lambda active: -active.price_n))
 
 
-def _eased_objective(result: SearchResult, problem: DesignProblem) -> float:
-    search = Search(problem, 0)
-    prepared = build_scenarios(problem, result.active.scenarios)
-    unit = search.box.unit(result.design)
-    candidate = search.local(prepared, unit)
-    evaluation = prepared.evaluate(search.box.design(candidate))
-    unchanged = prepared.evaluate(result.design, peaks_if_missed=True).objective_n
-    return min(evaluation.objective_n, unchanged) if evaluation.is_feasible else unchanged
+def _moved(problem: DesignProblem, name: str) -> float:
+    """Return by how much u moves per share of the requirement or bound."""
+    side, _, variable = name.partition(" bound of ")
+    if variable not in LINEAR_VARIABLES:
+        return 1.0
+    low, high = problem.bounds[variable]
+    return (low if side == "lower" else high) / (high - low)

@@ -16,6 +16,7 @@ from problems.design import DesignProblem
 
 from .compare import SideBySide, check_comparable, compare, start_design
 from .explain import Active, explain
+from .optimality import Optimality, check_optimality
 from .problems import Wishes, build_problems, certified_mass_kg, runtime_mass_kg
 from .record import build_controller, build_domain
 from .search import SearchResult, solve_design
@@ -33,6 +34,7 @@ class Optimized:
     controller: Controller
     searches: Mapping[str, SearchResult]
     active: Mapping[str, tuple[Active, ...]]
+    optimality: Mapping[str, Optimality]
     report: ValidationReport
     compared: Mapping[str, SideBySide] = field(default_factory=dict)
 
@@ -67,7 +69,11 @@ def optimize(
         name: _search(name, problem, seed, existing, lambda done: report(share * done))
         for name, problem in problems.items()
     }
-    active = {name: explain(search) for name, search in searches.items()}
+    optimality = {name: check_optimality(search.active, search.design) for name, search in searches.items()}
+    active = {
+        name: explain(search.problem, search.evaluation.objective_n, optimality[name])
+        for name, search in searches.items()
+    }
     proofs = {
         name: prove_axis(
             build_domain(search.problem),
@@ -84,7 +90,14 @@ def optimize(
     checked = validate_controller(controller, lambda done: report((1.0 - _SEARCH_SHARE - _PROOF_SHARE) * done))
     checked.require()
     compared = {} if existing is None else compare(existing.controller, searches)
-    return Optimized(controller=controller, searches=searches, active=active, report=checked, compared=compared)
+    return Optimized(
+        controller=controller,
+        searches=searches,
+        active=active,
+        optimality=optimality,
+        report=checked,
+        compared=compared,
+    )
 
 
 def _search(
