@@ -29,7 +29,7 @@ from .batch_kernel import (
 from .contact import Approach, SampledContact, longest_run, simulate_contact
 from .controller import THETA, AdmittanceController
 from .errors import ParameterError
-from .margins import check_finite, find_margins, loop_polynomials, margin_grid, response_polynomials
+from .margins import PreparedMargins, check_finite, find_margins, loop_polynomials, prepare_margins
 from .polynomials import DOUBTFUL
 from .sampled import SampledPlant, build_loop, spectral_radius
 
@@ -75,7 +75,7 @@ class Batch:
         peaks: bool = True,
     ) -> BatchResult:
         """Evaluate every controller in every scenario; without `margins` or `peaks` those stay NaN."""
-        parameters, theta, ideal = _parameters(controllers)
+        parameters, theta, ideal = controller_numbers(controllers)
         h = self.pairs[0].contact.sample_time_s
         out = np.full((len(parameters), len(self.pairs), COLUMNS), np.nan)
         evaluate_pairs(
@@ -105,35 +105,50 @@ class Batch:
 
 def build_batch(pairs: Sequence[SampledContact]) -> Batch:
     """Prepare scenarios of one robot order and one sample time."""
-    _check_alike([pair.contact for pair in pairs])
-    grids = [margin_grid(pair.contact) for pair in pairs]
-    delays = np.array([pair.arguments[2][:2] for pair in pairs], dtype=np.int64)
-    inside = [pair.arguments[1][1] for pair in pairs]
+    check_alike([pair.contact for pair in pairs])
+    plants = [prepare_margins(pair.contact) for pair in pairs]
     return Batch(
         pairs=tuple(pairs),
-        in_contact=_loops([pair.contact for pair in pairs]),
-        in_free_space=_loops([pair.free for pair in pairs]),
-        responses=_stacked([response_polynomials(pair.contact) for pair in pairs]),
-        grids=(
-            np.concatenate([grid[0] for grid in grids]),
-            np.concatenate([grid[1] for grid in grids]),
-            np.concatenate([grid[2] for grid in grids]),
-            np.concatenate([grid[3] for grid in grids]),
-            _offsets([len(grid[0]) for grid in grids]),
+        in_contact=stack_loops([pair.contact for pair in pairs]),
+        in_free_space=stack_loops([pair.free for pair in pairs]),
+        responses=stack_responses(plants),
+        grids=stack_grids(plants),
+        contacts=stack_contacts(pairs),
+    )
+
+
+def stack_responses(plants: Sequence[PreparedMargins]) -> FloatArray:
+    """Return the response polynomials (p, 4, n) of plants, as `find_loop_margins` takes them."""
+    return _stacked([plant.polynomials for plant in plants])
+
+
+def stack_grids(plants: Sequence[PreparedMargins]) -> Grids:
+    """Return the grids of plants one after the other."""
+    grids = [plant.grid for plant in plants]
+    return (
+        np.concatenate([grid[0] for grid in grids]),
+        np.concatenate([grid[1] for grid in grids]),
+        np.concatenate([grid[2] for grid in grids]),
+        np.concatenate([grid[3] for grid in grids]),
+        _offsets([len(grid[0]) for grid in grids]),
+    )
+
+
+def stack_contacts(pairs: Sequence[SampledContact]) -> Contacts:
+    """Return what `run_contact` takes of every pair, with a leading axis."""
+    inside = [pair.arguments[1][1] for pair in pairs]
+    return (
+        (
+            np.array([pair.arguments[0][0] for pair in pairs]),
+            np.array([pair.arguments[0][1] for pair in pairs]),
+            np.array([pair.arguments[1][0] for pair in pairs]),
+            np.array([pair.arguments[3] for pair in pairs]),
+            np.array([pair.ramp for pair in pairs]),
         ),
-        contacts=(
-            (
-                np.array([pair.arguments[0][0] for pair in pairs]),
-                np.array([pair.arguments[0][1] for pair in pairs]),
-                np.array([pair.arguments[1][0] for pair in pairs]),
-                np.array([pair.arguments[3] for pair in pairs]),
-                np.array([pair.ramp for pair in pairs]),
-            ),
-            delays,
-            np.array([pair.arguments[2][2] for pair in pairs]),
-            np.concatenate(inside),
-            _offsets([len(rows) for rows in inside]),
-        ),
+        np.array([pair.arguments[2][:2] for pair in pairs], dtype=np.int64),
+        np.array([pair.arguments[2][2] for pair in pairs]),
+        np.concatenate(inside),
+        _offsets([len(rows) for rows in inside]),
     )
 
 
@@ -142,9 +157,9 @@ def are_stable(plants: Sequence[SampledPlant], controllers: Sequence[AdmittanceC
 
     Routh's test in w; where rounding could decide it, the eigenvalues of the exact loop do.
     """
-    _check_alike(plants)
-    parameters, theta, ideal = _parameters(controllers)
-    verdicts = judge_stability(_loops(plants), parameters, plants[0].sample_time_s, theta, ideal)
+    check_alike(plants)
+    parameters, theta, ideal = controller_numbers(controllers)
+    verdicts = judge_stability(stack_loops(plants), parameters, plants[0].sample_time_s, theta, ideal)
     for i, j in np.argwhere(verdicts == DOUBTFUL):
         verdicts[i, j] = int(spectral_radius(build_loop(plants[j], controllers[i])) < 1.0)
     return np.asarray(verdicts == 1)
@@ -162,7 +177,8 @@ def _decided(pair: SampledContact, controller: AdmittanceController, approach: A
     return row
 
 
-def _loops(plants: Sequence[SampledPlant]) -> Loops:
+def stack_loops(plants: Sequence[SampledPlant]) -> Loops:
+    """Return the polynomials of plants of one robot order and sample time, as `judge_loop` takes them."""
     found = [loop_polynomials(plant) for plant in plants]
     sizes = np.array([each.shape[1] for each in found], dtype=np.int64)
     first = np.array([0 if plant.plant.environment.is_anchored else 1 for plant in plants], dtype=np.int64)
@@ -175,7 +191,7 @@ def _stacked(polynomials: Sequence[FloatArray]) -> FloatArray:
     return np.array([np.pad(each, ((0, 0), (0, most - each.shape[1]))) for each in polynomials])
 
 
-def _parameters(controllers: Sequence[AdmittanceController]) -> tuple[FloatArray, float, bool]:
+def controller_numbers(controllers: Sequence[AdmittanceController]) -> tuple[FloatArray, float, bool]:
     """Return the parameters (m, 7) with θ and whether the compensation is ideal, which all controllers must share."""
     kinds = {(THETA[rule], kind == "ideal" and mass > 0.0) for rule, kind, mass in set(map(_KIND, controllers))}
     if len(kinds) != 1:
@@ -185,7 +201,8 @@ def _parameters(controllers: Sequence[AdmittanceController]) -> tuple[FloatArray
     return np.fromiter(numbers, dtype=np.float64).reshape(len(controllers), -1), theta, ideal
 
 
-def _check_alike(plants: Sequence[SampledPlant]) -> None:
+def check_alike(plants: Sequence[SampledPlant]) -> None:
+    """Raise ParameterError unless the plants share robot order and sample time, and are finite."""
     kinds = {(plant.state_count, plant.sample_time_s) for plant in plants}
     if len(kinds) != 1:
         raise ParameterError("plants", kinds, "at least one, all of one robot order and sample time")

@@ -7,7 +7,7 @@ from .compiled import compiled
 from .contact_kernel import run_contact
 from .contact_start import contact_forces, steady_start
 from .controller import blocks_of
-from .margin_kernel import MARGINS, find_loop_margins
+from .margin_kernel import MARGINS, MODULUS_ALONE, find_loop_margins
 from .polynomials import CONTROLLER_POWERS, STABLE, controller_polynomials, hurwitz, loop_polynomial
 
 FloatArray = NDArray[np.float64]
@@ -40,7 +40,7 @@ def judge_loop(
 
 
 @compiled
-def _room(loops: Loops) -> FloatArray:
+def loop_room(loops: Loops) -> FloatArray:
     """Return an array that any polynomial of these loops fits in; compiled code does not notice where one ends."""
     return np.zeros(loops[0].shape[2] + CONTROLLER_POWERS)
 
@@ -50,7 +50,7 @@ def judge_stability(loops: Loops, designs: FloatArray, h: float, theta: float, i
     """Return the verdicts (m, p) of designs (m, 7) on plants (p,)."""
     count = len(loops[1])
     out = np.empty((len(designs), count), dtype=np.int64)
-    controller, work = np.zeros((3, CONTROLLER_POWERS)), _room(loops)
+    controller, work = np.zeros((3, CONTROLLER_POWERS)), loop_room(loops)
     for i in range(len(designs)):
         degree = controller_polynomials(designs[i], ideal, controller)
         for j in range(count):
@@ -77,7 +77,7 @@ def evaluate_pairs(
     `responses` (p, 4, n) are what `plant_at` takes, `sampling` is (h, θ, ideal), `approach` as `Approach.numbers`,
     `wanted` (margins, peaks). DOUBTFUL verdicts are left to the caller, as are the margins and peaks then.
     """
-    controller, work, found = np.zeros((3, CONTROLLER_POWERS)), _room(in_contact), np.zeros(MARGINS)
+    controller, work, found = np.zeros((3, CONTROLLER_POWERS)), loop_room(in_contact), np.zeros(MARGINS)
     traces = (np.empty(longest), np.empty(longest))
     h, theta, ideal = sampling
     omega, tangent, force, position, offsets = grids
@@ -95,7 +95,7 @@ def evaluate_pairs(
             if wanted[0]:
                 part = slice(offsets[j], offsets[j + 1])
                 grid = (omega[part], tangent[part], force[part], position[part])
-                find_loop_margins(responses[j], grid, controller, degree, (h, theta), False, found)
+                find_loop_margins(responses[j], grid, controller, degree, (h, theta), MODULUS_ALONE, found)
                 out[i, j, MODULUS], out[i, j, MODULUS_RAD_PER_S] = found[0], found[1]
             if wanted[1]:
                 simulate_pair(contacts, j, blocks, designs[i, 1], h, approach, traces, out[i, j])

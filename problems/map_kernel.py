@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .compiled import compiled
-from .margin_kernel import Grid, find_loop_margins
+from .margin_kernel import EVERY_MARGIN, MODULUS_ALONE, Grid, find_loop_margins
 from .plant import write_plant
 from .polynomials import CONTROLLER_POWERS, controller_polynomials, plant_polynomials
 from .sampled import exponential, squarings_for
@@ -83,4 +83,6 @@ def margins_of_plant(
     for i in range(len(designs)):
         if wanted[i]:
             degree = controller_polynomials(designs[i], ideal, controller)
-            find_loop_margins(polynomials, grid, controller, degree, (h, theta), everything, out[i])
+            find_loop_margins(
+                polynomials, grid, controller, degree, (h, theta), EVERY_MARGIN if everything else MODULUS_ALONE, out[i]
+            )

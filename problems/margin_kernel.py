@@ -16,6 +16,8 @@ Grid = tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]
 
 # What `find_loop_margins` returns, the smaller of both break points.
 MODULUS, MODULUS_RAD_PER_S, DISK, GAIN_DB, PHASE_RAD, DELAY_S, MARGINS = 0, 1, 2, 3, 4, 5, 6
+# How much is asked: the modulus margin, also the crossovers' margins, also the disk margin.
+MODULUS_ALONE, WITH_CROSSOVERS, EVERY_MARGIN = 0, 1, 2
 
 _SECTIONS = 30
 _BISECTIONS = 60
@@ -121,17 +123,17 @@ def find_loop_margins(
     controller: FloatArray,
     degree: int,
     sampling: tuple[float, float],
-    everything: bool,
+    depth: int,
     found: FloatArray,
 ) -> None:
-    """Write the margins of a stable loop into `found` (6,); without `everything` only the modulus margin.
+    """Write the margins of a stable loop into `found` (6,), as far as `depth` says (the rest is infinite).
 
     `sampling` is (h, θ). A response that is not a number makes all of them NaN: it must not pass for a large margin.
     """
     found[:] = np.inf
     omega, points = _traced(plant, grid, controller, degree, sampling)
     for signal in range(len(points)):
-        for disk in range(2 if everything else 1):
+        for disk in range(2 if depth == EVERY_MARGIN else 1):
             value, where = _smallest(plant, controller, degree, sampling, omega, points[signal], signal, disk == 1)
             if np.isnan(value):
                 found[:] = np.nan
@@ -140,7 +142,7 @@ def find_loop_margins(
                 found[DISK] = min(found[DISK], value)
             elif value < found[MODULUS]:
                 found[MODULUS], found[MODULUS_RAD_PER_S] = value, where
-        if everything:
+        if depth != MODULUS_ALONE:
             _crossovers(plant, controller, degree, sampling, omega, points[signal], signal, found)
 
 

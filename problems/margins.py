@@ -12,6 +12,7 @@ from .errors import AutotuneError, ParameterError
 from .margin_kernel import (
     DELAY_S,
     DISK,
+    EVERY_MARGIN,
     GAIN_DB,
     MARGINS,
     MODULUS,
@@ -142,7 +143,7 @@ class PreparedMargins:
         factors, found = np.zeros((3, CONTROLLER_POWERS)), np.empty(MARGINS)
         degree = controller_polynomials(controller.parameters(), controller.is_ideal, factors)
         sampling = (self.sampled.sample_time_s, controller.theta)
-        find_loop_margins(self.polynomials, self.grid, factors, degree, sampling, True, found)
+        find_loop_margins(self.polynomials, self.grid, factors, degree, sampling, EVERY_MARGIN, found)
         if np.any(np.isnan(found)):
             raise ParameterError("loop", self.sampled.plant, "one with a finite response at every frequency")
         return Margins(

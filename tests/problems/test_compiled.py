@@ -17,7 +17,7 @@ import problems
 from problems import compiled as compiled_module
 from problems.batch_kernel import judge_stability
 from problems.controller import blocks_of, controller_blocks, needed_states
-from problems.margin_kernel import MARGINS, differences_at, find_loop_margins, plant_at, squared_distance
+from problems.margin_kernel import EVERY_MARGIN, MARGINS, differences_at, find_loop_margins, plant_at, squared_distance
 from problems.margins import loop_polynomials, margin_grid, response_polynomials
 from problems.polynomials import CONTROLLER_POWERS, controller_polynomials, hurwitz, loop_polynomial, plant_polynomials
 from problems.sampled import controller_matrices, squarings_for
@@ -283,7 +283,14 @@ def test_kernels_that_fill_arrays_are_their_python() -> None:
         response = response_polynomials(sampled)
         np.testing.assert_allclose(*both(differences_at, response, factors, degree, PERIOD_S, theta, 100.0), rtol=1e-10)
         margins = written(
-            find_loop_margins, (MARGINS,), response, margin_grid(sampled), factors, degree, (PERIOD_S, theta), True
+            find_loop_margins,
+            (MARGINS,),
+            response,
+            margin_grid(sampled),
+            factors,
+            degree,
+            (PERIOD_S, theta),
+            EVERY_MARGIN,
         )
         np.testing.assert_allclose(*margins, rtol=1e-9)
 
