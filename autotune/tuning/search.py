@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import differential_evolution, minimize
+from scipy.optimize import OptimizeResult, differential_evolution, minimize
 
 from autotune.errors import InfeasibleError
 from problems.controller import SMALLEST_FEEDBACK_DAMPING_S
@@ -18,6 +18,7 @@ from problems.evaluation import (
     normalise_margins,
 )
 from problems.margins import UnstableLoopError
+from problems.screening import Screen, Screened, build_screen
 
 FloatArray = NDArray[np.float64]
 
@@ -26,6 +27,8 @@ _GENERATIONS = 60
 _ROUNDS = 8
 _POLISH_STARTS = 4
 _BACKOFF = 2e-5
+_STEP = 1e-6
+_WALL = 1e3
 # Costs of designs that miss something lie above every force, those of unstable ones above these.
 _UNSTABLE = 1e15
 _MISSED = 1e12
@@ -148,6 +151,25 @@ def _silent(_: float) -> None:
     return None
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Around:
+    """Objective (5,) and slack (k, 5) at a point and a step (4,) from it along each variable."""
+
+    objective: FloatArray
+    slack: FloatArray
+    steps: FloatArray
+
+    @property
+    def gradient(self) -> FloatArray:
+        """Forward differences of the objective."""
+        return np.asarray((self.objective[1:] - self.objective[0]) / self.steps)
+
+    @property
+    def slack_gradients(self) -> FloatArray:
+        """Forward differences of each slack."""
+        return np.asarray((self.slack[:, 1:] - self.slack[:, :1]) / self.steps)
+
+
 class Search:
     """One run: the box, what was asked (tightened where a grid flattered), and the count of evaluations."""
 
@@ -163,91 +185,94 @@ class Search:
 
     def explore(self, active: tuple[Scenario, ...], report: Callable[[float], None]) -> FloatArray:
         """Run differential evolution on the active scenarios; return the best point, keep the best few."""
-        prepared = build_scenarios(self.problem, active)
+        screen = self._screen(active)
         seen: list[tuple[float, FloatArray]] = []
+        # A limited peak is a requirement too: without it a miss by a hair elsewhere would look closest.
+        limited = self.problem.requirements.max_peak_force_n is not None
 
-        def cost(unit: FloatArray) -> float:
-            # A limited peak is a requirement too: without it a miss by a hair elsewhere would look closest.
-            limited = self.problem.requirements.max_peak_force_n is not None
-            value = self._cost(prepared.evaluate(self.box.design(unit), peaks_if_missed=limited))
-            seen.append((value, np.array(unit)))
-            return value
+        def costs(units: FloatArray) -> FloatArray:
+            found = self._costs(screen, units.T, peaks_if_missed=limited)
+            seen.extend(zip(found.tolist(), units.T.copy(), strict=True))
+            return found
 
-        found = differential_evolution(
-            cost,
-            [(0.0, 1.0)] * len(VARIABLES),
-            popsize=_POPULATION,
-            maxiter=_GENERATIONS,
-            init="sobol",
-            x0=self.start,
-            rng=np.random.default_rng(self.seed),
-            polish=False,
-            tol=1e-5,
-            callback=lambda intermediate_result: report(1.0 / _GENERATIONS),  # noqa: ARG005 - scipy goes by the name
-        )
+        found = self._evolve(costs, seed=self.seed, start=self.start, each=lambda: report(1.0 / _GENERATIONS))
         if found.fun >= _MISSED:
-            return self._recovered(prepared, np.asarray(found.x))
+            return self._recovered(screen, np.asarray(found.x))
         self.elite = _spread([unit for value, unit in sorted(seen, key=lambda pair: pair[0]) if value < _MISSED])
         return np.asarray(found.x)
 
-    def _cost(self, evaluation: Evaluation) -> float:
-        """Order designs: every feasible one before every infeasible one before every unstable one."""
-        self.evaluations += 1
-        if not evaluation.is_stable:
-            return _UNSTABLE * evaluation.spectral_radius
-        if not evaluation.is_feasible:
-            return _MISSED * (1.0 + min(evaluation.violation, 500.0))
-        return evaluation.objective_n
-
-    def polish(self, active: tuple[Scenario, ...], unit: FloatArray) -> FloatArray:
-        """Improve locally from `unit` and from the elite; return the best design that is feasible."""
-        prepared = build_scenarios(self.problem, active)
-        best, best_cost = unit, self._tightened_cost(prepared, unit)
-        starts = [unit, *self.elite] if self.start is None else [unit, *self.elite, self.start]
-        for start in starts:
-            candidate = self.local(prepared, start)
-            cost = self._tightened_cost(prepared, candidate)
-            if cost < best_cost:
-                best, best_cost = candidate, cost
-        if best_cost >= _MISSED:
-            best = self._recover(prepared, best)
-        self.last = prepared.evaluate(self.box.design(best), peaks_if_missed=True)
-        return best
-
-    def _recover(self, prepared: PreparedScenarios, start: FloatArray) -> FloatArray:
-        """Search globally again when the added scenarios left no start feasible."""
-        found = differential_evolution(
-            lambda unit: self._tightened_cost(prepared, unit),
+    def _evolve(
+        self,
+        costs: Callable[[FloatArray], FloatArray],
+        *,
+        seed: int,
+        start: FloatArray | None,
+        each: Callable[[], None],
+    ) -> OptimizeResult:
+        """Run differential evolution on costs (m,) of points (4, m)."""
+        return differential_evolution(
+            costs,
             [(0.0, 1.0)] * len(VARIABLES),
             popsize=_POPULATION,
             maxiter=_GENERATIONS,
             init="sobol",
             x0=start,
-            rng=np.random.default_rng(self.seed + 1),
+            rng=np.random.default_rng(seed),
             polish=False,
             tol=1e-5,
+            vectorized=True,
+            updating="deferred",
+            callback=lambda intermediate_result: each(),  # noqa: ARG005 - scipy goes by the name
         )
-        return self._recovered(prepared, np.asarray(found.x))
 
-    def _recovered(self, prepared: PreparedScenarios, closest: FloatArray) -> FloatArray:
+    def _screen(self, active: tuple[Scenario, ...]) -> Screen:
+        return build_screen(build_scenarios(self.problem, active))
+
+    def _costs(
+        self, screen: Screen, units: FloatArray, *, peaks_if_missed: bool, tightened: bool = False
+    ) -> FloatArray:
+        """Order points (m, 4): every feasible one before every infeasible one before every unstable one."""
+        found = screen.evaluate(self.box.design(units), peaks_if_missed=peaks_if_missed)
+        self.evaluations += len(units)
+        missed = -np.min(self._slack(found), axis=0, initial=0.0) if tightened else found.violation
+        with np.errstate(invalid="ignore"):
+            judged = np.where(missed > 0.0, _MISSED * (1.0 + np.minimum(missed, 500.0)), found.objective_n)
+        return np.where(found.is_stable, judged, _UNSTABLE * found.radius)
+
+    def polish(self, active: tuple[Scenario, ...], unit: FloatArray) -> FloatArray:
+        """Improve locally from `unit` and from the elite; return the best design that is feasible."""
+        screen = self._screen(active)
+        starts = [unit, *self.elite] if self.start is None else [unit, *self.elite, self.start]
+        candidates = np.array([unit, *(self.local(screen, start) for start in starts)])
+        costs = self._tightened_costs(screen, candidates)
+        best = candidates[int(np.argmin(costs))]
+        if np.min(costs) >= _MISSED:
+            best = self._recover(screen, best)
+        self.last = screen.prepared.evaluate(self.box.design(best), peaks_if_missed=True)
+        return np.asarray(best)
+
+    def _recover(self, screen: Screen, start: FloatArray) -> FloatArray:
+        """Search globally again when the added scenarios left no start feasible."""
+        found = self._evolve(
+            lambda units: self._tightened_costs(screen, units.T), seed=self.seed + 1, start=start, each=lambda: None
+        )
+        return self._recovered(screen, np.asarray(found.x))
+
+    def _recovered(self, screen: Screen, closest: FloatArray) -> FloatArray:
         """Walk from the closest point into the feasible set, or say why there is no way."""
-        candidate = self.local(prepared, closest)
-        if self._tightened_cost(prepared, candidate) >= _MISSED:
-            raise InfeasibleError(self._reason(prepared, closest))
+        candidate = self.local(screen, closest)
+        if self._tightened_costs(screen, candidate[None])[0] >= _MISSED:
+            raise InfeasibleError(self._reason(screen.prepared, closest))
         return candidate
 
-    def _tightened_cost(self, prepared: PreparedScenarios, unit: FloatArray) -> float:
-        evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True)
-        if evaluation.is_stable and np.any(self._slack(evaluation) < 0.0):
-            self.evaluations += 1
-            return _MISSED * (1.0 - float(np.min(self._slack(evaluation))))
-        return self._cost(evaluation)
+    def _tightened_costs(self, screen: Screen, units: FloatArray) -> FloatArray:
+        return self._costs(screen, units, peaks_if_missed=True, tightened=True)
 
-    def _slack(self, evaluation: Evaluation) -> FloatArray:
-        """Return 1 − required/achieved per requirement, what the grid flattered taken off."""
+    def _slack(self, found: Screened) -> FloatArray:
+        """Return 1 − required/achieved per requirement (k, m), what the grid flattered taken off."""
         return np.array(
-            [1.0 - value * (1.0 + self.backoff.get(name, 0.0)) for name, value in evaluation.requirements.items()]
-        )
+            [1.0 - value * (1.0 + self.backoff.get(name, 0.0)) for name, value in found.requirements.items()]
+        ).reshape(len(found.requirements), len(found.radius))
 
     def tighten(self, exact: Evaluation) -> None:
         """Ask for more of what the exact evaluation misses by a hair although the grid was content."""
@@ -256,36 +281,45 @@ class Search:
                 flattered = min(value - 1.0, 0.02)
                 self.backoff[name] = self.backoff.get(name, 0.0) + 1.5 * flattered + _BACKOFF
 
-    def local(self, prepared: PreparedScenarios, start: FloatArray) -> FloatArray:
+    def local(self, screen: Screen, start: FloatArray) -> FloatArray:
         """Run sequential quadratic programming on the worst peak; each requirement is one constraint."""
-        count = len(prepared.evaluate(self.box.design(start), peaks_if_missed=True).requirements)
-        scale = 1.0
-        cache: dict[bytes, tuple[float, FloatArray]] = {}
+        scale = max(float(self._around(screen, start, 1.0).objective[0]), 1e-9)
+        cache: dict[bytes, _Around] = {}
 
-        def both(unit: FloatArray) -> tuple[float, FloatArray]:
+        def around(unit: FloatArray) -> _Around:
             key = unit.tobytes()
             if key not in cache:
-                evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True)
-                self.evaluations += 1
-                # An unstable trial has no numbers: report a plain wall, which the line search backs away from.
-                known = evaluation.is_stable
-                cache[key] = (
-                    evaluation.objective_n / scale if known else 1e3,
-                    self._slack(evaluation) - _BACKOFF if known else np.full(count, -1.0),
-                )
+                cache[key] = self._around(screen, unit, scale)
             return cache[key]
 
-        first, _ = both(np.asarray(start))
-        scale, cache = max(first, 1e-9), {}
         found = minimize(
-            lambda unit: both(unit)[0],
+            lambda unit: around(unit).objective[0],
             start,
+            jac=lambda unit: around(unit).gradient,
             method="SLSQP",
             bounds=[(0.0, 1.0)] * len(start),
-            constraints=[{"type": "ineq", "fun": lambda unit: both(unit)[1]}],
-            options={"maxiter": 60, "ftol": 1e-8, "eps": 1e-6},
+            constraints=[
+                {
+                    "type": "ineq",
+                    "fun": lambda unit: around(unit).slack[:, 0],
+                    "jac": lambda unit: around(unit).slack_gradients,
+                }
+            ],
+            options={"maxiter": 60, "ftol": 1e-8},
         )
         return np.asarray(np.clip(found.x, 0.0, 1.0))
+
+    def _around(self, screen: Screen, unit: FloatArray, scale: float) -> "_Around":
+        """Evaluate a point and one step along each variable; an unstable one is a plain wall to the line search."""
+        steps = np.where(unit + _STEP <= 1.0, _STEP, -_STEP)
+        units = unit + np.vstack([np.zeros(len(unit)), np.diag(steps)])
+        found = screen.evaluate(self.box.design(units), peaks_if_missed=True)
+        self.evaluations += len(units)
+        return _Around(
+            objective=np.where(found.is_stable, found.objective_n / scale, _WALL),
+            slack=np.where(found.is_stable, self._slack(found) - _BACKOFF, -1.0),
+            steps=steps,
+        )
 
     def _reason(self, prepared: PreparedScenarios, unit: FloatArray) -> str:
         """Say why nothing is feasible: the requirement that the closest design misses."""
