@@ -70,22 +70,19 @@ def peak_slope(
     )
 
 
-def modulus_slope(sampled: SampledPlant, controller: AdmittanceController) -> Slope:
-    """Differentiate min |1 + L| over frequency and both break points; the loop must be stable."""
+def modulus_slope(sampled: SampledPlant, controller: AdmittanceController, at_rad_per_s: float | None = None) -> Slope:
+    """Differentiate min |1 + L| over frequency and both break points; the loop must be stable.
+
+    `at_rad_per_s` is where the minimum lies, if that is known (`Margins.modulus_hz`).
+    """
 
     def distance(loop: ComplexArray) -> FloatArray:
         return np.abs(1.0 + loop)
 
-    found = [
-        _slope(
-            sampled,
-            controller,
-            point,
-            _lowest(sampled, controller, point, distance),
-            lambda response: 1.0 + response.value,
-        )
-        for point in _BREAKS
-    ]
+    found = []
+    for point in _BREAKS:
+        omega = _lowest(sampled, controller, point, distance) if at_rad_per_s is None else at_rad_per_s
+        found.append(_slope(sampled, controller, point, omega, lambda response: 1.0 + response.value))
     return min(found, key=lambda slope: slope.value)
 
 

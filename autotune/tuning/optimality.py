@@ -9,7 +9,7 @@ share by which the peak grows when requirement j is raised by one share.
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,9 @@ from problems.slopes import (
 )
 
 FloatArray = NDArray[np.float64]
+Key = tuple[str, int]
 
+PEAK = "peak"
 _NEAR = 2e-3
 _AGREES = 2e-3
 _STEP = 1e-5
@@ -44,7 +46,6 @@ LINEAR_VARIABLES = ("lead_s", "feedback_damping_s")
 _LOGARITHMIC = np.array([name not in LINEAR_VARIABLES for name in VARIABLES])
 
 _MARGIN_SLOPES: dict[str, Callable[[SampledPlant, AdmittanceController], Slope | None]] = {
-    "modulus_margin": modulus_slope,
     "gain_margin_db": gain_slope,
     "phase_margin_deg": phase_slope,
     "delay_margin_s": delay_slope,
@@ -119,34 +120,47 @@ def active_rows(
     prepared: PreparedScenarios, design: FloatArray, near: float = _NEAR
 ) -> tuple[tuple[Row, ...], tuple[Row, ...]]:
     """Return the peaks within `near` of the largest one, and the requirements within `near` of their limit."""
+    rows = {key: row_at(prepared, design, key) for key in near_keys(prepared, design, near)}
+    peaks = tuple(row for (name, _), row in rows.items() if name == PEAK)
+    return peaks, tuple(row for (name, _), row in rows.items() if name != PEAK)
+
+
+def near_keys(prepared: PreparedScenarios, design: FloatArray, near: float) -> tuple[Key, ...]:
+    """Return which peaks lie within `near` of the largest one, then which requirements of their limit.
+
+    A key is a name and the index of a scenario, of a plant, or 0.
+    """
     problem, controller = prepared.problem, prepared.problem.controller(design)
-    widths = unit_widths(problem, design)
     found = prepared.peaks(controller)
-    contact = problem.objective == "contact_force"
-    values = np.array([p.peak_contact_force_n if contact else p.peak_sensor_force_n for p in found])
-    peaks = [
-        _peak_row(prepared, int(i), design, widths, at_sensor=not contact)
-        for i in np.flatnonzero(np.log(values) >= math.log(float(np.max(values))) - near)
-    ]
-    limits = list(_margin_rows(prepared, controller, design, widths, near))
-    target = problem.requirements.free_space_admittance
-    if target is not None:
-        slope = admittance_slope(prepared.free[0], controller, target.band_hz)
-        if math.log(target.min_m_s_per_n / slope.value) >= -near:
-            limits.append(_row("free_space_admittance", target.min_m_s_per_n, slope, widths))
+    values = np.array(
+        [p.peak_contact_force_n if problem.objective == "contact_force" else p.peak_sensor_force_n for p in found]
+    )
+    keys = [(PEAK, int(i)) for i in np.flatnonzero(np.log(values) >= math.log(float(np.max(values))) - near)]
+    margins = prepared.margins(controller, prepared.radii(controller))
+    for i, each in enumerate(margins):
+        asked = normalise_margins(problem.requirements, each.margins, problem.sample_time_s)
+        keys += [(name, i) for name, value in asked.items() if value > 0.0 and math.log(value) >= -near]
+    for name, value in prepared.achieved_admittance(controller).items():
+        keys += [(name, 0)] if math.log(value) >= -near else []
     limit = problem.requirements.max_peak_force_n
     if limit is not None:
-        for i in np.flatnonzero(np.log([p.peak_contact_force_n / limit for p in found]) >= -near):
-            row = _peak_row(prepared, int(i), design, widths, at_sensor=False)
-            limits.append(
-                Row(
-                    name="max_peak_force_n",
-                    value=row.value - math.log(limit),
-                    gradient=row.gradient,
-                    is_exact=row.is_exact,
-                )
-            )
-    return tuple(peaks), tuple(limits)
+        forces = np.array([p.peak_contact_force_n for p in found])
+        keys += [("max_peak_force_n", int(i)) for i in np.flatnonzero(np.log(forces / limit) >= -near)]
+    return tuple(keys)
+
+
+def row_at(prepared: PreparedScenarios, design: FloatArray, key: Key) -> Row:
+    """Return value and gradient of one peak or requirement, named by `near_keys`, at a stable design (4,)."""
+    problem, (name, index) = prepared.problem, key
+    widths = unit_widths(problem, design)
+    if name == PEAK:
+        return _peak_row(prepared, index, design, widths, at_sensor=problem.objective != "contact_force")
+    if name == "max_peak_force_n":
+        row = _peak_row(prepared, index, design, widths, at_sensor=False)
+        return replace(row, name=name, value=row.value - math.log(problem.requirements.max_peak_force_n or 1.0))
+    if name == "free_space_admittance":
+        return _admittance_row(prepared, design, widths)
+    return _margin_row(prepared.plants[index], problem, name, design, widths)
 
 
 def unit_widths(problem: DesignProblem, design: FloatArray) -> FloatArray:
@@ -169,36 +183,41 @@ def _peak_row(
     moment = run.time_of_sensor_peak_s if at_sensor else run.time_of_peak_s
     slope = peak_slope(pair.contact, controller, problem.approach, moment, at_sensor=at_sensor)
     if abs(slope.value - value) <= _AGREES * value:
-        return Row(name="peak", value=math.log(value), gradient=_scaled(slope, widths) / value, is_exact=True)
+        return Row(name=PEAK, value=math.log(value), gradient=_scaled(slope, widths) / value, is_exact=True)
 
     # The payload has left before, or the force creeps up to its rest: what the simulation says, by differences.
     def log_peak(moved: FloatArray) -> float:
         again = transient_from(pair, problem.controller(moved), problem.approach)
         return math.log(again.peak_sensor_force_n if at_sensor else again.peak_contact_force_n)
 
-    return Row(name="peak", value=math.log(value), gradient=_differences(log_peak, design, widths), is_exact=False)
+    return Row(name=PEAK, value=math.log(value), gradient=_differences(log_peak, design, widths), is_exact=False)
 
 
-def _margin_rows(
-    prepared: PreparedScenarios, controller: AdmittanceController, design: FloatArray, widths: FloatArray, near: float
-) -> Iterator[Row]:
-    problem = prepared.problem
-    for plant, margins in zip(prepared.plants, prepared.margins(controller, prepared.radii(controller)), strict=True):
-        for name, value in normalise_margins(problem.requirements, margins.margins, problem.sample_time_s).items():
-            if not math.log(max(value, 1e-300)) >= -near:
-                continue
-            required = getattr(problem.requirements, name)
-            slope = _MARGIN_SLOPES[name](plant.sampled, controller)
-            if slope is not None and abs(required / slope.value - value) <= _AGREES * value:
-                yield _row(name, required, slope, widths)
-            else:
-                log_of = _log_requirement(problem, plant, name)
-                yield Row(
-                    name=name,
-                    value=math.log(value),
-                    gradient=_differences(log_of, design, widths),
-                    is_exact=False,
-                )
+def _margin_row(
+    plant: PreparedMargins, problem: DesignProblem, name: str, design: FloatArray, widths: FloatArray
+) -> Row:
+    controller = problem.controller(design)
+    margins = plant.find(controller, spectral_radius(build_loop(plant.sampled, controller)))
+    value = normalise_margins(problem.requirements, margins, problem.sample_time_s)[name]
+    required = getattr(problem.requirements, name)
+    slope: Slope | None
+    if name == "modulus_margin":
+        slope = modulus_slope(plant.sampled, controller, 2.0 * math.pi * margins.modulus_hz)
+    else:
+        slope = _MARGIN_SLOPES[name](plant.sampled, controller)
+    if slope is not None and abs(required / slope.value - value) <= _AGREES * value:
+        return _row(name, required, slope, widths)
+    gradient = _differences(_log_requirement(problem, plant, name), design, widths)
+    return Row(name=name, value=math.log(value), gradient=gradient, is_exact=False)
+
+
+def _admittance_row(prepared: PreparedScenarios, design: FloatArray, widths: FloatArray) -> Row:
+    problem, name = prepared.problem, "free_space_admittance"
+    target, controller = problem.requirements.free_space_admittance, problem.controller(design)
+    assert target is not None
+    robots = {plant.plant.robot: plant for plant in prepared.free}
+    slopes = [admittance_slope(plant, controller, target.band_hz) for plant in robots.values()]
+    return _row(name, target.min_m_s_per_n, min(slopes, key=lambda slope: slope.value), widths)
 
 
 def _log_requirement(problem: DesignProblem, plant: PreparedMargins, name: str) -> Callable[[FloatArray], float]:

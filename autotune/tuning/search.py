@@ -20,6 +20,8 @@ from problems.evaluation import (
 from problems.margins import UnstableLoopError
 from problems.screening import Screen, Screened, build_screen
 
+from .polish import polish_exactly
+
 FloatArray = NDArray[np.float64]
 
 _POPULATION = 10
@@ -28,6 +30,8 @@ _ROUNDS = 8
 _POLISH_STARTS = 4
 _BACKOFF = 2e-5
 _STEP = 1e-6
+# What six digits may cost a requirement.
+_RESERVE = 5e-6
 _WALL = 1e3
 # Costs of designs that miss something lie above every force, those of unstable ones above these.
 _UNSTABLE = 1e15
@@ -248,6 +252,9 @@ class Search:
         best = candidates[int(np.argmin(costs))]
         if np.min(costs) >= _MISSED:
             best = self._recover(screen, best)
+        design = polish_exactly(screen, self.box.design(best), backoff=self.backoff, reserve=_RESERVE)
+        finer = np.array([best, self.box.unit(design)])
+        best = finer[int(np.argmin(self._tightened_costs(screen, finer)))]
         self.last = screen.prepared.evaluate(self.box.design(best), peaks_if_missed=True)
         return np.asarray(best)
 

@@ -101,6 +101,15 @@ def test_margins(
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
+def test_a_known_frequency_saves_the_search(controller: AdmittanceController) -> None:
+    plant = sampled(1.2e5)
+    hint = 2.0 * np.pi * find_margins(plant, controller).modulus_hz
+    known, searched = modulus_slope(plant, controller, hint), modulus_slope(plant, controller)
+    assert known.value == pytest.approx(searched.value, rel=1e-9)
+    assert known.by_controller == pytest.approx(searched.by_controller, rel=1e-3, abs=1e-9)
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
 @pytest.mark.parametrize("band_hz", [(0.1, 5.0), (2.0, 2.0)])
 def test_admittance(controller: AdmittanceController, band_hz: tuple[float, float]) -> None:
     free = sampled(0.0)
