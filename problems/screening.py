@@ -19,13 +19,15 @@ from .sampled import build_loop, spectral_radius
 from .screening_kernel import (
     ADMITTANCE,
     COLUMNS,
+    CONTACT,
     DELAY_S,
     FAILED,
     GAIN_DB,
     MODULUS,
-    PEAK_CONTACT,
-    PEAK_SENSOR,
+    PEAK_COLUMNS,
     PHASE_RAD,
+    PLANT_COLUMNS,
+    SENSOR,
     VERDICT,
     Band,
     Plants,
@@ -46,15 +48,16 @@ _FAST = (*_MARGINS, "free_space_admittance", "max_peak_force_n")
 
 @dataclass(frozen=True, kw_only=True)
 class Screened:
-    """Designs (m,): `radius` of the first plant found unstable (0: all are stable), what each misses, the objective.
+    """Designs (m,): `radius` of the first plant found unstable, 0 where all are stable.
 
-    `requirements` maps each requirement to required/achieved (m,), NaN where unstable, 0 where nobody looked because
-    another one is missed; `objective_n` is infinite where the peaks were not looked at.
+    `rows` maps each requirement to required/achieved (m, k), plant by plant or scenario by scenario as it depends on
+    them: each column is smooth in the design, their maximum is not. NaN where unstable, 0 where nobody looked because
+    something is missed. `peaks_n` (m, s) of the objective's force, infinite where not looked at.
     """
 
     radius: FloatArray
-    requirements: Mapping[str, FloatArray]
-    objective_n: FloatArray
+    rows: Mapping[str, FloatArray]
+    peaks_n: FloatArray
 
     @property
     def is_stable(self) -> BoolArray:
@@ -62,9 +65,19 @@ class Screened:
         return self.radius < 1.0
 
     @property
+    def requirements(self) -> Mapping[str, FloatArray]:
+        """Required/achieved (m,), the worst of all scenarios."""
+        return {name: np.max(value, axis=1) for name, value in self.rows.items()}
+
+    @property
+    def objective_n(self) -> FloatArray:
+        """The largest peak (m,)."""
+        return np.asarray(np.max(self.peaks_n, axis=1))
+
+    @property
     def violation(self) -> FloatArray:
         """By how much the worst requirement is missed: 0 where feasible, infinite where unstable."""
-        if not self.requirements:
+        if not self.rows:
             return np.where(self.is_stable, 0.0, np.inf)
         worst = np.max([np.nan_to_num(value, nan=np.inf) for value in self.requirements.values()], axis=0)
         return np.where(self.is_stable, np.maximum(worst - 1.0, 0.0), np.inf)
@@ -78,7 +91,7 @@ class Screen:
     plants: Plants
     contacts: Contacts
     band: Band
-    required: FloatArray
+    required: tuple[FloatArray, float]
     slow: tuple[str, ...]
 
     def evaluate(self, designs: FloatArray, *, peaks_if_missed: bool = False) -> Screened:
@@ -90,7 +103,9 @@ class Screen:
         controllers = [problem.controller(design) for design in designs]
         numbers, theta, ideal = controller_numbers(controllers)
         h = problem.sample_time_s
-        out = np.empty((len(designs), COLUMNS))
+        whole = np.empty((len(designs), COLUMNS))
+        by_plant = np.empty((len(designs), len(self.prepared.plants), PLANT_COLUMNS))
+        by_pair = np.empty((len(designs), len(self.prepared.pairs), PEAK_COLUMNS))
         screen_designs(
             self.plants,
             self.contacts,
@@ -101,51 +116,53 @@ class Screen:
             longest_run(h),
             self.required,
             peaks_if_missed,
-            out,
+            (whole, by_plant, by_pair),
         )
-        found = self._screened(out, controllers)
+        found = Screened(
+            radius=self._radius(whole, controllers),
+            rows=self._rows(whole, by_plant, by_pair),
+            peaks_n=np.nan_to_num(
+                by_pair[:, :, CONTACT if problem.objective == "contact_force" else SENSOR], nan=np.inf
+            ),
+        )
         missed = found.violation > 0.0
         for i in range(len(designs)):
             slow = self.slow and found.is_stable[i] and (peaks_if_missed or not missed[i])
-            if slow or out[i, VERDICT] == DOUBTFUL:
+            if slow or whole[i, VERDICT] == DOUBTFUL:
                 _settle(found, i, self.prepared.evaluate(designs[i], peaks_if_missed=peaks_if_missed))
         return found
 
-    def _screened(self, out: FloatArray, controllers: Sequence[AdmittanceController]) -> Screened:
-        problem = self.prepared.problem
-        asked, contact = problem.requirements, problem.objective == "contact_force"
-        stable = out[:, VERDICT] == STABLE
-        achieved = {name: out[:, column] for name, column in _MARGINS.items()}
-        achieved["phase_margin_deg"] = np.degrees(out[:, PHASE_RAD])
-        requirements = {
-            name: getattr(asked, name) / np.maximum(value, 1e-300)
-            for name, value in achieved.items()
+    def _radius(self, whole: FloatArray, controllers: Sequence[AdmittanceController]) -> FloatArray:
+        radius = np.zeros(len(whole))
+        for i in np.flatnonzero(whole[:, VERDICT] == UNSTABLE):
+            loop = build_loop(self.prepared.plants[int(whole[i, FAILED])].sampled, controllers[int(i)])
+            radius[i] = max(spectral_radius(loop), 1.0)
+        return radius
+
+    def _rows(self, whole: FloatArray, by_plant: FloatArray, by_pair: FloatArray) -> dict[str, FloatArray]:
+        asked, unstable = self.prepared.problem.requirements, whole[:, VERDICT] != STABLE
+        degrees = {"phase_margin_deg": 180.0 / np.pi}
+        rows = {
+            name: getattr(asked, name) / np.maximum(by_plant[:, :, column] * degrees.get(name, 1.0), 1e-300)
+            for name, column in _MARGINS.items()
             if getattr(asked, name) is not None
         }
         if asked.free_space_admittance is not None:
-            requirements["free_space_admittance"] = asked.free_space_admittance.min_m_s_per_n / out[:, ADMITTANCE]
+            rows["free_space_admittance"] = asked.free_space_admittance.min_m_s_per_n / whole[:, [ADMITTANCE]]
         if asked.max_peak_force_n is not None:
             # Without a peak another requirement is missed anyway.
-            requirements["max_peak_force_n"] = np.nan_to_num(out[:, PEAK_CONTACT] / asked.max_peak_force_n, nan=0.0)
-        requirements |= {name: np.zeros(len(out)) for name in self.slow}
-        for value in requirements.values():
-            value[~stable] = np.nan
-        radius = np.zeros(len(out))
-        for i in np.flatnonzero(out[:, VERDICT] == UNSTABLE):
-            loop = build_loop(self.prepared.plants[int(out[i, FAILED])].sampled, controllers[int(i)])
-            radius[i] = max(spectral_radius(loop), 1.0)
-        return Screened(
-            radius=radius,
-            requirements=requirements,
-            objective_n=np.nan_to_num(out[:, PEAK_CONTACT if contact else PEAK_SENSOR], nan=np.inf),
-        )
+            rows["max_peak_force_n"] = np.nan_to_num(by_pair[:, :, CONTACT] / asked.max_peak_force_n, nan=0.0)
+        rows |= {name: np.zeros((len(whole), 1)) for name in self.slow}
+        for value in rows.values():
+            value[unstable] = np.nan
+        return rows
 
 
 def _settle(found: Screened, index: int, evaluation: Evaluation) -> None:
     """Write the evaluation of one design over what was screened."""
     found.radius[index] = evaluation.spectral_radius if not evaluation.is_stable else 0.0
-    found.objective_n[index] = evaluation.objective_n
-    for name, value in found.requirements.items():
+    found.peaks_n[index] = evaluation.objective_n
+    for name, value in found.rows.items():
         value[index] = evaluation.requirements.get(name, np.nan if not evaluation.is_stable else 0.0)
 
 
@@ -154,12 +171,11 @@ def build_screen(prepared: PreparedScenarios) -> Screen:
     problem, sampled = prepared.problem, [plant.sampled for plant in prepared.plants]
     check_alike(sampled)
     asked, target = problem.requirements, prepared.target_response
-    required = np.zeros(COLUMNS)
+    margins = np.zeros(PLANT_COLUMNS)
     for name, column in _MARGINS.items():
-        required[column] = getattr(asked, name) or 0.0
-    required[PHASE_RAD] = np.radians(required[PHASE_RAD])
-    if asked.free_space_admittance is not None:
-        required[ADMITTANCE] = asked.free_space_admittance.min_m_s_per_n
+        margins[column] = getattr(asked, name) or 0.0
+    margins[PHASE_RAD] = np.radians(margins[PHASE_RAD])
+    wanted = asked.free_space_admittance
     nothing = np.zeros(0, dtype=np.complex128)
     return Screen(
         prepared=prepared,
@@ -168,7 +184,7 @@ def build_screen(prepared: PreparedScenarios) -> Screen:
         band=(np.zeros(0), nothing, nothing)
         if target is None
         else (target.frequency_rad_per_s, target.z, target.position),
-        required=required,
+        required=(margins, 0.0 if wanted is None else wanted.min_m_s_per_n),
         slow=tuple(
             each.name for each in fields(asked) if each.name not in _FAST and getattr(asked, each.name) is not None
         ),

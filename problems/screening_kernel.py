@@ -26,20 +26,10 @@ Plants = tuple[Loops, FloatArray, Grids]
 # ω, z and x/x^d over the band of the admittance.
 Band = tuple[FloatArray, ComplexArray, ComplexArray]
 
-# Columns of a result: the verdict, then the least of each margin and of the admittance, then the largest peaks; and the
-# plant whose verdict was not STABLE.
-VERDICT, MODULUS, GAIN_DB, PHASE_RAD, DELAY_S, ADMITTANCE, PEAK_SENSOR, PEAK_CONTACT, FAILED, COLUMNS = (
-    0,
-    1,
-    2,
-    3,
-    4,
-    5,
-    6,
-    7,
-    8,
-    9,
-)
+# Columns of a design, of each of its plants, and of each of its scenarios.
+VERDICT, FAILED, ADMITTANCE, COLUMNS = 0, 1, 2, 3
+MODULUS, GAIN_DB, PHASE_RAD, DELAY_S, PLANT_COLUMNS = 0, 1, 2, 3, 4
+SENSOR, CONTACT, PEAK_COLUMNS = 0, 1, 2
 
 
 @compiled
@@ -51,41 +41,42 @@ def screen_designs(
     sampling: tuple[float, float, bool],
     approach: tuple[float, float, bool, float],
     longest: int,
-    required: FloatArray,
+    required: tuple[FloatArray, float],
     peaks_if_missed: bool,
-    out: FloatArray,
+    out: tuple[FloatArray, FloatArray, FloatArray],
 ) -> None:
-    """Fill `out` (m, COLUMNS) for designs (m, 7).
+    """Fill `out` for designs (m, 7): (m, COLUMNS), by plant (m, p, PLANT_COLUMNS), by scenario (m, s, PEAK_COLUMNS).
 
-    `plants` are those in contact, as many as `contacts` has, then those in free space. `required` (COLUMNS,) has what
-    is asked of each margin and of the admittance, 0 where nothing is. Of a design that misses something no more is
-    judged (margins stay infinite, peaks NaN) unless `peaks_if_missed`; where a verdict is not STABLE the rest is NaN.
+    `plants` are those in contact, as many as `contacts` has, then those in free space. `required` has what is asked of
+    each margin and of the admittance, 0 where nothing is. Of a design that misses something no more is judged (margins
+    stay infinite, peaks NaN) unless `peaks_if_missed`; where a verdict is not STABLE, at plant FAILED, the rest is NaN.
     """
     loops, responses, grids = plants
     h, theta, ideal = sampling
     controller, work, found = np.zeros((3, CONTROLLER_POWERS)), loop_room(loops), np.zeros(MARGINS)
     row, traces = np.empty(PAIR_COLUMNS), (np.empty(longest), np.empty(longest))
     omega, tangent, force, position, offsets = grids
-    crosses = required[GAIN_DB] > 0.0 or required[PHASE_RAD] > 0.0 or required[DELAY_S] > 0.0
-    shallowest = MODULUS_ALONE if required[MODULUS] > 0.0 else WITH_CROSSOVERS
+    margins, admittance = required
+    crosses = margins[GAIN_DB] > 0.0 or margins[PHASE_RAD] > 0.0 or margins[DELAY_S] > 0.0
+    shallowest = MODULUS_ALONE if margins[MODULUS] > 0.0 else WITH_CROSSOVERS
     deepest = WITH_CROSSOVERS if crosses else MODULUS_ALONE
+    whole, by_plant, by_pair = out
+    whole[:], by_plant[:], by_pair[:] = np.nan, np.nan, np.nan
     for i in range(len(designs)):
         degree = controller_polynomials(designs[i], ideal, controller)
-        out[i, :] = np.nan
         verdict = STABLE
         for j in range(len(loops[1])):
             verdict = judge_loop(loops, j, controller, degree, h, theta, work)
             if verdict != STABLE:
-                out[i, FAILED] = j
+                whole[i, FAILED] = j
                 break
-        out[i, VERDICT] = verdict
+        whole[i, VERDICT] = verdict
         if verdict != STABLE:
             continue
         blocks = blocks_of(designs[i], h, theta, ideal)
-        out[i, MODULUS : ADMITTANCE + 1] = np.inf
-        if required[ADMITTANCE] > 0.0:
-            out[i, ADMITTANCE] = _least_admittance(band, blocks)
-        missed = out[i, ADMITTANCE] < required[ADMITTANCE]
+        by_plant[i] = np.inf
+        whole[i, ADMITTANCE] = _least_admittance(band, blocks)
+        missed = whole[i, ADMITTANCE] < admittance
         # The cheap margin of all plants comes first: most designs miss it, and nobody asks for the rest of those.
         for depth in range(shallowest, deepest + 1):
             if missed and not peaks_if_missed:
@@ -94,30 +85,27 @@ def screen_designs(
                 part = slice(offsets[j], offsets[j + 1])
                 grid = (omega[part], tangent[part], force[part], position[part])
                 find_loop_margins(responses[j], grid, controller, degree, (h, theta), depth, found)
-                _keep_least(found, out[i])
-            for column in range(MODULUS, ADMITTANCE):
-                missed = missed or out[i, column] < required[column]
+                missed = _keep_margins(found, margins, by_plant[i, j]) or missed
         if missed and not peaks_if_missed:
             continue
-        out[i, PEAK_SENSOR], out[i, PEAK_CONTACT] = -np.inf, -np.inf
         for j in range(len(contacts[1])):
             simulate_pair(contacts, j, blocks, designs[i, 1], h, approach, traces, row)
-            out[i, PEAK_SENSOR] = max(out[i, PEAK_SENSOR], row[PAIR_SENSOR])
-            out[i, PEAK_CONTACT] = max(out[i, PEAK_CONTACT], row[PAIR_CONTACT])
+            by_pair[i, j, SENSOR], by_pair[i, j, CONTACT] = row[PAIR_SENSOR], row[PAIR_CONTACT]
 
 
 @compiled
-def _keep_least(found: FloatArray, row: FloatArray) -> None:
-    """Keep the least of each margin in a row of a result; one that is not a number misses whatever is asked."""
+def _keep_margins(found: FloatArray, required: FloatArray, row: FloatArray) -> bool:
+    """Write a loop's margins into a row and tell whether one is missed, as one that is not a number is."""
+    missed = False
     for column, of_loop in (
         (MODULUS, LOOP_MODULUS),
         (GAIN_DB, LOOP_GAIN_DB),
         (PHASE_RAD, LOOP_PHASE_RAD),
         (DELAY_S, LOOP_DELAY_S),
     ):
-        value = found[of_loop]
-        if not value >= row[column]:
-            row[column] = 0.0 if np.isnan(value) else value
+        row[column] = 0.0 if np.isnan(found[of_loop]) else found[of_loop]
+        missed = missed or row[column] < required[column]
+    return missed
 
 
 @compiled

@@ -30,6 +30,7 @@ _ROUNDS = 8
 _POLISH_STARTS = 4
 _BACKOFF = 2e-5
 _STEP = 1e-6
+_LOCAL_ITERATIONS = 30
 # What six digits may cost a requirement.
 _RESERVE = 5e-6
 _WALL = 1e3
@@ -157,21 +158,15 @@ def _silent(_: float) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Around:
-    """Objective (5,) and slack (k, 5) at a point and a step (4,) from it along each variable."""
+    """Peaks (5, s) and slack (5, k) at a point and at a step (4,) from it along each variable."""
 
-    objective: FloatArray
+    peaks: FloatArray
     slack: FloatArray
     steps: FloatArray
 
-    @property
-    def gradient(self) -> FloatArray:
-        """Forward differences of the objective."""
-        return np.asarray((self.objective[1:] - self.objective[0]) / self.steps)
-
-    @property
-    def slack_gradients(self) -> FloatArray:
-        """Forward differences of each slack."""
-        return np.asarray((self.slack[:, 1:] - self.slack[:, :1]) / self.steps)
+    def differences(self, values: FloatArray) -> FloatArray:
+        """Return forward differences of values (5, k), shape (k, 4)."""
+        return np.asarray((values[1:] - values[0]).T / self.steps)
 
 
 class Search:
@@ -277,9 +272,12 @@ class Search:
 
     def _slack(self, found: Screened) -> FloatArray:
         """Return 1 − required/achieved per requirement (k, m), what the grid flattered taken off."""
-        return np.array(
-            [1.0 - value * (1.0 + self.backoff.get(name, 0.0)) for name, value in found.requirements.items()]
-        ).reshape(len(found.requirements), len(found.radius))
+        return np.array([1.0 - value * self._tightened(name) for name, value in found.requirements.items()]).reshape(
+            len(found.rows), len(found.radius)
+        )
+
+    def _tightened(self, name: str) -> float:
+        return 1.0 + self.backoff.get(name, 0.0)
 
     def tighten(self, exact: Evaluation) -> None:
         """Ask for more of what the exact evaluation misses by a hair although the grid was content."""
@@ -289,8 +287,8 @@ class Search:
                 self.backoff[name] = self.backoff.get(name, 0.0) + 1.5 * flattered + _BACKOFF
 
     def local(self, screen: Screen, start: FloatArray) -> FloatArray:
-        """Run sequential quadratic programming on the worst peak; each requirement is one constraint."""
-        scale = max(float(self._around(screen, start, 1.0).objective[0]), 1e-9)
+        """Run sequential quadratic programming: least t above every scenario's peak, every margin a constraint."""
+        scale = 1.0
         cache: dict[bytes, _Around] = {}
 
         def around(unit: FloatArray) -> _Around:
@@ -299,22 +297,28 @@ class Search:
                 cache[key] = self._around(screen, unit, scale)
             return cache[key]
 
+        highest = float(np.max(around(np.asarray(start)).peaks[0]))
+        scale, cache = highest if np.isfinite(highest) else 1.0, {}
+
+        def slack(x: FloatArray) -> FloatArray:
+            here = around(x[:-1])
+            return np.concatenate([x[-1] - here.peaks[0], here.slack[0]])
+
+        def slack_gradients(x: FloatArray) -> FloatArray:
+            here = around(x[:-1])
+            peaks, others = here.differences(here.peaks), here.differences(here.slack)
+            return np.block([[-peaks, np.ones((len(peaks), 1))], [others, np.zeros((len(others), 1))]])
+
         found = minimize(
-            lambda unit: around(unit).objective[0],
-            start,
-            jac=lambda unit: around(unit).gradient,
+            lambda x: x[-1],
+            np.append(start, np.max(around(np.asarray(start)).peaks[0])),
+            jac=lambda x: np.append(np.zeros(len(x) - 1), 1.0),
             method="SLSQP",
-            bounds=[(0.0, 1.0)] * len(start),
-            constraints=[
-                {
-                    "type": "ineq",
-                    "fun": lambda unit: around(unit).slack[:, 0],
-                    "jac": lambda unit: around(unit).slack_gradients,
-                }
-            ],
-            options={"maxiter": 60, "ftol": 1e-8},
+            bounds=[*[(0.0, 1.0)] * len(start), (0.0, None)],
+            constraints=[{"type": "ineq", "fun": slack, "jac": slack_gradients}],
+            options={"maxiter": _LOCAL_ITERATIONS, "ftol": 1e-8},
         )
-        return np.asarray(np.clip(found.x, 0.0, 1.0))
+        return np.asarray(np.clip(found.x[:-1], 0.0, 1.0))
 
     def _around(self, screen: Screen, unit: FloatArray, scale: float) -> "_Around":
         """Evaluate a point and one step along each variable; an unstable one is a plain wall to the line search."""
@@ -322,9 +326,12 @@ class Search:
         units = unit + np.vstack([np.zeros(len(unit)), np.diag(steps)])
         found = screen.evaluate(self.box.design(units), peaks_if_missed=True)
         self.evaluations += len(units)
+        stable = found.is_stable[:, None]
+        rows = [1.0 - value * self._tightened(name) for name, value in found.rows.items()]
+        slack = np.hstack([np.zeros((len(units), 0)), *rows])
         return _Around(
-            objective=np.where(found.is_stable, found.objective_n / scale, _WALL),
-            slack=np.where(found.is_stable, self._slack(found) - _BACKOFF, -1.0),
+            peaks=np.where(stable, found.peaks_n / scale, _WALL),
+            slack=np.where(stable, np.clip(slack, -_WALL, 1.0) - _BACKOFF, -1.0),
             steps=steps,
         )
 
