@@ -60,26 +60,20 @@ def predict_force(
 
     F = K_s (x_p − x) + B_s (v_p − v) + offset, with F_e = M_e dv_p/dt + B_e v_p + K_e (x_p − x_w) ≥ 0 in contact.
     """
-    used, sign = segment.slice, float(segment.sign)
+    cut, sign = path.cut(segment.slice), float(segment.sign)
     surface = values[layout.surface(segment.surface)] if segment.is_contact else _NO_SURFACE
     of = body(values[:4], surface, period_s)
-    wall = sign * nuisance[3] if segment.is_contact else float(path.position[segment.start])
-    drive = sign * path.drive[used]
-    drive[:, -4] -= wall
-    position, velocity = sign * path.position[used] - wall, sign * path.velocity[used]
-    free, free_drive = payload_step(of, path.robot, path.hold.fraction, touching=False)
-    start = np.array([position[0] + nuisance[0] / of[0], velocity[0] + nuisance[1] / of[0]])
-    free_drive = drive @ free_drive.T
+    wall = float(sign * nuisance[3] if segment.is_contact else cut.ends[0, 0])
+    x, v = sign * float(cut.ends[0, 0]) - wall, sign * float(cut.ends[0, 1])
+    start, place = (x + float(nuisance[0]) / of[0], v + float(nuisance[1]) / of[0]), (sign, wall)
+    phi, gamma = payload_step(of, path.robot, path.hold.fraction, touching=False)
     if segment.is_contact:
-        touched, touched_drive = payload_step(of, path.robot, path.hold.fraction, touching=True)
-        ends = sign * path.ends[used]
-        ends[:, 0::2] -= wall
-        both = np.stack([free_drive, drive @ touched_drive.T])
+        touched = payload_step(of, path.robot, path.hold.fraction, touching=True)
         swing = swing_step(of, back_at_once=returns_at_once(of))
-        states = run_contact(np.stack([free, touched]), both, swing, ends, of, start)
+        modes = np.stack([phi, touched[0]]), np.stack([gamma, touched[1]])
+        force = run_contact(*modes, swing, cut.drive, cut.ends, of, place, start)
     else:
-        states = run_free(free, free_drive, start)
-    force = of[0] * (states[:, 0] - position) + of[1] * (states[:, 1] - velocity)
+        force = run_free(phi, gamma, cut.drive, cut.ends, of, place, start)
     return np.asarray(sign * force + nuisance[2])
 
 

@@ -44,7 +44,7 @@ def linearise(problem: Problem, point: Point) -> list[Block]:
     def moved(index: int, steps: int) -> FlangePath:
         values = point.values.copy()
         values[index] += steps * robot_step(sizes, index)
-        return problem.path(values)
+        return problem.path_once(values)
 
     def paths(index: int, steps: int) -> FlangePath:
         return moved(index, steps) if index in robot and problem.known_path is None else here
@@ -65,11 +65,11 @@ def linearise(problem: Problem, point: Point) -> list[Block]:
         blocks.append(_block(rows, indices, segment.nuisance_count))
     if problem.pose_spans:
         indices = np.array(robot)
-        slopes = [(moved(i, 1).misfit_m - here.misfit_m) / robot_step(sizes, i) * sizes[i] for i in robot]
-        rows = np.array([here.misfit_m, *slopes, np.ones(len(here.misfit_m))]).T
-        blocks += [
-            _block(problem.pose_noise.apply(rows[signals.at_poses(span)]), indices, 1) for span in problem.pose_spans
-        ]
+        for span in map(signals.at_poses, problem.pose_spans):
+            misfit = here.misfit(span)
+            slopes = [(moved(i, 1).misfit(span) - misfit) / robot_step(sizes, i) * sizes[i] for i in robot]
+            rows = np.array([misfit, *slopes, np.ones(len(misfit))]).T
+            blocks.append(_block(problem.pose_noise.apply(rows), indices, 1))
     return blocks + _known(problem, point)
 
 
@@ -122,7 +122,7 @@ def _untimed(values: FloatArray, segment: Segment, path: FlangePath, period_s: f
     the critical one, since it is itself told by this.
     """
     damping = max(float(values[1]), 0.1 * float(np.sqrt(values[0] * values[3])))
-    speed = path.velocity[segment.slice] / period_s
+    speed = path.cut(segment.slice).velocity / period_s
     acceleration = np.gradient(speed, period_s)
     return 0.5 * period_s * damping * np.array([acceleration, 2.0 * np.pi * _ROBOT_HZ * speed])
 
@@ -148,7 +148,7 @@ def cost(problem: Problem, point: Point) -> float:
             total += float(error @ error)
     if layout.robot_order and problem.pose_spans:
         for span in problem.pose_spans:
-            misfit = path.misfit_m[signals.at_poses(span)]
+            misfit = path.misfit(signals.at_poses(span))
             error = problem.pose_noise.apply(misfit - np.mean(misfit))
             total += float(error @ error) - len(error) * float(np.mean(error)) ** 2
     if problem.summary is not None:
