@@ -83,7 +83,7 @@ def _driven(gamma: FloatArray, drive: FloatArray, sign: float, wall: float) -> t
 @compiled
 def _felt(state: tuple[float, float], path: FloatArray, body: Body, sign: float, wall: float) -> float:
     """Return F = K_s (x_p − x) + B_s (v_p − v) right after a tick."""
-    return body[0] * (state[0] - (sign * path[0] - wall)) + body[1] * (state[1] - sign * path[1])
+    return float(body[0] * (state[0] - (sign * path[0] - wall)) + body[1] * (state[1] - sign * path[1]))
 
 
 @compiled

@@ -1,6 +1,6 @@
 """The offset between the wrench's and the pose's clock, from the payload's weight in the turning sensor frame."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,21 +39,25 @@ _ADVICE = "Tilt the tool to 6 or more orientations, 30 to 70 degrees apart, in a
 
 @dataclass(frozen=True, kw_only=True)
 class _Turning:
-    """What the fit needs: `columns` Φ(t) (3 × 24), and force (n, 3) at `time_s` (n,) within turn `turn` (n,)."""
+    """What the fit needs: force (n, 3) at `time_s` (n,) within turn `turn` (n,), and the filtered `signals` of t.
 
-    columns: CubicSpline
+    They are g − a (3), α× + ω×ω× (9), v (3) and ω (3), of which Φ is made; a ramp over the log has slope `ramp`.
+    """
+
+    signals: CubicSpline
+    ramp: float
     time_s: FloatArray
     force_n: FloatArray
     turn: IntArray
 
     def part(self, keep: NDArray[np.bool_] | slice) -> "_Turning":
-        return _Turning(
-            columns=self.columns, time_s=self.time_s[keep], force_n=self.force_n[keep], turn=self.turn[keep]
-        )
+        return replace(self, time_s=self.time_s[keep], force_n=self.force_n[keep], turn=self.turn[keep])
 
     def rows(self, offset_s: float, derivative: int = 0) -> FloatArray:
         """Return Φ(t − T) or its time derivative, (3n, 24)."""
-        return np.asarray(self.columns(self.time_s - offset_s, derivative)).reshape(-1, _COLUMNS)
+        at = self.time_s - offset_s
+        ramp = (self.ramp * at - 1.0, np.full(len(at), self.ramp), np.zeros(len(at)))[derivative]
+        return _columns(np.asarray(self.signals(at, derivative)), float(derivative == 0), ramp).reshape(-1, _COLUMNS)
 
     def solve(self, offset_s: float) -> tuple[FloatArray, FloatArray]:
         """Return θ at a fixed offset and the residual (n, 3)."""
@@ -118,15 +122,17 @@ def _prepare(log: AlignedLog, longest_s: float) -> _Turning | None:
     coarse = turned[::step]
     velocity = np.asarray(coarse.apply(velocity_B))
     acceleration = np.asarray(coarse.apply(np.gradient(velocity_B, period, axis=0)))
-    columns = _columns(gravity, acceleration, velocity, rate, np.gradient(rate, period, axis=0))
+    spin = _cross(rate)
+    turning = (_cross(np.gradient(rate, period, axis=0)) + spin @ spin).reshape(-1, 9)
+    signals = np.concatenate([gravity - acceleration, turning, velocity, rate], axis=1)
     time, turn = log.time_s[::step], _number_turns(rate, period)
     edge = longest_s + 3.0 / _BAND_HZ
     inside = (turn >= 0) & (time > time[0] + edge) & (time < time[-1] - edge)
     if not np.any(inside):
         return None
-    columns = low_pass(columns.reshape(len(time), -1), period, _BAND_HZ).reshape(-1, 3, _COLUMNS)
     return _Turning(
-        columns=CubicSpline(time, columns),
+        signals=CubicSpline(time, low_pass(signals, period, _BAND_HZ)),
+        ramp=2.0 / float(time[-1]),
         time_s=time[inside],
         force_n=low_pass(smooth(log.force_S_n), period, _BAND_HZ)[inside],
         turn=turn[inside],
@@ -140,20 +146,18 @@ def _body_rate(log: AlignedLog) -> FloatArray:
     return np.concatenate([inner[:1], inner, inner[-1:]])
 
 
-def _columns(
-    gravity: FloatArray, acceleration: FloatArray, velocity: FloatArray, rate: FloatArray, turn: FloatArray
-) -> FloatArray:
+def _columns(signals: FloatArray, one: float, ramp: FloatArray) -> FloatArray:
     """Return Φ (n, 3, 24) for b (3), ḃ (3, per length of the log), G (9), mc (3), D (3), d (3)."""
-    spin, unit = _cross(rate), np.broadcast_to(np.eye(3), (len(rate), 3, 3))
-    parts = [
-        unit,
-        unit * np.linspace(-1.0, 1.0, len(rate))[:, None, None],
-        np.einsum("ij,nk->nijk", np.eye(3), gravity - acceleration).reshape(-1, 3, 9),
-        -_cross(turn) - spin @ spin,
-        -velocity[:, :, None] * np.eye(3),
-        -spin,
-    ]
-    return np.concatenate(parts, axis=2)
+    count, axes = len(signals), np.arange(3)
+    out = np.zeros((count, 3, _COLUMNS))
+    out[:, axes, axes] = one
+    out[:, axes, 3 + axes] = ramp[:, None]
+    for i in range(3):
+        out[:, i, 6 + 3 * i : 9 + 3 * i] = signals[:, :3]
+    out[:, :, 15:18] = -signals[:, 3:12].reshape(-1, 3, 3)
+    out[:, axes, 18 + axes] = -signals[:, 12:15]
+    out[:, :, 21:] = -_cross(signals[:, 15:18])
+    return out
 
 
 def _cross(vectors: FloatArray) -> FloatArray:
@@ -249,7 +253,5 @@ def _standard_deviation(turning: _Turning, offset: float, theta: FloatArray, res
 
 def _mount_lag(turning: _Turning, offset: float) -> float:
     """Return what the mount's damping may delay the force by at the rate at which the weight turns."""
-    weight = slice(6, 9)  # the first row of G sees all of g_S − a_S
-    first = turning.columns(turning.time_s - offset, 1)[:, 0, weight]
-    second = turning.columns(turning.time_s - offset, 2)[:, 0, weight]
+    first, second = (turning.signals(turning.time_s - offset, order)[:, :3] for order in (1, 2))
     return float(_MOUNT_LAG_S3 * np.sum(second**2) / max(float(np.sum(first**2)), 1e-12))
