@@ -1,10 +1,11 @@
 """The offset between the wrench's and the pose's clock, from the payload's weight in the turning sensor frame."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import BSpline, make_interp_spline
 
 from ..aligned import AlignedLog
 from ..gravity import GRAVITY_B_M_S2
@@ -28,6 +29,7 @@ _COARSE_STEP_S = 8e-3
 _COARSE_EVERY = 6
 _RIDGE = 1e-10
 _ROUNDS = 8
+_PIECE = 1024
 _OUTLIER_FACTOR = 5.0
 _SMALLEST_SCATTER_N = 0.03
 _POOR_FIT = 0.15
@@ -44,7 +46,7 @@ class _Turning:
     They are g − a (3), α× + ω×ω× (9), v (3) and ω (3), of which Φ is made; a ramp over the log has slope `ramp`.
     """
 
-    signals: CubicSpline
+    signals: BSpline
     ramp: float
     time_s: FloatArray
     force_n: FloatArray
@@ -59,11 +61,22 @@ class _Turning:
         ramp = (self.ramp * at - 1.0, np.full(len(at), self.ramp), np.zeros(len(at)))[derivative]
         return _columns(np.asarray(self.signals(at, derivative)), float(derivative == 0), ramp).reshape(-1, _COLUMNS)
 
-    def solve(self, offset_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return θ at a fixed offset and the residual (n, 3)."""
-        rows = self.rows(offset_s)
-        theta = _least_squares(rows, self.force_n.ravel())
-        return theta, (self.force_n.ravel() - rows @ theta).reshape(-1, 3)
+    def pieces(self) -> Iterator["_Turning"]:
+        """Yield a part after the other: all rows of a minute at once would be more than the log itself."""
+        for first in range(0, len(self.time_s), _PIECE):
+            yield self.part(slice(first, first + _PIECE))
+
+    def solve(self, offset_s: float) -> FloatArray:
+        """Return θ at a fixed offset."""
+        return _least_squares(np.column_stack([piece.rows(offset_s), piece.force_n.ravel()]) for piece in self.pieces())
+
+    def residual(self, offset_s: float, theta: FloatArray) -> FloatArray:
+        """Return f − Φ(t − T) θ, (n, 3)."""
+        return self.force_n - np.concatenate([(piece.rows(offset_s) @ theta).reshape(-1, 3) for piece in self.pieces()])
+
+    def joint(self, offset_s: float, theta: FloatArray) -> FloatArray:
+        """Return the derivatives of the force by θ and T, (3n, 25)."""
+        return np.column_stack([self.rows(offset_s), -self.rows(offset_s, 1) @ theta])
 
 
 def offset_from_turning(log: AlignedLog, longest_s: float) -> Told | Untold:
@@ -98,7 +111,8 @@ def _judged(prepared: _Turning, kept: _Turning, offset: float, longest_s: float)
         return Untold(reason=f"the force follows the weight of one payload in {used} of {found} turns", advice=_ADVICE)
     if abs(offset) > 0.95 * longest_s:
         return Untold(reason=f"no offset within {longest_s:.2f} s explains the force while turning", advice=_ADVICE)
-    theta, residual = kept.solve(offset)
+    theta = kept.solve(offset)
+    residual = kept.residual(offset, theta)
     swing = kept.force_n - kept.force_n.mean(axis=0)
     share = float(np.linalg.norm(residual)) / max(float(np.linalg.norm(swing)), 1e-12)
     if share > _POOR_FIT:
@@ -113,7 +127,7 @@ def _prepare(log: AlignedLog, longest_s: float) -> _Turning | None:
     period = step * log.period_s
 
     def smooth(values: FloatArray) -> FloatArray:
-        return low_pass(values, log.period_s, _SMOOTH_HZ)[::step]
+        return np.ascontiguousarray(low_pass(values, log.period_s, _SMOOTH_HZ)[::step])
 
     turned = log.orientation_BS.inv()
     gravity, position = smooth(np.asarray(turned.apply(GRAVITY_B_M_S2))), smooth(log.position_B_m)
@@ -131,7 +145,7 @@ def _prepare(log: AlignedLog, longest_s: float) -> _Turning | None:
     if not np.any(inside):
         return None
     return _Turning(
-        signals=CubicSpline(time, low_pass(signals, period, _BAND_HZ)),
+        signals=make_interp_spline(time, low_pass(signals, period, _BAND_HZ), k=3),
         ramp=2.0 / float(time[-1]),
         time_s=time[inside],
         force_n=low_pass(smooth(log.force_S_n), period, _BAND_HZ)[inside],
@@ -186,9 +200,15 @@ def _number_turns(rate: FloatArray, period: float) -> IntArray:
     return number
 
 
-def _least_squares(rows: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the least squares solution, of least norm; singular values of the triangle cost less than those of all."""
-    triangle = np.asarray(np.linalg.qr(np.column_stack([rows, values]), mode="r"))
+def _least_squares(blocks: Iterable[FloatArray]) -> FloatArray:
+    """Return the least squares solution, of least norm, of rows with their values behind them, given block by block.
+
+    The triangle of all rows is that of the triangle so far and the next block; its singular values cost less than
+    those of all.
+    """
+    triangle = np.empty((0, 0))
+    for block in blocks:
+        triangle = np.linalg.qr(np.concatenate([triangle, block]) if triangle.size else block, mode="r")
     return np.asarray(np.linalg.lstsq(triangle[:, :-1], triangle[:, -1], rcond=1e-10)[0])
 
 
@@ -211,9 +231,10 @@ def _refined(turning: _Turning, offset: float) -> tuple[float, FloatArray]:
     """Return offset and θ by Gauss and Newton: Φ(t − T − dT) θ ≈ Φ θ − dT Φ' θ."""
     theta = np.zeros(_COLUMNS)
     for _ in range(10):
-        theta, _ = turning.solve(offset)
-        joint = np.column_stack([turning.rows(offset), -turning.rows(offset, 1) @ theta])
-        found = _least_squares(joint, turning.force_n.ravel())
+        theta = turning.solve(offset)
+        found = _least_squares(
+            np.column_stack([piece.joint(offset, theta), piece.force_n.ravel()]) for piece in turning.pieces()
+        )
         change = float(np.clip(found[-1], -_COARSE_STEP_S, _COARSE_STEP_S))
         offset += change
         if abs(change) < 1e-7:
@@ -223,7 +244,7 @@ def _refined(turning: _Turning, offset: float) -> tuple[float, FloatArray]:
 
 def _fitting(turning: _Turning, offset: float, theta: FloatArray) -> NDArray[np.bool_]:
     """Return the samples of the turns that one payload explains."""
-    residual = turning.force_n - (turning.rows(offset) @ theta).reshape(-1, 3)
+    residual = turning.residual(offset, theta)
     count = int(turning.turn.max()) + 1
     energy = np.bincount(turning.turn, np.sum(residual**2, axis=1), count)
     size = np.bincount(turning.turn, minlength=count)
@@ -238,14 +259,14 @@ def _standard_deviation(turning: _Turning, offset: float, theta: FloatArray, res
     The first sums what each turn adds to the estimate (few turns tell little of their own scatter, hence the factor);
     the second counts 2 B independent values per second in residuals of bandwidth B.
     """
-    joint = np.column_stack([turning.rows(offset), -turning.rows(offset, 1) @ theta])
-    inverse = np.linalg.pinv(joint.T @ joint, hermitian=True, rcond=1e-14)
-    score = np.sum((joint @ inverse[:, -1]).reshape(-1, 3) * residual, axis=1)
+    joints = [piece.joint(offset, theta) for piece in turning.pieces()]
+    inverse = np.linalg.pinv(sum(joint.T @ joint for joint in joints), hermitian=True, rcond=1e-14)
+    score = np.sum(np.concatenate([joint @ inverse[:, -1] for joint in joints]).reshape(-1, 3) * residual, axis=1)
     sums = np.bincount(np.unique(turning.turn, return_inverse=True)[1], score)
     between = len(sums) / max(len(sums) - _FEWEST_TURNS + 1, 1) * float(np.sum(sums**2))
     period = float(np.median(np.diff(turning.time_s)))
     samples_per_value = max(1.0, 1.0 / (2.0 * _BAND_HZ * period))
-    freedom = max(residual.size / samples_per_value - joint.shape[1], 1.0)
+    freedom = max(residual.size / samples_per_value - len(inverse), 1.0)
     variance = float(np.sum(residual**2)) / samples_per_value / freedom
     within = samples_per_value * variance * float(inverse[-1, -1])
     return float(np.sqrt(max(between, within)))
