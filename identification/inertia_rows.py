@@ -53,10 +53,10 @@ def build_motion_rows(
     spans = [span for span in motion.moving if _is_free_turn(span, log, motion, poses, gravity, rate)]
     if not spans:
         return None
-    acceleration_B = np.gradient(
-        np.gradient(low_pass(log.position_B_m, log.period_s, _RATE_BAND_HZ), log.period_s, axis=0), log.period_s, axis=0
+    smooth_B_m = low_pass(log.position_B_m, log.period_s, _RATE_BAND_HZ)
+    linear = np.asarray(
+        log.orientation_BS.inv().apply(np.gradient(np.gradient(smooth_B_m, log.period_s, axis=0), log.period_s, axis=0))
     )
-    linear = np.asarray(log.orientation_BS.inv().apply(acceleration_B))
     turning = np.gradient(rate, log.period_s, axis=0)
     edge, step = round(_EDGE_S / log.period_s), max(1, round(0.5 / (_BAND_HZ * log.period_s)))
     signals = _Signals(linear=linear, turning=turning, rate=rate, period_s=log.period_s)

@@ -4,14 +4,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from ..errors import LogError
 from ..recording import Recording
 from ..result import Finding
 from .cell import Cell, Clock
 from .choose import Choice, choose_all, open_questions
 from .clocks import ChannelTimes, check_clocks
+from .faults import joined
 from .interpret import make_continuous
 from .join import join_recordings
 from .layouts import Role
@@ -148,8 +147,8 @@ def _times(parts: Sequence[Part], clocks: Mapping[Role, Clock]) -> list[ChannelT
         times.append(
             ChannelTimes(
                 topic=parts[0][role].choice.head.channel.topic,
-                stamp_ns=np.concatenate([stamps for stamps, _ in pairs]),
-                log_ns=np.concatenate([log for _, log in pairs]),
+                stamp_ns=joined([stamps for stamps, _ in pairs]),
+                log_ns=joined([log for _, log in pairs]),
             )
         )
     return times
