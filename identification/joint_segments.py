@@ -94,7 +94,7 @@ def force_jacobian(
     layout: Layout,
     period_s: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the prediction and its derivative by the shared parameters `indices` and then its nuisances.
+    """Return the prediction (n,) and its derivatives (p, n) by the shared parameters `indices`, then its nuisances.
 
     One-sided differences of an exact solution: `sizes` are the parameters' units, and the error of a difference is a
     millionth of the curvature. `paths(i, n)` is the flange's path with parameter i moved by n steps. A bounce that
@@ -113,12 +113,13 @@ def force_jacobian(
         return predict_force(values, there, segment, paths(0, 0), layout, period_s)
 
     base = predict_force(values, nuisance, segment, paths(0, 0), layout, period_s)
-    columns = [difference(partial(shared, int(i)), base, _STEP_SHARE * sizes[i]) for i in indices]
-    for index in range(segment.nuisance_count):
-        is_offset = index == _OFFSET
+    rows = np.empty((len(indices) + segment.nuisance_count, len(base)))
+    for row, i in zip(rows, indices, strict=False):
+        row[:] = difference(partial(shared, int(i)), base, _STEP_SHARE * sizes[i])
+    for index, row in enumerate(rows[len(indices) :]):
         step = _STEP_SHARE * _OWN_SIZES[index]
-        columns.append(np.ones(len(base)) if is_offset else difference(partial(own, index), base, step))
-    return base, np.array(columns).T
+        row[:] = 1.0 if index == _OFFSET else difference(partial(own, index), base, step)
+    return base, rows
 
 
 def difference(predicted: Callable[[int], FloatArray], base: FloatArray, step: float) -> FloatArray:

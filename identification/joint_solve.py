@@ -1,6 +1,6 @@
 """Weighted least squares over all spans: Gauss–Newton with each span's own parameters eliminated."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -49,20 +49,10 @@ def linearise(problem: Problem, point: Point) -> list[Block]:
     def paths(index: int, steps: int) -> FlangePath:
         return moved(index, steps) if index in robot and problem.known_path is None else here
 
-    blocks = []
-    for segment, nuisance in zip(problem.segments, point.nuisances, strict=True):
-        indices = shared_indices(segment, layout, through_robot=problem.known_path is None)
-        predicted, jacobian = force_jacobian(
-            point.values, sizes, nuisance, segment, paths, indices, layout, signals.period_s
-        )
-        jacobian[:, : len(indices)] *= sizes[indices]
-        lines = [(predicted - signals.force_n[segment.slice])[None], jacobian.T]
-        if here.robot is None:
-            lines.append(_untimed(point.values, segment, here, signals.period_s))
-        if signals.lag_std_s > 0.0:
-            lines.append((signals.lag_std_s / signals.period_s * np.gradient(predicted))[None])
-        rows = problem.noise(segment).apply(np.concatenate(lines).T)
-        blocks.append(_block(rows, indices, segment.nuisance_count))
+    blocks = [
+        _force_block(problem, point.values, nuisance, segment, paths)
+        for segment, nuisance in zip(problem.segments, point.nuisances, strict=True)
+    ]
     if problem.pose_spans:
         indices = np.array(robot)
         for span in map(signals.at_poses, problem.pose_spans):
@@ -71,6 +61,28 @@ def linearise(problem: Problem, point: Point) -> list[Block]:
             rows = np.array([misfit, *slopes, np.ones(len(misfit))]).T
             blocks.append(_block(problem.pose_noise.apply(rows), indices, 1))
     return blocks + _known(problem, point)
+
+
+def _force_block(
+    problem: Problem,
+    values: FloatArray,
+    nuisance: FloatArray,
+    segment: Segment,
+    paths: Callable[[int, int], FlangePath],
+) -> Block:
+    """Return a span's force; `paths` is that of `force_jacobian`."""
+    signals, layout, here = problem.signals, problem.layout, paths(0, 0)
+    sizes = sizes_of(values, layout, signals.period_s)
+    indices = shared_indices(segment, layout, through_robot=problem.known_path is None)
+    predicted, jacobian = force_jacobian(values, sizes, nuisance, segment, paths, indices, layout, signals.period_s)
+    jacobian[: len(indices)] *= sizes[indices, None]
+    lines = [(predicted - signals.force_n[segment.slice])[None], jacobian]
+    if here.robot is None:
+        lines.append(_untimed(values, segment, here, signals.period_s))
+    if signals.lag_std_s > 0.0:
+        lines.append((signals.lag_std_s / signals.period_s * np.gradient(predicted))[None])
+    rows = problem.noise(segment).apply(np.concatenate(lines).T)
+    return _block(rows, indices, segment.nuisance_count)
 
 
 def _known(problem: Problem, point: Point) -> list[Block]:

@@ -208,7 +208,8 @@ def _least_squares(blocks: Iterable[FloatArray]) -> FloatArray:
     """
     triangle = np.empty((0, 0))
     for block in blocks:
-        triangle = np.linalg.qr(np.concatenate([triangle, block]) if triangle.size else block, mode="r")
+        rows = np.concatenate([triangle, block]) if triangle.size else block
+        triangle = np.asarray(np.linalg.qr(rows, mode="r"))
     return np.asarray(np.linalg.lstsq(triangle[:, :-1], triangle[:, -1], rcond=1e-10)[0])
 
 
