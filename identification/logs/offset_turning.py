@@ -72,7 +72,8 @@ class _Turning:
 
     def residual(self, offset_s: float, theta: FloatArray) -> FloatArray:
         """Return f − Φ(t − T) θ, (n, 3)."""
-        return self.force_n - np.concatenate([(piece.rows(offset_s) @ theta).reshape(-1, 3) for piece in self.pieces()])
+        told = [(piece.rows(offset_s) @ theta).reshape(-1, 3) for piece in self.pieces()]
+        return np.asarray(self.force_n - np.concatenate(told))
 
     def joint(self, offset_s: float, theta: FloatArray) -> FloatArray:
         """Return the derivatives of the force by θ and T, (3n, 25)."""
