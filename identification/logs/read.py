@@ -20,7 +20,7 @@ from .payload import check_payload
 from .roles import ENTRY, LABEL
 from .signals import build_recording, chosen_clocks, refuse, sample_findings
 
-Part = Mapping[Role, RoleSeries]
+Part = dict[Role, RoleSeries]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +76,6 @@ def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool) -> _Read:
         times = _times(parts, clocks)
         about_samples = sample_findings(parts, clocks, cell, logs.start_ns, keeps_holes=salvage)
         recordings = [build_recording(part, clocks, cell) for part in parts]
-        del parts
         recording = _continuous(join_recordings(recordings))
         questions = open_questions(logs.heads, cell, logs.name)
         chosen = map(_chosen, choices.values())
@@ -103,7 +102,7 @@ def _check_fields(choices: Iterable[Choice], logs: OpenedLogs) -> None:
 def _parts(read: Sequence[dict[Role, RoleSeries]], choices: Mapping[Role, Choice], logs: OpenedLogs) -> list[Part]:
     """Return what follows each other in time: the files, or all of them as one where each holds other roles."""
     held = [role for part in read for role in part]
-    parts: list[Part] = [*read]
+    parts = [*read]
     if len(held) == len({*held}):
         parts = [dict(item for part in read for item in part.items())]
     for part in parts:

@@ -152,6 +152,13 @@ def test_a_step_in_contact_is_one_in_free_space_with_the_environment_added() -> 
     np.testing.assert_allclose(touched, alike, rtol=1e-12)
 
 
+def test_a_step_that_is_kept_cannot_be_changed() -> None:
+    phi, gamma = payload_step(body(LOAD.vector(), np.zeros(3), H_S), None, 0.0, touching=False)
+    for array in (phi, gamma):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0, 0] = 1.0
+
+
 def test_names_stand_where_the_slices_say() -> None:
     layout = Layout(robot_order=2, surfaces=2)
     assert layout.names[layout.robot] == ("robot_frequency_rad_per_s", "robot_damping_ratio", "delay_s")
