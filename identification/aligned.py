@@ -109,6 +109,8 @@ def align(recording: Recording) -> AlignedLog:
 
     def on_clock(pieces: _Pieces, values: FloatArray, degree: int) -> FloatArray:
         found = pieces.interpolated(values, degree)
+        if holes and found is values:
+            found = np.array(values)
         for hole in holes:
             found[hole.slice] = np.nan
         return found
@@ -222,7 +224,9 @@ class _Pieces:
         return covered
 
     def interpolated(self, values: FloatArray, degree: int) -> FloatArray:
-        """Return (n, k) by splines within each part, NaN elsewhere."""
+        """Return (n, k) by splines within each part, NaN elsewhere; what is on the clock already is itself."""
+        if len(self.parts) == 1 and self.parts[0] == (slice(0, len(values)), slice(0, len(self.at))):
+            return _interpolated(self.time, values, self.at, degree=degree)
         found = np.full((len(self.at), values.shape[1]), np.nan)
         for held, inside in self.parts:
             found[inside] = _interpolated(self.time[held], values[held], self.at[inside], degree=degree)
@@ -244,7 +248,7 @@ class _Pieces:
 
 def _interpolated(time: FloatArray, values: FloatArray, at: FloatArray, *, degree: int) -> FloatArray:
     if len(time) == len(at) and np.max(np.abs(time - at)) < 1e-9:
-        return np.array(values)
+        return values
     inside = np.clip(at, time[0], time[-1])
     return np.asarray(make_interp_spline(time, values, k=degree)(inside))
 

@@ -53,10 +53,7 @@ def build_motion_rows(
     spans = [span for span in motion.moving if _is_free_turn(span, log, motion, poses, gravity, rate)]
     if not spans:
         return None
-    acceleration_B = np.gradient(
-        np.gradient(low_pass(log.position_B_m, log.period_s, _RATE_BAND_HZ), log.period_s, axis=0), log.period_s, axis=0
-    )
-    linear = np.asarray(log.orientation_BS.inv().apply(acceleration_B))
+    linear = np.asarray(log.orientation_BS.inv().apply(_acceleration_B(log)))
     turning = np.gradient(rate, log.period_s, axis=0)
     edge, step = round(_EDGE_S / log.period_s), max(1, round(0.5 / (_BAND_HZ * log.period_s)))
     signals = _Signals(linear=linear, turning=turning, rate=rate, period_s=log.period_s)
@@ -128,6 +125,12 @@ def _attenuation(columns: FloatArray, signals: _Signals, motion: Motion, edge: i
         return np.zeros(columns.shape[2])
     noise = np.mean(np.sum(np.concatenate([signals.columns(at) for at in quiet]) ** 2, axis=1), axis=0)
     return np.asarray(noise / np.maximum(np.mean(np.sum(columns**2, axis=1), axis=0), 1e-30))
+
+
+def _acceleration_B(log: AlignedLog) -> FloatArray:
+    """Return a (n, 3) of the frame's origin in B, smoothed without phase shift."""
+    smooth = low_pass(log.position_B_m, log.period_s, _RATE_BAND_HZ)
+    return np.asarray(np.gradient(np.gradient(smooth, log.period_s, axis=0), log.period_s, axis=0))
 
 
 def _turn_rate_S(log: AlignedLog) -> FloatArray:

@@ -81,7 +81,7 @@ def find_onset(hold: Span, path: FlangePath, force_n: FloatArray, coupling: Floa
     sign = -1.0 if float(np.median(force_n[hold.slice])) > 0.0 else 1.0
     before = max(0, hold.start - round(_FURTHEST_BEFORE_S / period_s))
     window = slice(before, min(hold.stop, hold.start + round(_HOLD_USED_S / period_s)))
-    speed = low_pass(sign * path.velocity[window] / period_s, period_s, _SLOW_HZ)
+    speed = low_pass(sign * path.cut(window).velocity / period_s, period_s, _SLOW_HZ)
     pressing = low_pass(-sign * force_n[window], period_s, _SLOW_HZ)
     touching = pressing - coupling[2] * speed - coupling[3] * np.gradient(speed, period_s)
     at_hold = float(np.median(touching[hold.start - before :]))
@@ -120,7 +120,7 @@ def start_contact(
     measured = force_n[segment.slice]
     settled = slice(max(hold.start, stop - round(0.2 / period_s)), stop)
     held_force = float(np.mean(force_n[settled]))
-    at_hold = float(np.mean(path.position[settled])) + held_force / values[0]
+    at_hold = float(np.mean(path.cut(settled).position)) + held_force / values[0]
     entering = float(np.mean(measured[: max(5, round(0.02 / period_s))]))
 
     def nuisance_of(stiffness: float) -> FloatArray:

@@ -135,8 +135,8 @@ def _robot_first(data: JointData, start: FloatArray) -> tuple[Problem, FloatArra
     point = Point(values=start[: len(layout)], nuisances=())
     if layout.robot_order:
         point, _ = minimise(problem, point, _STEPS_FIRST)
-    misfit = problem.path(point.values).misfit_m
-    moving, resting = [misfit[s.slice] for s in data.moving], [misfit[s] for s in rests]
+    misfit = problem.path(point.values).misfit
+    moving, resting = [misfit(s.slice) for s in data.moving], [misfit(s) for s in rests]
     smoother = fit_smoother(moving, resting, data.period_s)
     problem = replace(problem, signals=replace(signals, smoother=smoother), fixed=())
     return problem, np.concatenate([point.values, start[len(layout) :]])
@@ -222,9 +222,9 @@ def _explained(
 
 def _smoothed_for(data: JointData, problem: Problem, values: FloatArray, used: Sequence[Segment]) -> Signals:
     """Return the signals with a filter made for the motion in these spans."""
-    misfit = problem.path(values).misfit_m
-    resting = [misfit[s] for s in _quiet_rests(data)]
-    return replace(problem.signals, smoother=fit_smoother([misfit[s.slice] for s in used], resting, data.period_s))
+    misfit = problem.path(values).misfit
+    resting = [misfit(s) for s in _quiet_rests(data)]
+    return replace(problem.signals, smoother=fit_smoother([misfit(s.slice) for s in used], resting, data.period_s))
 
 
 def _misfit(problem: Problem, values: FloatArray, segment: Segment) -> float:
@@ -294,7 +294,7 @@ def _recoloured(problem: Problem, point: Point) -> Problem:
     for segment, nuisance in zip(problem.segments, point.nuisances, strict=True):
         predicted = predict_force(point.values, nuisance, segment, path, layout, signals.period_s)
         left[segment.is_contact].append(predicted - signals.force_n[segment.slice])
-    poses = [_centred(path.misfit_m[signals.at_poses(span)]) for span in problem.pose_spans]
+    poses = [_centred(path.misfit(signals.at_poses(span))) for span in problem.pose_spans]
     return replace(
         problem,
         free_noise=fit_whitener(left[False]) if left[False] else problem.free_noise,

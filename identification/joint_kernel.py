@@ -21,65 +21,127 @@ _BACK_AT_ONCE = 20.0
 
 
 @compiled
-def run_robot(step: FloatArray, command: FloatArray, older: int, state: FloatArray) -> FloatArray:
-    """Return the robot's state at every tick (n, order); `step` acts on (state, older, newer command).
+def run_robot(
+    step: FloatArray, command: FloatArray, older: int, state: FloatArray, first: int, stop: int
+) -> FloatArray:
+    """Return the robot's state at the ticks `first` to `stop` (stop - first, order), `state` being that at `first`.
 
-    In sample k the commands older, older − 1 samples ago act one after the other (MODEL.md, "What runs in the cell").
+    `step` acts on (state, older, newer command): in sample k the commands older, older − 1 samples ago act one after
+    the other (MODEL.md, "What runs in the cell").
     """
-    samples, order = len(command), len(state)
-    out = np.empty((samples, order))
+    order = len(state)
+    out = np.empty((stop - first, order))
     now, following = state.copy(), state.copy()
-    for k in range(samples):
+    for k in range(first, stop):
         for i in range(order):
-            out[k, i] = now[i]
-        first, second = command[max(k - older, 0)], command[max(k - older + 1, 0)]
-        for i in range(order):
-            total = step[i, order] * first + step[i, order + 1] * second
-            for j in range(order):
-                total += step[i, j] * now[j]
-            following[i] = total
-        now[:] = following
+            out[k - first, i] = now[i]
+        _follow(step, command, older, k, now, following)
     return out
 
 
 @compiled
-def run_free(phi: FloatArray, drive: FloatArray, start: FloatArray) -> FloatArray:
-    """Return p_k of p_(k+1) = phi p_k + drive_k from p_0 = start, all (n, 2)."""
-    out = np.empty_like(drive)
-    x, v = start[0], start[1]
+def mark_robot(
+    step: FloatArray, command: FloatArray, older: int, state: FloatArray, position: FloatArray, every: int
+) -> tuple[FloatArray, float]:
+    """Return the robot's state at every so manieth tick (⌈n/every⌉, order), and the mean of position − robot."""
+    order, total = len(state), 0.0
+    marks = np.empty(((len(command) + every - 1) // every, order))
+    now, following = state.copy(), state.copy()
+    for k in range(len(command)):
+        if k % every == 0:
+            marks[k // every] = now
+        total += position[k] - now[0]
+        _follow(step, command, older, k, now, following)
+    return marks, total / len(command)
+
+
+@compiled
+def _follow(step: FloatArray, command: FloatArray, older: int, k: int, now: FloatArray, following: FloatArray) -> None:
+    """Move the robot's state `now` from tick k to the next; `following` is room to work."""
+    order = len(now)
+    first, second = command[max(k - older, 0)], command[max(k - older + 1, 0)]
+    for i in range(order):
+        total = step[i, order] * first + step[i, order + 1] * second
+        for j in range(order):
+            total += step[i, j] * now[j]
+        following[i] = total
+    now[:] = following
+
+
+@compiled
+def _driven(gamma: FloatArray, drive: FloatArray, sign: float, wall: float) -> tuple[float, float]:
+    """Return gamma w (2,) of one sample; w is the drive seen in the direction of pressing, from the wall on."""
+    first = second = 0.0
+    place = len(drive) - 4
+    for j in range(len(drive)):
+        w = sign * drive[j] - (wall if j == place else 0.0)
+        first += gamma[0, j] * w
+        second += gamma[1, j] * w
+    return first, second
+
+
+@compiled
+def _felt(state: tuple[float, float], path: FloatArray, body: Body, sign: float, wall: float) -> float:
+    """Return F = K_s (x_p − x) + B_s (v_p − v) right after a tick."""
+    return float(body[0] * (state[0] - (sign * path[0] - wall)) + body[1] * (state[1] - sign * path[1]))
+
+
+@compiled
+def run_free(
+    phi: FloatArray,
+    gamma: FloatArray,
+    drive: FloatArray,
+    path: FloatArray,
+    body: Body,
+    place: tuple[float, float],
+    start: tuple[float, float],
+) -> FloatArray:
+    """Return the coupling's force at every tick (n,), the payload moving freely: p_(k+1) = phi p_k + gamma w_k.
+
+    `drive` (n, m) holds w, `path` (n, 4) the flange's position and velocity after tick k and before tick k + 1;
+    `place` is the direction, +1 or -1, in which all is counted, and where it is counted from; `start` is p_0.
+    """
+    out = np.empty(len(drive))
+    sign, wall = place
+    x, v = start
     for k in range(len(drive)):
-        out[k, 0], out[k, 1] = x, v
-        x, v = (
-            phi[0, 0] * x + phi[0, 1] * v + drive[k, 0],
-            phi[1, 0] * x + phi[1, 1] * v + drive[k, 1],
-        )
+        out[k] = _felt((x, v), path[k], body, sign, wall)
+        first, second = _driven(gamma, drive[k], sign, wall)
+        x, v = phi[0, 0] * x + phi[0, 1] * v + first, phi[1, 0] * x + phi[1, 1] * v + second
     return out
 
 
 @compiled
 def run_contact(
-    phi: FloatArray, drive: FloatArray, swing: FloatArray, path: FloatArray, body: Body, start: FloatArray
+    phi: FloatArray,
+    gamma: FloatArray,
+    swing: FloatArray,
+    drive: FloatArray,
+    path: FloatArray,
+    body: Body,
+    place: tuple[float, float],
+    start: tuple[float, float],
 ) -> FloatArray:
-    """Return payload position and velocity at every tick (n, 2), the wall at 0 and first not touched.
+    """Return what `run_free` does with a wall at `place[1]`, at first not touched.
 
-    `phi` (2, 2, 2) and `drive` (2, n, 2) hold free motion and contact; `swing` (2, 2) moves a freed environment;
-    `path` (n, 4) is the flange's position and velocity after tick k and before tick k + 1.
+    `phi` (2, 2, 2) and `gamma` (2, 2, m) hold free motion and contact; `swing` (2, 2) moves a freed environment.
     """
-    samples = drive.shape[1]
-    out = np.empty((samples, 2))
+    out = np.empty(len(drive))
+    sign, wall = place
     # Payload, then environment.
     state = np.array([start[0], start[1], 0.0, 0.0])
     following = state.copy()
     touching = False
-    for k in range(samples):
-        out[k, 0], out[k, 1] = state[0], state[1]
+    for k in range(len(drive)):
+        out[k] = _felt((state[0], state[1]), path[k], body, sign, wall)
         mode = 1 if touching else 0
+        driven = _driven(gamma[mode], drive[k], sign, wall)
         for i in range(2):
-            following[i] = phi[mode, i, 0] * state[0] + phi[mode, i, 1] * state[1] + drive[mode, k, i]
+            following[i] = phi[mode, i, 0] * state[0] + phi[mode, i, 1] * state[1] + driven[i]
             following[2 + i] = swing[i, 0] * state[2] + swing[i, 1] * state[3]
         if touching:
             following[2], following[3] = following[0], following[1]
-        ends = path[k, 0], path[k, 1], path[k, 2], path[k, 3]
+        ends = sign * path[k, 0] - wall, sign * path[k, 1], sign * path[k, 2] - wall, sign * path[k, 3]
         if pressing(following, ends, 1.0, body, touching) == touching:
             state[:] = following
         else:

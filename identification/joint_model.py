@@ -1,6 +1,7 @@
 """The parameters of one axis, and its equations of motion over one sample (MODEL.md, "Continuous blocks")."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +10,7 @@ from scipy.linalg import expm
 from problems.robot import RobotModel
 from problems.sampled import split_delay
 
-from .joint_kernel import Body, run_robot
+from .joint_kernel import Body
 
 FloatArray = NDArray[np.float64]
 
@@ -81,8 +82,11 @@ def robot_rate(values: FloatArray, period_s: float) -> FloatArray:
     return np.array([[0.0, 1.0, 0.0], [-(omega**2), -2.0 * zeta * omega, omega**2]])
 
 
-def robot_path(values: FloatArray, command_m: FloatArray, period_s: float) -> FloatArray:
-    """Return the robot's state (n, order) at the ticks, from rest at the first command."""
+def held_step(values: FloatArray, period_s: float) -> tuple[FloatArray, int]:
+    """Return what moves the robot's state over one sample, (order, order + 2), and how old the older command is.
+
+    It acts on state, older and newer command (`run_robot`).
+    """
     hold, rate = held(float(values[-1]), period_s), robot_rate(values, period_s)
     order = len(rate)
     generator = np.zeros((order + 1, order + 1))
@@ -92,9 +96,7 @@ def robot_path(values: FloatArray, command_m: FloatArray, period_s: float) -> Fl
     step[:, :order] = second[:order, :order] @ first[:order, :order]
     step[:, order] = second[:order, :order] @ first[:order, order]
     step[:, order + 1] = second[:order, order]
-    state = np.zeros(order)
-    state[0] = command_m[0]
-    return run_robot(step, np.ascontiguousarray(command_m), hold.older, state)
+    return step, hold.older
 
 
 def body(coupling: FloatArray, surface: FloatArray, period_s: float) -> Body:
@@ -108,44 +110,70 @@ def body(coupling: FloatArray, surface: FloatArray, period_s: float) -> Body:
 def payload_step(
     of: Body, robot: FloatArray | None, fraction: float, *, touching: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Return (2, 2) and (2, m) matrices: p' = phi p + gamma w over one sample, exactly.
+    """Return (2, 2) and (2, m) matrices, read-only: p' = phi p + gamma w over one sample, exactly.
 
     w is (robot state, older and newer command, if there is a robot; then four Taylor coefficients of the rest of the
     flange's path). M_p dv_p/dt = −F − B_p v_p − F_e, F = K_s (x_p − x) + B_s (v_p − v).
     """
-    k_s, b_s, b_p, m_p, k_e, b_e, m_e = of
+    rows = None if robot is None else tuple(map(tuple, robot.tolist()))
+    loaded = (of[3] + of[6], of[0] + of[4], of[1] + of[2] + of[5]) if touching else (of[3], of[0], of[1] + of[2])
+    return _payload_step(*loaded, of[0], of[1], rows, fraction)
+
+
+# Every span asks for the same few steps, again for each of its own parameters.
+@lru_cache(maxsize=256)
+def _payload_step(
+    mass: float,
+    stiffness: float,
+    damping: float,
+    k_s: float,
+    b_s: float,
+    robot: tuple[tuple[float, ...], ...] | None,
+    fraction: float,
+) -> tuple[FloatArray, FloatArray]:
     order = 0 if robot is None else len(robot)
     # p, robot state, command, rest of the path and three derivatives.
     size = 2 + order + (1 if order else 0) + 4
-    mass = m_p + (m_e if touching else 0.0)
     a = np.zeros((size, size))
     a[0, 1] = 1.0
-    a[1, 0] = -(k_s + (k_e if touching else 0.0)) / mass
-    a[1, 1] = -(b_s + b_p + (b_e if touching else 0.0)) / mass
+    a[1, :2] = -stiffness / mass, -damping / mass
     rest = size - 4
     a[1, rest], a[1, rest + 1] = k_s / mass, b_s / mass
     for i in range(3):
         a[rest + i, rest + i + 1] = 1.0
-    if robot is not None:
-        a[2 : 2 + order, 2 : 3 + order] = robot
-        a[1, 2] += k_s / mass
-        a[1, 2 : 3 + order] += b_s / mass * robot[0]
     factorials = np.array([1.0, 1.0, 2.0, 6.0])
     if robot is None:
         whole = expm(a)[:2]
-        return np.ascontiguousarray(whole[:, :2]), whole[:, 2:] * factorials
-    first, second = expm(a * fraction), expm(a * (1.0 - fraction))[:2]
+        return _read_only(whole[:, :2], whole[:, 2:] * factorials)
+    a[2 : 2 + order, 2 : 3 + order] = robot
+    a[1, 2] += k_s / mass
+    a[1, 2 : 3 + order] += b_s / mass * np.array(robot[0])
+    first, second = expm(np.stack([a * fraction, a * (1.0 - fraction)]))
     held_column = 2 + order
-    newer = second[:, held_column].copy()
-    carry = second.copy()
+    newer = second[:2, held_column].copy()
+    carry = second[:2].copy()
     carry[:, held_column] = 0.0
     whole = carry @ first
     gamma = np.column_stack([whole[:, 2 : 2 + order], whole[:, held_column], newer, whole[:, rest:] * factorials])
-    return np.ascontiguousarray(whole[:, :2]), gamma
+    return _read_only(whole[:, :2], gamma)
+
+
+def _read_only(phi: FloatArray, gamma: FloatArray) -> tuple[FloatArray, FloatArray]:
+    kept = np.array(phi, order="C"), np.array(gamma, order="C")
+    kept[0].setflags(write=False)
+    kept[1].setflags(write=False)
+    return kept
 
 
 def swing_step(of: Body, *, back_at_once: bool) -> FloatArray:
-    """Return the (2, 2) step of a freed environment, M_e x'' + B_e x' + K_e x = 0."""
-    if back_at_once or not of[6] > 0.0:
-        return np.zeros((2, 2))
-    return np.asarray(expm(np.array([[0.0, 1.0], [-of[4] / of[6], -of[5] / of[6]]])))
+    """Return the (2, 2) step, read-only, of a freed environment, M_e x'' + B_e x' + K_e x = 0."""
+    return _swing_step(0.0, 0.0, 0.0) if back_at_once else _swing_step(*of[4:])
+
+
+@lru_cache(maxsize=64)
+def _swing_step(k_e: float, b_e: float, m_e: float) -> FloatArray:
+    step = np.zeros((2, 2))
+    if m_e > 0.0:
+        step[:] = expm(np.array([[0.0, 1.0], [-k_e / m_e, -b_e / m_e]]))
+    step.setflags(write=False)
+    return step

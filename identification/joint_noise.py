@@ -65,13 +65,19 @@ class Smoother:
 
     taps: FloatArray | None
 
-    def spline(self, values: FloatArray) -> FloatArray:
-        """Return the B-spline coefficients (n,) of the part of `values` (n,) that is no noise."""
-        mean = float(np.mean(values))
+    @property
+    def reach(self) -> int:
+        """How many values on each side a coefficient depends on."""
+        return 0 if self.taps is None else len(self.taps) // 2
+
+    def spline(self, values: FloatArray, mean: float) -> FloatArray:
+        """Return the B-spline coefficients of the part of `values` that is no noise, `reach` fewer on each side.
+
+        `mean` is that of all values, of which these (n,) may be some.
+        """
         if self.taps is None:
             return np.full(len(values), mean)
-        padded = np.pad(values - mean, len(self.taps) // 2, mode="edge")
-        return np.asarray(oaconvolve(padded, self.taps, mode="valid") + mean)
+        return np.asarray(oaconvolve(values - mean, self.taps, mode="valid") + mean)
 
 
 def fit_smoother(moving: Sequence[FloatArray], resting: Sequence[FloatArray], period_s: float) -> Smoother:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from .joint_model import Layout
 from .joint_noise import Smoother, Whitener
-from .joint_path import FlangePath, commanded_path, measured_path
+from .joint_path import MOST_CUTS, FlangePath, commanded_path, measured_path
 from .joint_segments import Segment
 
 FloatArray = NDArray[np.float64]
@@ -26,17 +26,11 @@ class Paths:
         key = robot.tobytes()
         found = self._kept.pop(key, None)
         if found is None:
-            found = _path(robot, signals)
+            found = signals.path_of(robot)
             for oldest in list(self._kept)[: 1 - _KEPT]:
                 del self._kept[oldest]
         self._kept[key] = found
         return found
-
-
-def _path(robot: FloatArray, signals: "Signals") -> FlangePath:
-    if signals.command_m is None or robot.size == 0:
-        return measured_path(signals.position_m, signals.smoother)
-    return commanded_path(robot, signals.command_m, signals.position_m, signals.smoother, signals.period_s)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,8 +56,14 @@ class Signals:
         return slice(span.start + (first - span.start) % every, span.stop, every)
 
     def path(self, values: FloatArray, layout: Layout) -> FlangePath:
-        """Return the flange's path for robot parameters."""
+        """Return the flange's path for robot parameters, which is kept for a while."""
         return self.paths.of(values[layout.robot], self)
+
+    def path_of(self, robot: FloatArray, keeps: int = MOST_CUTS) -> FlangePath:
+        """Return the flange's path for robot parameters (ω, (ζ,) T_d), that of the pose alone without them."""
+        if self.command_m is None or robot.size == 0:
+            return measured_path(self.position_m, self.smoother)
+        return commanded_path(robot, self.command_m, self.position_m, self.smoother, self.period_s, keeps)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,6 +108,10 @@ class Problem:
     def path(self, values: FloatArray) -> FlangePath:
         """Return the flange's path at these parameters."""
         return self.signals.path(values, self.layout) if self.known_path is None else self.known_path
+
+    def path_once(self, values: FloatArray) -> FlangePath:
+        """Return the path at parameters that nobody asks for again: it keeps the span only that was asked for last."""
+        return self.signals.path_of(values[self.layout.robot], keeps=1)
 
     def noise(self, segment: Segment) -> Whitener:
         """Return the whitener of a segment's force."""

@@ -60,26 +60,20 @@ def predict_force(
 
     F = K_s (x_p − x) + B_s (v_p − v) + offset, with F_e = M_e dv_p/dt + B_e v_p + K_e (x_p − x_w) ≥ 0 in contact.
     """
-    used, sign = segment.slice, float(segment.sign)
+    cut, sign = path.cut(segment.slice), float(segment.sign)
     surface = values[layout.surface(segment.surface)] if segment.is_contact else _NO_SURFACE
     of = body(values[:4], surface, period_s)
-    wall = sign * nuisance[3] if segment.is_contact else float(path.position[segment.start])
-    drive = sign * path.drive[used]
-    drive[:, -4] -= wall
-    position, velocity = sign * path.position[used] - wall, sign * path.velocity[used]
-    free, free_drive = payload_step(of, path.robot, path.hold.fraction, touching=False)
-    start = np.array([position[0] + nuisance[0] / of[0], velocity[0] + nuisance[1] / of[0]])
-    free_drive = drive @ free_drive.T
+    wall = float(sign * nuisance[3] if segment.is_contact else cut.ends[0, 0])
+    x, v = sign * float(cut.ends[0, 0]) - wall, sign * float(cut.ends[0, 1])
+    start, place = (x + float(nuisance[0]) / of[0], v + float(nuisance[1]) / of[0]), (sign, wall)
+    phi, gamma = payload_step(of, path.robot, path.hold.fraction, touching=False)
     if segment.is_contact:
-        touched, touched_drive = payload_step(of, path.robot, path.hold.fraction, touching=True)
-        ends = sign * path.ends[used]
-        ends[:, 0::2] -= wall
-        both = np.stack([free_drive, drive @ touched_drive.T])
+        touched = payload_step(of, path.robot, path.hold.fraction, touching=True)
         swing = swing_step(of, back_at_once=returns_at_once(of))
-        states = run_contact(np.stack([free, touched]), both, swing, ends, of, start)
+        modes = np.stack([phi, touched[0]]), np.stack([gamma, touched[1]])
+        force = run_contact(*modes, swing, cut.drive, cut.ends, of, place, start)
     else:
-        states = run_free(free, free_drive, start)
-    force = of[0] * (states[:, 0] - position) + of[1] * (states[:, 1] - velocity)
+        force = run_free(phi, gamma, cut.drive, cut.ends, of, place, start)
     return np.asarray(sign * force + nuisance[2])
 
 
@@ -100,7 +94,7 @@ def force_jacobian(
     layout: Layout,
     period_s: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the prediction and its derivative by the shared parameters `indices` and then its nuisances.
+    """Return the prediction (n,) and its derivatives (p, n) by the shared parameters `indices`, then its nuisances.
 
     One-sided differences of an exact solution: `sizes` are the parameters' units, and the error of a difference is a
     millionth of the curvature. `paths(i, n)` is the flange's path with parameter i moved by n steps. A bounce that
@@ -119,12 +113,13 @@ def force_jacobian(
         return predict_force(values, there, segment, paths(0, 0), layout, period_s)
 
     base = predict_force(values, nuisance, segment, paths(0, 0), layout, period_s)
-    columns = [difference(partial(shared, int(i)), base, _STEP_SHARE * sizes[i]) for i in indices]
-    for index in range(segment.nuisance_count):
-        is_offset = index == _OFFSET
+    rows = np.empty((len(indices) + segment.nuisance_count, len(base)))
+    for row, i in zip(rows, indices, strict=False):
+        row[:] = difference(partial(shared, int(i)), base, _STEP_SHARE * sizes[i])
+    for index, row in enumerate(rows[len(indices) :]):
         step = _STEP_SHARE * _OWN_SIZES[index]
-        columns.append(np.ones(len(base)) if is_offset else difference(partial(own, index), base, step))
-    return base, np.array(columns).T
+        row[:] = 1.0 if index == _OFFSET else difference(partial(own, index), base, step)
+    return base, rows
 
 
 def difference(predicted: Callable[[int], FloatArray], base: FloatArray, step: float) -> FloatArray:

@@ -1,6 +1,6 @@
 """Weighted least squares over all spans: Gauss–Newton with each span's own parameters eliminated."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -44,33 +44,45 @@ def linearise(problem: Problem, point: Point) -> list[Block]:
     def moved(index: int, steps: int) -> FlangePath:
         values = point.values.copy()
         values[index] += steps * robot_step(sizes, index)
-        return problem.path(values)
+        return problem.path_once(values)
 
     def paths(index: int, steps: int) -> FlangePath:
         return moved(index, steps) if index in robot and problem.known_path is None else here
 
-    blocks = []
-    for segment, nuisance in zip(problem.segments, point.nuisances, strict=True):
-        indices = shared_indices(segment, layout, through_robot=problem.known_path is None)
-        predicted, jacobian = force_jacobian(
-            point.values, sizes, nuisance, segment, paths, indices, layout, signals.period_s
-        )
-        jacobian[:, : len(indices)] *= sizes[indices]
-        lines = [(predicted - signals.force_n[segment.slice])[None], jacobian.T]
-        if here.robot is None:
-            lines.append(_untimed(point.values, segment, here, signals.period_s))
-        if signals.lag_std_s > 0.0:
-            lines.append((signals.lag_std_s / signals.period_s * np.gradient(predicted))[None])
-        rows = problem.noise(segment).apply(np.concatenate(lines).T)
-        blocks.append(_block(rows, indices, segment.nuisance_count))
+    blocks = [
+        _force_block(problem, point.values, nuisance, segment, paths)
+        for segment, nuisance in zip(problem.segments, point.nuisances, strict=True)
+    ]
     if problem.pose_spans:
         indices = np.array(robot)
-        slopes = [(moved(i, 1).misfit_m - here.misfit_m) / robot_step(sizes, i) * sizes[i] for i in robot]
-        rows = np.array([here.misfit_m, *slopes, np.ones(len(here.misfit_m))]).T
-        blocks += [
-            _block(problem.pose_noise.apply(rows[signals.at_poses(span)]), indices, 1) for span in problem.pose_spans
-        ]
+        for span in map(signals.at_poses, problem.pose_spans):
+            misfit = here.misfit(span)
+            slopes = [(moved(i, 1).misfit(span) - misfit) / robot_step(sizes, i) * sizes[i] for i in robot]
+            rows = np.array([misfit, *slopes, np.ones(len(misfit))]).T
+            blocks.append(_block(problem.pose_noise.apply(rows), indices, 1))
     return blocks + _known(problem, point)
+
+
+def _force_block(
+    problem: Problem,
+    values: FloatArray,
+    nuisance: FloatArray,
+    segment: Segment,
+    paths: Callable[[int, int], FlangePath],
+) -> Block:
+    """Return a span's force; `paths` is that of `force_jacobian`."""
+    signals, layout, here = problem.signals, problem.layout, paths(0, 0)
+    sizes = sizes_of(values, layout, signals.period_s)
+    indices = shared_indices(segment, layout, through_robot=problem.known_path is None)
+    predicted, jacobian = force_jacobian(values, sizes, nuisance, segment, paths, indices, layout, signals.period_s)
+    jacobian[: len(indices)] *= sizes[indices, None]
+    lines = [(predicted - signals.force_n[segment.slice])[None], jacobian]
+    if here.robot is None:
+        lines.append(_untimed(values, segment, here, signals.period_s))
+    if signals.lag_std_s > 0.0:
+        lines.append((signals.lag_std_s / signals.period_s * np.gradient(predicted))[None])
+    rows = problem.noise(segment).apply(np.concatenate(lines).T)
+    return _block(rows, indices, segment.nuisance_count)
 
 
 def _known(problem: Problem, point: Point) -> list[Block]:
@@ -122,7 +134,7 @@ def _untimed(values: FloatArray, segment: Segment, path: FlangePath, period_s: f
     the critical one, since it is itself told by this.
     """
     damping = max(float(values[1]), 0.1 * float(np.sqrt(values[0] * values[3])))
-    speed = path.velocity[segment.slice] / period_s
+    speed = path.cut(segment.slice).velocity / period_s
     acceleration = np.gradient(speed, period_s)
     return 0.5 * period_s * damping * np.array([acceleration, 2.0 * np.pi * _ROBOT_HZ * speed])
 
@@ -148,7 +160,7 @@ def cost(problem: Problem, point: Point) -> float:
             total += float(error @ error)
     if layout.robot_order and problem.pose_spans:
         for span in problem.pose_spans:
-            misfit = path.misfit_m[signals.at_poses(span)]
+            misfit = path.misfit(signals.at_poses(span))
             error = problem.pose_noise.apply(misfit - np.mean(misfit))
             total += float(error @ error) - len(error) * float(np.mean(error)) ** 2
     if problem.summary is not None:

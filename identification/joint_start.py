@@ -55,7 +55,7 @@ def start_coupling(
 def _slow_payload(problem: Problem, values: FloatArray, segment: Segment) -> tuple[float, float]:
     """Return B_p and M_p from F = −B_p v − M_p a + offset of the flange below a few hertz."""
     h, path = problem.signals.period_s, problem.path(values)
-    speed = low_pass(path.velocity[segment.slice] / h, h, _SLOW_HZ)
+    speed = low_pass(path.cut(segment.slice).velocity / h, h, _SLOW_HZ)
     force = low_pass(problem.signals.force_n[segment.slice], h, _SLOW_HZ)
     columns = np.column_stack([-speed, -np.gradient(speed, h), np.ones(len(speed))])
     drag, mass, _ = np.linalg.lstsq(columns, force, rcond=None)[0]

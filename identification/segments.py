@@ -1,6 +1,7 @@
 """Where the cell stands still and where it moves."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,7 @@ class Motion:
 
 def low_pass(values: FloatArray, period_s: float, cutoff_hz: float) -> FloatArray:
     """Filter (n, …) along the first axis forwards and backwards: no phase shift, each stretch without NaN alone."""
-    sections = butter(3, min(cutoff_hz, 0.45 / period_s), fs=1.0 / period_s, output="sos")
+    sections = _sections(min(cutoff_hz, 0.45 / period_s), 1.0 / period_s)
     known = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     if bool(np.all(known)):
         return np.asarray(sosfiltfilt(sections, values, axis=0))
@@ -48,6 +49,12 @@ def low_pass(values: FloatArray, period_s: float, cutoff_hz: float) -> FloatArra
         if len(span) > _FEWEST_FILTERED:
             smooth[span.slice] = sosfiltfilt(sections, values[span.slice], axis=0)
     return smooth
+
+
+@lru_cache(maxsize=32)
+def _sections(cutoff_hz: float, rate_hz: float) -> FloatArray:
+    """Return the low-pass (2, 6): its design takes as long as filtering a second."""
+    return np.asarray(butter(3, cutoff_hz, fs=rate_hz, output="sos"))
 
 
 def rate_of(values: FloatArray, period_s: float) -> FloatArray:

@@ -45,8 +45,8 @@ def role_faults(
         yield from frame_faults(topic, part.frame_ids)
         yield from stamp_faults(topic, told, (part.log_ns - start_ns) / 1e9, keeps_holes=keeps_holes)
     ordered = sorted(parts, key=lambda part: int(part.log_ns[0]) if part.log_ns.size else 0)
-    when = (_joined([part.log_ns for part in ordered]) - start_ns) / 1e9
-    values = _without_unmeasured(parts[0], _joined([part.values for part in ordered]))
+    when = (joined([part.log_ns for part in ordered]) - start_ns) / 1e9
+    values = _without_unmeasured(parts[0], joined([part.values for part in ordered]))
     if role in (Role.POSE, Role.COMMAND):
         declared = source if isinstance(source, PoseSource) else PoseSource()
         for finding in _pose_faults(topic, values, declared, when):
@@ -103,7 +103,8 @@ def _scaled(values: FloatArray, first: float, second: float) -> FloatArray:
     return np.asarray(values * np.repeat([first, second], 3)[: values.shape[1]])
 
 
-def _joined(arrays: Sequence[NDArray[_Number]]) -> NDArray[_Number]:
+def joined(arrays: Sequence[NDArray[_Number]]) -> NDArray[_Number]:
+    """Return arrays one after the other; one alone is itself, not a copy."""
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 

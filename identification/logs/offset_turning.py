@@ -1,10 +1,11 @@
 """The offset between the wrench's and the pose's clock, from the payload's weight in the turning sensor frame."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import BSpline, make_interp_spline
 
 from ..aligned import AlignedLog
 from ..gravity import GRAVITY_B_M_S2
@@ -28,6 +29,7 @@ _COARSE_STEP_S = 8e-3
 _COARSE_EVERY = 6
 _RIDGE = 1e-10
 _ROUNDS = 8
+_PIECE = 1024
 _OUTLIER_FACTOR = 5.0
 _SMALLEST_SCATTER_N = 0.03
 _POOR_FIT = 0.15
@@ -39,27 +41,43 @@ _ADVICE = "Tilt the tool to 6 or more orientations, 30 to 70 degrees apart, in a
 
 @dataclass(frozen=True, kw_only=True)
 class _Turning:
-    """What the fit needs: `columns` Φ(t) (3 × 24), and force (n, 3) at `time_s` (n,) within turn `turn` (n,)."""
+    """What the fit needs: force (n, 3) at `time_s` (n,) within turn `turn` (n,), and the filtered `signals` of t.
 
-    columns: CubicSpline
+    They are g − a (3), α× + ω×ω× (9), v (3) and ω (3), of which Φ is made; a ramp over the log has slope `ramp`.
+    """
+
+    signals: BSpline
+    ramp: float
     time_s: FloatArray
     force_n: FloatArray
     turn: IntArray
 
     def part(self, keep: NDArray[np.bool_] | slice) -> "_Turning":
-        return _Turning(
-            columns=self.columns, time_s=self.time_s[keep], force_n=self.force_n[keep], turn=self.turn[keep]
-        )
+        return replace(self, time_s=self.time_s[keep], force_n=self.force_n[keep], turn=self.turn[keep])
 
     def rows(self, offset_s: float, derivative: int = 0) -> FloatArray:
         """Return Φ(t − T) or its time derivative, (3n, 24)."""
-        return np.asarray(self.columns(self.time_s - offset_s, derivative)).reshape(-1, _COLUMNS)
+        at = self.time_s - offset_s
+        ramp = (self.ramp * at - 1.0, np.full(len(at), self.ramp), np.zeros(len(at)))[derivative]
+        return _columns(np.asarray(self.signals(at, derivative)), float(derivative == 0), ramp).reshape(-1, _COLUMNS)
 
-    def solve(self, offset_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return θ at a fixed offset and the residual (n, 3)."""
-        rows = self.rows(offset_s)
-        theta = _least_squares(rows, self.force_n.ravel())
-        return theta, (self.force_n.ravel() - rows @ theta).reshape(-1, 3)
+    def pieces(self) -> Iterator["_Turning"]:
+        """Yield a part after the other: all rows of a minute at once would be more than the log itself."""
+        for first in range(0, len(self.time_s), _PIECE):
+            yield self.part(slice(first, first + _PIECE))
+
+    def solve(self, offset_s: float) -> FloatArray:
+        """Return θ at a fixed offset."""
+        return _least_squares(np.column_stack([piece.rows(offset_s), piece.force_n.ravel()]) for piece in self.pieces())
+
+    def residual(self, offset_s: float, theta: FloatArray) -> FloatArray:
+        """Return f − Φ(t − T) θ, (n, 3)."""
+        told = [(piece.rows(offset_s) @ theta).reshape(-1, 3) for piece in self.pieces()]
+        return np.asarray(self.force_n - np.concatenate(told))
+
+    def joint(self, offset_s: float, theta: FloatArray) -> FloatArray:
+        """Return the derivatives of the force by θ and T, (3n, 25)."""
+        return np.column_stack([self.rows(offset_s), -self.rows(offset_s, 1) @ theta])
 
 
 def offset_from_turning(log: AlignedLog, longest_s: float) -> Told | Untold:
@@ -94,7 +112,8 @@ def _judged(prepared: _Turning, kept: _Turning, offset: float, longest_s: float)
         return Untold(reason=f"the force follows the weight of one payload in {used} of {found} turns", advice=_ADVICE)
     if abs(offset) > 0.95 * longest_s:
         return Untold(reason=f"no offset within {longest_s:.2f} s explains the force while turning", advice=_ADVICE)
-    theta, residual = kept.solve(offset)
+    theta = kept.solve(offset)
+    residual = kept.residual(offset, theta)
     swing = kept.force_n - kept.force_n.mean(axis=0)
     share = float(np.linalg.norm(residual)) / max(float(np.linalg.norm(swing)), 1e-12)
     if share > _POOR_FIT:
@@ -109,7 +128,7 @@ def _prepare(log: AlignedLog, longest_s: float) -> _Turning | None:
     period = step * log.period_s
 
     def smooth(values: FloatArray) -> FloatArray:
-        return low_pass(values, log.period_s, _SMOOTH_HZ)[::step]
+        return np.ascontiguousarray(low_pass(values, log.period_s, _SMOOTH_HZ)[::step])
 
     turned = log.orientation_BS.inv()
     gravity, position = smooth(np.asarray(turned.apply(GRAVITY_B_M_S2))), smooth(log.position_B_m)
@@ -118,15 +137,17 @@ def _prepare(log: AlignedLog, longest_s: float) -> _Turning | None:
     coarse = turned[::step]
     velocity = np.asarray(coarse.apply(velocity_B))
     acceleration = np.asarray(coarse.apply(np.gradient(velocity_B, period, axis=0)))
-    columns = _columns(gravity, acceleration, velocity, rate, np.gradient(rate, period, axis=0))
+    spin = _cross(rate)
+    turning = (_cross(np.gradient(rate, period, axis=0)) + spin @ spin).reshape(-1, 9)
+    signals = np.concatenate([gravity - acceleration, turning, velocity, rate], axis=1)
     time, turn = log.time_s[::step], _number_turns(rate, period)
     edge = longest_s + 3.0 / _BAND_HZ
     inside = (turn >= 0) & (time > time[0] + edge) & (time < time[-1] - edge)
     if not np.any(inside):
         return None
-    columns = low_pass(columns.reshape(len(time), -1), period, _BAND_HZ).reshape(-1, 3, _COLUMNS)
     return _Turning(
-        columns=CubicSpline(time, columns),
+        signals=make_interp_spline(time, low_pass(signals, period, _BAND_HZ), k=3),
+        ramp=2.0 / float(time[-1]),
         time_s=time[inside],
         force_n=low_pass(smooth(log.force_S_n), period, _BAND_HZ)[inside],
         turn=turn[inside],
@@ -140,20 +161,18 @@ def _body_rate(log: AlignedLog) -> FloatArray:
     return np.concatenate([inner[:1], inner, inner[-1:]])
 
 
-def _columns(
-    gravity: FloatArray, acceleration: FloatArray, velocity: FloatArray, rate: FloatArray, turn: FloatArray
-) -> FloatArray:
+def _columns(signals: FloatArray, one: float, ramp: FloatArray) -> FloatArray:
     """Return Φ (n, 3, 24) for b (3), ḃ (3, per length of the log), G (9), mc (3), D (3), d (3)."""
-    spin, unit = _cross(rate), np.broadcast_to(np.eye(3), (len(rate), 3, 3))
-    parts = [
-        unit,
-        unit * np.linspace(-1.0, 1.0, len(rate))[:, None, None],
-        np.einsum("ij,nk->nijk", np.eye(3), gravity - acceleration).reshape(-1, 3, 9),
-        -_cross(turn) - spin @ spin,
-        -velocity[:, :, None] * np.eye(3),
-        -spin,
-    ]
-    return np.concatenate(parts, axis=2)
+    count, axes = len(signals), np.arange(3)
+    out = np.zeros((count, 3, _COLUMNS))
+    out[:, axes, axes] = one
+    out[:, axes, 3 + axes] = ramp[:, None]
+    for i in range(3):
+        out[:, i, 6 + 3 * i : 9 + 3 * i] = signals[:, :3]
+    out[:, :, 15:18] = -signals[:, 3:12].reshape(-1, 3, 3)
+    out[:, axes, 18 + axes] = -signals[:, 12:15]
+    out[:, :, 21:] = -_cross(signals[:, 15:18])
+    return out
 
 
 def _cross(vectors: FloatArray) -> FloatArray:
@@ -182,9 +201,16 @@ def _number_turns(rate: FloatArray, period: float) -> IntArray:
     return number
 
 
-def _least_squares(rows: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the least squares solution, of least norm; singular values of the triangle cost less than those of all."""
-    triangle = np.asarray(np.linalg.qr(np.column_stack([rows, values]), mode="r"))
+def _least_squares(blocks: Iterable[FloatArray]) -> FloatArray:
+    """Return the least squares solution, of least norm, of rows with their values behind them, given block by block.
+
+    The triangle of all rows is that of the triangle so far and the next block; its singular values cost less than
+    those of all.
+    """
+    triangle = np.empty((0, 0))
+    for block in blocks:
+        rows = np.concatenate([triangle, block]) if triangle.size else block
+        triangle = np.asarray(np.linalg.qr(rows, mode="r"))
     return np.asarray(np.linalg.lstsq(triangle[:, :-1], triangle[:, -1], rcond=1e-10)[0])
 
 
@@ -207,9 +233,10 @@ def _refined(turning: _Turning, offset: float) -> tuple[float, FloatArray]:
     """Return offset and θ by Gauss and Newton: Φ(t − T − dT) θ ≈ Φ θ − dT Φ' θ."""
     theta = np.zeros(_COLUMNS)
     for _ in range(10):
-        theta, _ = turning.solve(offset)
-        joint = np.column_stack([turning.rows(offset), -turning.rows(offset, 1) @ theta])
-        found = _least_squares(joint, turning.force_n.ravel())
+        theta = turning.solve(offset)
+        found = _least_squares(
+            np.column_stack([piece.joint(offset, theta), piece.force_n.ravel()]) for piece in turning.pieces()
+        )
         change = float(np.clip(found[-1], -_COARSE_STEP_S, _COARSE_STEP_S))
         offset += change
         if abs(change) < 1e-7:
@@ -219,7 +246,7 @@ def _refined(turning: _Turning, offset: float) -> tuple[float, FloatArray]:
 
 def _fitting(turning: _Turning, offset: float, theta: FloatArray) -> NDArray[np.bool_]:
     """Return the samples of the turns that one payload explains."""
-    residual = turning.force_n - (turning.rows(offset) @ theta).reshape(-1, 3)
+    residual = turning.residual(offset, theta)
     count = int(turning.turn.max()) + 1
     energy = np.bincount(turning.turn, np.sum(residual**2, axis=1), count)
     size = np.bincount(turning.turn, minlength=count)
@@ -234,14 +261,14 @@ def _standard_deviation(turning: _Turning, offset: float, theta: FloatArray, res
     The first sums what each turn adds to the estimate (few turns tell little of their own scatter, hence the factor);
     the second counts 2 B independent values per second in residuals of bandwidth B.
     """
-    joint = np.column_stack([turning.rows(offset), -turning.rows(offset, 1) @ theta])
-    inverse = np.linalg.pinv(joint.T @ joint, hermitian=True, rcond=1e-14)
-    score = np.sum((joint @ inverse[:, -1]).reshape(-1, 3) * residual, axis=1)
+    joints = [piece.joint(offset, theta) for piece in turning.pieces()]
+    inverse = np.linalg.pinv(sum(joint.T @ joint for joint in joints), hermitian=True, rcond=1e-14)
+    score = np.sum(np.concatenate([joint @ inverse[:, -1] for joint in joints]).reshape(-1, 3) * residual, axis=1)
     sums = np.bincount(np.unique(turning.turn, return_inverse=True)[1], score)
     between = len(sums) / max(len(sums) - _FEWEST_TURNS + 1, 1) * float(np.sum(sums**2))
     period = float(np.median(np.diff(turning.time_s)))
     samples_per_value = max(1.0, 1.0 / (2.0 * _BAND_HZ * period))
-    freedom = max(residual.size / samples_per_value - joint.shape[1], 1.0)
+    freedom = max(residual.size / samples_per_value - len(inverse), 1.0)
     variance = float(np.sum(residual**2)) / samples_per_value / freedom
     within = samples_per_value * variance * float(inverse[-1, -1])
     return float(np.sqrt(max(between, within)))
@@ -249,7 +276,5 @@ def _standard_deviation(turning: _Turning, offset: float, theta: FloatArray, res
 
 def _mount_lag(turning: _Turning, offset: float) -> float:
     """Return what the mount's damping may delay the force by at the rate at which the weight turns."""
-    weight = slice(6, 9)  # the first row of G sees all of g_S − a_S
-    first = turning.columns(turning.time_s - offset, 1)[:, 0, weight]
-    second = turning.columns(turning.time_s - offset, 2)[:, 0, weight]
+    first, second = (turning.signals(turning.time_s - offset, order)[:, :3] for order in (1, 2))
     return float(_MOUNT_LAG_S3 * np.sum(second**2) / max(float(np.sum(first**2)), 1e-12))

@@ -4,14 +4,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from ..errors import LogError
 from ..recording import Recording
 from ..result import Finding
 from .cell import Cell, Clock
 from .choose import Choice, choose_all, open_questions
 from .clocks import ChannelTimes, check_clocks
+from .faults import joined
 from .interpret import make_continuous
 from .join import join_recordings
 from .layouts import Role
@@ -21,7 +20,7 @@ from .payload import check_payload
 from .roles import ENTRY, LABEL
 from .signals import build_recording, chosen_clocks, refuse, sample_findings
 
-Part = Mapping[Role, RoleSeries]
+Part = dict[Role, RoleSeries]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +76,6 @@ def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool) -> _Read:
         times = _times(parts, clocks)
         about_samples = sample_findings(parts, clocks, cell, logs.start_ns, keeps_holes=salvage)
         recordings = [build_recording(part, clocks, cell) for part in parts]
-        del parts
         recording = _continuous(join_recordings(recordings))
         questions = open_questions(logs.heads, cell, logs.name)
         chosen = map(_chosen, choices.values())
@@ -104,7 +102,7 @@ def _check_fields(choices: Iterable[Choice], logs: OpenedLogs) -> None:
 def _parts(read: Sequence[dict[Role, RoleSeries]], choices: Mapping[Role, Choice], logs: OpenedLogs) -> list[Part]:
     """Return what follows each other in time: the files, or all of them as one where each holds other roles."""
     held = [role for part in read for role in part]
-    parts: list[Part] = [*read]
+    parts = [*read]
     if len(held) == len({*held}):
         parts = [dict(item for part in read for item in part.items())]
     for part in parts:
@@ -148,8 +146,8 @@ def _times(parts: Sequence[Part], clocks: Mapping[Role, Clock]) -> list[ChannelT
         times.append(
             ChannelTimes(
                 topic=parts[0][role].choice.head.channel.topic,
-                stamp_ns=np.concatenate([stamps for stamps, _ in pairs]),
-                log_ns=np.concatenate([log for _, log in pairs]),
+                stamp_ns=joined([stamps for stamps, _ in pairs]),
+                log_ns=joined([log for _, log in pairs]),
             )
         )
     return times

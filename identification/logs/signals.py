@@ -9,7 +9,7 @@ from ..frames import Frames
 from ..recording import GainsSignal, PoseSignal, Recording, StampArray, TwistSignal, WrenchSignal
 from ..result import Finding
 from .cell import Cell, Clock, Frame, GainsSource, PoseSource, TwistSource, WrenchSource
-from .choose import source_of
+from .choose import Choice, source_of
 from .consistency import turn_findings, twist_findings
 from .faults import role_faults
 from .interpret import (
@@ -81,13 +81,18 @@ def sample_findings(
     return tuple(found)
 
 
-def build_recording(series: Mapping[Role, RoleSeries], clocks: Mapping[Role, Clock], cell: Cell) -> Recording:
-    """Interpret the samples of every role, which `sample_findings` has found usable."""
+def build_recording(series: dict[Role, RoleSeries], clocks: Mapping[Role, Clock], cell: Cell) -> Recording:
+    """Interpret the samples of every role, which `sample_findings` has found usable.
+
+    `series` is emptied: of a long log never all numbers are held as they were logged and as they are meant.
+    """
     frames = build_frames(cell)
     stamps = {role: _stamps(role, series, clocks, cell) for role in series}
     columns = {role: _columns(series[role], stamps[role]) for role in series}
-    pose = _pose(columns[Role.POSE], cell, frames)
-    wrench, findings = _wrench(series[Role.WRENCH], columns[Role.WRENCH], cell, frames, pose)
+    choice = series[Role.WRENCH].choice
+    series.clear()
+    pose = _pose(columns.pop(Role.POSE), cell, frames)
+    wrench, findings = _wrench(choice, columns.pop(Role.WRENCH), cell, frames, pose)
     twist = _twist(columns, cell, frames, pose)
     findings += [*turn_findings(pose), *(twist_findings(pose, twist) if twist is not None else ())]
     return Recording(
@@ -163,10 +168,10 @@ def _command(columns: Mapping[Role, Columns], cell: Cell, frames: Frames) -> Pos
 
 
 def _wrench(
-    series: RoleSeries, columns: Columns, cell: Cell, frames: Frames, pose: PoseSignal
+    choice: Choice, columns: Columns, cell: Cell, frames: Frames, pose: PoseSignal
 ) -> tuple[WrenchSignal, list[Finding]]:
     source = cell.wrench or WrenchSource()
-    is_state = series.choice.head.channel.type_name == ADMITTANCE_STATE and source.fields is None
+    is_state = choice.head.channel.type_name == ADMITTANCE_STATE and source.fields is None
     findings = []
     if is_state and (source.expressed_in is None or source.gravity_compensated is None):
         findings.append(_state_finding(columns.topic))

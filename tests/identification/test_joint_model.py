@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
 from identification.joint_kernel import pressing, switch
-from identification.joint_model import Layout, body, held, payload_step, robot_model, robot_path
+from identification.joint_model import Layout, body, held, payload_step, robot_model
 from identification.joint_noise import Smoother
 from identification.joint_path import commanded_path, measured_path
 from identification.joint_segments import Segment, predict_force
@@ -33,8 +33,8 @@ def test_the_robots_path_is_that_of_the_continuous_robot_behind_a_hold(values: F
     steps = np.concatenate([np.zeros(late), np.repeat(command, fine)])[: len(command) * fine]
     time = np.arange(len(steps)) * H_S / fine
     _, position, _ = lsim((model.numerator, model.denominator), steps, time, interp=False)
-    path = robot_path(values, command, H_S)
-    np.testing.assert_allclose(path[:, 0], position[::fine], rtol=0.0, atol=1e-12)
+    path = commanded_path(values, command, np.zeros(len(command)), Smoother(taps=None), H_S)
+    np.testing.assert_allclose(-path.misfit(slice(0, len(command))), position[::fine], rtol=0.0, atol=1e-12)
 
 
 def test_a_delay_is_split_into_samples_and_a_part() -> None:
@@ -108,6 +108,30 @@ def test_a_commanded_path_holds_what_the_robot_alone_does_between_the_ticks() ->
     np.testing.assert_allclose(predicted[1:401], force, rtol=0.0, atol=1e-4)
 
 
+@pytest.mark.parametrize("values", [np.array([24.0, 3.7e-3]), np.array([35.0, 0.7, 2e-3])])
+@pytest.mark.parametrize("used", [slice(0, 40), slice(255, 259), slice(700, 1900), slice(1950, 2000)])
+def test_a_part_of_the_path_is_that_of_the_whole(values: FloatArray, used: slice) -> None:
+    """At the ends of the log and at the marks, from which the robot is run again, too."""
+    command = sweep(2.0, 1.0 / H_S)
+    beside = 1e-4 * np.sin(np.arange(len(command)) / 90.0)
+    for smoother in (KEEP_ALL, Smoother(taps=None)):
+        path = commanded_path(values, command, command + beside, smoother, H_S)
+        whole, part = path.cut(slice(0, len(command))), path.cut(used)
+        np.testing.assert_allclose(part.drive, whole.drive[used], rtol=0.0, atol=1e-15)
+        np.testing.assert_allclose(part.ends, whole.ends[used], rtol=0.0, atol=1e-15)
+        np.testing.assert_array_equal(path.misfit(used), path.misfit(slice(0, len(command)))[used])
+
+
+def test_a_cut_ends_where_the_next_begins() -> None:
+    """The flange's position does not jump at a tick; its speed does, where a held command steps."""
+    command = sweep(1.0, 1.0 / H_S)
+    path = commanded_path(np.array([24.0, 3.7e-3]), command, 0.9 * command, KEEP_ALL, H_S)
+    ends = path.cut(slice(100, 600)).ends
+    np.testing.assert_array_equal(ends[:-1, 2], ends[1:, 0])
+    stepped = np.diff(command)[97:596]  # with a delay of 3.7 samples the command of four ticks before begins to act
+    assert float(np.max(np.abs(ends[1:, 1] - ends[:-1, 3]))) < 1e-12 + 24.0 * H_S * float(np.max(np.abs(stepped)))
+
+
 def test_an_impact_with_mass_keeps_the_momentum() -> None:
     of = body(np.array([1e-3, 0.0, 0.0, 6.0]), np.array([1e-3, 0.0, 2.0]), 1.0)
     # A payload just before the wall with next to no springs: v · 6 kg is shared by 8 kg.
@@ -126,6 +150,13 @@ def test_a_step_in_contact_is_one_in_free_space_with_the_environment_added() -> 
     # K_e pulls at the payload as K_s does, when the flange stands still.
     alike, _ = payload_step(body(heavier, np.array([5.0e4, 0.0, 0.0]), H_S), None, 0.0, touching=True)
     np.testing.assert_allclose(touched, alike, rtol=1e-12)
+
+
+def test_a_step_that_is_kept_cannot_be_changed() -> None:
+    phi, gamma = payload_step(body(LOAD.vector(), np.zeros(3), H_S), None, 0.0, touching=False)
+    for array in (phi, gamma):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0, 0] = 1.0
 
 
 def test_names_stand_where_the_slices_say() -> None:

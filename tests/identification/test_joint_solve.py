@@ -40,7 +40,7 @@ def made(seed: int, values: FloatArray = TRUTH) -> tuple[Problem, Point]:
     quiet = Signals(
         period_s=H_S, position_m=np.zeros(count), force_n=np.zeros(count), command_m=held, smoother=Smoother(taps=None)
     )
-    robot = -quiet.path(values, LAYOUT).misfit_m
+    robot = -quiet.path(values, LAYOUT).misfit(slice(0, count))
     exact = replace(quiet, position_m=robot)
     force = np.zeros(count)
     for segment, own in zip(segments, OWN, strict=True):

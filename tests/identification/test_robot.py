@@ -56,6 +56,20 @@ def test_two_poles_are_told_from_one(samples: float) -> None:
     assert fit.bandwidth_hz == pytest.approx(expected, rel=5e-3)
 
 
+def test_a_long_log_is_fitted_to_its_end() -> None:
+    """The beginning only tells where to start: the deviations are those of the whole, and cover the truth."""
+    once = sweep(25.0, 1.0 / H_S)
+    command = np.tile(once, 6)
+    position = noisy(followed(ONE_POLE, 120, command))
+    whole = identify_robot(command, position, H_S)
+    part = identify_robot(command[: 2 * len(once)], position[: 2 * len(once)], H_S)
+    # The white noise of three times as many samples.
+    assert whole.delay_std_s == pytest.approx(part.delay_std_s / np.sqrt(3.0), rel=0.05)
+    assert abs(whole.model.delay_s - 2.4e-3) < 4.0 * whole.delay_std_s
+    assert abs(whole.model.denominator[1] - 20.0) < 4.0 * whole.denominator_std[1]
+    assert whole.model.order == 1
+
+
 def test_stated_deviations_cover_what_noise_does() -> None:
     command = sweep(3.0, 1.0 / H_S)
     clean = followed(ONE_POLE, 120, command)
