@@ -49,9 +49,7 @@ def trace_front(
             asked = _with_target(problem, float(target))
             # A feasible set as thin as this may be missed; the neighbour stands there all the same.
             with suppress(InfeasibleError):
-                design = solve_design(
-                    asked, seed=seed, start=design, progress=lambda done: report(share * done)
-                ).design
+                design = solve_design(asked, seed=seed, start=design, progress=lambda done: report(share * done)).design
                 found.append(judge.judge(problem.controller(design)))
     points = undominated(found, judge.objectives)
     return Front(
@@ -70,9 +68,7 @@ def _with_target(problem: DesignProblem, least: float) -> DesignProblem:
     return replace(problem, requirements=replace(problem.requirements, free_space_admittance=target))
 
 
-def _most_admittance(
-    problem: DesignProblem, start: FloatArray, judge: Judge, seed: int
-) -> tuple[float, FloatArray]:
+def _most_admittance(problem: DesignProblem, start: FloatArray, judge: Judge, seed: int) -> tuple[float, FloatArray]:
     """Return the largest admittance [m/s/N] that meets every requirement on the dense grid, and its design.
 
     Requirements are first held with a reserve on a few scenarios; where the dense grid misses all the same, the

@@ -1,11 +1,11 @@
-"""Objectives and requirements as small classes, found by entry points; the built-in ones are registered the same way."""
+"""Objectives and requirements as small classes found by entry points, the built-in ones like anyone's."""
 
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
-from typing import ClassVar, Literal, TypeVar
+from typing import Any, ClassVar, Literal
 
 from autotune.errors import UsageError
 from problems.controller import AdmittanceController
@@ -68,14 +68,13 @@ class Limit:
 
 
 Demand = Requirement | Limit
-_Plugin = TypeVar("_Plugin", Objective, Requirement)
 
 
 def load_objectives(names: tuple[str, ...]) -> tuple[Objective, ...]:
-    """Return the objectives of these names, in this order; raises UsageError, see `load_plugin`."""
+    """Return the objectives of these names, in this order; raises UsageError, see `load_objective`."""
     if len(set(names)) != len(names):
         raise UsageError(f"Each objective may be named once; found {', '.join(names)}.")
-    return tuple(load_plugin(OBJECTIVES, name, Objective) for name in names)
+    return tuple(load_objective(name) for name in names)
 
 
 def load_demands(told: tuple[str, ...]) -> tuple[Demand, ...]:
@@ -93,8 +92,8 @@ def load_demands(told: tuple[str, ...]) -> tuple[Demand, ...]:
 def _demand(text: str) -> Demand:
     name, equals, number = text.partition("=")
     if not equals:
-        return load_plugin(REQUIREMENTS, name, Requirement)
-    objective = load_plugin(OBJECTIVES, name, Objective)
+        return load_requirement(name)
+    objective = load_objective(name)
     try:
         value = float(number)
     except ValueError:
@@ -104,12 +103,23 @@ def _demand(text: str) -> Demand:
     return Limit(objective=objective, value=value)
 
 
-def load_plugin(group: str, name: str, kind: type[_Plugin]) -> _Plugin:
-    """Import and make the plugin `name` of an entry point group.
+def load_objective(name: str) -> Objective:
+    """Import and make the objective of this name.
 
     Raises UsageError when there is none or more than one of that name, when it cannot be imported or made, or is no
-    subclass of `kind`.
+    subclass of `Objective`.
     """
+    found: Objective = _load(OBJECTIVES, name, Objective)
+    return found
+
+
+def load_requirement(name: str) -> Requirement:
+    """Import and make the requirement of this name; raises UsageError as `load_objective` does."""
+    found: Requirement = _load(REQUIREMENTS, name, Requirement)
+    return found
+
+
+def _load(group: str, name: str, kind: type) -> Any:
     known = registered(group)
     what = kind.__name__.lower()
     if name not in known:
@@ -117,9 +127,10 @@ def load_plugin(group: str, name: str, kind: type[_Plugin]) -> _Plugin:
         raise UsageError(f"There is no {what} {name!r} installed; there are: {told}.")
     entry = known[name]
     try:
+        # Other people's code may raise anything.
         found = entry.load()
-        plugin = found() if isinstance(found, type) and issubclass(found, kind) else None
-    except Exception as error:  # noqa: BLE001 - other people's code may raise anything
+        plugin: Any = found() if isinstance(found, type) and issubclass(found, kind) else None
+    except Exception as error:
         raise UsageError(f"The {what} {name} ({entry.value}) cannot be loaded: {error}.") from error
     if plugin is None or plugin.name != name:
         raise UsageError(
@@ -135,8 +146,8 @@ def registered(group: str) -> Mapping[str, EntryPoint]:
     for entry in sorted(entry_points(group=group), key=lambda each: (each.name, each.value)):
         if entry.name in found and found[entry.name].value != entry.value:
             raise UsageError(
-                f"Two installed packages register {entry.name} in {group}: {found[entry.name].value} and {entry.value}; "
-                "uninstall one."
+                f"Two installed packages register {entry.name} in {group}, {found[entry.name].value} and "
+                f"{entry.value}; uninstall one."
             )
         found[entry.name] = entry
     return found

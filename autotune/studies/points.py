@@ -5,11 +5,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
+import numpy as np
+
+from autotune.errors import AutotuneError, UsageError
 from autotune.tuning.search import DENSE_MASS, DENSE_STIFFNESS
 from problems.controller import AdmittanceController
 from problems.design import DesignProblem
 from problems.errors import ParameterError
-from problems.evaluation import build_scenarios
+from problems.evaluation import Evaluation, build_scenarios
 
 from .plugins import Demand, Objective
 
@@ -71,14 +74,22 @@ class Judge:
     def judge(self, controller: AdmittanceController) -> Judgement:
         """Judge one controller; raises UnstableLoopError where no number of it means anything."""
         evaluation = self._prepared.evaluate_exactly(controller).evaluation
-        told = (controller, self.problem, evaluation)
-        values = {each.name: _finite(each.name, each(*told)) for each in self.objectives}
-        asked = {each.name: _required(each.name, each(*told)) for each in self.demands}
+        values = {each.name: _finite(each.name, self._ask(each, evaluation)) for each in self.objectives}
+        asked = {each.name: _required(each.name, self._ask(each, evaluation)) for each in self.demands}
         return Judgement(
             controller=controller,
             values=MappingProxyType(values),
             requirements=MappingProxyType({**evaluation.requirements, **asked}),
         )
+
+    def _ask(self, plugin: Objective | Demand, evaluation: Evaluation) -> float:
+        # Other people's code may raise anything.
+        try:
+            return plugin(evaluation.controller, self.problem, evaluation)
+        except AutotuneError:
+            raise
+        except Exception as error:
+            raise UsageError(f"{plugin.name} failed on {evaluation.controller}: {error!r}.") from error
 
 
 def undominated(points: Sequence[Judgement], objectives: tuple[Objective, ...]) -> tuple[Judgement, ...]:
@@ -119,3 +130,24 @@ def _required(name: str, value: float) -> float:
     if not value >= 0.0:
         raise ParameterError(f"requirement {name}", value, "required/achieved, 0 or above")
     return float(value)
+
+
+def thinned(
+    points: tuple[Judgement, ...], objectives: tuple[Objective, ...], count: int | None, keep: int | None
+) -> tuple[Judgement, ...]:
+    """Return at most `count` of the points: the best in each objective, the one to `keep`, then the most distant ones.
+
+    Distance is that of the objectives, each scaled to its range over the points. None returns all of them.
+    """
+    if count is None or len(points) <= count:
+        return points
+    costs = np.array([_costs(point, objectives) for point in points])
+    span = np.ptp(costs, axis=0)
+    scaled = (costs - costs.min(axis=0)) / np.where(span > 0.0, span, 1.0)
+    kept = list(dict.fromkeys([*([] if keep is None else [keep]), *(int(i) for i in np.argmin(scaled, axis=0))]))[
+        :count
+    ]
+    while len(kept) < count:
+        distance = np.min(np.linalg.norm(scaled[:, None] - scaled[kept][None], axis=2), axis=1)
+        kept.append(int(np.argmax(distance)))
+    return tuple(points[i] for i in sorted(kept))
