@@ -68,7 +68,7 @@ def check_requirement(kind: type[Requirement]) -> None:
 
 
 def _check_registered(kind: type, group: str, name: str) -> None:
-    _must(isinstance(name, str) and name.isidentifier(), kind, f"name must be a plain word, found {name!r}")
+    _must(name.isidentifier(), kind, f"name must be a plain word, found {name!r}")
     entry: EntryPoint | None = registered(group).get(name)
     _must(entry is not None and entry.load() is kind, kind, f"must be the entry point {name} of {group}")
 

@@ -21,7 +21,7 @@ from optuna.storages import BaseStorage, JournalStorage, RDBStorage, RetryHeartb
 from optuna.storages.journal import JournalFileBackend, JournalRedisBackend
 from optuna.trial import FrozenTrial, Trial, TrialState
 from sqlalchemy.engine import URL, make_url
-from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
 from autotune import __version__
 from autotune.errors import InfeasibleError, UsageError
@@ -70,15 +70,26 @@ def open_storage(url: str | None, beside: Path, *, heartbeat_s: int = HEARTBEAT_
     them is tried again, three times at most. Journals have no heartbeat: `journal:///FILE` and `redis://HOST/DB`.
     Raises UsageError when the storage cannot be opened; the message hides the password.
     """
-    told = url or str(beside)
     try:
         address = URL.create("sqlite", database=str(beside)) if url is None else make_url(url)
-        told = address.render_as_string(hide_password=True)
+    except SQLAlchemyError as error:
+        # The text is not repeated: whatever it is, it may hold a password.
+        raise UsageError("--storage is no URL; an example is sqlite:///study.db.") from error
+    try:
         return _opened(address, heartbeat_s)
-    except (SQLAlchemyError, optuna.exceptions.StorageInternalError, ImportError, ValueError, RuntimeError) as error:
-        # SQLAlchemy appends its own pages to read; the first line says what is wrong.
-        reason = str(error.__cause__ or error).splitlines()[0].rstrip(".")
-        raise UsageError(f"The study's storage {told} cannot be used: {reason}.") from error
+    except Exception as error:
+        # Every driver has errors of its own, whose first line says what is wrong.
+        reason = next(iter(str(error.__cause__ or error).splitlines()), repr(error)).rstrip(".")
+        raise UsageError(
+            f"The study's storage {address.render_as_string(hide_password=True)} cannot be used: {reason}."
+        ) from error
+
+
+def close_storage(storage: Storage) -> None:
+    """Close the connections of a storage; it opens new ones when it is used again."""
+    if isinstance(storage, RDBStorage):
+        storage.remove_session()
+        storage.engine.dispose()
 
 
 def _opened(address: URL, heartbeat_s: int) -> BaseStorage:
@@ -100,7 +111,7 @@ def _opened(address: URL, heartbeat_s: int) -> BaseStorage:
                     grace_period=_GRACE_BEATS * heartbeat_s,
                     heartbeat_stale_trial_callback=RetryHeartbeatStaleTrialCallback(max_retry=_RETRIES),
                 )
-        except (SQLAlchemyError, optuna.exceptions.StorageInternalError):
+        except (DBAPIError, optuna.exceptions.StorageInternalError):
             if opening == _OPENINGS:
                 raise
             time.sleep(_OPENING_PAUSE_S)
@@ -141,7 +152,7 @@ def run_study(
     """
     report = progress if progress is not None else _silent
     judge = Judge(problem, plan.objectives, plan.demands)
-    with _quiet():
+    with _quiet(), _told_by_the_storage():
         study = _open_study(problem, plan, storage, start, name)
         done = len(study.get_trials(deepcopy=False, states=_FINISHED))
         report(min(1.0, done / plan.trials))
@@ -151,6 +162,17 @@ def run_study(
             report(min(done, plan.trials) / plan.trials - before / plan.trials)
         trials = study.get_trials(deepcopy=False, states=_FINISHED)
     return _front(trials, judge, plan, start, name, points)
+
+
+@contextmanager
+def _told_by_the_storage() -> Iterator[None]:
+    try:
+        yield
+    except (SQLAlchemyError, optuna.exceptions.StorageInternalError) as error:
+        reason = next(iter(str(error.__cause__ or error).splitlines()), repr(error)).rstrip(".")
+        raise UsageError(
+            f"The study's storage failed: {reason}. What is finished is kept; the same command goes on from there."
+        ) from error
 
 
 def _open_study(
@@ -225,8 +247,8 @@ def _front(
     ]
     if not feasible:
         raise InfeasibleError(
-            f"None of {len(trials)} trials of the study {name} meets every requirement; {_closest(trials)}. Ask for less, "
-            "or for more trials."
+            f"None of {len(trials)} trials of the study {name} meets every requirement; {_closest(trials)}. Ask for "
+            "less, or for more trials."
         )
     told = [
         Judgement(

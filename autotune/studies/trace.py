@@ -96,7 +96,13 @@ def trace_fronts(
     def advance(done: float) -> None:
         report(done / len(searches))
 
-    return {name: _trace(prepared, name, search, advance) for name, search in searches.items()}
+    try:
+        return {name: _trace(prepared, name, search, advance) for name, search in searches.items()}
+    finally:
+        if prepared.storage is not None:
+            from .study import close_storage  # noqa: PLC0415 - slow to import, and the usual front does without
+
+            close_storage(prepared.storage)
 
 
 def _trace(prepared: PreparedFronts, axis: str, search: SearchResult, report: Callable[[float], None]) -> Front:
