@@ -30,7 +30,7 @@ from problems.passivity import check_passivity
 from tests.autotune.studies.small import ROOT
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
 
-BUILT_IN = {
+BUILT_IN: dict[str, set[type[Any]]] = {
     OBJECTIVES: {PeakForce, Admittance, HandForce, CommandNoise},
     REQUIREMENTS: {PassiveBand},
 }
@@ -57,12 +57,15 @@ def test_the_built_in_requirement_keeps_the_contract() -> None:
 
 
 def test_a_slow_hand_feels_the_dampings_and_a_fast_one_more() -> None:
-    """Far below the loop's bandwidth F_h/V_p = B_a + B_p; what accelerates comes on top."""
+    """Far below the loop's bandwidth F_h/V_p = B_a + B_p; what accelerates comes on top.
+
+    The held command makes the flange's speed jump at each tick, by at most ω_b h of it, and B_s feels that jump.
+    """
     slow = Requirements(free_space_admittance=AdmittanceTarget(min_m_s_per_n=1e-4, band_hz=(0.01, 0.02)))
     problem = replace(sample_problem(), requirements=slow)
     for law, evaluation in sample_evaluations(problem):
         steady = law.damping_n_s_per_m + problem.drag_n_s_per_m
-        assert HandForce()(law, problem, evaluation) == pytest.approx(steady, rel=1e-4)
+        assert HandForce()(law, problem, evaluation) == pytest.approx(steady, abs=150.0 * 20.0 * problem.sample_time_s)
         assert HandForce()(law, sample_problem(), evaluation) > steady
 
 

@@ -18,7 +18,7 @@ from autotune.studies.objectives import HandForce, PeakForce
 from autotune.studies.plugins import Limit
 from autotune.studies.points import Judge
 from autotune.studies.structures import STRUCTURES, build_controller, check_choices
-from autotune.studies.study import Storage, StudyPlan, _quiet, close_storage, open_storage, run_study
+from autotune.studies.study import Sampler, Storage, StudyPlan, _quiet, close_storage, open_storage, run_study
 from tests.autotune.studies.small import START, small_plan, small_problem, start_worker
 
 FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
@@ -57,7 +57,7 @@ def kill(worker: "subprocess.Popen[str]") -> None:
 
 
 @pytest.mark.parametrize("sampler", ["tpe", "nsga2"])
-def test_the_same_seed_makes_the_same_trials_and_a_pause_changes_none(tmp_path: Path, sampler: str) -> None:
+def test_the_same_seed_makes_the_same_trials_and_a_pause_changes_none(tmp_path: Path, sampler: Sampler) -> None:
     plan = replace(small_plan(24), sampler=sampler)
     storages = [open_storage(None, tmp_path / f"{i}.db") for i in range(3)]
     for trials in (9, 24):
