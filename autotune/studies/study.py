@@ -20,6 +20,7 @@ from optuna.samplers import BaseSampler, NSGAIISampler, TPESampler
 from optuna.storages import BaseStorage, JournalStorage, RDBStorage, RetryHeartbeatStaleTrialCallback
 from optuna.storages.journal import JournalFileBackend, JournalRedisBackend
 from optuna.trial import FrozenTrial, Trial, TrialState
+from sqlalchemy import event
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
@@ -104,18 +105,33 @@ def _opened(address: URL, heartbeat_s: int) -> BaseStorage:
     for opening in itertools.count(1):
         try:
             with _quiet():
-                return RDBStorage(
+                storage = RDBStorage(
                     text,
                     engine_kwargs={"connect_args": {"timeout": _SQLITE_PATIENCE_S}} if kind == "sqlite" else None,
                     heartbeat_interval=heartbeat_s,
                     grace_period=_GRACE_BEATS * heartbeat_s,
                     heartbeat_stale_trial_callback=RetryHeartbeatStaleTrialCallback(max_retry=_RETRIES),
                 )
+            if kind == "sqlite":
+                event.listen(storage.engine, "connect", _write_ahead)
+                storage.engine.dispose()  # what is open already was opened without
+            return storage
         except (DBAPIError, optuna.exceptions.StorageInternalError):
             if opening == _OPENINGS:
                 raise
             time.sleep(_OPENING_PAUSE_S)
     raise AssertionError("unreachable")
+
+
+def _write_ahead(connection: Any, _record: object) -> None:
+    """Let SQLite write ahead: a trial is 25 commits, each of which would otherwise wait for the disk.
+
+    A killed process loses nothing and a power failure at most the last trials, not the file.
+    """
+    cursor = connection.cursor()
+    cursor.execute("PRAGMA journal_mode=WAL")
+    cursor.execute("PRAGMA synchronous=NORMAL")
+    cursor.close()
 
 
 @contextmanager
