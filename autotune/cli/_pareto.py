@@ -67,13 +67,13 @@ def pareto_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _request(points: int | None, told: Mapping[str, Any], seed: int) -> "FrontRequest | None":
-    from autotune.studies.trace import FrontRequest
-
     given = {name: value for name, value in told.items() if value is not None}
     if points is None:
         if given:
             raise click.UsageError(f"--{next(iter(given))} is about a front, and --pareto is not there.")
         return None
+    from autotune.studies.trace import FrontRequest
+
     if "require" in given:
         given["demands"] = given.pop("require")
     if "choose" in given:

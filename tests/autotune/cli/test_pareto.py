@@ -19,11 +19,12 @@ def prepare(folder: Path) -> None:
     (folder / "problem.yaml").write_text(FAST_PROBLEM_YAML, encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_front_is_printed_and_written_beside_the_same_controller(run_cli: RunCli, tmp_path: Path) -> None:
     prepare(tmp_path)
     assert run_cli(*BASE, "--quiet").returncode == 0
     alone = (tmp_path / "controller.yaml").read_bytes()
-    done = run_cli(*BASE, "--pareto", "3")
+    done = run_cli(*BASE, "--pareto", "2")
     assert (done.returncode, done.stderr) == (0, "")
     lines = done.stdout.splitlines()
     head = next(i for i, line in enumerate(lines) if line.startswith("axis x: front of peak_force and admittance"))
@@ -33,20 +34,21 @@ def test_the_front_is_printed_and_written_beside_the_same_controller(run_cli: Ru
     assert (tmp_path / "controller.yaml").read_bytes() == alone
     first = (tmp_path / "pareto.yaml").read_bytes()
     tree = load_yaml(tmp_path / "pareto.yaml")
-    assert len(tree["axes"]["x"]["points"]) == 3
+    assert len(tree["axes"]["x"]["points"]) == 2
     assert tree["axes"]["x"]["study"] is None
     assert tree["axes"]["x"]["points"][0]["damping"] == load_yaml(tmp_path / "controller.yaml")["axes"]["x"]["damping"]
-    again = run_cli(*BASE, "--pareto", "3", "--json")
+    again = run_cli(*BASE, "--pareto", "2", "--json")
     assert json.loads(again.stdout)["pareto"] == tree
     assert (tmp_path / "pareto.yaml").read_bytes() == first
 
 
+@pytest.mark.slow
 def test_a_study_makes_the_same_file_anew_and_from_what_is_stored(run_cli: RunCli, tmp_path: Path) -> None:
     prepare(tmp_path)
-    wish = ("--pareto", "--objectives", "peak_force,hand_force", "--choose", "discretization", "--trials", "15")
+    wish = ("--pareto", "--objectives", "peak_force,hand_force", "--choose", "discretization", "--trials", "8")
     done = run_cli(*BASE, *wish)
     assert (done.returncode, done.stderr) == (0, "")
-    assert "of 15 trials feasible" in done.stdout
+    assert "of 8 trials feasible" in done.stdout
     written = (tmp_path / "pareto.yaml").read_bytes()
     assert run_cli(*BASE, *wish, "--quiet").returncode == 0  # nothing is left to try
     assert (tmp_path / "pareto.yaml").read_bytes() == written
