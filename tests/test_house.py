@@ -97,10 +97,16 @@ def test_no_path_of_one_machine_is_in_the_project(repository: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("library", "only"), [("casadi", {"problems/symbolic.py"}), ("control", {"problems/exchange.py"})]
+    ("library", "only"),
+    [
+        ("casadi", {"problems/symbolic.py"}),
+        ("control", {"problems/exchange.py"}),
+        ("optuna", {"autotune/studies/study.py"}),
+        ("sqlalchemy", {"autotune/studies/study.py"}),
+    ],
 )
 def test_a_heavy_library_has_one_door(repository: Path, library: str, only: set[str]) -> None:
-    """Both take a second to import, which no command should pay that does not need them."""
+    """Each takes up to a second to import, which no command should pay that does not need them."""
     found = set()
     for path in _modules(repository, PACKAGES):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

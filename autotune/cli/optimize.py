@@ -8,11 +8,13 @@ import click
 
 from ._common import Output, output_options
 from ._compare import compare_lines, compare_tree
+from ._pareto import FrontWriter, pareto_options
 from ._table import table_lines
 
 if TYPE_CHECKING:
     from autotune.files.controller import ControllerFile, ScenarioPrediction
     from autotune.files.units import AxisUnits
+    from autotune.studies.trace import FrontRequest
     from autotune.tuning.optimize import Optimized
 
 _EPILOG = """\b
@@ -21,6 +23,7 @@ Examples:
   autotune optimize identified.yaml --payload-mass 10,22 --environment-stiffness 2e4:5e5
   autotune optimize identified.yaml --problem problem.yaml --json
   autotune optimize identified.yaml --compare old.yaml
+  autotune optimize identified.yaml --pareto 9
 """
 
 
@@ -80,6 +83,7 @@ def _ordered(low: float, high: float, what: str) -> tuple[float, float]:
     help="Put this controller beside the new one on the same problem; the search starts from it too.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same file.")
+@pareto_options
 @output_options
 def command(
     output: Output,
@@ -90,13 +94,14 @@ def command(
     environment_stiffness: tuple[float, float] | None,
     old: Path | None,
     seed: int,
+    pareto: "FrontRequest | None",
 ) -> None:
     """Search the controller with the gentlest contact that stays stable and moves freely, and validate it.
 
     Every identified axis is tuned, rotational ones in rad, N·m and kg·m². Peak force, stability and margins are those
     of the exact sampled loop, over the whole range of payload mass and environment stiffness. Exit code 5: no
     controller meets the requirements. 6: a claim could not be verified, or the file to compare with is altered. Nothing
-    is written then.
+    is written then. The controller is the same with and without --pareto.
     """
     from autotune.files.atomic import check_target
     from autotune.files.canonical import short
@@ -112,9 +117,12 @@ def command(
     existing = None if old is None else read_controller(old)
     spec = ProblemSpec() if problem is None else read_problem(problem)
     wishes = Wishes(payload_mass_kg=payload_mass, environment_stiffness_n_per_m=environment_stiffness)
+    fronts = FrontWriter(pareto, out)
     with output.progress("searching", 1.0) as advance:
         found = optimize(plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, progress=advance)
+    fronts.trace(output, found)
     checksum = write_controller(out, found.controller)
+    fronts.write(found)
     if found.controller.payload.mass_kg != plant.result.payload.mass_kg.value:
         output.note(
             f"The runtime will compensate {found.controller.payload.mass_kg:g} kg with the centre of mass of the "
@@ -129,7 +137,14 @@ def command(
     tree = {**controller_tree(found.controller), "active": active_tree(found)}
     if existing is not None:
         tree["compare"] = compare_tree(existing, found.compared)
-    output.result(tree, lambda: print_optimized(found, out, short(checksum), existing))
+    if fronts.tree:
+        tree["pareto"] = fronts.tree
+
+    def text() -> None:
+        print_optimized(found, out, short(checksum), existing)
+        fronts.print()
+
+    output.result(tree, text)
 
 
 def active_tree(found: "Optimized") -> dict[str, Any]:

@@ -1,0 +1,161 @@
+"""The options of `autotune optimize` that ask for a front, and what is printed of it."""
+
+import functools
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ._common import Output
+from ._table import table_lines
+
+if TYPE_CHECKING:
+    from autotune.studies.points import Front, Judgement
+    from autotune.studies.trace import FrontRequest
+    from autotune.tuning.optimize import Optimized
+
+_OPTIONS = ("objectives", "require", "choose", "storage", "study", "trials", "sampler")
+
+
+def _names(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[str, ...] | None:
+    return None if text is None else tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+_DECLARED = (
+    click.option(
+        "--pareto",
+        is_flag=False,
+        flag_value=7,
+        default=None,
+        type=click.IntRange(min=2, max=1000),
+        metavar="[POINTS]",
+        help="Write pareto.yaml beside the output as well: a front of peak force against admittance, 7 points.",
+    ),
+    click.option("--objectives", callback=_names, metavar="A,B", help="Objectives of the front; makes it a study."),
+    click.option(
+        "--require",
+        callback=_names,
+        metavar="A,B=LIMIT",
+        help="Requirements, or objectives with a limit, of the study.",
+    ),
+    click.option(
+        "--choose",
+        callback=_names,
+        metavar="A,B",
+        help="Leave discretization, compensation, lead or feedback to the study.",
+    ),
+    click.option("--storage", metavar="URL", help="The study's storage; pareto.db beside the output by default."),
+    click.option("--study", metavar="NAME", help="Begin or continue the study of this name."),
+    click.option("--trials", type=click.IntRange(min=1), metavar="N", help="Finished trials in all; 200 by default."),
+    click.option("--sampler", type=click.Choice(["tpe", "nsga2"]), help="How the study draws; tpe by default."),
+)
+
+
+def pareto_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of a front to a command that takes `seed`, and hand it `pareto`: a request, or None."""
+
+    @functools.wraps(function)
+    def command(*args: Any, **kwargs: Any) -> Any:
+        told = {name: kwargs.pop(name) for name in _OPTIONS}
+        points = kwargs.pop("pareto")
+        return function(*args, pareto=_request(points, told, kwargs["seed"]), **kwargs)
+
+    for option in reversed(_DECLARED):
+        command = option(command)
+    return command
+
+
+def _request(points: int | None, told: Mapping[str, Any], seed: int) -> "FrontRequest | None":
+    given = {name: value for name, value in told.items() if value is not None}
+    if points is None:
+        if given:
+            raise click.UsageError(f"--{next(iter(given))} is about a front, and --pareto is not there.")
+        return None
+    from autotune.studies.trace import FrontRequest
+
+    if "require" in given:
+        given["demands"] = given.pop("require")
+    if "choose" in given:
+        given["choices"] = given.pop("choose")
+    return FrontRequest(points=points, seed=seed, **given)
+
+
+class FrontWriter:
+    """Carries a front through the command: prepared before the search, traced after it, then written and printed.
+
+    Does nothing without a request; `tree` is empty until something was written.
+    """
+
+    def __init__(self, request: "FrontRequest | None", out: Path) -> None:
+        self.path, self.tree = out.with_name("pareto.yaml"), dict[str, Any]()
+        self._fronts: Mapping[str, Front] = {}
+        self._prepared = None
+        if request is not None:
+            from autotune.studies.trace import prepare_fronts
+
+            if out == self.path:
+                raise click.UsageError(f"{out} is where the front goes; write the controller elsewhere with -o.")
+            self._prepared = prepare_fronts(request, out.with_name("pareto.db"))
+
+    def trace(self, output: Output, found: "Optimized") -> None:
+        """Trace the front of every axis."""
+        if self._prepared is not None:
+            from autotune.studies.trace import trace_fronts
+
+            with output.progress("tracing the front", 1.0) as advance:
+                self._fronts = trace_fronts(self._prepared, found.searches, advance)
+
+    def write(self, found: "Optimized") -> None:
+        """Write `pareto.yaml`."""
+        if self._prepared is not None:
+            from autotune.files.pareto import pareto_tree, write_pareto
+
+            provenance = {**found.controller.provenance, "front": self._prepared.request.options()}
+            self.tree = pareto_tree(self._fronts, provenance)
+            write_pareto(self.path, self.tree)
+
+    def print(self) -> None:
+        """Print the fronts as tables."""
+        if self._fronts:
+            for line in front_lines(self._fronts, self.path):
+                click.echo(line)
+
+
+def front_lines(fronts: Mapping[str, "Front"], path: Path) -> Iterator[str]:
+    """Yield the fronts as tables, a line per controller, and where they were written."""
+    from autotune.files.pareto import objective_unit
+    from autotune.files.units import axis_units
+
+    for axis, front in fronts.items():
+        units = axis_units(axis)
+        told = " and ".join(each.name for each in front.objectives)
+        study = front.study
+        by = "" if study is None else f"; study {study.name}: {study.feasible} of {study.trials} trials feasible"
+        yield f"axis {axis}: front of {told}, every point in {front.scenario_count} scenarios{by}"
+        heads = [f"{each.name} [{objective_unit(axis, each)}]" for each in front.objectives]
+        gains = [
+            f"M_a [{units.mass}]",
+            f"B_a [{units.damping}]",
+            "K_l [s]",
+            "B_fb [s]",
+            "form",
+            f"P̂ [{units.mass}]",
+            "",
+        ]
+        rows = [
+            (*_cells(front, point), "<- the controller written" if index == front.chosen else "")
+            for index, point in enumerate(front.points)
+        ]
+        yield from table_lines([(*heads, *gains), *rows], left=(len(heads) + 4, len(heads) + 6), indent="  ")
+    yield f"written: {path}"
+
+
+def _cells(front: "Front", point: "Judgement") -> Iterator[str]:
+    law = point.controller
+    for objective in front.objectives:
+        yield f"{point.values[objective.name]:.4g}"
+    for gain in (law.mass_kg, law.damping_n_s_per_m, law.lead_s, law.feedback_damping_s):
+        yield f"{gain:.6g}"
+    yield law.discretization
+    yield f"{law.compensation_mass_kg:g}"

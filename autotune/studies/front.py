@@ -1,0 +1,144 @@
+"""The front of peak force against free-space admittance by the solver itself: one search per admittance target."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import differential_evolution, minimize
+
+from autotune.errors import InfeasibleError
+from autotune.tuning.search import Box, SearchResult, presentable, solve_design
+from problems.design import VARIABLES, AdmittanceTarget, DesignProblem
+from problems.evaluation import Evaluation, PreparedScenarios, build_scenarios
+
+from .objectives import Admittance, PeakForce
+from .points import Front, Judge, index_of, undominated
+
+FloatArray = NDArray[np.float64]
+
+# The largest admittance is the end of a sweep, not a promise: a hundredth of a percent off changes no picture.
+_POPULATION, _GENERATIONS = 8, 25
+_UNSTABLE, _MISSED = 1e6, 1e3
+_FIRST_RESERVE, _RESERVES = 1e-4, 6
+_END_SHARE = 0.03
+
+
+def trace_front(
+    first: SearchResult, count: int, *, seed: int = 0, progress: Callable[[float], None] | None = None
+) -> Front:
+    """Sweep the admittance target from what `first` achieves to the largest feasible one, in `count` points.
+
+    At each target the peak force is minimised by `solve_design`, started from the neighbour with more admittance
+    (which meets this target too, so that the peak never falls from there on). Every point is judged over the dense
+    grid, none is infeasible, and those that another one beats are left out. Deterministic for a seed. `progress` is
+    told the share of the work done since the last call.
+    """
+    report = progress if progress is not None else _silent
+    problem = first.problem
+    judge = Judge(problem, (PeakForce(), Admittance()))
+    own = judge.judge(problem.controller(first.design))
+    end, design = _most_admittance(problem, first.design, judge, seed)
+    report(_END_SHARE)
+    found = [own]
+    if end > own.values["admittance"] and count > 1:
+        found.append(judge.judge(problem.controller(design)))
+        share = (1.0 - _END_SHARE) / (count - 1)
+        for target in np.geomspace(own.values["admittance"], end, count)[:0:-1]:
+            asked = _with_target(problem, float(target))
+            # A feasible set as thin as this may be missed; the neighbour stands there all the same.
+            with suppress(InfeasibleError):
+                design = solve_design(asked, seed=seed, start=design, progress=lambda done: report(share * done)).design
+                found.append(judge.judge(problem.controller(design)))
+    points = undominated(found, judge.objectives)
+    return Front(
+        problem=problem,
+        objectives=judge.objectives,
+        points=points,
+        scenario_count=judge.scenario_count,
+        chosen=index_of(own.controller, points),
+    )
+
+
+def _with_target(problem: DesignProblem, least: float) -> DesignProblem:
+    """Return the problem with at least this admittance [m/s/N] over the band that it looks at."""
+    band = (problem.requirements.free_space_admittance or AdmittanceTarget()).band_hz
+    target = AdmittanceTarget(min_m_s_per_n=least, band_hz=band)
+    return replace(problem, requirements=replace(problem.requirements, free_space_admittance=target))
+
+
+def _most_admittance(problem: DesignProblem, start: FloatArray, judge: Judge, seed: int) -> tuple[float, FloatArray]:
+    """Return the largest admittance [m/s/N] that meets every requirement on the dense grid, and its design.
+
+    Requirements are first held with a reserve on a few scenarios; where the dense grid misses all the same, the
+    reserve grows. `start` stands where nothing better holds.
+    """
+    own = judge.judge(problem.controller(start)).values["admittance"]
+    asked = _with_target(problem, own)
+    prepared, box = build_scenarios(asked, asked.scenarios(3, 2)), Box(problem)
+    unit = _explored(prepared, box, box.unit(start), seed)
+    reserve = _FIRST_RESERVE
+    for _ in range(_RESERVES):
+        design = presentable(problem, box.design(_polished(prepared, box, unit, reserve)))
+        seen = prepared.evaluate(design)
+        if seen.is_stable:
+            judged = judge.judge(problem.controller(design))
+            if judged.is_feasible and judged.values["admittance"] > own:
+                return judged.values["admittance"], design
+        reserve *= 4.0
+    return own, start
+
+
+def _explored(prepared: PreparedScenarios, box: Box, start: FloatArray, seed: int) -> FloatArray:
+    def cost(unit: FloatArray) -> float:
+        seen = prepared.evaluate(box.design(unit))
+        if not seen.is_stable:
+            return _UNSTABLE * seen.spectral_radius
+        missed = max(0.0, *(value - 1.0 for value in _others(seen).values()), 0.0)
+        return min(_MISSED * (1.0 + missed), 0.9 * _UNSTABLE) if missed > 0.0 else _price(seen)
+
+    found = differential_evolution(
+        cost,
+        [(0.0, 1.0)] * len(VARIABLES),
+        popsize=_POPULATION,
+        maxiter=_GENERATIONS,
+        init="sobol",
+        x0=start,
+        rng=np.random.default_rng(seed),
+        polish=False,
+    )
+    return np.asarray(found.x)
+
+
+def _polished(prepared: PreparedScenarios, box: Box, start: FloatArray, reserve: float) -> FloatArray:
+    count = len(_others(prepared.evaluate(box.design(start), peaks_if_missed=True)))
+
+    def both(unit: FloatArray) -> tuple[float, FloatArray]:
+        seen = prepared.evaluate(box.design(unit), peaks_if_missed=True)
+        if not seen.is_stable:
+            return 10.0, np.full(count, -1.0)
+        return _price(seen), 1.0 - reserve - np.array(list(_others(seen).values()))
+
+    found = minimize(
+        lambda unit: both(unit)[0],
+        start,
+        method="SLSQP",
+        bounds=[(0.0, 1.0)] * len(start),
+        constraints=[{"type": "ineq", "fun": lambda unit: both(unit)[1]}] if count else [],
+        options={"maxiter": 60, "ftol": 1e-9, "eps": 1e-6},
+    )
+    return np.asarray(np.clip(found.x, 0.0, 1.0))
+
+
+def _price(seen: Evaluation) -> float:
+    """Return target/achieved of the admittance: small where there is much."""
+    return seen.requirements["free_space_admittance"]
+
+
+def _others(seen: Evaluation) -> dict[str, float]:
+    return {name: value for name, value in seen.requirements.items() if name != "free_space_admittance"}
+
+
+def _silent(_: float) -> None:
+    return None

@@ -1,0 +1,153 @@
+"""Objectives and requirements as small classes found by entry points, the built-in ones like anyone's."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, ClassVar, Literal
+
+from autotune.errors import UsageError
+from problems.controller import AdmittanceController
+from problems.design import DesignProblem
+from problems.evaluation import Evaluation
+
+Direction = Literal["minimize", "maximize"]
+
+OBJECTIVES = "autotune.objectives"
+REQUIREMENTS = "autotune.requirements"
+
+
+class Objective(ABC):
+    """One number of a controller that should be small, or large.
+
+    A subclass says its `name` (that of its entry point), `unit` and `direction`; `rotational_unit` is the unit on rx,
+    ry, rz where it is another one. It is made without arguments, once per front.
+    """
+
+    name: ClassVar[str]
+    unit: ClassVar[str]
+    direction: ClassVar[Direction]
+    rotational_unit: ClassVar[str | None] = None
+
+    @abstractmethod
+    def __call__(self, controller: AdmittanceController, problem: DesignProblem, evaluation: Evaluation) -> float:
+        """Return the number, worst over the scenarios of `evaluation.peaks`; the loop is stable in all of them.
+
+        The same arguments must give the same number, to the last bit: trials of different processes are compared.
+        """
+
+
+class Requirement(ABC):
+    """One thing that a controller must meet, as required/achieved: ≤ 1 is met."""
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def __call__(self, controller: AdmittanceController, problem: DesignProblem, evaluation: Evaluation) -> float:
+        """Return required/achieved (0 or above), worst over the scenarios of `evaluation.peaks`, all of them stable."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """An objective held to a limit, in its unit: at most `value` where less is better, else at least."""
+
+    objective: Objective
+    value: float
+
+    @property
+    def name(self) -> str:
+        """The name under which the requirement is reported."""
+        return f"{self.objective.name}_limit"
+
+    def __call__(self, controller: AdmittanceController, problem: DesignProblem, evaluation: Evaluation) -> float:
+        """Return required/achieved, see `Requirement`."""
+        found = self.objective(controller, problem, evaluation)
+        share = (self.value, found) if self.objective.direction == "maximize" else (found, self.value)
+        return share[0] / share[1] if share[1] > 0.0 else math.inf
+
+
+Demand = Requirement | Limit
+
+
+def load_objectives(names: tuple[str, ...]) -> tuple[Objective, ...]:
+    """Return the objectives of these names, in this order; raises UsageError, see `load_objective`."""
+    if len(set(names)) != len(names):
+        raise UsageError(f"Each objective may be named once; found {', '.join(names)}.")
+    return tuple(load_objective(name) for name in names)
+
+
+def load_demands(told: tuple[str, ...]) -> tuple[Demand, ...]:
+    """Return the demands that `NAME` (a requirement) and `NAME=LIMIT` (an objective with its limit) stand for.
+
+    Raises UsageError for an unknown name, a limit that is no positive number, or the same name twice.
+    """
+    demands = tuple(_demand(text) for text in told)
+    names = [demand.name for demand in demands]
+    if len(set(names)) != len(names):
+        raise UsageError(f"Each requirement may be named once; found {', '.join(names)}.")
+    return demands
+
+
+def _demand(text: str) -> Demand:
+    name, equals, number = text.partition("=")
+    if not equals:
+        return load_requirement(name)
+    objective = load_objective(name)
+    try:
+        value = float(number)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise UsageError(f"The limit of {name} must be a finite number above 0, found {number!r}.")
+    return Limit(objective=objective, value=value)
+
+
+def load_objective(name: str) -> Objective:
+    """Import and make the objective of this name.
+
+    Raises UsageError when there is none or more than one of that name, when it cannot be imported or made, or is no
+    subclass of `Objective`.
+    """
+    found: Objective = _load(OBJECTIVES, name, Objective)
+    return found
+
+
+def load_requirement(name: str) -> Requirement:
+    """Import and make the requirement of this name; raises UsageError as `load_objective` does."""
+    found: Requirement = _load(REQUIREMENTS, name, Requirement)
+    return found
+
+
+def _load(group: str, name: str, kind: type) -> Any:
+    known = registered(group)
+    what = kind.__name__.lower()
+    if name not in known:
+        told = ", ".join(sorted(known)) or "none, so robot-autotune itself must be installed again"
+        raise UsageError(f"There is no {what} {name!r} installed; there are: {told}.")
+    entry = known[name]
+    try:
+        # Other people's code may raise anything.
+        found = entry.load()
+        plugin: Any = found() if isinstance(found, type) and issubclass(found, kind) else None
+    except Exception as error:
+        raise UsageError(f"The {what} {name} ({entry.value}) cannot be loaded: {error}.") from error
+    if plugin is None or plugin.name != name:
+        raise UsageError(
+            f"The {what} {name} ({entry.value}) must be a subclass of autotune.studies.plugins.{kind.__name__} whose "
+            f"name is {name!r}."
+        )
+    return plugin
+
+
+def registered(group: str) -> Mapping[str, EntryPoint]:
+    """Return what the installed packages register under `group`, by name; raises UsageError for a name given twice."""
+    found: dict[str, EntryPoint] = {}
+    for entry in sorted(entry_points(group=group), key=lambda each: (each.name, each.value)):
+        if entry.name in found and found[entry.name].value != entry.value:
+            raise UsageError(
+                f"Two installed packages register {entry.name} in {group}, {found[entry.name].value} and "
+                f"{entry.value}; uninstall one."
+            )
+        found[entry.name] = entry
+    return found

@@ -1,0 +1,153 @@
+"""Points of a front: one controller, judged exactly over the dense grid of the uncertainty."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from autotune.errors import AutotuneError, UsageError
+from autotune.tuning.search import DENSE_MASS, DENSE_STIFFNESS
+from problems.controller import AdmittanceController
+from problems.design import DesignProblem
+from problems.errors import ParameterError
+from problems.evaluation import Evaluation, build_scenarios
+
+from .plugins import Demand, Objective
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judgement:
+    """A stable controller against its problem: `values` of the objectives, `requirements` as required/achieved."""
+
+    controller: AdmittanceController
+    values: Mapping[str, float]
+    requirements: Mapping[str, float]
+
+    @property
+    def is_feasible(self) -> bool:
+        """Whether every requirement is met."""
+        return all(value <= 1.0 for value in self.requirements.values())
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyRecord:
+    """What an Optuna study behind a front did: its name, sampler, finished trials, and how many were feasible."""
+
+    name: str
+    sampler: str
+    trials: int
+    feasible: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Front:
+    """The points of one axis that no other one beats, from the gentlest in the first objective on.
+
+    `chosen` is the index of the controller that `optimize` chose, None where another point beats it or it misses a
+    demand of the study.
+    """
+
+    problem: DesignProblem
+    objectives: tuple[Objective, ...]
+    points: tuple[Judgement, ...]
+    scenario_count: int
+    chosen: int | None
+    study: StudyRecord | None = None
+
+
+class Judge:
+    """Judges controllers of one problem over its dense grid, with the exact margins of every plant."""
+
+    def __init__(
+        self, problem: DesignProblem, objectives: tuple[Objective, ...], demands: tuple[Demand, ...] = ()
+    ) -> None:
+        self.problem, self.objectives, self.demands = problem, objectives, demands
+        self._prepared = build_scenarios(problem, problem.scenarios(DENSE_STIFFNESS, DENSE_MASS))
+
+    @property
+    def scenario_count(self) -> int:
+        """How many scenarios a controller is judged in."""
+        return len(self._prepared.scenarios)
+
+    def judge(self, controller: AdmittanceController) -> Judgement:
+        """Judge one controller; raises UnstableLoopError where no number of it means anything."""
+        evaluation = self._prepared.evaluate_exactly(controller).evaluation
+        values = {each.name: _finite(each.name, self._ask(each, evaluation)) for each in self.objectives}
+        asked = {each.name: _required(each.name, self._ask(each, evaluation)) for each in self.demands}
+        return Judgement(
+            controller=controller,
+            values=MappingProxyType(values),
+            requirements=MappingProxyType({**evaluation.requirements, **asked}),
+        )
+
+    def _ask(self, plugin: Objective | Demand, evaluation: Evaluation) -> float:
+        # Other people's code may raise anything.
+        try:
+            return plugin(evaluation.controller, self.problem, evaluation)
+        except AutotuneError:
+            raise
+        except Exception as error:
+            raise UsageError(f"{plugin.name} failed on {evaluation.controller}: {error!r}.") from error
+
+
+def undominated(points: Sequence[Judgement], objectives: tuple[Objective, ...]) -> tuple[Judgement, ...]:
+    """Return the feasible points that no other one beats, sorted by the objectives; of equal ones the first.
+
+    One beats another that is no better in any objective and worse in at least one.
+    """
+    feasible = [point for point in points if point.is_feasible]
+    costs = [_costs(point, objectives) for point in feasible]
+    kept: dict[tuple[float, ...], Judgement] = {}
+    for point, cost in zip(feasible, costs, strict=True):
+        if cost not in kept and not any(_beats(other, cost) for other in costs):
+            kept[cost] = point
+    return tuple(kept[cost] for cost in sorted(kept))
+
+
+def _costs(point: Judgement, objectives: tuple[Objective, ...]) -> tuple[float, ...]:
+    """Return the objectives as numbers that should all be small."""
+    return tuple(point.values[o.name] * (1.0 if o.direction == "minimize" else -1.0) for o in objectives)
+
+
+def _beats(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
+    return one != other and all(a <= b for a, b in zip(one, other, strict=True))
+
+
+def index_of(controller: AdmittanceController, points: Sequence[Judgement]) -> int | None:
+    """Return where a controller stands among the points."""
+    return next((i for i, point in enumerate(points) if point.controller == controller), None)
+
+
+def _finite(name: str, value: float) -> float:
+    if not math.isfinite(value):
+        raise ParameterError(f"objective {name}", value, "a finite number for a stable loop")
+    return float(value)
+
+
+def _required(name: str, value: float) -> float:
+    if not value >= 0.0:
+        raise ParameterError(f"requirement {name}", value, "required/achieved, 0 or above")
+    return float(value)
+
+
+def thinned(
+    points: tuple[Judgement, ...], objectives: tuple[Objective, ...], count: int | None, keep: int | None
+) -> tuple[Judgement, ...]:
+    """Return at most `count` of the points: the best in each objective, the one to `keep`, then the most distant ones.
+
+    Distance is that of the objectives, each scaled to its range over the points. None returns all of them.
+    """
+    if count is None or len(points) <= count:
+        return points
+    costs = np.array([_costs(point, objectives) for point in points])
+    span = np.ptp(costs, axis=0)
+    scaled = (costs - costs.min(axis=0)) / np.where(span > 0.0, span, 1.0)
+    kept = list(dict.fromkeys([*([] if keep is None else [keep]), *(int(i) for i in np.argmin(scaled, axis=0))]))[
+        :count
+    ]
+    while len(kept) < count:
+        distance = np.min(np.linalg.norm(scaled[:, None] - scaled[kept][None], axis=2), axis=1)
+        kept.append(int(np.argmax(distance)))
+    return tuple(points[i] for i in sorted(kept))

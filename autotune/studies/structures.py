@@ -1,0 +1,57 @@
+"""Discrete choices of a controller beside its four numbers: how it is discretised, and which parts it has."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autotune.errors import UsageError
+from problems.controller import AdmittanceController, Discretization
+from problems.design import DesignProblem
+
+FloatArray = NDArray[np.float64]
+
+STRUCTURES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "discretization": ("tustin", "backward_euler", "forward_euler"),
+        "compensation": ("off", "filtered"),
+        "lead": ("on", "off"),
+        "feedback": ("on", "off"),
+    }
+)
+"""What may be left to a study, the form that `optimize` writes first: it is taken for everything that is not."""
+
+_FORMS: Mapping[str, Discretization] = {
+    "tustin": "tustin",
+    "backward_euler": "backward_euler",
+    "forward_euler": "forward_euler",
+}
+
+
+def check_choices(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names; raises UsageError for one that is not in `STRUCTURES` or stands twice."""
+    unknown = [name for name in names if name not in STRUCTURES]
+    if unknown:
+        raise UsageError(f"{unknown[0]!r} cannot be left to a study; there are: {', '.join(STRUCTURES)}.")
+    if len(set(names)) != len(names):
+        raise UsageError(f"Each choice may be named once; found {', '.join(names)}.")
+    return names
+
+
+def build_controller(problem: DesignProblem, design: FloatArray, chosen: Mapping[str, str]) -> AdmittanceController:
+    """Return the controller of a design (M_a, B_a, K_l, B_fb) in the chosen structure.
+
+    `chosen` maps names of `STRUCTURES` to one of their values. With the compensation, P̂ is the middle of the payload's
+    range; a part that is off has the gain 0, whatever the design says.
+    """
+    low, high = problem.payload_mass_kg
+    base = problem.controller(design)
+    return replace(
+        base,
+        discretization=_FORMS[chosen.get("discretization", "tustin")],
+        compensation_mass_kg=0.5 * (low + high) if chosen.get("compensation") == "filtered" else 0.0,
+        lead_s=0.0 if chosen.get("lead") == "off" else base.lead_s,
+        feedback_damping_s=0.0 if chosen.get("feedback") == "off" else base.feedback_damping_s,
+    )

@@ -1,0 +1,90 @@
+"""`autotune optimize --pareto` through the real entry point."""
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from autotune.files.yaml12 import load_yaml
+from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
+
+RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
+BASE = ("optimize", "identified.yaml", "--problem", "problem.yaml")
+
+
+def prepare(folder: Path) -> None:
+    write_plant(folder)
+    (folder / "problem.yaml").write_text(FAST_PROBLEM_YAML, encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_the_front_is_printed_and_written_beside_the_same_controller(run_cli: RunCli, tmp_path: Path) -> None:
+    prepare(tmp_path)
+    assert run_cli(*BASE, "--quiet").returncode == 0
+    alone = (tmp_path / "controller.yaml").read_bytes()
+    done = run_cli(*BASE, "--pareto", "2")
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    head = next(i for i, line in enumerate(lines) if line.startswith("axis x: front of peak_force and admittance"))
+    assert "peak_force [N]" in lines[head + 1]
+    assert lines[head + 2].endswith("<- the controller written")
+    assert lines[-1] == "written: pareto.yaml"
+    assert (tmp_path / "controller.yaml").read_bytes() == alone
+    first = (tmp_path / "pareto.yaml").read_bytes()
+    tree = load_yaml(tmp_path / "pareto.yaml")
+    assert len(tree["axes"]["x"]["points"]) == 2
+    assert tree["axes"]["x"]["study"] is None
+    assert tree["axes"]["x"]["points"][0]["damping"] == load_yaml(tmp_path / "controller.yaml")["axes"]["x"]["damping"]
+    again = run_cli(*BASE, "--pareto", "2", "--json")
+    assert json.loads(again.stdout)["pareto"] == tree
+    assert (tmp_path / "pareto.yaml").read_bytes() == first
+
+
+@pytest.mark.slow
+def test_a_study_makes_the_same_file_anew_and_from_what_is_stored(run_cli: RunCli, tmp_path: Path) -> None:
+    prepare(tmp_path)
+    wish = ("--pareto", "--objectives", "peak_force,hand_force", "--choose", "discretization", "--trials", "8")
+    done = run_cli(*BASE, *wish)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "of 8 trials feasible" in done.stdout
+    written = (tmp_path / "pareto.yaml").read_bytes()
+    assert run_cli(*BASE, *wish, "--quiet").returncode == 0  # nothing is left to try
+    assert (tmp_path / "pareto.yaml").read_bytes() == written
+    (tmp_path / "pareto.db").unlink()
+    assert run_cli(*BASE, *wish, "--quiet").returncode == 0
+    assert (tmp_path / "pareto.yaml").read_bytes() == written
+
+
+def test_what_no_trial_meets_is_exit_5_and_nothing_is_written(run_cli: RunCli, tmp_path: Path) -> None:
+    prepare(tmp_path)
+    done = run_cli(*BASE, "--pareto", "--require", "peak_force=31", "--trials", "4")
+    assert done.returncode == 5
+    assert "peak_force_limit (" in done.stderr
+    assert not (tmp_path / "controller.yaml").exists()
+    assert not (tmp_path / "pareto.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--objectives", "peak_force"), "--pareto is not there"),
+        (("--pareto", "1"), "1"),
+        (("--pareto", "--objectives", "speed"), "There is no objective 'speed' installed; there are: admittance"),
+        (("--pareto", "--objectives", ""), "A front needs an objective"),
+        (("--pareto", "--require", "calm"), "There is no requirement 'calm'"),
+        (("--pareto", "--choose", "wheels"), "cannot be left to a study"),
+        (("--pareto", "--storage", "x"), "is no URL"),
+        (("--pareto", "-o", "pareto.yaml"), "is where the front goes"),
+    ],
+)
+def test_a_wrong_request_is_exit_2_before_the_search(
+    run_cli: RunCli, tmp_path: Path, arguments: tuple[str, ...], told: str
+) -> None:
+    prepare(tmp_path)
+    done = run_cli(*BASE, *arguments, timeout_s=30.0)
+    assert done.returncode == 2, done.stderr
+    assert told in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "controller.yaml").exists()

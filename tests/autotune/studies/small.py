@@ -1,0 +1,59 @@
+"""A problem of two free numbers, quick to judge, with plans and a worker process of a study."""
+
+import os
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autotune.studies.objectives import Admittance, PeakForce
+from autotune.studies.study import StudyPlan, open_storage, run_study
+from autotune.tuning.search import SearchResult, solve_design
+from problems.design import DesignProblem
+from tests.autotune.tuning.cases import FAST_REQUIREMENTS, FAST_SPEC, design_problem
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def small_problem() -> DesignProblem:
+    return design_problem(
+        bounds=FAST_SPEC.bounds, requirements=FAST_REQUIREMENTS, mass=(16.0, 16.0), stiffness=(1e5, 1.2e5)
+    )
+
+
+@cache
+def small_search() -> SearchResult:
+    return solve_design(small_problem(), seed=1)
+
+
+START: NDArray[np.float64] = np.array([6.0, 1290.0, 0.02, 0.005])
+"""A design of the small problem that meets every requirement."""
+
+
+def small_plan(trials: int, seed: int = 3, choices: tuple[str, ...] = ()) -> StudyPlan:
+    return StudyPlan(objectives=(PeakForce(), Admittance()), trials=trials, seed=seed, choices=choices)
+
+
+def start_worker(url: str, trials: int, heartbeat_s: int = 1) -> "subprocess.Popen[str]":
+    """Run the study `shared` in a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "tests.autotune.studies.small", url, str(trials), str(heartbeat_s)],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def main(url: str, trials: str, heartbeat_s: str) -> None:
+    storage = open_storage(url, Path("unused.db"), heartbeat_s=int(heartbeat_s))
+    front = run_study(small_problem(), small_plan(int(trials)), storage, start=START, name="shared")
+    print(len(front.points))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,228 @@
+"""Objectives and requirements: found by entry points, held to a contract, and right where theory tells the number."""
+
+import os
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable
+from dataclasses import replace
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from autotune.errors import UsageError
+from autotune.studies import plugins
+from autotune.studies.contract import (
+    ContractError,
+    check_objective,
+    check_requirement,
+    sample_evaluations,
+    sample_problem,
+)
+from autotune.studies.objectives import Admittance, CommandNoise, HandForce, PassiveBand, PeakForce, free_plants
+from autotune.studies.plugins import OBJECTIVES, REQUIREMENTS, Objective, load_demands, load_objectives, registered
+from problems.design import AdmittanceTarget, Requirements
+from problems.noise import predict_command_noise
+from problems.passivity import check_passivity
+from tests.autotune.studies.small import ROOT
+from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
+
+BUILT_IN: dict[str, set[type[Any]]] = {
+    OBJECTIVES: {PeakForce, Admittance, HandForce, CommandNoise},
+    REQUIREMENTS: {PassiveBand},
+}
+
+
+def test_the_built_in_ones_are_registered_as_anyones_are(repository: Path) -> None:
+    project = tomllib.loads((repository / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    for group, kinds in BUILT_IN.items():
+        told = {kind.name: f"{kind.__module__}:{kind.__qualname__}" for kind in kinds}
+        assert project["entry-points"][group] == told
+        assert told.items() <= {name: entry.value for name, entry in registered(group).items()}.items()
+
+
+@pytest.mark.parametrize("kind", [PeakForce, Admittance, HandForce, CommandNoise])
+def test_the_built_in_objectives_keep_the_contract(kind: type[Any]) -> None:
+    check_objective(kind)
+
+
+def test_the_built_in_requirement_keeps_the_contract() -> None:
+    check_requirement(PassiveBand)
+
+
+# --- the numbers --------------------------------------------------------------------------------------------------
+
+
+def test_a_slow_hand_feels_the_dampings_and_a_fast_one_more() -> None:
+    """Far below the loop's bandwidth F_h/V_p = B_a + B_p; what accelerates comes on top.
+
+    The held command makes the flange's speed jump at each tick, by at most ω_b h of it, and B_s feels that jump.
+    """
+    slow = Requirements(free_space_admittance=AdmittanceTarget(min_m_s_per_n=1e-4, band_hz=(0.01, 0.02)))
+    problem = replace(sample_problem(), requirements=slow)
+    for law, evaluation in sample_evaluations(problem):
+        steady = law.damping_n_s_per_m + problem.drag_n_s_per_m
+        assert HandForce()(law, problem, evaluation) == pytest.approx(steady, abs=150.0 * 20.0 * problem.sample_time_s)
+        assert HandForce()(law, sample_problem(), evaluation) > steady
+
+
+def test_admittance_is_what_the_requirement_is_measured_by() -> None:
+    problem = sample_problem()
+    target = problem.requirements.free_space_admittance
+    assert target is not None
+    for law, evaluation in sample_evaluations(problem):
+        achieved = target.min_m_s_per_n / evaluation.requirements["free_space_admittance"]
+        assert Admittance()(law, problem, evaluation) == pytest.approx(achieved, rel=1e-12)
+        assert PeakForce()(law, problem, evaluation) == max(p.peak_contact_force_n for p in evaluation.peaks)
+
+
+def test_noise_is_the_worst_of_contact_and_free_space() -> None:
+    problem = sample_problem()
+    for law, evaluation in sample_evaluations(problem):
+        free = [predict_command_noise(p, law, 1.0).speed_rms_m_s for p in free_plants(problem, evaluation)]
+        assert CommandNoise()(law, problem, evaluation) >= max(free)
+        # Tustin's first answer of the speed to a force is about K_l/(2 M_a); the later ones add to it.
+        assert CommandNoise()(law, problem, evaluation) > 0.95 * law.lead_s / (2.0 * law.mass_kg)
+
+
+def test_a_port_that_stays_passive_beyond_the_band_has_room() -> None:
+    problem = sample_problem()
+    for law, evaluation in sample_evaluations(problem):
+        fails = check_passivity(free_plants(problem, evaluation)[0], law).fails_above_hz
+        assert fails is not None
+        assert PassiveBand()(law, problem, evaluation) == pytest.approx(2.0 / fails)
+
+
+def test_a_limit_is_required_over_achieved_in_either_direction() -> None:
+    problem = sample_problem()
+    law, evaluation = sample_evaluations(problem)[0]
+    most, least = load_demands(("peak_force=100", "admittance=1e-4"))
+    assert most(law, problem, evaluation) == evaluation.objective_n / 100.0
+    assert least(law, problem, evaluation) == 1e-4 / Admittance()(law, problem, evaluation)
+    assert (most.name, least.name) == ("peak_force_limit", "admittance_limit")
+
+
+# --- what is refused ----------------------------------------------------------------------------------------------
+
+
+class Nameless(PeakForce):
+    name: ClassVar[str] = "another"
+
+
+class Drifting(PeakForce):
+    """Counts its calls, which no objective may."""
+
+    name: ClassVar[str] = "drifting"
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def __call__(self, *arguments: Any) -> float:
+        self.calls += 1
+        return super().__call__(*arguments) + self.calls
+
+
+class Endless(PeakForce):
+    name: ClassVar[str] = "endless"
+
+    def __call__(self, *_: Any) -> float:
+        return float("inf")
+
+
+class Undirected(PeakForce):
+    name: ClassVar[str] = "undirected"
+    direction: ClassVar[Any] = "up"
+
+
+class Abstract(Objective):
+    name: ClassVar[str] = "abstract"
+
+
+def entries(*pairs: tuple[str, str]) -> Callable[..., tuple[EntryPoint, ...]]:
+    return lambda group: tuple(EntryPoint(name=name, value=value, group=group) for name, value in pairs)
+
+
+HERE = "tests.autotune.studies.test_plugins"
+
+
+@pytest.mark.parametrize("kind", [Drifting, Endless, Undirected])
+def test_the_contract_refuses(kind: type[PeakForce], monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ContractError, match="must be the entry point"):
+        check_objective(kind)
+    monkeypatch.setattr(plugins, "entry_points", entries((kind.name, f"{kind.__module__}:{kind.__qualname__}")))
+    monkeypatch.setitem(sys.modules, kind.__module__, sys.modules[__name__])
+    with pytest.raises(ContractError) as refused:
+        check_objective(kind)
+    assert "must be the entry point" not in str(refused.value)
+    assert kind.__qualname__ in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("pairs", "told"),
+    [
+        ((("mine", "no_such_module:Mine"),), "cannot be loaded: No module named"),
+        ((("mine", "autotune.studies.objectives:PeakForce"),), "whose name is 'mine'"),
+        ((("mine", "autotune.studies.objectives:PassiveBand"),), "must be a subclass of"),
+        ((("mine", "math:pi"),), "must be a subclass of"),
+        ((("mine", "a:A"), ("mine", "b:B")), "Two installed packages register mine"),
+        ((), "there are: none"),
+    ],
+)
+def test_a_plugin_that_cannot_be_used_is_refused(
+    pairs: tuple[tuple[str, str], ...], told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plugins, "entry_points", entries(*pairs))
+    with pytest.raises(UsageError, match=told):
+        load_objectives(("mine",))
+
+
+@pytest.mark.parametrize("told", [("nothing",), ("peak_force=0",), ("peak_force=x",), ("passive_band", "passive_band")])
+def test_a_demand_that_says_nothing_is_refused(told: tuple[str, ...]) -> None:
+    with pytest.raises(UsageError):
+        load_demands(told)
+
+
+# --- one of one's own ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_example_package_is_installed_keeps_the_contract_and_joins_a_study(tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    source = ROOT / "examples" / "plugin"
+    copy = tmp_path / "plugin"  # the build leaves files beside its sources
+    copy.mkdir()
+    for path in source.iterdir():
+        if path.is_file():
+            (copy / path.name).write_bytes(path.read_bytes())
+    install = ["pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--target", str(site)]
+    subprocess.run([sys.executable, "-m", *install, str(copy)], check=True, capture_output=True)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(site)])}
+
+    def run(*arguments: str) -> str:
+        done = subprocess.run(
+            [sys.executable, "-m", *arguments],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    assert "2 passed" in run("pytest", "-q", "-p", "no:cacheprovider", str(copy / "test_plugin.py"))
+    write_plant(tmp_path)
+    (tmp_path / "problem.yaml").write_text(FAST_PROBLEM_YAML, encoding="utf-8")
+    wish = ("--objectives", "peak_force,time_to_peak", "--require", "time_to_react", "--trials", "12")
+    told = run("autotune", "optimize", "identified.yaml", "--problem", "problem.yaml", "--pareto", *wish)
+    assert "front of peak_force and time_to_peak" in told
+    assert "time_to_react" in (tmp_path / "pareto.yaml").read_text(encoding="utf-8")
+
+
+def test_samples_are_stable_and_differ() -> None:
+    laws = sample_evaluations(sample_problem())
+    assert len({law for law, _ in laws}) == 3
+    assert all(evaluation.is_stable and np.isfinite(evaluation.objective_n) for _, evaluation in laws)

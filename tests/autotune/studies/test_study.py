@@ -1,0 +1,275 @@
+"""Studies: the same trials from the same seed, gone on with after a kill, shared by processes, on any storage."""
+
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import optuna
+import pytest
+from optuna.trial import FrozenTrial, TrialState
+
+from autotune.errors import InfeasibleError, UsageError
+from autotune.studies.objectives import HandForce, PeakForce
+from autotune.studies.plugins import Limit
+from autotune.studies.points import Judge
+from autotune.studies.structures import STRUCTURES, build_controller, check_choices
+from autotune.studies.study import Sampler, Storage, StudyPlan, _quiet, close_storage, open_storage, run_study
+from autotune.tuning.search import presentable
+from problems.design import VARIABLES
+from problems.evaluation import build_scenarios
+from tests.autotune.studies.small import START, small_plan, small_problem, start_worker
+
+FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
+
+
+def trials_of(storage: Storage, name: str = "shared") -> list[FrozenTrial]:
+    return optuna.load_study(study_name=name, storage=storage).get_trials()
+
+
+def url_of(path: Path) -> str:
+    return f"sqlite:///{path}"
+
+
+def wait_for(storage: Storage, count: int, worker: "subprocess.Popen[str]", limit_s: float = 60.0) -> None:
+    """Return once `count` trials are finished and another one runs."""
+    end = time.monotonic() + limit_s
+    while time.monotonic() < end:
+        assert worker.poll() is None, worker.communicate()
+        try:
+            states = [trial.state for trial in trials_of(storage)]
+        except KeyError:
+            states = []
+        if sum(state in FINISHED for state in states) >= count and TrialState.RUNNING in states:
+            return
+        time.sleep(0.005)
+    raise AssertionError(f"{count} trials took more than {limit_s} s")
+
+
+def kill(worker: "subprocess.Popen[str]") -> None:
+    worker.send_signal(signal.SIGKILL)
+    worker.communicate()
+    assert worker.returncode == -signal.SIGKILL
+
+
+# --- trials -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sampler", ["tpe", "nsga2"])
+def test_the_same_seed_makes_the_same_trials_and_a_pause_changes_none(tmp_path: Path, sampler: Sampler) -> None:
+    plan = replace(small_plan(24), sampler=sampler)
+    storages = [open_storage(None, tmp_path / f"{i}.db") for i in range(3)]
+    for trials in (9, 24):
+        run_study(small_problem(), replace(plan, trials=trials), storages[0], start=START, name="shared")
+    run_study(small_problem(), plan, storages[1], start=START, name="shared")
+    run_study(small_problem(), replace(plan, seed=4), storages[2], start=START, name="shared")
+    paused, whole, other = ([(t.params, t.values, t.state) for t in trials_of(s)] for s in storages)
+    assert paused == whole
+    assert len(whole) == 24
+    assert whole[0] == other[0]  # the solver's design, whatever the seed
+    assert whole[5:] != other[5:]
+
+
+def test_the_solvers_design_is_first_and_then_stands_in_every_other_structure(tmp_path: Path) -> None:
+    choices = ("discretization", "lead")
+    storage = open_storage(None, tmp_path / "study.db")
+    run_study(small_problem(), small_plan(8, choices=choices), storage, start=START, name="shared")
+    seen = [(t.params["discretization"], t.params["lead"]) for t in trials_of(storage)[:6]]
+    assert seen[0] == ("tustin", "on")
+    assert set(seen) == {(form, lead) for form in STRUCTURES["discretization"] for lead in STRUCTURES["lead"]}
+    assert all(t.params["damping"] == START[1] for t in trials_of(storage)[:6])
+
+
+def test_an_unstable_trial_has_no_numbers(tmp_path: Path) -> None:
+    storage = open_storage(None, tmp_path / "study.db")
+    problem = replace(small_problem(), bounds={**small_problem().bounds, "damping": (100.0, 1600.0)})
+    run_study(problem, small_plan(12), storage, start=START, name="shared")
+    prepared = build_scenarios(problem, problem.scenarios(3, 2))
+    unstable = 0
+    for trial in trials_of(storage):
+        design = presentable(problem, np.array([trial.params[name] for name in VARIABLES]))
+        is_stable = prepared.evaluate(design).is_stable
+        assert trial.state is (TrialState.COMPLETE if is_stable else TrialState.PRUNED)
+        assert (trial.values is None) is not is_stable
+        assert (trial.constraints["stable"] <= 0.0) is is_stable
+        unstable += not is_stable
+    assert unstable > 0
+
+
+def test_the_front_holds_what_a_judge_finds_again_and_nothing_infeasible(tmp_path: Path) -> None:
+    plan = small_plan(40, choices=("discretization",))
+    front = run_study(small_problem(), plan, open_storage(None, tmp_path / "s.db"), start=START, name="a", points=4)
+    assert front.study is not None
+    assert 1 <= len(front.points) <= 4
+    assert front.study.trials == 40
+    judge = Judge(small_problem(), plan.objectives)
+    for point in front.points:
+        again = judge.judge(point.controller)
+        assert (again.values, again.requirements) == (point.values, point.requirements)
+        assert point.is_feasible
+
+
+def test_a_limit_holds_on_every_point_and_one_that_nothing_meets_is_infeasible(tmp_path: Path) -> None:
+    storage = open_storage(None, tmp_path / "study.db")
+    plan = StudyPlan(objectives=(PeakForce(),), demands=(Limit(objective=HandForce(), value=1955.0),), trials=30)
+    front = run_study(small_problem(), plan, storage, start=START, name="held")
+    assert all(HandForce.name + "_limit" in point.requirements for point in front.points)
+    assert len(front.points) == 1  # one objective has one best
+    hopeless = replace(plan, demands=(Limit(objective=HandForce(), value=1.0),), trials=5)
+    with pytest.raises(InfeasibleError, match=r"None of 5 trials .* hand_force_limit \(0\.0"):
+        run_study(small_problem(), hopeless, storage, start=START, name="hopeless")
+
+
+def test_a_study_of_something_else_is_not_gone_on_with(tmp_path: Path) -> None:
+    storage = open_storage(None, tmp_path / "study.db")
+    run_study(small_problem(), small_plan(1), storage, start=START, name="shared")
+    for plan in (small_plan(1, seed=9), small_plan(1, choices=("lead",)), replace(small_plan(1), sampler="nsga2")):
+        with pytest.raises(UsageError, match="a study shared of another problem"):
+            run_study(small_problem(), plan, storage, start=START, name="shared")
+    assert len(trials_of(storage)) == 1
+
+
+# --- structures ---------------------------------------------------------------------------------------------------
+
+
+def test_a_structure_changes_what_it_names_and_nothing_else() -> None:
+    problem = small_problem()
+    plain = problem.controller(START)
+    assert build_controller(problem, START, {}) == plain
+    chosen = {"discretization": "backward_euler", "compensation": "filtered", "lead": "off", "feedback": "off"}
+    assert build_controller(problem, START, chosen) == replace(
+        plain, discretization="backward_euler", compensation_mass_kg=16.0, lead_s=0.0, feedback_damping_s=0.0
+    )
+    for wrong in (("wheels",), ("lead", "lead")):
+        with pytest.raises(UsageError):
+            check_choices(wrong)
+
+
+# --- processes and storages ---------------------------------------------------------------------------------------
+
+
+def check_kill_and_resume(url: str, tmp_path: Path) -> None:
+    """Kill a worker in the middle of a trial; the next one goes on, and tries the lost trial again."""
+    trials = 40
+    with _quiet():
+        storage = open_storage(url, tmp_path / "unused.db", heartbeat_s=1)
+        worker = start_worker(url, trials)
+        wait_for(storage, 6, worker)
+        kill(worker)
+        left = trials_of(storage)
+        (lost,) = [t for t in left if t.state is TrialState.RUNNING]
+        finished = [(t.params, t.values) for t in left if t.state in FINISHED]
+        assert 6 <= len(finished) < trials
+        time.sleep(4.5)  # longer than the grace of three heartbeats
+        run_study(small_problem(), small_plan(trials), storage, start=START, name="shared")
+        now = trials_of(storage)
+        close_storage(storage)
+    assert [(t.params, t.values) for t in now[: len(finished)]] == finished
+    assert sum(t.state in FINISHED for t in now) == trials
+    assert now[lost.number].state is TrialState.FAIL
+    (again,) = [t for t in now if t.system_attrs.get("failed_trial") == lost.number]
+    assert again.state in FINISHED
+    assert {name: again.params[name] for name in lost.params} == lost.params
+
+
+def check_two_workers(url: str, tmp_path: Path) -> None:
+    """Two processes share one study, begun by both at once: all trials are done, none twice."""
+    trials = 40
+    workers = [start_worker(url, trials) for _ in range(2)]
+    for worker in workers:
+        told, wrong = worker.communicate(timeout=120)
+        assert worker.returncode == 0, wrong
+        assert int(told) >= 1
+    with _quiet():
+        storage = open_storage(url, tmp_path / "unused.db")
+        found = trials_of(storage)
+        close_storage(storage)
+    finished = [t for t in found if t.state in FINISHED]
+    assert trials <= len(finished) <= trials + 1  # the last two may end together
+    drawn = [tuple(sorted(t.params.items())) for t in finished]
+    assert len(drawn) - len(set(drawn)) <= 1  # both may have laid the solver's design ready
+
+
+@pytest.mark.slow
+def test_a_killed_study_goes_on_where_it_stood(tmp_path: Path) -> None:
+    check_kill_and_resume(url_of(tmp_path / "study.db"), tmp_path)
+
+
+@pytest.mark.slow
+def test_two_processes_share_a_study(tmp_path: Path) -> None:
+    check_two_workers(url_of(tmp_path / "study.db"), tmp_path)
+
+
+def test_a_journal_is_a_storage_without_heartbeat(tmp_path: Path) -> None:
+    url = f"journal:///{tmp_path / 'study.log'}"
+    front = run_study(small_problem(), small_plan(4), open_storage(url, tmp_path / "x"), start=START, name="shared")
+    assert front.study is not None
+    assert front.study.trials == 4
+    assert (tmp_path / "study.log").stat().st_size > 0
+
+
+@pytest.mark.parametrize(
+    ("url", "told"),
+    [
+        ("nonsense", "is no URL"),
+        ("foo://user:secret@host/x", "foo://user:***@host/x cannot be used"),
+        ("sqlite:////nonexistent/folder/x.db", "unable to open database file"),
+    ],
+)
+def test_a_storage_that_does_not_open_is_named_without_its_password(tmp_path: Path, url: str, told: str) -> None:
+    with pytest.raises(UsageError) as refused:
+        open_storage(url, tmp_path / "x")
+    assert told in str(refused.value)
+    assert "secret" not in str(refused.value)
+
+
+@pytest.fixture(scope="module")
+def postgresql() -> Iterator[str]:
+    """A server of its own on a socket in a folder, from Debian's packages; yields the URL of an empty database."""
+    if shutil.which("initdb") is None or shutil.which("pg_ctl") is None:
+        pytest.skip("needs PostgreSQL's initdb and pg_ctl")
+    # Not one of pytest's folders: the server refuses to run as root, and no other account may enter those.
+    folder = Path(tempfile.mkdtemp(prefix="autotune-pg-"))
+    is_root = os.geteuid() == 0
+    if is_root:
+        shutil.chown(folder, "postgres")  # the account that Debian's package makes
+    user = ["runuser", "-u", "postgres", "--"] if is_root else []
+    data = str(folder / "data")
+
+    def run(*command: str) -> None:
+        subprocess.run([*user, *command], check=True, stdout=subprocess.DEVNULL, cwd=folder)
+
+    run("initdb", "-D", data, "-U", "tester", "--auth=trust", "--no-sync")
+    run("pg_ctl", "-D", data, "-w", "-l", str(folder / "log"), "-o", f"-k {folder} -h ''", "start")
+    try:
+        yield f"postgresql+psycopg://tester@/{{}}?host={folder}"
+    finally:
+        run("pg_ctl", "-D", data, "-m", "immediate", "stop")
+        shutil.rmtree(folder)
+
+
+def new_database(server: str, name: str) -> str:
+    """Return the URL of a new database; another test leaves its studies in another one."""
+    from sqlalchemy import create_engine, text
+
+    engine = create_engine(server.format("postgres"), isolation_level="AUTOCOMMIT")
+    with engine.connect() as connection:
+        connection.execute(text(f"create database {name}"))
+    engine.dispose()
+    return server.format(name)
+
+
+@pytest.mark.slow
+def test_postgresql_a_killed_study_goes_on(postgresql: str, tmp_path: Path) -> None:
+    check_kill_and_resume(new_database(postgresql, "killed"), tmp_path)
+
+
+@pytest.mark.slow
+def test_postgresql_two_processes_share_a_study(postgresql: str, tmp_path: Path) -> None:
+    check_two_workers(new_database(postgresql, "workers"), tmp_path)
