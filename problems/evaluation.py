@@ -2,18 +2,20 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .contact import SampledContact, build_sampled_contact, transient_from
 from .controller import AdmittanceController
-from .design import DesignProblem, Requirements, Scenario
+from .design import DesignProblem, Requirements
 from .margins import Margins, PreparedMargins, UnstableLoopError, prepare_margins
+from .plant import Plant
 from .response import PlantResponse, free_space_admittance, plant_response, rendered_admittance
 from .robot import RobotModel
 from .sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
+from .uncertainty import Scenario
 
 FloatArray = NDArray[np.float64]
 
@@ -66,11 +68,21 @@ class Evaluation:
 
 @dataclass(frozen=True, kw_only=True)
 class PlantMargins:
-    """The margins of one plant of the uncertainty; stiffness 0 is free space."""
+    """The margins of one plant of the uncertainty: that of `scenario`, or with `free_space` before it touches."""
 
-    payload_mass_kg: float
-    environment_stiffness_n_per_m: float
+    scenario: Scenario
+    free_space: bool
     margins: Margins
+
+    @property
+    def payload_mass_kg(self) -> float:
+        """M_p."""
+        return self.scenario.payload_mass_kg
+
+    @property
+    def environment_stiffness_n_per_m(self) -> float:
+        """K_e, 0 in free space."""
+        return 0.0 if self.free_space else self.scenario.environment_stiffness_n_per_m
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,23 +92,43 @@ class ExactEvaluation:
     evaluation: Evaluation
     margins: tuple[PlantMargins, ...]
 
+    def together_with(self, other: "ExactEvaluation") -> "ExactEvaluation":
+        """Return the evaluation of the same design over the scenarios of both."""
+        own, more = self.evaluation, other.evaluation
+        return ExactEvaluation(
+            evaluation=replace(
+                own,
+                spectral_radius=max(own.spectral_radius, more.spectral_radius),
+                requirements={
+                    name: max(own.requirements.get(name, 0.0), more.requirements.get(name, 0.0))
+                    for name in (*own.requirements, *more.requirements)
+                },
+                peaks=own.peaks + more.peaks,
+                objective_n=max(own.objective_n, more.objective_n),
+            ),
+            margins=self.margins + other.margins,
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class PreparedScenarios:
     """Scenarios with everything that does not depend on the design already computed.
 
-    `plants` are those of the scenarios in contact, then the free space of every payload mass.
+    `plants` are those of the scenarios in contact, then every different one in free space, the lightest first;
+    `free_of` are scenarios that those belong to. `target_response` is that of all different robots, one after the
+    other.
     """
 
     problem: DesignProblem
     scenarios: tuple[Scenario, ...]
     pairs: tuple[SampledContact, ...]
     plants: tuple[PreparedMargins, ...]
+    free_of: tuple[Scenario, ...]
     target_response: PlantResponse | None
 
     @property
     def free(self) -> tuple[SampledPlant, ...]:
-        """The plants in free space, one per payload mass."""
+        """The different plants in free space, the lightest first."""
         return tuple(plant.sampled for plant in self.plants[len(self.pairs) :])
 
     def evaluate(self, design: Sequence[float] | FloatArray, *, peaks_if_missed: bool = False) -> Evaluation:
@@ -136,11 +168,11 @@ class PreparedScenarios:
         """Find the margins of every plant's loop, all of them stable."""
         return tuple(
             PlantMargins(
-                payload_mass_kg=plant.sampled.plant.payload.mass_kg,
-                environment_stiffness_n_per_m=plant.sampled.plant.environment.stiffness_n_per_m,
+                scenario=scenario,
+                free_space=plant.sampled.plant.environment.is_free_space,
                 margins=plant.find(controller, float(radius)),
             )
-            for plant, radius in zip(self.plants, radii, strict=True)
+            for plant, scenario, radius in zip(self.plants, (*self.scenarios, *self.free_of), radii, strict=True)
         )
 
     def _evaluated(
@@ -185,20 +217,39 @@ class PreparedScenarios:
 
 
 def build_scenarios(problem: DesignProblem, scenarios: Sequence[Scenario]) -> PreparedScenarios:
-    """Sample every scenario's plant, and the free-space plant of every payload mass, once."""
+    """Sample every scenario's plant, and every different one in free space, once."""
     h = problem.sample_time_s
-    pairs = tuple(build_sampled_contact(build_sampled_plant(problem.plant(s), h)) for s in scenarios)
-    by_mass = {s.payload_mass_kg: pair.free for s, pair in zip(scenarios, pairs, strict=True)}
-    free = [by_mass[mass] for mass in sorted(by_mass)]
-    target = problem.requirements.free_space_admittance
+    nominal = problem.nominal_plant()
+    pairs = tuple(build_sampled_contact(build_sampled_plant(s.plant(nominal), h)) for s in scenarios)
+    # The first scenario of every different plant in free space stands for it.
+    different: dict[Plant, tuple[SampledPlant, Scenario]] = {}
+    for scenario, pair in zip(scenarios, pairs, strict=True):
+        different.setdefault(pair.free.plant, (pair.free, scenario))
+    free = sorted(different.values(), key=lambda each: each[1].payload_mass_kg)
     return PreparedScenarios(
         problem=problem,
         scenarios=tuple(scenarios),
         pairs=pairs,
-        plants=tuple(prepare_margins(plant) for plant in (*(pair.contact for pair in pairs), *free)),
-        target_response=None
-        if target is None
-        else plant_response(free[0], band_frequencies(problem.robot, target.band_hz)),
+        plants=tuple(prepare_margins(plant) for plant in (*(pair.contact for pair in pairs), *(f for f, _ in free))),
+        free_of=tuple(scenario for _, scenario in free),
+        target_response=_target_response(problem, [plant for plant, _ in free]),
+    )
+
+
+def _target_response(problem: DesignProblem, free: Sequence[SampledPlant]) -> PlantResponse | None:
+    """Return the responses of all different robots over the band that is asked: G does not hang on the payload."""
+    target = problem.requirements.free_space_admittance
+    if target is None:
+        return None
+    robots = {plant.plant.robot: plant for plant in free}
+    found = [plant_response(plant, band_frequencies(robot, target.band_hz)) for robot, plant in robots.items()]
+    if len(found) == 1:
+        return found[0]
+    return PlantResponse(
+        frequency_rad_per_s=np.concatenate([each.frequency_rad_per_s for each in found]),
+        z=np.concatenate([each.z for each in found]),
+        force=np.concatenate([each.force for each in found]),
+        position=np.concatenate([each.position for each in found]),
     )
 
 

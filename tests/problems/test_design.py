@@ -7,9 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from problems.contact import Approach
-from problems.design import DEFAULT_BOUNDS, VARIABLES, AdmittanceTarget, DesignProblem, Requirements, Scenario
+from problems.design import DEFAULT_BOUNDS, VARIABLES, AdmittanceTarget, DesignProblem, Requirements
 from problems.errors import ParameterError
 from problems.plant import Coupling
+from problems.uncertainty import Scenario
 from tests.problems.axes import LAW, PERIOD_S, between, one_pole
 
 
