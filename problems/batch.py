@@ -29,6 +29,7 @@ from .batch_kernel import (
 from .contact import Approach, SampledContact, longest_run, simulate_contact
 from .controller import THETA, AdmittanceController
 from .errors import ParameterError
+from .margin_kernel import Grid
 from .margins import check_finite, find_margins, loop_polynomials, margin_grid, response_polynomials
 from .polynomials import DOUBTFUL
 from .sampled import SampledPlant, build_loop, spectral_radius
@@ -111,16 +112,10 @@ def build_batch(pairs: Sequence[SampledContact]) -> Batch:
     inside = [pair.arguments[1][1] for pair in pairs]
     return Batch(
         pairs=tuple(pairs),
-        in_contact=_loops([pair.contact for pair in pairs]),
-        in_free_space=_loops([pair.free for pair in pairs]),
-        responses=_stacked([response_polynomials(pair.contact) for pair in pairs]),
-        grids=(
-            np.concatenate([grid[0] for grid in grids]),
-            np.concatenate([grid[1] for grid in grids]),
-            np.concatenate([grid[2] for grid in grids]),
-            np.concatenate([grid[3] for grid in grids]),
-            _offsets([len(grid[0]) for grid in grids]),
-        ),
+        in_contact=loops_of([pair.contact for pair in pairs]),
+        in_free_space=loops_of([pair.free for pair in pairs]),
+        responses=stacked([response_polynomials(pair.contact) for pair in pairs]),
+        grids=joined_grids(grids),
         contacts=(
             (
                 np.array([pair.arguments[0][0] for pair in pairs]),
@@ -132,7 +127,7 @@ def build_batch(pairs: Sequence[SampledContact]) -> Batch:
             delays,
             np.array([pair.arguments[2][2] for pair in pairs]),
             np.concatenate(inside),
-            _offsets([len(rows) for rows in inside]),
+            offsets_of([len(rows) for rows in inside]),
         ),
     )
 
@@ -144,7 +139,7 @@ def are_stable(plants: Sequence[SampledPlant], controllers: Sequence[AdmittanceC
     """
     _check_alike(plants)
     parameters, theta, ideal = _parameters(controllers)
-    verdicts = judge_stability(_loops(plants), parameters, plants[0].sample_time_s, theta, ideal)
+    verdicts = judge_stability(loops_of(plants), parameters, plants[0].sample_time_s, theta, ideal)
     for i, j in np.argwhere(verdicts == DOUBTFUL):
         verdicts[i, j] = int(spectral_radius(build_loop(plants[j], controllers[i])) < 1.0)
     return np.asarray(verdicts == 1)
@@ -162,14 +157,26 @@ def _decided(pair: SampledContact, controller: AdmittanceController, approach: A
     return row
 
 
-def _loops(plants: Sequence[SampledPlant]) -> Loops:
+def joined_grids(grids: Sequence[Grid]) -> Grids:
+    """Return the grids of many plants, one after the other, with their offsets."""
+    return (
+        np.concatenate([grid[0] for grid in grids]),
+        np.concatenate([grid[1] for grid in grids]),
+        np.concatenate([grid[2] for grid in grids]),
+        np.concatenate([grid[3] for grid in grids]),
+        offsets_of([len(grid[0]) for grid in grids]),
+    )
+
+
+def loops_of(plants: Sequence[SampledPlant]) -> Loops:
+    """Return the polynomials of plants as the test of stability takes them."""
     found = [loop_polynomials(plant) for plant in plants]
     sizes = np.array([each.shape[1] for each in found], dtype=np.int64)
     first = np.array([0 if plant.plant.environment.is_anchored else 1 for plant in plants], dtype=np.int64)
-    return _stacked(found), sizes, first
+    return stacked(found), sizes, first
 
 
-def _stacked(polynomials: Sequence[FloatArray]) -> FloatArray:
+def stacked(polynomials: Sequence[FloatArray]) -> FloatArray:
     """Return one array of polynomials of different length: the higher powers of the shorter ones are zero."""
     most = max(each.shape[1] for each in polynomials)
     return np.array([np.pad(each, ((0, 0), (0, most - each.shape[1]))) for each in polynomials])
@@ -193,5 +200,6 @@ def _check_alike(plants: Sequence[SampledPlant]) -> None:
         check_finite(plant)
 
 
-def _offsets(lengths: Sequence[int]) -> NDArray[np.int64]:
+def offsets_of(lengths: Sequence[int]) -> NDArray[np.int64]:
+    """Return where each of several pieces begins, and where the last one ends."""
     return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)

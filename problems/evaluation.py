@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .contact import SampledContact, build_sampled_contact, transient_from
 from .controller import AdmittanceController
 from .design import DesignProblem, Requirements
+from .margin_table import MarginTable, build_margin_table
 from .margins import Margins, PreparedMargins, UnstableLoopError, prepare_margins
 from .plant import Plant
 from .response import PlantResponse, free_space_admittance, plant_response, rendered_admittance
@@ -39,7 +40,8 @@ class Evaluation:
 
     `requirements` maps each requirement to required/achieved (≤ 1 is met), worst over the scenarios; it is empty
     and `peaks` too when the loop is unstable. `peaks` is also empty when a margin is missed, unless the peaks were
-    asked for all the same.
+    asked for all the same. `spectral_radius` is NaN of a loop that Routh's test calls stable and whose radius nobody
+    asked for; that of an unstable one is always a number.
     """
 
     controller: AdmittanceController
@@ -51,7 +53,7 @@ class Evaluation:
     @property
     def is_stable(self) -> bool:
         """Whether every scenario is stable in contact and in free space."""
-        return self.spectral_radius < 1.0
+        return not self.spectral_radius >= 1.0
 
     @property
     def is_feasible(self) -> bool:
@@ -125,6 +127,7 @@ class PreparedScenarios:
     plants: tuple[PreparedMargins, ...]
     free_of: tuple[Scenario, ...]
     target_response: PlantResponse | None
+    table: MarginTable
 
     @property
     def free(self) -> tuple[SampledPlant, ...]:
@@ -138,16 +141,21 @@ class PreparedScenarios:
         along the boundary needs them).
         """
         controller = self.problem.controller(design)
+        if self.problem.requirements.decay_rate_per_s is None:
+            quick = self.table.find(controller)
+            if quick is not None:
+                return self._evaluated(controller, math.nan, self._of_plants(quick), peaks_if_missed)
         radii = self.radii(controller)
         if not np.max(radii) < 1.0:
             return Evaluation(
                 controller=controller,
-                spectral_radius=float(np.max(radii)),
+                # A radius that is not a number is no smaller than 1 either.
+                spectral_radius=float(np.nan_to_num(np.max(radii), nan=math.inf)),
                 requirements={},
                 peaks=(),
                 objective_n=math.inf,
             )
-        return self._evaluated(controller, radii, self.margins(controller, radii), peaks_if_missed)
+        return self._evaluated(controller, float(np.max(radii)), self.margins(controller, radii), peaks_if_missed)
 
     def evaluate_exactly(self, controller: AdmittanceController) -> ExactEvaluation:
         """Evaluate a stable controller with its margins plant by plant.
@@ -158,7 +166,9 @@ class PreparedScenarios:
         if not np.max(radii) < 1.0:
             raise UnstableLoopError(float(np.max(radii)))
         margins = self.margins(controller, radii)
-        return ExactEvaluation(evaluation=self._evaluated(controller, radii, margins, True), margins=margins)
+        return ExactEvaluation(
+            evaluation=self._evaluated(controller, float(np.max(radii)), margins, True), margins=margins
+        )
 
     def radii(self, controller: AdmittanceController) -> FloatArray:
         """Return the spectral radius of every plant's loop."""
@@ -166,23 +176,24 @@ class PreparedScenarios:
 
     def margins(self, controller: AdmittanceController, radii: FloatArray) -> tuple[PlantMargins, ...]:
         """Find the margins of every plant's loop, all of them stable."""
+        return self._of_plants(
+            [plant.find(controller, float(radius)) for plant, radius in zip(self.plants, radii, strict=True)]
+        )
+
+    def _of_plants(self, margins: Sequence[Margins]) -> tuple[PlantMargins, ...]:
         return tuple(
-            PlantMargins(
-                scenario=scenario,
-                free_space=plant.sampled.plant.environment.is_free_space,
-                margins=plant.find(controller, float(radius)),
-            )
-            for plant, scenario, radius in zip(self.plants, (*self.scenarios, *self.free_of), radii, strict=True)
+            PlantMargins(scenario=scenario, free_space=i >= len(self.scenarios), margins=found)
+            for i, (scenario, found) in enumerate(zip((*self.scenarios, *self.free_of), margins, strict=True))
         )
 
     def _evaluated(
         self,
         controller: AdmittanceController,
-        radii: FloatArray,
+        radius: float,
         margins: tuple[PlantMargins, ...],
         peaks_if_missed: bool,
     ) -> Evaluation:
-        asked, h, radius = self.problem.requirements, self.problem.sample_time_s, float(np.max(radii))
+        asked, h = self.problem.requirements, self.problem.sample_time_s
         values = [normalise_margins(asked, each.margins, h) for each in margins]
         requirements = {name: max(value[name] for value in values) for name in values[0]}
         requirements |= self.achieved_admittance(controller)
@@ -226,11 +237,13 @@ def build_scenarios(problem: DesignProblem, scenarios: Sequence[Scenario]) -> Pr
     for scenario, pair in zip(scenarios, pairs, strict=True):
         different.setdefault(pair.free.plant, (pair.free, scenario))
     free = sorted(different.values(), key=lambda each: each[1].payload_mass_kg)
+    plants = tuple(prepare_margins(plant) for plant in (*(pair.contact for pair in pairs), *(f for f, _ in free)))
     return PreparedScenarios(
         problem=problem,
         scenarios=tuple(scenarios),
         pairs=pairs,
-        plants=tuple(prepare_margins(plant) for plant in (*(pair.contact for pair in pairs), *(f for f, _ in free))),
+        plants=plants,
+        table=build_margin_table(plants),
         free_of=tuple(scenario for _, scenario in free),
         target_response=_target_response(problem, [plant for plant, _ in free]),
     )
@@ -255,7 +268,8 @@ def _target_response(problem: DesignProblem, free: Sequence[SampledPlant]) -> Pl
 
 def normalise_margins(requirements: Requirements, margins: Margins, sample_time_s: float) -> dict[str, float]:
     """Return required/achieved for every margin that is asked; ≤ 1 is met, an unlimited margin gives 0."""
-    decay = -math.log(margins.spectral_radius) / sample_time_s if margins.spectral_radius > 0.0 else math.inf
+    # A radius that is not known (NaN) tells no decay, and then none is asked.
+    decay = -math.log(margins.spectral_radius) / sample_time_s if margins.spectral_radius != 0.0 else math.inf
     asked = {
         "modulus_margin": (requirements.modulus_margin, margins.modulus),
         "gain_margin_db": (requirements.gain_margin_db, margins.gain_db),

@@ -42,6 +42,8 @@ _MAY_BE_ZERO = frozenset({"coupling_damping_n_s_per_m", "drag_n_s_per_m", "envir
 # More corners than these are left to the samples: nine parameters have 512.
 MOST_CORNERS = 128
 _ON_THE_EDGE = 1e-9
+# What is left of a deviation once the others are known; below this rounding decides what lies inside.
+_FLATTEST = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,9 +135,11 @@ class Ellipsoid:
         if not (np.all(np.isfinite(matrix)) and np.all(deviations > 0.0) and np.array_equal(matrix, matrix.T)):
             raise ParameterError("ellipsoid.covariance", self.covariance, must)
         try:
-            self._root  # noqa: B018 - computed here, for its refusal
+            flattest = float(np.min(np.diag(self._root)))
         except np.linalg.LinAlgError:
-            raise ParameterError("ellipsoid.covariance", self.covariance, must) from None
+            flattest = 0.0
+        if flattest < _FLATTEST:
+            raise ParameterError("ellipsoid.covariance", self.covariance, must)
 
     @cached_property
     def _root(self) -> FloatArray:

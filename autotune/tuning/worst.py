@@ -7,7 +7,13 @@ from numpy.typing import NDArray
 
 from problems.controller import AdmittanceController
 from problems.design import DesignProblem
-from problems.evaluation import ExactEvaluation, PreparedScenarios, build_scenarios, normalise_margins
+from problems.evaluation import (
+    ExactEvaluation,
+    PreparedScenarios,
+    build_scenarios,
+    normalise_margins,
+    smallest_admittance,
+)
 from problems.margins import UnstableLoopError
 from problems.uncertainty import Scenario
 
@@ -61,6 +67,19 @@ class WholeSet:
         order = np.argsort(-radii, kind="stable")
         found = (of_plant[i] for i in order if not radii[i] < 1.0)
         return tuple(dict.fromkeys(found))[:_UNSTABLE]
+
+    def slowest(self, controller: AdmittanceController) -> Scenario:
+        """Return a scenario of the robot that moves least freely over the band that is asked."""
+        target = self.problem.requirements.free_space_admittance
+        robots = {
+            plant.plant.robot: (plant, s) for plant, s in zip(self.prepared.free, self.prepared.free_of, strict=True)
+        }
+        if target is None or len(robots) == 1:
+            return self.scenarios[0]
+        found = [
+            (smallest_admittance(plant, controller, target.band_hz), i) for i, (plant, _) in enumerate(robots.values())
+        ]
+        return list(robots.values())[min(found)[1]][1]
 
     def _search(self, controller: AdmittanceController, exact: ExactEvaluation) -> tuple[Scenario, ...]:
         if not self.uncertainty.varying:
