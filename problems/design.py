@@ -1,7 +1,7 @@
 """The design problem as a value: what may vary, what must hold, what is minimised; it needs no solver."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Literal
 
@@ -15,7 +15,7 @@ from .errors import ParameterError
 from .plant import Coupling, Environment, Payload, Plant
 from .robot import RobotModel
 from .robot_variation import bandwidth_hz, damping_ratio, has_damping_ratio
-from .uncertainty import ALWAYS_UNCERTAIN, FURTHER_UNCERTAIN, Ellipsoid, Scenario, Uncertainty, check_robot
+from .uncertainty import ALWAYS_UNCERTAIN, FURTHER_UNCERTAIN, SYMBOLS, Ellipsoid, Scenario, Uncertainty, check_robot
 
 FloatArray = NDArray[np.float64]
 Objective = Literal["contact_force", "sensor_force"]
@@ -201,3 +201,32 @@ class DesignProblem:
             feedback_damping_s=feedback if feedback >= 1e-4 else 0.0,
             velocity_filter_rad_per_s=self.velocity_filter_rad_per_s,
         )
+
+    def __str__(self) -> str:
+        """Return the problem as a table for people: what is free, what is uncertain, what is asked."""
+        asked = self.requirements
+        target = asked.free_space_admittance
+        lines = [("minimise", f"the peak {self.objective.replace('_', ' ')}, worst over the whole uncertainty")]
+        approach = self.approach
+        told = f"{approach.speed_m_s:g} m/s" if approach.force_n is None else f"{approach.force_n:g} N"
+        lines.append(("approach", told))
+        lines += [(f"free: {name}", f"{low:g} to {high:g}") for name, (low, high) in self.bounds.items()]
+        lines += [
+            (f"uncertain: {SYMBOLS[name]}", f"{low:g} to {high:g}  ({name})")
+            for name, (low, high) in self.uncertainty.ranges.items()
+        ]
+        if self.ellipsoid is not None:
+            names = ", ".join(SYMBOLS[name] for name in self.ellipsoid.names)
+            lines.append(("cut by", f"the {100.0 * self.ellipsoid.level:g} % confidence set of {names}"))
+        lines += [
+            (f"nominal: {SYMBOLS[name]}", f"{value:g}")
+            for name, value in self.nominal().items()
+            if name not in self.uncertain
+        ]
+        lines.append(("sample time", f"{self.sample_time_s:g} s"))
+        numbers = {f.name: getattr(asked, f.name) for f in fields(asked) if f.name != "free_space_admittance"}
+        lines += [(f"required: {name}", f"{value:g}") for name, value in numbers.items() if value is not None]
+        if target is not None:
+            low, high = target.band_hz
+            lines.append(("required: free-space admittance", f"{target.min_m_s_per_n:g} from {low:g} to {high:g} Hz"))
+        return "\n".join(f"{name:36}{value}" for name, value in lines)

@@ -134,14 +134,16 @@ class PreparedScenarios:
         """The different plants in free space, the lightest first."""
         return tuple(plant.sampled for plant in self.plants[len(self.pairs) :])
 
-    def evaluate(self, design: Sequence[float] | FloatArray, *, peaks_if_missed: bool = False) -> Evaluation:
+    def evaluate(
+        self, design: Sequence[float] | FloatArray, *, peaks_if_missed: bool = False, radius: bool = True
+    ) -> Evaluation:
         """Evaluate the design vector (M_a, B_a, K_l, B_fb) over the scenarios.
 
         `peaks_if_missed` asks for the peaks of a stable design that misses a requirement as well (a solver that walks
-        along the boundary needs them).
+        along the boundary needs them). Without `radius` a loop that Routh's test calls stable is told no radius.
         """
         controller = self.problem.controller(design)
-        if self.problem.requirements.decay_rate_per_s is None:
+        if not radius and self.problem.requirements.decay_rate_per_s is None:
             quick = self.table.find(controller)
             if quick is not None:
                 return self._evaluated(controller, math.nan, self._of_plants(quick), peaks_if_missed)

@@ -183,7 +183,7 @@ class Search:
         def cost(unit: FloatArray) -> float:
             # A limited peak is a requirement too: without it a miss by a hair elsewhere would look closest.
             limited = self.problem.requirements.max_peak_force_n is not None
-            value = self._cost(prepared.evaluate(self.box.design(unit), peaks_if_missed=limited))
+            value = self._cost(prepared.evaluate(self.box.design(unit), peaks_if_missed=limited, radius=False))
             seen.append((value, np.array(unit)))
             return value
 
@@ -225,7 +225,7 @@ class Search:
                 best, best_cost = candidate, cost
         if best_cost >= _MISSED:
             best = self._recover(prepared, best)
-        self.last = prepared.evaluate(self.box.design(best), peaks_if_missed=True)
+        self.last = prepared.evaluate(self.box.design(best), peaks_if_missed=True, radius=False)
         return best
 
     def _recover(self, prepared: PreparedScenarios, start: FloatArray) -> FloatArray:
@@ -251,7 +251,7 @@ class Search:
         return candidate
 
     def _tightened_cost(self, prepared: PreparedScenarios, unit: FloatArray) -> float:
-        evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True)
+        evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True, radius=False)
         if evaluation.is_stable and np.any(self._slack(evaluation) < 0.0):
             self.evaluations += 1
             return _MISSED * (1.0 - float(np.min(self._slack(evaluation))))
@@ -272,14 +272,14 @@ class Search:
 
     def local(self, prepared: PreparedScenarios, start: FloatArray) -> FloatArray:
         """Run sequential quadratic programming on the worst peak; each requirement is one constraint."""
-        count = len(prepared.evaluate(self.box.design(start), peaks_if_missed=True).requirements)
+        count = len(prepared.evaluate(self.box.design(start), peaks_if_missed=True, radius=False).requirements)
         scale = 1.0
         cache: dict[bytes, tuple[float, FloatArray]] = {}
 
         def both(unit: FloatArray) -> tuple[float, FloatArray]:
             key = unit.tobytes()
             if key not in cache:
-                evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True)
+                evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True, radius=False)
                 self.evaluations += 1
                 # An unstable trial has no numbers: report a plain wall, which the line search backs away from.
                 known = evaluation.is_stable
@@ -303,7 +303,7 @@ class Search:
 
     def _reason(self, prepared: PreparedScenarios, unit: FloatArray) -> str:
         """Say why nothing is feasible: the requirement that the closest design misses."""
-        evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True)
+        evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True, radius=False)
         if not evaluation.is_stable:
             return (
                 "No controller within the bounds is stable in every scenario (closest: largest |z| = "

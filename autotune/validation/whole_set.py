@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from autotune.files.controller_record import AxisDomain, AxisMargins, AxisPrediction, Proof
 from autotune.files.units import axis_units
 from problems.plant import Plant
+from problems.robot import RobotModel
+from problems.robot_variation import bandwidth_hz
 from problems.uncertainty import SYMBOLS, Scenario, Uncertainty
 
 # Another sequence than the search's, so that it is not asked the same questions again.
@@ -25,6 +27,11 @@ class OtherPlants:
     replayed: tuple[Scenario, ...]
     plants: tuple[Plant, ...]
     outside: tuple[str, ...]
+
+    def extreme_robots(self) -> tuple[RobotModel, ...]:
+        """Return the robots of the lowest and the highest bandwidth among the plants, if there are any."""
+        robots = sorted({plant.robot for plant in self.plants}, key=bandwidth_hz)
+        return () if not robots else tuple(dict.fromkeys((robots[0], robots[-1])))
 
 
 def build_other_plants(domain: AxisDomain, margins: AxisMargins, predicted: AxisPrediction) -> OtherPlants:
