@@ -110,7 +110,7 @@ def _axis_checks(controller: Controller, name: str) -> Iterator[Check]:
         (prove_stability(plants.in_free_space(), law, h), "free space"),
         (prove_stability(plants, law, h), "contact"),
     ):
-        yield _stability(name, proof, where, plants)
+        yield _stability(name, proof, where, plants, nominal=bool(others.plants))
         if not proof.holds:
             return
     swept = sweep_margins(plants, law, h, stiffness=_STIFFNESS_POINTS, mass=_MASS_POINTS, others=others.plants)
@@ -225,13 +225,14 @@ def _delay(controller: Controller, name: str, domain: AxisDomain) -> Check:
     )
 
 
-def _stability(name: str, proof: StabilityProof, where: str, plants: UncertainPlant) -> Check:
+def _stability(name: str, proof: StabilityProof, where: str, plants: UncertainPlant, *, nominal: bool = False) -> Check:
     low, high = plants.environment_stiffness_n_per_m
     light, heavy = plants.payload_mass_kg
     units = axis_units(name)
     if proof.holds:
         stiffness = "" if "free" in where else f" and every K_e in [{low:g}, {high:g}] {units.stiffness}"
-        message = f"proved for every M_p in [{light:g}, {heavy:g}] {units.mass}{stiffness} ({proof.cells} cells)"
+        rest = ", the rest of the plant nominal" if nominal else ""
+        message = f"proved for every M_p in [{light:g}, {heavy:g}] {units.mass}{stiffness}{rest} ({proof.cells} cells)"
     else:
         message = (
             f"stability in {where.removeprefix('in ')} does not hold or cannot be proved: fails at "
