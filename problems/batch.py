@@ -119,7 +119,7 @@ def build_batch(pairs: Sequence[SampledContact]) -> Batch:
 
 def stack_responses(plants: Sequence[PreparedMargins]) -> FloatArray:
     """Return the response polynomials (p, 4, n) of plants, as `find_loop_margins` takes them."""
-    return _stacked([plant.polynomials for plant in plants])
+    return stacked([plant.polynomials for plant in plants])
 
 
 def stack_grids(plants: Sequence[PreparedMargins]) -> Grids:
@@ -130,7 +130,7 @@ def stack_grids(plants: Sequence[PreparedMargins]) -> Grids:
         np.concatenate([grid[1] for grid in grids]),
         np.concatenate([grid[2] for grid in grids]),
         np.concatenate([grid[3] for grid in grids]),
-        _offsets([len(grid[0]) for grid in grids]),
+        offsets_of([len(grid[0]) for grid in grids]),
     )
 
 
@@ -148,7 +148,7 @@ def stack_contacts(pairs: Sequence[SampledContact]) -> Contacts:
         np.array([pair.arguments[2][:2] for pair in pairs], dtype=np.int64),
         np.array([pair.arguments[2][2] for pair in pairs]),
         np.concatenate(inside),
-        _offsets([len(rows) for rows in inside]),
+        offsets_of([len(rows) for rows in inside]),
     )
 
 
@@ -182,10 +182,10 @@ def stack_loops(plants: Sequence[SampledPlant]) -> Loops:
     found = [loop_polynomials(plant) for plant in plants]
     sizes = np.array([each.shape[1] for each in found], dtype=np.int64)
     first = np.array([0 if plant.plant.environment.is_anchored else 1 for plant in plants], dtype=np.int64)
-    return _stacked(found), sizes, first
+    return stacked(found), sizes, first
 
 
-def _stacked(polynomials: Sequence[FloatArray]) -> FloatArray:
+def stacked(polynomials: Sequence[FloatArray]) -> FloatArray:
     """Return one array of polynomials of different length: the higher powers of the shorter ones are zero."""
     most = max(each.shape[1] for each in polynomials)
     return np.array([np.pad(each, ((0, 0), (0, most - each.shape[1]))) for each in polynomials])
@@ -210,5 +210,6 @@ def check_alike(plants: Sequence[SampledPlant]) -> None:
         check_finite(plant)
 
 
-def _offsets(lengths: Sequence[int]) -> NDArray[np.int64]:
+def offsets_of(lengths: Sequence[int]) -> NDArray[np.int64]:
+    """Return where each of several pieces begins, and where the last one ends."""
     return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)

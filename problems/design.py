@@ -1,7 +1,7 @@
 """The design problem as a value: what may vary, what must hold, what is minimised; it needs no solver."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Literal
 
@@ -14,6 +14,8 @@ from .controller import PAPER_VELOCITY_FILTER_RAD_PER_S, AdmittanceController
 from .errors import ParameterError
 from .plant import Coupling, Environment, Payload, Plant
 from .robot import RobotModel
+from .robot_variation import bandwidth_hz, damping_ratio, has_damping_ratio
+from .uncertainty import ALWAYS_UNCERTAIN, FURTHER_UNCERTAIN, SYMBOLS, Ellipsoid, Scenario, Uncertainty, check_robot
 
 FloatArray = NDArray[np.float64]
 Objective = Literal["contact_force", "sensor_force"]
@@ -25,6 +27,8 @@ VARIABLES = ("mass", "damping", "lead_s", "feedback_damping_s")
 DEFAULT_BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {"mass": (5.0, 100.0), "damping": (100.0, 10000.0), "lead_s": (0.0, 0.03), "feedback_damping_s": (0.0, 0.05)}
 )
+# A nominal value that is the end of its own range may differ from it by the rounding of a unit.
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,21 +78,12 @@ class Requirements:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scenario:
-    """One point of the uncertainty: a surface and a payload mass."""
-
-    environment_stiffness_n_per_m: float
-    payload_mass_kg: float
-
-    @property
-    def name(self) -> str:
-        """A short label for tables and files."""
-        return f"K_e {self.environment_stiffness_n_per_m:.4g} N/m, {self.payload_mass_kg:.4g} kg"
-
-
-@dataclass(frozen=True, kw_only=True)
 class DesignProblem:
-    """One axis: nominal plant, ranges that must all be safe, approach, bounds, requirements and objective."""
+    """One axis: nominal plant, the set that must all be safe, approach, bounds, requirements and objective.
+
+    `uncertain` holds ranges of further parameters by name (`problems.uncertainty.FURTHER_UNCERTAIN`), around the
+    nominal values; `ellipsoid` cuts them down to a confidence set. Without them the set is K_e × M_p.
+    """
 
     robot: RobotModel
     coupling: Coupling
@@ -102,6 +97,9 @@ class DesignProblem:
     requirements: Requirements = field(default_factory=Requirements)
     objective: Objective = "contact_force"
     velocity_filter_rad_per_s: float = PAPER_VELOCITY_FILTER_RAD_PER_S
+    uncertain: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    ellipsoid: Ellipsoid | None = None
+    uncertainty: Uncertainty = field(init=False)
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.bounds) - set(VARIABLES))
@@ -123,23 +121,56 @@ class DesignProblem:
         target = self.requirements.free_space_admittance
         if target is not None and target.band_hz[1] >= 0.5 / self.sample_time_s:
             raise ParameterError("free_space_admittance.band_hz", target.band_hz, "below half the sampling rate")
+        self._check_uncertainty()
+
+    def _check_uncertainty(self) -> None:
+        for name in ALWAYS_UNCERTAIN:
+            if name in self.uncertain:
+                raise ParameterError("uncertain", name, "given as the problem's own range")
+        check_robot(self.robot, self.uncertain)
+        known = {name: getattr(self, name) for name in ALWAYS_UNCERTAIN}
+        uncertainty = Uncertainty(ranges={**known, **self.uncertain}, ellipsoid=self.ellipsoid)
+        for name, value in self.nominal().items():
+            low, high = uncertainty.ranges.get(name, (value, value))
+            if not low * (1.0 - _ROUNDING) <= value <= high * (1.0 + _ROUNDING):
+                raise ParameterError(f"uncertain {name}", (low, high), f"around the nominal value {value:g}")
+        object.__setattr__(self, "uncertainty", uncertainty)
+        further = {name: pair for name, pair in uncertainty.ranges.items() if name in FURTHER_UNCERTAIN}
+        object.__setattr__(self, "uncertain", MappingProxyType(further))
+
+    def nominal(self) -> dict[str, float]:
+        """Return the nominal values of what may be uncertain beyond K_e and M_p, as far as the robot has them."""
+        values = {
+            "coupling_stiffness_n_per_m": self.coupling.stiffness_n_per_m,
+            "coupling_damping_n_s_per_m": self.coupling.damping_n_s_per_m,
+            "drag_n_s_per_m": self.drag_n_s_per_m,
+            "environment_damping_n_s_per_m": self.environment_damping_n_s_per_m,
+            "delay_s": self.robot.delay_s,
+            "robot_bandwidth_hz": bandwidth_hz(self.robot),
+        }
+        return {**values, "robot_damping_ratio": damping_ratio(self.robot)} if has_damping_ratio(self.robot) else values
 
     def plant(self, scenario: Scenario) -> Plant:
         """Return the plant of one scenario, in contact."""
+        return scenario.plant(self.nominal_plant())
+
+    def nominal_plant(self) -> Plant:
+        """Return the nominal plant, touching the softest surface with the lightest payload."""
         return Plant(
             robot=self.robot,
             coupling=self.coupling,
-            payload=Payload(mass_kg=scenario.payload_mass_kg, drag_n_s_per_m=self.drag_n_s_per_m),
+            payload=Payload(mass_kg=self.payload_mass_kg[0], drag_n_s_per_m=self.drag_n_s_per_m),
             environment=Environment(
-                stiffness_n_per_m=scenario.environment_stiffness_n_per_m,
+                stiffness_n_per_m=self.environment_stiffness_n_per_m[0],
                 damping_n_s_per_m=self.environment_damping_n_s_per_m,
             ),
         )
 
     def scenarios(self, stiffness_count: int, mass_count: int) -> tuple[Scenario, ...]:
-        """Return a grid over the ranges, ends included: stiffness spaced by equal ratios, mass by equal steps.
+        """Return a grid over K_e × M_p at the nominal plant, ends included.
 
-        A range that is one value gives one point; any other needs a count of 2 or more, for its ends.
+        Stiffness is spaced by equal ratios, mass by equal steps. A range that is one value gives one point; any other
+        needs a count of 2 or more, for its ends.
         """
         if min(stiffness_count, mass_count) < 2:
             raise ParameterError(
@@ -170,3 +201,32 @@ class DesignProblem:
             feedback_damping_s=feedback if feedback >= 1e-4 else 0.0,
             velocity_filter_rad_per_s=self.velocity_filter_rad_per_s,
         )
+
+    def __str__(self) -> str:
+        """Return the problem as a table for people: what is free, what is uncertain, what is asked."""
+        asked = self.requirements
+        target = asked.free_space_admittance
+        lines = [("minimise", f"the peak {self.objective.replace('_', ' ')}, worst over the whole uncertainty")]
+        approach = self.approach
+        told = f"{approach.speed_m_s:g} m/s" if approach.force_n is None else f"{approach.force_n:g} N"
+        lines.append(("approach", told))
+        lines += [(f"free: {name}", f"{low:g} to {high:g}") for name, (low, high) in self.bounds.items()]
+        lines += [
+            (f"uncertain: {SYMBOLS[name]}", f"{low:g} to {high:g}  ({name})")
+            for name, (low, high) in self.uncertainty.ranges.items()
+        ]
+        if self.ellipsoid is not None:
+            names = ", ".join(SYMBOLS[name] for name in self.ellipsoid.names)
+            lines.append(("cut by", f"the {100.0 * self.ellipsoid.level:g} % confidence set of {names}"))
+        lines += [
+            (f"nominal: {SYMBOLS[name]}", f"{value:g}")
+            for name, value in self.nominal().items()
+            if name not in self.uncertain
+        ]
+        lines.append(("sample time", f"{self.sample_time_s:g} s"))
+        numbers = {f.name: getattr(asked, f.name) for f in fields(asked) if f.name != "free_space_admittance"}
+        lines += [(f"required: {name}", f"{value:g}") for name, value in numbers.items() if value is not None]
+        if target is not None:
+            low, high = target.band_hz
+            lines.append(("required: free-space admittance", f"{target.min_m_s_per_n:g} from {low:g} to {high:g} Hz"))
+        return "\n".join(f"{name:36}{value}" for name, value in lines)

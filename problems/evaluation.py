@@ -2,18 +2,21 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .contact import SampledContact, build_sampled_contact, transient_from
 from .controller import AdmittanceController
-from .design import DesignProblem, Requirements, Scenario
+from .design import DesignProblem, Requirements
+from .margin_table import MarginTable, build_margin_table
 from .margins import Margins, PreparedMargins, UnstableLoopError, prepare_margins
+from .plant import Plant
 from .response import PlantResponse, free_space_admittance, plant_response, rendered_admittance
 from .robot import RobotModel
 from .sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
+from .uncertainty import Scenario
 
 FloatArray = NDArray[np.float64]
 
@@ -37,7 +40,8 @@ class Evaluation:
 
     `requirements` maps each requirement to required/achieved (≤ 1 is met), worst over the scenarios; it is empty
     and `peaks` too when the loop is unstable. `peaks` is also empty when a margin is missed, unless the peaks were
-    asked for all the same.
+    asked for all the same. `spectral_radius` is NaN of a loop that Routh's test calls stable and whose radius nobody
+    asked for; that of an unstable one is always a number.
     """
 
     controller: AdmittanceController
@@ -49,7 +53,7 @@ class Evaluation:
     @property
     def is_stable(self) -> bool:
         """Whether every scenario is stable in contact and in free space."""
-        return self.spectral_radius < 1.0
+        return not self.spectral_radius >= 1.0
 
     @property
     def is_feasible(self) -> bool:
@@ -66,11 +70,21 @@ class Evaluation:
 
 @dataclass(frozen=True, kw_only=True)
 class PlantMargins:
-    """The margins of one plant of the uncertainty; stiffness 0 is free space."""
+    """The margins of one plant of the uncertainty: that of `scenario`, or with `free_space` before it touches."""
 
-    payload_mass_kg: float
-    environment_stiffness_n_per_m: float
+    scenario: Scenario
+    free_space: bool
     margins: Margins
+
+    @property
+    def payload_mass_kg(self) -> float:
+        """M_p."""
+        return self.scenario.payload_mass_kg
+
+    @property
+    def environment_stiffness_n_per_m(self) -> float:
+        """K_e, 0 in free space."""
+        return 0.0 if self.free_space else self.scenario.environment_stiffness_n_per_m
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,42 +94,70 @@ class ExactEvaluation:
     evaluation: Evaluation
     margins: tuple[PlantMargins, ...]
 
+    def together_with(self, other: "ExactEvaluation") -> "ExactEvaluation":
+        """Return the evaluation of the same design over the scenarios of both."""
+        own, more = self.evaluation, other.evaluation
+        return ExactEvaluation(
+            evaluation=replace(
+                own,
+                spectral_radius=max(own.spectral_radius, more.spectral_radius),
+                requirements={
+                    name: max(own.requirements.get(name, 0.0), more.requirements.get(name, 0.0))
+                    for name in (*own.requirements, *more.requirements)
+                },
+                peaks=own.peaks + more.peaks,
+                objective_n=max(own.objective_n, more.objective_n),
+            ),
+            margins=self.margins + other.margins,
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class PreparedScenarios:
     """Scenarios with everything that does not depend on the design already computed.
 
-    `plants` are those of the scenarios in contact, then the free space of every payload mass.
+    `plants` are those of the scenarios in contact, then every different one in free space, the lightest first;
+    `free_of` are scenarios that those belong to. `target_response` is that of all different robots, one after the
+    other.
     """
 
     problem: DesignProblem
     scenarios: tuple[Scenario, ...]
     pairs: tuple[SampledContact, ...]
     plants: tuple[PreparedMargins, ...]
+    free_of: tuple[Scenario, ...]
     target_response: PlantResponse | None
+    table: MarginTable
 
     @property
     def free(self) -> tuple[SampledPlant, ...]:
-        """The plants in free space, one per payload mass."""
+        """The different plants in free space, the lightest first."""
         return tuple(plant.sampled for plant in self.plants[len(self.pairs) :])
 
-    def evaluate(self, design: Sequence[float] | FloatArray, *, peaks_if_missed: bool = False) -> Evaluation:
+    def evaluate(
+        self, design: Sequence[float] | FloatArray, *, peaks_if_missed: bool = False, radius: bool = True
+    ) -> Evaluation:
         """Evaluate the design vector (M_a, B_a, K_l, B_fb) over the scenarios.
 
         `peaks_if_missed` asks for the peaks of a stable design that misses a requirement as well (a solver that walks
-        along the boundary needs them).
+        along the boundary needs them). Without `radius` a loop that Routh's test calls stable is told no radius.
         """
         controller = self.problem.controller(design)
+        if not radius and self.problem.requirements.decay_rate_per_s is None:
+            quick = self.table.find(controller)
+            if quick is not None:
+                return self._evaluated(controller, math.nan, self._of_plants(quick), peaks_if_missed)
         radii = self.radii(controller)
         if not np.max(radii) < 1.0:
             return Evaluation(
                 controller=controller,
-                spectral_radius=float(np.max(radii)),
+                # A radius that is not a number is no smaller than 1 either.
+                spectral_radius=float(np.nan_to_num(np.max(radii), nan=math.inf)),
                 requirements={},
                 peaks=(),
                 objective_n=math.inf,
             )
-        return self._evaluated(controller, radii, self.margins(controller, radii), peaks_if_missed)
+        return self._evaluated(controller, float(np.max(radii)), self.margins(controller, radii), peaks_if_missed)
 
     def evaluate_exactly(self, controller: AdmittanceController) -> ExactEvaluation:
         """Evaluate a stable controller with its margins plant by plant.
@@ -126,7 +168,9 @@ class PreparedScenarios:
         if not np.max(radii) < 1.0:
             raise UnstableLoopError(float(np.max(radii)))
         margins = self.margins(controller, radii)
-        return ExactEvaluation(evaluation=self._evaluated(controller, radii, margins, True), margins=margins)
+        return ExactEvaluation(
+            evaluation=self._evaluated(controller, float(np.max(radii)), margins, True), margins=margins
+        )
 
     def radii(self, controller: AdmittanceController) -> FloatArray:
         """Return the spectral radius of every plant's loop."""
@@ -134,23 +178,24 @@ class PreparedScenarios:
 
     def margins(self, controller: AdmittanceController, radii: FloatArray) -> tuple[PlantMargins, ...]:
         """Find the margins of every plant's loop, all of them stable."""
+        return self._of_plants(
+            [plant.find(controller, float(radius)) for plant, radius in zip(self.plants, radii, strict=True)]
+        )
+
+    def _of_plants(self, margins: Sequence[Margins]) -> tuple[PlantMargins, ...]:
         return tuple(
-            PlantMargins(
-                payload_mass_kg=plant.sampled.plant.payload.mass_kg,
-                environment_stiffness_n_per_m=plant.sampled.plant.environment.stiffness_n_per_m,
-                margins=plant.find(controller, float(radius)),
-            )
-            for plant, radius in zip(self.plants, radii, strict=True)
+            PlantMargins(scenario=scenario, free_space=i >= len(self.scenarios), margins=found)
+            for i, (scenario, found) in enumerate(zip((*self.scenarios, *self.free_of), margins, strict=True))
         )
 
     def _evaluated(
         self,
         controller: AdmittanceController,
-        radii: FloatArray,
+        radius: float,
         margins: tuple[PlantMargins, ...],
         peaks_if_missed: bool,
     ) -> Evaluation:
-        asked, h, radius = self.problem.requirements, self.problem.sample_time_s, float(np.max(radii))
+        asked, h = self.problem.requirements, self.problem.sample_time_s
         values = [normalise_margins(asked, each.margins, h) for each in margins]
         requirements = {name: max(value[name] for value in values) for name in values[0]}
         requirements |= self.achieved_admittance(controller)
@@ -185,26 +230,48 @@ class PreparedScenarios:
 
 
 def build_scenarios(problem: DesignProblem, scenarios: Sequence[Scenario]) -> PreparedScenarios:
-    """Sample every scenario's plant, and the free-space plant of every payload mass, once."""
+    """Sample every scenario's plant, and every different one in free space, once."""
     h = problem.sample_time_s
-    pairs = tuple(build_sampled_contact(build_sampled_plant(problem.plant(s), h)) for s in scenarios)
-    by_mass = {s.payload_mass_kg: pair.free for s, pair in zip(scenarios, pairs, strict=True)}
-    free = [by_mass[mass] for mass in sorted(by_mass)]
-    target = problem.requirements.free_space_admittance
+    nominal = problem.nominal_plant()
+    pairs = tuple(build_sampled_contact(build_sampled_plant(s.plant(nominal), h)) for s in scenarios)
+    # The first scenario of every different plant in free space stands for it.
+    different: dict[Plant, tuple[SampledPlant, Scenario]] = {}
+    for scenario, pair in zip(scenarios, pairs, strict=True):
+        different.setdefault(pair.free.plant, (pair.free, scenario))
+    free = sorted(different.values(), key=lambda each: each[1].payload_mass_kg)
+    plants = tuple(prepare_margins(plant) for plant in (*(pair.contact for pair in pairs), *(f for f, _ in free)))
     return PreparedScenarios(
         problem=problem,
         scenarios=tuple(scenarios),
         pairs=pairs,
-        plants=tuple(prepare_margins(plant) for plant in (*(pair.contact for pair in pairs), *free)),
-        target_response=None
-        if target is None
-        else plant_response(free[0], band_frequencies(problem.robot, target.band_hz)),
+        plants=plants,
+        table=build_margin_table(plants),
+        free_of=tuple(scenario for _, scenario in free),
+        target_response=_target_response(problem, [plant for plant, _ in free]),
+    )
+
+
+def _target_response(problem: DesignProblem, free: Sequence[SampledPlant]) -> PlantResponse | None:
+    """Return the responses of all different robots over the band that is asked: G does not hang on the payload."""
+    target = problem.requirements.free_space_admittance
+    if target is None:
+        return None
+    robots = {plant.plant.robot: plant for plant in free}
+    found = [plant_response(plant, band_frequencies(robot, target.band_hz)) for robot, plant in robots.items()]
+    if len(found) == 1:
+        return found[0]
+    return PlantResponse(
+        frequency_rad_per_s=np.concatenate([each.frequency_rad_per_s for each in found]),
+        z=np.concatenate([each.z for each in found]),
+        force=np.concatenate([each.force for each in found]),
+        position=np.concatenate([each.position for each in found]),
     )
 
 
 def normalise_margins(requirements: Requirements, margins: Margins, sample_time_s: float) -> dict[str, float]:
     """Return required/achieved for every margin that is asked; ≤ 1 is met, an unlimited margin gives 0."""
-    decay = -math.log(margins.spectral_radius) / sample_time_s if margins.spectral_radius > 0.0 else math.inf
+    # A radius that is not known (NaN) tells no decay, and then none is asked.
+    decay = -math.log(margins.spectral_radius) / sample_time_s if margins.spectral_radius != 0.0 else math.inf
     asked = {
         "modulus_margin": (requirements.modulus_margin, margins.modulus),
         "gain_margin_db": (requirements.gain_margin_db, margins.gain_db),

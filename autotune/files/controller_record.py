@@ -7,7 +7,12 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from problems.errors import ParameterError
+from problems.plant import Coupling, Environment, Payload, Plant
+from problems.robot import RobotModel
+from problems.uncertainty import Ellipsoid, Scenario, Uncertainty
 
 from .records import ROTATIONAL_AXES
 
@@ -108,7 +113,10 @@ class RuntimePayload:
 
 @dataclass(frozen=True, kw_only=True)
 class ScenarioPrediction:
-    """The peaks (N) of one contact and the time of the peak after touching (s)."""
+    """The peaks (N) of one contact and the time of the peak after touching (s).
+
+    `further` holds what of the plant is not nominal beyond K_e and M_p.
+    """
 
     name: str
     environment_stiffness_n_per_m: float
@@ -116,6 +124,19 @@ class ScenarioPrediction:
     peak_sensor_force_n: float
     peak_contact_force_n: float
     time_of_peak_s: float
+    further: Mapping[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.further is not None:
+            _freeze(self, "further")
+
+    def scenario(self) -> Scenario:
+        """Return the point of the uncertainty."""
+        return Scenario(
+            environment_stiffness_n_per_m=self.environment_stiffness_n_per_m,
+            payload_mass_kg=self.payload_mass_kg,
+            **(self.further or {}),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,8 +160,38 @@ class AxisPrediction:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ConfidenceSet:
+    """An ellipsoid that cuts the ranges: the confidence `level`, its `centre` and `covariance` by parameter."""
+
+    level: float
+    centre: Mapping[str, float]
+    covariance: Mapping[str, Mapping[str, float]]
+
+    def __post_init__(self) -> None:
+        _freeze(self, "centre", "covariance")
+        for name, row in self.covariance.items():
+            if set(row) != set(self.centre):
+                raise ParameterError(f"covariance.{name}", sorted(row), f"given for {', '.join(self.centre)}")
+        if set(self.covariance) != set(self.centre):
+            raise ParameterError("covariance", sorted(self.covariance), f"given for {', '.join(self.centre)}")
+
+    def ellipsoid(self) -> Ellipsoid:
+        """Return the same as a set to compute with."""
+        names = tuple(self.centre)
+        return Ellipsoid(
+            names=names,
+            centre=tuple(self.centre.values()),
+            covariance=tuple(tuple(self.covariance[a][b] for b in names) for a in names),
+            level=self.level,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
 class AxisDomain:
-    """The plants of one axis for which the certificate holds; r(s) in descending powers of s, r(0) = 1."""
+    """The plants of one axis for which the certificate holds; r(s) in descending powers of s, r(0) = 1.
+
+    `uncertain` holds ranges of what is not at its nominal value beyond K_e and M_p, `confidence` what cuts them.
+    """
 
     environment_stiffness_n_per_m: Interval
     payload_mass_kg: Interval
@@ -154,10 +205,46 @@ class AxisDomain:
     delay_s: float
     approach_force_n: float | None = None
     approach_speed_m_s: float | None = None
+    uncertain: Mapping[str, Interval] | None = None
+    confidence: ConfidenceSet | None = None
 
     def __post_init__(self) -> None:
         _check_interval("environment_stiffness_n_per_m", self.environment_stiffness_n_per_m)
         _check_interval("payload_mass_kg", self.payload_mass_kg)
+        if self.uncertain is not None:
+            _freeze(self, "uncertain")
+            self.uncertainty()
+        elif self.confidence is not None:
+            raise ParameterError("confidence", self.confidence.level, "given together with the ranges that it cuts")
+
+    def uncertainty(self) -> Uncertainty:
+        """Return all plants of the domain as a set; raises ParameterError if there is no such set."""
+        return Uncertainty(
+            ranges={
+                "environment_stiffness_n_per_m": self.environment_stiffness_n_per_m,
+                "payload_mass_kg": self.payload_mass_kg,
+                **(self.uncertain or {}),
+            },
+            ellipsoid=None if self.confidence is None else self.confidence.ellipsoid(),
+        )
+
+    def nominal_plant(self) -> Plant:
+        """Return the plant that all ranges are around, at the soft and light end of K_e and M_p."""
+        return Plant(
+            robot=RobotModel(
+                numerator=np.array(self.robot_numerator),
+                denominator=np.array(self.robot_denominator),
+                delay_s=self.delay_s,
+            ),
+            coupling=Coupling(
+                stiffness_n_per_m=self.coupling_stiffness_n_per_m, damping_n_s_per_m=self.coupling_damping_n_s_per_m
+            ),
+            payload=Payload(mass_kg=self.payload_mass_kg[0], drag_n_s_per_m=self.drag_n_s_per_m),
+            environment=Environment(
+                stiffness_n_per_m=self.environment_stiffness_n_per_m[0],
+                damping_n_s_per_m=self.environment_damping_n_s_per_m,
+            ),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,6 +301,7 @@ Asked = Mapping[str, float | bool | AdmittanceRequirement]
 class Certificate:
     """What was shown about the controller, and for which plants.
 
+    `proved` holds for every plant that it names, `sampled` was looked for on many plants of the set and not found.
     `requirements` are those of x, y, z, `rotational_requirements` those of rx, ry, rz (rad, N·m), None without them.
     """
 
@@ -223,6 +311,7 @@ class Certificate:
     proved: tuple[Proof, ...]
     margins: Mapping[str, AxisMargins]
     rotational_requirements: Mapping[str, float | bool | AdmittanceRequirement] | None = None
+    sampled: tuple[Proof, ...] = ()
 
     def __post_init__(self) -> None:
         _freeze(self, "domain", "requirements", "margins")

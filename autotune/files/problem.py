@@ -4,26 +4,24 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 from autotune.errors import UsageError
 from problems.contact import Approach
 from problems.design import AdmittanceTarget, Objective, Requirements
 from problems.errors import ParameterError
+from problems.uncertainty import FURTHER_UNCERTAIN, UNCERTAIN
 
 from .canonical import Place, spell
-from .records import rename_axis_keys
+from .records import ROTATIONAL_KEYS, rename_axis_keys
 from .schema import check_document
 from .yaml12 import Document, load_document
 
 Interval = tuple[float, float]
+Origin = Literal["identified", "nominal"]
+Uncertain = Mapping[str, Interval | Origin]
 
-_RANGES = (
-    "environment_stiffness_n_per_m",
-    "payload_mass_kg",
-    "environment_stiffness_n_m_per_rad",
-    "payload_inertia_kg_m2",
-)
+_RANGES = frozenset({*UNCERTAIN, *(ROTATIONAL_KEYS[name] for name in UNCERTAIN if name in ROTATIONAL_KEYS)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,28 +35,35 @@ class RotationalSpec:
     approach: Approach | None = None
     environment_stiffness_n_per_m: Interval | None = None
     payload_mass_kg: Interval | None = None
+    uncertain: Uncertain = field(default_factory=dict)
     requirements: Mapping[str, float | AdmittanceTarget | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("bounds", "requirements"):
+        for name in ("bounds", "uncertain", "requirements"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProblemSpec:
-    """Everything that `problem.yaml` may say; None or empty where it says nothing and the default holds."""
+    """Everything that `problem.yaml` may say; None or empty where it says nothing and the default holds.
+
+    `uncertain` maps further parameters of the plant to a range, to "identified" (the confidence set of the identified
+    file) or to "nominal" (as if it were known).
+    """
 
     axes: tuple[str, ...] | None = None
     bounds: Mapping[str, Interval] = field(default_factory=dict)
     approach: Approach | None = None
     environment_stiffness_n_per_m: Interval | None = None
     payload_mass_kg: Interval | None = None
+    uncertain: Uncertain = field(default_factory=dict)
     requirements: Requirements = field(default_factory=Requirements)
     objective: Objective = "contact_force"
     rotational: RotationalSpec = field(default_factory=RotationalSpec)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "bounds", MappingProxyType(dict(self.bounds)))
+        for name in ("bounds", "uncertain"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
 
 def read_problem(path: Path) -> ProblemSpec:
@@ -87,6 +92,7 @@ def _ranges(tree: Mapping[str, Any]) -> dict[str, Any]:
         "approach": Approach(**tree["approach"]) if "approach" in tree else None,
         "environment_stiffness_n_per_m": _optional_pair(tree.get("environment_stiffness_n_per_m")),
         "payload_mass_kg": _optional_pair(tree.get("payload_mass_kg")),
+        "uncertain": {name: _range_or_origin(tree[name]) for name in FURTHER_UNCERTAIN if name in tree},
     }
 
 
@@ -103,7 +109,7 @@ def _requirements(tree: Mapping[str, Any]) -> dict[str, Any]:
 def _intervals(tree: Mapping[str, Any], within: Place = ()) -> list[Place]:
     """Return where the ranges stand, those of rotational axes included."""
     places: list[Place] = [("bounds", name) for name in tree.get("bounds", {})]
-    places += [(name,) for name in tree if name in _RANGES]
+    places += [(name,) for name, value in tree.items() if name in _RANGES and isinstance(value, list)]
     if (tree.get("requirements") or {}).get("free_space_admittance"):
         places.append(("requirements", "free_space_admittance", "band_hz"))
     places = [(*within, *place) for place in places]
@@ -120,6 +126,14 @@ def _check_order(document: Document, place: Place) -> None:
 
 def _pair(value: list[float]) -> Interval:
     return float(value[0]), float(value[1])
+
+
+def _range_or_origin(value: Any) -> Interval | Origin:
+    """Return [low, high] as an interval, and what stands behind `from` as it is."""
+    if isinstance(value, Mapping):
+        origin: Origin = value["from"]
+        return origin
+    return _pair(value)
 
 
 def _optional_pair(value: list[float] | None) -> Interval | None:

@@ -6,13 +6,14 @@ from typing import ClassVar
 import numpy as np
 
 from problems.controller import AdmittanceController
-from problems.design import AdmittanceTarget, DesignProblem, Scenario
+from problems.design import AdmittanceTarget, DesignProblem
 from problems.evaluation import Evaluation, band_frequencies, smallest_admittance
 from problems.noise import predict_command_noise
 from problems.passivity import check_passivity
 from problems.plant import FREE_SPACE
 from problems.response import hand_admittance
 from problems.sampled import SampledPlant, build_sampled_plant
+from problems.uncertainty import Scenario
 
 from .plugins import Direction, Objective, Requirement
 

@@ -8,11 +8,11 @@ from types import MappingProxyType
 import numpy as np
 
 from autotune.errors import AutotuneError, UsageError
-from autotune.tuning.search import DENSE_MASS, DENSE_STIFFNESS
+from autotune.tuning.worst import WholeSet
 from problems.controller import AdmittanceController
 from problems.design import DesignProblem
 from problems.errors import ParameterError
-from problems.evaluation import Evaluation, build_scenarios
+from problems.evaluation import Evaluation
 
 from .plugins import Demand, Objective
 
@@ -58,13 +58,13 @@ class Front:
 
 
 class Judge:
-    """Judges controllers of one problem over its dense grid, with the exact margins of every plant."""
+    """Judges controllers over the dense grid, corners and samples of a problem's uncertainty, margins exactly."""
 
     def __init__(
         self, problem: DesignProblem, objectives: tuple[Objective, ...], demands: tuple[Demand, ...] = ()
     ) -> None:
         self.problem, self.objectives, self.demands = problem, objectives, demands
-        self._prepared = build_scenarios(problem, problem.scenarios(DENSE_STIFFNESS, DENSE_MASS))
+        self._prepared = WholeSet(problem).prepared
 
     @property
     def scenario_count(self) -> int:

@@ -12,10 +12,11 @@ from autotune.files.controller_record import CollisionResponse, Controller
 from autotune.validation.validate import admittance_controller
 from problems.controller import AdmittanceController
 from problems.design import VARIABLES, DesignProblem
-from problems.evaluation import PreparedScenarios, build_scenarios, smallest_admittance
+from problems.evaluation import PreparedScenarios, smallest_admittance
 
 from .record import admittance_band_hz
-from .search import DENSE_MASS, DENSE_STIFFNESS, SearchResult
+from .search import SearchResult
+from .worst import WholeSet
 
 FloatArray = NDArray[np.float64]
 
@@ -96,7 +97,7 @@ def compare(old: Controller, searches: Mapping[str, SearchResult]) -> dict[str, 
     for name, search in searches.items():
         if name in old.axes:
             problem = search.problem
-            dense = build_scenarios(problem, problem.scenarios(DENSE_STIFFNESS, DENSE_MASS))
+            dense = WholeSet(problem).prepared
             found[name] = SideBySide(
                 old=stand(dense, admittance_controller(old, name)),
                 new=stand(dense, problem.controller(search.design)),

@@ -17,6 +17,7 @@ from problems.plant import Coupling
 from problems.robot import RobotModel
 
 from .rotational import through_lever
+from .uncertain import with_uncertainty
 
 Interval = tuple[float, float]
 
@@ -124,7 +125,7 @@ def certified_mass_kg(problems: Mapping[str, DesignProblem]) -> Interval | None:
 
 def _build_problem(identified: Identified, name: str, spec: ProblemSpec) -> DesignProblem:
     axis, coupling = identified.axes[name], identified.axes[name].coupling
-    return DesignProblem(
+    nominal = DesignProblem(
         robot=_robot(axis, name),
         coupling=Coupling(
             stiffness_n_per_m=_value(coupling.stiffness_n_per_m, _place(name, "coupling.", "stiffness_n_per_m")),
@@ -141,6 +142,7 @@ def _build_problem(identified: Identified, name: str, spec: ProblemSpec) -> Desi
         requirements=spec.requirements,
         objective=spec.objective,
     )
+    return with_uncertainty(nominal, axis, name, spec.uncertain)
 
 
 def _robot(axis: AxisEstimate, name: str) -> RobotModel:

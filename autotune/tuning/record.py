@@ -1,6 +1,7 @@
 """Write a search result down as a controller with everything that the certificate claims."""
 
 from collections.abc import Mapping
+from operator import attrgetter
 from typing import Any
 
 from autotune.files.controller_record import (
@@ -12,6 +13,7 @@ from autotune.files.controller_record import (
     Certificate,
     Collision,
     CollisionResponse,
+    ConfidenceSet,
     Controller,
     ControllerStatus,
     DeadbandType,
@@ -23,12 +25,14 @@ from autotune.files.controller_record import (
 )
 from autotune.files.records import ROTATIONAL_AXES
 from autotune.files.units import axis_units
+from autotune.validation.whole_set import sampled_claims
 from identification.errors import EstimateError
 from identification.result import Identified
 from identification.rotation import LEVER_M
 from problems.controller import AdmittanceController
-from problems.design import DesignProblem, Requirements, Scenario
+from problems.design import DesignProblem, Requirements
 from problems.evaluation import PlantMargins, build_scenarios, smallest_admittance
+from problems.uncertainty import Ellipsoid, Scenario
 
 from .search import SearchResult
 
@@ -53,12 +57,15 @@ def build_controller(
     """
     first = next(iter(results.values())).problem
     controllers = {name: _controller(result) for name, result in results.items()}
+    domain = {name: build_domain(result.problem) for name, result in results.items()}
+    margins = {name: _margins(result.margins) for name, result in results.items()}
+    predicted = {name: _prediction(name, results[name], c) for name, c in controllers.items()}
     asked = {name in ROTATIONAL_AXES: _requirements(result.problem.requirements) for name, result in results.items()}
     return Controller(
         status=ControllerStatus.VALIDATED,
         sample_time_s=first.sample_time_s,
         discretization="tustin",
-        delay_samples=max(r.problem.robot.delay_s for r in results.values()) / first.sample_time_s,
+        delay_samples=max(_longest_delay_s(r.problem) for r in results.values()) / first.sample_time_s,
         axes={name: _gains(name, controller) for name, controller in controllers.items()},
         filters=Filters(
             velocity_rad_per_s=first.velocity_filter_rad_per_s,
@@ -67,17 +74,26 @@ def build_controller(
         compensation_mass_kg=0.0,
         collision=Collision(response=CollisionResponse.NONE, threshold_n=None),
         payload=_payload(identified, mass_kg),
-        predicted={name: _prediction(name, results[name].problem, c) for name, c in controllers.items()},
+        predicted=predicted,
         certificate=Certificate(
-            domain={name: build_domain(result.problem) for name, result in results.items()},
+            domain=domain,
             sample_time_s=first.sample_time_s,
             requirements=asked.get(False, {}),
             rotational_requirements=asked.get(True),
             proved=tuple(proof for of_axis in proofs.values() for proof in of_axis),
-            margins={name: _margins(result.margins) for name, result in results.items()},
+            sampled=tuple(
+                claim
+                for name in results
+                for claim in sampled_claims(domain[name], margins[name], predicted[name], name)
+            ),
+            margins=margins,
         ),
         provenance=provenance,
     )
+
+
+def _longest_delay_s(problem: DesignProblem) -> float:
+    return max(problem.robot.delay_s, problem.uncertain.get("delay_s", (0.0, 0.0))[1])
 
 
 def _controller(result: SearchResult) -> AdmittanceController:
@@ -123,12 +139,20 @@ def scenario_name(axis: str, scenario: Scenario) -> str:
     units = axis_units(axis)
     return (
         f"K_e {scenario.environment_stiffness_n_per_m:.4g} {units.stiffness}, "
-        f"{scenario.payload_mass_kg:.4g} {units.mass}"
+        f"{scenario.payload_mass_kg:.4g} {units.mass}{scenario.off_nominal}"
     )
 
 
-def _prediction(name: str, problem: DesignProblem, controller: AdmittanceController) -> AxisPrediction:
+def _prediction(name: str, result: SearchResult, controller: AdmittanceController) -> AxisPrediction:
+    """Predict a grid of contacts of the nominal plant, and the worst ones that the search found anywhere."""
+    problem = result.problem
     prepared = build_scenarios(problem, problem.scenarios(_PREDICTED_STIFFNESS, _PREDICTED_MASS))
+    peaks = prepared.peaks(controller)
+    worst = [
+        max(result.evaluation.peaks, key=attrgetter(kind)) for kind in ("peak_contact_force_n", "peak_sensor_force_n")
+    ]
+    known = set(prepared.scenarios)
+    peaks += tuple(dict.fromkeys(peak for peak in worst if peak.scenario not in known))
     band = admittance_band_hz(problem.requirements)
     return AxisPrediction(
         scenarios=tuple(
@@ -139,8 +163,9 @@ def _prediction(name: str, problem: DesignProblem, controller: AdmittanceControl
                 peak_sensor_force_n=peak.peak_sensor_force_n,
                 peak_contact_force_n=peak.peak_contact_force_n,
                 time_of_peak_s=peak.time_of_peak_s,
+                further=peak.scenario.further() or None,
             )
-            for peak in prepared.peaks(controller)
+            for peak in peaks
         ),
         free_space_admittance=FreeSpaceAdmittance(
             band_hz=band,
@@ -165,6 +190,21 @@ def build_domain(problem: DesignProblem) -> AxisDomain:
         delay_s=problem.robot.delay_s,
         approach_force_n=problem.approach.force_n,
         approach_speed_m_s=problem.approach.speed_m_s,
+        uncertain=problem.uncertain or None,
+        confidence=_confidence(problem.ellipsoid),
+    )
+
+
+def _confidence(ellipsoid: Ellipsoid | None) -> ConfidenceSet | None:
+    if ellipsoid is None:
+        return None
+    names = ellipsoid.names
+    return ConfidenceSet(
+        level=ellipsoid.level,
+        centre=dict(zip(names, ellipsoid.centre, strict=True)),
+        covariance={
+            name: dict(zip(names, row, strict=True)) for name, row in zip(names, ellipsoid.covariance, strict=True)
+        },
     )
 
 
@@ -196,6 +236,7 @@ def _margins(found: tuple[PlantMargins, ...]) -> AxisMargins:
             name: {
                 "environment_stiffness_n_per_m": plant.environment_stiffness_n_per_m,
                 "payload_mass_kg": plant.payload_mass_kg,
+                **plant.scenario.further(),
             }
             for name, plant in worst.items()
         },

@@ -31,6 +31,8 @@ def through_lever(spec: ProblemSpec, approach: Approach) -> ProblemSpec:
         approach=said.approach or _approach(approach),
         environment_stiffness_n_per_m=said.environment_stiffness_n_per_m,
         payload_mass_kg=said.payload_mass_kg,
+        # A range has a unit and stays where it was said; where it is to come from holds for every axis.
+        uncertain={**{name: told for name, told in spec.uncertain.items() if isinstance(told, str)}, **said.uncertain},
         requirements=_requirements(spec.requirements, said.requirements),
     )
 

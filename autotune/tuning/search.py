@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +10,7 @@ from scipy.optimize import OptimizeResult, differential_evolution, minimize
 
 from autotune.errors import InfeasibleError
 from problems.controller import SMALLEST_FEEDBACK_DAMPING_S
-from problems.design import VARIABLES, DesignProblem, Scenario
+from problems.design import VARIABLES, DesignProblem
 from problems.evaluation import (
     Evaluation,
     PlantMargins,
@@ -19,8 +20,10 @@ from problems.evaluation import (
 )
 from problems.margins import UnstableLoopError
 from problems.screening import Screen, Screened, build_screen
+from problems.uncertainty import Scenario
 
 from .polish import polish_exactly
+from .worst import DENSE_STIFFNESS, WholeSet
 
 FloatArray = NDArray[np.float64]
 
@@ -34,10 +37,10 @@ _LOCAL_ITERATIONS = 30
 # What six digits may cost a requirement.
 _RESERVE = 5e-6
 _WALL = 1e3
+_HAIR = 2e-3
 # Costs of designs that miss something lie above every force, those of unstable ones above these.
 _UNSTABLE = 1e15
 _MISSED = 1e12
-DENSE_STIFFNESS, DENSE_MASS = 33, 3
 _WORSE_PEAK = 1e-3
 _LOGARITHMIC = np.array([True, True, False, False])
 
@@ -100,17 +103,17 @@ def solve_design(
     """
     report = progress if progress is not None else _silent
     search = Search(problem, seed, start)
-    dense = build_scenarios(problem, problem.scenarios(DENSE_STIFFNESS, DENSE_MASS))
+    whole = WholeSet(problem, seed)
     # What was given stands ready if nothing better is found: margins held in reserve could cost a hair otherwise.
-    given = None if start is None else (start, *_evaluated_exactly(dense, start))
+    given = None if start is None else (start, *_evaluated_exactly(whole, start))
     active = problem.scenarios(3, 2)
     unit = search.explore(active, lambda share: report(0.6 * share))
     for round_index in range(_ROUNDS):
         unit = search.polish(active, unit)
         design = presentable(problem, search.box.design(unit))
-        exact, margins = _evaluated_exactly(dense, design)
+        exact, margins = _evaluated_exactly(whole, design)
         report(0.4 / _ROUNDS)
-        worse = _worst_scenarios(exact, search.last, active)
+        worse = _worst_scenarios(problem, exact, search.last, active)
         missed = exact.violation
         if not worse and missed <= 0.0:
             if given is not None and given[1].is_feasible and given[1].objective_n <= exact.objective_n:
@@ -121,13 +124,23 @@ def solve_design(
                 evaluation=exact,
                 margins=margins,
                 active=build_scenarios(problem, active),
-                scenario_count=len(dense.scenarios),
+                scenario_count=len(whole.scenarios),
                 rounds=round_index + 1,
                 evaluations=search.evaluations,
             )
-        active = (*active, *(_margin_scenarios(problem, margins, active) if missed > 0.0 else ()), *worse)
-        if missed > 0.0:
+        if not exact.is_stable:
+            # Stability is cheap to ask, so the grid joins too.
+            unstable = whole.unstable(problem.controller(design))
+            worse = (*worse, *unstable, *problem.scenarios(DENSE_STIFFNESS, 2))
+        elif missed > 0.0:
+            worse = (*worse, *_margin_scenarios(problem, exact, margins))
+            if exact.requirements.get("free_space_admittance", 0.0) > 1.0:
+                worse = (*worse, whole.slowest(problem.controller(design)))
+        joined = tuple(dict.fromkeys((*active, *worse)))
+        # A scenario that joins asks for itself; what is asked for more stays, also once it no longer binds.
+        if missed <= _HAIR or len(joined) == len(active):
             search.tighten(exact)
+        active = joined
     raise InfeasibleError(
         f"No design was found that holds over the whole uncertainty within {_ROUNDS} rounds of adding the worst case; "
         f"the last one misses {_told(exact)}. Ask for less, or narrow the ranges."
@@ -143,12 +156,12 @@ def presentable(problem: DesignProblem, design: FloatArray) -> FloatArray:
     return np.asarray(np.clip(rounded, bounds[:, 0], bounds[:, 1]))
 
 
-def _evaluated_exactly(dense: PreparedScenarios, design: FloatArray) -> tuple[Evaluation, tuple[PlantMargins, ...]]:
-    """Evaluate over the dense grid; an unstable scenario in it counts as an infinite miss, with no margins."""
+def _evaluated_exactly(whole: WholeSet, design: FloatArray) -> tuple[Evaluation, tuple[PlantMargins, ...]]:
+    """Evaluate over the whole set; an unstable scenario in it counts as an infinite miss, with no margins."""
     try:
-        exact = dense.evaluate_exactly(dense.problem.controller(design))
+        exact = whole.evaluate(whole.problem.controller(design))
     except UnstableLoopError:
-        return dense.evaluate(design), ()
+        return whole.prepared.evaluate(design), ()
     return exact.evaluation, exact.margins
 
 
@@ -337,7 +350,7 @@ class Search:
 
     def _reason(self, prepared: PreparedScenarios, unit: FloatArray) -> str:
         """Say why nothing is feasible: the requirement that the closest design misses."""
-        evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True)
+        evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True, radius=False)
         if not evaluation.is_stable:
             return (
                 "No controller within the bounds is stable in every scenario (closest: largest |z| = "
@@ -369,30 +382,35 @@ def _spread(units: list[FloatArray]) -> list[FloatArray]:
     return kept
 
 
-def _worst_scenarios(exact: Evaluation, known: Evaluation | None, active: tuple[Scenario, ...]) -> tuple[Scenario, ...]:
-    """Return the scenario with the highest peak if it beats what the active ones showed."""
+def _worst_scenarios(
+    problem: DesignProblem, exact: Evaluation, known: Evaluation | None, active: tuple[Scenario, ...]
+) -> tuple[Scenario, ...]:
+    """Return the scenarios with the highest peaks that beat what the active ones showed.
+
+    What counts is the objective's force, and the one at the contact where it is limited.
+    """
     if known is None or not exact.peaks:
         return ()
-    worst = max(exact.peaks, key=lambda peak: peak.peak_contact_force_n)
-    beaten = worst.peak_contact_force_n > (1.0 + _WORSE_PEAK) * max(p.peak_contact_force_n for p in known.peaks)
-    return (worst.scenario,) if beaten and worst.scenario not in active else ()
+    kinds = {"peak_contact_force_n" if problem.objective == "contact_force" else "peak_sensor_force_n"}
+    if problem.requirements.max_peak_force_n is not None:
+        kinds.add("peak_contact_force_n")
+    found = []
+    for force in map(attrgetter, sorted(kinds)):
+        worst = max(exact.peaks, key=force)
+        if force(worst) > (1.0 + _WORSE_PEAK) * max(map(force, known.peaks)) and worst.scenario not in active:
+            found.append(worst.scenario)
+    return tuple(found)
 
 
 def _margin_scenarios(
-    problem: DesignProblem, margins: tuple[PlantMargins, ...], active: tuple[Scenario, ...]
+    problem: DesignProblem, exact: Evaluation, margins: tuple[PlantMargins, ...]
 ) -> tuple[Scenario, ...]:
-    """Return the plant with the largest miss as a scenario (every scenario brings its free space along), if new.
-
-    Without margins something is unstable, and the whole grid joins: stability is cheap to ask.
-    """
-    if not margins:
-        return tuple(s for s in problem.scenarios(DENSE_STIFFNESS, 2) if s not in active)
-    worst = max(
-        margins,
-        key=lambda m: max(
-            normalise_margins(problem.requirements, m.margins, problem.sample_time_s).values(), default=0.0
-        ),
-    )
-    stiffness = worst.environment_stiffness_n_per_m or problem.environment_stiffness_n_per_m[0]
-    scenario = Scenario(environment_stiffness_n_per_m=stiffness, payload_mass_kg=worst.payload_mass_kg)
-    return () if scenario in active else (scenario,)
+    """Return for every margin that is missed the scenario that misses it most; each brings its free space along."""
+    found = []
+    for name, value in exact.requirements.items():
+        if value <= 1.0:
+            continue
+        values = [normalise_margins(problem.requirements, m.margins, problem.sample_time_s).get(name) for m in margins]
+        if values and all(each is not None for each in values):
+            found.append(margins[int(np.argmax(np.array(values, dtype=np.float64)))].scenario)
+    return tuple(found)

@@ -48,10 +48,29 @@ def _outside(name: str, domain: AxisDomain, axis: AxisEstimate) -> Iterator[str]
             surface.stiffness_n_per_m,
             domain.environment_stiffness_n_per_m,
         )
-    yield from _same(f"K_s [{units.stiffness}]", axis.coupling.stiffness_n_per_m, domain.coupling_stiffness_n_per_m)
-    yield from _same(f"B_s [{units.damping}]", axis.coupling.damping_n_s_per_m, domain.coupling_damping_n_s_per_m)
-    yield from _same(f"B_p [{units.damping}]", axis.drag_n_s_per_m, domain.drag_n_s_per_m)
-    yield from _same("T_d [s]", axis.robot.delay_s, domain.delay_s)
+    uncertain = domain.uncertain or {}
+    for key, what, estimate, certified in (
+        (
+            "coupling_stiffness_n_per_m",
+            f"K_s [{units.stiffness}]",
+            axis.coupling.stiffness_n_per_m,
+            domain.coupling_stiffness_n_per_m,
+        ),
+        (
+            "coupling_damping_n_s_per_m",
+            f"B_s [{units.damping}]",
+            axis.coupling.damping_n_s_per_m,
+            domain.coupling_damping_n_s_per_m,
+        ),
+        ("drag_n_s_per_m", f"B_p [{units.damping}]", axis.drag_n_s_per_m, domain.drag_n_s_per_m),
+        ("delay_s", "T_d [s]", axis.robot.delay_s, domain.delay_s),
+    ):
+        if key in uncertain:
+            yield from _interval(what, estimate, uncertain[key])
+        else:
+            yield from _same(what, estimate, certified)
+    if "robot_bandwidth_hz" in uncertain:
+        yield from _interval("robot bandwidth [Hz]", axis.robot.bandwidth_hz, uncertain["robot_bandwidth_hz"])
 
 
 def _interval(what: str, estimate: Estimate, interval: tuple[float, float]) -> list[str]:

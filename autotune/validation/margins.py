@@ -1,6 +1,6 @@
 """Margins from characteristic polynomials: another road than the frequency responses that the optimizer uses."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from problems.controller import AdmittanceController
 from problems.margins import LARGEST_GAIN_DB, frequency_grid, margins_on_grid
+from problems.plant import FREE_SPACE, Plant
 from problems.sampled import SampledPlant, build_cut_loop, build_sampled_plant
 
 from .proof import UncertainPlant
@@ -31,9 +32,18 @@ class SweptMargins:
 
 
 def sweep_margins(
-    plants: UncertainPlant, controller: AdmittanceController, sample_time_s: float, *, stiffness: int, mass: int
+    plants: UncertainPlant,
+    controller: AdmittanceController,
+    sample_time_s: float,
+    *,
+    stiffness: int,
+    mass: int,
+    others: Sequence[Plant] = (),
 ) -> SweptMargins:
-    """Return the smallest margins over a grid of the set and over free space, at both break points."""
+    """Return the smallest margins over a grid of the set and over free space, at both break points.
+
+    `others` are further plants in contact, each of which is looked at in free space too.
+    """
     values: dict[str, float] = {}
     worst: dict[str, tuple[float, float]] = {}
     radius, count = 0.0, 0
@@ -43,9 +53,10 @@ def sweep_margins(
     stiffnesses = np.unique(np.clip(np.geomspace(low, high, stiffness), low, high))
     grid = [(float(m), float(k)) for m in masses for k in stiffnesses]
     free = plants.in_free_space()
-    for m, k in [*grid, *((float(m), 0.0) for m in masses)]:
-        sampled = build_sampled_plant((plants if k > 0.0 else free).at(m, k), sample_time_s)
-        found, largest = _margins(sampled, controller)
+    swept = [(plants if k > 0.0 else free).at(m, k) for m, k in [*grid, *((float(m), 0.0) for m in masses)]]
+    for plant in [*swept, *others, *dict.fromkeys(other.in_contact_with(FREE_SPACE) for other in others)]:
+        m, k = plant.payload.mass_kg, plant.environment.stiffness_n_per_m
+        found, largest = _margins(build_sampled_plant(plant, sample_time_s), controller)
         radius, count = max(radius, largest), count + 1
         for name, value in found.items():
             if value < values.get(name, np.inf):

@@ -1,5 +1,7 @@
 import dataclasses
+import json
 import math
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -7,9 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from problems.contact import Approach
-from problems.design import DEFAULT_BOUNDS, VARIABLES, AdmittanceTarget, DesignProblem, Requirements, Scenario
+from problems.design import DEFAULT_BOUNDS, VARIABLES, AdmittanceTarget, DesignProblem, Requirements
+from problems.design_tree import problem_from_dict, problem_to_dict
 from problems.errors import ParameterError
 from problems.plant import Coupling
+from problems.robot import RobotModel
+from problems.uncertainty import Ellipsoid, Scenario
 from tests.problems.axes import LAW, PERIOD_S, between, one_pole
 
 
@@ -174,3 +179,67 @@ def test_feedback_damping_too_small_to_be_seconds_is_none(asked: float, found: f
 def test_a_scenario_has_a_readable_name() -> None:
     assert Scenario(environment_stiffness_n_per_m=5e5, payload_mass_kg=16.0).name == "K_e 5e+05 N/m, 16 kg"
     assert problem().approach == Approach(force_n=30.0)
+
+
+K_S, T_D = "coupling_stiffness_n_per_m", "delay_s"
+CUT = Ellipsoid(names=(K_S, T_D), centre=(3e5, 2.4e-3), covariance=((9e6, 0.048), (0.048, 4e-10)))
+UNCERTAIN = {K_S: (2.9e5, 3.1e5), T_D: (2.3e-3, 2.5e-3), "drag_n_s_per_m": (600.0, 700.0)}
+
+
+def uncertain_problem() -> DesignProblem:
+    return problem(uncertain=UNCERTAIN, ellipsoid=CUT, requirements=Requirements(max_peak_force_n=80.0))
+
+
+def test_ranges_beyond_stiffness_and_mass_belong_to_the_uncertainty() -> None:
+    found = uncertain_problem()
+    assert found.uncertainty.varying == ("environment_stiffness_n_per_m", "payload_mass_kg", K_S, "drag_n_s_per_m", T_D)
+    assert problem().uncertainty.varying == ("environment_stiffness_n_per_m", "payload_mass_kg")
+    # The grid stays at the nominal plant.
+    assert all(found.plant(s).coupling == found.coupling for s in found.scenarios(3, 3))
+
+
+@pytest.mark.parametrize(
+    ("uncertain", "must"),
+    [
+        ({K_S: (1e5, 2e5)}, "around the nominal value"),
+        ({"payload_mass_kg": (8.0, 9.0)}, "the problem's own range"),
+        ({"robot_damping_ratio": (0.5, 0.9)}, "two poles and no zero"),
+        ({"mass": (1.0, 2.0)}, "one of"),
+    ],
+)
+def test_an_uncertainty_that_cannot_be_is_refused(uncertain: dict[str, tuple[float, float]], must: str) -> None:
+    with pytest.raises(ParameterError, match=must):
+        problem(uncertain=uncertain)
+
+
+@pytest.mark.parametrize("made", [problem, uncertain_problem])
+def test_a_problem_survives_being_written_and_read(made: Callable[[], DesignProblem]) -> None:
+    asked = made()
+    assert problem_from_dict(json.loads(json.dumps(problem_to_dict(asked)))) == asked
+
+
+@LAW
+@given(between(1e4, 1e6), between(1e-4, 5e-3), between(1.0, 100.0))
+def test_no_bit_is_lost_on_the_way(stiffness: float, delay: float, omega: float) -> None:
+    robot = RobotModel(numerator=[omega * 1.1], denominator=[1.1, omega * 1.1], delay_s=delay)  # type: ignore[arg-type]
+    asked = problem(robot=robot, environment_stiffness_n_per_m=(stiffness, 1.1 * stiffness))
+    assert problem_from_dict(json.loads(json.dumps(problem_to_dict(asked)))) == asked
+
+
+def test_a_tree_that_is_no_problem_is_refused() -> None:
+    tree = problem_to_dict(problem())
+    for wrong in ({**tree, "more": 1.0}, {k: v for k, v in tree.items() if k != "coupling"}, {**tree, "coupling": 1.0}):
+        with pytest.raises(ParameterError, match="design problem"):
+            problem_from_dict(wrong)
+
+
+def test_a_problem_can_be_read_by_people() -> None:
+    text = str(uncertain_problem())
+    for told in (
+        "minimise                            the peak contact force, worst over the whole uncertainty",
+        "free: mass                          5 to 100",
+        "uncertain: K_s                      290000 to 310000  (coupling_stiffness_n_per_m)",
+        "cut by                              the 95 % confidence set of K_s, T_d",
+        "required: max_peak_force_n          80",
+    ):
+        assert told in text

@@ -198,3 +198,40 @@ def test_a_spec_cannot_be_changed(path: Path) -> None:
     spec = read(path, WHOLE)
     with pytest.raises(TypeError):
         spec.bounds["mass"] = (1.0, 2.0)  # type: ignore[index]  # that it is refused is the point
+
+
+def test_what_is_uncertain_is_a_range_or_has_an_origin(path: Path) -> None:
+    spec = read(
+        path,
+        "coupling_stiffness_n_per_m: [2.9e5, 3.1e5]\n"
+        "coupling_damping_n_s_per_m: [0, 200]\n"
+        "delay_s: {from: identified}\n"
+        "robot_bandwidth_hz: {from: nominal}\n"
+        "rotational:\n"
+        "  drag_n_m_s_per_rad: [1, 2]\n"
+        "  environment_damping_n_m_s_per_rad: {from: identified}\n",
+    )
+    assert dict(spec.uncertain) == {
+        "coupling_stiffness_n_per_m": (2.9e5, 3.1e5),
+        "coupling_damping_n_s_per_m": (0.0, 200.0),
+        "delay_s": "identified",
+        "robot_bandwidth_hz": "nominal",
+    }
+    assert dict(spec.rotational.uncertain) == {
+        "drag_n_s_per_m": (1.0, 2.0),
+        "environment_damping_n_s_per_m": "identified",
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("delay_s: [2e-3, 1e-3]\n", r"delay_s must be [low, high], found 0.002 above 0.001"),
+        ("coupling_stiffness_n_per_m: [0, 3e5]\n", "coupling_stiffness_n_per_m"),
+        ("delay_s: {from: guess}\n", "delay_s"),
+        ("delay_s: identified\n", "delay_s"),
+        ("rotational:\n  drag_n_s_per_m: [1, 2]\n", "drag_n_s_per_m"),
+    ],
+)
+def test_an_uncertainty_that_cannot_be_read_is_refused(path: Path, text: str, told: str) -> None:
+    assert told in refusal(path, text)

@@ -8,8 +8,8 @@ import pytest
 
 from autotune.studies.front import _most_admittance, trace_front
 from autotune.studies.points import Front, Judge
-from autotune.tuning import search as search_module
 from autotune.tuning.search import Box
+from autotune.tuning.worst import DENSE_STIFFNESS
 from problems.design import Requirements
 from problems.evaluation import build_scenarios
 from tests.autotune.studies.small import small_problem, small_search
@@ -57,7 +57,7 @@ def test_the_ends_are_the_gentlest_and_the_freest_controller_of_the_grid() -> No
 def test_every_point_is_feasible_over_the_dense_grid_and_none_beats_another() -> None:
     found = front()
     assert len(found.points) >= 4
-    assert found.scenario_count == search_module.DENSE_STIFFNESS  # one mass
+    assert found.scenario_count == DENSE_STIFFNESS  # one mass
     judge = Judge(found.problem, found.objectives)
     peaks = [point.values["peak_force"] for point in found.points]
     free = [point.values["admittance"] for point in found.points]

@@ -159,3 +159,24 @@ environment_stiffness_n_per_m: [1.0e5, 1.2e5]
 requirements:
   free_space_admittance: {min_m_s_per_n: 6.5e-4, band_hz: [1, 2]}
 """
+
+
+# Wide enough that the nominal optimum is not safe everywhere in it.
+FURTHER: Mapping[str, tuple[float, float]] = {
+    "coupling_stiffness_n_per_m": (2.85e5, 3.15e5),
+    "coupling_damping_n_s_per_m": (130.0, 170.0),
+    "delay_s": (2.35e-3, 2.6e-3),
+    "robot_bandwidth_hz": (3.1, 3.27),
+}
+FURTHER_SPEC = replace(
+    FAST_SPEC,
+    uncertain=FURTHER,
+    requirements=Requirements(free_space_admittance=AdmittanceTarget(min_m_s_per_n=5.5e-4, band_hz=(1.0, 2.0))),
+)
+
+
+@cache
+def uncertain_optimized() -> Optimized:
+    """The problem of `fast_optimized` with more of the plant uncertain, and less freedom of motion asked."""
+    plant = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
+    return optimize(plant, FURTHER_SPEC, FAST_WISHES, seed=1)

@@ -14,8 +14,9 @@ from autotune.errors import InfeasibleError
 from autotune.tuning import search as search_module
 from autotune.tuning.search import Box, presentable, solve_design
 from problems.contact import Approach
-from problems.design import VARIABLES, AdmittanceTarget, Requirements, Scenario
+from problems.design import VARIABLES, AdmittanceTarget, Requirements
 from problems.evaluation import PreparedScenarios, build_scenarios
+from problems.uncertainty import Scenario
 from tests.autotune.tuning.cases import MASS, ROOM, STIFFNESS, design_problem, solved
 from tests.problems.axes import LAW
 

@@ -1,0 +1,215 @@
+"""What of the plant is uncertain beyond K_e and M_p: ranges that were said, and the confidence set of the identified.
+
+Where nothing is said, K_s, B_s, B_p, T_d and the robot's bandwidth take the joint confidence set of `identified.yaml`.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autotune.files.problem import Interval, Uncertain
+from autotune.files.records import ROTATIONAL_AXES, ROTATIONAL_KEYS
+from identification.errors import EstimateError
+from identification.result import AxisEstimate, Covariance, Estimate, Status
+from problems.design import DesignProblem
+from problems.plant import Coupling
+from problems.robot_variation import bandwidth_share, has_damping_ratio, vary_robot
+from problems.uncertainty import Ellipsoid
+
+FloatArray = NDArray[np.float64]
+
+LEVEL = 0.95
+# The environment's damping is taken as none unless it is asked for: less damping is the harder case.
+_BY_DEFAULT = (
+    "coupling_stiffness_n_per_m",
+    "coupling_damping_n_s_per_m",
+    "drag_n_s_per_m",
+    "delay_s",
+    "robot_bandwidth_hz",
+    "robot_damping_ratio",
+)
+_SYMBOLS = {
+    "coupling_stiffness_n_per_m": "K_s",
+    "coupling_damping_n_s_per_m": "B_s",
+    "drag_n_s_per_m": "B_p",
+    "delay_s": "T_d",
+    "robot_bandwidth_hz": "omega",
+    "robot_damping_ratio": "zeta",
+}
+_POSITIVE = ("coupling_stiffness_n_per_m", "robot_bandwidth_hz", "robot_damping_ratio")
+# However little the log tells, a stiffness stays positive.
+_LEAST_SHARE = 1e-3
+_DIGITS = 5
+_STEP = 1e-6
+
+
+def with_uncertainty(problem: DesignProblem, axis: AxisEstimate, name: str, said: Uncertain) -> DesignProblem:
+    """Return the problem with the ranges that were said and the confidence set of what is identified.
+
+    A nominal value outside of a range that was said moves to its nearer end. Raises EstimateError for `identified`
+    where the file holds no covariance of it.
+    """
+    origins = {key: value for key, value in said.items() if isinstance(value, str)}
+    ranges = {key: value for key, value in said.items() if not isinstance(value, str)}
+    problem = _moved(problem, ranges)
+    asked = [key for key in _SYMBOLS if origins.get(key) == "identified"]
+    by_default = [key for key in _BY_DEFAULT if key not in said] if axis.covariance is not None else []
+    ellipsoid = _ellipsoid(problem, axis, name, asked, by_default)
+    if origins.get("environment_damping_n_s_per_m") == "identified":
+        ranges["environment_damping_n_s_per_m"] = _environment_damping(axis, name)
+        problem = _moved(problem, ranges)
+    if ellipsoid is not None:
+        ranges |= {key: _readable(key, ellipsoid, i) for i, key in enumerate(ellipsoid.names)}
+    return replace(problem, uncertain=ranges, ellipsoid=ellipsoid)
+
+
+def _moved(problem: DesignProblem, ranges: Mapping[str, Interval]) -> DesignProblem:
+    """Return the problem with its nominal values inside the ranges."""
+
+    def inside(key: str) -> float | None:
+        value = problem.nominal().get(key)
+        if key not in ranges or value is None:
+            return None
+        return min(max(value, ranges[key][0]), ranges[key][1])
+
+    values = {key: inside(key) for key in problem.nominal()}
+    stiffness, damping = values["coupling_stiffness_n_per_m"], values["coupling_damping_n_s_per_m"]
+    drag, wall = values["drag_n_s_per_m"], values["environment_damping_n_s_per_m"]
+    return replace(
+        problem,
+        robot=vary_robot(
+            problem.robot,
+            bandwidth_hz=values["robot_bandwidth_hz"],
+            damping_ratio=values.get("robot_damping_ratio"),
+            delay_s=values["delay_s"],
+        ),
+        coupling=Coupling(
+            stiffness_n_per_m=problem.coupling.stiffness_n_per_m if stiffness is None else stiffness,
+            damping_n_s_per_m=problem.coupling.damping_n_s_per_m if damping is None else damping,
+        ),
+        drag_n_s_per_m=problem.drag_n_s_per_m if drag is None else drag,
+        environment_damping_n_s_per_m=problem.environment_damping_n_s_per_m if wall is None else wall,
+    )
+
+
+def _ellipsoid(
+    problem: DesignProblem, axis: AxisEstimate, name: str, asked: list[str], by_default: list[str]
+) -> Ellipsoid | None:
+    """Return the joint confidence set of the parameters, around the problem's nominal values; None without any."""
+    if axis.covariance is None:
+        if asked:
+            raise EstimateError(
+                f"problem.yaml takes {asked[0]} from the identified file, and axes.{name}.covariance is not in it; "
+                "identify the log again with this release, or give a range [low, high]."
+            )
+        return None
+    told, matrix = _transformed(problem, axis.covariance)
+    for key in asked:
+        if key not in told:
+            raise EstimateError(
+                f"problem.yaml takes {key} from the identified file, and axes.{name}.covariance tells nothing of it; "
+                "give a range [low, high], or {from: nominal}."
+            )
+    nominal = problem.nominal()
+    # What was corrected by hand is known to whoever did it, and the log's covariance does not speak of it.
+    estimates = _estimates(axis)
+    chosen = [
+        key
+        for i, key in enumerate(told)
+        if (key in asked or (key in by_default and not _is_given(estimates.get(key))))
+        and key in nominal
+        and matrix[i, i] > 0.0
+        and not (key in _POSITIVE and nominal[key] <= 0.0)
+    ]
+    if not chosen:
+        return None
+    places = [told.index(key) for key in chosen]
+    part = matrix[np.ix_(places, places)]
+    return Ellipsoid(
+        names=tuple(chosen),
+        centre=tuple(nominal[key] for key in chosen),
+        covariance=tuple(tuple(row) for row in (0.5 * (part + part.T)).tolist()),
+        level=LEVEL,
+    )
+
+
+def _is_given(estimate: Estimate | None) -> bool:
+    return estimate is not None and estimate.status is Status.GIVEN
+
+
+def _estimates(axis: AxisEstimate) -> dict[str, Estimate]:
+    return {
+        "coupling_stiffness_n_per_m": axis.coupling.stiffness_n_per_m,
+        "coupling_damping_n_s_per_m": axis.coupling.damping_n_s_per_m,
+        "drag_n_s_per_m": axis.drag_n_s_per_m,
+        "delay_s": axis.robot.delay_s,
+        "robot_bandwidth_hz": axis.robot.bandwidth_hz,
+        "robot_damping_ratio": axis.robot.bandwidth_hz,
+    }
+
+
+def _transformed(problem: DesignProblem, covariance: Covariance) -> tuple[list[str], FloatArray]:
+    """Return the covariance under this floor's names, ω (and ζ) of the robot made into its bandwidth in Hz."""
+    two_poles = has_damping_ratio(problem.robot) and "zeta" in covariance.names
+    keys = [
+        key
+        for key, symbol in _SYMBOLS.items()
+        if symbol in covariance.names and (key != "robot_damping_ratio" or two_poles)
+    ]
+    places = [covariance.names.index(_SYMBOLS[key]) for key in keys]
+    matrix = np.array(covariance.matrix)[np.ix_(places, places)]
+    slopes = np.eye(len(keys))
+    if "robot_bandwidth_hz" in keys:
+        row = keys.index("robot_bandwidth_hz")
+        values = dict(zip(covariance.names, covariance.values, strict=True))
+        share, turned = 1.0, 0.0
+        if two_poles:
+            ratio = values["zeta"]
+            share = bandwidth_share(ratio)
+            turned = (bandwidth_share(ratio + _STEP) - bandwidth_share(ratio - _STEP)) / (2.0 * _STEP)
+            slopes[row, keys.index("robot_damping_ratio")] = values["omega"] * turned / (2.0 * math.pi)
+        slopes[row, row] = share / (2.0 * math.pi)
+    return keys, slopes @ matrix @ slopes.T
+
+
+def _environment_damping(axis: AxisEstimate, name: str) -> Interval:
+    """Return the range that holds B_e of every surface with its confidence."""
+    found = []
+    for surface in axis.environments:
+        symbol = f"{surface.name}.B_e"
+        if axis.covariance is None or symbol not in axis.covariance.names:
+            key = "environment_damping_n_s_per_m"
+            raise EstimateError(
+                f"problem.yaml takes {ROTATIONAL_KEYS[key] if name in ROTATIONAL_AXES else key} from the identified "
+                f"file, and axes.{name}.covariance tells nothing of {symbol}; give a range [low, high]."
+            )
+        place = axis.covariance.names.index(symbol)
+        alone = Ellipsoid(
+            names=("environment_damping_n_s_per_m",),
+            centre=(max(axis.covariance.values[place], 0.0),),
+            covariance=((axis.covariance.matrix[place][place],),),
+            level=LEVEL,
+        )
+        found.append(_readable("environment_damping_n_s_per_m", alone, 0))
+    if not found:
+        raise EstimateError(f"Axis {name} has no identified environment, so there is no damping of it to take.")
+    return min(low for low, _ in found), max(high for _, high in found)
+
+
+def _readable(key: str, ellipsoid: Ellipsoid, place: int) -> Interval:
+    """Return the ellipsoid's range of one parameter with five digits, outwards."""
+    low, high = ellipsoid.box()[key]
+    if key in _POSITIVE:
+        low = max(low, _LEAST_SHARE * ellipsoid.centre[place])
+    return _digits(low, down=True), _digits(high, down=False)
+
+
+def _digits(value: float, *, down: bool) -> float:
+    if value == 0.0:
+        return 0.0
+    exponent = math.floor(math.log10(value)) - _DIGITS + 1
+    whole = value / 10.0**exponent
+    return float(f"{math.floor(whole) if down else math.ceil(whole)}e{exponent}")

@@ -1,0 +1,88 @@
+"""The plants beyond K_e × M_p at which a certificate is held against: its own worst cases, corners, seeded samples."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from autotune.files.controller_record import AxisDomain, AxisMargins, AxisPrediction, Proof
+from autotune.files.units import axis_units
+from problems.plant import Plant
+from problems.robot import RobotModel
+from problems.robot_variation import bandwidth_hz
+from problems.uncertainty import SYMBOLS, Scenario, Uncertainty
+
+# Another sequence than the search's, so that it is not asked the same questions again.
+SEED = 7919
+_SAMPLES = 64
+_REPLAYED = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class OtherPlants:
+    """What is looked at of the whole uncertainty: every plant for its margins, the first few for their peak too.
+
+    `outside` tells recorded worst cases that the domain does not hold.
+    """
+
+    scenarios: tuple[Scenario, ...]
+    replayed: tuple[Scenario, ...]
+    plants: tuple[Plant, ...]
+    outside: tuple[str, ...]
+
+    def extreme_robots(self) -> tuple[RobotModel, ...]:
+        """Return the robots of the lowest and the highest bandwidth among the plants, if there are any."""
+        robots = sorted({plant.robot for plant in self.plants}, key=bandwidth_hz)
+        return () if not robots else tuple(dict.fromkeys((robots[0], robots[-1])))
+
+
+def build_other_plants(domain: AxisDomain, margins: AxisMargins, predicted: AxisPrediction) -> OtherPlants:
+    """Return the plants of a domain that the grid over K_e × M_p leaves out; none where nothing else is uncertain."""
+    if domain.uncertain is None:
+        return OtherPlants(scenarios=(), replayed=(), plants=(), outside=())
+    whole = domain.uncertainty()
+    named = {f"the worst plant of {name}": _scenario(case, whole) for name, case in margins.worst.items()}
+    named |= {each.name: each.scenario() for each in predicted.scenarios if each.further}
+    outside = tuple(name for name, scenario in named.items() if not whole.contains(scenario))
+    samples = whole.samples(_SAMPLES, seed=SEED)
+    scenarios = tuple(dict.fromkeys((*named.values(), *whole.corners(), *samples)))
+    nominal = domain.nominal_plant()
+    return OtherPlants(
+        scenarios=scenarios,
+        replayed=samples[:_REPLAYED],
+        plants=tuple(scenario.plant(nominal) for scenario in scenarios),
+        outside=outside,
+    )
+
+
+def sampled_claims(domain: AxisDomain, margins: AxisMargins, predicted: AxisPrediction, name: str) -> tuple[Proof, ...]:
+    """Return what is looked for, and not found, beyond what is proved; nothing where nothing else is uncertain."""
+    if domain.uncertain is None:
+        return ()
+    others = build_other_plants(domain, margins, predicted)
+    return (
+        Proof(
+            claim=f"axis {name}: stable with the margins stated, and no peak above the largest predicted",
+            method="margins at recorded worst cases, corners and Sobol' samples of the whole set; some replayed",
+            over=told_set(domain, name),
+            numbers={"plants": float(len(others.plants)), "replayed": float(len(others.replayed)), "seed": float(SEED)},
+        ),
+    )
+
+
+def told_set(domain: AxisDomain, name: str) -> str:
+    """Return the ranges beyond K_e and M_p in words."""
+    units = axis_units(name)
+    of = {"K_s": units.stiffness, "B_s": units.damping, "B_p": units.damping, "B_e": units.damping}
+    of |= {"T_d": "s", "f_b": "Hz", "ζ_b": ""}
+    ranges = domain.uncertain or {}
+    told = [f"{SYMBOLS[key]} in [{low:g}, {high:g}] {of[SYMBOLS[key]]}".rstrip() for key, (low, high) in ranges.items()]
+    cut = "" if domain.confidence is None else f", inside the {100.0 * domain.confidence.level:g} % confidence set"
+    return f"K_e, M_p and {', '.join(told)}{cut}"
+
+
+def _scenario(case: Mapping[str, float | str], whole: Uncertainty) -> Scenario:
+    """Return a recorded worst case as a point of the set; free space stands for its softest surface."""
+    values = {key: float(value) for key, value in case.items()}
+    values["environment_stiffness_n_per_m"] = (
+        values["environment_stiffness_n_per_m"] or whole.ranges["environment_stiffness_n_per_m"][0]
+    )
+    return Scenario(**values)

@@ -1,0 +1,92 @@
+"""A design problem as plain mappings, lists, numbers and text, and back to the last bit."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from .contact import Approach
+from .design import AdmittanceTarget, DesignProblem, Requirements
+from .errors import ParameterError
+from .plant import Coupling
+from .robot import RobotModel
+from .uncertainty import Ellipsoid
+
+_PLAIN = (
+    "drag_n_s_per_m",
+    "environment_damping_n_s_per_m",
+    "sample_time_s",
+    "objective",
+    "velocity_filter_rad_per_s",
+)
+_INTERVALS = ("environment_stiffness_n_per_m", "payload_mass_kg")
+_MAPPINGS = ("bounds", "uncertain")
+
+
+def problem_to_dict(problem: DesignProblem) -> dict[str, Any]:
+    """Return the tree of a problem; names and units are those of its fields."""
+    robot, ellipsoid = problem.robot, problem.ellipsoid
+    return {
+        "robot": {
+            "numerator": robot.numerator.tolist(),
+            "denominator": robot.denominator.tolist(),
+            "delay_s": robot.delay_s,
+        },
+        "coupling": asdict(problem.coupling),
+        **{name: getattr(problem, name) for name in _PLAIN},
+        **{name: list(getattr(problem, name)) for name in _INTERVALS},
+        **{name: {key: list(pair) for key, pair in getattr(problem, name).items()} for name in _MAPPINGS},
+        "approach": asdict(problem.approach),
+        "requirements": _listed(asdict(problem.requirements)),
+        "ellipsoid": None
+        if ellipsoid is None
+        else {
+            "names": list(ellipsoid.names),
+            "centre": list(ellipsoid.centre),
+            "covariance": [list(row) for row in ellipsoid.covariance],
+            "level": ellipsoid.level,
+        },
+    }
+
+
+def problem_from_dict(tree: Mapping[str, Any]) -> DesignProblem:
+    """Return the problem of a tree; raises ParameterError for an entry that is missing, unknown or out of range."""
+    try:
+        return _problem(tree)
+    except (KeyError, TypeError) as error:
+        raise ParameterError("design problem", str(error).strip("'"), "the tree of a design problem") from error
+
+
+def _problem(tree: Mapping[str, Any]) -> DesignProblem:
+    asked, ellipsoid = dict(tree["requirements"]), tree["ellipsoid"]
+    target = asked.get("free_space_admittance")
+    if target is not None:
+        asked["free_space_admittance"] = AdmittanceTarget(**{**target, "band_hz": tuple(target["band_hz"])})
+    known = {"robot", "coupling", "approach", "requirements", "ellipsoid", *_PLAIN, *_INTERVALS, *_MAPPINGS}
+    unknown = sorted(set(tree) - known)
+    if unknown:
+        raise ParameterError("design problem", unknown[0], f"made of {', '.join(sorted(known))}")
+    entries: dict[str, Any] = {name: tree[name] for name in _PLAIN}
+    entries |= {name: tuple(tree[name]) for name in _INTERVALS}
+    entries |= {name: {key: tuple(pair) for key, pair in tree[name].items()} for name in _MAPPINGS}
+    return DesignProblem(
+        robot=RobotModel(**tree["robot"]),
+        coupling=Coupling(**tree["coupling"]),
+        **entries,
+        approach=Approach(**tree["approach"]),
+        requirements=Requirements(**asked),
+        ellipsoid=None
+        if ellipsoid is None
+        else Ellipsoid(
+            names=tuple(ellipsoid["names"]),
+            centre=tuple(ellipsoid["centre"]),
+            covariance=tuple(tuple(row) for row in ellipsoid["covariance"]),
+            level=ellipsoid["level"],
+        ),
+    )
+
+
+def _listed(requirements: dict[str, Any]) -> dict[str, Any]:
+    target = requirements["free_space_admittance"]
+    if target is not None:
+        requirements["free_space_admittance"] = {**target, "band_hz": list(target["band_hz"])}
+    return requirements

@@ -1,0 +1,147 @@
+"""The confidence set of the identified file becomes the uncertainty of the design problem, and nothing is guessed."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from autotune.errors import AutotuneError
+from autotune.files.problem import ProblemSpec, RotationalSpec, Uncertain
+from autotune.tuning.problems import Wishes, build_problems
+from autotune.tuning.rotational import through_lever
+from autotune.tuning.uncertain import with_uncertainty
+from identification.errors import EstimateError
+from identification.result import AxisEstimate, Covariance, Status
+from problems.contact import Approach
+from problems.design import DesignProblem
+from problems.robot import RobotModel
+from problems.robot_variation import bandwidth_share
+from tests.autotune.tuning.cases import design_problem, identified_axis, known, with_axis
+
+NAMES = ("K_s", "B_s", "B_p", "M_p", "omega", "T_d", "x1.K_e", "x1.B_e", "x1.M_e")
+VALUES = (3e5, 150.0, 330.0, 16.0, 20.0, 2.4e-3, 1.1e5, 20.0, 0.0)
+STDS = np.array([900.0, 2.0, 1.0, 0.02, 0.06, 1e-5, 500.0, 10.0, 0.01])
+CORRELATIONS = np.eye(9)
+CORRELATIONS[0, 1] = CORRELATIONS[1, 0] = 0.6
+COVARIANCE = Covariance(
+    names=NAMES,
+    values=VALUES,
+    matrix=tuple(tuple(row) for row in (CORRELATIONS * np.outer(STDS, STDS)).tolist()),
+)
+AXIS = replace(identified_axis(), covariance=COVARIANCE)
+# χ² of five parameters at 95 %, from tables.
+REACH = math.sqrt(11.0705)
+
+
+def built(uncertain: Uncertain, axis: AxisEstimate = AXIS) -> DesignProblem:
+    return build_problems(with_axis(axis), ProblemSpec(uncertain=uncertain), Wishes())["x"]
+
+
+def test_by_default_the_joint_confidence_set_must_be_safe() -> None:
+    found = built({})
+    assert found.ellipsoid is not None
+    assert found.ellipsoid.names == (
+        "coupling_stiffness_n_per_m", "coupling_damping_n_s_per_m", "drag_n_s_per_m", "delay_s", "robot_bandwidth_hz"
+    )  # fmt: skip
+    expected = {
+        "coupling_stiffness_n_per_m": (3e5, 900.0),
+        "coupling_damping_n_s_per_m": (150.0, 2.0),
+        "drag_n_s_per_m": (330.0, 1.0),
+        "delay_s": (2.4e-3, 1e-5),
+        "robot_bandwidth_hz": (20.0 / (2.0 * np.pi), 0.06 / (2.0 * np.pi)),
+    }
+    assert set(found.uncertain) == set(expected)
+    for name, (value, std) in expected.items():
+        low, high = found.uncertain[name]
+        # Five digits, outwards.
+        assert low <= value - REACH * std * (1.0 - 1e-5)
+        assert high >= value + REACH * std * (1.0 - 1e-5)
+        assert (low, high) == pytest.approx((value - REACH * std, value + REACH * std), rel=1e-4)
+    assert found.ellipsoid.covariance[0][1] == pytest.approx(0.6 * 900.0 * 2.0)
+
+
+def test_without_a_covariance_the_plant_is_the_nominal_one() -> None:
+    found = built({}, identified_axis())
+    assert found.ellipsoid is None
+    assert dict(found.uncertain) == {}
+
+
+def test_what_is_nominal_or_has_a_range_leaves_the_set() -> None:
+    found = built({"delay_s": "nominal", "drag_n_s_per_m": (300.0, 400.0), "robot_bandwidth_hz": "nominal"})
+    assert found.ellipsoid is not None
+    assert found.ellipsoid.names == ("coupling_stiffness_n_per_m", "coupling_damping_n_s_per_m")
+    assert found.uncertain["drag_n_s_per_m"] == (300.0, 400.0)
+    assert "delay_s" not in found.uncertain
+    assert "robot_bandwidth_hz" not in found.uncertain
+
+
+def test_a_nominal_value_outside_of_a_range_moves_to_its_end() -> None:
+    found = built({"coupling_damping_n_s_per_m": (0.0, 100.0), "environment_damping_n_s_per_m": (5.0, 9.0)})
+    assert found.coupling.damping_n_s_per_m == 100.0
+    assert found.environment_damping_n_s_per_m == 5.0
+    slow = built({"robot_bandwidth_hz": (2.0, 3.0), "delay_s": (3e-3, 4e-3)})
+    assert slow.nominal()["robot_bandwidth_hz"] == pytest.approx(3.0, rel=1e-9)
+    assert slow.robot.delay_s == 3e-3
+
+
+def test_the_surfaces_damping_is_taken_only_when_it_is_asked_for() -> None:
+    assert "environment_damping_n_s_per_m" not in built({}).uncertain
+    found = built({"environment_damping_n_s_per_m": "identified"})
+    # One parameter: 1.96 standard deviations.
+    assert found.uncertain["environment_damping_n_s_per_m"] == pytest.approx((0.40036, 39.59964), rel=1e-4)
+    assert found.environment_damping_n_s_per_m == found.uncertain["environment_damping_n_s_per_m"][0]
+
+
+def test_a_value_that_was_corrected_by_hand_is_not_widened_by_the_log() -> None:
+    by_hand = replace(AXIS, drag_n_s_per_m=replace(known(500.0), status=Status.GIVEN))
+    found = built({}, by_hand)
+    assert found.drag_n_s_per_m == 500.0
+    assert "drag_n_s_per_m" not in found.uncertain
+
+
+@pytest.mark.parametrize(
+    ("uncertain", "axis", "told"),
+    [
+        ({"delay_s": "identified"}, identified_axis(), r"delay_s .* axes\.x\.covariance is not in it"),
+        ({"robot_damping_ratio": "identified"}, AXIS, r"tells nothing of it; give a range"),
+        ({"environment_damping_n_s_per_m": "identified"}, identified_axis(), r"tells nothing of x1\.B_e"),
+    ],
+)
+def test_an_uncertainty_that_the_file_does_not_tell_is_refused(
+    uncertain: Uncertain, axis: AxisEstimate, told: str
+) -> None:
+    with pytest.raises(EstimateError, match=told):
+        built(uncertain, axis)
+
+
+def test_a_damping_ratio_of_a_robot_that_has_none_is_refused() -> None:
+    with pytest.raises(AutotuneError, match="two poles and no zero"):
+        built({"robot_damping_ratio": (0.5, 0.9)})
+
+
+def test_frequency_and_damping_of_two_poles_become_bandwidth_and_damping_by_the_chain_rule() -> None:
+    """Against draws of the original parameters, sent through the exact map."""
+    mean, spread = np.array([30.0, 0.8]), np.array([[0.04, 2e-4], [2e-4, 4e-5]])
+    covariance = Covariance(
+        names=("omega", "zeta"),
+        values=(30.0, 0.8),
+        matrix=((0.04, 2e-4), (2e-4, 4e-5)),
+    )
+    robot = RobotModel(numerator=np.array([900.0]), denominator=np.array([1.0, 48.0, 900.0]), delay_s=2.4e-3)
+    found = with_uncertainty(replace(design_problem(), robot=robot), replace(AXIS, covariance=covariance), "x", {})
+    assert found.ellipsoid is not None
+    assert found.ellipsoid.names == ("robot_bandwidth_hz", "robot_damping_ratio")
+    draws = np.random.default_rng(2).multivariate_normal(mean, spread, 40000)
+    sent = np.array([[w * bandwidth_share(z) / (2.0 * np.pi), z] for w, z in draws])
+    # A share of 2 % is three standard deviations of a variance from 40,000 draws, and the map is nearly linear.
+    np.testing.assert_allclose(np.array(found.ellipsoid.covariance), np.cov(sent.T), rtol=0.03)
+
+
+def test_ranges_stay_where_they_were_said_and_origins_hold_for_turning_axes_too() -> None:
+    spec = ProblemSpec(
+        uncertain={"delay_s": "nominal", "drag_n_s_per_m": (1.0, 2.0)},
+        rotational=RotationalSpec(uncertain={"drag_n_s_per_m": (0.1, 0.2)}),
+    )
+    turned = through_lever(spec, Approach(force_n=30.0))
+    assert dict(turned.uncertain) == {"delay_s": "nominal", "drag_n_s_per_m": (0.1, 0.2)}
