@@ -129,11 +129,9 @@ def _build_problem(identified: Identified, name: str, spec: ProblemSpec) -> Desi
         robot=_robot(axis, name),
         coupling=Coupling(
             stiffness_n_per_m=_value(coupling.stiffness_n_per_m, _place(name, "coupling.", "stiffness_n_per_m")),
-            damping_n_s_per_m=max(
-                _value(coupling.damping_n_s_per_m, _place(name, "coupling.", "damping_n_s_per_m")), 0.0
-            ),
+            damping_n_s_per_m=_damping(coupling.damping_n_s_per_m, _place(name, "coupling.", "damping_n_s_per_m")),
         ),
-        drag_n_s_per_m=max(_value(axis.drag_n_s_per_m, _place(name, "", "drag_n_s_per_m")), 0.0),
+        drag_n_s_per_m=_damping(axis.drag_n_s_per_m, _place(name, "", "drag_n_s_per_m")),
         environment_stiffness_n_per_m=spec.environment_stiffness_n_per_m or _stiffness_range(axis, name),
         payload_mass_kg=spec.payload_mass_kg or _mass_range(identified, name),
         sample_time_s=_value(identified.sample_time_s, "sample_time_s"),
@@ -142,7 +140,12 @@ def _build_problem(identified: Identified, name: str, spec: ProblemSpec) -> Desi
         requirements=spec.requirements,
         objective=spec.objective,
     )
-    return with_uncertainty(nominal, axis, name, spec.uncertain)
+    bounded = {
+        "coupling_damping_n_s_per_m": coupling.damping_n_s_per_m,
+        "drag_n_s_per_m": axis.drag_n_s_per_m,
+    }
+    intervals = {key: each.ci95 for key, each in bounded.items() if each.value is None and each.ci95 is not None}
+    return with_uncertainty(nominal, axis, name, {**intervals, **spec.uncertain})
 
 
 def _robot(axis: AxisEstimate, name: str) -> RobotModel:
@@ -204,6 +207,13 @@ def _value(estimate: Estimate, where: str) -> float:
     if estimate.value is None or estimate.status is Status.UNIDENTIFIABLE:
         raise EstimateError(_absent(where, estimate.note))
     return estimate.value
+
+
+def _damping(estimate: Estimate, where: str) -> float:
+    """Return a damping, or the middle of its interval where that is all that the log tells."""
+    if estimate.value is None and estimate.ci95 is not None:
+        return 0.5 * (estimate.ci95[0] + estimate.ci95[1])
+    return max(_value(estimate, where), 0.0)
 
 
 def _vector(estimate: VectorEstimate, where: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

@@ -12,7 +12,7 @@ from autotune.tuning.problems import Wishes, build_problems
 from autotune.tuning.rotational import through_lever
 from autotune.tuning.uncertain import with_uncertainty
 from identification.errors import EstimateError
-from identification.result import AxisEstimate, Covariance, Status
+from identification.result import AxisEstimate, Covariance, Estimate, Status
 from problems.contact import Approach
 from problems.design import DesignProblem
 from problems.robot import RobotModel
@@ -145,3 +145,19 @@ def test_ranges_stay_where_they_were_said_and_origins_hold_for_turning_axes_too(
     )
     turned = through_lever(spec, Approach(force_n=30.0))
     assert dict(turned.uncertain) == {"delay_s": "nominal", "drag_n_s_per_m": (0.1, 0.2)}
+
+
+def test_a_damping_of_which_only_an_interval_is_told_is_that_interval() -> None:
+    bounded = Estimate(value=None, std=None, status=Status.UNIDENTIFIABLE, ci95=(0.0, 63.0))
+    coupling = replace(AXIS.coupling, damping_n_s_per_m=bounded)
+    axis = replace(AXIS, coupling=coupling, drag_n_s_per_m=replace(bounded, ci95=(200.0, 300.0)))
+    found = built({}, axis)
+    assert found.uncertain["coupling_damping_n_s_per_m"] == (0.0, 63.0)
+    assert found.uncertain["drag_n_s_per_m"] == (200.0, 300.0)
+    assert (found.coupling.damping_n_s_per_m, found.drag_n_s_per_m) == pytest.approx((31.5, 250.0))
+    assert found.ellipsoid is not None
+    assert "coupling_damping_n_s_per_m" not in found.ellipsoid.names
+    said = built({"coupling_damping_n_s_per_m": (10.0, 20.0)}, axis)
+    assert said.uncertain["coupling_damping_n_s_per_m"] == (10.0, 20.0)
+    with pytest.raises(EstimateError, match="drag_n_s_per_m is not identified"):
+        built({}, replace(axis, drag_n_s_per_m=replace(bounded, ci95=None)))
