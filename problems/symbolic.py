@@ -420,39 +420,3 @@ def _controller_state(blocks: ca.SX, command: Any, drift: ca.SX, force: Any, pos
     rows, moving = [0, 2, 3, 4], ca.diag(ca.SX([0.0, 1.0, 1.0, 1.0]))
     right = ca.vertcat(command, drift[1:]) - of_inputs[rows, :] @ ca.vertcat(force, position)
     return ca.solve(of_states[rows, :] - moving, right)
-
-
-def build_prediction(structure: Structure, samples: int) -> ca.Function:
-    """Build F and x at the ticks of a recorded command, the plant by itself: what identification compares with a log.
-
-    Takes `plant`, `numerator`, `denominator` and `fraction` as `SymbolicForm.plant` does, the `state` (n + 2,) of the
-    plant at the first tick, and `command` (chain_length + samples,): the commands still on their way at that tick,
-    oldest first, then those of the ticks. Returns `force` and `position`, both (samples,).
-    """
-    symbols, chain, d = _symbols(structure), structure.chain_length, structure.whole_delay
-    plant = _plant(structure, symbols, symbols.plant)
-    parts = (plant.phi, plant.gamma, plant.gamma_old, plant.c_position, plant.c_force, plant.d_force)
-    values = [ca.SX.sym(f"part_{i}", part.sparsity()) for i, part in enumerate(parts)]
-    phi, gamma, gamma_old, c_position, c_force, d_force = values
-    n = structure.robot_order + 2
-    state, newer, older = ca.SX.sym("state", n), ca.SX.sym("newer"), ca.SX.sym("older")
-    step = ca.Function(
-        "step",
-        [state, newer, older, *values],
-        [phi @ state + gamma * newer + gamma_old * older, c_force.T @ state + d_force * older, c_position.T @ state],
-    )
-    inputs = [ca.MX.sym(name, value.shape) for name, value in zip(_INPUTS, symbols.all()[:4], strict=False)]
-    start, commands = ca.MX.sym("state", n), ca.MX.sym("command", chain + samples)
-    matrices = ca.Function("matrices", symbols.all()[:4], list(parts)).call(inputs)
-    # Matrices are computed once and the record is walked by one small function, whatever its length.
-    walked = step.mapaccum(samples).call(
-        [
-            start,
-            commands[chain - d : chain - d + samples].T,
-            commands[:samples].T,
-            *(ca.repmat(matrix, 1, samples) for matrix in matrices),
-        ]
-    )
-    names = [*_INPUTS[:4], "state", "command"]
-    outputs = [walked[1].T, walked[2].T]
-    return ca.Function("prediction", [*inputs, start, commands], outputs, names, ["force", "position"])

@@ -21,7 +21,6 @@ from problems.symbolic import (
     Structure,
     arguments_of,
     build_contact_forces,
-    build_prediction,
     build_symbolic_form,
 )
 from tests.problems.axes import LAW, PERIOD_S, admittance, between, one_pole, paper_plant
@@ -298,37 +297,6 @@ def test_a_feedback_damping_of_zero_has_a_derivative() -> None:
     # One-sided differences of second order: (step/B_fb,scale)² with a scale of 0.01 s.
     np.testing.assert_allclose(found, slope, atol=1e-3 * np.max(np.abs(slope)))
     assert np.max(np.abs(found)) > 1.0
-
-
-@LAW
-@given(whole_plants(), st.integers(0, 1000))
-def test_a_prediction_steps_the_sampled_plant(plant: Plant, seed: int) -> None:
-    sampled, rng = build_sampled_plant(plant, PERIOD_S), np.random.default_rng(seed)
-    structure, chain = Structure.like(sampled, admittance()), sampled.chain_length
-    state, commands = 1e-3 * rng.normal(size=sampled.state_count), 1e-3 * rng.normal(size=chain + SAMPLES)
-    found = values_of(build_prediction(structure, SAMPLES), *arguments_of(sampled, admittance())[:4], state, commands)
-    force, position = np.empty(SAMPLES), np.empty(SAMPLES)
-    for k in range(SAMPLES):
-        now = chain + k
-        newer, older = commands[now - sampled.whole_delay], commands[now - chain]
-        force[k] = sampled.c_force @ state + sampled.d_force * older
-        position[k] = sampled.c_position @ state
-        state = sampled.phi @ state + sampled.gamma * newer + sampled.gamma_old * older
-    agree(found["force"], force)
-    agree(found["position"], position)
-
-
-def test_the_derivatives_of_a_prediction_are_the_differences() -> None:
-    plant, rng = cell(one_pole(2.4 * PERIOD_S)), np.random.default_rng(7)
-    sampled = build_sampled_plant(plant, PERIOD_S)
-    function = build_prediction(Structure.like(sampled, admittance()), SAMPLES)
-    rest = (np.zeros(3), 1e-3 * rng.normal(size=3 + SAMPLES))
-    arguments = arguments_of(sampled, admittance())[:4]
-    symbols = [ca.MX.sym(f"i{i}", function.sparsity_in(i)) for i in range(6)]
-    derivative = ca.Function("d", symbols, [ca.jacobian(function.call(symbols)[0], symbols[0])])
-    found = np.asarray(derivative(*arguments, *rest).full()) * arguments[0]
-    expected = central(lambda p: values_of(function, p, *arguments[1:], *rest)["force"], arguments[0])
-    np.testing.assert_allclose(found, expected, atol=2e-8 * np.max(np.abs(expected)))
 
 
 def test_the_structure_follows_plant_and_controller() -> None:
