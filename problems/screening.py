@@ -43,6 +43,8 @@ _MARGINS = {
     "phase_margin_deg": PHASE_RAD,
     "delay_margin_s": DELAY_S,
 }
+EVERY_REQUIREMENT = "all requirements"
+"""The goal that stands for all requirements: the worst required/achieved of any."""
 _FAST = (*_MARGINS, "free_space_admittance", "max_peak_force_n")
 
 
@@ -58,6 +60,15 @@ class Screened:
     radius: FloatArray
     rows: Mapping[str, FloatArray]
     peaks_n: FloatArray
+
+    def towards(self, goal: str) -> "Screened":
+        """Return the same with one requirement, or with `EVERY_REQUIREMENT`, in the place of the peaks."""
+        rows = dict(self.rows)
+        if goal == EVERY_REQUIREMENT:
+            sought, rows = np.hstack([np.zeros((len(self.radius), 1)), *rows.values()]), {}
+        else:
+            sought = rows.pop(goal)
+        return Screened(radius=self.radius, rows=rows, peaks_n=np.where(self.is_stable[:, None], sought, np.inf))
 
     @property
     def is_stable(self) -> BoolArray:
@@ -85,7 +96,10 @@ class Screened:
 
 @dataclass(frozen=True, kw_only=True)
 class Screen:
-    """Prepared scenarios as the compiled loop takes them; `slow` are requirements that it does not know."""
+    """Prepared scenarios as the compiled loop takes them; `slow` are requirements that it does not know.
+
+    With a `goal` that requirement is minimised, see `Screened.towards`, and everything of every design is looked at.
+    """
 
     prepared: PreparedScenarios
     plants: Plants
@@ -93,13 +107,14 @@ class Screen:
     band: Band
     required: tuple[FloatArray, float]
     slow: tuple[str, ...]
+    goal: str | None = None
 
     def evaluate(self, designs: FloatArray, *, peaks_if_missed: bool = False) -> Screened:
         """Evaluate designs (m, 4) as `PreparedScenarios.evaluate` does each.
 
         Where rounding could decide a verdict, and for requirements that no compiled form has, that function is asked.
         """
-        problem = self.prepared.problem
+        problem, peaks_if_missed = self.prepared.problem, peaks_if_missed or self.goal is not None
         controllers = [problem.controller(design) for design in designs]
         numbers, theta, ideal = controller_numbers(controllers)
         h = problem.sample_time_s
@@ -130,7 +145,7 @@ class Screen:
             slow = self.slow and found.is_stable[i] and (peaks_if_missed or not missed[i])
             if slow or whole[i, VERDICT] == DOUBTFUL:
                 _settle(found, i, self.prepared.evaluate(designs[i], peaks_if_missed=peaks_if_missed))
-        return found
+        return found if self.goal is None else found.towards(self.goal)
 
     def _radius(self, whole: FloatArray, controllers: Sequence[AdmittanceController]) -> FloatArray:
         radius = np.zeros(len(whole))

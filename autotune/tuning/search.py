@@ -1,7 +1,7 @@
 """Search the controller: a seeded global stage, a local polish, and worst-case scenario exchange."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from operator import attrgetter
 
 import numpy as np
@@ -133,7 +133,7 @@ def solve_design(
             unstable = whole.unstable(problem.controller(design))
             worse = (*worse, *unstable, *problem.scenarios(DENSE_STIFFNESS, 2))
         elif missed > 0.0:
-            worse = (*worse, *_margin_scenarios(problem, exact, margins))
+            worse = (*worse, *margin_scenarios(problem, exact.requirements, margins))
             if exact.requirements.get("free_space_admittance", 0.0) > 1.0:
                 worse = (*worse, whole.slowest(problem.controller(design)))
         joined = tuple(dict.fromkeys((*active, *worse)))
@@ -183,9 +183,15 @@ class _Around:
 
 
 class Search:
-    """One run: the box, what was asked (tightened where a grid flattered), and the count of evaluations."""
+    """One run: the box, what was asked (tightened where a grid flattered), and the count of evaluations.
 
-    def __init__(self, problem: DesignProblem, seed: int, start: FloatArray | None = None) -> None:
+    With a `goal` the required/achieved of that requirement is minimised instead of the peak.
+    """
+
+    def __init__(
+        self, problem: DesignProblem, seed: int, start: FloatArray | None = None, *, goal: str | None = None
+    ) -> None:
+        self.goal = goal
         self.problem = problem
         self.box = Box(problem)
         self.seed = seed
@@ -238,7 +244,7 @@ class Search:
         )
 
     def _screen(self, active: tuple[Scenario, ...]) -> Screen:
-        return build_screen(build_scenarios(self.problem, active))
+        return replace(build_screen(build_scenarios(self.problem, active)), goal=self.goal)
 
     def _costs(
         self, screen: Screen, units: FloatArray, *, peaks_if_missed: bool, tightened: bool = False
@@ -260,6 +266,8 @@ class Search:
         best = candidates[int(np.argmin(costs))]
         if np.min(costs) >= _MISSED:
             best = self._recover(screen, best)
+        if self.goal is not None:
+            return np.asarray(best)
         design = polish_exactly(screen, self.box.design(best), backoff=self.backoff, reserve=_RESERVE)
         finer = np.array([best, self.box.unit(design)])
         best = finer[int(np.argmin(self._tightened_costs(screen, finer)))]
@@ -402,13 +410,13 @@ def _worst_scenarios(
     return tuple(found)
 
 
-def _margin_scenarios(
-    problem: DesignProblem, exact: Evaluation, margins: tuple[PlantMargins, ...]
+def margin_scenarios(
+    problem: DesignProblem, ratios: Mapping[str, float], margins: tuple[PlantMargins, ...], level: float = 1.0
 ) -> tuple[Scenario, ...]:
-    """Return for every margin that is missed the scenario that misses it most; each brings its free space along."""
+    """Return for every margin whose required/achieved is above a level the scenario where it is largest."""
     found = []
-    for name, value in exact.requirements.items():
-        if value <= 1.0:
+    for name, value in ratios.items():
+        if value <= level:
             continue
         values = [normalise_margins(problem.requirements, m.margins, problem.sample_time_s).get(name) for m in margins]
         if values and all(each is not None for each in values):
