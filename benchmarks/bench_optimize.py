@@ -43,7 +43,7 @@ from benchmarks.optimizer_authors import run_authors
 from benchmarks.optimizer_ipopt import run_ipopt
 from benchmarks.optimizer_judge import JUDGED, Trace, judge, screen_of, stand
 from benchmarks.optimizer_page import misses, put_between, tables
-from benchmarks.optimizer_reference import check_densely, evolve_long
+from benchmarks.optimizer_reference import bracket_best, check_densely, evolve_long
 from benchmarks.optimizer_samplers import run_cma_es, run_differential_evolution, run_dual_annealing, run_tpe
 from benchmarks.optimizer_scaling import ALL_AT_ONCE_UP_TO, Growth, draw_growth, measure_growth
 from benchmarks.tuning_problems import draw_problem, paper_cell
@@ -125,7 +125,7 @@ def run_problem(seed: int, options: argparse.Namespace) -> Record:
         feasible = bool(np.isfinite(found.objective_n))
         holds = feasible and check_densely(problem, found.design, seed=seed).holds
         return _record("problem", seed=seed, refused=str(error), rival_holds=holds, reference_n=found.objective_n)
-    long = evolve_long(problem, result.active.scenarios, **search)
+    long = bracket_best(problem, result.active.scenarios, **search)
     dense = check_densely(problem, result.design, seed=seed)
     return _record(
         "problem",
@@ -135,11 +135,13 @@ def run_problem(seed: int, options: argparse.Namespace) -> Record:
         cpu_s=processor,
         design=result.design.tolist(),
         value_n=result.evaluation.objective_n,
-        reference_n=long.objective_n,
-        by_seed=long.by_seed,
-        reference_design=long.design.tolist(),
+        reference_n=long.low.objective_n,
+        reference_high_n=long.high_n,
+        by_seed=long.low.by_seed,
+        reference_design=long.low.design.tolist(),
+        reference_scenarios=long.scenarios,
         reference_evaluations=long.evaluations,
-        gap=result.evaluation.objective_n / long.objective_n - 1.0,
+        gap=result.evaluation.objective_n / long.low.objective_n - 1.0,
         unstable=dense.unstable,
         worst=dense.worst,
         worst_name=dense.worst_name,

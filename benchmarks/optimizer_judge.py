@@ -135,6 +135,17 @@ def traced_costs(trace: Trace) -> Callable[[FloatArray], FloatArray]:
     return noted
 
 
+def solution_noter(trace: Trace) -> Callable[[FloatArray], None]:
+    """Return what notes a solver's answer, good or bad, by its cost over the seen scenarios."""
+    box, costs = Box(trace.problem), ranked_costs(screen_of(trace.problem, SEEN), Box(trace.problem))
+
+    def note(design: FloatArray) -> None:
+        if np.all(np.isfinite(design)):
+            trace.add(design, float(costs(box.unit(design)[None])[0]))
+
+    return note
+
+
 @dataclass(frozen=True, kw_only=True)
 class Standing:
     """A peer's run in the judge's eyes: `to_one_percent_s` is infinite where it never came that close."""

@@ -10,7 +10,7 @@ from scipy.optimize import differential_evolution
 from autotune.tuning.search import DENSE_MASS, DENSE_STIFFNESS, Box
 from benchmarks.optimizer_judge import DIMENSION, is_peak, ranked_costs
 from problems.design import DesignProblem, Scenario
-from problems.evaluation import PreparedScenarios, build_scenarios
+from problems.evaluation import PreparedScenarios, build_scenarios, normalise_margins
 from problems.margins import UnstableLoopError
 from problems.response import free_space_admittance
 from problems.screening import build_screen
@@ -22,6 +22,9 @@ _BAND_POINTS = 800
 _AT_A_TIME = 500
 # Rounding between two computations of one margin.
 _ROUNDING = 1e-9
+# The evolution walks up to its limits on a grid of frequencies, which flatters a margin by less than this.
+_MISSED = 1e-4
+_ROUNDS, _SAME = 4, 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +76,59 @@ def evolve_long(
         by_seed=values,
         evaluations=evaluations,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bracket:
+    """What the best over the dense grid lies between, as far as the evolutions tell.
+
+    `low` over fewer scenarios, hence too low; `high_n` the worst peak [N] of its design over the whole grid, infinite
+    where that design does not hold there; `scenarios` that were needed, `evaluations` of all rounds.
+    """
+
+    low: Reference
+    high_n: float
+    scenarios: int
+    evaluations: int
+
+
+def bracket_best(
+    problem: DesignProblem, scenarios: Sequence[Scenario], *, seeds: int, population: int, generations: int
+) -> Bracket:
+    """Evolve over a few scenarios, add what is worst for the outcome on the dense grid, and again until that is nil."""
+    dense = build_scenarios(problem, problem.scenarios(DENSE_STIFFNESS, DENSE_MASS))
+    known, evaluations, low, high = tuple(scenarios), 0, None, np.inf
+    for _ in range(_ROUNDS):
+        found = evolve_long(problem, known, seeds=seeds, population=population, generations=generations)
+        evaluations += found.evaluations
+        low = found if low is None or found.objective_n > low.objective_n else low
+        added, high = _worst(dense, found.design)
+        fresh = tuple(each for each in dict.fromkeys(added) if each not in known)
+        if not fresh or high <= (1.0 + _SAME) * found.objective_n:
+            break
+        known = (*known, *fresh)
+    assert low is not None
+    return Bracket(low=low, high_n=high, scenarios=len(known), evaluations=evaluations)
+
+
+def _worst(dense: PreparedScenarios, design: FloatArray) -> tuple[list[Scenario], float]:
+    """Return the scenarios of the highest peak and of the largest miss, and the peak (infinite: missed)."""
+    problem, controller = dense.problem, dense.problem.controller(design)
+    try:
+        found = dense.evaluate_exactly(controller)
+    except UnstableLoopError:
+        radii = dense.radii(controller)[: len(dense.scenarios)]
+        return [dense.scenarios[int(np.argmax(radii))]], np.inf
+    contact = problem.objective == "contact_force"
+    forces = [each.peak_contact_force_n if contact else each.peak_sensor_force_n for each in found.evaluation.peaks]
+    worst = [dense.scenarios[int(np.argmax(forces))]]
+    misses = [
+        max(normalise_margins(problem.requirements, each.margins, problem.sample_time_s).values(), default=0.0)
+        for each in found.margins[: len(dense.scenarios)]
+    ]
+    if max(misses) > 1.0 + _MISSED:
+        return [*worst, dense.scenarios[int(np.argmax(misses))]], np.inf
+    return worst, found.evaluation.objective_n if found.evaluation.violation <= _MISSED else np.inf
 
 
 @dataclass(frozen=True, kw_only=True)

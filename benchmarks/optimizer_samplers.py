@@ -19,7 +19,7 @@ def run_tpe(trace: Trace, seed: int) -> None:
 
 
 def run_cma_es(trace: Trace, seed: int) -> None:
-    """Optuna's covariance matrix adaptation, restarted until the budget is over."""
+    """Optuna's covariance matrix adaptation with its defaults, one run."""
     _run_study(trace, lambda: optuna.samplers.CmaEsSampler(seed=seed))
 
 
