@@ -42,7 +42,7 @@ from autotune.tuning.search import SearchResult, solve_design
 from benchmarks.optimizer_authors import run_authors
 from benchmarks.optimizer_ipopt import run_ipopt
 from benchmarks.optimizer_judge import JUDGED, Trace, judge, screen_of, stand
-from benchmarks.optimizer_page import misses, put_between, tables
+from benchmarks.optimizer_page import FIGURE, misses, put_between, tables
 from benchmarks.optimizer_reference import bracket_best, check_densely, evolve_long
 from benchmarks.optimizer_samplers import run_cma_es, run_differential_evolution, run_dual_annealing, run_tpe
 from benchmarks.optimizer_scaling import ALL_AT_ONCE_UP_TO, Growth, draw_growth, measure_growth
@@ -52,7 +52,6 @@ from problems.design import DesignProblem
 Record = dict[str, Any]
 
 PARTS = ("problems", "peers", "growth", "bits")
-FIGURE = "figures/optimizer_growth.svg"
 _CORNERS = (3, 2)
 _LIKE_OURS = "autotune"
 # A drawn problem that is solved in a second.
@@ -155,7 +154,7 @@ def run_problem(seed: int, options: argparse.Namespace) -> Record:
         reference_design=long.low.design.tolist(),
         reference_scenarios=long.scenarios,
         reference_evaluations=long.evaluations,
-        gap=result.evaluation.objective_n / long.low.objective_n - 1.0,
+        gap=result.evaluation.objective_n / long.low.objective_n - 1.0 if np.isfinite(long.low.objective_n) else None,
         unstable=dense.unstable,
         worst=dense.worst,
         worst_name=dense.worst_name,

@@ -9,6 +9,7 @@ Record = Mapping[str, Any]
 
 WITHIN = 0.005
 SECONDS = 2.0
+FIGURE = "figures/optimizer_growth.svg"
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 
 
@@ -36,7 +37,7 @@ def misses(records: Sequence[Record]) -> list[str]:
             if each["rival_holds"]:
                 told.append(f"{name}: refused, but a design that holds was found ({each['reference_n']:.2f} N)")
             continue
-        if each["gap"] > WITHIN:
+        if each["gap"] is not None and each["gap"] > WITHIN:
             told.append(f"{name}: {100.0 * each['gap']:.2f} % above the long differential evolution")
         if each["unstable"] or each["worst"] > 1.0 + 1e-9:
             told.append(
@@ -64,9 +65,9 @@ def _problems(records: Sequence[Record]) -> str:
             f"{each['wall_s']:.2f}",
             f"{each['cpu_s']:.2f}",
             f"{each['value_n']:.3f}",
-            f"{each['reference_n']:.3f}",
-            f"{each['reference_high_n']:.3f}" if np.isfinite(each["reference_high_n"]) else "–",
-            f"{100.0 * each['gap']:+.3f}",
+            _newtons(each["reference_n"]),
+            _newtons(each["reference_high_n"]),
+            "–" if each["gap"] is None else f"{100.0 * each['gap']:+.3f}",
             str(each["unstable"]),
             f"{each['worst']:.6f} ({_words(each['worst_name'])})",
             f"{100.0 * (each['dense_n'] / each['value_n'] - 1.0):+.3f}",
@@ -85,10 +86,11 @@ def _problems(records: Sequence[Record]) -> str:
         "largest required/achieved",
         "peak, denser grid [%]",
     ]
+    gaps = [each["gap"] for each in solved if each["gap"] is not None]
     over = (
         f"{len(everything)} problems were drawn for these {len(solved)}; {len(refused)} were refused as infeasible, "
         f"and in {'none' if rivals == 0 else rivals} of them did the evolution find a design that holds. "
-        f"Largest gap {100.0 * max(each['gap'] for each in solved):+.3f} %; processor time in the median "
+        f"Largest gap {100.0 * max(gaps, default=np.nan):+.3f} %; processor time in the median "
         f"{np.median([each['cpu_s'] for each in solved]):.2f} s, at most {max(each['cpu_s'] for each in solved):.2f} s."
     )
     return f"### Drawn problems\n\n{over}\n\n{_table(head, rows)}"
@@ -149,7 +151,8 @@ def _growth(records: Sequence[Record]) -> str:
         for each in found
     ]
     head = ["scenarios", "exchange [s]", "active", "rounds", "peak [N]", "all at once [s]", "peak [N]"]
-    return f"### More scenarios\n\nProcessor time.\n\n{_table(head, rows)}"
+    picture = f"![Processor time over the number of scenarios, by exchange and all at once]({FIGURE})"
+    return f"### More scenarios\n\n{picture}\n\nProcessor time.\n\n{_table(head, rows)}"
 
 
 def _bits(records: Sequence[Record]) -> str:
@@ -167,6 +170,10 @@ def _part(records: Iterable[Record], part: str) -> list[Record]:
 
 def _seconds(value: float) -> str:
     return f"{value:.2f}" if np.isfinite(value) else "never"
+
+
+def _newtons(value: float) -> str:
+    return f"{value:.3f}" if np.isfinite(value) else "–"
 
 
 def _words(name: str) -> str:

@@ -154,6 +154,7 @@ PROBLEM = {
     [
         ({}, None),
         ({"gap": 0.0051}, "0.51 % above"),
+        ({"gap": None}, None),
         ({"unstable": 2}, "2 unstable"),
         ({"worst": 1.001}, "modulus_margin 1.001"),
         ({"cpu_s": 2.1}, "2.1 s"),
