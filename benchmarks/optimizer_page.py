@@ -90,6 +90,8 @@ def _problems(records: Sequence[Record]) -> str:
     over = (
         f"{len(everything)} problems were drawn for these {len(solved)}; {len(refused)} were refused as infeasible, "
         f"and in {'none' if rivals == 0 else rivals} of them did the evolution find a design that holds. "
+        f"The evolution: seeds {min(len(each['by_seed']) for each in solved)}, in the median "
+        f"{np.median([each['reference_evaluations'] for each in solved]):.0f} evaluations. "
         f"Largest gap {100.0 * max(gaps, default=np.nan):+.3f} %; processor time in the median "
         f"{np.median([each['cpu_s'] for each in solved]):.2f} s, at most {max(each['cpu_s'] for each in solved):.2f} s."
     )
