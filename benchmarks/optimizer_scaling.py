@@ -113,6 +113,7 @@ def draw_growth(growth: list[Growth], path: Path) -> None:
                 "s--",
                 color=other.get_color(),
                 markerfacecolor="white",
+                markevery=slice(1, None),
                 label="all at once, projected",
             )
         axes.loglog(x, [growth[0].exchange_s * n for n in x], ":", color="0.6", label="in proportion")
