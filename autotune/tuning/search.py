@@ -30,7 +30,8 @@ FloatArray = NDArray[np.float64]
 _POPULATION = 10
 _GENERATIONS = 60
 _ROUNDS = 8
-_POLISH_STARTS = 4
+_POLISH_STARTS, _OTHER_VALLEYS = 3, 6
+_NEAR, _FAR = 0.1, 0.45
 _BACKOFF = 2e-5
 _STEP = 1e-6
 _LOCAL_ITERATIONS = 30
@@ -216,7 +217,9 @@ class Search:
         found = self._evolve(costs, seed=self.seed, start=self.start, each=lambda: report(1.0 / _GENERATIONS))
         if found.fun >= _MISSED:
             return self._recovered(screen, np.asarray(found.x))
-        self.elite = _spread([unit for value, unit in sorted(seen, key=lambda pair: pair[0]) if value < _MISSED])
+        good = [unit for value, unit in sorted(seen, key=lambda pair: pair[0]) if value < _MISSED]
+        # The best, and the best of other valleys: the generations leave a valley that starts higher, but may end lower.
+        self.elite = _spread(good, _NEAR, _POLISH_STARTS) + _spread(good, _FAR, _OTHER_VALLEYS)[1:]
         return np.asarray(found.x)
 
     def _evolve(
@@ -263,7 +266,10 @@ class Search:
         starts = [unit, *self.elite] if self.start is None else [unit, *self.elite, self.start]
         candidates = np.array([unit, *(self.local(screen, start) for start in starts)])
         costs = self._tightened_costs(screen, candidates)
-        best = candidates[int(np.argmin(costs))]
+        order = np.argsort(costs, kind="stable")
+        best = candidates[order[0]]
+        # The next round starts where this one ended, in the best few valleys.
+        self.elite = _spread([candidates[i] for i in order if costs[i] < _MISSED], _NEAR, _POLISH_STARTS)
         if np.min(costs) >= _MISSED:
             best = self._recover(screen, best)
         if self.goal is not None:
@@ -379,13 +385,13 @@ def _told(evaluation: Evaluation) -> str:
     )
 
 
-def _spread(units: list[FloatArray]) -> list[FloatArray]:
-    """Return a few of the best points that lie apart."""
+def _spread(units: list[FloatArray], distance: float, count: int) -> list[FloatArray]:
+    """Return the first few points that lie this far apart."""
     kept: list[FloatArray] = []
     for unit in units:
-        if all(np.linalg.norm(unit - other) > 0.1 for other in kept):
+        if all(np.linalg.norm(unit - other) > distance for other in kept):
             kept.append(unit)
-        if len(kept) == _POLISH_STARTS:
+        if len(kept) == count:
             break
     return kept
 
