@@ -112,7 +112,7 @@ def command(
     from autotune.tuning.optimize import optimize
     from autotune.tuning.problems import Wishes
 
-    check_target(out)
+    check_target(out, [path for path in (identified, problem) if path is not None])
     plant = read_identified(identified)
     existing = None if old is None else read_controller(old)
     spec = ProblemSpec() if problem is None else read_problem(problem)
@@ -122,6 +122,9 @@ def command(
         found = optimize(plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, progress=advance)
     fronts.trace(output, found)
     checksum = write_controller(out, found.controller)
+    for finding in plant.result.findings:
+        if finding.severity != "info":
+            output.note(f"{identified}: {finding.severity}: {finding.message}")
     fronts.write(found)
     if found.controller.payload.mass_kg != plant.result.payload.mass_kg.value:
         output.note(

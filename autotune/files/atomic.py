@@ -2,19 +2,40 @@
 
 import os
 import secrets
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
 from autotune.errors import UsageError
 
+_HEAD_BYTES = 4096
+_OURS = b"autotune/"
 
-def check_target(path: Path | str) -> None:
-    """Raise UsageError now if `write_atomic` could not write there later: worth asking before long work."""
+
+def check_target(path: Path | str, sources: Iterable[Path | str] | None = None) -> None:
+    """Raise UsageError now if `write_atomic` could not write there later: worth asking before long work.
+
+    With `sources`, what the work reads, the target may be none of them, nor a file that is not one of the tool's own.
+    """
     folder = Path(path).resolve().parent
     if not folder.is_dir():
         raise UsageError(f"{path} cannot be written: the folder {folder} does not exist.")
     if not os.access(folder, os.W_OK):
         raise UsageError(f"{path} cannot be written: the folder {folder} is not writable.")
+    for source in sources or ():
+        if os.path.realpath(source) == os.path.realpath(path):
+            raise UsageError(f"{path} is what is read, and would be replaced by the result; name another file with -o.")
+    if sources is not None and not _is_ours(Path(path)):
+        raise UsageError(f"{path} exists and is no file of this tool, so it is not replaced; name another one with -o.")
+
+
+def _is_ours(path: Path) -> bool:
+    """Tell whether nothing is lost: there is no file, an empty one, a device, or one that this tool wrote."""
+    if not path.is_file():
+        return True
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD_BYTES)
+    return not head or _OURS in head
 
 
 def write_atomic(path: Path | str, content: str | bytes) -> None:
