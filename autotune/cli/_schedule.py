@@ -176,8 +176,8 @@ def _numbers(told: Mapping[str, Any]) -> tuple[str, ...]:
     digits = 1 if told["peak_force_n"] >= 10.0 else 3
     if told["cost_n"] is None:
         return f"{told['peak_force_n']:.{digits}f}", "-", "-", ""
-    values = (told["peak_force_n"], told["peak_with_common_n"], told["cost_n"])
-    return *(f"{value:.{digits}f}" for value in values), f"{told['cost_percent']:.1f} %"
+    peaks = (f"{told[name]:.{digits}f}" for name in ("peak_force_n", "peak_with_common_n"))
+    return *peaks, f"{told['cost_n']:.{digits + 1}f}", f"{told['cost_percent']:.1f} %"
 
 
 def _cost(told: Mapping[str, Any], name: str) -> tuple[float, float, str]:
