@@ -164,7 +164,7 @@ def schedule_lines(tree: Mapping[str, Any]) -> Iterator[str]:
     for axis, (percent, newton, name) in costs.items():
         unit = "N·m" if axis in ROTATIONAL_AXES else "N"
         most = (
-            f"costs up to {newton:.4g} {unit} ({percent:.1f} %) of peak, in {name}" if newton > 0.0 else "costs nothing"
+            f"costs up to {percent:.1f} % of peak ({newton:.3g} {unit}), in {name}" if newton > 0.0 else "costs nothing"
         )
         yield f"axis {axis}: one controller for all, {common['file']}, {most}"
     for name in scheduled:

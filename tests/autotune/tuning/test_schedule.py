@@ -145,7 +145,7 @@ def test_processes_do_not_change_the_bytes(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_class_that_the_common_controller_beats_is_searched_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """A first search that stopped early must not make one controller for all look better than one for the class."""
-    honest, calls = schedule_module.optimize, list[str]()
+    honest, calls = optimize, list[str]()
     lazy_spec = replace(FAST_SPEC, bounds={**FAST_SPEC.bounds, "lead_s": (0.01, 0.012)})
 
     def lazy(identified: Any, spec: Any, wishes: Any, **options: Any) -> Any:
@@ -206,7 +206,7 @@ def test_a_range_without_the_identified_mass_names_its_class_before_any_search(m
 
 
 def test_another_failure_keeps_its_kind_and_names_the_class(monkeypatch: pytest.MonkeyPatch) -> None:
-    honest = schedule_module.optimize
+    honest = optimize
 
     def doubtful(identified: Any, spec: Any, wishes: Any, **options: Any) -> Any:
         if wishes.payload_mass_kg == (8.0, 8.0):
