@@ -2,7 +2,12 @@
 
 import os
 import secrets
+<<<<<<< HEAD
 from collections.abc import Iterable
+=======
+import shutil
+from collections.abc import Mapping
+>>>>>>> 923e39a03086754b121357b3402964d616360674
 from contextlib import suppress
 from pathlib import Path
 
@@ -56,6 +61,37 @@ def write_atomic(path: Path | str, content: str | bytes) -> None:
             _replace(target, data)
     except OSError as error:
         raise UsageError(f"{path} cannot be written: {error.strerror or error}.") from error
+
+
+def write_folder_atomic(path: Path | str, files: Mapping[str, str]) -> None:
+    """Write texts by file name into the folder `path`, in place of the folder that stood there.
+
+    They go to a temporary folder beside it, are flushed to the disk, and take the name in one step; what stood there
+    is moved aside before and deleted after that, and comes back if the step fails. So nobody ever sees half of the
+    files under `path`. A symbolic link is followed. Nothing is left behind on failure or interruption.
+
+    Raises UsageError: the folder cannot be written.
+    """
+    target = Path(os.path.realpath(path))
+    mark = secrets.token_hex(8)
+    temporary, former = (target.parent / f".autotune-{mark}.{end}" for end in ("tmp", "old"))
+    try:
+        try:
+            temporary.mkdir()
+            for name, text in files.items():
+                write_atomic(temporary / name, text)
+            if target.exists():
+                target.rename(former)
+            temporary.rename(target)
+        except BaseException:
+            if former.exists() and not target.exists():
+                former.rename(target)
+            shutil.rmtree(temporary, ignore_errors=True)
+            raise
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written: {error.strerror or error}.") from error
+    _sync_directory(target.parent)
+    shutil.rmtree(former, ignore_errors=True)
 
 
 def _replace(target: Path, data: bytes) -> None:
