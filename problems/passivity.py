@@ -59,6 +59,12 @@ def check_passivity(sampled: SampledPlant, controller: AdmittanceController) -> 
     )
 
 
+def passive_below_hz(sampled: SampledPlant, controller: AdmittanceController) -> float:
+    """Return the frequency up to which the port is passive, at most the Nyquist frequency."""
+    fails = check_passivity(sampled, controller).fails_above_hz
+    return 0.5 / sampled.sample_time_s if fails is None else fails
+
+
 def _port(sampled: SampledPlant, controller: AdmittanceController) -> SampledLoop:
     """Return robot and controller with the force left to the outside; the robot does not feel the payload."""
     loop, cut = build_loop(sampled, controller), build_cut_loop(sampled, controller)
