@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,9 +33,9 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 Objective = Literal["contact_force", "sensor_force"]
 
-# The variables that are always free, in the order of the design vector. The bounds hold the paper's cells (10..20 kg, 550..2000 N s/m,
-# 0..0.025 s, 0..0.0075 s) and little more on the side of small mass and large lead: K_l/M_a is what sensor noise is
-# multiplied by on its way to the velocity command, and the measured limit of K_l was half the modelled one.
+# The variables that are always free, in the order of the design vector. The bounds hold the paper's cells (10..20 kg,
+# 550..2000 N s/m, 0..0.025 s, 0..0.0075 s) and little more on the side of small mass and large lead: K_l/M_a is what
+# sensor noise is multiplied by on its way to the velocity command, and the measured limit of K_l was half the modelled.
 VARIABLES = ("mass", "damping", "lead_s", "feedback_damping_s")
 DEFAULT_BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {"mass": (5.0, 100.0), "damping": (100.0, 10000.0), "lead_s": (0.0, 0.03), "feedback_damping_s": (0.0, 0.05)}
@@ -51,8 +51,9 @@ _ROUNDING = 1e-9
 class DesignProblem:
     """One axis: nominal plant, the set that must all be safe, approach, bounds, requirements and objective.
 
-    `bounds` of `FURTHER_VARIABLES` make those free too. `uncertain` holds ranges of further parameters by name (`problems.uncertainty.FURTHER_UNCERTAIN`), around the
-    nominal values; `ellipsoid` cuts them down to a confidence set. Without them the set is K_e × M_p.
+    `bounds` of `FURTHER_VARIABLES` make those free too. `uncertain` holds ranges of further parameters by name
+    (`problems.uncertainty.FURTHER_UNCERTAIN`), around the nominal values; `ellipsoid` cuts them down to a confidence
+    set. Without them the set is K_e × M_p.
     """
 
     robot: RobotModel
@@ -186,7 +187,7 @@ class DesignProblem:
         Feedback damping too small to be a value in seconds is none at all (MODEL.md, erratum 2).
         """
         mass, damping, lead, feedback = (float(value) for value in design[: len(VARIABLES)])
-        further = {"velocity_filter_rad_per_s": self.velocity_filter_rad_per_s}
+        further: dict[str, Any] = {"velocity_filter_rad_per_s": self.velocity_filter_rad_per_s}
         further |= {name: float(design[i]) for i, name in enumerate(self.variables) if i >= len(VARIABLES)}
         return AdmittanceController(
             mass_kg=mass,

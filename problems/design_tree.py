@@ -1,7 +1,7 @@
 """A design problem as plain mappings, lists, numbers and text, and back to the last bit."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict
 from typing import Any
 
 from .contact import Approach
@@ -84,13 +84,14 @@ def _problem(tree: Mapping[str, Any]) -> DesignProblem:
 
 
 def _requirements_tree(requirements: Requirements) -> dict[str, Any]:
-    found: dict[str, Any] = {
-        name: asdict(asked) if is_dataclass(asked) else asked
-        for name, asked in ((name, getattr(requirements, name)) for name in REQUIREMENTS)
-    }
+    found = {name: _plain(getattr(requirements, name)) for name in REQUIREMENTS}
     if found["free_space_admittance"] is not None:
         found["free_space_admittance"]["band_hz"] = list(found["free_space_admittance"]["band_hz"])
     return {**found, "soft_n": dict(requirements.soft_n)}
+
+
+def _plain(asked: Any) -> Any:
+    return asdict(asked) if isinstance(asked, AdmittanceTarget | NoiseLimit | PassivityTarget) else asked
 
 
 def _requirements(tree: Mapping[str, Any]) -> Requirements:

@@ -44,8 +44,8 @@ class Evaluation:
     `requirements` maps each requirement to required/achieved (≤ 1 is met), worst over the scenarios; it is empty
     and `peaks` too when the loop is unstable. `peaks` is also empty when a margin is missed, unless the peaks were
     asked for all the same. `soft` is the same of requirements that need not be met, `soft_cost_n` what each of them
-    adds to the peak in `objective_n`. `spectral_radius` is NaN of a loop that Routh's test calls stable and whose radius nobody
-    asked for; that of an unstable one is always a number.
+    adds to the peak in `objective_n`. `spectral_radius` is NaN of a loop that Routh's test calls stable and whose
+    radius nobody asked for; that of an unstable one is always a number.
     """
 
     controller: AdmittanceController
@@ -208,7 +208,8 @@ class PreparedScenarios:
     def margins(self, controller: AdmittanceController, radii: FloatArray) -> tuple[PlantMargins, ...]:
         """Find the margins of every plant's loop, all of them stable."""
         return self._of_plants(
-            controller, [plant.find(controller, float(radius)) for plant, radius in zip(self.plants, radii, strict=True)]
+            controller,
+            [plant.find(controller, float(radius)) for plant, radius in zip(self.plants, radii, strict=True)],
         )
 
     def _of_plants(self, controller: AdmittanceController, margins: Sequence[Margins]) -> tuple[PlantMargins, ...]:

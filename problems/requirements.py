@@ -58,7 +58,7 @@ class NoiseLimit:
 
 @dataclass(frozen=True, kw_only=True)
 class PassivityTarget:
-    """Re G(j2πf) ≥ 0, the port F → V passive, for every f up to `passive_below_hz`. (`problems.passivity`)"""
+    """Re G(j2πf) ≥ 0, the port F → V passive, for every f up to `passive_below_hz` (`problems.passivity`)."""
 
     passive_below_hz: float
 
@@ -124,8 +124,8 @@ class Requirements:
 
     def cost_n(self, name: str, ratio: float) -> float:
         """Return what a soft requirement costs at required/achieved `ratio`; a ratio that is no number costs most."""
-        missed = ratio - 1.0
-        return self.soft_n[name] * (min(max(missed, 0.0), LARGEST_SHARE) if missed == missed else LARGEST_SHARE)
+        missed = LARGEST_SHARE if math.isnan(ratio) else ratio - 1.0
+        return self.soft_n[name] * min(max(missed, 0.0), LARGEST_SHARE)
 
     def split(self, ratios: Mapping[str, float]) -> tuple[dict[str, float], dict[str, float]]:
         """Return the ratios of hard requirements, and those of soft ones."""
@@ -157,4 +157,5 @@ def eased(requirements: Requirements, name: str, share: float) -> Requirements:
     """Return the requirements with one of them asked for less by `share`."""
     asked: Any = requirements.asked()[name]
     factor = 1.0 + share if name in _UPPER_LIMITS else 1.0 - share
-    return replace(requirements, **{name: asked * factor if isinstance(asked, float) else asked.scaled(factor)})
+    less: dict[str, Any] = {name: asked * factor if isinstance(asked, float) else asked.scaled(factor)}
+    return replace(requirements, **less)

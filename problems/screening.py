@@ -55,8 +55,8 @@ class Screened:
 
     `rows` maps each requirement to required/achieved (m, k), plant by plant or scenario by scenario as it depends on
     them: each column is smooth in the design, their maximum is not. NaN where unstable, 0 where nobody looked because
-    something is missed. `peaks_n` (m, s) of the objective's force, infinite where not looked at. `soft_rows` are those of
-    `asked` that need not be met.
+    something is missed. `peaks_n` (m, s) of the objective's force, infinite where not looked at. `soft_rows` are those
+    of `asked` that need not be met.
     """
 
     radius: FloatArray
@@ -189,8 +189,8 @@ class Screen:
         if asked.max_peak_force_n is not None:
             # Without a peak another requirement is missed anyway.
             rows["max_peak_force_n"] = np.nan_to_num(by_pair[:, :, CONTACT] / asked.max_peak_force_n, nan=0.0)
-        robots = {"passivity": len(self.prepared.robots)}
-        rows |= {name: np.zeros((len(whole), robots.get(name, by_plant.shape[1]))) for name in self.slow}
+        robots, plants = len(self.prepared.robots), len(self.prepared.plants)
+        rows |= {name: np.zeros((len(whole), robots if name == "passivity" else plants)) for name in self.slow}
         for value in rows.values():
             value[unstable] = np.nan
         soft = {name: rows.pop(name) for name in asked.soft_n}

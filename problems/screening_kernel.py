@@ -48,8 +48,9 @@ def screen_designs(
     """Fill `out` for designs (m, 7): (m, COLUMNS), by plant (m, p, PLANT_COLUMNS), by scenario (m, s, PEAK_COLUMNS).
 
     `plants` are those in contact, as many as `contacts` has, then those in free space. `required` has what must hold of
-    each margin and of the admittance, 0 where nothing must, and whether crossovers are wanted. Of a design that misses something no more is judged (margins
-    stay infinite, peaks NaN) unless `peaks_if_missed`; where a verdict is not STABLE, at plant FAILED, the rest is NaN.
+    each margin and of the admittance, 0 where nothing must, and whether crossovers are wanted. Of a design that misses
+    something no more is judged (margins stay infinite, peaks NaN) unless `peaks_if_missed`; where a verdict is not
+    STABLE, at plant FAILED, the rest is NaN.
     """
     loops, responses, grids = plants
     h, theta, ideal = sampling

@@ -402,9 +402,8 @@ def _missed_softly(
     """Return the scenarios where soft requirements cost more than the active ones showed."""
     if known is None:
         return ()
-    worse = [
-        name for name, value in exact.soft.items() if value > (1.0 + _WORSE_PEAK) * max(1.0, known.soft.get(name, 0.0))
-    ]
+    least = _WORSE_PEAK * exact.objective_n
+    worse = [name for name, cost in exact.soft_cost_n.items() if cost > known.soft_cost_n.get(name, 0.0) + least]
     return _scenarios_of(whole, exact, margins, worse)
 
 

@@ -85,7 +85,8 @@ class WholeSet:
             ratios = np.array([-smallest_admittance(plant, controller, band) for plant in plants])
         else:
             return self.scenarios[0]
-        return next(s for i, s in enumerate(scenarios) if i == int(np.argmax(ratios)))
+        worst: Scenario = scenarios[int(np.argmax(ratios))]
+        return worst
 
     def _search(self, controller: AdmittanceController, exact: ExactEvaluation) -> tuple[Scenario, ...]:
         if not self.uncertainty.varying:

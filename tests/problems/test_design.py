@@ -96,7 +96,7 @@ def test_a_requirement_is_positive_or_absent(name: str, value: float) -> None:
     with pytest.raises(ParameterError) as refusal:
         dataclasses.replace(Requirements(), **{name: value})  # type: ignore[arg-type]
     assert refusal.value.name == name
-    assert getattr(dataclasses.replace(Requirements(), **{name: None}), name) is None
+    assert getattr(dataclasses.replace(Requirements(), **{name: None}), name) is None  # type: ignore[arg-type]
 
 
 def test_a_modulus_margin_of_one_is_out_of_reach() -> None:

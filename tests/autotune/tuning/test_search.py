@@ -12,7 +12,8 @@ from scipy.optimize import minimize
 
 from autotune.errors import InfeasibleError
 from autotune.tuning import search as search_module
-from autotune.tuning.search import Box, presentable, solve_design
+from autotune.tuning.box import Box
+from autotune.tuning.search import presentable, solve_design
 from problems.contact import Approach
 from problems.design import VARIABLES, AdmittanceTarget, Requirements
 from problems.evaluation import PreparedScenarios, build_scenarios
