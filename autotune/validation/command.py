@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from copy import copy
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,13 +38,13 @@ def speed_rms(plants: Sequence[Plant], law: AdmittanceController, sample_time_s:
     """Return the same for each plant (p,), touching all the time if it touches at all; the loops must be stable."""
     h = sample_time_s
     plant = _Plants(plants, h)
-    equation = DifferenceEquation(law, h)
+    # The difference equation adds and multiplies only: what it does to a number it does to each plant's.
+    equation: Any = DifferenceEquation(law, h)
     direct = equation.gain * equation.weights[0] / equation.new
     last = squares = np.zeros(len(plants))
     for k in range(max(settling_samples(each, law, h, _SHORTEST_S) for each in plants)):
         tick = 1.0 if k == 0 else 0.0
         force, position = plant.force() + tick, plant.position()
-        # The difference equation adds and multiplies only: what it does to a number it does to each plant's.
         if np.any(plant.direct != 0.0):
             tried = np.asarray(copy(equation).step(force, position))
             force = force + plant.direct * tried / (1.0 - direct * plant.direct)
