@@ -248,7 +248,7 @@ def test_prices_and_speeds_go_through_the_lever_and_the_noise_does_not() -> None
     plant = two_axes()
     loud = replace(plant, sensor=replace(plant.sensor, torque_noise_rms_n_m=known_vector(0.01, 0.03, 0.02)))
     spec = ProblemSpec(axes=("ry",), requirements=asked)
-    with pytest.raises(EstimateError, match="sensor.torque_noise_rms_n_m is not identified"):
+    with pytest.raises(EstimateError, match=r"sensor\.torque_noise_rms_n_m is not identified"):
         build_problems(plant, spec, NOTHING)
     found = build_problems(loud, spec, NOTHING)["ry"].requirements
     assert found.command_noise == NoiseLimit(max_speed_rms_m_s=5e-3, force_noise_rms_n=0.03)
