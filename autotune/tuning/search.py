@@ -22,7 +22,7 @@ from problems.margins import UnstableLoopError
 from problems.screening import Screen, Screened, build_screen
 from problems.uncertainty import Scenario
 
-from .box import Box, bounds_of
+from .box import Box, bounds_of, linear_variables
 from .polish import polish_exactly
 from .worst import ALONE, DENSE_STIFFNESS, WholeSet
 
@@ -37,6 +37,7 @@ _STEP = 1e-6
 _LOCAL_ITERATIONS = 30
 # What six digits may cost a requirement.
 _RESERVE = 5e-6
+_NOTHING = 1e-7
 _WALL = 1e3
 _HAIR = 2e-3
 # Costs of designs that miss something lie above every force, those of unstable ones above these.
@@ -130,6 +131,9 @@ def presentable(problem: DesignProblem, design: FloatArray) -> FloatArray:
     if rounded[3] < SMALLEST_FEEDBACK_DAMPING_S and problem.bounds["feedback_damping_s"][0] == 0.0:
         rounded[3] = 0.0
     bounds = bounds_of(problem)
+    # What is nothing beside its bounds is meant as none: a compensation of 1e-16 kg would only be another structure.
+    nothing = linear_variables(problem) & (rounded < _NOTHING * bounds[:, 1])
+    rounded = np.where(nothing, 0.0, rounded)
     return np.asarray(np.clip(rounded, bounds[:, 0], bounds[:, 1]))
 
 

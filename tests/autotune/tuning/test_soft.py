@@ -56,7 +56,8 @@ def test_the_result_meets_the_conditions_with_the_price_in_them(price: float) ->
         paid = price * ratio / found.evaluation.peak_n
         assert optimality.multipliers["modulus_margin"] == pytest.approx(paid, rel=2e-3)
         moved = found.design.copy()
-        moved[1] *= 1.03
+        # Less damping moves more freely than is asked: that limit lets go, and nothing balances.
+        moved[1] *= 0.97
         assert check_optimality(found.active, moved).relative_residual > 0.02
 
 
