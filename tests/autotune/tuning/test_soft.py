@@ -91,25 +91,23 @@ def test_everything_may_be_wished() -> None:
     assert np.isfinite(found.evaluation.objective_n)
 
 
-@cache
-def commanded() -> SearchResult:
-    return solve_design(
-        design_problem(
-            requirements=Requirements(
-                command_noise=NoiseLimit(max_speed_rms_m_s=3.5e-4, force_noise_rms_n=0.14),
-                passivity=PassivityTarget(passive_below_hz=43.0),
-            )
-        )
-    )
-
-
-def test_noise_and_passivity_are_held_and_cost_peak() -> None:
-    found = commanded()
+@pytest.mark.parametrize(
+    "asked",
+    [
+        Requirements(command_noise=NoiseLimit(max_speed_rms_m_s=2.5e-4, force_noise_rms_n=0.14)),
+        Requirements(passivity=PassivityTarget(passive_below_hz=42.0)),
+    ],
+    ids=["command_noise", "passivity"],
+)
+def test_noise_and_passivity_are_held_and_cost_peak(asked: Requirements) -> None:
+    (name,) = set(asked.asked()) - set(Requirements().asked())
+    found = solve_design(design_problem(requirements=asked))
     assert found.evaluation.is_feasible
-    assert max(found.evaluation.requirements[name] for name in ("command_noise", "passivity")) > 0.999
-    assert found.evaluation.objective_n > 1.01 * solved().evaluation.objective_n
+    assert found.evaluation.requirements[name] > 0.999
+    assert found.evaluation.objective_n > solved().evaluation.objective_n * 1.005
     optimality = check_optimality(found.active, found.design)
-    assert optimality.relative_residual < 2e-3
-    # The unrestricted optimum is noisier or less passive, or both.
+    assert optimality.relative_residual < 1e-3
+    assert optimality.multipliers[name] > 0.1
+    # The optimum without it misses it, or it would not have moved.
     free = build_scenarios(found.problem, found.problem.scenarios(3, 2)).evaluate(solved().design)
-    assert not free.is_feasible
+    assert free.requirements[name] > 1.0
