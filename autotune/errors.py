@@ -8,7 +8,14 @@ class UsageError(AutotuneError):
 
 
 class InfeasibleError(AutotuneError):
-    """No controller within the bounds meets the requirements."""
+    """No controller within the bounds meets the requirements.
+
+    `relaxations` are the single requirements that would be enough to ease, and by how much: name, asked, possible.
+    """
+
+    def __init__(self, message: str, relaxations: tuple[tuple[str, float, float], ...] = ()) -> None:
+        super().__init__(message)
+        self.relaxations = relaxations
 
 
 class CertificateError(AutotuneError):

@@ -12,7 +12,8 @@ from .errors import ParameterError
 # What is missed more than a thousandfold costs no more, and no price is above this: costs stay comparable numbers.
 LARGEST_SHARE = 1e3
 LARGEST_PRICE_N = 1e6
-_UPPER_LIMITS = ("max_peak_force_n", "command_noise")
+UPPER_LIMITS = ("max_peak_force_n", "command_noise")
+"""Requirements that are met from below."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,7 +149,7 @@ def level(asked: Asked) -> float:
 
 def achieved(name: str, asked: Asked, ratio: float) -> float:
     """Return what was achieved where required/achieved is `ratio`, in the unit of what is asked."""
-    if name in _UPPER_LIMITS:
+    if name in UPPER_LIMITS:
         return level(asked) * ratio
     return level(asked) / ratio if ratio > 0.0 else math.inf
 
@@ -156,6 +157,6 @@ def achieved(name: str, asked: Asked, ratio: float) -> float:
 def eased(requirements: Requirements, name: str, share: float) -> Requirements:
     """Return the requirements with one of them asked for less by `share`."""
     asked: Any = requirements.asked()[name]
-    factor = 1.0 + share if name in _UPPER_LIMITS else 1.0 - share
+    factor = 1.0 + share if name in UPPER_LIMITS else 1.0 - share
     less: dict[str, Any] = {name: asked * factor if isinstance(asked, float) else asked.scaled(factor)}
     return replace(requirements, **less)

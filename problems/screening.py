@@ -4,7 +4,7 @@ What `PreparedScenarios.evaluate` says of one design, for as many as a populatio
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,8 @@ _MARGINS = {
     "phase_margin_deg": PHASE_RAD,
     "delay_margin_s": DELAY_S,
 }
+EVERY_REQUIREMENT = "all requirements"
+"""The goal that stands for all requirements: the worst required/achieved of any."""
 _FAST = (*_MARGINS, "free_space_admittance", "max_peak_force_n")
 _CROSSOVERS = ("gain_margin_db", "phase_margin_deg", "delay_margin_s")
 
@@ -64,6 +66,16 @@ class Screened:
     peaks_n: FloatArray
     soft_rows: Mapping[str, FloatArray]
     asked: Requirements
+
+    def towards(self, goal: str) -> "Screened":
+        """Return the same with one requirement, or with `EVERY_REQUIREMENT`, in the place of peaks and wishes."""
+        rows = dict(self.rows)
+        if goal == EVERY_REQUIREMENT:
+            sought, rows = np.hstack([np.zeros((len(self.radius), 1)), *rows.values()]), {}
+        else:
+            sought = rows.pop(goal)
+        peaks = np.where(self.is_stable[:, None], sought, np.inf)
+        return replace(self, rows=rows, peaks_n=peaks, soft_rows={})
 
     @property
     def is_stable(self) -> BoolArray:
@@ -99,7 +111,10 @@ class Screened:
 
 @dataclass(frozen=True, kw_only=True)
 class Screen:
-    """Prepared scenarios as the compiled loop takes them; `slow` are requirements that it does not know."""
+    """Prepared scenarios as the compiled loop takes them; `slow` are requirements that it does not know.
+
+    With a `goal` that requirement is minimised, see `Screened.towards`, and everything of every design is looked at.
+    """
 
     prepared: PreparedScenarios
     plants: Plants
@@ -107,13 +122,14 @@ class Screen:
     band: Band
     required: tuple[FloatArray, float, bool]
     slow: tuple[str, ...]
+    goal: str | None = None
 
     def evaluate(self, designs: FloatArray, *, peaks_if_missed: bool = False) -> Screened:
         """Evaluate designs (m, n) as `PreparedScenarios.evaluate` does each.
 
         Where rounding could decide a verdict, and for requirements that no compiled form has, that function is asked.
         """
-        problem = self.prepared.problem
+        problem, peaks_if_missed = self.prepared.problem, peaks_if_missed or self.goal is not None
         controllers = [problem.controller(design) for design in designs]
         numbers, theta, ideal = controller_numbers(controllers)
         h = problem.sample_time_s
@@ -150,7 +166,7 @@ class Screen:
                 self._judge_slowly(found, i, controllers[i])
         if self.slow and not peaks_if_missed:
             found.peaks_n[found.violation > 0.0] = np.inf
-        return found
+        return found if self.goal is None else found.towards(self.goal)
 
     def _judge_slowly(self, found: Screened, index: int, controller: AdmittanceController) -> None:
         """Write the rows that no compiled form has."""

@@ -182,11 +182,18 @@ def _report(error: BaseException, arguments: Sequence[str], delivery: Delivery) 
     hint = _hint(error, code)
     say(f"{PROGRAM}: {message}" + (f" {hint}" if hint else ""))
     if _asked("--json", arguments) and not delivery.done:
-        tree = {"error": {"kind": type(error).__name__, "message": message, "exit_code": int(code)}}
+        tree = {"error": {"kind": type(error).__name__, "message": message, "exit_code": int(code), **_details(error)}}
         with contextlib.suppress(BrokenPipeError):
             click.echo(json_text(tree))
             sys.stdout.flush()
     return code
+
+
+def _details(error: BaseException) -> dict[str, Any]:
+    """Return what an error tells beside its sentence."""
+    eased = error.relaxations if isinstance(error, InfeasibleError) else ()
+    names = ("name", "asked", "possible")
+    return {"relaxations": [dict(zip(names, each, strict=True)) for each in eased]} if eased else {}
 
 
 def _one_line(error: BaseException, code: ExitCode) -> str:

@@ -1,7 +1,7 @@
 """From identified parameters to a validated controller: search, prove, write down, verify."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from .explain import Active, explain
 from .optimality import Optimality, check_optimality
 from .problems import Wishes, build_problems, certified_mass_kg, runtime_mass_kg
 from .record import build_controller, build_domain
+from .relax import find_relaxations
 from .search import SearchResult, solve_design
 
 _SEARCH_SHARE, _PROOF_SHARE = 0.7, 0.1
@@ -106,7 +107,25 @@ def _search(
     try:
         return solve_design(problem, seed=seed, start=start, progress=report)
     except InfeasibleError as error:
-        raise InfeasibleError(f"Axis {name}: {error}") from error
+        eased = find_relaxations(problem, seed=seed)
+        told = f" Enough by itself would be: {'; or '.join(map(str, eased))}." if eased else ""
+        numbers = tuple((each.name, each.asked, each.possible) for each in eased)
+        raise InfeasibleError(f"Axis {name}: {error}{_without_uncertainty(problem, seed)}{told}", numbers) from error
+
+
+def _without_uncertainty(problem: DesignProblem, seed: int) -> str:
+    """Say whether it is what is uncertain beyond K_e and M_p that leaves no controller."""
+    if not problem.uncertain:
+        return ""
+    try:
+        found = solve_design(replace(problem, uncertain={}, ellipsoid=None), seed=seed)
+    except InfeasibleError:
+        return ""
+    return (
+        f" With everything but K_e and M_p at its nominal value there is one, of {found.evaluation.objective_n:.4g} N: "
+        f"what stands in the way is how little is known of {', '.join(problem.uncertain)}. Record more, or say in "
+        "problem.yaml what is sure."
+    )
 
 
 def _silent(_: float) -> None:

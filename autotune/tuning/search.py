@@ -1,8 +1,7 @@
 """Search the controller: a seeded global stage, a local polish, and worst-case scenario exchange."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from operator import attrgetter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,22 +15,23 @@ from problems.evaluation import (
     PlantMargins,
     PreparedScenarios,
     build_scenarios,
-    normalise_plant,
 )
 from problems.margins import UnstableLoopError
 from problems.screening import Screen, Screened, build_screen
 from problems.uncertainty import Scenario
 
 from .box import Box, bounds_of, linear_variables
+from .joining import scenarios_of, softly_missed_scenarios, worst_scenarios
 from .polish import polish_exactly
-from .worst import ALONE, DENSE_STIFFNESS, WholeSet
+from .worst import DENSE_STIFFNESS, WholeSet
 
 FloatArray = NDArray[np.float64]
 
 _POPULATION = 10
 _GENERATIONS = 60
 _ROUNDS = 8
-_POLISH_STARTS = 4
+_POLISH_STARTS, _OTHER_VALLEYS = 3, 6
+_NEAR, _FAR = 0.1, 0.45
 _BACKOFF = 2e-5
 _STEP = 1e-6
 _LOCAL_ITERATIONS = 30
@@ -43,7 +43,6 @@ _HAIR = 2e-3
 # Costs of designs that miss something lie above every force, those of unstable ones above these.
 _UNSTABLE = 1e15
 _MISSED = 1e12
-_WORSE_PEAK = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,8 +90,8 @@ def solve_design(
         design = presentable(problem, search.box.design(unit))
         exact, margins = _evaluated_exactly(whole, design)
         report(0.4 / _ROUNDS)
-        worse = _worst_scenarios(problem, exact, search.last, active)
-        worse += tuple(s for s in _missed_softly(whole, exact, search.last, margins) if s not in active)
+        worse = worst_scenarios(problem, exact, search.last, active)
+        worse += tuple(s for s in softly_missed_scenarios(whole, exact, search.last, margins) if s not in active)
         missed = exact.violation
         if not worse and missed <= 0.0:
             if given is not None and given[1].is_feasible and given[1].objective_n <= exact.objective_n:
@@ -113,7 +112,7 @@ def solve_design(
             worse = (*worse, *unstable, *problem.scenarios(DENSE_STIFFNESS, 2))
         elif missed > 0.0:
             missing = [name for name, value in exact.requirements.items() if value > 1.0]
-            worse = (*worse, *_scenarios_of(whole, exact, margins, missing))
+            worse = (*worse, *scenarios_of(whole, exact, margins, missing))
         joined = tuple(dict.fromkeys((*active, *worse)))
         # A scenario that joins asks for itself; what is asked for more stays, also once it no longer binds.
         if missed <= _HAIR or len(joined) == len(active):
@@ -168,9 +167,15 @@ class _Around:
 
 
 class Search:
-    """One run: the box, what was asked (tightened where a grid flattered), and the count of evaluations."""
+    """One run: the box, what was asked (tightened where a grid flattered), and the count of evaluations.
 
-    def __init__(self, problem: DesignProblem, seed: int, start: FloatArray | None = None) -> None:
+    With a `goal` the required/achieved of that requirement is minimised instead of the peak.
+    """
+
+    def __init__(
+        self, problem: DesignProblem, seed: int, start: FloatArray | None = None, *, goal: str | None = None
+    ) -> None:
+        self.goal = goal
         self.problem = problem
         self.box = Box(problem)
         self.seed = seed
@@ -195,7 +200,9 @@ class Search:
         found = self._evolve(costs, seed=self.seed, start=self.start, each=lambda: report(1.0 / _GENERATIONS))
         if found.fun >= _MISSED:
             return self._recovered(screen, np.asarray(found.x))
-        self.elite = _spread([unit for value, unit in sorted(seen, key=lambda pair: pair[0]) if value < _MISSED])
+        good = [unit for value, unit in sorted(seen, key=lambda pair: pair[0]) if value < _MISSED]
+        # The best, and the best of other valleys: the generations leave a valley that starts higher, but may end lower.
+        self.elite = _spread(good, _NEAR, _POLISH_STARTS) + _spread(good, _FAR, _OTHER_VALLEYS)[1:]
         return np.asarray(found.x)
 
     def _evolve(
@@ -223,7 +230,7 @@ class Search:
         )
 
     def _screen(self, active: tuple[Scenario, ...]) -> Screen:
-        return build_screen(build_scenarios(self.problem, active))
+        return replace(build_screen(build_scenarios(self.problem, active)), goal=self.goal)
 
     def _costs(
         self, screen: Screen, units: FloatArray, *, peaks_if_missed: bool, tightened: bool = False
@@ -242,9 +249,14 @@ class Search:
         starts = [unit, *self.elite] if self.start is None else [unit, *self.elite, self.start]
         candidates = np.array([unit, *(self.local(screen, start) for start in starts)])
         costs = self._tightened_costs(screen, candidates)
-        best = candidates[int(np.argmin(costs))]
+        order = np.argsort(costs, kind="stable")
+        best = candidates[order[0]]
+        # The next round starts where this one ended, in the best few valleys.
+        self.elite = _spread([candidates[i] for i in order if costs[i] < _MISSED], _NEAR, _POLISH_STARTS)
         if np.min(costs) >= _MISSED:
             best = self._recover(screen, best)
+        if self.goal is not None:
+            return np.asarray(best)
         design = polish_exactly(screen, self.box.design(best), backoff=self.backoff, reserve=_RESERVE)
         finer = np.array([best, self.box.unit(design)])
         best = finer[int(np.argmin(self._tightened_costs(screen, finer)))]
@@ -290,7 +302,8 @@ class Search:
         By e_j ≥ 0 a soft requirement j may be missed, which costs its price times e_j.
         """
         scale, count = 1.0, len(start)
-        prices = np.array(list(self.problem.requirements.soft_n.values()), dtype=np.float64)
+        wishes = self.problem.requirements.soft_n if self.goal is None else {}
+        prices = np.array(list(wishes.values()), dtype=np.float64)
         cache: dict[bytes, _Around] = {}
 
         def around(unit: FloatArray) -> _Around:
@@ -369,60 +382,12 @@ def _told(evaluation: Evaluation) -> str:
     )
 
 
-def _spread(units: list[FloatArray]) -> list[FloatArray]:
-    """Return a few of the best points that lie apart."""
+def _spread(units: list[FloatArray], distance: float, count: int) -> list[FloatArray]:
+    """Return the first few points that lie this far apart."""
     kept: list[FloatArray] = []
     for unit in units:
-        if all(np.linalg.norm(unit - other) > 0.1 for other in kept):
+        if all(np.linalg.norm(unit - other) > distance for other in kept):
             kept.append(unit)
-        if len(kept) == _POLISH_STARTS:
+        if len(kept) == count:
             break
     return kept
-
-
-def _worst_scenarios(
-    problem: DesignProblem, exact: Evaluation, known: Evaluation | None, active: tuple[Scenario, ...]
-) -> tuple[Scenario, ...]:
-    """Return the scenarios with the highest peaks that beat what the active ones showed.
-
-    What counts is the objective's force, and the one at the contact where it is limited.
-    """
-    if known is None or not exact.peaks:
-        return ()
-    kinds = {"peak_contact_force_n" if problem.objective == "contact_force" else "peak_sensor_force_n"}
-    if problem.requirements.max_peak_force_n is not None:
-        kinds.add("peak_contact_force_n")
-    found = []
-    for force in map(attrgetter, sorted(kinds)):
-        worst = max(exact.peaks, key=force)
-        if force(worst) > (1.0 + _WORSE_PEAK) * max(map(force, known.peaks)) and worst.scenario not in active:
-            found.append(worst.scenario)
-    return tuple(found)
-
-
-def _missed_softly(
-    whole: WholeSet, exact: Evaluation, known: Evaluation | None, margins: tuple[PlantMargins, ...]
-) -> tuple[Scenario, ...]:
-    """Return the scenarios where soft requirements cost more than the active ones showed."""
-    if known is None:
-        return ()
-    least = _WORSE_PEAK * exact.objective_n
-    worse = [name for name, cost in exact.soft_cost_n.items() if cost > known.soft_cost_n.get(name, 0.0) + least]
-    return _scenarios_of(whole, exact, margins, worse)
-
-
-def _scenarios_of(
-    whole: WholeSet, exact: Evaluation, margins: tuple[PlantMargins, ...], names: Sequence[str]
-) -> tuple[Scenario, ...]:
-    """Return for each of these requirements the scenario that misses it most; each brings its free space along."""
-    problem, found = whole.problem, []
-    for name in names:
-        if name in ALONE:
-            found.append(whole.worst_robot(exact.controller, name))
-            continue
-        values = [normalise_plant(problem.requirements, m, problem.sample_time_s).get(name) for m in margins]
-        if values and all(each is not None for each in values):
-            found.append(margins[int(np.argmax(np.array(values, dtype=np.float64)))].scenario)
-        elif name == "max_peak_force_n" and exact.peaks:
-            found.append(max(exact.peaks, key=attrgetter("peak_contact_force_n")).scenario)
-    return tuple(found)

@@ -8,25 +8,24 @@ The arithmetic is double precision; a bound on its rounding, scaled by the matri
 """
 
 import math
-import warnings
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgWarning, expm_frechet, solve_discrete_lyapunov
 
 from problems.controller import AdmittanceController
 from problems.plant import Coupling, Environment, Payload, Plant, build_plant_matrices
 from problems.robot import RobotModel
 from problems.sampled import SampledPlant, build_loop, build_sampled_plant, stability_matrix
 
+from .proof_cells import CellLoop
+
 FloatArray = NDArray[np.float64]
 
-# Products of three matrices of order n lose at most about 3n ε times the product of their norms; this is well above.
-_ROUNDING_UNITS = 100.0 * np.finfo(np.float64).eps
-_LARGEST_EXPONENT = 600.0  # a bound this large proves nothing, and does not overflow
 _SMALLEST_SHARE = 1e-7
 _MOST_CELLS = 20000
+_AT_ONCE = 512
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,196 +69,109 @@ class StabilityProof:
     failed_stiffness_n_per_m: float | None = None
 
 
+@lru_cache(maxsize=16)
 def prove_stability(plants: UncertainPlant, controller: AdmittanceController, sample_time_s: float) -> StabilityProof:
     """Prove that the sampled loop is stable for every plant of the set, or name a plant for which it is not shown.
 
     The set is split until every cell is proved; a cell whose centre is unstable, or one that would have to be split
     too finely, ends the attempt.
     """
-    loop = _VaryingLoop(plants, controller, sample_time_s)
-    stack = [_Cell(low=(0.0, 0.0), high=(1.0, 1.0))]
-    cells, slack = 0, math.inf
-    while stack:
-        cell = stack.pop()
-        found = loop.slack(cell)
-        if found > 0.0:
-            cells += 1
-            slack = min(slack, found)
-            continue
-        if found == -math.inf or max(cell.width) < _SMALLEST_SHARE or cells + len(stack) > _MOST_CELLS:
-            mass, stiffness = loop.plant_numbers(cell.centre)
+    loop = build_cell_loop(plants, controller, sample_time_s)
+    waiting, cells, slack = np.array([[0.0, 0.0, 1.0, 1.0]]), 0, math.inf
+    while len(waiting):
+        now, waiting = waiting[:_AT_ONCE], waiting[_AT_ONCE:]
+        found = loop.slack(now)
+        proved = found > 0.0
+        cells, slack = cells + int(np.sum(proved)), min([slack, *found[proved].tolist()])
+        failed, width = now[~proved], now[~proved, 2:] - now[~proved, :2]
+        hopeless = (found[~proved] == -math.inf) | (np.max(width, axis=1, initial=0.0) < _SMALLEST_SHARE)
+        if np.any(hopeless) or cells + len(waiting) + len(failed) > _MOST_CELLS:
+            worst = int(np.argmax(hopeless))
+            inverse, stiffness = loop.plant_numbers(0.5 * (failed[[worst], :2] + failed[[worst], 2:]))
             return StabilityProof(
-                holds=False, cells=cells, slack=found, failed_mass_kg=mass, failed_stiffness_n_per_m=stiffness
+                holds=False,
+                cells=cells,
+                slack=float(found[~proved][worst]),
+                failed_mass_kg=float(1.0 / inverse[0]),
+                failed_stiffness_n_per_m=float(stiffness[0]),
             )
-        stack += loop.split(cell)
+        waiting = np.vstack([_split(loop, failed), waiting])
     return StabilityProof(holds=True, cells=cells, slack=slack)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Cell:
-    """A rectangle of the unit square that the two varying numbers, 1/M_p and K_e/M_p, are mapped to."""
-
-    low: tuple[float, float]
-    high: tuple[float, float]
-
-    @property
-    def centre(self) -> tuple[float, float]:
-        return 0.5 * (self.low[0] + self.high[0]), 0.5 * (self.low[1] + self.high[1])
-
-    @property
-    def width(self) -> tuple[float, float]:
-        return self.high[0] - self.low[0], self.high[1] - self.low[1]
+def _split(loop: CellLoop, cells: FloatArray) -> FloatArray:
+    """Halve cells (m, 4) along the side that moves the plant more."""
+    width = cells[:, 2:] - cells[:, :2]
+    moves = width * [
+        (loop.inverse[1] - loop.inverse[0]) * np.linalg.norm(loop.per_mass),
+        (loop.stiffness[1] - loop.stiffness[0]) * loop.inverse[1] * np.linalg.norm(loop.per_ratio),
+    ]
+    rows, side = np.arange(len(cells)), np.argmax(moves, axis=1)
+    middle = 0.5 * (cells[rows, side] + cells[rows, side + 2])
+    lower, upper = cells.copy(), cells.copy()
+    lower[rows, side + 2], upper[rows, side] = middle, middle
+    return np.vstack([lower, upper])
 
 
-class _VaryingLoop:
-    """The closed loop as a function of 1/M_p and K_e/M_p, with its derivatives."""
+def build_cell_loop(plants: UncertainPlant, controller: AdmittanceController, sample_time_s: float) -> CellLoop:
+    """Find how the loop matrix depends on 1/M_p and K_e/M_p.
 
-    def __init__(self, plants: UncertainPlant, controller: AdmittanceController, sample_time_s: float) -> None:
-        self.plants, self.controller, self.h = plants, controller, sample_time_s
-        self.free = plants.environment_stiffness_n_per_m == (0.0, 0.0)
-        mass_low, mass_high = plants.payload_mass_kg
-        self.inverse = (1.0 / mass_high, 1.0 / mass_low)
-        # The rectangle (1/M, K/M) would hold stiffness that nobody asked for; K itself is the second coordinate, and
-        # a cell's rectangle in (1/M, K/M) is built around its corners.
-        self.stiffness = plants.environment_stiffness_n_per_m
-        reference = plants.at(1.0, 0.0)
-        whole = build_plant_matrices(reference, sample_time_s)
-        size = len(whole.b)
-        self.size = size
-        # Only the last row (payload acceleration) depends on the mass: it is 1/M times the row for 1 kg.
-        self.per_mass = np.zeros((size + 1, size + 1))
-        self.per_mass[size - 1, :size], self.per_mass[size - 1, size] = whole.a[-1], whole.b[-1]
-        self.per_ratio = np.zeros((size + 1, size + 1))
-        self.per_ratio[size - 1, size - 2] = -(sample_time_s**2)
-
-    def plant_numbers(self, point: tuple[float, float]) -> tuple[float, float]:
-        """Return (M_p, K_e) of a point of the unit square."""
-        inverse = self.inverse[0] + point[0] * (self.inverse[1] - self.inverse[0])
-        return 1.0 / inverse, self.stiffness[0] + point[1] * (self.stiffness[1] - self.stiffness[0])
-
-    def split(self, cell: _Cell) -> list[_Cell]:
-        """Halve the cell along the side that moves the plant more."""
-        moves = (
-            cell.width[0] * (self.inverse[1] - self.inverse[0]) * float(np.linalg.norm(self.per_mass)),
-            cell.width[1] * (self.stiffness[1] - self.stiffness[0]) * self.inverse[1] * self.h**2,
-        )
-        side = 0 if moves[0] >= moves[1] else 1
-        middle = cell.centre[side]
-        upper = (middle, cell.low[1]) if side == 0 else (cell.low[0], middle)
-        lower = (middle, cell.high[1]) if side == 0 else (cell.high[0], middle)
-        return [_Cell(low=cell.low, high=lower), _Cell(low=upper, high=cell.high)]
-
-    def slack(self, cell: _Cell) -> float:
-        """Return 1 − (bound on ‖L A L⁻¹‖ over the cell); −inf if the loop at the centre is unstable."""
-        mass, stiffness = self.plant_numbers(cell.centre)
-        sampled = build_sampled_plant(self.plants.at(mass, stiffness), self.h)
-        centre = self._reduced(sampled)
-        if not np.max(np.abs(np.linalg.eigvals(centre))) < 1.0:
-            return -math.inf
-        half = self._half_ranges(cell, mass, stiffness)
-        first = [self._derivative(sampled, centre, direction) for direction in (self.per_mass, self.per_ratio)]
-        remainder = self._remainder(sampled, half)
-        best = -1.0
-        for root in _lyapunov_roots(centre):
-            inverse = np.asarray(np.linalg.inv(root), dtype=np.float64)
-            corners = [
-                float(np.linalg.norm(root @ (centre + s1 * half[0] * first[0] + s2 * half[1] * first[1]) @ inverse, 2))
-                for s1 in (-1.0, 1.0)
-                for s2 in (-1.0, 1.0)
-            ]
-            rest = self._reach(root, inverse, sampled) * remainder
-            rounding = _ROUNDING_UNITS * float(np.linalg.norm(np.abs(root) @ np.abs(centre) @ np.abs(inverse)))
-            best = max(best, 1.0 - max(corners) - rest - rounding)
-        return best
-
-    def _half_ranges(self, cell: _Cell, mass: float, stiffness: float) -> tuple[float, float]:
-        """Return how far 1/M and K/M get from the centre's in this cell."""
-        corners = [self.plant_numbers((a, b)) for a in (cell.low[0], cell.high[0]) for b in (cell.low[1], cell.high[1])]
-        return (
-            max(abs(1.0 / m - 1.0 / mass) for m, _ in corners),
-            max(abs(k / m - stiffness / mass) for m, k in corners),
-        )
-
-    def _reduced(self, sampled: SampledPlant) -> FloatArray:
-        return stability_matrix(build_loop(sampled, self.controller))
-
-    def _derivative(self, sampled: SampledPlant, centre: FloatArray, direction: FloatArray) -> FloatArray:
-        """Return the derivative of the loop matrix: the loop is affine in phi, gamma and gamma_old."""
-        augmented = self._augmented(sampled)
-        size, fraction = self.size, sampled.fraction
-        whole = expm_frechet(augmented, direction, compute_expm=False)
-        newer = expm_frechet(augmented * (1.0 - fraction), direction * (1.0 - fraction), compute_expm=False)
-        gamma = newer[:size, size] if fraction > 0.0 else whole[:size, size]
-        older = whole[:size, size] - gamma if fraction > 0.0 else np.zeros(size)
-        moved = replace(
-            sampled,
-            phi=np.ascontiguousarray(sampled.phi + whole[:size, :size]),
-            gamma=sampled.gamma + gamma,
-            gamma_old=sampled.gamma_old + older,
-        )
-        return self._reduced(moved) - centre
-
-    def _augmented(self, sampled: SampledPlant) -> FloatArray:
-        out = np.zeros((self.size + 1, self.size + 1))
-        out[: self.size, : self.size], out[: self.size, self.size] = sampled.rate, sampled.drive
-        return out
-
-    def _remainder(self, sampled: SampledPlant, half: tuple[float, float]) -> float:
-        """Bound the second-order remainder of the loop matrix over the cell in the 2-norm.
-
-        ‖exp(M + E) − exp(M) − D exp(M)E‖ ≤ ½‖E‖² e^(‖M‖+‖E‖). It enters phi and gamma once each, gamma_old through two
-        exponentials; gamma is multiplied by the command row, and deflation by at most 1 + the translation's size.
-        """
-        change = half[0] * float(np.linalg.norm(self.per_mass, 2)) + half[1] * float(np.linalg.norm(self.per_ratio, 2))
-        size = float(np.linalg.norm(self._augmented(sampled), 2))
-        exponential = 0.5 * change**2 * math.exp(min(size + change, _LARGEST_EXPONENT))
-        return 2.0 * exponential * self._command_size(sampled)
-
-    def _reach(self, root: FloatArray, inverse: FloatArray, sampled: SampledPlant) -> float:
-        """Bound ‖L R L⁻¹‖/‖R‖: in contact R has plant rows only, and acts on plant and past commands only."""
-        rows = columns = slice(None)
-        if not self.free:
-            rows = slice(0, self.size)
-            if sampled.whole_delay > 0:
-                columns = slice(0, self.size + sampled.chain_length)
-        return float(np.linalg.norm(root[:, rows], 2) * np.linalg.norm(inverse[columns], 2))
-
-    def _command_size(self, sampled: SampledPlant) -> float:
-        """Return how much larger a change of (phi, gamma, gamma_old) can be in the loop matrix than in the plant."""
-        loop = build_loop(sampled, self.controller)
-        n = self.size
-        command = 0.0 if sampled.whole_delay > 0 else float(np.linalg.norm(loop.a[n])) if sampled.chain_length else 0.0
-        if sampled.chain_length == 0:
-            # Without delay the command row is spread over the plant rows: gamma·command is those rows less phi.
-            spread = loop.a[:n].copy()
-            spread[:, :n] -= sampled.phi
-            command = float(np.linalg.norm(spread)) / max(float(np.linalg.norm(sampled.gamma)), 1e-300)
-        deflation = 1.0
-        if self.free:
-            shift = loop.translation / np.max(np.abs(loop.translation))
-            deflation = 1.0 + float(np.linalg.norm(shift))
-        return (2.0 + command) * deflation
+    A point of the unit square is 1/M_p and K_e: a rectangle of (1/M, K/M) would hold stiffness that nobody asked for.
+    """
+    mass_low, mass_high = plants.payload_mass_kg
+    whole = build_plant_matrices(plants.at(1.0, 0.0), sample_time_s)
+    n = len(whole.b)
+    # Only the last row (payload acceleration) depends on the mass: it is 1/M times the row for 1 kg.
+    steady, per_mass, per_ratio = np.zeros((3, n + 1, n + 1))
+    steady[: n - 1, :n], steady[: n - 1, n] = whole.a[:-1], whole.b[:-1]
+    per_mass[n - 1, :n], per_mass[n - 1, n] = whole.a[-1], whole.b[-1]
+    per_ratio[n - 1, n - 2] = -(sample_time_s**2)
+    sampled = build_sampled_plant(plants.at(mass_high, plants.environment_stiffness_n_per_m[0]), sample_time_s)
+    constant, basis = _affine(sampled, controller)
+    gain, rows, columns = _bounds(sampled, controller)
+    return CellLoop(
+        steady=steady,
+        per_mass=per_mass,
+        per_ratio=per_ratio,
+        fraction=sampled.fraction,
+        constant=constant,
+        basis=basis,
+        inverse=(1.0 / mass_high, 1.0 / mass_low),
+        stiffness=plants.environment_stiffness_n_per_m,
+        gain=gain,
+        rows=rows,
+        columns=columns,
+    )
 
 
-def _lyapunov_roots(a: FloatArray) -> list[FloatArray]:
-    """Return candidates L with V = |L s|²: one from the modes, one from a Lyapunov equation."""
-    roots = []
-    radius = float(np.max(np.abs(np.linalg.eigvals(a))))
-    # A^T P A − σ² P = −W with σ between the radius and 1 keeps the decrease even in every direction.
-    for share in (0.5, 0.1):
-        sigma = radius + share * (1.0 - radius)
-        scaled = a / sigma
-        weight = np.eye(len(a))
-        for _ in range(2):
-            with warnings.catch_warnings():
-                # What an ill-conditioned equation gives is a candidate like any other: the proof decides.
-                warnings.simplefilter("ignore", LinAlgWarning)
-                p = solve_discrete_lyapunov(scaled.T, weight)
-            p = 0.5 * (p + p.T)
-            diagonal = np.diag(np.diag(p))
-            weight = diagonal / float(np.max(diagonal)) + 1e-9 * np.eye(len(a))
-            try:
-                roots.append(np.linalg.cholesky(p).T)
-            except np.linalg.LinAlgError:
-                break
-    return roots
+def _affine(sampled: SampledPlant, controller: AdmittanceController) -> tuple[FloatArray, FloatArray]:
+    """Return the loop matrix without the plant, and what each number of phi, gamma and gamma_old adds to it."""
+    n = sampled.state_count
+
+    def reduced(numbers: FloatArray) -> FloatArray:
+        phi, gamma, gamma_old = np.split(numbers, [n * n, n * n + n])
+        moved = replace(sampled, phi=phi.reshape(n, n), gamma=gamma, gamma_old=gamma_old)
+        return stability_matrix(build_loop(moved, controller))
+
+    constant = reduced(np.zeros(n * n + 2 * n))
+    return constant, np.array([reduced(unit) - constant for unit in np.eye(n * n + 2 * n)])
+
+
+def _bounds(sampled: SampledPlant, controller: AdmittanceController) -> tuple[float, int, int]:
+    """Return by how much a change of (phi, gamma, gamma_old) can be larger in the loop matrix, its rows and columns.
+
+    gamma_old takes part through two exponentials; gamma is multiplied by the command row, and deflation by at most 1 +
+    the translation's size. In contact a change is in plant rows only, and acts on plant and past commands only.
+    """
+    loop, n = build_loop(sampled, controller), sampled.state_count
+    command = 0.0 if sampled.whole_delay > 0 else float(np.linalg.norm(loop.a[n])) if sampled.chain_length else 0.0
+    if sampled.chain_length == 0:
+        # Without delay the command row is spread over the plant rows: gamma·command is those rows less phi.
+        spread = loop.a[:n].copy()
+        spread[:, :n] -= sampled.phi
+        command = float(np.linalg.norm(spread)) / max(float(np.linalg.norm(sampled.gamma)), 1e-300)
+    order = len(stability_matrix(loop))
+    if not loop.is_anchored:
+        shift = loop.translation / np.max(np.abs(loop.translation))
+        return (2.0 + command) * (1.0 + float(np.linalg.norm(shift))), order, order
+    return 2.0 + command, n, n + sampled.chain_length if sampled.whole_delay > 0 else order

@@ -1,0 +1,124 @@
+"""What would have to be given up: the smallest relaxation, of each requirement alone, that makes a problem feasible."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autotune.errors import InfeasibleError
+from problems.design import DesignProblem
+from problems.margins import UnstableLoopError
+from problems.requirements import UPPER_LIMITS, level
+from problems.screening import EVERY_REQUIREMENT
+from problems.uncertainty import Scenario
+
+from .joining import margin_scenarios
+from .search import Search, presentable
+from .worst import ALONE, WholeSet
+
+FloatArray = NDArray[np.float64]
+
+_ROUNDS = 6
+_DIGITS = 3
+_HAIR = 2e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relaxation:
+    """One requirement, what is asked of it, and the most that can be had while every other one is met."""
+
+    name: str
+    asked: float
+    possible: float
+
+    @property
+    def share(self) -> float:
+        """By which share of what is asked it would have to be eased."""
+        return abs(self.possible - self.asked) / self.asked
+
+    def __str__(self) -> str:
+        if self.name == EVERY_REQUIREMENT:
+            return f"all requirements together at {self.possible:g} % of what is asked"
+        return f"{self.name} {self.possible:g} instead of {self.asked:g}"
+
+
+def find_relaxations(
+    problem: DesignProblem, *, seed: int = 0, progress: Callable[[float], None] | None = None
+) -> tuple[Relaxation, ...]:
+    """Return the relaxations of single requirements that would be enough, the smallest share first.
+
+    For each requirement in turn, required/achieved is minimised over the bounds while all others are met, over the
+    whole uncertainty as in the search; what is told was reached by a design, exactly evaluated, and is rounded to the
+    easier side. Where no single one is enough, all together by one share (`EVERY_REQUIREMENT`, in per cent of what is
+    asked). Empty where nothing is stable.
+    """
+    asked = asked_numbers(problem)
+    together = _least_ratio(problem, EVERY_REQUIREMENT, seed)
+    found = []
+    for name, number in asked.items() if together is not None else ():
+        ratio = _least_ratio(problem, name, seed)
+        if ratio is not None:
+            found.append(Relaxation(name=name, asked=number, possible=_eased(name, number, ratio)))
+        if progress is not None:
+            progress(1.0 / len(asked))
+    if together is not None and not found:
+        possible = _eased(EVERY_REQUIREMENT, 100.0, together)
+        return (Relaxation(name=EVERY_REQUIREMENT, asked=100.0, possible=possible),)
+    return tuple(sorted(found, key=lambda each: each.share))
+
+
+def asked_numbers(problem: DesignProblem) -> dict[str, float]:
+    """Return what is asked of each requirement as one number, wishes left out."""
+    requirements = problem.requirements
+    return {name: level(asked) for name, asked in requirements.asked().items() if name not in requirements.soft_n}
+
+
+def _least_ratio(problem: DesignProblem, goal: str, seed: int) -> float | None:
+    """Return the least required/achieved of one requirement over the whole uncertainty; None if others are missed."""
+    search, whole = Search(problem, seed, goal=goal), WholeSet(problem, seed)
+    active: tuple[Scenario, ...] = problem.scenarios(3, 2)
+    best = None
+    try:
+        unit = search.explore(active, lambda _: None)
+        for _ in range(_ROUNDS):
+            unit = search.polish(active, unit)
+            controller = problem.controller(presentable(problem, search.box.design(unit)))
+            promised = 1.0 if search.last is None else _of(goal, search.last.requirements)
+            try:
+                exact = whole.evaluate(controller)
+            except UnstableLoopError:
+                active = tuple(dict.fromkeys((*active, *whole.unstable(controller))))
+                continue
+            ratios = dict(exact.evaluation.requirements)
+            sought = {name: value for name, value in ratios.items() if goal in (name, EVERY_REQUIREMENT)}
+            others = {name: value for name, value in ratios.items() if name not in sought}
+            if all(value <= 1.0 for value in others.values()):
+                best = min(_of(goal, ratios), np.inf if best is None else best)
+                if _of(goal, ratios) <= promised * (1.0 + _HAIR):
+                    break
+            worse = margin_scenarios(problem, others, exact.margins)
+            worse = (*worse, *margin_scenarios(problem, sought, exact.margins, level=promised))
+            highest = max(exact.evaluation.peaks, key=lambda peak: peak.peak_contact_force_n).scenario
+            robots = (whole.worst_robot(controller, name) for name in ALONE if name in ratios)
+            joined = tuple(dict.fromkeys((*active, *worse, highest, *robots)))
+            if joined == active:
+                search.tighten(exact.evaluation)
+            active = joined
+    except InfeasibleError:
+        pass
+    # A port that is passive nowhere has no number to be eased to.
+    return best if best is not None and np.isfinite(best) else None
+
+
+def _of(goal: str, ratios: Mapping[str, float]) -> float:
+    return max(ratios.values()) if goal == EVERY_REQUIREMENT else ratios[goal]
+
+
+def _eased(name: str, asked: float, ratio: float) -> float:
+    """Return what the design reached, with three digits, on the easier side of it."""
+    reached = asked * ratio if name in UPPER_LIMITS else asked / ratio
+    unit = 10.0 ** (math.floor(math.log10(reached)) - _DIGITS + 1)
+    steps = math.ceil(reached / unit) if name in UPPER_LIMITS else math.floor(reached / unit)
+    return float(f"{steps * unit:.{_DIGITS}g}")
