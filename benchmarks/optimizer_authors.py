@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.tuning.search import Box
+from autotune.tuning.box import Box
 from benchmarks.optimizer_ipopt import PAPER_DESIGN, design_of, ipopt_options
 from benchmarks.optimizer_judge import DIMENSION, SEEN, Trace, solution_noter
 from problems.design import DesignProblem

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from autotune.tuning.search import Box
+from autotune.tuning.box import Box
 from benchmarks.optimizer_judge import DIMENSION, SEEN, Trace, solution_noter
 from problems.controller import PAPER_ACCELERATION_FILTER_RAD_PER_S
 from problems.design import VARIABLES, DesignProblem

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.tuning.search import Box
+from autotune.tuning.box import Box
 from problems.design import VARIABLES, DesignProblem
 from problems.evaluation import build_scenarios
 from problems.screening import Screen, build_screen

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
-from autotune.tuning.search import Box
+from autotune.tuning.box import Box
 from autotune.tuning.worst import DENSE_MASS, DENSE_STIFFNESS
 from benchmarks.optimizer_judge import DIMENSION, is_peak, ranked_costs
 from problems.design import DesignProblem

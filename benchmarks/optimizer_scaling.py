@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from scipy.stats import qmc
 
 from autotune.tuning import search, worst
+from autotune.tuning.box import Box
 from benchmarks.optimizer_judge import DIMENSION, screen_of
 from benchmarks.tuning_problems import paper_cell
 from problems.design import DesignProblem
@@ -84,7 +85,7 @@ def _all_at_once(problem: DesignProblem, grid: tuple[int, int]) -> tuple[float, 
 
 def _population_seconds(problem: DesignProblem, grid: tuple[int, int]) -> float:
     """Return what it costs to look at designs that are stable and close to what is asked, every peak included."""
-    screen, box = screen_of(problem, grid), search.Box(problem)
+    screen, box = screen_of(problem, grid), Box(problem)
     points = qmc.Sobol(DIMENSION, rng=np.random.default_rng(0)).random(_DESIGNS)
     designs = box.design(np.array([0.02, 0.5, 0.66, 0.5]) + np.array([0.05, 0.1, 0.1, 0.4]) * (points - 0.5))
     screen.evaluate(designs[:2], peaks_if_missed=True)

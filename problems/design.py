@@ -1,88 +1,59 @@
 """The design problem as a value: what may vary, what must hold, what is minimised; it needs no solver."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ._checks import interval, non_negative, positive
 from .contact import Approach
-from .controller import PAPER_VELOCITY_FILTER_RAD_PER_S, AdmittanceController
+from .controller import PAPER_VELOCITY_FILTER_RAD_PER_S, SMALLEST_FEEDBACK_DAMPING_S, AdmittanceController
 from .errors import ParameterError
 from .plant import Coupling, Environment, Payload, Plant
+from .requirements import AdmittanceTarget, Asked, NoiseLimit, PassivityTarget, Requirements
 from .robot import RobotModel
 from .robot_variation import bandwidth_hz, damping_ratio, has_damping_ratio
 from .uncertainty import ALWAYS_UNCERTAIN, FURTHER_UNCERTAIN, SYMBOLS, Ellipsoid, Scenario, Uncertainty, check_robot
 
+__all__ = [
+    "DEFAULT_BOUNDS",
+    "FURTHER_VARIABLES",
+    "VARIABLES",
+    "AdmittanceTarget",
+    "DesignProblem",
+    "NoiseLimit",
+    "Objective",
+    "PassivityTarget",
+    "Requirements",
+]
+
 FloatArray = NDArray[np.float64]
 Objective = Literal["contact_force", "sensor_force"]
 
-# Free variables in the order of the design vector. The bounds hold the paper's cells (10..20 kg, 550..2000 N s/m,
-# 0..0.025 s, 0..0.0075 s) and little more on the side of small mass and large lead: K_l/M_a is what sensor noise is
-# multiplied by on its way to the velocity command, and the measured limit of K_l was half the modelled one.
+# The variables that are always free, in the order of the design vector. The bounds hold the paper's cells (10..20 kg,
+# 550..2000 N s/m, 0..0.025 s, 0..0.0075 s) and little more on the side of small mass and large lead: K_l/M_a is what
+# sensor noise is multiplied by on its way to the velocity command, and the measured limit of K_l was half the modelled.
 VARIABLES = ("mass", "damping", "lead_s", "feedback_damping_s")
 DEFAULT_BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {"mass": (5.0, 100.0), "damping": (100.0, 10000.0), "lead_s": (0.0, 0.03), "feedback_damping_s": (0.0, 0.05)}
 )
+FURTHER_VARIABLES = ("velocity_filter_rad_per_s", "acceleration_filter_rad_per_s", "compensation_mass_kg")
+"""Variables that are free on request, in the order in which they follow: ω_v, ω_a, P̂."""
+_TITLES = {"free_space_admittance": "free-space admittance"}
 # A nominal value that is the end of its own range may differ from it by the rounding of a unit.
 _ROUNDING = 1e-9
-
-
-@dataclass(frozen=True, kw_only=True)
-class AdmittanceTarget:
-    """|G(j2πf)| ≥ `min_m_s_per_n` for f in `band_hz` (MODEL.md, "Free-space admittance target")."""
-
-    min_m_s_per_n: float = 7e-4
-    band_hz: tuple[float, float] = (0.1, 2.0)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "min_m_s_per_n", positive("min_m_s_per_n", self.min_m_s_per_n))
-        object.__setattr__(self, "band_hz", interval("band_hz", self.band_hz))
-        positive("band_hz", self.band_hz[0])
-
-
-@dataclass(frozen=True, kw_only=True)
-class Requirements:
-    """What every scenario must meet; None asks for nothing. Stability is always asked.
-
-    `max_peak_force_n` limits the force on the environment, whatever the objective is.
-    """
-
-    modulus_margin: float | None = 0.5
-    gain_margin_db: float | None = 6.0
-    phase_margin_deg: float | None = 30.0
-    delay_margin_s: float | None = 1e-3
-    decay_rate_per_s: float | None = None
-    max_peak_force_n: float | None = None
-    free_space_admittance: AdmittanceTarget | None = field(default_factory=AdmittanceTarget)
-
-    def __post_init__(self) -> None:
-        for name in (
-            "modulus_margin",
-            "gain_margin_db",
-            "phase_margin_deg",
-            "delay_margin_s",
-            "decay_rate_per_s",
-            "max_peak_force_n",
-        ):
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, positive(name, value))
-        if self.modulus_margin is not None and self.modulus_margin >= 1.0:
-            raise ParameterError(
-                "modulus_margin", self.modulus_margin, "below 1 (|1 + L| tends to 1 at high frequency)"
-            )
 
 
 @dataclass(frozen=True, kw_only=True)
 class DesignProblem:
     """One axis: nominal plant, the set that must all be safe, approach, bounds, requirements and objective.
 
-    `uncertain` holds ranges of further parameters by name (`problems.uncertainty.FURTHER_UNCERTAIN`), around the
-    nominal values; `ellipsoid` cuts them down to a confidence set. Without them the set is K_e × M_p.
+    `bounds` of `FURTHER_VARIABLES` make those free too. `uncertain` holds ranges of further parameters by name
+    (`problems.uncertainty.FURTHER_UNCERTAIN`), around the nominal values; `ellipsoid` cuts them down to a confidence
+    set. Without them the set is K_e × M_p.
     """
 
     robot: RobotModel
@@ -102,13 +73,7 @@ class DesignProblem:
     uncertainty: Uncertainty = field(init=False)
 
     def __post_init__(self) -> None:
-        unknown = sorted(set(self.bounds) - set(VARIABLES))
-        if unknown:
-            raise ParameterError("bounds", unknown, f"given for {', '.join(VARIABLES)} only")
-        bounds = {name: interval(name, self.bounds.get(name, DEFAULT_BOUNDS[name])) for name in VARIABLES}
-        for name in ("mass", "damping"):
-            positive(f"lower bound of {name}", bounds[name][0])
-        object.__setattr__(self, "bounds", MappingProxyType(bounds))
+        self._check_bounds()
         stiffness = interval("environment_stiffness_n_per_m", self.environment_stiffness_n_per_m)
         positive("environment_stiffness_n_per_m", stiffness[0])
         object.__setattr__(self, "environment_stiffness_n_per_m", stiffness)
@@ -118,10 +83,38 @@ class DesignProblem:
         object.__setattr__(self, "sample_time_s", positive("sample_time_s", self.sample_time_s))
         non_negative("drag_n_s_per_m", self.drag_n_s_per_m)
         non_negative("environment_damping_n_s_per_m", self.environment_damping_n_s_per_m)
-        target = self.requirements.free_space_admittance
-        if target is not None and target.band_hz[1] >= 0.5 / self.sample_time_s:
-            raise ParameterError("free_space_admittance.band_hz", target.band_hz, "below half the sampling rate")
+        self._check_requirements()
         self._check_uncertainty()
+
+    def _check_bounds(self) -> None:
+        unknown = sorted(set(self.bounds) - {*VARIABLES, *FURTHER_VARIABLES})
+        if unknown:
+            raise ParameterError("bounds", unknown, f"given for {', '.join((*VARIABLES, *FURTHER_VARIABLES))} only")
+        given = {**DEFAULT_BOUNDS, **self.bounds}
+        bounds = {name: interval(name, given[name]) for name in (*VARIABLES, *FURTHER_VARIABLES) if name in given}
+        for name in ("mass", "damping", "velocity_filter_rad_per_s", "acceleration_filter_rad_per_s"):
+            if name in bounds:
+                positive(f"lower bound of {name}", bounds[name][0])
+        if "acceleration_filter_rad_per_s" in bounds and bounds.get("compensation_mass_kg", (0.0, 0.0))[1] == 0.0:
+            must = "left out unless compensation_mass_kg is free too (the filter is that of the compensation)"
+            raise ParameterError("bounds", "acceleration_filter_rad_per_s", must)
+        object.__setattr__(self, "bounds", MappingProxyType(bounds))
+
+    def _check_requirements(self) -> None:
+        asked, nyquist = self.requirements, 0.5 / self.sample_time_s
+        target, passivity, noise = asked.free_space_admittance, asked.passivity, asked.command_noise
+        if target is not None and target.band_hz[1] >= nyquist:
+            raise ParameterError("free_space_admittance.band_hz", target.band_hz, "below half the sampling rate")
+        if passivity is not None and passivity.passive_below_hz >= nyquist:
+            must = "below half the sampling rate"
+            raise ParameterError("passivity.passive_below_hz", passivity.passive_below_hz, must)
+        if noise is not None and noise.force_noise_rms_n is None:
+            raise ParameterError("command_noise.force_noise_rms_n", None, "the force sensor's noise")
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """The free variables in the order of the design vector: `VARIABLES`, then those that were made free."""
+        return tuple(self.bounds)
 
     def _check_uncertainty(self) -> None:
         for name in ALWAYS_UNCERTAIN:
@@ -189,23 +182,24 @@ class DesignProblem:
         )
 
     def controller(self, design: Sequence[float] | FloatArray) -> AdmittanceController:
-        """Return the controller of a design vector (M_a, B_a, K_l, B_fb).
+        """Return the controller of a design vector, the values of `variables`.
 
         Feedback damping too small to be a value in seconds is none at all (MODEL.md, erratum 2).
         """
-        feedback = float(design[3])
+        mass, damping, lead, feedback = (float(value) for value in design[: len(VARIABLES)])
+        further: dict[str, Any] = {"velocity_filter_rad_per_s": self.velocity_filter_rad_per_s}
+        further |= {name: float(design[i]) for i, name in enumerate(self.variables) if i >= len(VARIABLES)}
         return AdmittanceController(
-            mass_kg=float(design[0]),
-            damping_n_s_per_m=float(design[1]),
-            lead_s=float(design[2]),
-            feedback_damping_s=feedback if feedback >= 1e-4 else 0.0,
-            velocity_filter_rad_per_s=self.velocity_filter_rad_per_s,
+            mass_kg=mass,
+            damping_n_s_per_m=damping,
+            lead_s=lead,
+            feedback_damping_s=feedback if feedback >= SMALLEST_FEEDBACK_DAMPING_S else 0.0,
+            **further,
         )
 
     def __str__(self) -> str:
         """Return the problem as a table for people: what is free, what is uncertain, what is asked."""
         asked = self.requirements
-        target = asked.free_space_admittance
         lines = [("minimise", f"the peak {self.objective.replace('_', ' ')}, worst over the whole uncertainty")]
         approach = self.approach
         told = f"{approach.speed_m_s:g} m/s" if approach.force_n is None else f"{approach.force_n:g} N"
@@ -224,9 +218,18 @@ class DesignProblem:
             if name not in self.uncertain
         ]
         lines.append(("sample time", f"{self.sample_time_s:g} s"))
-        numbers = {f.name: getattr(asked, f.name) for f in fields(asked) if f.name != "free_space_admittance"}
-        lines += [(f"required: {name}", f"{value:g}") for name, value in numbers.items() if value is not None]
-        if target is not None:
-            low, high = target.band_hz
-            lines.append(("required: free-space admittance", f"{target.min_m_s_per_n:g} from {low:g} to {high:g} Hz"))
+        for name, value in asked.asked().items():
+            price = asked.soft_n.get(name)
+            words = _told(value) if price is None else f"{_told(value)}, or {price:g} N per share missed"
+            lines.append((f"{'required' if price is None else 'wished'}: {_TITLES.get(name, name)}", words))
         return "\n".join(f"{name:36}{value}" for name, value in lines)
+
+
+def _told(asked: Asked) -> str:
+    """Return a requirement in words."""
+    if isinstance(asked, AdmittanceTarget):
+        low, high = asked.band_hz
+        return f"{asked.min_m_s_per_n:g} from {low:g} to {high:g} Hz"
+    if isinstance(asked, NoiseLimit):
+        return f"speed RMS {asked.max_speed_rms_m_s:g} under force noise of {asked.force_noise_rms_n:g} RMS"
+    return f"up to {asked.passive_below_hz:g} Hz" if isinstance(asked, PassivityTarget) else f"{asked:g}"

@@ -1,13 +1,14 @@
 """A design problem as plain mappings, lists, numbers and text, and back to the last bit."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any
 
 from .contact import Approach
-from .design import AdmittanceTarget, DesignProblem, Requirements
+from .design import DesignProblem
 from .errors import ParameterError
 from .plant import Coupling
+from .requirements import REQUIREMENTS, AdmittanceTarget, NoiseLimit, PassivityTarget, Requirements
 from .robot import RobotModel
 from .uncertainty import Ellipsoid
 
@@ -36,7 +37,7 @@ def problem_to_dict(problem: DesignProblem) -> dict[str, Any]:
         **{name: list(getattr(problem, name)) for name in _INTERVALS},
         **{name: {key: list(pair) for key, pair in getattr(problem, name).items()} for name in _MAPPINGS},
         "approach": asdict(problem.approach),
-        "requirements": _listed(asdict(problem.requirements)),
+        "requirements": _requirements_tree(problem.requirements),
         "ellipsoid": None
         if ellipsoid is None
         else {
@@ -57,10 +58,7 @@ def problem_from_dict(tree: Mapping[str, Any]) -> DesignProblem:
 
 
 def _problem(tree: Mapping[str, Any]) -> DesignProblem:
-    asked, ellipsoid = dict(tree["requirements"]), tree["ellipsoid"]
-    target = asked.get("free_space_admittance")
-    if target is not None:
-        asked["free_space_admittance"] = AdmittanceTarget(**{**target, "band_hz": tuple(target["band_hz"])})
+    ellipsoid = tree["ellipsoid"]
     known = {"robot", "coupling", "approach", "requirements", "ellipsoid", *_PLAIN, *_INTERVALS, *_MAPPINGS}
     unknown = sorted(set(tree) - known)
     if unknown:
@@ -73,7 +71,7 @@ def _problem(tree: Mapping[str, Any]) -> DesignProblem:
         coupling=Coupling(**tree["coupling"]),
         **entries,
         approach=Approach(**tree["approach"]),
-        requirements=Requirements(**asked),
+        requirements=_requirements(tree["requirements"]),
         ellipsoid=None
         if ellipsoid is None
         else Ellipsoid(
@@ -85,8 +83,24 @@ def _problem(tree: Mapping[str, Any]) -> DesignProblem:
     )
 
 
-def _listed(requirements: dict[str, Any]) -> dict[str, Any]:
-    target = requirements["free_space_admittance"]
-    if target is not None:
-        requirements["free_space_admittance"] = {**target, "band_hz": list(target["band_hz"])}
-    return requirements
+def _requirements_tree(requirements: Requirements) -> dict[str, Any]:
+    found = {name: _plain(getattr(requirements, name)) for name in REQUIREMENTS}
+    if found["free_space_admittance"] is not None:
+        found["free_space_admittance"]["band_hz"] = list(found["free_space_admittance"]["band_hz"])
+    return {**found, "soft_n": dict(requirements.soft_n)}
+
+
+def _plain(asked: Any) -> Any:
+    return asdict(asked) if isinstance(asked, AdmittanceTarget | NoiseLimit | PassivityTarget) else asked
+
+
+def _requirements(tree: Mapping[str, Any]) -> Requirements:
+    asked = dict(tree)
+    if asked.get("free_space_admittance") is not None:
+        target = asked["free_space_admittance"]
+        asked["free_space_admittance"] = AdmittanceTarget(**{**target, "band_hz": tuple(target["band_hz"])})
+    kinds: dict[str, Callable[..., Any]] = {"command_noise": NoiseLimit, "passivity": PassivityTarget}
+    for name, kind in kinds.items():
+        if asked.get(name) is not None:
+            asked[name] = kind(**asked[name])
+    return Requirements(**asked)

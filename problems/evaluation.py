@@ -2,17 +2,20 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .contact import SampledContact, build_sampled_contact, transient_from
 from .controller import AdmittanceController
-from .design import DesignProblem, Requirements
+from .design import DesignProblem
 from .margin_table import MarginTable, build_margin_table
 from .margins import Margins, PreparedMargins, UnstableLoopError, prepare_margins
+from .noise import command_speed_gain
+from .passivity import passive_below_hz
 from .plant import Plant
+from .requirements import PassivityTarget, Requirements
 from .response import PlantResponse, free_space_admittance, plant_response, rendered_admittance
 from .robot import RobotModel
 from .sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
@@ -40,8 +43,9 @@ class Evaluation:
 
     `requirements` maps each requirement to required/achieved (≤ 1 is met), worst over the scenarios; it is empty
     and `peaks` too when the loop is unstable. `peaks` is also empty when a margin is missed, unless the peaks were
-    asked for all the same. `spectral_radius` is NaN of a loop that Routh's test calls stable and whose radius nobody
-    asked for; that of an unstable one is always a number.
+    asked for all the same. `soft` is the same of requirements that need not be met, `soft_cost_n` what each of them
+    adds to the peak in `objective_n`. `spectral_radius` is NaN of a loop that Routh's test calls stable and whose
+    radius nobody asked for; that of an unstable one is always a number.
     """
 
     controller: AdmittanceController
@@ -49,6 +53,18 @@ class Evaluation:
     requirements: Mapping[str, float]
     peaks: tuple[Peak, ...]
     objective_n: float
+    soft: Mapping[str, float] = field(default_factory=dict)
+    soft_cost_n: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def penalty_n(self) -> float:
+        """What missed soft requirements add to the peak."""
+        return sum(self.soft_cost_n.values())
+
+    @property
+    def peak_n(self) -> float:
+        """The largest peak of the objective's force."""
+        return self.objective_n - self.penalty_n
 
     @property
     def is_stable(self) -> bool:
@@ -70,11 +86,15 @@ class Evaluation:
 
 @dataclass(frozen=True, kw_only=True)
 class PlantMargins:
-    """The margins of one plant of the uncertainty: that of `scenario`, or with `free_space` before it touches."""
+    """The margins of one plant of the uncertainty: that of `scenario`, or with `free_space` before it touches.
+
+    `speed_gain_m_s_per_n` is the commanded speed's RMS per force noise, where the command's noise is limited.
+    """
 
     scenario: Scenario
     free_space: bool
     margins: Margins
+    speed_gain_m_s_per_n: float | None = None
 
     @property
     def payload_mass_kg(self) -> float:
@@ -97,19 +117,23 @@ class ExactEvaluation:
     def together_with(self, other: "ExactEvaluation") -> "ExactEvaluation":
         """Return the evaluation of the same design over the scenarios of both."""
         own, more = self.evaluation, other.evaluation
+        cost = _larger(own.soft_cost_n, more.soft_cost_n)
         return ExactEvaluation(
             evaluation=replace(
                 own,
                 spectral_radius=max(own.spectral_radius, more.spectral_radius),
-                requirements={
-                    name: max(own.requirements.get(name, 0.0), more.requirements.get(name, 0.0))
-                    for name in (*own.requirements, *more.requirements)
-                },
+                requirements=_larger(own.requirements, more.requirements),
                 peaks=own.peaks + more.peaks,
-                objective_n=max(own.objective_n, more.objective_n),
+                objective_n=max(own.peak_n, more.peak_n) + sum(cost.values()),
+                soft=_larger(own.soft, more.soft),
+                soft_cost_n=cost,
             ),
             margins=self.margins + other.margins,
         )
+
+
+def _larger(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
+    return {name: max(one.get(name, 0.0), other.get(name, 0.0)) for name in (*one, *other)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,10 +158,15 @@ class PreparedScenarios:
         """The different plants in free space, the lightest first."""
         return tuple(plant.sampled for plant in self.plants[len(self.pairs) :])
 
+    @property
+    def robots(self) -> tuple[SampledPlant, ...]:
+        """One plant in free space for each different robot."""
+        return tuple({plant.plant.robot: plant for plant in self.free}.values())
+
     def evaluate(
         self, design: Sequence[float] | FloatArray, *, peaks_if_missed: bool = False, radius: bool = True
     ) -> Evaluation:
-        """Evaluate the design vector (M_a, B_a, K_l, B_fb) over the scenarios.
+        """Evaluate a design, the values of `problem.variables`, over the scenarios.
 
         `peaks_if_missed` asks for the peaks of a stable design that misses a requirement as well (a solver that walks
         along the boundary needs them). Without `radius` a loop that Routh's test calls stable is told no radius.
@@ -146,7 +175,7 @@ class PreparedScenarios:
         if not radius and self.problem.requirements.decay_rate_per_s is None:
             quick = self.table.find(controller)
             if quick is not None:
-                return self._evaluated(controller, math.nan, self._of_plants(quick), peaks_if_missed)
+                return self._evaluated(controller, math.nan, self._of_plants(controller, quick), peaks_if_missed)
         radii = self.radii(controller)
         if not np.max(radii) < 1.0:
             return Evaluation(
@@ -179,12 +208,19 @@ class PreparedScenarios:
     def margins(self, controller: AdmittanceController, radii: FloatArray) -> tuple[PlantMargins, ...]:
         """Find the margins of every plant's loop, all of them stable."""
         return self._of_plants(
-            [plant.find(controller, float(radius)) for plant, radius in zip(self.plants, radii, strict=True)]
+            controller,
+            [plant.find(controller, float(radius)) for plant, radius in zip(self.plants, radii, strict=True)],
         )
 
-    def _of_plants(self, margins: Sequence[Margins]) -> tuple[PlantMargins, ...]:
+    def _of_plants(self, controller: AdmittanceController, margins: Sequence[Margins]) -> tuple[PlantMargins, ...]:
+        limited = self.problem.requirements.command_noise is not None
         return tuple(
-            PlantMargins(scenario=scenario, free_space=i >= len(self.scenarios), margins=found)
+            PlantMargins(
+                scenario=scenario,
+                free_space=i >= len(self.scenarios),
+                margins=found,
+                speed_gain_m_s_per_n=command_speed_gain(self.plants[i].sampled, controller) if limited else None,
+            )
             for i, (scenario, found) in enumerate(zip((*self.scenarios, *self.free_of), margins, strict=True))
         )
 
@@ -196,14 +232,28 @@ class PreparedScenarios:
         peaks_if_missed: bool,
     ) -> Evaluation:
         asked, h = self.problem.requirements, self.problem.sample_time_s
-        values = [normalise_margins(asked, each.margins, h) for each in margins]
-        requirements = {name: max(value[name] for value in values) for name in values[0]}
-        requirements |= self.achieved_admittance(controller)
-        if not peaks_if_missed and any(value > 1.0 for value in requirements.values()):
+        values = [normalise_plant(asked, each, h) for each in margins]
+        ratios = {name: max(value[name] for value in values) for name in values[0]}
+        ratios |= self.achieved_alone(controller)
+        hard, soft = asked.split(ratios)
+        if not peaks_if_missed and any(value > 1.0 for value in hard.values()):
             return Evaluation(
-                controller=controller, spectral_radius=radius, requirements=requirements, peaks=(), objective_n=math.inf
+                controller=controller,
+                spectral_radius=radius,
+                requirements=hard,
+                peaks=(),
+                objective_n=math.inf,
+                soft=soft,
             )
-        return finish_evaluation(self.problem, controller, radius, requirements, self.peaks(controller))
+        return finish_evaluation(self.problem, controller, radius, ratios, self.peaks(controller))
+
+    def achieved_alone(self, controller: AdmittanceController) -> dict[str, float]:
+        """Return required/achieved of what robot and controller do alone, whatever the payload: |G| and passivity."""
+        target = self.problem.requirements.passivity
+        if target is None:
+            return self.achieved_admittance(controller)
+        passive = np.max(passivity_ratios(target, self.robots, controller))
+        return {**self.achieved_admittance(controller), "passivity": float(passive)}
 
     def achieved_admittance(self, controller: AdmittanceController) -> dict[str, float]:
         """Return required/achieved of the free-space admittance target, if there is one."""
@@ -271,7 +321,7 @@ def _target_response(problem: DesignProblem, free: Sequence[SampledPlant]) -> Pl
 def normalise_margins(requirements: Requirements, margins: Margins, sample_time_s: float) -> dict[str, float]:
     """Return required/achieved for every margin that is asked; ≤ 1 is met, an unlimited margin gives 0."""
     # A radius that is not known (NaN) tells no decay, and then none is asked.
-    decay = -math.log(margins.spectral_radius) / sample_time_s if margins.spectral_radius != 0.0 else math.inf
+    decay = decay_rate(margins.spectral_radius, sample_time_s)
     asked = {
         "modulus_margin": (requirements.modulus_margin, margins.modulus),
         "gain_margin_db": (requirements.gain_margin_db, margins.gain_db),
@@ -284,6 +334,33 @@ def normalise_margins(requirements: Requirements, margins: Margins, sample_time_
         for name, (required, achieved) in asked.items()
         if required is not None
     }
+
+
+def decay_rate(spectral_radius: float, sample_time_s: float) -> float:
+    """Return −ln ρ/h [1/s], infinite for a deadbeat loop."""
+    return -math.log(spectral_radius) / sample_time_s if spectral_radius != 0.0 else math.inf
+
+
+def decay_ratios(problem: DesignProblem, radii: FloatArray) -> FloatArray:
+    """Return required/achieved of the decay rate (p,) of stable loops with these spectral radii."""
+    required = problem.requirements.decay_rate_per_s or 0.0
+    return np.array([required / decay_rate(float(radius), problem.sample_time_s) for radius in radii])
+
+
+def normalise_plant(requirements: Requirements, plant: PlantMargins, sample_time_s: float) -> dict[str, float]:
+    """Return required/achieved of everything that is asked of one plant: its margins and the command's noise."""
+    found, limit = normalise_margins(requirements, plant.margins, sample_time_s), requirements.command_noise
+    if limit is not None and plant.speed_gain_m_s_per_n is not None:
+        found["command_noise"] = limit.ratio(plant.speed_gain_m_s_per_n)
+    return found
+
+
+def passivity_ratios(
+    target: PassivityTarget, robots: Sequence[SampledPlant], controller: AdmittanceController
+) -> FloatArray:
+    """Return required/achieved of the passive band (k,) for each robot; infinite for a port that is never passive."""
+    with np.errstate(divide="ignore"):
+        return target.passive_below_hz / np.array([passive_below_hz(robot, controller) for robot in robots])
 
 
 def smallest_admittance(sampled: SampledPlant, controller: AdmittanceController, band_hz: tuple[float, float]) -> float:
@@ -306,18 +383,22 @@ def finish_evaluation(
     problem: DesignProblem,
     controller: AdmittanceController,
     radius: float,
-    requirements: Mapping[str, float],
+    ratios: Mapping[str, float],
     peaks: tuple[Peak, ...],
 ) -> Evaluation:
-    """Add the objective, and the limit on it, to an evaluation of a stable design."""
-    contact = problem.objective == "contact_force"
-    objective = max(p.peak_contact_force_n if contact else p.peak_sensor_force_n for p in peaks)
-    limit = problem.requirements.max_peak_force_n
+    """Add the objective, and the limit on it, to an evaluation of a stable design; `ratios` are hard and soft."""
+    contact, asked = problem.objective == "contact_force", problem.requirements
+    peak = max(p.peak_contact_force_n if contact else p.peak_sensor_force_n for p in peaks)
+    limit = asked.max_peak_force_n
     extra = {} if limit is None else {"max_peak_force_n": max(p.peak_contact_force_n for p in peaks) / limit}
+    hard, soft = asked.split({**ratios, **extra})
+    cost = {name: asked.cost_n(name, ratio) for name, ratio in soft.items()}
     return Evaluation(
         controller=controller,
         spectral_radius=radius,
-        requirements={**requirements, **extra},
+        requirements=hard,
         peaks=peaks,
-        objective_n=objective,
+        objective_n=peak + sum(cost.values()),
+        soft=soft,
+        soft_cost_n=cost,
     )

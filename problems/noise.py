@@ -53,6 +53,15 @@ def predict_command_noise(
     return CommandNoise(position_rms_m=position, speed_rms_m_s=speed / h, acceleration_rms_m_s2=acceleration / h**2)
 
 
+def command_speed_gain(sampled: SampledPlant, controller: AdmittanceController) -> float:
+    """Return the RMS of the commanded speed per RMS of force noise [m/s per N] in a loop that is known to be stable.
+
+    The `speed_rms_m_s` of `predict_command_noise` for 1 N, without asking for stability again.
+    """
+    loop = build_loop(sampled, controller)
+    return math.sqrt(_variance(loop, *_difference(loop, 1))) / loop.sample_time_s
+
+
 def _difference(loop: SampledLoop, order: int) -> tuple[FloatArray, FloatArray]:
     """Return y = c s_k + Σ d_j n_{k+j} for the difference of the command of this order, over ticks k to k + order."""
     weights = ((1.0,), (-1.0, 1.0), (1.0, -2.0, 1.0))[order]

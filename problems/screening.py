@@ -4,7 +4,7 @@ What `PreparedScenarios.evaluate` says of one design, for as many as a populatio
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,10 @@ from .batch import controller_numbers, stack_contacts
 from .batch_kernel import Contacts
 from .contact import longest_run
 from .controller import AdmittanceController
-from .evaluation import Evaluation, PreparedScenarios
+from .evaluation import Evaluation, PreparedScenarios, decay_ratios, passivity_ratios
+from .noise import command_speed_gain
 from .polynomials import DOUBTFUL, STABLE, UNSTABLE
+from .requirements import Requirements
 from .sampled import build_loop, spectral_radius
 from .screening_kernel import (
     ADMITTANCE,
@@ -46,6 +48,7 @@ _MARGINS = {
 EVERY_REQUIREMENT = "all requirements"
 """The goal that stands for all requirements: the worst required/achieved of any."""
 _FAST = (*_MARGINS, "free_space_admittance", "max_peak_force_n")
+_CROSSOVERS = ("gain_margin_db", "phase_margin_deg", "delay_margin_s")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,21 +57,25 @@ class Screened:
 
     `rows` maps each requirement to required/achieved (m, k), plant by plant or scenario by scenario as it depends on
     them: each column is smooth in the design, their maximum is not. NaN where unstable, 0 where nobody looked because
-    something is missed. `peaks_n` (m, s) of the objective's force, infinite where not looked at.
+    something is missed. `peaks_n` (m, s) of the objective's force, infinite where not looked at. `soft_rows` are those
+    of `asked` that need not be met.
     """
 
     radius: FloatArray
     rows: Mapping[str, FloatArray]
     peaks_n: FloatArray
+    soft_rows: Mapping[str, FloatArray]
+    asked: Requirements
 
     def towards(self, goal: str) -> "Screened":
-        """Return the same with one requirement, or with `EVERY_REQUIREMENT`, in the place of the peaks."""
+        """Return the same with one requirement, or with `EVERY_REQUIREMENT`, in the place of peaks and wishes."""
         rows = dict(self.rows)
         if goal == EVERY_REQUIREMENT:
             sought, rows = np.hstack([np.zeros((len(self.radius), 1)), *rows.values()]), {}
         else:
             sought = rows.pop(goal)
-        return Screened(radius=self.radius, rows=rows, peaks_n=np.where(self.is_stable[:, None], sought, np.inf))
+        peaks = np.where(self.is_stable[:, None], sought, np.inf)
+        return replace(self, rows=rows, peaks_n=peaks, soft_rows={})
 
     @property
     def is_stable(self) -> BoolArray:
@@ -82,8 +89,16 @@ class Screened:
 
     @property
     def objective_n(self) -> FloatArray:
-        """The largest peak (m,)."""
-        return np.asarray(np.max(self.peaks_n, axis=1))
+        """The largest peak (m,), and what missed soft requirements add to it."""
+        return np.asarray(np.max(self.peaks_n, axis=1)) + self.penalty_n
+
+    @property
+    def penalty_n(self) -> FloatArray:
+        """What missed soft requirements cost (m,)."""
+        cost = np.zeros(len(self.radius))
+        for name, row in self.soft_rows.items():
+            cost += [self.asked.cost_n(name, float(ratio)) for ratio in np.max(row, axis=1)]
+        return cost
 
     @property
     def violation(self) -> FloatArray:
@@ -105,12 +120,12 @@ class Screen:
     plants: Plants
     contacts: Contacts
     band: Band
-    required: tuple[FloatArray, float]
+    required: tuple[FloatArray, float, bool]
     slow: tuple[str, ...]
     goal: str | None = None
 
     def evaluate(self, designs: FloatArray, *, peaks_if_missed: bool = False) -> Screened:
-        """Evaluate designs (m, 4) as `PreparedScenarios.evaluate` does each.
+        """Evaluate designs (m, n) as `PreparedScenarios.evaluate` does each.
 
         Where rounding could decide a verdict, and for requirements that no compiled form has, that function is asked.
         """
@@ -133,19 +148,39 @@ class Screen:
             peaks_if_missed,
             (whole, by_plant, by_pair),
         )
+        hard, soft = self._rows(whole, by_plant, by_pair)
         found = Screened(
             radius=self._radius(whole, controllers),
-            rows=self._rows(whole, by_plant, by_pair),
+            rows=hard,
             peaks_n=np.nan_to_num(
                 by_pair[:, :, CONTACT if problem.objective == "contact_force" else SENSOR], nan=np.inf
             ),
+            soft_rows=soft,
+            asked=problem.requirements,
         )
         missed = found.violation > 0.0
         for i in range(len(designs)):
-            slow = self.slow and found.is_stable[i] and (peaks_if_missed or not missed[i])
-            if slow or whole[i, VERDICT] == DOUBTFUL:
+            if whole[i, VERDICT] == DOUBTFUL:
                 _settle(found, i, self.prepared.evaluate(designs[i], peaks_if_missed=peaks_if_missed))
+            elif self.slow and found.is_stable[i] and (peaks_if_missed or not missed[i]):
+                self._judge_slowly(found, i, controllers[i])
+        if self.slow and not peaks_if_missed:
+            found.peaks_n[found.violation > 0.0] = np.inf
         return found if self.goal is None else found.towards(self.goal)
+
+    def _judge_slowly(self, found: Screened, index: int, controller: AdmittanceController) -> None:
+        """Write the rows that no compiled form has."""
+        asked, prepared = self.prepared.problem.requirements, self.prepared
+        values: dict[str, FloatArray] = {}
+        if asked.decay_rate_per_s is not None:
+            values["decay_rate_per_s"] = decay_ratios(prepared.problem, prepared.radii(controller))
+        if asked.command_noise is not None:
+            gains = [command_speed_gain(plant.sampled, controller) for plant in prepared.plants]
+            values["command_noise"] = np.array([asked.command_noise.ratio(gain) for gain in gains])
+        if asked.passivity is not None:
+            values["passivity"] = passivity_ratios(asked.passivity, prepared.robots, controller)
+        for name, value in values.items():
+            (found.soft_rows if name in asked.soft_n else found.rows)[name][index] = value
 
     def _radius(self, whole: FloatArray, controllers: Sequence[AdmittanceController]) -> FloatArray:
         radius = np.zeros(len(whole))
@@ -154,7 +189,10 @@ class Screen:
             radius[i] = max(spectral_radius(loop), 1.0)
         return radius
 
-    def _rows(self, whole: FloatArray, by_plant: FloatArray, by_pair: FloatArray) -> dict[str, FloatArray]:
+    def _rows(
+        self, whole: FloatArray, by_plant: FloatArray, by_pair: FloatArray
+    ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+        """Return the rows of hard requirements, and those of soft ones."""
         asked, unstable = self.prepared.problem.requirements, whole[:, VERDICT] != STABLE
         degrees = {"phase_margin_deg": 180.0 / np.pi}
         rows = {
@@ -167,18 +205,21 @@ class Screen:
         if asked.max_peak_force_n is not None:
             # Without a peak another requirement is missed anyway.
             rows["max_peak_force_n"] = np.nan_to_num(by_pair[:, :, CONTACT] / asked.max_peak_force_n, nan=0.0)
-        rows |= {name: np.zeros((len(whole), 1)) for name in self.slow}
+        robots, plants = len(self.prepared.robots), len(self.prepared.plants)
+        rows |= {name: np.zeros((len(whole), robots if name == "passivity" else plants)) for name in self.slow}
         for value in rows.values():
             value[unstable] = np.nan
-        return rows
+        soft = {name: rows.pop(name) for name in asked.soft_n}
+        return rows, soft
 
 
 def _settle(found: Screened, index: int, evaluation: Evaluation) -> None:
     """Write the evaluation of one design over what was screened."""
     found.radius[index] = evaluation.spectral_radius if not evaluation.is_stable else 0.0
-    found.peaks_n[index] = evaluation.objective_n
-    for name, value in found.rows.items():
-        value[index] = evaluation.requirements.get(name, np.nan if not evaluation.is_stable else 0.0)
+    found.peaks_n[index] = evaluation.peak_n
+    for rows, said in ((found.rows, evaluation.requirements), (found.soft_rows, evaluation.soft)):
+        for name, value in rows.items():
+            value[index] = said.get(name, np.nan if not evaluation.is_stable else 0.0)
 
 
 def build_screen(prepared: PreparedScenarios) -> Screen:
@@ -186,9 +227,10 @@ def build_screen(prepared: PreparedScenarios) -> Screen:
     asked, target, table = prepared.problem.requirements, prepared.target_response, prepared.table
     margins = np.zeros(PLANT_COLUMNS)
     for name, column in _MARGINS.items():
-        margins[column] = getattr(asked, name) or 0.0
+        margins[column] = 0.0 if name in asked.soft_n else getattr(asked, name) or 0.0
     margins[PHASE_RAD] = np.radians(margins[PHASE_RAD])
-    wanted = asked.free_space_admittance
+    wanted = None if "free_space_admittance" in asked.soft_n else asked.free_space_admittance
+    crosses = any(getattr(asked, name) is not None for name in _CROSSOVERS)
     nothing = np.zeros(0, dtype=np.complex128)
     return Screen(
         prepared=prepared,
@@ -197,8 +239,6 @@ def build_screen(prepared: PreparedScenarios) -> Screen:
         band=(np.zeros(0), nothing, nothing)
         if target is None
         else (target.frequency_rad_per_s, target.z, target.position),
-        required=(margins, 0.0 if wanted is None else wanted.min_m_s_per_n),
-        slow=tuple(
-            each.name for each in fields(asked) if each.name not in _FAST and getattr(asked, each.name) is not None
-        ),
+        required=(margins, 0.0 if wanted is None else wanted.min_m_s_per_n, crosses),
+        slow=tuple(name for name in asked.asked() if name not in _FAST),
     )

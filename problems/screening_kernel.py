@@ -41,23 +41,23 @@ def screen_designs(
     sampling: tuple[float, float, bool],
     approach: tuple[float, float, bool, float],
     longest: int,
-    required: tuple[FloatArray, float],
+    required: tuple[FloatArray, float, bool],
     peaks_if_missed: bool,
     out: tuple[FloatArray, FloatArray, FloatArray],
 ) -> None:
     """Fill `out` for designs (m, 7): (m, COLUMNS), by plant (m, p, PLANT_COLUMNS), by scenario (m, s, PEAK_COLUMNS).
 
-    `plants` are those in contact, as many as `contacts` has, then those in free space. `required` has what is asked of
-    each margin and of the admittance, 0 where nothing is. Of a design that misses something no more is judged (margins
-    stay infinite, peaks NaN) unless `peaks_if_missed`; where a verdict is not STABLE, at plant FAILED, the rest is NaN.
+    `plants` are those in contact, as many as `contacts` has, then those in free space. `required` has what must hold of
+    each margin and of the admittance, 0 where nothing must, and whether crossovers are wanted. Of a design that misses
+    something no more is judged (margins stay infinite, peaks NaN) unless `peaks_if_missed`; where a verdict is not
+    STABLE, at plant FAILED, the rest is NaN.
     """
     loops, responses, grids = plants
     h, theta, ideal = sampling
     controller, work, found = np.zeros((3, CONTROLLER_POWERS)), loop_room(loops), np.zeros(MARGINS)
     row, traces = np.empty(PAIR_COLUMNS), (np.empty(longest), np.empty(longest))
     omega, tangent, force, position, offsets = grids
-    margins, admittance = required
-    crosses = margins[GAIN_DB] > 0.0 or margins[PHASE_RAD] > 0.0 or margins[DELAY_S] > 0.0
+    margins, admittance, crosses = required
     shallowest = MODULUS_ALONE if margins[MODULUS] > 0.0 else WITH_CROSSOVERS
     deepest = WITH_CROSSOVERS if crosses else MODULUS_ALONE
     whole, by_plant, by_pair = out

@@ -152,6 +152,13 @@ def admittance_slope(sampled: SampledPlant, controller: AdmittanceController, ba
     return _slope(sampled, controller, "admittance", lowest, lambda response: response.value)
 
 
+def passivity_slope(sampled: SampledPlant, controller: AdmittanceController, fails_hz: float) -> Slope:
+    """Differentiate the frequency [Hz] at which Re G turns negative, which is known: it moves so that Re G stays 0."""
+    response = _response(sampled, controller, "admittance", 2.0 * np.pi * fails_hz)
+    moves = -response.by_controller.real / response.by_frequency.real
+    return Slope(value=fails_hz, by_controller=moves / (2.0 * np.pi))
+
+
 def _slope(
     sampled: SampledPlant,
     controller: AdmittanceController,

@@ -161,6 +161,7 @@ def active_tree(found: "Optimized") -> dict[str, Any]:
             {
                 "name": a.name,
                 "price_n_m_per_percent" if name in ROTATIONAL_AXES else "price_n_per_percent": a.price_n,
+                **({"soft": True} if a.soft else {}),
             }
             for a in active
         ]
@@ -171,6 +172,7 @@ def active_tree(found: "Optimized") -> dict[str, Any]:
 def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "ControllerFile | None" = None) -> None:
     """Print the chosen gains, the predicted peaks, what holds them up, and what was verified."""
     from autotune.files.units import axis_units
+    from problems.design import VARIABLES
 
     controller = found.controller
     for name, gains in controller.axes.items():
@@ -179,6 +181,12 @@ def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "Con
             f"axis {name}: M_a {gains.mass:g} {units.mass}, B_a {gains.damping:g} {units.damping}, "
             f"K_l {gains.lead_s:g} s, B_fb {gains.feedback_damping_s:g} s"
         )
+        if found.searches[name].problem.variables != VARIABLES:
+            filters, compensation = controller.filters, controller.compensation_mass_kg
+            click.echo(
+                f"  ω_v {filters.velocity_rad_per_s:g} rad/s, ω_a {filters.acceleration_rad_per_s:g} rad/s, "
+                f"P̂ {compensation:g} kg"
+            )
         for line in _peak_lines(controller.predicted[name].scenarios, units):
             click.echo(line)
         for line in active_lines(found, name):
@@ -235,7 +243,10 @@ def active_lines(found: "Optimized", name: str) -> list[str]:
         return [f"no requirement is active: the peak is the approach {units.force_name} itself"]
     lines = []
     for entry in active:
-        if entry.price_n > 1e-3:
+        if entry.soft and entry.price_n > 1e-3:
+            saved = f"{entry.price_n:.2f} {units.force}"
+            lines.append(f"{entry.name} is wished, not required: wishing 1 % less saves {saved} of peak and price")
+        elif entry.price_n > 1e-3:
             lines.append(f"{entry.name} holds the peak up: easing it by 1 % saves {entry.price_n:.2f} {units.force}")
         else:
             lines.append(f"{entry.name} is active, easing it alone saves nothing")

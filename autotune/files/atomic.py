@@ -2,12 +2,8 @@
 
 import os
 import secrets
-<<<<<<< HEAD
-from collections.abc import Iterable
-=======
 import shutil
-from collections.abc import Mapping
->>>>>>> 923e39a03086754b121357b3402964d616360674
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 

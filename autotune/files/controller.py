@@ -26,6 +26,7 @@ from .controller_record import (
     Proof,
     RuntimePayload,
     ScenarioPrediction,
+    SoftRequirement,
 )
 from .records import EntryError, read_record, record_tree, rename_axis_keys
 from .schema import VERSION, check_document, check_format, check_tree
@@ -109,6 +110,8 @@ def _renamed(body: dict[str, Any], *, reading: bool) -> dict[str, Any]:
     if "rotational_requirements" in certificate:
         rotational = rename_axis_keys("rx", certificate["rotational_requirements"], reading=reading)
         renamed["rotational_requirements"] = rotational
+    if "soft" in certificate:
+        renamed["soft"] = axes(certificate["soft"])
     return body | {"predicted": axes(body["predicted"]), "certificate": certificate | renamed}
 
 
@@ -132,6 +135,7 @@ __all__ = [
     "Proof",
     "RuntimePayload",
     "ScenarioPrediction",
+    "SoftRequirement",
     "checksum",
     "controller_tree",
     "parse_controller",

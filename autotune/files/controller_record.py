@@ -11,6 +11,7 @@ import numpy as np
 
 from problems.errors import ParameterError
 from problems.plant import Coupling, Environment, Payload, Plant
+from problems.requirements import NoiseLimit, PassivityTarget
 from problems.robot import RobotModel
 from problems.uncertainty import Ellipsoid, Scenario, Uncertainty
 
@@ -294,7 +295,24 @@ class AdmittanceRequirement:
         _check_interval("band_hz", self.band_hz)
 
 
-Asked = Mapping[str, float | bool | AdmittanceRequirement]
+Requirement = float | bool | AdmittanceRequirement | NoiseLimit | PassivityTarget
+Asked = Mapping[str, Requirement]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SoftRequirement:
+    """What was asked at a price (N per share missed) and what was `achieved`, in the unit of what was asked.
+
+    None where no finite limit exists.
+    """
+
+    asked: float | AdmittanceRequirement | NoiseLimit | PassivityTarget
+    soft_n: float
+    achieved: float | None
+
+    def __post_init__(self) -> None:
+        if self.achieved == math.inf:
+            object.__setattr__(self, "achieved", None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -303,20 +321,24 @@ class Certificate:
 
     `proved` holds for every plant that it names, `sampled` was looked for on many plants of the set and not found.
     `requirements` are those of x, y, z, `rotational_requirements` those of rx, ry, rz (rad, N·m), None without them.
+    `soft` holds by axis what need not be met, and what was achieved.
     """
 
     domain: Mapping[str, AxisDomain]
     sample_time_s: float
-    requirements: Mapping[str, float | bool | AdmittanceRequirement]
+    requirements: Mapping[str, Requirement]
     proved: tuple[Proof, ...]
     margins: Mapping[str, AxisMargins]
-    rotational_requirements: Mapping[str, float | bool | AdmittanceRequirement] | None = None
+    rotational_requirements: Mapping[str, Requirement] | None = None
     sampled: tuple[Proof, ...] = ()
+    soft: Mapping[str, Mapping[str, SoftRequirement]] | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, "domain", "requirements", "margins")
         if self.rotational_requirements is not None:
             _freeze(self, "rotational_requirements")
+        if self.soft is not None:
+            _freeze(self, "soft")
 
     def requirements_of(self, axis: str) -> Asked | None:
         """Return what was asked of one axis; None for a rotational one of which the file does not say it."""
@@ -354,6 +376,9 @@ class Controller:
             "certificate.domain": self.certificate.domain,
             "certificate.margins": self.certificate.margins,
         }
+        strangers = sorted(set(self.certificate.soft or {}) - set(self.axes))
+        if strangers:
+            raise ParameterError("certificate.soft", strangers, f"for tuned axes only, {', '.join(self.axes)}")
         for name, part in parts.items():
             if set(part) - set(self.axes):
                 raise ParameterError(name, sorted(part), f"for tuned axes only, {', '.join(self.axes)}")

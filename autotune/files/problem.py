@@ -1,6 +1,6 @@
 """`problem.yaml`: what the user asks of the controller."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from autotune.errors import UsageError
 from problems.contact import Approach
-from problems.design import AdmittanceTarget, Objective, Requirements
+from problems.design import AdmittanceTarget, NoiseLimit, Objective, PassivityTarget, Requirements
 from problems.errors import ParameterError
 from problems.uncertainty import FURTHER_UNCERTAIN, UNCERTAIN
 
@@ -23,12 +23,24 @@ Uncertain = Mapping[str, Interval | Origin]
 
 _RANGES = frozenset({*UNCERTAIN, *(ROTATIONAL_KEYS[name] for name in UNCERTAIN if name in ROTATIONAL_KEYS)})
 
+_KINDS: Mapping[str, Callable[..., Any]] = {
+    "free_space_admittance": AdmittanceTarget,
+    "command_noise": NoiseLimit,
+    "passivity": PassivityTarget,
+}
+_NEVER_FREE: Mapping[str, str] = {
+    "collision_threshold_n": "what is minimised and certified is the contact without a collision response, which no "
+    "threshold changes. Leave it out.",
+    "environment_stiffness_n_per_m": "it is a property of the cell, and every stiffness of its range must be safe. To "
+    "choose a compliance, give one at a time as environment_stiffness_n_per_m: [K, K] and compare the peaks.",
+}
+
 
 @dataclass(frozen=True, kw_only=True)
 class RotationalSpec:
     """What `problem.yaml` says of rx, ry, rz alone; the fields hold rad, N·m and kg·m².
 
-    `requirements` holds those that were said, None where nothing is asked.
+    `requirements` holds those that were said, None where nothing is asked, and under `soft_n` the prices.
     """
 
     bounds: Mapping[str, Interval] = field(default_factory=dict)
@@ -36,7 +48,7 @@ class RotationalSpec:
     environment_stiffness_n_per_m: Interval | None = None
     payload_mass_kg: Interval | None = None
     uncertain: Uncertain = field(default_factory=dict)
-    requirements: Mapping[str, float | AdmittanceTarget | None] = field(default_factory=dict)
+    requirements: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("bounds", "uncertain", "requirements"):
@@ -47,6 +59,7 @@ class RotationalSpec:
 class ProblemSpec:
     """Everything that `problem.yaml` may say; None or empty where it says nothing and the default holds.
 
+    `free` makes further parameters of the controller variables, with their bounds.
     `uncertain` maps further parameters of the plant to a range, to "identified" (the confidence set of the identified
     file) or to "nominal" (as if it were known).
     """
@@ -60,9 +73,10 @@ class ProblemSpec:
     requirements: Requirements = field(default_factory=Requirements)
     objective: Objective = "contact_force"
     rotational: RotationalSpec = field(default_factory=RotationalSpec)
+    free: Mapping[str, Interval] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("bounds", "uncertain"):
+        for name in ("bounds", "uncertain", "free"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
 
@@ -71,6 +85,8 @@ def read_problem(path: Path) -> ProblemSpec:
     document = load_document(path, error=UsageError)
     check_document(document, "problem")
     tree = document.tree
+    for name in _NEVER_FREE.keys() & tree.get("free", {}).keys():
+        document.refuse(("free", name), f"{name} cannot be free: {_NEVER_FREE[name]}")
     for place in _intervals(tree):
         _check_order(document, place)
     axis, turned = tree.get("axis"), rename_axis_keys("rx", tree.get("rotational", {}), reading=True)
@@ -80,6 +96,7 @@ def read_problem(path: Path) -> ProblemSpec:
             **_ranges(tree),
             requirements=Requirements(**_requirements(tree.get("requirements", {}))),
             objective=tree.get("objective", "contact_force"),
+            free={name: _pair(value) for name, value in tree.get("free", {}).items()},
             rotational=RotationalSpec(**_ranges(turned), requirements=_requirements(turned.get("requirements", {}))),
         )
     except ParameterError as error:
@@ -97,18 +114,25 @@ def _ranges(tree: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _requirements(tree: Mapping[str, Any]) -> dict[str, Any]:
-    known = dict(tree)
-    target = known.get("free_space_admittance")
-    if target is not None:
-        known["free_space_admittance"] = AdmittanceTarget(
-            min_m_s_per_n=target["min_m_s_per_n"], band_hz=_pair(target["band_hz"])
-        )
-    return known
+    """Return what is asked by name, and the prices of what may be missed under `soft_n`."""
+    known: dict[str, Any] = {}
+    prices: dict[str, float] = {}
+    for name, said in tree.items():
+        if not isinstance(said, Mapping):
+            known[name] = said
+            continue
+        entry = {key: value for key, value in said.items() if key != "soft_n"}
+        if "soft_n" in said:
+            prices[name] = said["soft_n"]
+        if "band_hz" in entry:
+            entry["band_hz"] = _pair(entry["band_hz"])
+        known[name] = _KINDS[name](**entry) if name in _KINDS else entry["value"]
+    return {**known, "soft_n": prices} if prices else known
 
 
 def _intervals(tree: Mapping[str, Any], within: Place = ()) -> list[Place]:
     """Return where the ranges stand, those of rotational axes included."""
-    places: list[Place] = [("bounds", name) for name in tree.get("bounds", {})]
+    places: list[Place] = [(part, name) for part in ("bounds", "free") for name in tree.get(part, {})]
     places += [(name,) for name, value in tree.items() if name in _RANGES and isinstance(value, list)]
     if (tree.get("requirements") or {}).get("free_space_admittance"):
         places.append(("requirements", "free_space_admittance", "band_hz"))

@@ -38,6 +38,9 @@ ROTATIONAL_KEYS: Mapping[str, str] = types.MappingProxyType(
         "peak_sensor_force_n": "peak_sensor_torque_n_m",
         "peak_contact_force_n": "peak_contact_torque_n_m",
         "max_peak_force_n": "max_peak_torque_n_m",
+        "max_speed_rms_m_s": "max_speed_rms_rad_s",
+        "force_noise_rms_n": "torque_noise_rms_n_m",
+        "soft_n": "soft_n_m",
         "min_m_s_per_n": "min_rad_s_per_n_m",
         "hand_force_n_per_m_s": "hand_torque_n_m_per_rad_s",
     }
@@ -110,7 +113,13 @@ def _option(options: tuple[Any, ...], value: Any) -> Any:
         return float
     if isinstance(value, str):
         return next((option for option in options if isinstance(option, type) and issubclass(option, Enum)), str)
-    return next(option for option in options if is_dataclass(option) or get_origin(option) is not None)
+    records = [option for option in options if is_dataclass(option) or get_origin(option) is not None]
+    fitting = (
+        option
+        for option in records
+        if not is_dataclass(option) or set(value) <= {field.name for field in fields(option)}
+    )
+    return next(fitting, records[0])
 
 
 def rename_axis_keys(axis: str, tree: Any, *, reading: bool) -> Any:

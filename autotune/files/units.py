@@ -15,6 +15,7 @@ class AxisUnits:
     damping: str
     admittance: str
     hand: str
+    speed: str
     mass_name: str
     force_name: str
 
@@ -26,6 +27,7 @@ _TRANSLATION = AxisUnits(
     damping="N·s/m",
     admittance="m/s/N",
     hand="N/(m/s)",
+    speed="m/s",
     mass_name="mass",
     force_name="force",
 )
@@ -36,6 +38,7 @@ _ROTATION = AxisUnits(
     damping="N·m·s/rad",
     admittance="rad/s/(N·m)",
     hand="N·m/(rad/s)",
+    speed="rad/s",
     mass_name="inertia",
     force_name="torque",
 )

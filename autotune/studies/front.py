@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution, minimize
 
 from autotune.errors import InfeasibleError
-from autotune.tuning.search import Box, SearchResult, presentable, solve_design
-from problems.design import VARIABLES, AdmittanceTarget, DesignProblem
+from autotune.tuning.box import Box
+from autotune.tuning.search import SearchResult, presentable, solve_design
+from problems.design import AdmittanceTarget, DesignProblem
 from problems.evaluation import Evaluation, PreparedScenarios, build_scenarios
 
 from .objectives import Admittance, PeakForce
@@ -65,7 +66,9 @@ def _with_target(problem: DesignProblem, least: float) -> DesignProblem:
     """Return the problem with at least this admittance [m/s/N] over the band that it looks at."""
     band = (problem.requirements.free_space_admittance or AdmittanceTarget()).band_hz
     target = AdmittanceTarget(min_m_s_per_n=least, band_hz=band)
-    return replace(problem, requirements=replace(problem.requirements, free_space_admittance=target))
+    # Here the target is what is swept, whether it was wished or required.
+    prices = {name: price for name, price in problem.requirements.soft_n.items() if name != "free_space_admittance"}
+    return replace(problem, requirements=replace(problem.requirements, free_space_admittance=target, soft_n=prices))
 
 
 def _most_admittance(problem: DesignProblem, start: FloatArray, judge: Judge, seed: int) -> tuple[float, FloatArray]:
@@ -100,7 +103,7 @@ def _explored(prepared: PreparedScenarios, box: Box, start: FloatArray, seed: in
 
     found = differential_evolution(
         cost,
-        [(0.0, 1.0)] * len(VARIABLES),
+        [(0.0, 1.0)] * len(start),
         popsize=_POPULATION,
         maxiter=_GENERATIONS,
         init="sobol",

@@ -29,7 +29,7 @@ class PeakForce(Objective):
     def __call__(self, controller: AdmittanceController, problem: DesignProblem, evaluation: Evaluation) -> float:
         """Return max F over the scenarios."""
         del controller, problem
-        return evaluation.objective_n
+        return evaluation.peak_n
 
 
 class Admittance(Objective):

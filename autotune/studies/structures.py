@@ -41,17 +41,20 @@ def check_choices(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def build_controller(problem: DesignProblem, design: FloatArray, chosen: Mapping[str, str]) -> AdmittanceController:
-    """Return the controller of a design (M_a, B_a, K_l, B_fb) in the chosen structure.
+    """Return the controller of a design, the values of `problem.variables`, in the chosen structure.
 
     `chosen` maps names of `STRUCTURES` to one of their values. With the compensation, P̂ is the middle of the payload's
-    range; a part that is off has the gain 0, whatever the design says.
+    range unless it is a variable; a part that is off has the gain 0, whatever the design says.
     """
     low, high = problem.payload_mass_kg
     base = problem.controller(design)
+    compensation = base.compensation_mass_kg
+    if "compensation" in chosen:
+        compensation = (compensation or 0.5 * (low + high)) if chosen["compensation"] == "filtered" else 0.0
     return replace(
         base,
         discretization=_FORMS[chosen.get("discretization", "tustin")],
-        compensation_mass_kg=0.5 * (low + high) if chosen.get("compensation") == "filtered" else 0.0,
+        compensation_mass_kg=compensation,
         lead_s=0.0 if chosen.get("lead") == "off" else base.lead_s,
         feedback_damping_s=0.0 if chosen.get("feedback") == "off" else base.feedback_damping_s,
     )

@@ -28,9 +28,10 @@ from autotune import __version__
 from autotune.errors import InfeasibleError, UsageError
 from autotune.files.canonical import checksum
 from autotune.files.records import record_tree
+from autotune.tuning.box import LINEAR_VARIABLES
 from autotune.tuning.search import presentable
 from problems.controller import AdmittanceController
-from problems.design import VARIABLES, DesignProblem
+from problems.design import DesignProblem
 from problems.margins import UnstableLoopError
 
 from .plugins import Demand, Limit, Objective
@@ -44,7 +45,6 @@ Storage = BaseStorage
 HEARTBEAT_S = 10
 _GRACE_BEATS = 3
 _RETRIES = 3
-_LOGARITHMIC = frozenset({"mass", "damping"})
 _FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
 # Two workers that meet a new storage both lay its tables; the slower one finds them a moment later.
 _OPENINGS, _OPENING_PAUSE_S = 5, 0.5
@@ -210,7 +210,7 @@ def _open_study(
     study.set_user_attr("made_for", mark)
     for values in itertools.product(*(STRUCTURES[choice] for choice in plan.choices)):
         chosen = dict(zip(plan.choices, values, strict=True))
-        design = {variable: float(value) for variable, value in zip(VARIABLES, start, strict=True)}
+        design = {variable: float(value) for variable, value in zip(problem.variables, start, strict=True)}
         study.enqueue_trial({**design, **chosen}, skip_if_exists=True)
     return study
 
@@ -232,9 +232,9 @@ def fingerprint(problem: DesignProblem, plan: StudyPlan, start: FloatArray) -> s
 
 
 def _try(trial: Trial, judge: Judge, plan: StudyPlan) -> tuple[float, ...]:
-    for name in VARIABLES:
+    for name in judge.problem.variables:
         low, high = judge.problem.bounds[name]
-        trial.suggest_float(name, low, high, log=name in _LOGARITHMIC)
+        trial.suggest_float(name, low, high, log=name not in LINEAR_VARIABLES)
     for choice in plan.choices:
         trial.suggest_categorical(choice, STRUCTURES[choice])
     try:
@@ -249,7 +249,7 @@ def _try(trial: Trial, judge: Judge, plan: StudyPlan) -> tuple[float, ...]:
 
 
 def _controller(params: Mapping[str, Any], problem: DesignProblem, plan: StudyPlan) -> AdmittanceController:
-    design = presentable(problem, np.array([params[name] for name in VARIABLES]))
+    design = presentable(problem, np.array([params[name] for name in problem.variables]))
     return build_controller(problem, design, {choice: params[choice] for choice in plan.choices})
 
 

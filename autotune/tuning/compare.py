@@ -11,9 +11,10 @@ from autotune.files.controller import ControllerFile
 from autotune.files.controller_record import CollisionResponse, Controller
 from autotune.validation.validate import admittance_controller
 from problems.controller import AdmittanceController
-from problems.design import VARIABLES, DesignProblem
+from problems.design import FURTHER_VARIABLES, VARIABLES, DesignProblem
 from problems.evaluation import PreparedScenarios, smallest_admittance
 
+from .box import bounds_of
 from .record import admittance_band_hz
 from .search import SearchResult
 from .worst import WholeSet
@@ -75,20 +76,28 @@ def check_comparable(old: ControllerFile, problems: Mapping[str, DesignProblem])
             f"{old.path} runs every {controller.sample_time_s * 1e3:.6g} ms and this cell every {period * 1e3:.6g} ms; "
             "its numbers make another controller here."
         )
-    if controller.compensation_mass_kg != 0.0 or controller.collision.response is not CollisionResponse.NONE:
-        raise UsageError(
-            f"{old.path} compensates acceleration or responds to collisions, which the comparison does not evaluate."
-        )
+    if controller.collision.response is not CollisionResponse.NONE:
+        raise UsageError(f"{old.path} responds to collisions, which the comparison does not evaluate.")
 
 
 def start_design(controller: Controller, name: str, problem: DesignProblem) -> FloatArray | None:
     """Return the old gains as a design of the new problem, None where there are none inside its bounds."""
-    gains = controller.axes.get(name)
-    if gains is None or controller.filters.velocity_rad_per_s != problem.velocity_filter_rad_per_s:
+    if name not in controller.axes:
         return None
-    design = np.array([getattr(gains, each) for each in VARIABLES])
-    bounds = np.array([problem.bounds[each] for each in VARIABLES])
+    law = admittance_controller(controller, name)
+    values = dict(zip((*VARIABLES, *FURTHER_VARIABLES), law.numbers(), strict=True))
+    fixed = dict(zip(values, problem.controller(bounds_of(problem)[:, 0]).numbers(), strict=True))
+    held = [each for each in _in_use(law) if each not in problem.variables]
+    if any(values[each] != fixed[each] for each in held):
+        return None
+    design = np.array([values[each] for each in problem.variables])
+    bounds = bounds_of(problem)
     return design if bool(np.all((bounds[:, 0] <= design) & (design <= bounds[:, 1]))) else None
+
+
+def _in_use(law: AdmittanceController) -> tuple[str, ...]:
+    """Return which of the further variables change what the law does; its velocity filter counts in any case."""
+    return FURTHER_VARIABLES if law.compensates else ("velocity_filter_rad_per_s", "compensation_mass_kg")
 
 
 def compare(old: Controller, searches: Mapping[str, SearchResult]) -> dict[str, SideBySide]:

@@ -72,8 +72,7 @@ def optimize(
     }
     optimality = {name: check_optimality(search.active, search.design) for name, search in searches.items()}
     active = {
-        name: explain(search.problem, search.evaluation.objective_n, optimality[name])
-        for name, search in searches.items()
+        name: explain(search.problem, search.evaluation.peak_n, optimality[name]) for name, search in searches.items()
     }
     proofs = {
         name: prove_axis(

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from problems.design import VARIABLES
 from problems.screening import Screen
 
-from .optimality import LINEAR_VARIABLES, PEAK, Row, near_keys, row_at, unit_widths
+from .box import bounds_of, linear_variables
+from .optimality import PEAK, Row, near_keys, row_at, unit_widths
 
 FloatArray = NDArray[np.float64]
 
@@ -17,27 +17,31 @@ _NEAR = 0.01
 _RADIUS = 0.01
 _ITERATIONS = 6
 _WALL = 1e3
-_LINEAR = np.array([name in LINEAR_VARIABLES for name in VARIABLES])
 
 
 def polish_exactly(screen: Screen, design: FloatArray, *, backoff: Mapping[str, float], reserve: float) -> FloatArray:
-    """Return a design (4,) near a stable one, with a lower peak if the gradients lead to one.
+    """Return a design (n,) near a stable one, with a lower peak if the gradients lead to one.
 
     min t under φ_s ≤ t and c_j ≤ −reserve − backoff_j, in the variables of `optimality`, over the peaks and
-    requirements within 1 % of their limits: sequential quadratic programming, steps of at most 1 %. Whether the result
+    requirements within 1 % of their limits: sequential quadratic programming, steps of at most 1 %. A soft requirement
+    has c_j ≤ w and w ≥ 0, and its price times e^w − 1 is added to the peak. Whether the result
     is better, and feasible, is for the caller to evaluate: scenarios that were far from active are not looked at.
     """
     prepared = screen.prepared
     problem = prepared.problem
     widths = unit_widths(problem, design)
     keys = near_keys(prepared, design, _NEAR)
-    held = np.array([reserve + np.log1p(backoff.get(name, 0.0)) if name != PEAK else 0.0 for name, _ in keys])
-    is_peak = np.array([name == PEAK for name, _ in keys])
+    prices = {name: price for name, price in problem.requirements.soft_n.items() if name in dict(keys)}
+    held = np.array(
+        [0.0 if name == PEAK or name in prices else reserve + np.log1p(backoff.get(name, 0.0)) for name, _ in keys]
+    )
+    # Which of t and the w each row is held under.
+    under = np.array([[name == owner for owner in (PEAK, *prices)] for name, _ in keys], dtype=np.float64)
+    linear, bounds, count = linear_variables(problem), bounds_of(problem), len(design)
     cache: dict[bytes, tuple[FloatArray, FloatArray]] = {}
 
     def at(move: FloatArray) -> FloatArray:
-        scaled = np.where(_LINEAR, design + move * widths, design * np.exp(np.where(_LINEAR, 0.0, move)))
-        bounds = np.array([problem.bounds[name] for name in VARIABLES])
+        scaled = np.where(linear, design + move * widths, design * np.exp(np.where(linear, 0.0, move)))
         return np.clip(scaled, bounds[:, 0], bounds[:, 1])
 
     def rows(move: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -51,31 +55,40 @@ def polish_exactly(screen: Screen, design: FloatArray, *, backoff: Mapping[str, 
                 cache[key] = np.full(len(keys), _WALL), np.zeros((len(keys), len(design)))
         return cache[key]
 
-    first = rows(np.zeros(len(design)))[0]
-    start = np.append(np.zeros(len(design)), np.max(first[is_peak]))
+    first = rows(np.zeros(count))[0]
+    start = np.concatenate([np.zeros(count), np.max(np.where(under > 0.0, first[:, None], -_WALL), axis=0)])
+    start[count + 1 :] = np.maximum(start[count + 1 :], 0.0)
+    shares = np.array(list(prices.values())) / np.exp(start[count])
+
+    def whole(x: FloatArray) -> tuple[float, FloatArray]:
+        """Return ln(peak + cost) and its gradient, counted from the peak at the start; t alone without prices."""
+        peak, missed = np.exp(x[count] - start[count]), np.exp(x[count + 1 :])
+        total = peak + shares @ (missed - 1.0)
+        return float(np.log(total)), np.concatenate([np.zeros(count), [peak / total], shares * missed / total])
+
     found = minimize(
-        lambda x: x[-1],
+        whole,
         start,
-        jac=lambda x: np.append(np.zeros(len(x) - 1), 1.0),
+        jac=True,
         method="SLSQP",
-        bounds=[*_moves(screen, design, widths), (None, None)],
+        bounds=[*_moves(screen, design, widths), (None, None), *[(0.0, None)] * len(prices)],
         constraints=[
             {
                 "type": "ineq",
-                "fun": lambda x: np.where(is_peak, x[-1], 0.0) - rows(x[:-1])[0] - held,
-                "jac": lambda x: np.column_stack([-rows(x[:-1])[1], is_peak.astype(np.float64)]),
+                "fun": lambda x: under @ x[count:] - rows(x[:count])[0] - held,
+                "jac": lambda x: np.column_stack([-rows(x[:count])[1], under]),
             }
         ],
         options={"maxiter": _ITERATIONS, "ftol": 1e-8},
     )
-    return at(np.asarray(found.x[:-1]))
+    return at(np.asarray(found.x[:count]))
 
 
 def _moves(screen: Screen, design: FloatArray, widths: FloatArray) -> list[tuple[float, float]]:
     """Return how far each variable may move: to its bounds, and not far."""
-    moves = []
-    for value, width, name, linear in zip(design, widths, VARIABLES, _LINEAR, strict=True):
-        low, high = screen.prepared.problem.bounds[name]
+    moves, problem = [], screen.prepared.problem
+    for value, width, name, linear in zip(design, widths, problem.variables, linear_variables(problem), strict=True):
+        low, high = problem.bounds[name]
         if width == 0.0:
             moves.append((0.0, 0.0))
             continue

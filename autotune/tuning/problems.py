@@ -12,7 +12,7 @@ from autotune.files.records import ROTATIONAL_AXES, ROTATIONAL_KEYS
 from identification.errors import EstimateError
 from identification.result import AxisEstimate, Estimate, Identified, Status, VectorEstimate
 from problems.contact import Approach
-from problems.design import DesignProblem
+from problems.design import DesignProblem, Requirements
 from problems.plant import Coupling
 from problems.robot import RobotModel
 
@@ -51,6 +51,7 @@ def build_problems(identified: Identified, spec: ProblemSpec, wishes: Wishes) ->
     if unknown:
         raise UsageError(f"Axis {unknown[0]} is not in the identified file; it holds {', '.join(identified.axes)}.")
     _check_use(names, spec, wishes)
+    _check_free(names, spec)
     approach = spec.approach or Approach(force_n=_DEFAULT_APPROACH_N)
     straight = replace(
         spec,
@@ -81,6 +82,36 @@ def _check_use(names: list[str], spec: ProblemSpec, wishes: Wishes) -> None:
             f"A surface's stiffness in N/m says nothing of rotation, and only {', '.join(names)} is tuned; say "
             "rotational.environment_stiffness_n_m_per_rad in problem.yaml."
         )
+
+
+def _check_free(names: list[str], spec: ProblemSpec) -> None:
+    """Refuse variables that `controller.yaml` holds once where several axes, or one in other units, would choose."""
+    if spec.free and len(names) > 1:
+        raise UsageError(
+            f"The axes share {', '.join(spec.free)} in controller.yaml, so it can be free for one axis at a time only; "
+            f"name it in problem.yaml with axis (to be tuned: {', '.join(names)})."
+        )
+    if "compensation_mass_kg" in spec.free and ROTATIONAL_AXES.intersection(names):
+        raise UsageError(f"compensation_mass_kg is a mass, and {names[0]} turns; leave it out of free.")
+
+
+def _with_noise(asked: Requirements, identified: Identified, name: str) -> Requirements:
+    """Return the requirements with the sensor's noise, the identified one unless it is said."""
+    limit, sensor = asked.command_noise, identified.sensor
+    if limit is None or limit.force_noise_rms_n is not None:
+        return asked
+    if name in ROTATIONAL_AXES:
+        key, said = "torque_noise_rms_n_m", "rotational.requirements.command_noise"
+        noises = None if sensor.torque_noise_rms_n_m is None else sensor.torque_noise_rms_n_m.value
+        # The sensor's axes need not be those of the control frame: the noisiest stands for all.
+        noise = None if noises is None else max(noises)
+    else:
+        key, said, noise = "force_noise_rms_n", "requirements.command_noise", sensor.force_noise_rms_n.value
+    if noise is None:
+        raise EstimateError(
+            f"sensor.{key} is not identified, and the command's noise is limited; say {key} in {said} of problem.yaml."
+        )
+    return replace(asked, command_noise=replace(limit, force_noise_rms_n=noise))
 
 
 def _check_same_payload(identified: Identified, name: str, asked: Interval | None) -> None:
@@ -136,8 +167,8 @@ def _build_problem(identified: Identified, name: str, spec: ProblemSpec) -> Desi
         payload_mass_kg=spec.payload_mass_kg or _mass_range(identified, name),
         sample_time_s=_value(identified.sample_time_s, "sample_time_s"),
         approach=spec.approach or Approach(force_n=_DEFAULT_APPROACH_N),
-        bounds=spec.bounds,
-        requirements=spec.requirements,
+        bounds={**spec.bounds, **spec.free},
+        requirements=_with_noise(spec.requirements, identified, name),
         objective=spec.objective,
     )
     bounded = {

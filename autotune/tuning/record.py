@@ -20,8 +20,10 @@ from autotune.files.controller_record import (
     Filters,
     FreeSpaceAdmittance,
     Proof,
+    Requirement,
     RuntimePayload,
     ScenarioPrediction,
+    SoftRequirement,
 )
 from autotune.files.records import ROTATIONAL_AXES
 from autotune.files.units import axis_units
@@ -32,12 +34,12 @@ from identification.rotation import LEVER_M
 from problems.controller import AdmittanceController
 from problems.design import DesignProblem, Requirements
 from problems.evaluation import PlantMargins, build_scenarios, smallest_admittance
+from problems.requirements import AdmittanceTarget, Asked, NoiseLimit, PassivityTarget, achieved
 from problems.uncertainty import Ellipsoid, Scenario
 
 from .search import SearchResult
 
 _DEFAULT_DEADBAND_N = 5.0
-_ACCELERATION_FILTER_RAD_PER_S = 200.0
 _DEFAULT_BAND_HZ = (0.1, 2.0)
 _PREDICTED_STIFFNESS, _PREDICTED_MASS = 5, 2
 _NAMES = ("modulus", "gain_db", "phase_deg", "delay_s")
@@ -57,9 +59,11 @@ def build_controller(
     """
     first = next(iter(results.values())).problem
     controllers = {name: _controller(result) for name, result in results.items()}
+    law = next(iter(controllers.values()))
     domain = {name: build_domain(result.problem) for name, result in results.items()}
     margins = {name: _margins(result.margins) for name, result in results.items()}
     predicted = {name: _prediction(name, results[name], c) for name, c in controllers.items()}
+    soft = {name: _soft(result) for name, result in results.items() if result.problem.requirements.soft_n}
     asked = {name in ROTATIONAL_AXES: _requirements(result.problem.requirements) for name, result in results.items()}
     return Controller(
         status=ControllerStatus.VALIDATED,
@@ -68,10 +72,10 @@ def build_controller(
         delay_samples=max(_longest_delay_s(r.problem) for r in results.values()) / first.sample_time_s,
         axes={name: _gains(name, controller) for name, controller in controllers.items()},
         filters=Filters(
-            velocity_rad_per_s=first.velocity_filter_rad_per_s,
-            acceleration_rad_per_s=_ACCELERATION_FILTER_RAD_PER_S,
+            velocity_rad_per_s=law.velocity_filter_rad_per_s,
+            acceleration_rad_per_s=law.acceleration_filter_rad_per_s,
         ),
-        compensation_mass_kg=0.0,
+        compensation_mass_kg=law.compensation_mass_kg,
         collision=Collision(response=CollisionResponse.NONE, threshold_n=None),
         payload=_payload(identified, mass_kg),
         predicted=predicted,
@@ -87,6 +91,7 @@ def build_controller(
                 for claim in sampled_claims(domain[name], margins[name], predicted[name], name)
             ),
             margins=margins,
+            soft=soft or None,
         ),
         provenance=provenance,
     )
@@ -208,23 +213,29 @@ def _confidence(ellipsoid: Ellipsoid | None) -> ConfidenceSet | None:
     )
 
 
-def _requirements(requirements: Requirements) -> dict[str, float | bool | AdmittanceRequirement]:
-    out: dict[str, float | bool | AdmittanceRequirement] = {}
-    for name in (
-        "modulus_margin",
-        "gain_margin_db",
-        "phase_margin_deg",
-        "delay_margin_s",
-        "decay_rate_per_s",
-        "max_peak_force_n",
-    ):
-        value = getattr(requirements, name)
-        if value is not None:
-            out[name] = value
-    target = requirements.free_space_admittance
-    if target is not None:
-        out["free_space_admittance"] = AdmittanceRequirement(min_m_s_per_n=target.min_m_s_per_n, band_hz=target.band_hz)
-    return out
+def _requirements(requirements: Requirements) -> dict[str, Requirement]:
+    """Return what must be met."""
+    return {name: _plain(asked) for name, asked in requirements.asked().items() if name not in requirements.soft_n}
+
+
+def _soft(result: SearchResult) -> dict[str, SoftRequirement]:
+    """Return what need not be met, and what the design achieves over the whole uncertainty."""
+    requirements, ratios = result.problem.requirements, result.evaluation.soft
+    return {
+        name: SoftRequirement(
+            asked=_plain(asked),
+            soft_n=requirements.soft_n[name],
+            achieved=achieved(name, asked, ratios[name]),
+        )
+        for name, asked in requirements.asked().items()
+        if name in requirements.soft_n
+    }
+
+
+def _plain(asked: Asked) -> float | AdmittanceRequirement | NoiseLimit | PassivityTarget:
+    if isinstance(asked, AdmittanceTarget):
+        return AdmittanceRequirement(min_m_s_per_n=asked.min_m_s_per_n, band_hz=asked.band_hz)
+    return asked
 
 
 def _margins(found: tuple[PlantMargins, ...]) -> AxisMargins:

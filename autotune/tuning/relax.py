@@ -10,18 +10,19 @@ from numpy.typing import NDArray
 from autotune.errors import InfeasibleError
 from problems.design import DesignProblem
 from problems.margins import UnstableLoopError
+from problems.requirements import UPPER_LIMITS, level
 from problems.screening import EVERY_REQUIREMENT
 from problems.uncertainty import Scenario
 
-from .search import Search, margin_scenarios, presentable
-from .worst import WholeSet
+from .joining import margin_scenarios
+from .search import Search, presentable
+from .worst import ALONE, WholeSet
 
 FloatArray = NDArray[np.float64]
 
 _ROUNDS = 6
 _DIGITS = 3
 _HAIR = 2e-3
-_FROM_ABOVE = ("max_peak_force_n",)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,13 +70,9 @@ def find_relaxations(
 
 
 def asked_numbers(problem: DesignProblem) -> dict[str, float]:
-    """Return what is asked of each requirement as one number."""
-    asked = problem.requirements
-    names = ("modulus_margin", "gain_margin_db", "phase_margin_deg", "delay_margin_s", "decay_rate_per_s")
-    numbers = {name: getattr(asked, name) for name in (*names, *_FROM_ABOVE)}
-    target = asked.free_space_admittance
-    numbers["free_space_admittance"] = None if target is None else target.min_m_s_per_n
-    return {name: value for name, value in numbers.items() if value is not None}
+    """Return what is asked of each requirement as one number, wishes left out."""
+    requirements = problem.requirements
+    return {name: level(asked) for name, asked in requirements.asked().items() if name not in requirements.soft_n}
 
 
 def _least_ratio(problem: DesignProblem, goal: str, seed: int) -> float | None:
@@ -104,13 +101,15 @@ def _least_ratio(problem: DesignProblem, goal: str, seed: int) -> float | None:
             worse = margin_scenarios(problem, others, exact.margins)
             worse = (*worse, *margin_scenarios(problem, sought, exact.margins, level=promised))
             highest = max(exact.evaluation.peaks, key=lambda peak: peak.peak_contact_force_n).scenario
-            joined = tuple(dict.fromkeys((*active, *worse, highest, whole.slowest(controller))))
+            robots = (whole.worst_robot(controller, name) for name in ALONE if name in ratios)
+            joined = tuple(dict.fromkeys((*active, *worse, highest, *robots)))
             if joined == active:
                 search.tighten(exact.evaluation)
             active = joined
     except InfeasibleError:
-        return best
-    return best
+        pass
+    # A port that is passive nowhere has no number to be eased to.
+    return best if best is not None and np.isfinite(best) else None
 
 
 def _of(goal: str, ratios: Mapping[str, float]) -> float:
@@ -119,7 +118,7 @@ def _of(goal: str, ratios: Mapping[str, float]) -> float:
 
 def _eased(name: str, asked: float, ratio: float) -> float:
     """Return what the design reached, with three digits, on the easier side of it."""
-    reached = asked * ratio if name in _FROM_ABOVE else asked / ratio
+    reached = asked * ratio if name in UPPER_LIMITS else asked / ratio
     unit = 10.0 ** (math.floor(math.log10(reached)) - _DIGITS + 1)
-    steps = math.ceil(reached / unit) if name in _FROM_ABOVE else math.floor(reached / unit)
+    steps = math.ceil(reached / unit) if name in UPPER_LIMITS else math.floor(reached / unit)
     return float(f"{steps * unit:.{_DIGITS}g}")

@@ -12,7 +12,7 @@ from typing import Any
 from autotune.files.problem import Interval, ProblemSpec
 from identification.rotation import LEVER_M
 from problems.contact import Approach
-from problems.design import DEFAULT_BOUNDS, AdmittanceTarget, Requirements
+from problems.design import DEFAULT_BOUNDS, AdmittanceTarget, NoiseLimit, Requirements
 
 _GO_WITH_THE_LEVER = ("mass", "damping")
 
@@ -47,14 +47,20 @@ def _approach(approach: Approach) -> Approach:
 
 
 def _requirements(asked: Requirements, said: Mapping[str, Any]) -> Requirements:
-    target, limit = asked.free_space_admittance, asked.max_peak_force_n
+    target, limit, noise = asked.free_space_admittance, asked.max_peak_force_n, asked.command_noise
+    # Prices of what the rotational axes are asked otherwise are said there too, or nowhere.
+    prices = {name: _rounded(price * LEVER_M) for name, price in asked.soft_n.items() if name not in said}
     turned: dict[str, Any] = {
         "max_peak_force_n": None if limit is None else _rounded(limit * LEVER_M),
+        # What the sensor is says the sensor: its torque noise is no wish.
+        "command_noise": None
+        if noise is None
+        else NoiseLimit(max_speed_rms_m_s=_rounded(noise.max_speed_rms_m_s / LEVER_M)),
         "free_space_admittance": None
         if target is None
         else AdmittanceTarget(min_m_s_per_n=_rounded(target.min_m_s_per_n / LEVER_M**2), band_hz=target.band_hz),
     }
-    return replace(asked, **{**turned, **said})
+    return replace(asked, **{**turned, **said, "soft_n": {**prices, **said.get("soft_n", {})}})
 
 
 def _interval(values: Interval, factor: float) -> Interval:

@@ -1,8 +1,7 @@
 """Search the controller: a seeded global stage, a local polish, and worst-case scenario exchange."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,18 +9,19 @@ from scipy.optimize import OptimizeResult, differential_evolution, minimize
 
 from autotune.errors import InfeasibleError
 from problems.controller import SMALLEST_FEEDBACK_DAMPING_S
-from problems.design import VARIABLES, DesignProblem
+from problems.design import DesignProblem
 from problems.evaluation import (
     Evaluation,
     PlantMargins,
     PreparedScenarios,
     build_scenarios,
-    normalise_margins,
 )
 from problems.margins import UnstableLoopError
 from problems.screening import Screen, Screened, build_screen
 from problems.uncertainty import Scenario
 
+from .box import Box, bounds_of, linear_variables
+from .joining import scenarios_of, softly_missed_scenarios, worst_scenarios
 from .polish import polish_exactly
 from .worst import DENSE_STIFFNESS, WholeSet
 
@@ -37,18 +37,17 @@ _STEP = 1e-6
 _LOCAL_ITERATIONS = 30
 # What six digits may cost a requirement.
 _RESERVE = 5e-6
+_NOTHING = 1e-7
 _WALL = 1e3
 _HAIR = 2e-3
 # Costs of designs that miss something lie above every force, those of unstable ones above these.
 _UNSTABLE = 1e15
 _MISSED = 1e12
-_WORSE_PEAK = 1e-3
-_LOGARITHMIC = np.array([True, True, False, False])
 
 
 @dataclass(frozen=True, kw_only=True)
 class SearchResult:
-    """The chosen design (M_a, B_a, K_l, B_fb) and how it stands.
+    """The chosen design, the values of `problem.variables`, and how it stands.
 
     `evaluation` is exact (refined margins) over the dense grid of `scenario_count` scenarios; `active` the scenarios
     that the search worked with; `margins` plant by plant; `rounds` how often the worst of the rest was added;
@@ -65,29 +64,6 @@ class SearchResult:
     evaluations: int
 
 
-class Box:
-    """Maps the unit cube to the bounds: M_a and B_a by equal ratios, K_l and B_fb by equal steps."""
-
-    def __init__(self, problem: DesignProblem) -> None:
-        bounds = np.array([problem.bounds[name] for name in VARIABLES])
-        self.low, self.high = bounds[:, 0], bounds[:, 1]
-
-    def design(self, unit: FloatArray) -> FloatArray:
-        """Return the design of a point in the unit cube."""
-        share = np.clip(unit, 0.0, 1.0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            geometric = self.low * (self.high / np.where(self.low > 0.0, self.low, 1.0)) ** share
-        return np.where(_LOGARITHMIC, geometric, self.low + share * (self.high - self.low))
-
-    def unit(self, design: FloatArray) -> FloatArray:
-        """Return the point of the unit cube that `design` comes from; 0 where the bounds coincide."""
-        span = np.where(self.high > self.low, self.high - self.low, 1.0)
-        floor = np.where(_LOGARITHMIC, self.low, 1.0)
-        ratio = np.where(self.high > self.low, np.log(np.where(_LOGARITHMIC, self.high, np.e) / floor), 1.0)
-        geometric = np.log(np.where(_LOGARITHMIC, design, 1.0) / floor) / np.where(ratio > 0.0, ratio, 1.0)
-        return np.clip(np.where(_LOGARITHMIC, geometric, (design - self.low) / span), 0.0, 1.0)
-
-
 def solve_design(
     problem: DesignProblem,
     *,
@@ -97,7 +73,7 @@ def solve_design(
 ) -> SearchResult:
     """Find the design of least worst peak force that is stable and meets every requirement in every scenario.
 
-    Deterministic for a given seed and `start`, a design (4,) inside the bounds that joins the search. Nothing unstable
+    Deterministic for a given seed and `start`, a design (n,) inside the bounds that joins the search. Nothing unstable
     or infeasible is returned: the result is evaluated again, exactly, over a dense grid of the whole uncertainty.
     Raises InfeasibleError with the closest miss when there is none. `progress` is called with the share of the work
     done since the last call.
@@ -114,7 +90,8 @@ def solve_design(
         design = presentable(problem, search.box.design(unit))
         exact, margins = _evaluated_exactly(whole, design)
         report(0.4 / _ROUNDS)
-        worse = _worst_scenarios(problem, exact, search.last, active)
+        worse = worst_scenarios(problem, exact, search.last, active)
+        worse += tuple(s for s in softly_missed_scenarios(whole, exact, search.last, margins) if s not in active)
         missed = exact.violation
         if not worse and missed <= 0.0:
             if given is not None and given[1].is_feasible and given[1].objective_n <= exact.objective_n:
@@ -134,9 +111,8 @@ def solve_design(
             unstable = whole.unstable(problem.controller(design))
             worse = (*worse, *unstable, *problem.scenarios(DENSE_STIFFNESS, 2))
         elif missed > 0.0:
-            worse = (*worse, *margin_scenarios(problem, exact.requirements, margins))
-            if exact.requirements.get("free_space_admittance", 0.0) > 1.0:
-                worse = (*worse, whole.slowest(problem.controller(design)))
+            missing = [name for name, value in exact.requirements.items() if value > 1.0]
+            worse = (*worse, *scenarios_of(whole, exact, margins, missing))
         joined = tuple(dict.fromkeys((*active, *worse)))
         # A scenario that joins asks for itself; what is asked for more stays, also once it no longer binds.
         if missed <= _HAIR or len(joined) == len(active):
@@ -153,7 +129,10 @@ def presentable(problem: DesignProblem, design: FloatArray) -> FloatArray:
     rounded = np.array([float(f"{value:.6g}") for value in design])
     if rounded[3] < SMALLEST_FEEDBACK_DAMPING_S and problem.bounds["feedback_damping_s"][0] == 0.0:
         rounded[3] = 0.0
-    bounds = np.array([problem.bounds[name] for name in VARIABLES])
+    bounds = bounds_of(problem)
+    # What is nothing beside its bounds is meant as none: a compensation of 1e-16 kg would only be another structure.
+    nothing = linear_variables(problem) & (rounded < _NOTHING * bounds[:, 1])
+    rounded = np.where(nothing, 0.0, rounded)
     return np.asarray(np.clip(rounded, bounds[:, 0], bounds[:, 1]))
 
 
@@ -172,14 +151,18 @@ def _silent(_: float) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Around:
-    """Peaks (5, s) and slack (5, k) at a point and at a step (4,) from it along each variable."""
+    """Peaks (1 + n, s) and slack (1 + n, k) at a point and at a step (n,) from it along each of n variables.
+
+    `spares` (k, j) says which rows of slack may be missed at a price, and by which of j soft requirements.
+    """
 
     peaks: FloatArray
     slack: FloatArray
+    spares: FloatArray
     steps: FloatArray
 
     def differences(self, values: FloatArray) -> FloatArray:
-        """Return forward differences of values (5, k), shape (k, 4)."""
+        """Return forward differences of values (1 + n, k), shape (k, n)."""
         return np.asarray((values[1:] - values[0]).T / self.steps)
 
 
@@ -230,10 +213,10 @@ class Search:
         start: FloatArray | None,
         each: Callable[[], None],
     ) -> OptimizeResult:
-        """Run differential evolution on costs (m,) of points (4, m)."""
+        """Run differential evolution on costs (m,) of points (n, m)."""
         return differential_evolution(
             costs,
-            [(0.0, 1.0)] * len(VARIABLES),
+            [(0.0, 1.0)] * len(self.problem.variables),
             popsize=_POPULATION,
             maxiter=_GENERATIONS,
             init="sobol",
@@ -252,7 +235,7 @@ class Search:
     def _costs(
         self, screen: Screen, units: FloatArray, *, peaks_if_missed: bool, tightened: bool = False
     ) -> FloatArray:
-        """Order points (m, 4): every feasible one before every infeasible one before every unstable one."""
+        """Order points (m, n): every feasible one before every infeasible one before every unstable one."""
         found = screen.evaluate(self.box.design(units), peaks_if_missed=peaks_if_missed)
         self.evaluations += len(units)
         missed = -np.min(self._slack(found), axis=0, initial=0.0) if tightened else found.violation
@@ -314,8 +297,13 @@ class Search:
                 self.backoff[name] = self.backoff.get(name, 0.0) + 1.5 * flattered + _BACKOFF
 
     def local(self, screen: Screen, start: FloatArray) -> FloatArray:
-        """Run sequential quadratic programming: least t above every scenario's peak, every margin a constraint."""
-        scale = 1.0
+        """Run sequential quadratic programming: least t above every scenario's peak, every margin a constraint.
+
+        By e_j ≥ 0 a soft requirement j may be missed, which costs its price times e_j.
+        """
+        scale, count = 1.0, len(start)
+        wishes = self.problem.requirements.soft_n if self.goal is None else {}
+        prices = np.array(list(wishes.values()), dtype=np.float64)
         cache: dict[bytes, _Around] = {}
 
         def around(unit: FloatArray) -> _Around:
@@ -326,26 +314,32 @@ class Search:
 
         highest = float(np.max(around(np.asarray(start)).peaks[0]))
         scale, cache = highest if np.isfinite(highest) else 1.0, {}
+        costs = np.concatenate([np.zeros(count), [1.0], prices / scale])
 
         def slack(x: FloatArray) -> FloatArray:
-            here = around(x[:-1])
-            return np.concatenate([x[-1] - here.peaks[0], here.slack[0]])
+            here = around(x[:count])
+            return np.concatenate([x[count] - here.peaks[0], here.slack[0] + here.spares @ x[count + 1 :]])
 
         def slack_gradients(x: FloatArray) -> FloatArray:
-            here = around(x[:-1])
+            here = around(x[:count])
             peaks, others = here.differences(here.peaks), here.differences(here.slack)
-            return np.block([[-peaks, np.ones((len(peaks), 1))], [others, np.zeros((len(others), 1))]])
+            none = np.zeros((len(peaks), len(prices)))
+            return np.block(
+                [[-peaks, np.ones((len(peaks), 1)), none], [others, np.zeros((len(others), 1)), here.spares]]
+            )
 
+        first = around(np.asarray(start))
+        missed = np.max(first.spares * -first.slack[0][:, None], axis=0, initial=0.0)
         found = minimize(
-            lambda x: x[-1],
-            np.append(start, np.max(around(np.asarray(start)).peaks[0])),
-            jac=lambda x: np.append(np.zeros(len(x) - 1), 1.0),
+            lambda x: costs @ x,
+            np.concatenate([start, [np.max(first.peaks[0])], missed]),
+            jac=lambda _: costs,
             method="SLSQP",
-            bounds=[*[(0.0, 1.0)] * len(start), (0.0, None)],
+            bounds=[*[(0.0, 1.0)] * count, *[(0.0, None)] * (1 + len(prices))],
             constraints=[{"type": "ineq", "fun": slack, "jac": slack_gradients}],
             options={"maxiter": _LOCAL_ITERATIONS, "ftol": 1e-8},
         )
-        return np.asarray(np.clip(found.x[:-1], 0.0, 1.0))
+        return np.asarray(np.clip(found.x[:count], 0.0, 1.0))
 
     def _around(self, screen: Screen, unit: FloatArray, scale: float) -> "_Around":
         """Evaluate a point and one step along each variable; an unstable one is a plain wall to the line search."""
@@ -355,10 +349,13 @@ class Search:
         self.evaluations += len(units)
         stable = found.is_stable[:, None]
         rows = [1.0 - value * self._tightened(name) for name, value in found.rows.items()]
+        rows += [1.0 - value for value in found.soft_rows.values()]
         slack = np.hstack([np.zeros((len(units), 0)), *rows])
+        owners = np.repeat(np.arange(len(rows)), [row.shape[1] for row in rows]) - len(found.rows)
         return _Around(
             peaks=np.where(stable, found.peaks_n / scale, _WALL),
-            slack=np.where(stable, np.clip(slack, -_WALL, 1.0) - _BACKOFF, -1.0),
+            slack=np.where(stable, np.clip(slack, -_WALL, 1.0) - _BACKOFF * (owners < 0), -1.0),
+            spares=(owners[:, None] == np.arange(len(found.soft_rows))).astype(np.float64),
             steps=steps,
         )
 
@@ -394,37 +391,3 @@ def _spread(units: list[FloatArray], distance: float, count: int) -> list[FloatA
         if len(kept) == count:
             break
     return kept
-
-
-def _worst_scenarios(
-    problem: DesignProblem, exact: Evaluation, known: Evaluation | None, active: tuple[Scenario, ...]
-) -> tuple[Scenario, ...]:
-    """Return the scenarios with the highest peaks that beat what the active ones showed.
-
-    What counts is the objective's force, and the one at the contact where it is limited.
-    """
-    if known is None or not exact.peaks:
-        return ()
-    kinds = {"peak_contact_force_n" if problem.objective == "contact_force" else "peak_sensor_force_n"}
-    if problem.requirements.max_peak_force_n is not None:
-        kinds.add("peak_contact_force_n")
-    found = []
-    for force in map(attrgetter, sorted(kinds)):
-        worst = max(exact.peaks, key=force)
-        if force(worst) > (1.0 + _WORSE_PEAK) * max(map(force, known.peaks)) and worst.scenario not in active:
-            found.append(worst.scenario)
-    return tuple(found)
-
-
-def margin_scenarios(
-    problem: DesignProblem, ratios: Mapping[str, float], margins: tuple[PlantMargins, ...], level: float = 1.0
-) -> tuple[Scenario, ...]:
-    """Return for every margin whose required/achieved is above a level the scenario where it is largest."""
-    found = []
-    for name, value in ratios.items():
-        if value <= level:
-            continue
-        values = [normalise_margins(problem.requirements, m.margins, problem.sample_time_s).get(name) for m in margins]
-        if values and all(each is not None for each in values):
-            found.append(margins[int(np.argmax(np.array(values, dtype=np.float64)))].scenario)
-    return tuple(found)

@@ -11,7 +11,8 @@ from problems.evaluation import (
     ExactEvaluation,
     PreparedScenarios,
     build_scenarios,
-    normalise_margins,
+    normalise_plant,
+    passivity_ratios,
     smallest_admittance,
 )
 from problems.margins import UnstableLoopError
@@ -19,6 +20,8 @@ from problems.uncertainty import Scenario
 
 FloatArray = NDArray[np.float64]
 
+ALONE = ("free_space_admittance", "passivity")
+"""Requirements of robot and controller alone: no scenario's payload or surface matters to them."""
 DENSE_STIFFNESS, DENSE_MASS = 33, 3
 SAMPLES = 128
 # A margin this far from its limit on every plant that was looked at does not reach it between them.
@@ -68,26 +71,30 @@ class WholeSet:
         found = (of_plant[i] for i in order if not radii[i] < 1.0)
         return tuple(dict.fromkeys(found))[:_UNSTABLE]
 
-    def slowest(self, controller: AdmittanceController) -> Scenario:
-        """Return a scenario of the robot that moves least freely over the band that is asked."""
-        target = self.problem.requirements.free_space_admittance
+    def worst_robot(self, controller: AdmittanceController, name: str) -> Scenario:
+        """Return a scenario of the robot that is worst in a requirement of `ALONE`."""
+        asked = self.problem.requirements
         robots = {
             plant.plant.robot: (plant, s) for plant, s in zip(self.prepared.free, self.prepared.free_of, strict=True)
         }
-        if target is None or len(robots) == 1:
+        plants, scenarios = zip(*robots.values(), strict=True)
+        if name == "passivity" and asked.passivity is not None:
+            ratios = passivity_ratios(asked.passivity, plants, controller)
+        elif asked.free_space_admittance is not None:
+            band = asked.free_space_admittance.band_hz
+            ratios = np.array([-smallest_admittance(plant, controller, band) for plant in plants])
+        else:
             return self.scenarios[0]
-        found = [
-            (smallest_admittance(plant, controller, target.band_hz), i) for i, (plant, _) in enumerate(robots.values())
-        ]
-        return list(robots.values())[min(found)[1]][1]
+        worst: Scenario = scenarios[int(np.argmax(ratios))]
+        return worst
 
     def _search(self, controller: AdmittanceController, exact: ExactEvaluation) -> tuple[Scenario, ...]:
         if not self.uncertainty.varying:
             return ()
         asked = self.problem.requirements
         found: list[Scenario] = []
-        for name, value in exact.evaluation.requirements.items():
-            values = [normalise_margins(asked, m.margins, self.problem.sample_time_s).get(name) for m in exact.margins]
+        for name, value in (*exact.evaluation.requirements.items(), *exact.evaluation.soft.items()):
+            values = [normalise_plant(asked, m, self.problem.sample_time_s).get(name) for m in exact.margins]
             if value < _NEAR or any(each is None for each in values):
                 continue
             starts = _worst([m.scenario for m in exact.margins], [each or 0.0 for each in values])
@@ -102,14 +109,14 @@ class WholeSet:
         return tuple(s for s in dict.fromkeys(found) if s not in known)
 
     def _missed(self, scenario: Scenario, controller: AdmittanceController, name: str) -> float:
-        """Return required/achieved of one margin in one scenario; infinite where the loop is unstable."""
+        """Return required/achieved of one requirement in one scenario; infinite where the loop is unstable."""
         try:
             found = build_scenarios(self.problem, [scenario])
             margins = found.margins(controller, _stable_radii(found, controller))
         except UnstableLoopError:
             return np.inf
         asked, h = self.problem.requirements, self.problem.sample_time_s
-        return max(normalise_margins(asked, each.margins, h)[name] for each in margins)
+        return max(normalise_plant(asked, each, h)[name] for each in margins)
 
     def _peak(self, scenario: Scenario, controller: AdmittanceController, at_contact: bool) -> float:
         """Return the peak force [N] in one scenario; infinite where the loop is unstable."""

@@ -46,8 +46,8 @@ def replay_contact(
     step = _Stepper(plant, sample_time_s)
     law = DifferenceEquation(controller, sample_time_s)
     speed = desired_force_n / (controller.damping_n_s_per_m + plant.payload.drag_n_s_per_m)
-    approach = _duration(plant.in_contact_with(FREE_SPACE), controller, sample_time_s, _SHORTEST_APPROACH_S)
-    after = _duration(plant, controller, sample_time_s, _SHORTEST_AFTER_S)
+    approach = settling_samples(plant.in_contact_with(FREE_SPACE), controller, sample_time_s, _SHORTEST_APPROACH_S)
+    after = settling_samples(plant, controller, sample_time_s, _SHORTEST_AFTER_S)
     start = -speed * approach * sample_time_s
     n = len(step.c_force)
     state = np.zeros(n)
@@ -73,7 +73,7 @@ def replay_contact(
     return Replay(peak_sensor_force_n=sensor, peak_contact_force_n=contact)
 
 
-def _duration(plant: Plant, controller: AdmittanceController, h: float, shortest_s: float) -> int:
+def settling_samples(plant: Plant, controller: AdmittanceController, h: float, shortest_s: float) -> int:
     """Return how many samples the loop needs to settle, a wall that is soft or a light damping taking longer."""
     radius = spectral_radius(build_loop(build_sampled_plant(plant, h), controller))
     decay = math.ceil(_DECAY_EXPONENTS / -math.log(radius)) if radius > 0.0 else 0
@@ -106,7 +106,7 @@ class _Stepper:
 
 
 class DifferenceEquation:
-    """x^d of the paper's eq. (discretized admittance), with C_fb by the trapezoidal rule."""
+    """x^d of the paper's eq. (discretized admittance), with C_fb and P̂ O_a by the trapezoidal rule."""
 
     def __init__(self, controller: AdmittanceController, h: float) -> None:
         ratio = controller.damping_n_s_per_m * h / (2.0 * controller.mass_kg)
@@ -114,32 +114,34 @@ class DifferenceEquation:
         self.old, self.new = 1.0 - ratio, 1.0 + ratio
         self.gain = h * h / (4.0 * controller.mass_kg)
         self.weights = (1.0 + lead, 2.0, 1.0 - lead)
-        self.feedback, self.corner, self.h = (
-            controller.feedback_damping_s,
-            controller.velocity_filter_rad_per_s,
-            h,
-        )
+        self.feedback, self.compensation = controller.feedback_damping_s, controller.compensation_mass_kg
+        self.corner, self.second_corner = controller.velocity_filter_rad_per_s, controller.acceleration_filter_rad_per_s
+        self.h = h
         self.rest_at(0.0)
 
     def rest_at(self, position: float) -> None:
         """Start at rest: C_fb x is zero there, so the admittance's own position is the command."""
         self.before = self.last = position
         self.force_before = self.force_last = 0.0
-        self.seen, self.damping = position, 0.0
+        self.seen, self.velocity, self.acceleration = position, 0.0, 0.0
 
     def step(self, force: float, position: float) -> float:
         """Return the next command for F^d + F and the measured position."""
+        # dv/dt = ω_v dx/dt − ω_v v and da/dt = ω_a dv/dt − ω_a a, by the trapezoidal rule.
+        before, self.velocity = self.velocity, self._filtered(self.velocity, position - self.seen, self.corner)
+        self.acceleration = self._filtered(self.acceleration, self.velocity - before, self.second_corner)
+        self.seen = position
+        force = force + self.compensation * self.acceleration
         w0, w1, w2 = self.weights
         pushed = self.gain * (w0 * force + w1 * self.force_last + w2 * self.force_before)
         following = (2.0 * self.last - self.old * self.before + pushed) / self.new
         self.before, self.last = self.last, following
         self.force_before, self.force_last = self.force_last, force
-        # dy/dt = B_fb ω_v dx/dt − ω_v y, by the trapezoidal rule.
-        half = 0.5 * self.corner * self.h
-        moved = self.feedback * self.corner * (position - self.seen)
-        self.damping = ((1.0 - half) * self.damping + moved) / (1.0 + half)
-        self.seen = position
-        return following - self.damping
+        return following - self.feedback * self.velocity
+
+    def _filtered(self, value: float, moved: float, corner: float) -> float:
+        half = 0.5 * corner * self.h
+        return ((1.0 - half) * value + corner * moved) / (1.0 + half)
 
 
 def robot_stepper(robot: RobotModel, sample_time_s: float) -> Callable[[float], float]:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,21 +15,27 @@ from autotune.files.controller_record import (
     CollisionResponse,
     Controller,
     Proof,
+    Requirement,
+    SoftRequirement,
 )
 from autotune.files.records import ROTATIONAL_AXES
 from autotune.files.units import axis_units
 from problems.controller import AdmittanceController
 from problems.errors import ParameterError
-from problems.plant import Coupling
+from problems.plant import Coupling, Plant
+from problems.requirements import NoiseLimit, PassivityTarget
 from problems.robot import RobotModel
 
 from .admittance import sampled_admittance
+from .command import passive_band_hz, worst_speed_rms
 from .margins import SweptMargins, sweep_margins
 from .peaks import verify_peaks
 from .proof import StabilityProof, UncertainPlant, prove_stability
 from .whole_set import OtherPlants, build_other_plants
 
 _STIFFNESS_POINTS, _MASS_POINTS = 25, 3
+_NOISE_STIFFNESS_POINTS = 9
+_NO_SPEED = 1e-300
 # Two roads to the same margin differ by their frequency grids (measured: 1e-4); what differs by more is another margin.
 _SAME_MARGIN = 0.01
 _SAME_NUMBER = 1e-6
@@ -78,7 +84,8 @@ def validate_controller(controller: Controller, progress: Callable[[float], None
     """
     checks: list[Check] = []
     for name in controller.axes:
-        count = _CHECKS - (name in ROTATIONAL_AXES)
+        commands = sum(isinstance(each, NoiseLimit | PassivityTarget) for each in _asked(controller, name).values())
+        count = _CHECKS - (name in ROTATIONAL_AXES) + commands
         for check in _axis_checks(controller, name):
             checks.append(check)
             if progress is not None:
@@ -117,6 +124,7 @@ def _axis_checks(controller: Controller, name: str) -> Iterator[Check]:
     yield _margins(name, margins, swept)
     yield _requirements(controller, name, swept)
     yield _admittance(controller, name, plants, others, law)
+    yield from _command(controller, name, plants, others, law)
     told, missed = verify_peaks(
         domain,
         controller.predicted[name].scenarios,
@@ -133,8 +141,8 @@ def _unsupported(controller: Controller, name: str) -> str:
     """Say what in the file this release cannot verify; a claim that cannot be verified does not hold."""
     if controller.certificate.requirements_of(name) is None:
         return "the certificate does not say what was asked of rotational axes (rotational_requirements)"
-    if controller.compensation_mass_kg != 0.0:
-        return "acceleration compensation cannot be verified by this release; compensation_mass_kg must be 0"
+    if controller.compensation_mass_kg != 0.0 and name in ROTATIONAL_AXES:
+        return "compensation_mass_kg is a mass and says nothing of an axis that turns; it must be 0"
     if controller.collision.response is not CollisionResponse.NONE:
         return "a collision response cannot be verified by this release; collision.response must be none"
     if controller.certificate.domain[name].environment_mass_kg != 0.0:
@@ -151,6 +159,8 @@ def admittance_controller(controller: Controller, name: str) -> AdmittanceContro
         lead_s=gains.lead_s,
         feedback_damping_s=gains.feedback_damping_s,
         velocity_filter_rad_per_s=controller.filters.velocity_rad_per_s,
+        acceleration_filter_rad_per_s=controller.filters.acceleration_rad_per_s,
+        compensation_mass_kg=controller.compensation_mass_kg,
     )
 
 
@@ -262,7 +272,7 @@ def _margins(name: str, claimed: AxisMargins, swept: SweptMargins) -> Check:
 def _requirements(controller: Controller, name: str, swept: SweptMargins) -> Check:
     missed, known = [], 0
     for key, required in _asked(controller, name).items():
-        if isinstance(required, AdmittanceRequirement):
+        if isinstance(required, AdmittanceRequirement | NoiseLimit | PassivityTarget):
             continue
         if key in _MARGIN_OF:
             reached = swept.values[_MARGIN_OF[key]]
@@ -280,7 +290,7 @@ def _requirements(controller: Controller, name: str, swept: SweptMargins) -> Che
         axis=name,
         name="requirements",
         passed=not missed,
-        message="; ".join(missed) or f"all {known} margins that were asked are met",
+        message="; ".join(missed) or f"all {known} margins that were asked are met{_soft_told(controller, name)}",
     )
 
 
@@ -317,11 +327,66 @@ def _admittance(
     )
 
 
+def _command(
+    controller: Controller, name: str, plants: UncertainPlant, others: OtherPlants, law: AdmittanceController
+) -> Iterator[Check]:
+    """Check the command's noise and the passive band, where they were asked."""
+    h, units = controller.sample_time_s, axis_units(name)
+    for required in _asked(controller, name).values():
+        if isinstance(required, NoiseLimit):
+            found = (required.force_noise_rms_n or 0.0) * worst_speed_rms(_noise_plants(plants, others), law, h)
+            met = found <= required.max_speed_rms_m_s * (1.0 + 0.1 * _SAME_MARGIN)
+            told = f"{found:.4g} {units.speed} under {units.force_name} noise of {required.force_noise_rms_n:g}"
+            limit = f"at most {required.max_speed_rms_m_s:.4g} {units.speed}"
+            message = f"the command's speed RMS is {told} {units.force}, {limit}"
+            yield Check(
+                axis=name, name="command noise", passed=met, message=message if met else f"{message} is claimed"
+            )
+        if isinstance(required, PassivityTarget):
+            robots = (plants.robot, *others.extreme_robots())
+            reached = min(passive_band_hz(robot, law, h, required.passive_below_hz) for robot in robots)
+            met = reached >= required.passive_below_hz * (1.0 - 0.1 * _SAME_MARGIN)
+            message = f"the port is passive up to {reached:.4g} Hz"
+            must = f"{message}, claimed up to {required.passive_below_hz:.4g} Hz"
+            yield Check(axis=name, name="passivity", passed=met, message=message if met else must)
+
+
+def _noise_plants(plants: UncertainPlant, others: OtherPlants) -> tuple[Plant, ...]:
+    """Return a grid of the set, ends included, and the further plants, all in contact."""
+    masses = np.linspace(*plants.payload_mass_kg, _MASS_POINTS)
+    low, high = plants.environment_stiffness_n_per_m
+    stiffnesses = np.clip(np.geomspace(low, high, _NOISE_STIFFNESS_POINTS), low, high)
+    grid = dict.fromkeys((float(m), float(k)) for m in masses for k in stiffnesses)
+    return tuple(dict.fromkeys((*(plants.at(m, k) for m, k in grid), *others.plants)))
+
+
 def _asked(controller: Controller, name: str) -> Asked:
-    """Return what was asked of one axis; that it is said at all was checked."""
-    return controller.certificate.requirements_of(name) or {}
+    """Return what must hold of one axis: what was asked outright, and of what need not be met what was achieved."""
+    hard, soft = controller.certificate.requirements_of(name) or {}, (controller.certificate.soft or {}).get(name, {})
+    return {**hard, **{key: promise for key, claim in soft.items() if (promise := _promise(claim)) is not None}}
+
+
+def _promise(claim: SoftRequirement) -> Requirement | None:
+    """Return what a soft requirement promises; None where nothing is."""
+    asked, reached = claim.asked, math.inf if claim.achieved is None else claim.achieved
+    if isinstance(asked, NoiseLimit):
+        return replace(asked, max_speed_rms_m_s=max(reached, _NO_SPEED)) if reached < math.inf else None
+    if reached == 0.0:
+        return None
+    if isinstance(asked, AdmittanceRequirement):
+        return replace(asked, min_m_s_per_n=reached)
+    # A port that is passive up to the Nyquist frequency is so just below it.
+    return PassivityTarget(passive_below_hz=reached) if isinstance(asked, PassivityTarget) else reached
+
+
+def _soft_told(controller: Controller, name: str) -> str:
+    soft = (controller.certificate.soft or {}).get(name, {})
+    told = ", ".join(
+        f"{key} {'without limit' if claim.achieved is None else f'{claim.achieved:.4g}'}" for key, claim in soft.items()
+    )
+    return f"; achieved of what was only wished: {told}" if told else ""
 
 
 def _limit_n(controller: Controller, name: str) -> float | None:
     limit = _asked(controller, name).get("max_peak_force_n")
-    return None if limit is None or isinstance(limit, AdmittanceRequirement) else float(limit)
+    return float(limit) if isinstance(limit, int | float) else None

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import impulse
 
-from autotune.tuning.search import Box
+from autotune.tuning.box import Box
 from benchmarks import optimizer_page
 from benchmarks.optimizer_authors import contact_loop, h2_squared, pade, routh_column
 from benchmarks.optimizer_judge import Incumbent, Trace, judge, ranked_costs, screen_of, stand

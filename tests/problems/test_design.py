@@ -9,7 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from problems.contact import Approach
-from problems.design import DEFAULT_BOUNDS, VARIABLES, AdmittanceTarget, DesignProblem, Requirements
+from problems.design import (
+    DEFAULT_BOUNDS,
+    VARIABLES,
+    AdmittanceTarget,
+    DesignProblem,
+    NoiseLimit,
+    PassivityTarget,
+    Requirements,
+)
 from problems.design_tree import problem_from_dict, problem_to_dict
 from problems.errors import ParameterError
 from problems.plant import Coupling
@@ -96,7 +104,7 @@ def test_a_requirement_is_positive_or_absent(name: str, value: float) -> None:
     with pytest.raises(ParameterError) as refusal:
         dataclasses.replace(Requirements(), **{name: value})  # type: ignore[arg-type]
     assert refusal.value.name == name
-    assert getattr(dataclasses.replace(Requirements(), **{name: None}), name) is None
+    assert getattr(dataclasses.replace(Requirements(), **{name: None}), name) is None  # type: ignore[arg-type]
 
 
 def test_a_modulus_margin_of_one_is_out_of_reach() -> None:
@@ -212,7 +220,52 @@ def test_an_uncertainty_that_cannot_be_is_refused(uncertain: dict[str, tuple[flo
         problem(uncertain=uncertain)
 
 
-@pytest.mark.parametrize("made", [problem, uncertain_problem])
+def wished_problem() -> DesignProblem:
+    return problem(
+        bounds={"velocity_filter_rad_per_s": (60.0, 300.0), "compensation_mass_kg": (0.0, 16.0)},
+        requirements=Requirements(
+            command_noise=NoiseLimit(max_speed_rms_m_s=1e-3, force_noise_rms_n=0.2),
+            passivity=PassivityTarget(passive_below_hz=10.0),
+            soft_n={"modulus_margin": 20.0, "passivity": 3.0},
+        ),
+    )
+
+
+def test_variables_that_are_made_free_follow_the_four_in_a_fixed_order() -> None:
+    found = wished_problem()
+    assert found.variables == (*VARIABLES, "velocity_filter_rad_per_s", "compensation_mass_kg")
+    law = found.controller([13.0, 1000.0, 0.02, 7.5e-3, 80.0, 5.0])
+    assert law.parameters().tolist() == [13.0, 1000.0, 0.02, 7.5e-3, 80.0, 200.0, 5.0]
+    assert problem().variables == VARIABLES
+
+
+@pytest.mark.parametrize(
+    ("bounds", "must"),
+    [
+        ({"acceleration_filter_rad_per_s": (60.0, 400.0)}, "unless compensation_mass_kg is free too"),
+        ({"velocity_filter_rad_per_s": (0.0, 300.0)}, "above 0"),
+        ({"compensation_mass_kg": (5.0, 1.0)}, "an interval"),
+        ({"collision_threshold_n": (5.0, 10.0)}, "given for mass"),
+    ],
+)
+def test_variables_that_cannot_be_free_are_refused(bounds: dict[str, tuple[float, float]], must: str) -> None:
+    with pytest.raises(ParameterError, match=must):
+        problem(bounds=bounds)
+
+
+def test_wishes_and_requirements_are_told_apart_in_print() -> None:
+    text = str(wished_problem())
+    for told in (
+        "free: compensation_mass_kg          0 to 16",
+        "wished: modulus_margin              0.5, or 20 N per share missed",
+        "wished: passivity                   up to 10 Hz, or 3 N per share missed",
+        "required: command_noise             speed RMS 0.001 under force noise of 0.2 RMS",
+        "required: free-space admittance     0.0007 from 0.1 to 2 Hz",
+    ):
+        assert told in text
+
+
+@pytest.mark.parametrize("made", [problem, uncertain_problem, wished_problem])
 def test_a_problem_survives_being_written_and_read(made: Callable[[], DesignProblem]) -> None:
     asked = made()
     assert problem_from_dict(json.loads(json.dumps(problem_to_dict(asked)))) == asked

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from problems.contact import Approach, build_sampled_contact, simulate_contact
-from problems.design import AdmittanceTarget, DesignProblem, Requirements
+from problems.design import AdmittanceTarget, DesignProblem, NoiseLimit, PassivityTarget, Requirements
+from problems.errors import ParameterError
 from problems.evaluation import (
     Evaluation,
     PlantMargins,
@@ -16,6 +17,8 @@ from problems.evaluation import (
     smallest_admittance,
 )
 from problems.margins import Margins, UnstableLoopError, find_margins
+from problems.noise import predict_command_noise
+from problems.passivity import check_passivity
 from problems.plant import Coupling
 from problems.response import free_space_admittance
 from problems.robot import RobotModel
@@ -300,3 +303,80 @@ def test_violation_is_the_excess_of_the_worst_requirement() -> None:
         controller=base.controller, spectral_radius=0.9, requirements={"a": 0.5, "b": 1.25}, peaks=(), objective_n=1.0
     )
     assert missed.violation == 0.25
+
+
+# --- the command's noise, passivity, and what need not be met -----------------------------------------------------
+
+COMMANDED = replace(
+    EASY,
+    command_noise=NoiseLimit(max_speed_rms_m_s=1e-3, force_noise_rms_n=0.2),
+    passivity=PassivityTarget(passive_below_hz=5.0),
+)
+
+
+def test_the_command_noise_is_that_of_the_noisiest_plant() -> None:
+    ready = prepared(requirements=COMMANDED)
+    law = ready.problem.controller(GOOD)
+    worst = max(predict_command_noise(plant.sampled, law, 0.2).speed_rms_m_s for plant in ready.plants)
+    for radius in (True, False):
+        found = ready.evaluate(GOOD, radius=radius).requirements["command_noise"]
+        assert found == pytest.approx(worst / 1e-3, rel=1e-12)
+
+
+def test_passivity_is_asked_of_the_port() -> None:
+    ready = prepared(requirements=COMMANDED)
+    fails = check_passivity(ready.free[0], ready.problem.controller(GOOD)).fails_above_hz
+    assert fails is not None
+    assert ready.evaluate(GOOD).requirements["passivity"] == pytest.approx(5.0 / fails, rel=1e-12)
+    assert len(ready.robots) == 1
+
+
+def test_noise_without_a_number_and_a_band_beyond_the_sampling_are_refused() -> None:
+    with pytest.raises(ParameterError, match="force_noise_rms_n"):
+        problem(requirements=replace(EASY, command_noise=NoiseLimit(max_speed_rms_m_s=1e-3)))
+    with pytest.raises(ParameterError, match="below half the sampling rate"):
+        problem(requirements=replace(EASY, passivity=PassivityTarget(passive_below_hz=0.5 / PERIOD_S)))
+
+
+def test_a_soft_requirement_decides_nothing_and_costs_its_share() -> None:
+    asked = replace(EASY, modulus_margin=0.9)
+    hard, soft = prepared(requirements=asked), prepared(requirements=replace(asked, soft_n={"modulus_margin": 20.0}))
+    missed = hard.evaluate(GOOD, peaks_if_missed=True)
+    found = soft.evaluate(GOOD)
+    assert not missed.is_feasible
+    assert found.is_feasible
+    assert found.soft == {"modulus_margin": missed.requirements["modulus_margin"]}
+    assert found.peak_n == pytest.approx(missed.objective_n, rel=1e-14)
+    assert found.penalty_n == pytest.approx(20.0 * (missed.requirements["modulus_margin"] - 1.0), rel=1e-14)
+    assert found.objective_n == pytest.approx(found.peak_n + found.penalty_n, rel=1e-14)
+
+
+def test_a_soft_requirement_that_is_met_costs_nothing() -> None:
+    ready = prepared(requirements=replace(EASY, soft_n=dict.fromkeys(EASY.asked(), 20.0)))
+    found = ready.evaluate(GOOD)
+    assert found.requirements == {}
+    assert set(found.soft) == set(EASY.asked())
+    assert (found.penalty_n, found.objective_n) == (0.0, found.peak_n)
+
+
+def test_stability_is_never_soft() -> None:
+    ready = prepared(requirements=replace(EASY, soft_n=dict.fromkeys(EASY.asked(), 1.0)))
+    assert not ready.evaluate(UNSTABLE).is_feasible
+    assert ready.evaluate(UNSTABLE).objective_n == math.inf
+
+
+def test_two_halves_of_a_set_cost_what_the_whole_does() -> None:
+    """The peak is the larger one and a price is paid once, for the worst scenario of both."""
+    asked = problem(
+        requirements=replace(
+            EASY, modulus_margin=0.9, max_peak_force_n=20.0, soft_n={"modulus_margin": 20.0, "max_peak_force_n": 3.0}
+        )
+    )
+    scenarios = asked.scenarios(3, 2)
+    law = asked.controller(GOOD)
+    parts = [build_scenarios(asked, part).evaluate_exactly(law) for part in (scenarios[:3], scenarios[3:])]
+    whole = build_scenarios(asked, scenarios).evaluate_exactly(law).evaluation
+    both = parts[0].together_with(parts[1]).evaluation
+    assert both.objective_n == pytest.approx(whole.objective_n, rel=1e-12)
+    assert dict(both.soft) == pytest.approx(dict(whole.soft), rel=1e-12)
+    assert both.penalty_n == pytest.approx(whole.penalty_n, rel=1e-12)

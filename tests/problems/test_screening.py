@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from problems.contact import Approach
-from problems.design import AdmittanceTarget, DesignProblem, Requirements
+from problems.design import AdmittanceTarget, DesignProblem, NoiseLimit, PassivityTarget, Requirements
 from problems.evaluation import build_scenarios
 from problems.margins import margin_grid
 from problems.screening import build_screen
@@ -24,7 +24,20 @@ EVERYTHING = Requirements(
     free_space_admittance=AdmittanceTarget(min_m_s_per_n=1.5e-4),
 )
 EASY = Requirements(free_space_admittance=AdmittanceTarget(min_m_s_per_n=1.5e-4))
+COMMANDED = replace(
+    EVERYTHING,
+    command_noise=NoiseLimit(max_speed_rms_m_s=6e-4, force_noise_rms_n=0.14),
+    passivity=PassivityTarget(passive_below_hz=20.0),
+)
 PROBLEMS = [
+    pytest.param(design_problem(requirements=COMMANDED), id="noise and passivity"),
+    pytest.param(
+        design_problem(requirements=replace(COMMANDED, soft_n={"passivity": 5.0, "phase_margin_deg": 20.0})),
+        id="some soft",
+    ),
+    pytest.param(
+        design_problem(requirements=replace(COMMANDED, soft_n=dict.fromkeys(COMMANDED.asked(), 2.0))), id="all soft"
+    ),
     pytest.param(design_problem(requirements=EASY), id="usual"),
     pytest.param(design_problem(requirements=EVERYTHING), id="everything"),
     pytest.param(design_problem(requirements=replace(EVERYTHING, gain_margin_db=None)), id="no gain margin"),
@@ -81,6 +94,9 @@ def test_every_number_is_that_of_the_evaluation(problem: DesignProblem, peaks_if
             assert found.objective_n[i] == pytest.approx(one.objective_n, rel=1e-9)
             assert {name: value[i] for name, value in found.requirements.items()} == pytest.approx(
                 dict(one.requirements), rel=1e-7
+            )
+            assert {name: np.max(row[i]) for name, row in found.soft_rows.items()} == pytest.approx(
+                dict(one.soft), rel=1e-7
             )
             assert found.violation[i] == pytest.approx(max(one.violation, 0.0), abs=1e-7)
         else:

@@ -10,6 +10,7 @@ from problems.contact import Approach, build_sampled_contact, simulate_contact
 from problems.controller import AdmittanceController
 from problems.evaluation import smallest_admittance
 from problems.margins import Margins, find_margins
+from problems.passivity import passive_below_hz
 from problems.plant import Coupling, Environment, Payload, Plant
 from problems.robot import RobotModel
 from problems.sampled import SampledPlant, build_sampled_plant
@@ -20,6 +21,7 @@ from problems.slopes import (
     delay_slope,
     gain_slope,
     modulus_slope,
+    passivity_slope,
     peak_slope,
     phase_slope,
 )
@@ -129,3 +131,11 @@ def test_peaks(controller: AdmittanceController, stiffness: float, approach: App
     sizes = np.array([max(getattr(controller, name), 1e-2) for name in NAMES])
     expected = sizes * differences(lambda c: simulate_contact(pair, c, approach).peak_contact_force_n, controller)
     assert inside.by_controller[: len(NAMES)] * sizes == pytest.approx(expected, abs=0.02 * np.max(np.abs(expected)))
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
+@pytest.mark.parametrize("order", [1, 2])
+def test_the_end_of_the_passive_band(controller: AdmittanceController, order: int) -> None:
+    plant = sampled(1.1e5, order=order)
+    slope = passivity_slope(plant, controller, passive_below_hz(plant, controller))
+    agree(slope, lambda law: passive_below_hz(plant, law), controller)

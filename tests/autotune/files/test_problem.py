@@ -11,7 +11,7 @@ from autotune.errors import UsageError
 from autotune.files.problem import ProblemSpec, RotationalSpec, read_problem
 from autotune.files.schema import load_schema
 from problems.contact import Approach
-from problems.design import VARIABLES, AdmittanceTarget, Requirements
+from problems.design import FURTHER_VARIABLES, VARIABLES, AdmittanceTarget, NoiseLimit, PassivityTarget, Requirements
 from tests.problems.axes import LAW
 
 WHOLE = """\
@@ -235,3 +235,67 @@ def test_what_is_uncertain_is_a_range_or_has_an_origin(path: Path) -> None:
 )
 def test_an_uncertainty_that_cannot_be_read_is_refused(path: Path, text: str, told: str) -> None:
     assert told in refusal(path, text)
+
+
+def test_wishes_have_a_price_and_the_command_its_limits(path: Path) -> None:
+    spec = read(
+        path,
+        """\
+requirements:
+  modulus_margin: {value: 0.5, soft_n: 20.0}
+  free_space_admittance: {min_m_s_per_n: 5e-4, band_hz: [0.2, 3], soft_n: 10}
+  command_noise: {max_speed_rms_m_s: 1e-3, force_noise_rms_n: 0.2}
+  passivity: {passive_below_hz: 20, soft_n: 2}
+rotational:
+  requirements:
+    max_peak_torque_n_m: {value: 12, soft_n_m: 3}
+    command_noise: {max_speed_rms_rad_s: 0.01, torque_noise_rms_n_m: 0.02, soft_n_m: 1}
+free:
+  velocity_filter_rad_per_s: [60, 300]
+  compensation_mass_kg: [0, 16]
+""",
+    )
+    assert spec.requirements == Requirements(
+        modulus_margin=0.5,
+        free_space_admittance=AdmittanceTarget(min_m_s_per_n=5e-4, band_hz=(0.2, 3.0)),
+        command_noise=NoiseLimit(max_speed_rms_m_s=1e-3, force_noise_rms_n=0.2),
+        passivity=PassivityTarget(passive_below_hz=20.0),
+        soft_n={"modulus_margin": 20.0, "free_space_admittance": 10.0, "passivity": 2.0},
+    )
+    assert dict(spec.rotational.requirements) == {
+        "max_peak_force_n": 12.0,
+        "command_noise": NoiseLimit(max_speed_rms_m_s=0.01, force_noise_rms_n=0.02),
+        "soft_n": {"max_peak_force_n": 3.0, "command_noise": 1.0},
+    }
+    assert dict(spec.free) == {"velocity_filter_rad_per_s": (60.0, 300.0), "compensation_mass_kg": (0.0, 16.0)}
+
+
+def test_the_schema_knows_every_further_variable() -> None:
+    known = load_schema("problem")["properties"]["free"]["properties"]
+    assert set(FURTHER_VARIABLES) < set(known)
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "told"),
+    [
+        ("requirements:\n  modulus_margin: {value: 0.5}\n", 2, "requirements.modulus_margin.soft_n must be present"),
+        ("requirements:\n  modulus_margin: {value: 1, soft_n: 1}\n", 2, "less than 1"),
+        ("requirements:\n  gain_margin_db: {value: 6, soft_n: 0}\n", 2, "greater than 0"),
+        ("requirements:\n  modulus_margin: {value: 0.5, soft_n_m: 1}\n", 2, "soft_n"),
+        ("requirements:\n  passivity: true\n", 2, "requirements.passivity must be a mapping or null"),
+        ("requirements:\n  passivity: {}\n", 2, "passive_below_hz must be present"),
+        ("requirements:\n  command_noise: {force_noise_rms_n: 1}\n", 2, "max_speed_rms_m_s must be present"),
+        ("free:\n  velocity_filter_rad_per_s: [300, 60]\n", 2, "free.velocity_filter_rad_per_s must be [low, high]"),
+        ("free:\n  mass: [5, 20]\n", 2, "free.mass must be one of velocity_filter_rad_per_s"),
+        ("free:\n  collision_threshold_n: [50, 100]\n", 2, "collision_threshold_n cannot be free: what is minimised"),
+        (
+            "free:\n  environment_stiffness_n_per_m: [1e4, 1e5]\n",
+            2,
+            "environment_stiffness_n_per_m cannot be free: it is a property of the cell",
+        ),
+    ],
+)
+def test_a_wish_or_variable_that_cannot_be_is_told_with_its_line(path: Path, text: str, line: int, told: str) -> None:
+    message = refusal(path, text)
+    assert message.startswith(f"{path}, line {line}: ")
+    assert told in message

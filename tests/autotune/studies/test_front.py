@@ -8,7 +8,7 @@ import pytest
 
 from autotune.studies.front import _most_admittance, trace_front
 from autotune.studies.points import Front, Judge
-from autotune.tuning.search import Box
+from autotune.tuning.box import Box
 from autotune.tuning.worst import DENSE_STIFFNESS
 from problems.design import Requirements
 from problems.evaluation import build_scenarios

@@ -98,7 +98,6 @@ def bare(**changes: object) -> Controller:
     [
         ({"axes": {"z": fast_optimized().controller.axes["x"]}}, "old.yaml holds z, and x is tuned here"),
         ({"sample_time_s": 1e-3}, "runs every 1 ms and this cell every 0.8 ms"),
-        ({"compensation_mass_kg": 2.0}, "compensates acceleration"),
         ({"collision": Collision(response=CollisionResponse.STOP, threshold_n=50.0)}, "responds to collisions"),
     ],
 )

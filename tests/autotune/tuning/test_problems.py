@@ -10,9 +10,9 @@ from autotune.errors import UsageError
 from autotune.files.problem import ProblemSpec
 from autotune.tuning.problems import Wishes, build_problems, runtime_mass_kg
 from identification.errors import EstimateError
-from identification.result import AxisEstimate, Estimate, Status
+from identification.result import AxisEstimate, Estimate, Identified, Status
 from problems.contact import Approach
-from problems.design import DEFAULT_BOUNDS, Requirements
+from problems.design import DEFAULT_BOUNDS, NoiseLimit, Requirements
 from tests.autotune.tuning.cases import absent, identified_axis, identified_plant, known, known_vector, with_axis
 
 DEFAULT = ProblemSpec()
@@ -174,3 +174,18 @@ def test_masses_that_disagree_must_both_be_safe() -> None:
     assert high >= 18.0 * 1.02
     alone = build_problems(with_axis(replace(moved, mass_kg=known(16.1, 0.01))), ProblemSpec(), Wishes())["x"]
     assert alone.payload_mass_kg[1] < 17.0
+
+
+def test_the_noise_is_the_sensors_unless_it_is_said() -> None:
+    def limit(noise: float | None, plant: Identified | None = None) -> NoiseLimit | None:
+        asked = Requirements(command_noise=NoiseLimit(max_speed_rms_m_s=1e-3, force_noise_rms_n=noise))
+        spec = replace(DEFAULT, requirements=asked)
+        return build_problems(plant or identified_plant(), spec, NOTHING)["x"].requirements.command_noise
+
+    assert limit(None) == NoiseLimit(max_speed_rms_m_s=1e-3, force_noise_rms_n=0.14)
+    assert limit(0.5) == NoiseLimit(max_speed_rms_m_s=1e-3, force_noise_rms_n=0.5)
+    plant = identified_plant()
+    deaf = replace(plant, sensor=replace(plant.sensor, force_noise_rms_n=absent()))
+    with pytest.raises(EstimateError, match="say force_noise_rms_n in requirements"):
+        limit(None, deaf)
+    assert limit(0.5, deaf) is not None

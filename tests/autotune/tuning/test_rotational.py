@@ -21,9 +21,9 @@ from autotune.validation.validate import validate_controller
 from identification.errors import EstimateError
 from identification.result import AxisEstimate
 from problems.contact import Approach
-from problems.design import DEFAULT_BOUNDS, AdmittanceTarget, DesignProblem, Requirements
+from problems.design import DEFAULT_BOUNDS, AdmittanceTarget, DesignProblem, NoiseLimit, Requirements
 from problems.evaluation import build_scenarios
-from tests.autotune.tuning.cases import FAST_WISHES, absent, identified_plant, known
+from tests.autotune.tuning.cases import FAST_WISHES, absent, identified_plant, known, known_vector
 from tests.autotune.tuning.turning import FAST_TURNING_SPEC, LEVER_M, SQUARE, both_optimized, turned_axis, two_axes
 from tests.problems.axes import LAW
 
@@ -238,3 +238,23 @@ def test_validation_asks_rotational_axes_for_their_own_requirements(change: dict
     failed = [check for check in validate_controller(only).checks if not check.passed]
     assert len(failed) == 1
     assert told in failed[0].message
+
+
+def test_prices_and_speeds_go_through_the_lever_and_the_noise_does_not() -> None:
+    asked = Requirements(
+        command_noise=NoiseLimit(max_speed_rms_m_s=1e-3, force_noise_rms_n=0.2),
+        soft_n={"modulus_margin": 20.0, "command_noise": 5.0},
+    )
+    plant = two_axes()
+    loud = replace(plant, sensor=replace(plant.sensor, torque_noise_rms_n_m=known_vector(0.01, 0.03, 0.02)))
+    spec = ProblemSpec(axes=("ry",), requirements=asked)
+    with pytest.raises(EstimateError, match=r"sensor\.torque_noise_rms_n_m is not identified"):
+        build_problems(plant, spec, NOTHING)
+    found = build_problems(loud, spec, NOTHING)["ry"].requirements
+    assert found.command_noise == NoiseLimit(max_speed_rms_m_s=5e-3, force_noise_rms_n=0.03)
+    assert dict(found.soft_n) == {"modulus_margin": 4.0, "command_noise": 1.0}
+    # What is said of rotation counts as it stands: there the noise is a limit, and the price is gone.
+    said = RotationalSpec(requirements={"command_noise": NoiseLimit(max_speed_rms_m_s=0.02, force_noise_rms_n=0.05)})
+    own = build_problems(plant, replace(spec, rotational=said), NOTHING)["ry"].requirements
+    assert own.command_noise == NoiseLimit(max_speed_rms_m_s=0.02, force_noise_rms_n=0.05)
+    assert dict(own.soft_n) == {"modulus_margin": 4.0}

@@ -1,0 +1,78 @@
+"""The command's noise and the passive band by playing impulses: another road to the numbers of `problems`."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from autotune.validation.command import passive_band_hz, speed_rms, worst_speed_rms
+from problems.controller import AdmittanceController
+from problems.noise import predict_command_noise
+from problems.passivity import check_passivity
+from problems.plant import FREE_SPACE, Plant
+from problems.robot import RobotModel
+from problems.sampled import build_sampled_plant
+from tests.autotune.tuning.cases import design_problem
+
+H = 8e-4
+LAWS = {
+    "lead and feedback": AdmittanceController(
+        mass_kg=5.0, damping_n_s_per_m=1190.0, lead_s=0.021, feedback_damping_s=7.6e-3
+    ),
+    "compensation": AdmittanceController(
+        mass_kg=5.0,
+        damping_n_s_per_m=1210.0,
+        lead_s=0.03,
+        feedback_damping_s=0.014,
+        velocity_filter_rad_per_s=300.0,
+        acceleration_filter_rad_per_s=60.0,
+        compensation_mass_kg=5.0,
+    ),
+}
+DELAYS = (0.0, 5e-4, H, 2.4e-3, 2.6e-3)
+
+
+def plants(delay_s: float) -> tuple[Plant, ...]:
+    """Return plants in contact and in free space behind a coupling with damping, all with this delay."""
+    problem = replace(design_problem(), robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=delay_s))
+    touching = [problem.plant(scenario) for scenario in problem.scenarios(3, 2)]
+    return (*touching, *(plant.in_contact_with(FREE_SPACE) for plant in touching[::3]))
+
+
+@pytest.mark.parametrize("law", list(LAWS.values()), ids=list(LAWS))
+@pytest.mark.parametrize("delay", DELAYS)
+def test_squares_of_an_impulse_response_add_up_to_the_variance(delay: float, law: AdmittanceController) -> None:
+    set_ = plants(delay)
+    found = speed_rms(set_, law, H)
+    told = [predict_command_noise(build_sampled_plant(plant, H), law, 1.0).speed_rms_m_s for plant in set_]
+    # The response is followed until a thousandth is left, whose square is a millionth.
+    assert found == pytest.approx(told, rel=1e-6)
+    assert worst_speed_rms(set_[:6], law, H) == pytest.approx(max(told), rel=1e-6)
+
+
+def test_plants_with_different_delays_are_played_together() -> None:
+    law = LAWS["compensation"]
+    mixed = [plants(delay)[0] for delay in DELAYS]
+    assert speed_rms(mixed, law, H) == pytest.approx([speed_rms([plant], law, H)[0] for plant in mixed], rel=1e-9)
+
+
+@pytest.mark.parametrize("law", list(LAWS.values()), ids=list(LAWS))
+@pytest.mark.parametrize("delay", DELAYS)
+def test_the_passive_band_ends_where_the_real_part_of_the_response_turns(
+    delay: float, law: AdmittanceController
+) -> None:
+    plant = plants(delay)[0]
+    fails = check_passivity(build_sampled_plant(plant, H), law).fails_above_hz
+    assert fails is not None
+    # Frequencies of the transform are 0.005 Hz apart.
+    assert passive_band_hz(plant.robot, law, H, 600.0) == pytest.approx(fails, abs=0.011)
+    assert passive_band_hz(plant.robot, law, H, 0.5 * fails) == 0.5 * fails
+
+
+def test_a_port_that_does_not_come_to_rest_is_passive_nowhere() -> None:
+    """Far too much compensation behind a fast filter drives itself."""
+    law = replace(LAWS["compensation"], compensation_mass_kg=500.0, acceleration_filter_rad_per_s=2000.0)
+    plant = plants(2.4e-3)[0]
+    assert check_passivity(build_sampled_plant(plant, H), law).fails_above_hz == 0.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert passive_band_hz(plant.robot, law, H, 10.0) == 0.0
