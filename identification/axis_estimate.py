@@ -85,6 +85,7 @@ class AxisView:
     mass_kg: float | None
     priors: Mapping[str, tuple[float, float]]
     in_units: Callable[[JointFit], JointFit]
+    weighed: tuple[float, float] | None = None
 
 
 def identify_axis(cell: CellSignals, axis: AxisMotion) -> AxisTold:
@@ -99,10 +100,11 @@ def identify_axis(cell: CellSignals, axis: AxisMotion) -> AxisTold:
         mass_kg=cell.gravity.mass_kg,
         priors=axis_priors(cell.given, axis.name),
         in_units=partial(with_gain_error, share=cell.gravity.gain_error_share),
+        weighed=(cell.gravity.mass_kg, cell.gravity.mass_std_kg),
     )
     told = fit_axis(cell, view)
     findings += told.findings
-    if told.fit is not None:
+    if told.fit is not None and not told.fit.is_weighed:
         disagreement = _about_masses(axis.name, cell.gravity, told.fit)
         findings += disagreement
         if disagreement:
@@ -149,6 +151,7 @@ def fit_axis(cell: CellSignals, view: AxisView) -> AxisTold:
             view.recording.wrench_lag_s,
             view.recording.pose.stamp_ns,
         )
+        data = replace(data, weighed=view.weighed)
         found = identify_joint(data)
         fit = view.in_units(found)
         with_priors = view.in_units(identify_joint(replace(data, priors=view.priors))) if view.priors else None
@@ -172,7 +175,7 @@ def _estimate(axis: AxisMotion, fit: JointFit, robot: RobotEstimate, period_s: f
         drag_n_s_per_m=told.drag_n_s_per_m,
         environments=told.environments,
         robot=told.robot or robot,
-        mass_kg=told.mass_kg,
+        mass_kg=None if fit.is_weighed else told.mass_kg,
         covariance=told.covariance,
         fits=(told.quality,),
     )

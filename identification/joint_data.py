@@ -54,7 +54,7 @@ class JointData:
     be stamped, mean and standard deviation; `measured`, first tick at which the pose was measured and every how many it
     was (between them it is interpolated). `mass_kg`, from gravity, is a start too and no information; M_p is looked for
     between a fifth of it and five times it. `priors` maps names of `Layout.names` to value and standard deviation
-    known from elsewhere.
+    known from elsewhere; `weighed` is M_p from gravity with its deviation, for ringing that has nothing else to go by.
     """
 
     period_s: float
@@ -72,6 +72,7 @@ class JointData:
     lag_s: tuple[float, float] = (0.0, _USUAL_LAG_S)
     measured: tuple[int, int] = (0, 1)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    weighed: tuple[float, float] | None = None
 
     @property
     def robot_order(self) -> int:

@@ -1,6 +1,6 @@
 """One refinement of everything on one axis by maximum likelihood on the raw signals, with one covariance."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -37,6 +37,8 @@ _LIGHT_KG = 0.1
 _LEAST_EXPLAINED = 0.8
 _AT_LIMIT = 0.2
 _RING_STARTS, _AS_WELL = 2, 1.05
+_FEWEST_RINGS = 2
+_MASS = 3
 _OUTLYING, _ENOUGH_TO_TELL = 8.0, 3
 
 
@@ -45,12 +47,29 @@ def identify_joint(data: JointData) -> JointFit:
 
     The likelihood is that of the pose given the command times that of the force given both: the flange's path is the
     robot's exact answer to the command plus what Wiener's filter keeps of the rest, and what remains of the force is
-    whitened by an autoregression, fitted again after every round. Raises EstimateError when no span can be used.
+    whitened by an autoregression, fitted again after every round. Where free motion does not tell the payload, what
+    rings after taps and releases may, with the mass that gravity tells (`JointFit.is_weighed`). Raises EstimateError
+    when no span can be used.
     """
+    try:
+        return _identify(data, _free_motion)
+    except EstimateError:
+        try:
+            return replace(_identify(data, _ringing_alone), is_weighed=True)
+        except EstimateError:
+            pass
+        raise
+
+
+_Beginning = Callable[[JointData, Problem, FloatArray], tuple[Problem, Point]]
+
+
+def _identify(data: JointData, begin: _Beginning) -> JointFit:
+    """Fit everything, beginning with the payload alone."""
     start = np.concatenate([data.coupling, _robot_values(data), np.zeros(3)])
     start[3] = max(start[3], _LIGHTEST_SHARE * (data.mass_kg if data.mass_kg is not None else _LIGHT_KG))
     base, start = _robot_first(data, start)
-    problem, point = _free_motion(data, base, start[:-3])
+    problem, point = begin(data, base, start[:-3])
     blurred = data.command is not None and data.command.is_mean
     problem, point, lag = fit_lag(problem, point, data.force_n, data.lag_s, 0.0, blurred=blurred)
     contacts = _starts(data, problem, np.concatenate([point.values, start[-3:]]))
@@ -206,6 +225,32 @@ def _free_motion(data: JointData, base: Problem, values: FloatArray) -> tuple[Pr
     return problem, point
 
 
+def _ringing_alone(data: JointData, base: Problem, values: FloatArray) -> tuple[Problem, Point]:
+    """Fit what taps and releases alone tell, with the mass that gravity tells.
+
+    A payload that swings on a flange at rest tells K_s/M_p and the dampings over M_p, and nothing of M_p itself.
+    """
+    if data.weighed is None:
+        raise EstimateError("The payload's mass is not known.")
+    weighed = replace(base, priors=(*base.priors, (_MASS, *data.weighed)))
+    rings = [Segment(start=s.start, stop=s.stop) for s in data.rings]
+    used: tuple[Segment, ...] = ()
+    best = values
+    # A strong tap may end its search in another valley; the values that explain most rings count.
+    for ring in _strongest(data, rings):
+        start = start_coupling(weighed, values, ring, data.weighed[0])[0]
+        more = _explained(base, start, (), rings)
+        if len(more) > len(used):
+            used, best = more, start
+        if len(used) == len(rings):
+            break
+    if len(used) < _FEWEST_RINGS:
+        raise EstimateError("No two spans of ringing are explained by one payload on one spring.")
+    weighed = replace(weighed, segments=used, signals=_smoothed_for(data, base, best, used))
+    point, _ = minimise(weighed, Point(values=best, nuisances=tuple(np.zeros(3) for _ in used)), _STEPS_FIRST)
+    return weighed, point
+
+
 def _strongest(data: JointData, segments: Sequence[Segment]) -> list[Segment]:
     return sorted(segments, key=lambda s: -float(np.sum(_centred(data.force_n[s.slice]) ** 2)))
 
@@ -256,7 +301,10 @@ def _together(
         problem,
         layout=layout,
         segments=problem.segments + tuple(replace(found[i].start.segment, surface=groups[i]) for i in order),
-        priors=tuple((places[name], *known) for name, known in data.priors.items() if name in places),
+        priors=(
+            *problem.priors,
+            *((places[name], *known) for name, known in data.priors.items() if name in places),
+        ),
     )
     whole = Point(values=np.concatenate([point.values, *surfaces]), nuisances=(*point.nuisances, *own))
     whole, _ = minimise(joined, whole, _STEPS_FIRST)

@@ -67,7 +67,7 @@ class JointFit:
     """All parameters of one axis with one covariance, (p,) and (p, p) in SI, in the order of `names`.
 
     `ci95` holds intervals where plus and minus two deviations would be wrong (a damping or mass near 0); `lag` is the
-    wrench's against pose and command.
+    wrench's against pose and command. `is_weighed` where ringing alone told the coupling, with the mass from gravity.
     """
 
     names: tuple[str, ...]
@@ -78,6 +78,7 @@ class JointFit:
     surfaces: tuple[JointSurface, ...]
     diagnostics: Diagnostics
     lag: Lag
+    is_weighed: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ci95", MappingProxyType(dict(self.ci95)))
