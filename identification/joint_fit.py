@@ -239,6 +239,10 @@ def _ringing_alone(data: JointData, base: Problem, values: FloatArray) -> tuple[
     # A strong tap may end its search in another valley; the values that explain most rings count.
     for ring in _strongest(data, rings):
         start = start_coupling(weighed, values, ring, data.weighed[0])[0]
+        # On a flange at rest both dampings look alike; how they share is left as it was, for contacts to tell.
+        together = start[1] + start[2]
+        start[2] = min(values[2], together)
+        start[1] = together - start[2]
         more = _explained(base, start, (), rings)
         if len(more) > len(used):
             used, best = more, start

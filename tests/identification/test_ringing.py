@@ -8,7 +8,9 @@ import pytest
 from autotune.cell.phases import Program
 from autotune.cell.simulate import CellRun, simulate_cell
 from autotune.cell.truth import Cell
+from identification import joint_fit
 from identification.axes import AxisMotion
+from identification.errors import EstimateError
 from identification.joint_fit import identify_joint
 from identification.ringing import find_rings
 from identification.segments import Span
@@ -77,3 +79,27 @@ def test_a_delay_of_whole_samples_is_not_surer_than_its_two_readings_allow(tappe
     delay, std = fit.value("delay_s")
     assert abs(delay - 3.0 * period) < 4.4 * std
     assert std >= 1e-3 * period
+
+
+def test_taps_alone_tell_the_spring_with_the_mass_from_gravity() -> None:
+    """Taps and contacts, and no free motion that shows the payload's mass: the weight stands in for it."""
+    cell = Cell()
+    data = gathered(simulate_cell(cell, dataclasses.replace(TAPPED, contact_count=3), seed=5).recording)
+    data = dataclasses.replace(data, free=(), weighed=(cell.payload_mass_kg, 2e-3 * cell.payload_mass_kg))
+    fit = joint_fit._identify(data, joint_fit._ringing_alone)
+    assert np.max(np.abs(scores(fit, cell))) < 4.4
+    assert fit.value("stiffness_n_per_m")[1] < 5e-3 * cell.coupling.stiffness_n_per_m
+    # One tap is no witness.
+    with pytest.raises(EstimateError, match="No two spans"):
+        joint_fit._identify(dataclasses.replace(data, rings=data.rings[:1]), joint_fit._ringing_alone)
+
+
+def test_where_free_motion_tells_nothing_taps_are_asked() -> None:
+    cell = Cell()
+    data = gathered(simulate_cell(cell, dataclasses.replace(TAPPED, contact_count=3), seed=5).recording)
+    deaf = dataclasses.replace(data, free=(), coupling=np.array([5e6, 0.0, 0.0, 1.0]))
+    with pytest.raises(EstimateError):
+        identify_joint(deaf)
+    fit = identify_joint(dataclasses.replace(deaf, weighed=(cell.payload_mass_kg, 2e-3 * cell.payload_mass_kg)))
+    assert fit.is_weighed
+    assert fit.value("stiffness_n_per_m")[0] == pytest.approx(cell.coupling.stiffness_n_per_m, rel=0.01)
