@@ -8,7 +8,7 @@ import pytest
 from autotune.errors import InfeasibleError
 from autotune.tuning.relax import Relaxation, asked_numbers, find_relaxations
 from autotune.tuning.search import solve_design
-from problems.design import AdmittanceTarget, DesignProblem, Requirements
+from problems.design import AdmittanceTarget, DesignProblem, PassivityTarget, Requirements
 from problems.screening import EVERY_REQUIREMENT
 from tests.autotune.tuning.cases import design_problem
 
@@ -61,3 +61,14 @@ def test_nothing_is_told_where_nothing_is_stable() -> None:
     with pytest.raises(InfeasibleError, match="stable"):
         solve_design(problem)
     assert find_relaxations(problem) == ()
+
+
+def test_the_command_is_relaxed_like_the_loop_and_wishes_are_no_obstacle() -> None:
+    asked = replace(FEW, passivity=PassivityTarget(passive_below_hz=80.0), soft_n={"free_space_admittance": 5.0})
+    problem = design_problem(requirements=asked)
+    assert asked_numbers(problem) == {"modulus_margin": 0.5, "passivity": 80.0}
+    found = {each.name: each for each in find_relaxations(problem)}
+    possible = found["passivity"].possible
+    assert 40.0 < possible < 80.0
+    easier = replace(asked, passivity=PassivityTarget(passive_below_hz=possible))
+    assert solve_design(design_problem(requirements=easier)).evaluation.is_feasible

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from autotune.errors import InfeasibleError
+from autotune.tuning import joining
 from autotune.tuning import search as search_module
 from autotune.tuning.box import Box
 from autotune.tuning.search import presentable, solve_design
@@ -69,7 +70,7 @@ def test_the_design_is_feasible_on_a_random_grid_twenty_times_as_dense() -> None
     assert set(worst) == set(found.evaluation.requirements)
     assert {name: value for name, value in worst.items() if value > 1.0 + BETWEEN_GRID_POINTS} == {}
     # The promised peak is the worst of all: nothing in between is higher by more than the search's own tolerance.
-    assert largest <= found.evaluation.objective_n * (1.0 + 2.0 * search_module._WORSE_PEAK)
+    assert largest <= found.evaluation.objective_n * (1.0 + 2.0 * joining._WORSE_PEAK)
 
 
 def test_the_result_lies_inside_the_bounds_and_is_what_people_type() -> None:
