@@ -10,6 +10,14 @@ from identification.given import Given, axis_keys
 
 _FORM = re.compile(r"(?P<name>[a-z][a-z_.]*)=(?P<value>[^±]+?)(?:(?:±|\+-|\+/-)(?P<std>.+))?")
 
+_MAY_VANISH = (
+    "delay_s",
+    "coupling_damping_n_s_per_m",
+    "coupling_damping_n_m_s_per_rad",
+    "drag_n_s_per_m",
+    "drag_n_m_s_per_rad",
+)
+
 
 def parse_given(texts: Sequence[str]) -> dict[str, Given]:
     """Read priors; raise UsageError for a form, number or repetition that is none."""
@@ -22,6 +30,8 @@ def parse_given(texts: Sequence[str]) -> dict[str, Given]:
         _check_name(name)
         if std < 0.0:
             raise UsageError(f"The deviation in --given {text} must not be negative.")
+        if value < 0.0 or (value == 0.0 and not name.endswith(_MAY_VANISH)):
+            raise UsageError(f"--given {text}: {name} must be {'at least' if value < 0.0 else 'above'} 0.")
         if name in found:
             raise UsageError(f"--given {name} stands there twice; give it once.")
         found[name] = Given(value=value, std=std)

@@ -137,7 +137,9 @@ def _refusal(files: Sequence[Path], missing: list[Finding]) -> str:
     """Return one sentence: a contradiction first, since what is missing may follow from it."""
     missing = sorted(missing, key=lambda finding: finding.code not in _CONTRADICTIONS)
     first = missing[0]
-    others = f" (and {len(missing) - 1} more: {', '.join(f.code for f in missing[1:])})" if len(missing) > 1 else ""
+    alike = [finding.message for finding in missing[1:] if finding.code == first.code]
+    rest = [finding.code for finding in missing[1:] if finding.code != first.code]
+    others = (f" Also: {' '.join(alike)}" if alike else "") + (f" (And {', '.join(rest)}.)" if rest else "")
     names = ", ".join(path.name for path in files)
     return f"{names}: {first.message} {first.advice}".rstrip() + others
 

@@ -5,7 +5,9 @@ import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import active_children, get_context
-from typing import TypeVar
+from multiprocessing.reduction import ForkingPickler
+from types import MappingProxyType
+from typing import Any, TypeVar
 
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
@@ -18,21 +20,31 @@ def count_processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def map_in_processes(work: Callable[[_Task], _Result], tasks: Sequence[_Task], processes: int) -> list[_Result]:
+def map_in_processes(
+    work: Callable[[_Task], _Result],
+    tasks: Sequence[_Task],
+    processes: int,
+    *,
+    each: Callable[[], None] | None = None,
+) -> list[_Result]:
     """Return `work` of every task, in their order, by at most `processes` at a time.
 
     One process, or one task, is done here. Otherwise `work`, tasks and results are pickled, `work` stands at the top of
     a module, and a script that calls this guards its own start (`if __name__ == "__main__"`). What a task raises is
-    raised here, of several the first in order; that, or an interrupt, ends all processes at once.
+    raised here, of several the first in order; that, or an interrupt, ends all processes at once. `each` is called,
+    perhaps from another thread, whenever a task is done.
     """
+    done = each if each is not None else _nothing
     count = min(processes, len(tasks))
     if count < 2:
-        return [work(task) for task in tasks]
+        return [_done(work(task), done) for task in tasks]
     others = active_children()
     # A fork would copy the threads' locks of the libraries that are loaded already.
     with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_prepare) as pool:
         try:
             futures = [pool.submit(work, task) for task in tasks]
+            for future in futures:
+                future.add_done_callback(lambda _: done())
             return [future.result() for future in futures]
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -40,6 +52,27 @@ def map_in_processes(work: Callable[[_Task], _Result], tasks: Sequence[_Task], p
                 if process not in others:
                     process.terminate()
             raise
+
+
+def _nothing() -> None:
+    return None
+
+
+def _done(result: _Result, done: Callable[[], None]) -> _Result:
+    done()
+    return result
+
+
+def _frozen(items: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    return MappingProxyType(items)
+
+
+def _told_frozen(mapping: MappingProxyType[Any, Any]) -> tuple[Callable[..., Any], tuple[dict[Any, Any]]]:
+    return _frozen, (dict(mapping),)
+
+
+# Frozen records hold read-only views of dictionaries, which pickle does not know by itself.
+ForkingPickler.register(MappingProxyType, _told_frozen)
 
 
 def _prepare() -> None:

@@ -17,6 +17,7 @@ _SWEEP = (
 )
 _CONTACTS = "Record 3 or more contacts on the same spot: 1 to 3 cm/s, 20 to 50 N, hold for 1 s, back off."
 _IMPACTS = "Record 3 or more contacts at 3 to 5 cm/s, as far as the predicted peak force allows."
+_SHARP_PERCENT = 5.0
 _COMMAND = "Record the position command with the pose, on one clock, at the control rate."
 
 
@@ -69,7 +70,10 @@ def _told(lack: _Lack) -> str:
         return "{} ({:.3g} to {:.3g} with 95 %)".format(lack.name, *estimate.ci95)
     if isinstance(estimate, VectorEstimate) or not estimate.value or estimate.std is None:
         return lack.name
-    return f"{lack.name} (± {100.0 * estimate.std / abs(estimate.value):.0f} %)"
+    share = 100.0 * estimate.std / abs(estimate.value)
+    # What is told sharply and weak all the same has its reason in the note.
+    why = f"± {share:.0f} %" if share >= _SHARP_PERCENT or not estimate.note else estimate.note
+    return f"{lack.name} ({why})"
 
 
 def _payload_lacks(result: Identified) -> Iterator[_Lack]:

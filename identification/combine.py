@@ -24,6 +24,7 @@ from .result import (
     Status,
     VectorEstimate,
 )
+from .verdicts import IDENTIFIED_SHARE, weak_at_best
 
 FloatArray = NDArray[np.float64]
 
@@ -31,6 +32,7 @@ FloatArray = NDArray[np.float64]
 _CHANCE = 1e-3
 _SAME_SURFACE_STDS = 3.0
 _SAME_PERIOD = 1e-3
+_WIDER = 1e-9
 _ORDER = (Status.GIVEN, Status.IDENTIFIED, Status.WEAK, Status.UNIDENTIFIABLE)
 
 
@@ -98,7 +100,12 @@ class _Merge:
             return told[0][1] if told else next(e for e in estimates if e is not None)
         values = np.array([[e.value] for _, e in told], dtype=np.float64)
         mean, std = self._mean(what, [name for name, _ in told], values, _stds([e.std for _, e in told]), may_change)
-        return Estimate(value=float(mean[0]), std=float(std[0]), status=_sharpest(told), method=_method(told))
+        combined = Estimate(value=float(mean[0]), std=float(std[0]), status=_sharpest(told), method=_method(told))
+        # Where the logs scatter, the mean may be nobody's value.
+        scatter = std[0] > (1.0 + _WIDER) * min(e.std for _, e in told if e.std is not None)
+        if scatter and not std[0] <= IDENTIFIED_SHARE * abs(mean[0]):
+            return weak_at_best(combined, "the logs disagree")
+        return combined
 
     def vectors(self, what: str, estimates: Sequence[VectorEstimate], *, may_change: bool = False) -> VectorEstimate:
         """Return the same for vectors, component by component."""

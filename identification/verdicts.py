@@ -9,7 +9,7 @@ from .result import Estimate, Finding, Status, VectorEstimate
 
 FloatArray = NDArray[np.float64]
 
-_IDENTIFIED_SHARE = 0.05
+IDENTIFIED_SHARE = 0.05
 _WEAK_SHARE = 0.2
 _BOUND_SHARE = 0.25
 _TWO_SIDED = 1.96
@@ -21,7 +21,7 @@ def judged(
     *,
     method: str,
     note: str = "",
-    identified: float = _IDENTIFIED_SHARE,
+    identified: float = IDENTIFIED_SHARE,
     floor: float = 0.0,
     ci95: tuple[float, float] | None = None,
 ) -> Estimate:

@@ -41,7 +41,9 @@ Examples:
 @click.option("--pose-topic", help="The measured flange pose, if the log has several.")
 @click.option("--command-topic", help="The commanded flange pose.")
 @click.option(
-    "--allow-partial", is_flag=True, help="Write the file even if a parameter is missing; it is marked unidentifiable."
+    "--allow-partial",
+    is_flag=True,
+    help="Write the file even if a parameter is missing (it is marked unidentifiable) or logs disagree.",
 )
 @click.option("--salvage", is_flag=True, help="Read what a damaged log still holds, and tell what is lost.")
 @click.option(
@@ -68,7 +70,7 @@ def command(
     LOGs that follow each other within a second are one recording; others are identified apart and combined, and a
     parameter on which they disagree is named. A recording needs a wrench, the measured flange pose and the commanded
     one; in it: 6 to 12 tilted poses at rest, a commanded sweep in free space, and contacts. Exit code 3: a log cannot
-    be used. 4: they do not tell enough, or disagree, and nothing is written.
+    be used. 4: they do not tell enough, or disagree; nothing is written then, unless with --allow-partial.
     """
     from autotune.files.atomic import check_target
     from autotune.files.cell import read_cell
@@ -77,7 +79,7 @@ def command(
     from autotune.identifying import Topics, identify_log
     from autotune.processes import count_processors
 
-    check_target(out)
+    check_target(out, [*logs, *([] if cell_path is None else [cell_path])])
     topics = Topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
     cell = None if cell_path is None else read_cell(cell_path)
     with output.progress(f"identifying {', '.join(log.name for log in logs)}", None):

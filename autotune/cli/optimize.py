@@ -9,6 +9,7 @@ import click
 from ._common import Output, output_options
 from ._compare import compare_lines, compare_tree
 from ._pareto import FrontWriter, pareto_options
+from ._schedule import schedule_options
 from ._table import table_lines
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ Examples:
   autotune optimize identified.yaml --problem problem.yaml --json
   autotune optimize identified.yaml --compare old.yaml
   autotune optimize identified.yaml --pareto 9
+  autotune optimize identified.yaml --schedule payload=8:12,16.2,22 --schedule stiffness=2e4:1e5,1e5:5e5 -o cell
 """
 
 
@@ -65,10 +67,9 @@ def _ordered(low: float, high: float, what: str) -> tuple[float, float]:
     "-o",
     "--output",
     "out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    default=Path("controller.yaml"),
-    show_default=True,
-    help="The file to write.",
+    type=click.Path(path_type=Path),
+    show_default="controller.yaml, or the folder schedule",
+    help="The file to write, or with --schedule the folder.",
 )
 @click.option("--problem", type=click.Path(path_type=Path, dir_okay=False), help="Requirements, bounds and ranges.")
 @click.option("--payload-mass", callback=_masses, metavar="KG[,KG]", help="One mass, or a range that must all be safe.")
@@ -85,6 +86,7 @@ def _ordered(low: float, high: float, what: str) -> tuple[float, float]:
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same file.")
 @pareto_options
 @output_options
+@schedule_options
 def command(
     output: Output,
     identified: Path,
@@ -101,7 +103,7 @@ def command(
     Every identified axis is tuned, rotational ones in rad, N·m and kg·m². Peak force, stability and margins are those
     of the exact sampled loop, over the whole range of payload mass and environment stiffness. Exit code 5: no
     controller meets the requirements. 6: a claim could not be verified, or the file to compare with is altered. Nothing
-    is written then. The controller is the same with and without --pareto.
+    is written then. The controller is the same with and without --pareto. With --schedule the output is a folder.
     """
     from autotune.files.atomic import check_target
     from autotune.files.canonical import short
@@ -112,7 +114,7 @@ def command(
     from autotune.tuning.optimize import optimize
     from autotune.tuning.problems import Wishes
 
-    check_target(out)
+    check_target(out, [path for path in (identified, problem) if path is not None])
     plant = read_identified(identified)
     existing = None if old is None else read_controller(old)
     spec = ProblemSpec() if problem is None else read_problem(problem)
@@ -122,6 +124,9 @@ def command(
         found = optimize(plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, progress=advance)
     fronts.trace(output, found)
     checksum = write_controller(out, found.controller)
+    for finding in plant.result.findings:
+        if finding.severity != "info":
+            output.note(f"{identified}: {finding.severity}: {finding.message}")
     fronts.write(found)
     if found.controller.payload.mass_kg != plant.result.payload.mass_kg.value:
         output.note(

@@ -106,7 +106,7 @@ def command(
     from identification.plan_result import Limits
     from identification.plan_values import usual_values, values_of
 
-    check_target(out)
+    check_target(out, [] if identified is None else [identified])
     limits = Limits(
         max_tilt_deg=max_tilt,
         pose_count=poses,

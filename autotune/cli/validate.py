@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output, output_options
+from ._schedule import validate_schedule
 
 if TYPE_CHECKING:
     from autotune.validation.validate import ValidationReport
@@ -14,6 +15,7 @@ _EPILOG = """\b
 Examples:
   autotune validate controller.yaml
   autotune validate controller.yaml --identified identified.yaml
+  autotune validate schedule/schedule.yaml
 """
 
 
@@ -29,8 +31,14 @@ def command(output: Output, controller: Path, identified: Path | None) -> None:
     """Verify CONTROLLER again, from the file alone and by other code than the optimizer's.
 
     Checksum, schema and ranges; stability proved anew over the whole domain; margins and free-space admittance by a
-    second method; every predicted contact replayed. Exit code 6: a claim does not hold, or the file was altered.
+    second method; every predicted contact replayed. Of a schedule, every controller that it lists. Exit code 6: a claim
+    does not hold, or the file was altered.
     """
+    from autotune.files.schedule import is_schedule
+
+    if is_schedule(controller):
+        validate_schedule(output, controller, identified)
+        return
     from autotune.files.canonical import short
     from autotune.files.controller import read_controller
     from autotune.files.identified import read_identified

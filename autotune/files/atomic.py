@@ -2,19 +2,41 @@
 
 import os
 import secrets
+import shutil
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
 from autotune.errors import UsageError
 
+_HEAD_BYTES = 4096
+_OURS = b"autotune/"
 
-def check_target(path: Path | str) -> None:
-    """Raise UsageError now if `write_atomic` could not write there later: worth asking before long work."""
+
+def check_target(path: Path | str, sources: Iterable[Path | str] | None = None) -> None:
+    """Raise UsageError now if `write_atomic` could not write there later: worth asking before long work.
+
+    With `sources`, what the work reads, the target may be none of them, nor a file that is not one of the tool's own.
+    """
     folder = Path(path).resolve().parent
     if not folder.is_dir():
         raise UsageError(f"{path} cannot be written: the folder {folder} does not exist.")
     if not os.access(folder, os.W_OK):
         raise UsageError(f"{path} cannot be written: the folder {folder} is not writable.")
+    for source in sources or ():
+        if os.path.realpath(source) == os.path.realpath(path):
+            raise UsageError(f"{path} is what is read, and would be replaced by the result; name another file with -o.")
+    if sources is not None and not _is_ours(Path(path)):
+        raise UsageError(f"{path} exists and is no file of this tool, so it is not replaced; name another one with -o.")
+
+
+def _is_ours(path: Path) -> bool:
+    """Tell whether nothing is lost: there is no file, an empty one, a device, or one that this tool wrote."""
+    if not path.is_file():
+        return True
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD_BYTES)
+    return not head or _OURS in head
 
 
 def write_atomic(path: Path | str, content: str | bytes) -> None:
@@ -35,6 +57,37 @@ def write_atomic(path: Path | str, content: str | bytes) -> None:
             _replace(target, data)
     except OSError as error:
         raise UsageError(f"{path} cannot be written: {error.strerror or error}.") from error
+
+
+def write_folder_atomic(path: Path | str, files: Mapping[str, str]) -> None:
+    """Write texts by file name into the folder `path`, in place of the folder that stood there.
+
+    They go to a temporary folder beside it, are flushed to the disk, and take the name in one step; what stood there
+    is moved aside before and deleted after that, and comes back if the step fails. So nobody ever sees half of the
+    files under `path`. A symbolic link is followed. Nothing is left behind on failure or interruption.
+
+    Raises UsageError: the folder cannot be written.
+    """
+    target = Path(os.path.realpath(path))
+    mark = secrets.token_hex(8)
+    temporary, former = (target.parent / f".autotune-{mark}.{end}" for end in ("tmp", "old"))
+    try:
+        try:
+            temporary.mkdir()
+            for name, text in files.items():
+                write_atomic(temporary / name, text)
+            if target.exists():
+                target.rename(former)
+            temporary.rename(target)
+        except BaseException:
+            if former.exists() and not target.exists():
+                former.rename(target)
+            shutil.rmtree(temporary, ignore_errors=True)
+            raise
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written: {error.strerror or error}.") from error
+    _sync_directory(target.parent)
+    shutil.rmtree(former, ignore_errors=True)
 
 
 def _replace(target: Path, data: bytes) -> None:

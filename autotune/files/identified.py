@@ -7,13 +7,13 @@ from types import MappingProxyType
 from typing import Any
 
 from autotune.errors import UsageError
-from identification.result import Identified
+from identification.result import Identified, Status
 
 from .atomic import write_atomic
 from .canonical import plain
 from .records import read_record, record_tree, rename_axis_keys
 from .schema import VERSION, check_document, check_format, check_tree
-from .yaml12 import dump_yaml, load_document
+from .yaml12 import Document, dump_yaml, load_document
 
 FORMAT = "autotune/identified"
 
@@ -63,9 +63,44 @@ def read_identified(path: Path | str) -> IdentifiedFile:
     check_document(document, "identified")
     body = {key: value for key, value in document.tree.items() if key not in ("format", "version", "provenance")}
     body["axes"] = {axis: rename_axis_keys(axis, tree, reading=True) for axis, tree in body["axes"].items()}
+    result = read_record(Identified, body)
+    _check_values(document, result)
     return IdentifiedFile(
-        result=read_record(Identified, body),
+        result=result,
         provenance=document.tree["provenance"],
         path=document.path,
         sha256=document.sha256,
     )
+
+
+_ROUNDING = 1e-6
+_CHECKED = ("stiffness_n_per_m", "damping_n_s_per_m", "drag_n_s_per_m", "mass_kg")
+
+
+def _check_values(document: Document, result: Identified) -> None:
+    """Refuse a value that was changed by hand and still calls itself identified: its covariance says another."""
+    for name, axis in result.axes.items():
+        if axis.covariance is None:
+            continue
+        told = dict(zip(axis.covariance.names, axis.covariance.values, strict=True))
+        keys = rename_axis_keys(
+            name,
+            {key: key for key in ("stiffness_n_per_m", "damping_n_s_per_m", "drag_n_s_per_m", "mass_kg")},
+            reading=False,
+        )
+        place = {old: new for new, old in keys.items()}
+        for symbol, estimate, where in (
+            ("K_s", axis.coupling.stiffness_n_per_m, ("coupling", place["stiffness_n_per_m"])),
+            ("B_s", axis.coupling.damping_n_s_per_m, ("coupling", place["damping_n_s_per_m"])),
+            ("B_p", axis.drag_n_s_per_m, (place["drag_n_s_per_m"],)),
+            ("M_p", axis.mass_kg, (place["mass_kg"],)),
+            ("T_d", axis.robot.delay_s, ("robot", "delay_s")),
+        ):
+            if estimate is None or estimate.value is None or estimate.status is Status.GIVEN or symbol not in told:
+                continue
+            if abs(estimate.value - told[symbol]) > _ROUNDING * abs(told[symbol]) + 1e-2 * (estimate.std or 0.0):
+                document.refuse(
+                    ("axes", name, *where, "value"),
+                    f"{estimate.value:g} is not what the covariance of axis {name} holds for {symbol}, "
+                    f"{told[symbol]:g}; a value that was corrected by hand has the status given, and its std.",
+                )

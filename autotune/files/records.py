@@ -23,6 +23,8 @@ ROTATIONAL_KEYS: Mapping[str, str] = types.MappingProxyType(
         "drag_n_s_per_m": "drag_n_m_s_per_rad",
         "mass_kg": "inertia_kg_m2",
         "peak_force_n": "peak_torque_n_m",
+        "peak_with_common_n": "peak_with_common_n_m",
+        "cost_n": "cost_n_m",
         "environment_stiffness_n_per_m": "environment_stiffness_n_m_per_rad",
         "environment_damping_n_s_per_m": "environment_damping_n_m_s_per_rad",
         "environment_mass_kg": "environment_inertia_kg_m2",

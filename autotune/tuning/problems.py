@@ -194,11 +194,24 @@ def _place(name: str, within: str, key: str) -> str:
 
 def _mass_range(identified: Identified, name: str) -> Interval:
     if name not in ROTATIONAL_AXES:
-        return _range(identified.payload.mass_kg, "payload.mass_kg", _LEAST_MASS_SHARE)
+        return _weighed_range(identified, name)
     inertia, where = identified.axes[name].mass_kg, _place(name, "", "mass_kg")
     if inertia is None:
         raise EstimateError(_absent(where, "no motion tells it"))
     return _range(inertia, where, _LEAST_MASS_SHARE)
+
+
+def _weighed_range(identified: Identified, name: str) -> Interval:
+    """Return the range of the payload's mass, which holds that from gravity and, where they disagree, that from motion.
+
+    Which of two masses is right nobody can say, so both must be safe.
+    """
+    weighed, moved = identified.payload.mass_kg, identified.axes[name].mass_kg
+    low, high = _range(weighed, "payload.mass_kg", _LEAST_MASS_SHARE)
+    if moved is None or moved.value is None or low <= moved.value <= high:
+        return low, high
+    other = _range(moved, _place(name, "", "mass_kg"), _LEAST_MASS_SHARE)
+    return min(low, other[0]), max(high, other[1])
 
 
 def _stiffness_range(axis: AxisEstimate, name: str) -> Interval:

@@ -36,3 +36,13 @@ def test_without_deviation_it_is_exact_and_exponents_are_no_deviations() -> None
 def test_what_is_no_prior_is_refused(texts: list[str], told: str) -> None:
     with pytest.raises(UsageError, match=told):
         parse_given(texts)
+
+
+@pytest.mark.parametrize("text", ["mass_kg=-3", "mass_kg=0±1", "x.coupling_stiffness_n_per_m=-1e5", "x.delay_s=-1e-3"])
+def test_what_no_payload_has_is_refused(text: str) -> None:
+    with pytest.raises(UsageError, match="must be"):
+        parse_given([text])
+
+
+def test_a_damping_or_delay_may_be_none() -> None:
+    assert parse_given(["x.drag_n_s_per_m=0±10", "x.delay_s=0"])["x.delay_s"].value == 0.0

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import MappingProxyType
 
 import pytest
 
@@ -34,6 +35,11 @@ def refuse(number: int) -> int:
     if number != 1:
         time.sleep(_PATIENCE_S)
     raise EstimateError(f"number {number}")
+
+
+def same(value: object) -> object:
+    """Hand back what was handed over."""
+    return value
 
 
 def own_pid(_: int) -> int:
@@ -104,3 +110,15 @@ def test_an_interrupt_ends_the_processes(tmp_path: Path, *, to_the_group: bool) 
     assert errors.rstrip().endswith("KeyboardInterrupt")
     pids = [int(path.read_text(encoding="ascii")) for path in told]
     assert waited_for(lambda: not any(is_alive(pid) for pid in pids), 5.0)
+
+
+def test_read_only_mappings_pass_both_ways() -> None:
+    tasks = [MappingProxyType({"a": index}) for index in range(2)]
+    assert map_in_processes(same, tasks, 2) == tasks
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_each_finished_task_is_told(processes: int) -> None:
+    told: list[int] = []
+    map_in_processes(abs, [1, 2, 3], processes, each=lambda: told.append(1))
+    assert len(told) == 3

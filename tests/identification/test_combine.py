@@ -122,6 +122,16 @@ def test_logs_of_two_payloads_disagree_loudly() -> None:
     assert found.payload.mass_kg.std > 2.0
 
 
+def test_a_mean_of_two_payloads_is_weak_at_best() -> None:
+    """16 and 18 kg: 17 ± 1.4 is nobody's mass, however sharply each log tells its own."""
+    parts = [NamedResult(name=f"{m}", result=told(known(m, 0.01))) for m in (15.0, 18.0)]
+    mass = combine_identified(parts).payload.mass_kg
+    assert mass.status is Status.WEAK
+    assert "disagree" in mass.note
+    alike = [NamedResult(name=f"{m}", result=told(known(m, 0.01))) for m in (16.0, 16.01)]
+    assert combine_identified(alike).payload.mass_kg.status is Status.IDENTIFIED
+
+
 def test_a_bias_may_change_from_log_to_log() -> None:
     found = combined(told(bias=1.0), told(bias=4.0))
     assert codes(found, "error") == []

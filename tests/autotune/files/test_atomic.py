@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from autotune.errors import UsageError
-from autotune.files.atomic import write_atomic
+from autotune.files.atomic import check_target, write_atomic
 
 
 def test_text_is_written_as_utf8_without_translation(tmp_path: Path) -> None:
@@ -72,3 +72,25 @@ def test_an_impossible_target_is_a_usage_error_that_names_it(tmp_path: Path, pla
         write_atomic(target, "x")
     assert str(target) in str(caught.value)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_read_is_not_replaced(tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    log.write_bytes(b"\x89MCAP0")
+    (tmp_path / "link.yaml").symlink_to(log)
+    for target in (log, tmp_path / "link.yaml"):
+        with pytest.raises(UsageError, match="is what is read"):
+            check_target(target, [log])
+
+
+def test_another_programs_file_is_not_replaced(tmp_path: Path) -> None:
+    target = tmp_path / "notes.txt"
+    target.write_text("what I saw today")
+    with pytest.raises(UsageError, match="no file of this tool"):
+        check_target(target, [])
+    check_target(target)
+    target.write_text("format: autotune/plan\nversion: 1\n")
+    check_target(target, [])
+    target.write_text("")
+    check_target(target, [])
+    check_target(tmp_path / "new.yaml", [target])

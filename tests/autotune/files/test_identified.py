@@ -136,3 +136,29 @@ def test_the_digest_is_that_of_the_bytes(tmp_path: Path) -> None:
     assert first.sha256 != second.sha256
     assert first.result == second.result
     assert second.path == path
+
+
+def test_a_value_that_its_covariance_contradicts_is_refused(tmp_path: Path) -> None:
+    """Someone corrected a number and left it `identified`: the confidence set would speak of another one."""
+    result = make_identified()
+    axis = result.axes["x"]
+    stiffness, damping = axis.coupling.stiffness_n_per_m, axis.coupling.damping_n_s_per_m
+    assert stiffness.value is not None
+    assert damping.value is not None
+    covariance = Covariance(
+        names=("K_s", "B_s"), values=(stiffness.value, damping.value), matrix=((1.0, 0.0), (0.0, 1.0))
+    )
+    for value, status, good in (
+        (stiffness.value, Status.IDENTIFIED, True),
+        (1.1 * stiffness.value, Status.IDENTIFIED, False),
+        (1.1 * stiffness.value, Status.GIVEN, True),
+    ):
+        changed = replace(stiffness, value=value, std=1.0, status=status)
+        coupling = replace(axis.coupling, stiffness_n_per_m=changed)
+        path = tmp_path / "identified.yaml"
+        write_identified(path, replace(result, axes={"x": replace(axis, coupling=coupling, covariance=covariance)}), {})
+        if good:
+            assert read_identified(path).result.axes["x"].coupling.stiffness_n_per_m.value == value
+        else:
+            with pytest.raises(UsageError, match=r"line.*covariance of axis x holds for K_s.*status given"):
+                read_identified(path)

@@ -167,6 +167,15 @@ def test_a_range_that_leaves_the_identified_payload_out_is_refused() -> None:
         runtime_mass_kg(identified_plant(), (18.0, 22.0))
 
 
+def test_masses_that_disagree_must_both_be_safe() -> None:
+    moved = replace(identified_axis(), mass_kg=known(18.0, 0.01))
+    low, high = build_problems(with_axis(moved), ProblemSpec(), Wishes())["x"].payload_mass_kg
+    assert low <= 16.0 * 0.98
+    assert high >= 18.0 * 1.02
+    alone = build_problems(with_axis(replace(moved, mass_kg=known(16.1, 0.01))), ProblemSpec(), Wishes())["x"]
+    assert alone.payload_mass_kg[1] < 17.0
+
+
 def test_the_noise_is_the_sensors_unless_it_is_said() -> None:
     def limit(noise: float | None, plant: Identified | None = None) -> NoiseLimit | None:
         asked = Requirements(command_noise=NoiseLimit(max_speed_rms_m_s=1e-3, force_noise_rms_n=noise))

@@ -1,0 +1,244 @@
+"""`autotune optimize --schedule`: its option, the call, and what is printed of the table."""
+
+import functools
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ._common import Output
+from ._table import table_lines
+
+if TYPE_CHECKING:
+    from autotune.tuning.schedule import ScheduleClass
+
+Interval = tuple[float, float]
+
+_KINDS = {"payload": "payload_mass_kg", "stiffness": "environment_stiffness_n_per_m"}
+_OPTION_OF = {"payload": "payload_mass", "stiffness": "environment_stiffness"}
+_SHORT = {"payload_mass_kg": ("payload", "kg"), "environment_stiffness_n_per_m": ("K_e", "N/m")}
+
+
+def _tables(
+    _context: click.Context, _option: click.Parameter, texts: Sequence[str]
+) -> dict[str, tuple[Interval, ...]] | None:
+    """Return the classes by kind, None where no schedule is asked."""
+    found: dict[str, tuple[Interval, ...]] = {}
+    for text in texts:
+        kind, equals, listed = text.partition("=")
+        if kind not in _KINDS or not equals:
+            raise click.BadParameter(
+                f"give payload=CLASSES in kg or stiffness=CLASSES in N/m, for example payload=8:12,22; found {text!r}."
+            )
+        found[kind] = found.get(kind, ()) + tuple(_interval(part, kind) for part in listed.split(","))
+    return found or None
+
+
+def _interval(text: str, kind: str) -> Interval:
+    try:
+        numbers = [float(part) for part in text.split(":")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (1, 2):
+        raise click.BadParameter(f"{text!r} is no {kind}; give a number, or a range as LOW:HIGH.")
+    low, high = numbers[0], numbers[-1]
+    if not 0.0 < low <= high < float("inf"):
+        raise click.BadParameter(
+            f"a {kind} must be finite and above 0, the lower one first; found {low:g} and {high:g}."
+        )
+    return low, high
+
+
+def schedule_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add `--schedule` to `optimize`; with it the table is tuned instead of the one controller of `function`."""
+
+    @click.option(
+        "--schedule",
+        multiple=True,
+        callback=_tables,
+        metavar="payload=A,B|stiffness=LO:HI,...",
+        help="Tune a controller for every class of payload and surface, into a folder.",
+    )
+    @functools.wraps(function)
+    def command(output: Output, **kwargs: Any) -> Any:
+        tables, out = kwargs.pop("schedule"), kwargs.pop("out")
+        if tables is not None:
+            return _tune(output, tables, Path("schedule") if out is None else out, **kwargs)
+        if out is not None and out.is_dir():
+            raise click.UsageError(f"Invalid value for '-o' / '--output': File '{out}' is a directory.")
+        return function(output, out=Path("controller.yaml") if out is None else out, **kwargs)
+
+    return command
+
+
+def _tune(
+    output: Output,
+    tables: Mapping[str, Sequence[Interval]],
+    folder: Path,
+    *,
+    identified: Path,
+    problem: Path | None,
+    seed: int,
+    **others: Any,
+) -> None:
+    _check_alone(tables, others)
+    from autotune.files.identified import read_identified
+    from autotune.files.problem import ProblemSpec, read_problem
+    from autotune.files.schedule import check_schedule_target, write_schedule
+    from autotune.processes import count_processors
+    from autotune.tuning.problems import Wishes
+    from autotune.tuning.schedule import build_classes, tune_schedule
+
+    check_schedule_target(folder)
+    classes = build_classes(tables.get("payload", ()), tables.get("stiffness", ()))
+    plant = read_identified(identified)
+    with output.progress(f"tuning {len(classes)} classes", 1.0) as advance:
+        schedule = tune_schedule(
+            plant,
+            ProblemSpec() if problem is None else read_problem(problem),
+            Wishes(
+                payload_mass_kg=others["payload_mass"], environment_stiffness_n_per_m=others["environment_stiffness"]
+            ),
+            classes,
+            seed=seed,
+            problem_path=problem,
+            processes=count_processors(),
+            progress=advance,
+        )
+    tree = write_schedule(folder, schedule)
+    mass = plant.result.payload.mass_kg.value
+    strange = [each.of.name for each in schedule.tuned if each.controller.payload.mass_kg != mass]
+    if strange:
+        output.note(
+            f"The runtime will compensate another mass than the identified one, with its centre of mass, in "
+            f"{', '.join(strange)}; identify those payloads before they are led by hand."
+        )
+    output.result(tree, lambda: _print(tree, classes, folder))
+
+
+def _check_alone(tables: Mapping[str, Sequence[Interval]], others: Mapping[str, Any]) -> None:
+    """Refuse options that speak of one controller, or of what the table says."""
+    for name, option in (("old", "compare"), ("pareto", "pareto")):
+        if others[name] is not None:
+            raise click.UsageError(f"--{option} is about one controller, and --schedule tunes many.")
+    for kind in tables:
+        if others[_OPTION_OF[kind]] is not None:
+            option = _OPTION_OF[kind].replace("_", "-")
+            raise click.UsageError(f"--{option} and --schedule {kind}= both say the {kind}; give one of them.")
+
+
+def _print(tree: Mapping[str, Any], classes: "Sequence[ScheduleClass]", folder: Path) -> None:
+    for line in schedule_lines(tree):
+        click.echo(line)
+    from autotune.files.canonical import short
+
+    files = len(classes) + (tree["common"]["file"] is not None)
+    click.echo(f"written: {folder}, {files} controllers and schedule.yaml, checksum {short(tree['checksum'])}")
+
+
+def schedule_lines(tree: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the table of a schedule, what one controller for all costs, and what the classes cover."""
+    from autotune.files.canonical import short
+    from autotune.files.records import ROTATIONAL_AXES, rename_axis_keys
+
+    scheduled = [name for name in _SHORT if name in tree["covered"]]
+    place = "contact" if tree["objective"] == "contact_force" else "sensor"
+    names = set(tree["classes"][0]["axes"])
+    unit = {0: "N", len(names): "N·m"}.get(len(names & ROTATIONAL_AXES), "N, N·m")
+    heads = ["class", *(f"{_SHORT[name][0]} [{_SHORT[name][1]}]" for name in scheduled), "axis"]
+    rows = [(*heads, f"peak at {place} [{unit}]", "with all.yaml", "costs", "", "checksum")]
+    costs: dict[str, tuple[float, float, str]] = {}
+    for entry in tree["classes"]:
+        for axis, of_axis in entry["axes"].items():
+            told = rename_axis_keys(axis, of_axis, reading=True)
+            ranges = (_told(entry[name]) for name in scheduled)
+            rows.append((entry["name"], *ranges, axis, *_numbers(told), short(entry["checksum"])))
+            if told["cost_n"] is not None:
+                costs[axis] = max(costs.get(axis, (-float("inf"), 0.0, "")), _cost(told, entry["name"]))
+    yield from table_lines(rows, left=(0, len(scheduled) + 1, len(heads) + 4))
+    common = tree["common"]
+    if common["file"] is None:
+        yield f"no controller serves all classes: {common['refusal']}"
+    for axis, (percent, newton, name) in costs.items():
+        unit = "N·m" if axis in ROTATIONAL_AXES else "N"
+        most = (
+            f"costs up to {percent:.1f} % of peak ({newton:.3g} {unit}), in {name}" if newton > 0.0 else "costs nothing"
+        )
+        yield f"axis {axis}: one controller for all, {common['file']}, {most}"
+    for name in scheduled:
+        yield _coverage(name, tree["covered"][name])
+
+
+def _numbers(told: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the peaks and costs of a row; more digits for a small torque."""
+    digits = 1 if told["peak_force_n"] >= 10.0 else 3
+    if told["cost_n"] is None:
+        return f"{told['peak_force_n']:.{digits}f}", "-", "-", ""
+    peaks = (f"{told[name]:.{digits}f}" for name in ("peak_force_n", "peak_with_common_n"))
+    return *peaks, f"{told['cost_n']:.{digits + 1}f}", f"{told['cost_percent']:.1f} %"
+
+
+def _cost(told: Mapping[str, Any], name: str) -> tuple[float, float, str]:
+    return told["cost_percent"], told["cost_n"], name
+
+
+def validate_schedule(output: Output, path: Path, identified: Path | None) -> None:
+    """Verify every controller of a schedule from the files alone; raises CertificateError where one does not hold."""
+    from autotune.errors import CertificateError
+    from autotune.files.canonical import short
+    from autotune.files.schedule import read_schedule
+    from autotune.processes import count_processors, map_in_processes
+    from autotune.validation.validate import validate_controller
+
+    if identified is not None:
+        raise click.UsageError("--identified is compared with one controller; name one that the schedule lists.")
+    read = read_schedule(path)
+    files = read.controllers
+    with output.progress(f"validating {len(files)} controllers", len(files)) as advance:
+        work = [file.controller for file in files.values()]
+        done = map_in_processes(validate_controller, work, count_processors(), each=lambda: advance(1.0))
+    reports = dict(zip(files, done, strict=True))
+    tree = {
+        "path": str(path),
+        "checksum": read.checksum,
+        "short_checksum": short(read.checksum),
+        "passed": all(report.passed for report in reports.values()),
+        "controllers": {
+            name: {
+                "file": files[name].path.name,
+                "checksum": files[name].checksum,
+                "passed": report.passed,
+                "checks": [vars(check) for check in report.checks],
+            }
+            for name, report in reports.items()
+        },
+    }
+    output.result(tree, lambda: _print_validated(tree))
+    for name, report in reports.items():
+        try:
+            report.require()
+        except CertificateError as error:
+            raise CertificateError(f"{files[name].path.name}: {error}") from error
+
+
+def _print_validated(tree: Mapping[str, Any]) -> None:
+    for each in tree["controllers"].values():
+        failed = [check for check in each["checks"] if not check["passed"]]
+        told = "; ".join(f"axis {check['axis']}, {check['name']}: {check['message']}" for check in failed)
+        verdict = told or f"{len(each['checks'])} checks passed"
+        click.echo(f"{'FAILED' if failed else 'ok':6} {each['file']}: {verdict}")
+    click.echo(f"{tree['path']}: {'valid' if tree['passed'] else 'NOT valid'}, checksum {tree['short_checksum']}")
+
+
+def _told(interval: Sequence[float]) -> str:
+    low, high = interval
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+
+
+def _coverage(name: str, intervals: Sequence[Sequence[float]]) -> str:
+    what, unit = _SHORT[name]
+    told = f"{what} covered: {', '.join(_told(each) for each in intervals)} {unit}"
+    gaps = [_told((before[1], after[0])) for before, after in itertools.pairwise(intervals)]
+    return f"{told}; no class from {', '.join(gaps)}" if gaps else told
