@@ -13,7 +13,7 @@ from .design import DesignProblem
 from .margin_table import MarginTable, build_margin_table
 from .margins import Margins, PreparedMargins, UnstableLoopError, prepare_margins
 from .noise import command_speed_gain
-from .passivity import passive_below_hz
+from .passivity import PreparedPort, prepare_port
 from .plant import Plant
 from .requirements import PassivityTarget, Requirements
 from .response import PlantResponse, free_space_admittance, plant_response, rendered_admittance
@@ -140,6 +140,7 @@ def _larger(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, f
 class PreparedScenarios:
     """Scenarios with everything that does not depend on the design already computed.
 
+    `ports` are those of all different robots, where passivity is asked.
     `plants` are those of the scenarios in contact, then every different one in free space, the lightest first;
     `free_of` are scenarios that those belong to. `target_response` is that of all different robots, one after the
     other.
@@ -152,16 +153,12 @@ class PreparedScenarios:
     free_of: tuple[Scenario, ...]
     target_response: PlantResponse | None
     table: MarginTable
+    ports: tuple[PreparedPort, ...]
 
     @property
     def free(self) -> tuple[SampledPlant, ...]:
         """The different plants in free space, the lightest first."""
         return tuple(plant.sampled for plant in self.plants[len(self.pairs) :])
-
-    @property
-    def robots(self) -> tuple[SampledPlant, ...]:
-        """One plant in free space for each different robot."""
-        return tuple({plant.plant.robot: plant for plant in self.free}.values())
 
     def evaluate(
         self, design: Sequence[float] | FloatArray, *, peaks_if_missed: bool = False, radius: bool = True
@@ -252,7 +249,7 @@ class PreparedScenarios:
         target = self.problem.requirements.passivity
         if target is None:
             return self.achieved_admittance(controller)
-        passive = np.max(passivity_ratios(target, self.robots, controller))
+        passive = np.max(passivity_ratios(target, self.ports, controller))
         return {**self.achieved_admittance(controller), "passivity": float(passive)}
 
     def achieved_admittance(self, controller: AdmittanceController) -> dict[str, float]:
@@ -298,7 +295,13 @@ def build_scenarios(problem: DesignProblem, scenarios: Sequence[Scenario]) -> Pr
         table=build_margin_table(plants),
         free_of=tuple(scenario for _, scenario in free),
         target_response=_target_response(problem, [plant for plant, _ in free]),
+        ports=() if problem.requirements.passivity is None else _ports([plant for plant, _ in free]),
     )
+
+
+def _ports(free: Sequence[SampledPlant]) -> tuple[PreparedPort, ...]:
+    """Prepare the port of every different robot: it does not feel the payload."""
+    return tuple(prepare_port(plant) for plant in {plant.plant.robot: plant for plant in free}.values())
 
 
 def _target_response(problem: DesignProblem, free: Sequence[SampledPlant]) -> PlantResponse | None:
@@ -356,11 +359,11 @@ def normalise_plant(requirements: Requirements, plant: PlantMargins, sample_time
 
 
 def passivity_ratios(
-    target: PassivityTarget, robots: Sequence[SampledPlant], controller: AdmittanceController
+    target: PassivityTarget, ports: Sequence[PreparedPort], controller: AdmittanceController
 ) -> FloatArray:
-    """Return required/achieved of the passive band (k,) for each robot; infinite for a port that is never passive."""
+    """Return required/achieved of the passive band (k,) for each port; infinite for one that is never passive."""
     with np.errstate(divide="ignore"):
-        return target.passive_below_hz / np.array([passive_below_hz(robot, controller) for robot in robots])
+        return target.passive_below_hz / np.array([port.passive_below_hz(controller) for port in ports])
 
 
 def smallest_admittance(sampled: SampledPlant, controller: AdmittanceController, band_hz: tuple[float, float]) -> float:

@@ -178,7 +178,7 @@ class Screen:
             gains = [command_speed_gain(plant.sampled, controller) for plant in prepared.plants]
             values["command_noise"] = np.array([asked.command_noise.ratio(gain) for gain in gains])
         if asked.passivity is not None:
-            values["passivity"] = passivity_ratios(asked.passivity, prepared.robots, controller)
+            values["passivity"] = passivity_ratios(asked.passivity, prepared.ports, controller)
         for name, value in values.items():
             (found.soft_rows if name in asked.soft_n else found.rows)[name][index] = value
 
@@ -205,7 +205,7 @@ class Screen:
         if asked.max_peak_force_n is not None:
             # Without a peak another requirement is missed anyway.
             rows["max_peak_force_n"] = np.nan_to_num(by_pair[:, :, CONTACT] / asked.max_peak_force_n, nan=0.0)
-        robots, plants = len(self.prepared.robots), len(self.prepared.plants)
+        robots, plants = len(self.prepared.ports), len(self.prepared.plants)
         rows |= {name: np.zeros((len(whole), robots if name == "passivity" else plants)) for name in self.slow}
         for value in rows.values():
             value[unstable] = np.nan

@@ -22,6 +22,7 @@ from problems.design import FURTHER_VARIABLES, VARIABLES, DesignProblem
 from problems.evaluation import PreparedScenarios, normalise_margins, normalise_plant, passivity_ratios
 from problems.margins import PreparedMargins
 from problems.noise import command_speed_gain
+from problems.passivity import PreparedPort
 from problems.requirements import LARGEST_SHARE
 from problems.sampled import SampledPlant, build_loop, spectral_radius
 from problems.slopes import (
@@ -170,7 +171,7 @@ def near_keys(prepared: PreparedScenarios, design: FloatArray, near: float) -> t
             ratios.setdefault(name, []).append(value)
     ratios |= {name: [value] for name, value in prepared.achieved_admittance(controller).items()}
     if asked.passivity is not None:
-        ratios["passivity"] = list(passivity_ratios(asked.passivity, prepared.robots, controller))
+        ratios["passivity"] = list(passivity_ratios(asked.passivity, prepared.ports, controller))
     if asked.max_peak_force_n is not None:
         ratios["max_peak_force_n"] = [p.peak_contact_force_n / asked.max_peak_force_n for p in found]
     for name, of_name in ratios.items():
@@ -192,7 +193,7 @@ def row_at(prepared: PreparedScenarios, design: FloatArray, key: Key) -> Row:
     if name == "free_space_admittance":
         return _admittance_row(prepared, design, widths)
     if name == "passivity":
-        return _passivity_row(prepared.robots[index], problem, design, widths)
+        return _passivity_row(prepared.ports[index], problem, design, widths)
     if name == "command_noise":
         return _noise_row(prepared.plants[index].sampled, problem, design, widths)
     return _margin_row(prepared.plants[index], problem, name, design, widths)
@@ -266,12 +267,12 @@ def _admittance_row(prepared: PreparedScenarios, design: FloatArray, widths: Flo
     return _row(name, target.min_m_s_per_n, min(slopes, key=lambda slope: slope.value), problem, widths)
 
 
-def _passivity_row(robot: SampledPlant, problem: DesignProblem, design: FloatArray, widths: FloatArray) -> Row:
+def _passivity_row(port: PreparedPort, problem: DesignProblem, design: FloatArray, widths: FloatArray) -> Row:
     target, controller = problem.requirements.passivity, problem.controller(design)
     assert target is not None
 
     def log_of(moved: FloatArray) -> float:
-        ratio = float(passivity_ratios(target, [robot], problem.controller(moved))[0])
+        ratio = float(passivity_ratios(target, [port], problem.controller(moved))[0])
         return math.log(min(ratio, LARGEST_SHARE))
 
     value = log_of(design)
@@ -279,9 +280,10 @@ def _passivity_row(robot: SampledPlant, problem: DesignProblem, design: FloatArr
     if (
         _moves_exactly(problem, controller)
         and value < math.log(LARGEST_SHARE)
-        and fails_hz < 0.499 / robot.sample_time_s
+        and fails_hz < 0.499 / port.sampled.sample_time_s
     ):
-        return _row("passivity", target.passive_below_hz, passivity_slope(robot, controller, fails_hz), problem, widths)
+        slope = passivity_slope(port.sampled, controller, fails_hz)
+        return _row("passivity", target.passive_below_hz, slope, problem, widths)
     return Row(name="passivity", value=value, gradient=_differences(log_of, design, widths), is_exact=False)
 
 

@@ -27,8 +27,7 @@ def polish_exactly(screen: Screen, design: FloatArray, *, backoff: Mapping[str, 
     has c_j ≤ w and w ≥ 0, and its price times e^w − 1 is added to the peak. Whether the result
     is better, and feasible, is for the caller to evaluate: scenarios that were far from active are not looked at.
     """
-    prepared = screen.prepared
-    problem = prepared.problem
+    prepared, problem = screen.prepared, screen.prepared.problem
     widths = unit_widths(problem, design)
     keys = near_keys(prepared, design, _NEAR)
     prices = {name: price for name, price in problem.requirements.soft_n.items() if name in dict(keys)}
@@ -58,16 +57,10 @@ def polish_exactly(screen: Screen, design: FloatArray, *, backoff: Mapping[str, 
     first = rows(np.zeros(count))[0]
     start = np.concatenate([np.zeros(count), np.max(np.where(under > 0.0, first[:, None], -_WALL), axis=0)])
     start[count + 1 :] = np.maximum(start[count + 1 :], 0.0)
-    shares = np.array(list(prices.values())) / np.exp(start[count])
-
-    def whole(x: FloatArray) -> tuple[float, FloatArray]:
-        """Return ln(peak + cost) and its gradient, counted from the peak at the start; t alone without prices."""
-        peak, missed = np.exp(x[count] - start[count]), np.exp(x[count + 1 :])
-        total = peak + shares @ (missed - 1.0)
-        return float(np.log(total)), np.concatenate([np.zeros(count), [peak / total], shares * missed / total])
-
+    # Peak and prices are counted from the peak at the start.
+    shares, origin = np.array(list(prices.values())) / np.exp(start[count]), np.append(start[count], 0.0 * under[0, 1:])
     found = minimize(
-        whole,
+        lambda x: _log_of_sum(x[count:] - origin, shares, count),
         start,
         jac=True,
         method="SLSQP",
@@ -82,6 +75,16 @@ def polish_exactly(screen: Screen, design: FloatArray, *, backoff: Mapping[str, 
         options={"maxiter": _ITERATIONS, "ftol": 1e-8},
     )
     return at(np.asarray(found.x[:count]))
+
+
+def _log_of_sum(levels: FloatArray, shares: FloatArray, count: int) -> tuple[float, FloatArray]:
+    """Return ln(e^t + Σ share_j (e^w_j − 1)) of levels (t, w…) and its gradient, `count` zeros before it.
+
+    That is t where there are no shares.
+    """
+    peak, missed = np.exp(levels[0]), np.exp(levels[1:])
+    total = peak + shares @ (missed - 1.0)
+    return float(np.log(total)), np.concatenate([np.zeros(count), [peak / total], shares * missed / total])
 
 
 def _moves(screen: Screen, design: FloatArray, widths: FloatArray) -> list[tuple[float, float]]:

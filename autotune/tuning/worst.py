@@ -79,7 +79,7 @@ class WholeSet:
         }
         plants, scenarios = zip(*robots.values(), strict=True)
         if name == "passivity" and asked.passivity is not None:
-            ratios = passivity_ratios(asked.passivity, plants, controller)
+            ratios = passivity_ratios(asked.passivity, self.prepared.ports, controller)
         elif asked.free_space_admittance is not None:
             band = asked.free_space_admittance.band_hz
             ratios = np.array([-smallest_admittance(plant, controller, band) for plant in plants])

@@ -328,7 +328,7 @@ def test_passivity_is_asked_of_the_port() -> None:
     fails = check_passivity(ready.free[0], ready.problem.controller(GOOD)).fails_above_hz
     assert fails is not None
     assert ready.evaluate(GOOD).requirements["passivity"] == pytest.approx(5.0 / fails, rel=1e-12)
-    assert len(ready.robots) == 1
+    assert len(ready.ports) == 1
 
 
 def test_noise_without_a_number_and_a_band_beyond_the_sampling_are_refused() -> None:

@@ -129,7 +129,7 @@ ENTRIES: dict[str, tuple[tuple[str | int, ...], object, str]] = {
     "vector": (("payload", "com_m"), [0.0, 0.0], "payload.com_m must be at least 3 entries long"),
     "interval": (("certificate", "domain", "x", "payload_mass_kg"), [18.0, 14.0], "payload_mass_kg must be [lowest"),
     "band": (("predicted", "x", "free_space_admittance", "band_hz"), [5.0, 0.5], "band_hz must be [lowest, highest]"),
-    "requirement": (("certificate", "requirements", "modulus_margin"), "0.5", "a number, true or false, or {min_m_s"),
+    "requirement": (("certificate", "requirements", "modulus_margin"), "0.5", "a number, true or false, {min_m_s"),
     "nothing proved": (("certificate", "proved"), [], "certificate.proved must be at least one claim"),
     "no axes": (("axes",), {}, "axes"),
     "checksum": (("checksum",), "0" * 63, "checksum must be 64 hexadecimal digits"),
