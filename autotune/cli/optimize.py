@@ -14,6 +14,7 @@ from ._table import table_lines
 
 if TYPE_CHECKING:
     from autotune.files.controller import ControllerFile, ScenarioPrediction
+    from autotune.files.identified import IdentifiedFile
     from autotune.files.units import AxisUnits
     from autotune.studies.trace import FrontRequest
     from autotune.tuning.optimize import Optimized
@@ -110,7 +111,6 @@ def command(
     from autotune.files.controller import controller_tree, read_controller, write_controller
     from autotune.files.identified import read_identified
     from autotune.files.problem import ProblemSpec, read_problem
-    from autotune.files.records import ROTATIONAL_AXES
     from autotune.tuning.optimize import optimize
     from autotune.tuning.problems import Wishes
 
@@ -124,21 +124,9 @@ def command(
         found = optimize(plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, progress=advance)
     fronts.trace(output, found)
     checksum = write_controller(out, found.controller)
-    for finding in plant.result.findings:
-        if finding.severity != "info":
-            output.note(f"{identified}: {finding.severity}: {finding.message}")
     fronts.write(found)
-    if found.controller.payload.mass_kg != plant.result.payload.mass_kg.value:
-        output.note(
-            f"The runtime will compensate {found.controller.payload.mass_kg:g} kg with the centre of mass of the "
-            "identified payload; identify the new payload before it is led by hand."
-        )
-    turning = [name for name in found.controller.axes if name in ROTATIONAL_AXES]
-    if turning and environment_stiffness is not None:
-        output.note(
-            f"--environment-stiffness is in N/m and says nothing of {', '.join(turning)}; the range certified there is "
-            "the identified one, or that of problem.yaml."
-        )
+    for note in _notes(plant, found, environment_stiffness is not None):
+        output.note(note)
     tree = {**controller_tree(found.controller), "active": active_tree(found)}
     if existing is not None:
         tree["compare"] = compare_tree(existing, found.compared)
@@ -150,6 +138,26 @@ def command(
         fronts.print()
 
     output.result(tree, text)
+
+
+def _notes(plant: "IdentifiedFile", found: "Optimized", has_stiffness: bool) -> Iterator[str]:
+    """Yield what the user should know beside the result; `has_stiffness`: a range was named on the command line."""
+    from autotune.files.records import ROTATIONAL_AXES
+
+    for finding in plant.result.findings:
+        if finding.severity != "info":
+            yield f"{plant.path}: {finding.severity}: {finding.message}"
+    if found.controller.payload.mass_kg != plant.result.payload.mass_kg.value:
+        yield (
+            f"The runtime will compensate {found.controller.payload.mass_kg:g} kg with the centre of mass of the "
+            "identified payload; identify the new payload before it is led by hand."
+        )
+    turning = [name for name in found.controller.axes if name in ROTATIONAL_AXES]
+    if turning and has_stiffness:
+        yield (
+            f"--environment-stiffness is in N/m and says nothing of {', '.join(turning)}; the range certified there is "
+            "the identified one, or that of problem.yaml."
+        )
 
 
 def active_tree(found: "Optimized") -> dict[str, Any]:

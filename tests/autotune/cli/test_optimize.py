@@ -158,11 +158,11 @@ def test_what_cannot_be_met_is_exit_5_with_the_reason_and_no_file(
     run_cli: RunCli, tmp_path: Path, requirements: str, named: str
 ) -> None:
     prepare(tmp_path, FAST_PROBLEM_YAML.split("requirements:")[0] + f"requirements:\n  {requirements}\n")
-    (tmp_path / "controller.yaml").write_text("from an earlier run\n", encoding="utf-8")
+    (tmp_path / "controller.yaml").write_text("format: autotune/controller\n", encoding="utf-8")
     done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml")
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (5, "", 1)
     assert named in done.stderr
-    assert (tmp_path / "controller.yaml").read_text(encoding="utf-8") == "from an earlier run\n"
+    assert (tmp_path / "controller.yaml").read_text(encoding="utf-8") == "format: autotune/controller\n"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["controller.yaml", "identified.yaml", "problem.yaml"]
 
 
