@@ -18,6 +18,7 @@ from .result import (
     Finding,
     Identified,
     InertiaEstimate,
+    NoiseSpectrum,
     PayloadEstimate,
     RobotEstimate,
     SensorEstimate,
@@ -307,7 +308,14 @@ def _sensor(merge: _Merge, sensors: Sequence[SensorEstimate]) -> SensorEstimate:
         torque_noise_rms_n_m=_optional(merge, "torque noise [N·m]", [s.torque_noise_rms_n_m for s in sensors]),
         mounting_rad=_optional(merge, "mounting of the sensor [rad]", [s.mounting_rad for s in sensors]),
         base_tilt_rad=_optional(merge, "tilt of the base [rad]", [s.base_tilt_rad for s in sensors]),
+        noise=_noisiest(sensors),
     )
+
+
+def _noisiest(sensors: Sequence[SensorEstimate]) -> NoiseSpectrum | None:
+    """Return the spectrum of the log with most noise, as its rms is what is told."""
+    told = [s for s in sensors if s.noise is not None]
+    return max(told, key=lambda s: s.force_noise_rms_n.value or 0.0).noise if told else None
 
 
 def _optional(merge: _Merge, what: str, estimates: Sequence[VectorEstimate | None]) -> VectorEstimate | None:

@@ -164,6 +164,20 @@ class AxisEstimate:
 
 
 @dataclass(frozen=True, kw_only=True)
+class NoiseSpectrum:
+    """The sensor's noise at rest in bands of frequency, (k,) each, one-sided, the mean of the three axes.
+
+    `frequency_hz` are the bands' centres. `resolution` is the step of Fx, Fy, Fz [N] and Tx, Ty, Tz [N·m] as logged,
+    None where none shows.
+    """
+
+    frequency_hz: tuple[float, ...]
+    force_n2_per_hz: tuple[float, ...]
+    torque_n2_m2_per_hz: tuple[float, ...]
+    resolution: tuple[float | None, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class SensorEstimate:
     """The six-axis sensor at rest.
 
@@ -179,6 +193,7 @@ class SensorEstimate:
     torque_noise_rms_n_m: VectorEstimate | None = None
     mounting_rad: VectorEstimate | None = None
     base_tilt_rad: VectorEstimate | None = None
+    noise: NoiseSpectrum | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,6 +33,7 @@ def describe_sensor(
         ),
         deadband_n=_deadband(read, noise),
         torque_noise_rms_n_m=None if noise is None else _torque_noise(noise),
+        noise=None if noise is None else noise.spectrum(),
         mounting_rad=mounting.mounting_S_rad,
         base_tilt_rad=mounting.base_tilt_B_rad,
     )

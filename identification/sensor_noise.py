@@ -11,7 +11,7 @@ from scipy.signal import detrend, welch
 from .aligned import AlignedLog
 from .logs.deadband import Deadband, find_deadband
 from .recording import AXES, WrenchSignal
-from .result import Estimate, Finding, Status
+from .result import Estimate, Finding, NoiseSpectrum, Status
 from .segments import Span
 
 FloatArray = NDArray[np.float64]
@@ -29,6 +29,7 @@ _LATTICE_TOLERANCE = 0.1
 _FEWEST_LEVELS = 200
 _FINEST_SHARE = 1e-4
 _CANDIDATES = 8
+_BANDS = 24
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,6 +66,20 @@ class SensorNoise:
         value = float(np.sqrt(np.mean(self.rms[:3] ** 2)))
         std = float(np.sqrt(np.sum((self.rms[:3] * self.rms_std[:3]) ** 2)) / (3.0 * max(value, 1e-30)))
         return Estimate(value=value, std=std, status=Status.IDENTIFIED, method="spread within rests, drift taken out")
+
+    def spectrum(self) -> NoiseSpectrum:
+        """Return the spectrum in bands of equal ratio, power kept, and the resolution."""
+        first = max(int(np.argmax(self.frequency_hz > 0.0)), 1)
+        edges = np.geomspace(self.frequency_hz[first], self.frequency_hz[-1] * (1.0 + 1e-9), _BANDS + 1)
+        band = np.digitize(self.frequency_hz, edges)
+        told = [band == i for i in range(1, _BANDS + 1) if np.any(band == i)]
+        force, torque = np.mean(self.density[:, :3], axis=1), np.mean(self.density[:, 3:], axis=1)
+        return NoiseSpectrum(
+            frequency_hz=tuple(float(np.mean(self.frequency_hz[inside])) for inside in told),
+            force_n2_per_hz=tuple(float(np.mean(force[inside])) for inside in told),
+            torque_n2_m2_per_hz=tuple(float(np.mean(torque[inside])) for inside in told),
+            resolution=self.resolution,
+        )
 
 
 def identify_sensor_noise(log: AlignedLog, still: Sequence[Span], wrench: WrenchSignal) -> SensorNoise | None:

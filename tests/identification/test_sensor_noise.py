@@ -165,3 +165,21 @@ def test_a_deadband_is_told_with_kind_and_width() -> None:
 def test_without_rest_nothing_is_said() -> None:
     log, wrench = log_of(white(8))
     assert identify_sensor_noise(log, [Span(start=0, stop=250)], wrench) is None
+
+
+def test_the_spectrum_that_is_told_keeps_the_power() -> None:
+    """White noise: every band has 2 σ²/rate, mean of the axes; coloured noise falls where the filter does."""
+    told = described(white(4)).spectrum()
+    np.testing.assert_allclose(told.force_n2_per_hz, 2.0 * np.mean(RMS[:3] ** 2) / RATE_HZ, rtol=0.4)
+    wide = [i for i, f in enumerate(told.frequency_hz) if f > 20.0]
+    force, torque = np.array(told.force_n2_per_hz)[wide], np.array(told.torque_n2_m2_per_hz)[wide]
+    np.testing.assert_allclose(force, 2.0 * np.mean(RMS[:3] ** 2) / RATE_HZ, rtol=0.2)
+    np.testing.assert_allclose(torque, 2.0 * np.mean(RMS[3:] ** 2) / RATE_HZ, rtol=0.2)
+    assert list(told.frequency_hz) == sorted(told.frequency_hz)
+    assert told.frequency_hz[-1] < 0.5 * RATE_HZ
+    assert told.resolution == (None,) * 6
+    sections = butter(2, 50.0, fs=RATE_HZ, output="sos")
+    dull = described(np.asarray(sosfilt(sections, white(5) - 5.0, axis=0))).spectrum()
+    assert dull.force_n2_per_hz[-1] < 1e-2 * max(dull.force_n2_per_hz)
+    stepped = described(np.round(white(6) / 0.05) * 0.05).spectrum()
+    assert stepped.resolution[0] == pytest.approx(0.05, rel=1e-6)
