@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 _GAIN_SHARE = 0.05
 _SIGNIFICANT_STDS = 3.0
 _SMALLEST_LEVER_M = 0.1
-_LOOSEST_SHARE = 0.5
+_LOOSEST_SHARE, _LOOSEST_BOUND = 0.5, 0.25
 _NOT_SPLIT = "loop delay, half a control period and the logger's lag together, which only a logged command tells apart"
 _ASSUMED = "holds if neither lead nor feedback damping ran in the controller"
 
@@ -90,7 +90,8 @@ def _estimate(fit: AdmittanceRobotFit) -> RobotEstimate:
     method = f"output error behind the admittance of the known gains, residual {100.0 * fit.fit_error:.2g} % of speed"
     lag = f"lag at low frequency {1e3 * fit.lag_s:.0f} ± {1e3 * fit.lag_std_s:.0f} ms, poles and delay together"
     bandwidth = weak_at_best(judged(fit.bandwidth_hz, fit.bandwidth_std_hz, method=method), _ASSUMED)
-    delay = judged(fit.model.delay_s, fit.delay_std_s, method=method, note=f"{_NOT_SPLIT}; {lag}")
+    # A bound may be looser than a value.
+    delay = judged(fit.model.delay_s, fit.delay_std_s, method=method, note=f"{_NOT_SPLIT}; {lag}", weak=_LOOSEST_SHARE)
     loosest = float(np.max(fit.denominator_std[1:] / fit.model.denominator[1:]))
     if bandwidth.value is None or loosest > _LOOSEST_SHARE:
         numerator = denominator = unidentifiable_vector(f"poles and delay trade against each other: {lag}")

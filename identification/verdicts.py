@@ -22,6 +22,7 @@ def judged(
     method: str,
     note: str = "",
     identified: float = IDENTIFIED_SHARE,
+    weak: float = _WEAK_SHARE,
     floor: float = 0.0,
     ci95: tuple[float, float] | None = None,
 ) -> Estimate:
@@ -31,7 +32,7 @@ def judged(
     """
     size = max(abs(value), floor)
     share = std / size if size > 0.0 and np.isfinite(std) else np.inf
-    if share <= max(_WEAK_SHARE, identified):
+    if share <= max(weak, identified):
         status = Status.IDENTIFIED if share <= identified else Status.WEAK
         return Estimate(value=float(value), std=float(std), status=status, method=method, note=note, ci95=ci95)
     told = f"standard deviation {std:.3g} for a value of {value:.3g}"

@@ -240,12 +240,19 @@ def _try(trial: Trial, judge: Judge, plan: StudyPlan) -> tuple[float, ...]:
     try:
         judged = judge.judge(_controller(trial.params, judge.problem, plan))
     except UnstableLoopError as error:
-        trial.set_constraint("stable", error.spectral_radius - 1.0 or 1.0)
+        _constrain(trial, {"stable": error.spectral_radius - 1.0 or 1.0})
         raise optuna.TrialPruned(str(error)) from error
-    trial.set_constraint("stable", 0.0)
-    for name, value in judged.requirements.items():
-        trial.set_constraint(name, min(value - 1.0, _LARGEST_MISS))
+    ratios = {name: min(value - 1.0, _LARGEST_MISS) for name, value in judged.requirements.items()}
+    _constrain(trial, {"stable": 0.0, **ratios})
     return tuple(judged.values[each.name] for each in plan.objectives)
+
+
+def _constrain(trial: Trial, values: Mapping[str, float]) -> None:
+    """Set the constraints of a trial; one that was killed while it did so and is tried again holds some already."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*already set", category=UserWarning)
+        for name, value in values.items():
+            trial.set_constraint(name, value)
 
 
 def _controller(params: Mapping[str, Any], problem: DesignProblem, plan: StudyPlan) -> AdmittanceController:

@@ -85,7 +85,7 @@ def prove_stability(plants: UncertainPlant, controller: AdmittanceController, sa
         cells, slack = cells + int(np.sum(proved)), min([slack, *found[proved].tolist()])
         failed, width = now[~proved], now[~proved, 2:] - now[~proved, :2]
         hopeless = (found[~proved] == -math.inf) | (np.max(width, axis=1, initial=0.0) < _SMALLEST_SHARE)
-        if np.any(hopeless) or cells + len(waiting) + len(failed) > _MOST_CELLS:
+        if np.any(hopeless) or (len(failed) and cells + len(waiting) + len(failed) > _MOST_CELLS):
             worst = int(np.argmax(hopeless))
             inverse, stiffness = loop.plant_numbers(0.5 * (failed[[worst], :2] + failed[[worst], 2:]))
             return StabilityProof(

@@ -84,7 +84,7 @@ def test_quiet_writes_the_file_and_says_nothing(run_cli: RunCli, tmp_path: Path,
 def test_a_log_that_does_not_tell_is_refused_with_one_line_and_no_file(
     run_cli: RunCli, tmp_path: Path, unusable_logs: Path, name: str, code: int, told: list[str]
 ) -> None:
-    (tmp_path / "identified.yaml").write_text("from an earlier run\n", encoding="utf-8")
+    (tmp_path / "identified.yaml").write_text("format: autotune/identified\n", encoding="utf-8")
     done = run_cli("identify", unusable_logs / f"{name}.mcap")
     assert (done.returncode, done.stdout) == (code, "")
     assert done.stderr.count("\n") == 1
@@ -92,7 +92,7 @@ def test_a_log_that_does_not_tell_is_refused_with_one_line_and_no_file(
     assert "Traceback" not in done.stderr
     assert [part for part in told if part not in done.stderr] == []
     assert [path.name for path in tmp_path.iterdir()] == ["identified.yaml"]
-    assert (tmp_path / "identified.yaml").read_text(encoding="utf-8") == "from an earlier run\n"
+    assert (tmp_path / "identified.yaml").read_text(encoding="utf-8") == "format: autotune/identified\n"
 
 
 def test_a_refusal_with_json_is_one_object_with_the_code(run_cli: RunCli, tmp_path: Path, unusable_logs: Path) -> None:
