@@ -48,14 +48,16 @@ def optimize(
     seed: int = 0,
     problem_path: Path | None = None,
     existing: ControllerFile | None = None,
+    relax: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> Optimized:
     """Tune every axis and return a controller that the independent validation has passed.
 
     `existing` is a controller to compare with; its gains join the search where they lie inside the bounds. `progress`
     is told the share of the work done since the last call. Raises InfeasibleError when nothing meets the
-    requirements, CertificateError when a claim cannot be proved or verified, EstimateError for a missing parameter,
-    UsageError for wishes or an existing controller that do not fit.
+    requirements (with `relax`, after searching for what would have to be eased: several times the work of a search),
+    CertificateError when a claim cannot be proved or verified, EstimateError for a missing parameter, UsageError for
+    wishes or an existing controller that do not fit.
     """
     report = progress if progress is not None else _silent
     problems = build_problems(identified.result, spec, wishes)
@@ -67,7 +69,7 @@ def optimize(
     )
     share = _SEARCH_SHARE / len(problems)
     searches = {
-        name: _search(name, problem, seed, existing, lambda done: report(share * done))
+        name: _search(name, problem, seed, existing, relax, lambda done: report(share * done))
         for name, problem in problems.items()
     }
     optimality = {name: check_optimality(search.active, search.design) for name, search in searches.items()}
@@ -101,12 +103,19 @@ def optimize(
 
 
 def _search(
-    name: str, problem: DesignProblem, seed: int, existing: ControllerFile | None, report: Callable[[float], None]
+    name: str,
+    problem: DesignProblem,
+    seed: int,
+    existing: ControllerFile | None,
+    relax: bool,
+    report: Callable[[float], None],
 ) -> SearchResult:
     start = None if existing is None else start_design(existing.controller, name, problem)
     try:
         return solve_design(problem, seed=seed, start=start, progress=report)
     except InfeasibleError as error:
+        if not relax:
+            raise InfeasibleError(f"Axis {name}: {error}") from error
         eased = find_relaxations(problem, seed=seed)
         told = f" Enough by itself would be: {'; or '.join(map(str, eased))}." if eased else ""
         numbers = tuple((each.name, each.asked, each.possible) for each in eased)

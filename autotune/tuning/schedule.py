@@ -182,7 +182,7 @@ def _tune(task: _Task) -> Controller | AutotuneError:
     """Return the controller of one task, or what was refused, so that the other classes are looked at as well."""
     try:
         return optimize(
-            task.identified, task.spec, task.wishes, seed=task.seed, problem_path=task.problem_path
+            task.identified, task.spec, task.wishes, seed=task.seed, problem_path=task.problem_path, relax=False
         ).controller
     except AutotuneError as error:
         return _bare(error)
@@ -202,6 +202,7 @@ def _beside(pair: tuple[_Task, Tuned], *, common: str) -> Tuned | AutotuneError:
                 seed=task.seed,
                 problem_path=task.problem_path,
                 existing=existing,
+                relax=False,
             ).controller
             found = worst_peaks(again, task.spec.objective)
             if all(found[axis] <= peak for axis, peak in own.peaks.items()):
@@ -241,7 +242,10 @@ def _required(found: Mapping[str, _Value | AutotuneError]) -> list[_Value]:
     infeasible = {name: each for name, each in refused.items() if isinstance(each, InfeasibleError)}
     if infeasible:
         told = "; ".join(f"{name}: {str(each).rstrip('.')}" for name, each in infeasible.items())
-        raise InfeasibleError(f"{len(infeasible)} of {len(found)} classes have no controller. {told}.")
+        raise InfeasibleError(
+            f"{len(infeasible)} of {len(found)} classes have no controller. {told}. "
+            "Tuned by itself, such a class tells what would have to be eased."
+        )
     for name, error in refused.items():
         raise _prefixed(name, error) from error
     return [each for each in found.values() if not isinstance(each, AutotuneError)]
