@@ -10,7 +10,7 @@ from pathlib import Path
 from autotune.errors import UsageError
 
 _HEAD_BYTES = 4096
-_OURS = b"autotune/"
+_OURS = (b"format: autotune/", b'"format": "autotune/')
 
 
 def check_target(path: Path | str, sources: Iterable[Path | str] | None = None) -> None:
@@ -36,7 +36,7 @@ def _is_ours(path: Path) -> bool:
         return True
     with path.open("rb") as stream:
         head = stream.read(_HEAD_BYTES)
-    return not head or _OURS in head
+    return not head or any(mark in head for mark in _OURS)
 
 
 def write_atomic(path: Path | str, content: str | bytes) -> None:

@@ -89,6 +89,11 @@ def test_another_programs_file_is_not_replaced(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no file of this tool"):
         check_target(target, [])
     check_target(target)
+    target.write_bytes(b"\x89MCAP0 library autotune/0.1 topic /autotune/wrench")
+    with pytest.raises(UsageError, match="no file of this tool"):
+        check_target(target, [])
+    target.write_text('{"format": "autotune/plan"}')
+    check_target(target, [])
     target.write_text("format: autotune/plan\nversion: 1\n")
     check_target(target, [])
     target.write_text("")
