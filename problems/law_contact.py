@@ -107,7 +107,7 @@ def _steady(pair: SampledContact, law: LinearLaw, force: float) -> tuple[FloatAr
     system[:, r] = m[:, r] * sensed + m[:, r + 1] * position
     system[:r, r] -= law.rest
     system[r, r] -= command
-    found: FloatArray = np.linalg.solve(system, right)
+    found = np.asarray(np.linalg.solve(system, right), dtype=np.float64)
     return found[:r].copy(), float(found[r]) / h
 
 

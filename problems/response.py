@@ -78,13 +78,23 @@ def loop_response(sampled: SampledPlant, controller: Law, frequency_rad_per_s: F
 
     1 + L_x = (1 + (C_fb − A(1 + C_ff) P̂ O_a) X/X^d)(1 + L), as in the continuous form.
     """
-    plant = plant_response(sampled, frequency_rad_per_s)
-    forward, feedback = controller_response(controller, plant.z, sampled.sample_time_s)
+    return loop_at(plant_response(sampled, frequency_rad_per_s), controller, sampled.sample_time_s)
+
+
+def loop_at(plant: PlantResponse, controller: Law, sample_time_s: float) -> LoopResponse:
+    """Return the same from the response of a plant, which one controller after another may ask.
+
+    A law that follows the position is cut behind what it adds to it (`LinearLaw.follows_position`).
+    """
+    forward, feedback = controller_response(controller, plant.z, sample_time_s)
     damped = feedback * plant.position
+    command = damped - plant.force * forward
+    if isinstance(controller, LinearLaw) and controller.follows_position:
+        command = (command + plant.position) / (1.0 - plant.position)
     return LoopResponse(
         frequency_rad_per_s=plant.frequency_rad_per_s,
         at_force=-plant.force * forward / (1.0 + damped),
-        at_command=damped - plant.force * forward,
+        at_command=command,
     )
 
 
