@@ -61,7 +61,7 @@ def _peer_options(command: Any) -> Any:
 )
 @_peer_options
 @output_options
-def command(output: Output, controller: Path, target: str, out: Path, **further: Any) -> None:
+def command(output: Output, /, controller: Path, target: str, out: Path, **further: Any) -> None:
     """Verify CONTROLLER and write it in the format of another program.
 
     A file that is altered or not validated is refused (exit code 6). The short checksum is for people to compare with
@@ -94,7 +94,7 @@ def _export_peer(output: Output, controller: Path, target: str, out: Path, given
     if "joints" in given:
         given["joints"] = tuple(name.strip() for name in given["joints"].split(","))
     options = peer_options(target, given)
-    with output.progress("Certifying", 1.0) as advance:
+    with output.progress("certifying", 1.0) as advance:
         made = export_peer(controller, options, out, advance)
     checksum = made.source.checksum
     head = {"target": target, "path": str(out), "checksum": checksum, "short_checksum": short(checksum)}

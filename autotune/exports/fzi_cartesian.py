@@ -84,9 +84,13 @@ class FziAxis:
     @cached_property
     def translated(self) -> Values:
         """The gain that moves as fast per newton as B_a does, and K_l."""
-        unit = ForwardDynamics(proportional=1.0, derivative=0.0).law(self.task.sample_time_s)
-        drag = self.task.domain.drag_n_s_per_m
-        return (force_per_speed(self.pair, unit) - drag) / self.gains.damping, self.gains.lead_s
+        twice, once = (self._force_per_speed(ForwardDynamics(proportional=p, derivative=0.0)) for p in (1.0, 2.0))
+        # What a speed takes is the drag, and what the gain is divided into.
+        inverse = 2.0 * (twice - once)
+        return inverse / (self.gains.damping + self.task.domain.drag_n_s_per_m - (twice - inverse)), self.gains.lead_s
+
+    def _force_per_speed(self, rule: ForwardDynamics) -> float:
+        return force_per_speed(self.pair, rule.law(self.task.sample_time_s))
 
     @property
     def variables(self) -> tuple[Variable, ...]:

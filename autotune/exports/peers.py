@@ -3,6 +3,7 @@
 The written parameters are those that were certified, digit for digit.
 """
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,6 +46,11 @@ class PeerAxis:
         assert self.certificate.worst is not None  # a certificate that holds has one
         return self.certificate.worst.peak_contact_force_n
 
+    def margins(self) -> dict[str, float | None]:
+        """Return the smallest margins by name, None where there is no finite limit."""
+        found = {} if self.certificate.margins is None else self.certificate.margins.values
+        return {name: value if math.isfinite(value) else None for name, value in found.items()}
+
     def price(self) -> str:
         """Tell the peak force beside that of the file's own law."""
         unit, more = axis_units(self.axis).force, self.peak_n - self.peak_before_n
@@ -72,7 +78,7 @@ class PeerExport:
                 "reason": each.tuned_because,
                 "peak_contact_force": each.peak_n,
                 "peak_contact_force_before": each.peak_before_n,
-                "margins": dict(each.certificate.margins.values) if each.certificate.margins else {},
+                "margins": each.margins(),
                 "notes": list(each.notes),
             }
             for each in self.axes
@@ -136,8 +142,8 @@ def _task(controller: Controller, name: str) -> AxisTask:
         raise CertificateError(f"Axis {name}: the certificate does not say what was asked (rotational_requirements).")
     if domain.environment_mass_kg != 0.0:
         raise CertificateError(f"Axis {name}: an environment with mass cannot be certified by this release.")
-    if (domain.approach_force_n is None) == (domain.approach_speed_m_s is None):
-        raise CertificateError(f"Axis {name}: the domain must name one approach, by force or by speed.")
+    if domain.approach_force_n is None and domain.approach_speed_m_s is None:
+        raise CertificateError(f"Axis {name}: the domain names no approach.")
     if not controller.predicted[name].scenarios:
         raise CertificateError(f"Axis {name}: the file predicts no contact to compare with.")
     return AxisTask(
@@ -170,8 +176,16 @@ def _certified(axis: Axis, common: bool) -> PeerAxis:
         tuned_because=reason,
         certificate=found,
         peak_before_n=task.promised_n(),
-        notes=(*axis.told(values),),
+        notes=(*axis.told(values), *(() if reason is None else _bounds_told(axis, values))),
     )
+
+
+def _bounds_told(axis: Axis, values: Values) -> Iterator[str]:
+    """Say which numbers of a search sit on a bound."""
+    for each, value in zip(axis.variables, values, strict=True):
+        if each.high > each.low and value in (each.low, each.high):
+            end = "lowest" if value == each.low else "highest"
+            yield f"axis {axis.task.axis}: {each.name} is the {end} that the search may choose, {value:.4g}."
 
 
 def _dropped(controller: Controller) -> Iterator[str]:

@@ -198,9 +198,12 @@ def _values(structure: Structure, unit: tuple[float, ...]) -> Values:
             found.append(each.low)
             continue
         share = next(left)
-        way: Callable[[float], float] = math.log if each.ratio else float
-        back: Callable[[float], float] = math.exp if each.ratio else float
-        found.append(back(way(each.low) + share * (way(each.high) - way(each.low))))
+        if share in (0.0, 1.0):
+            found.append(each.low if share == 0.0 else each.high)
+        elif each.ratio:
+            found.append(each.low * (each.high / each.low) ** share)
+        else:
+            found.append(each.low + share * (each.high - each.low))
     return tuple(found)
 
 

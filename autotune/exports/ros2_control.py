@@ -233,7 +233,7 @@ def parameter_tree(
         "fixed_world_frame": {"frame": {"id": options.base_link}},
         "gravity_compensation": {
             "frame": {"id": frame},
-            "CoG": {"pos": list(payload.com_m), "force": float(f"{payload.mass_kg * STANDARD_GRAVITY:.6g}")},
+            "CoG": {"pos": list(payload.com_m), "force": float(f"{payload.mass_kg * STANDARD_GRAVITY:.9g}")},
         },
         "admittance": {
             "selected_axes": [axis in values for axis in AXES],

@@ -73,8 +73,9 @@ class AxisTask:
         return build_other_plants(self.domain, self.margins, self.predicted)
 
     def approach(self) -> Approach:
-        """Return how the contacts of the file begin."""
-        return Approach(force_n=self.domain.approach_force_n, speed_m_s=self.domain.approach_speed_m_s)
+        """Return how the contacts of the file begin; of a speed and a force, the speed."""
+        speed = self.domain.approach_speed_m_s
+        return Approach(force_n=self.domain.approach_force_n if speed is None else None, speed_m_s=speed)
 
     def contacts(self) -> tuple[Scenario, ...]:
         """Return the contacts that are looked at: those of the file, a grid over K_e × M_p, and the further plants."""

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from autotune.files.controller import read_controller, short, write_controller
+from tests.autotune.exports.peer_cases import PLAIN, peer_controller, requirements
 from tests.autotune.files.samples import make_controller
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -66,3 +67,44 @@ def test_the_help_has_an_example(run_cli: RunCli) -> None:
     run = run_cli("export", "--help")
     assert run.returncode == 0
     assert "Example: autotune export controller.yaml --target json -o controller.json" in run.stdout
+
+
+def test_another_controller_is_certified_and_its_price_told(run_cli: RunCli, tmp_path: Path) -> None:
+    write_controller(tmp_path / "easy.yaml", peer_controller({"x": PLAIN}, requirements(2.5e-4)))
+    run = run_cli("export", "easy.yaml", "--target", "ros2_control", "-o", "out.yaml", "--joints", "j1, j2")
+    assert (run.returncode, run.stderr) == (0, "")
+    lines = run.stdout.splitlines()
+    assert lines[0].startswith("out.yaml: ros2_control, from the file with checksum ")
+    assert lines[1].startswith("axis x: mass 8, damping_ratio ")
+    assert " N instead of " in lines[2]
+    text = (tmp_path / "out.yaml").read_text(encoding="utf-8")
+    assert 'joints: ["j1", "j2"]' in text
+    told = run_cli("export", "easy.yaml", "--target", "fzi_cartesian", "-o", "fzi.yaml", "--json")
+    tree = json.loads(told.stdout)
+    assert set(tree["axes"]["x"]["parameters"]) == {"p", "d"}
+    assert tree["checksum"] == read_controller(tmp_path / "easy.yaml").checksum
+
+
+def test_what_another_controller_cannot_do_is_exit_5_and_writes_nothing(run_cli: RunCli, tmp_path: Path) -> None:
+    write_controller(tmp_path / "hard.yaml", peer_controller({"x": PLAIN}, requirements(5e-3)))
+    run = run_cli("export", "hard.yaml", "--target", "ros2_control", "-o", "out.yaml")
+    assert run.returncode == 5
+    assert (run.stdout, run.stderr.count("\n")) == ("", 1)
+    assert "cannot do what was asked" in run.stderr
+    assert not (tmp_path / "out.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--target", "cell", "--joints", "a"], "takes no names"),
+        (["--target", "fzi_cartesian", "--ros2-version", "jazzy"], "--ros2-version says nothing"),
+        (["--target", "ros2_control", "--ros2-version", "3.1.0"], "4.0.0 to 6.x"),
+        (["--target", "ros2_control", "--return-stiffness", "0"], "above 0"),
+    ],
+)
+def test_an_option_that_does_not_fit_is_exit_2(run_cli: RunCli, source: Path, arguments: list[str], told: str) -> None:
+    run = run_cli("export", source, "-o", "out", *arguments)
+    assert run.returncode == 2
+    assert told in run.stderr
+    assert not source.with_name("out").exists()
