@@ -135,6 +135,10 @@ def notes() -> Iterator[str]:
         "file holds for its update_rate alone. The command starts from the measured position in every cycle."
     )
     yield (
+        "That takes the robot's own lag out of the loop, and the peaks told rest on the robot model more than those of "
+        "a controller that integrates by itself: measure one contact before relying on them."
+    )
+    yield (
         "The wrench comes by a topic (~/ft_sensor_wrench), unfiltered and with gravity and bias already removed: its "
         "delay is not in the certificate and must stay well below the delay margin. solver.iterations does nothing."
     )

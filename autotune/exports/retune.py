@@ -12,11 +12,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.errors import InfeasibleError
+from autotune.errors import CertificateError, InfeasibleError
 from autotune.files.controller_record import AdmittanceRequirement, Requirement
 from autotune.validation.law import MARGIN_OF, AxisTask, LawCertificate, certify_law
 from problems.contact import SampledContact, build_sampled_contact
-from problems.errors import AutotuneError, ParameterError
+from problems.errors import AutotuneError
 from problems.law_contact import simulate_law_contact
 from problems.laws import LinearLaw
 from problems.margins import frequency_grid, margins_on_grid
@@ -62,11 +62,11 @@ class QuickJudge:
             force=np.array([each.force for each in seen]),
             position=np.array([each.position for each in seen]),
         )
-        self.bands = [
-            (each, [plant_response(robot, _band(each)) for robot in self.plants[: len(free)]])
-            for each in task.asked.values()
+        self.bands = {
+            name: [plant_response(robot, _band(each)) for robot in self.plants[: len(free)]]
+            for name, each in task.asked.items()
             if isinstance(each, AdmittanceRequirement)
-        ]
+        }
 
     def cost(self, law: LinearLaw) -> float:
         """Return the worst peak contact force [N], or far more for a law that misses something or is unstable."""
@@ -76,7 +76,8 @@ class QuickJudge:
             if not radii[-1] < 1.0:
                 return _UNSTABLE * min(radii[-1], 1e3)
         # A spring's return in free space is no decay that is asked for.
-        missed = self._largest_ratio(law, max(radii[len(self.plants) - len(self.pairs) if law.holds_position else 0 :]))
+        free = len(self.plants) - len(self.pairs)
+        missed = max(self.ratios(law, max(radii[free if law.holds_position else 0 :])).values(), default=0.0)
         if missed > 1.0:
             return _MISSED * min(missed, 1e3)
         approach, limit = self.task.approach(), self.task.asked.get("max_peak_force_n")
@@ -85,23 +86,25 @@ class QuickJudge:
             return _MISSED * peak / limit
         return peak
 
-    def _largest_ratio(self, law: LinearLaw, radius: float) -> float:
-        """Return the largest required/achieved."""
-        h, ratios = law.sample_time_s, [0.0]
+    def ratios(self, law: LinearLaw, radius: float) -> dict[str, float]:
+        """Return required/achieved by name of a stable law whose largest |z| in contact is `radius`; no peak yet."""
+        h, names = law.sample_time_s, self.task.asked
         response = loop_at(self.seen, law, h)
         both = np.concatenate([response.at_force, response.at_command])
         if not np.all(np.isfinite(both)):
-            return math.inf
+            return dict.fromkeys(names, math.inf)
         margins = margins_on_grid(self.omega, both)
-        for name, asked in self.task.asked.items():
-            if name in MARGIN_OF:
+        found = {}
+        for name, asked in names.items():
+            if name in MARGIN_OF and isinstance(asked, int | float):
                 reached = float(np.min(getattr(margins, MARGIN_OF[name])))
-                ratios.append((1.0 + self.reserve) * float(asked) / max(reached, 1e-12))  # type: ignore[arg-type]
-        for target, responses in self.bands:
-            least = min(float(np.min(np.abs(rendered_admittance(each, law, h)))) for each in responses)
-            ratios.append((1.0 + 0.1 * self.reserve) * target.min_m_s_per_n / max(least, 1e-300))
-        ratios += [self._other_ratio(name, asked, law, radius) for name, asked in self.task.asked.items()]
-        return max(ratios)
+                found[name] = (1.0 + self.reserve) * float(asked) / max(reached, 1e-12)
+            elif isinstance(asked, AdmittanceRequirement):
+                least = min(float(np.min(np.abs(rendered_admittance(each, law, h)))) for each in self.bands[name])
+                found[name] = (1.0 + 0.1 * self.reserve) * asked.min_m_s_per_n / max(least, 1e-300)
+            else:
+                found[name] = self._other_ratio(name, asked, law, radius)
+        return found
 
     def _other_ratio(self, name: str, asked: Requirement, law: LinearLaw, radius: float) -> float:
         """Return required/achieved of what is asked rarely; 0 for all else."""
@@ -122,7 +125,8 @@ def _band(asked: AdmittanceRequirement) -> FloatArray:
 def retune(task: AxisTask, structure: Structure) -> tuple[Values, LawCertificate]:
     """Return the numbers of least worst peak force whose certificate holds, and that certificate.
 
-    Deterministic. Raises InfeasibleError where the structure has nothing that meets the requirements.
+    Deterministic. Raises InfeasibleError where the structure has nothing that meets the requirements, CertificateError
+    where what it has cannot be proved.
     """
     scenarios, reserve = _first_scenarios(task), _RESERVE
     for _ in range(_ROUNDS):
@@ -133,6 +137,11 @@ def retune(task: AxisTask, structure: Structure) -> tuple[Values, LawCertificate
         certificate = certify_law(task, structure.law(values))
         if certificate.holds:
             return values, certificate
+        if certificate.is_unproved:
+            raise CertificateError(
+                f"Axis {task.axis}: the numbers that were tuned for that controller cannot be proved stable over the "
+                "whole domain, though no unstable plant was found; narrower ranges can be."
+            )
         scenarios, reserve = _joined(task, scenarios, certificate), 2.0 * reserve
     raise InfeasibleError(
         f"within {_ROUNDS} rounds nothing was found whose certificate holds; the last one: {certificate.missed[0]}"
@@ -170,7 +179,7 @@ def _zoom(structure: Structure, judge: QuickJudge) -> tuple[Values, float]:
     def cost(unit: tuple[float, ...]) -> float:
         try:
             return judge.cost(structure.law(_values(structure, unit)))
-        except (ParameterError, AutotuneError):
+        except AutotuneError:
             return math.inf
 
     def best_of(centre: tuple[float, ...], width: float, count: int, known: float) -> tuple[tuple[float, ...], float]:
@@ -223,6 +232,11 @@ def _told(structure: Structure, judge: QuickJudge, values: Values, cost: float) 
     numbers = ", ".join(f"{name} {value:.4g}" for name, value in structure.written(values).items())
     if cost >= _UNSTABLE:
         return f"no numbers make a stable loop over the whole domain (the nearest: {numbers})"
-    found = certify_law(judge.task, structure.law(values))
-    reason = found.missed[0] if found.missed else f"{cost / _MISSED:.3g} times short of a requirement"
-    return f"no numbers meet the requirements (the nearest: {numbers}; {reason})"
+    ratios = judge.ratios(structure.law(values), 0.0)
+    name = max(ratios, key=lambda each: ratios[each])
+    # Of what the ratios do not hold, the peak force is all that is left.
+    share = ratios[name] if ratios[name] > 1.0 else cost / _MISSED
+    name = name if ratios[name] > 1.0 else "max_peak_force_n"
+    return (
+        f"no numbers meet the requirements (the nearest: {numbers}; {name} is missed by {100.0 * (share - 1.0):.3g} %)"
+    )

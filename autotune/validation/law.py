@@ -29,7 +29,7 @@ from problems.passivity import passive_below_hz
 from problems.plant import FREE_SPACE, Plant
 from problems.requirements import NoiseLimit, PassivityTarget
 from problems.response import controller_response, free_space_admittance, plant_response
-from problems.sampled import build_sampled_plant
+from problems.sampled import build_loop, build_sampled_plant, spectral_radius
 from problems.uncertainty import Scenario
 
 from .margins import SweptMargins, sweep_margins
@@ -100,7 +100,7 @@ class LawCertificate:
     """What was found of one law; `missed` says in words what of it is not as was asked, empty when all is.
 
     `spring_share` is the share of its room that a spring takes (None without one). Without stability there are no
-    margins and no peaks.
+    margins and no peaks. `is_unproved` where a proof failed at plants that are stable: finer ranges could tell.
     """
 
     free: StabilityProof
@@ -110,6 +110,7 @@ class LawCertificate:
     worst: ScenarioPrediction | None
     admittance: FreeSpaceAdmittance | None
     missed: tuple[str, ...]
+    is_unproved: bool = False
 
     @property
     def holds(self) -> bool:
@@ -138,6 +139,8 @@ def certify_law(task: AxisTask, law: LinearLaw) -> LawCertificate:
             worst=None,
             admittance=None,
             missed=tuple(missed),
+            is_unproved=not (free.holds and contact.holds)
+            and all(proof.holds or _is_stable(plants, proof, law) for proof in (free, contact)),
         )
     h = law.sample_time_s
     swept = sweep_margins(plants, law, h, stiffness=_STIFFNESS_POINTS, mass=_MASS_POINTS, others=others.plants)
@@ -172,6 +175,13 @@ def prove_law(plants: UncertainPlant, law: LinearLaw) -> tuple[StabilityProof, S
     masses = np.unique(np.linspace(*plants.payload_mass_kg, _MASS_POINTS))
     share = max(spring_share(plants.in_free_space().at(float(mass), 0.0), law) for mass in masses)
     return prove_stability(plants.in_free_space(), loose, h), prove_stability(plants, law, h), share
+
+
+def _is_stable(plants: UncertainPlant, proof: StabilityProof, law: LinearLaw) -> bool:
+    """Return whether the plant at which a proof failed is stable, by its eigenvalues."""
+    stiffness = proof.failed_stiffness_n_per_m or 0.0
+    found = (plants if stiffness > 0.0 else plants.in_free_space()).at(proof.failed_mass_kg or 0.0, stiffness)
+    return spectral_radius(build_loop(build_sampled_plant(found, law.sample_time_s), law)) < 1.0
 
 
 def spring_share(plant: Plant, law: LinearLaw) -> float:

@@ -10,17 +10,20 @@ import pytest
 from ruamel.yaml import YAML
 
 from autotune.errors import CertificateError, InfeasibleError, UsageError
-from autotune.exports import fzi_cartesian, ros2_control
+from autotune.exports import fzi_cartesian, peers, ros2_control
+from autotune.exports import retune as retune_module
 from autotune.exports.fzi_cartesian import FziOptions
-from autotune.exports.peers import PeerExport, export_peer, make_peer, peer_options
+from autotune.exports.peers import PEERS, PeerExport, export_peer, make_peer, peer_options
 from autotune.exports.retune import QuickJudge, retune
 from autotune.exports.ros2_control import Ros2Axis, Ros2Options
 from autotune.exports.ros_yaml import check_keys
+from autotune.exports.targets import PEER_TARGETS
 from autotune.files.controller import read_controller, write_controller
 from autotune.files.controller_record import AxisGains, Controller
-from autotune.validation.law import certify_law
+from autotune.validation.law import AxisTask, LawCertificate, certify_law
 from problems.errors import ParameterError
 from problems.law_contact import force_per_speed
+from problems.laws import LinearLaw
 from problems.peer_laws import SpringAdmittance
 from problems.uncertainty import Scenario
 from tests.autotune.exports.peer_cases import CELL, LEAD, PERIOD_S, PLAIN, peer_controller, requirements, task_of
@@ -313,3 +316,19 @@ def test_an_approach_at_a_speed_is_certified_at_that_speed(tmp_path: Path) -> No
         certificate = replace(controller.certificate, domain={"x": domain})
         peaks.append(exported(tmp_path, replace(controller, certificate=certificate), Ros2Options()).axes[0].peak_n)
     assert peaks[1] == pytest.approx(2.0 * peaks[0], rel=1e-6)
+
+
+def test_every_target_of_the_command_has_its_structure() -> None:
+    assert tuple(PEERS) == PEER_TARGETS
+
+
+def test_numbers_that_cannot_be_proved_are_a_certificate_that_does_not_hold(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unproved(task: AxisTask, law: LinearLaw) -> LawCertificate:
+        return replace(certify_law(task, law), missed=("not proved",), is_unproved=True)
+
+    for module in (peers, retune_module):
+        monkeypatch.setattr(module, "certify_law", unproved)
+    with pytest.raises(CertificateError, match=r"Axis x: .* cannot be proved stable"):
+        exported(tmp_path, peer_controller({"x": PLAIN}, EASY), Ros2Options())

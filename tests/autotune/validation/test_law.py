@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from autotune.validation import law as law_module
 from autotune.validation.law import AxisTask, certify_law, prove_law, spring_share
+from autotune.validation.proof import StabilityProof
 from autotune.validation.validate import uncertain_plant
 from problems.controller import AdmittanceController
 from problems.laws import LinearLaw
@@ -103,3 +105,15 @@ def test_where_the_spring_has_room_the_loop_is_stable_and_where_it_is_not_it_has
 def test_a_spring_that_is_not_weak_is_refused(task: AxisTask) -> None:
     found = certify_law(task, sprung(2500.0, 3e4))
     assert any("return spring" in line for line in found.missed)
+    assert not found.is_unproved
+
+
+def test_a_proof_that_ran_out_is_told_from_a_plant_that_is_unstable(
+    task: AxisTask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unstable = certify_law(task, ForwardDynamics(proportional=0.05, derivative=0.0).law(PERIOD_S))
+    assert (unstable.holds, unstable.is_unproved) == (False, False)
+    gave_up = StabilityProof(holds=False, cells=1, slack=-0.1, failed_mass_kg=16.0, failed_stiffness_n_per_m=1e5)
+    monkeypatch.setattr(law_module, "prove_stability", lambda *_: gave_up)
+    found = certify_law(task, sprung(2500.0, 1.0))
+    assert (found.holds, found.is_unproved) == (False, True)
