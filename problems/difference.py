@@ -97,9 +97,7 @@ def resume(blocks: Any, recent: Entry, older: Entry) -> tuple[float, float]:
     return both - lag, lag
 
 
-def measured_motion(
-    blocks: Any, control: tuple[float, float, float, float], position: float
-) -> tuple[float, float]:
+def measured_motion(blocks: Any, control: tuple[float, float, float, float], position: float) -> tuple[float, float]:
     """Return what the controller adds to its output from the robot's motion, and to the force: P̂ times acceleration.
 
     The first is −C_fb x and, with the ideal compensation, its gain on the derivative; see `controller_step`.

@@ -19,7 +19,7 @@ TRANSLATIONS = 3
 # Of the Tustin rule, the only one that a controller file may say.
 _THETA = 0.5
 # A sample time is declared, not measured: the same number, or another one.
-_SAME_SAMPLE_TIME = 1e-6
+SAME_SAMPLE_TIME = 1e-6
 # What a payload that was identified well still leaves of its weight (the paper: 1.1 N of 157 N).
 _WEIGHT_LEFT = 0.01
 
@@ -96,7 +96,9 @@ class AxisLaw:
         filters = (self.velocity_filter_rad_per_s, self.acceleration_filter_rad_per_s, self.compensation_mass_kg)
         write_blocks(blocks, (*numbers, *filters), self.sample_time_s, _THETA, ideal=False)
         if not all(map(math.isfinite, blocks.values())):
-            raise ParameterError(f"axes.{self.name}", numbers, "gains whose difference equation has finite coefficients")
+            raise ParameterError(
+                f"axes.{self.name}", numbers, "gains whose difference equation has finite coefficients"
+            )
         object.__setattr__(self, "index", AXES.index(self.name))
         object.__setattr__(self, "blocks", blocks)
 
@@ -129,7 +131,7 @@ class RuntimeController:
         that of the cell: what is left of the weight pushes the robot once it is beyond the deadband.
         """
         h, inertias = self.sample_time_s, payload_inertia_kg_m2 or MappingProxyType({})
-        if not abs(sample_time_s - h) <= _SAME_SAMPLE_TIME * h:
+        if not abs(sample_time_s - h) <= SAME_SAMPLE_TIME * h:
             raise CertificateError(
                 f"The cell runs every {sample_time_s:g} s, but the controller and its certificate are for {h:g} s; "
                 "run the cell at that period, or optimize for this one."
@@ -154,8 +156,8 @@ class RuntimeController:
         allowed = max(min(widths, default=math.inf), _WEIGHT_LEFT * mass_kg * gravity)
         if not left <= allowed:
             raise CertificateError(
-                f"The gravity compensation is for {self.payload.mass_kg:g} kg and would leave {left:.3g} N of the cell's "
-                f"{mass_kg:g} kg, more than {allowed:.3g} N; give the payload that the cell carries in payload."
+                f"The gravity compensation is for {self.payload.mass_kg:g} kg and would leave {left:.3g} N of the "
+                f"cell's {mass_kg:g} kg, more than {allowed:.3g} N; give the payload that the cell carries in payload."
             )
 
 

@@ -127,6 +127,5 @@ def _check_expected(expected: str, controller: RuntimeController, path: Path | s
     if len(expected) not in (_SHORT, _LONG):
         raise UsageError(f"A checksum has {_SHORT} or {_LONG} digits, found {expected!r}.")
     if not controller.checksum.startswith(expected.lower()):
-        raise CertificateError(
-            f"{path}: its checksum is {short(controller.checksum)}, but {short(expected)} was expected; it is another file."
-        )
+        found = short(controller.checksum)
+        raise CertificateError(f"{path}: it is another file: its checksum is {found}, not {short(expected)}.")

@@ -1,4 +1,4 @@
-"""Check a tree against the part of JSON Schema that the controller's schema uses, where no library for it is at hand."""
+"""Check a tree against what the controller's schema uses of JSON Schema, where there is no library that does."""
 
 import re
 from collections.abc import Callable, Iterator, Mapping
