@@ -45,12 +45,12 @@ def export_controller(path: Path | str, target: str, out: Path | str) -> str:
     from autotune.files.atomic import write_atomic  # noqa: PLC0415
     from autotune.files.controller import parse_controller, read_controller, short  # noqa: PLC0415
 
-    if target not in EVERY_TARGET:
-        raise UsageError(f"There is no export target {target}; targets: {', '.join(EVERY_TARGET)}.")
     if target == "c":
         from .c_source import export_c  # noqa: PLC0415
 
         return export_c(path, out)
+    if target not in TARGETS:
+        raise UsageError(f"There is no export target {target}; targets: {', '.join(EVERY_TARGET)}.")
     source = read_controller(path)
     text = TARGETS[target](source.controller)
     twin = parse_controller(text, out)

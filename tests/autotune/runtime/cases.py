@@ -147,13 +147,20 @@ class Contact:
 
 
 def run_contact(
-    increment: Callable[[Reading], FloatArray], axis: int, *, force_n: float, distance_m: float, duration_s: float
+    increment: Callable[[Reading], FloatArray],
+    axis: int,
+    *,
+    force_n: float,
+    distance_m: float,
+    duration_s: float,
+    plant: Plant = WALL,
+    payload: Payload = PAYLOAD,
 ) -> Contact:
     """Press with F^d on the simulated cell's wall, from rest: the exact plant, the runtime (or its twin) at the ticks.
 
-    The tool is turned anyhow and carries `PAYLOAD`, whose weight and bias are in the raw wrench.
+    The tool is turned anyhow; weight and bias of the payload are in the raw wrench.
     """
-    pair = build_sampled_contact(build_sampled_plant(WALL, PERIOD_S))
+    pair = build_sampled_contact(build_sampled_plant(plant, PERIOD_S))
     (step, _), (rows, _), (whole, chain, _), _ = pair.arguments
     n, count = step.shape[1], round(duration_s / PERIOD_S)
     state, surface, past = np.zeros(n), np.zeros(2), [-distance_m] * max(chain, 1)
@@ -165,7 +172,7 @@ def run_contact(
         position, sensed = float(rows[0, :n] @ state), float(rows[1, :n] @ state + rows[1, n] * held)
         wrench, desired = np.zeros(6), np.zeros(6)
         wrench[axis], desired[axis] = sensed, force_n
-        reading = along(axis, rotation, position, PAYLOAD, wrench)
+        reading = along(axis, rotation, position, payload, wrench)
         command += float(increment(Reading(**{**vars(reading), "desired_S": desired}))[axis])
         pressed = max(0.0, contact_force(state, rows, (held, 0.0))) if touching else 0.0
         out[:, k] = -sensed, pressed, command
