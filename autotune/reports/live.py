@@ -2,6 +2,7 @@
 
 import json
 import re
+from functools import singledispatch
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from bokeh.models.annotations import BoxAnnotation, ColorBar, Legend, LegendItem
 from bokeh.plotting import figure
 from bokeh.resources import INLINE
 
-from .charts import Band, Bars, Chart, Element, Heat, Limit, Line, Panel, Points, Stretch
+from .charts import Band, Bars, Chart, Heat, Limit, Line, Panel, Points, Stretch
 from .decimate import decimate
 from .palette import COLOURS
 
@@ -75,7 +76,9 @@ def _draw_panel(panel: Panel, is_beside: bool) -> Any:
     plot.toolbar_location = "above"
     items: list[LegendItem] = []
     for element in panel.elements:
-        _draw_element(plot, element, items)
+        drawn = _draw_element(element, plot)
+        if drawn is not None and element.label:
+            items.append(LegendItem(label=element.label, renderers=[drawn]))
     if items:
         plot.add_layout(
             Legend(items=items, label_text_font_size="11px", click_policy="hide", border_line_alpha=0.0), "below"
@@ -83,75 +86,81 @@ def _draw_panel(panel: Panel, is_beside: bool) -> Any:
     return plot
 
 
-def _draw_element(plot: Any, element: Element, items: list[LegendItem]) -> None:
-    if isinstance(element, Heat):
-        _draw_heat(plot, element)
-        return
-    colour, drawn = COLOURS[element.role], None
-    if isinstance(element, Line):
-        x, y = decimate(element.x, element.y, _MOST_POINTS)
-        source = ColumnDataSource({"x": _short(x), "y": _short(y)})
-        draw = plot.step if element.steps else plot.line
-        more = {"mode": "after"} if element.steps else {}
-        drawn = draw(
-            "x",
-            "y",
-            source=source,
-            color=colour,
-            line_width=1.4,
-            line_dash="dashed" if element.dashed else "solid",
-            **more,
-        )
-        plot.add_tools(_hover(drawn, [(element.label or "value", "@y{0.0000}"), ("at", "@x{0.0000}")]))
-    elif isinstance(element, Band):
-        source = ColumnDataSource({"x": _short(element.x), "low": _short(element.low), "high": _short(element.high)})
-        drawn = plot.varea("x", "low", "high", source=source, color=colour, alpha=0.22)
-    elif isinstance(element, Points):
-        columns: dict[str, Any] = {"x": _short(element.x), "y": _short(element.y)}
-        tips = [(element.label or "value", "@y{0.0000}"), ("at", "@x{0.0000}")]
-        if element.names:
-            columns["name"] = list(element.names)
-            tips.insert(0, ("", "@name"))
-        drawn = plot.scatter(
-            "x",
-            "y",
-            source=ColumnDataSource(columns),
-            color=colour,
-            line_color="white",
-            size=13 if element.marker == "star" else 8,
-            marker=_MARKERS[element.marker],
-        )
-        plot.add_tools(_hover(drawn, tips))
-    elif isinstance(element, Bars):
-        drawn = plot.quad(
-            left=_short(element.edges[:-1]),
-            right=_short(element.edges[1:]),
-            bottom=0,
-            top=_short(element.heights),
-            color=colour,
-            alpha=0.75,
-        )
-    elif isinstance(element, Stretch):
-        plot.add_layout(
-            BoxAnnotation(left=element.low, right=element.high, fill_color=colour, fill_alpha=0.16, line_alpha=0.0)
-        )
-        return
-    elif isinstance(element, Limit):
-        plot.add_layout(
-            Span(
-                location=element.value,
-                dimension="width" if element.along == "y" else "height",
-                line_color=colour,
-                line_dash="dotted",
-                line_width=1.5,
-            )
-        )
-        return
-    if element.label and drawn is not None:
-        items.append(LegendItem(label=element.label, renderers=[drawn]))
+@singledispatch
+def _draw_element(element: object, plot: Any) -> Any:
+    """Draw one element and return what a legend may show of it, or None."""
+    raise TypeError(f"{plot!r} cannot hold {element!r}")
 
 
-def _draw_heat(plot: Any, heat: Heat) -> None:
+@_draw_element.register
+def _(line: Line, plot: Any) -> Any:
+    x, y = decimate(line.x, line.y, _MOST_POINTS)
+    source = ColumnDataSource({"x": _short(x), "y": _short(y)})
+    look: dict[str, Any] = {
+        "color": COLOURS[line.role],
+        "line_width": 1.4,
+        "line_dash": "dashed" if line.dashed else "solid",
+    }
+    if line.steps:
+        drawn = plot.step("x", "y", source=source, mode="after", **look)
+    else:
+        drawn = plot.line("x", "y", source=source, **look)
+    plot.add_tools(_hover(drawn, [(line.label or "value", "@y{0.0000}"), ("at", "@x{0.0000}")]))
+    return drawn
+
+
+@_draw_element.register
+def _(band: Band, plot: Any) -> Any:
+    source = ColumnDataSource({"x": _short(band.x), "low": _short(band.low), "high": _short(band.high)})
+    return plot.varea("x", "low", "high", source=source, color=COLOURS[band.role], alpha=0.22)
+
+
+@_draw_element.register
+def _(points: Points, plot: Any) -> Any:
+    columns: dict[str, Any] = {"x": _short(points.x), "y": _short(points.y)}
+    tips = [(points.label or "value", "@y{0.0000}"), ("at", "@x{0.0000}")]
+    if points.names:
+        columns["name"] = list(points.names)
+        tips.insert(0, ("", "@name"))
+    drawn = plot.scatter(
+        "x",
+        "y",
+        source=ColumnDataSource(columns),
+        color=COLOURS[points.role],
+        line_color="white",
+        size=13 if points.marker == "star" else 8,
+        marker=_MARKERS[points.marker],
+    )
+    plot.add_tools(_hover(drawn, tips))
+    return drawn
+
+
+@_draw_element.register
+def _(bars: Bars, plot: Any) -> Any:
+    return plot.quad(
+        left=_short(bars.edges[:-1]),
+        right=_short(bars.edges[1:]),
+        bottom=0,
+        top=_short(bars.heights),
+        color=COLOURS[bars.role],
+        alpha=0.75,
+    )
+
+
+@_draw_element.register
+def _(stretch: Stretch, plot: Any) -> None:
+    look: dict[str, Any] = {"fill_color": COLOURS[stretch.role], "fill_alpha": 0.16, "line_alpha": 0.0}
+    plot.add_layout(BoxAnnotation(left=stretch.low, right=stretch.high, **look))
+
+
+@_draw_element.register
+def _(limit: Limit, plot: Any) -> None:
+    look: dict[str, Any] = {"line_color": COLOURS[limit.role], "line_dash": "dotted", "line_width": 1.5}
+    plot.add_layout(Span(location=limit.value, dimension="width" if limit.along == "y" else "height", **look))
+
+
+@_draw_element.register
+def _draw_heat(heat: Heat, plot: Any) -> None:
     low, high = heat.limits or (float(np.nanmin(heat.values)), float(np.nanmax(heat.values)))
     palette = "RdBu11" if heat.limits is not None and low == -high else "Viridis256"
     mapper = LinearColorMapper(palette=palette, low=low, high=high, nan_color="rgba(0,0,0,0)")

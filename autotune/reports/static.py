@@ -137,7 +137,7 @@ def _draw_element(figure: Figure, axes: Axes, element: Element) -> None:
         axes.fill_between(element.x, element.low, element.high, color=colour, alpha=0.22, linewidth=0.0, label=label)
     elif isinstance(element, Points):
         size = 9.0 if element.marker == "star" else 5.0
-        mark: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "white", "markeredgewidth": 0.5}
+        mark: dict[str, Any] = {"zorder": 4, "linestyle": "none", "markeredgecolor": "white", "markeredgewidth": 0.5}
         axes.plot(
             element.x, element.y, _MARKERS[element.marker], color=colour, label=label, zorder=4, markersize=size, **mark
         )
