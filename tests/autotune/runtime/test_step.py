@@ -275,6 +275,6 @@ def test_the_peaks_that_a_file_predicts_are_met_by_the_runtime_that_loads_it(tmp
             environment=Environment(stiffness_n_per_m=scenario.environment_stiffness_n_per_m),
         )
         met = met_with(controller, 0, plant)
-        # After 5 mm the approach is 0.4 % short of its steady speed; the threshold deadband lets the drag of it through.
+        # After 5 mm the approach is 0.4 % short of its steady speed; its drag passes the threshold deadband whole.
         assert np.max(met.sensor_n) == pytest.approx(scenario.peak_sensor_force_n, rel=5e-3)
         assert np.max(met.contact_n) == pytest.approx(scenario.peak_contact_force_n, rel=5e-3)
