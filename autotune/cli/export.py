@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from autotune.exports.targets import PEER_TARGETS, TARGETS
+from autotune.exports.targets import EVERY_TARGET, PEER_TARGETS
 
 from ._common import Output, output_options
 
@@ -44,11 +44,11 @@ def _peer_options(command: Any) -> Any:
 @click.argument("controller", type=click.Path(path_type=Path, dir_okay=False))
 @click.option(
     "--target",
-    type=click.Choice([*TARGETS, *PEER_TARGETS]),
+    type=click.Choice([*EVERY_TARGET, *PEER_TARGETS]),
     required=True,
-    help="cell: the YAML that the cell reads. json: the same content as JSON, with a JSON Schema. ros2_control: "
-    "parameters of the admittance controller of ros2_controllers. fzi_cartesian: parameters of FZI's Cartesian force "
-    "controller.",
+    help="cell: the YAML that the cell reads. json: the same content as JSON, with a JSON Schema. c: the controller's "
+    "step as one C99 source, and the header beside it. ros2_control: parameters of the admittance controller of "
+    "ros2_controllers. fzi_cartesian: parameters of FZI's Cartesian force controller.",
 )
 @click.option(
     "-o",
@@ -57,7 +57,7 @@ def _peer_options(command: Any) -> Any:
     type=click.Path(path_type=Path, dir_okay=False),
     required=True,
     metavar="OUT",
-    help="The file to write; it is replaced only once the new one is whole.",
+    help="The file to write (of c: NAME.c, with NAME.h beside it); it is replaced only once the new one is whole.",
 )
 @_peer_options
 @output_options
@@ -80,7 +80,7 @@ def command(output: Output, /, controller: Path, target: str, out: Path, **furth
         _export_peer(output, controller, target, out, given)
         return
     if given:
-        raise UsageError(f"The target {target} takes no names, versions or numbers; it holds the file as it is.")
+        raise UsageError(f"The target {target} takes no names, versions or numbers of another controller.")
     checksum = export_controller(controller, target, out)
     result = {"target": target, "path": str(out), "checksum": checksum, "short_checksum": short(checksum)}
     output.result(result, lambda: click.echo(f"{out}: {target}, checksum {short(checksum)}"))
