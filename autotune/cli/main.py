@@ -62,6 +62,9 @@ COMMANDS: Mapping[str, CommandEntry] = MappingProxyType(
             module="autotune.cli.map", help="Draw two parameters against stability, margins or the peak."
         ),
         "plan": CommandEntry(module="autotune.cli.plan", help="Propose what to record next."),
+        "explore": CommandEntry(
+            module="autotune.cli.explore", help="Turn gains and plant by hand, and see what the loop does."
+        ),
         "completion": CommandEntry(module="autotune.cli.completion", help="Print the completion script for a shell."),
     }
 )

@@ -8,21 +8,24 @@ from typing import Any
 from autotune import __version__
 from autotune.errors import InfeasibleError
 from autotune.files.controller import ControllerFile
-from autotune.files.controller_record import Controller
+from autotune.files.controller_record import Controller, RuntimePayload
 from autotune.files.identified import IdentifiedFile
 from autotune.files.problem import ProblemSpec
 from autotune.validation.validate import ValidationReport, prove_axis, validate_controller
+from identification.result import Identified
 from problems.design import DesignProblem
 
 from .compare import SideBySide, check_comparable, compare, start_design
 from .explain import Active, explain
 from .optimality import Optimality, check_optimality
 from .problems import Wishes, build_problems, certified_mass_kg, runtime_mass_kg
-from .record import build_controller, build_domain
+from .record import build_controller, build_domain, runtime_payload
 from .relax import find_relaxations
 from .search import SearchResult, solve_design
 
-_SEARCH_SHARE, _PROOF_SHARE = 0.7, 0.1
+_SEARCH_SHARE = 0.7
+# Of what comes after the search.
+_PROOF_SHARE = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,9 +67,7 @@ def optimize(
     if existing is not None:
         check_comparable(existing, problems)
     # Asked before the search, because it may refuse.
-    mass_kg = runtime_mass_kg(
-        identified.result, certified_mass_kg(problems) or wishes.payload_mass_kg or spec.payload_mass_kg
-    )
+    payload = runtime_payload(identified.result, carried_mass_kg(identified.result, problems, spec, wishes))
     share = _SEARCH_SHARE / len(problems)
     searches = {
         name: _search(name, problem, seed, existing, relax, lambda done: report(share * done))
@@ -76,21 +77,8 @@ def optimize(
     active = {
         name: explain(search.problem, search.evaluation.peak_n, optimality[name]) for name, search in searches.items()
     }
-    proofs = {
-        name: prove_axis(
-            build_domain(search.problem),
-            search.problem.controller(search.design),
-            search.problem.sample_time_s,
-            name,
-        )
-        for name, search in searches.items()
-    }
-    report(_PROOF_SHARE)
-    controller = build_controller(
-        searches, identified.result, proofs, _provenance(identified, wishes, seed, problem_path, existing), mass_kg
-    )
-    checked = validate_controller(controller, lambda done: report((1.0 - _SEARCH_SHARE - _PROOF_SHARE) * done))
-    checked.require()
+    provenance = make_provenance(identified, wishes, seed, problem_path, existing)
+    controller, checked = certify(searches, payload, provenance, lambda done: report((1.0 - _SEARCH_SHARE) * done))
     compared = {} if existing is None else compare(existing.controller, searches)
     return Optimized(
         controller=controller,
@@ -100,6 +88,40 @@ def optimize(
         report=checked,
         compared=compared,
     )
+
+
+def carried_mass_kg(
+    identified: Identified, problems: Mapping[str, DesignProblem], spec: ProblemSpec, wishes: Wishes
+) -> float:
+    """Return the mass that the runtime compensates; raises UsageError where ranges leave the identified one out."""
+    return runtime_mass_kg(identified, certified_mass_kg(problems) or wishes.payload_mass_kg or spec.payload_mass_kg)
+
+
+def certify(
+    searches: Mapping[str, SearchResult],
+    payload: RuntimePayload,
+    provenance: Mapping[str, Any],
+    progress: Callable[[float], None],
+) -> tuple[Controller, ValidationReport]:
+    """Prove the designs stable, write them down as a controller, and return it once validation has passed it.
+
+    `progress` is told the share of the work done since the last call. Raises CertificateError when a claim cannot be
+    proved or verified.
+    """
+    proofs = {
+        name: prove_axis(
+            build_domain(search.problem),
+            search.problem.controller(search.design),
+            search.problem.sample_time_s,
+            name,
+        )
+        for name, search in searches.items()
+    }
+    progress(_PROOF_SHARE)
+    controller = build_controller(searches, payload, proofs, provenance)
+    checked = validate_controller(controller, lambda done: progress((1.0 - _PROOF_SHARE) * done))
+    checked.require()
+    return controller, checked
 
 
 def _search(
@@ -141,9 +163,10 @@ def _silent(_: float) -> None:
     return None
 
 
-def _provenance(
+def make_provenance(
     identified: IdentifiedFile, wishes: Wishes, seed: int, problem_path: Path | None, existing: ControllerFile | None
 ) -> dict[str, Any]:
+    """Return where a controller comes from: the tool, the identified file, and what was asked."""
     mass, stiffness = wishes.payload_mass_kg, wishes.environment_stiffness_n_per_m
     return {
         "tool": f"autotune {__version__}",

@@ -1,0 +1,68 @@
+"""Serve the page on this machine and nowhere else."""
+
+import asyncio
+import logging
+import secrets
+from collections.abc import Callable
+from pathlib import Path
+
+from bokeh.application import Application
+from bokeh.application.handlers.function import FunctionHandler
+from bokeh.document import Document
+from bokeh.server.server import BaseServer
+from bokeh.server.tornado import BokehTornado
+from bokeh.server.util import bind_sockets
+from bokeh.settings import settings
+from tornado.httpserver import HTTPServer
+from tornado.ioloop import IOLoop
+
+from autotune.errors import UsageError
+
+from .page import build_page
+from .source import Exploration
+
+LOOPBACK = "127.0.0.1"
+_LONGEST_MESSAGE_BYTES = 1_000_000
+
+
+def serve(exploration: Exploration, out: Path, *, port: int, ready: Callable[[str], None]) -> None:
+    """Serve the page until the process is interrupted; `ready` is told its address once it answers.
+
+    `port` 0 takes a free one. Only this machine reaches the server; the address holds a secret, so that another user of
+    the machine does not find the page, and a page of another origin cannot open its connection. Scripts come from the
+    installed package. Raises UsageError for a port that is taken.
+    """
+    # Whatever the environment says: nothing is fetched from elsewhere.
+    settings.resources = "server"
+    for name in ("bokeh", "tornado"):
+        logging.getLogger(name).setLevel(logging.ERROR)
+    asyncio.run(_serve(exploration, out, port, ready))
+
+
+async def _serve(exploration: Exploration, out: Path, port: int, ready: Callable[[str], None]) -> None:
+    try:
+        sockets, bound = bind_sockets(LOOPBACK, port)
+    except OSError as error:
+        raise UsageError(
+            f"Port {port} cannot be used: {error.strerror or error}; name another one with --port."
+        ) from error
+    secret = secrets.token_urlsafe(12)
+
+    def fill(document: Document) -> None:
+        build_page(exploration, out, document)
+
+    application = BokehTornado(
+        {"/": Application(FunctionHandler(fill))},
+        prefix=secret,
+        extra_websocket_origins=[f"{LOOPBACK}:{bound}"],
+        websocket_max_message_size_bytes=_LONGEST_MESSAGE_BYTES,
+    )
+    http = HTTPServer(application)
+    http.add_sockets(sockets)
+    server = BaseServer(IOLoop.current(), application, http)
+    server.start()
+    ready(f"http://{LOOPBACK}:{bound}/{secret}/")
+    try:
+        await asyncio.Event().wait()
+    finally:
+        server.stop()
