@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 from bokeh.models import (
     ColumnDataSource,
+    CustomJSTickFormatter,
     FactorRange,
     HoverTool,
     LinearColorMapper,
+    LogTicker,
 )
 from bokeh.models.annotations import ColorBar, Span
 from bokeh.plotting import figure
@@ -21,6 +23,7 @@ from problems.design import DesignProblem
 
 from .knobs import Knob
 from .view import DesignMap, MapWindow, View
+from .words import requirement_title
 
 FloatArray = NDArray[np.floating[Any]]
 
@@ -57,7 +60,7 @@ class Figures:
 
     def _contact(self) -> Any:
         plot = _plot("contact", "time after the contact [ms]", "force")
-        _line(plot, self.sources["begun"], "before", "contact, as begun", dashed=True)
+        _line(plot, self.sources["begun"], "before", "as begun", dashed=True)
         _line(plot, self.sources["sensor"], "quiet", "at the sensor")
         _line(plot, self.sources["contact"], "model", "at the contact")
         plot.scatter("x", "y", source=self.sources["peak"], color=COLOURS["model"], size=9, line_color="white")
@@ -65,6 +68,8 @@ class Figures:
 
     def _admittance(self) -> Any:
         plot = _plot("admittance", "frequency [Hz]", "|G|", x_axis_type="log", y_axis_type="log")
+        plot.yaxis.ticker = LogTicker(mantissas=[1, 2, 5])
+        plot.yaxis.formatter = CustomJSTickFormatter(code="return tick.toExponential(0);")
         _line(plot, self.target, "target", "at least", dashed=True)
         _line(plot, self.sources["gain"], "after", "|G|, free space")
         return _finished(plot)
@@ -78,9 +83,9 @@ class Figures:
             y_range=_NYQUIST_Y,
             aspect_ratio=1.0,
         )
-        _line(plot, self.sources["circle"], "target", "modulus margin asked", dashed=True)
-        _line(plot, self.sources["force"], "model", "loop at the force")
-        _line(plot, self.sources["command"], "after", "loop at the command")
+        _line(plot, self.sources["circle"], "target", "margin asked", dashed=True)
+        _line(plot, self.sources["force"], "model", "at the force")
+        _line(plot, self.sources["command"], "after", "at the command")
         plot.scatter([-1.0], [0.0], marker="cross", size=14, line_width=2, color=COLOURS["bad"])
         return _finished(plot)
 
@@ -90,12 +95,12 @@ class Figures:
             "required / achieved: up to 1 is met",
             "",
             y_range=FactorRange(),
-            x_range=(0.0, _LONGEST_BAR),
+            x_range=(0.0, 1.2 * _LONGEST_BAR),
         )
-        plot.hbar(y="name", right="right", height=0.6, color="colour", source=self.sources["bars"])
-        plot.text(
-            x=0.03, y="name", text="told", source=self.sources["bars"], text_font_size="12px", text_baseline="middle"
-        )
+        bars = self.sources["bars"]
+        plot.hbar(y="name", right="right", height=0.6, color="colour", source=bars)
+        place: dict[str, Any] = {"x_offset": 5, "text_font_size": "12px", "text_baseline": "middle"}
+        plot.text(x="right", y="name", text="told", source=bars, **place)
         plot.add_layout(Span(location=1.0, dimension="height", line_color=COLOURS["target"], line_width=2))
         return plot
 
@@ -127,8 +132,7 @@ class Figures:
         turn = np.linspace(0.0, 2.0 * np.pi, 121)
         radius = asked.modulus_margin or 0.0
         self.sources["circle"].data = {"x": radius * np.cos(turn) - 1.0, "y": radius * np.sin(turn)}
-        names = [name.replace("_", " ") for name in asked.asked()]
-        self.plots["requirements"].y_range.factors = names[::-1]
+        self.plots["requirements"].y_range.factors = [requirement_title(name) for name in asked.asked()][::-1]
         self.sources["begun"].data = dict(_EMPTY)
         if begun.transient is not None:
             self.sources["begun"].data = _over_time(begun.transient.time_s, begun.transient.contact_force_n)
@@ -148,13 +152,12 @@ class Figures:
             near = np.abs(loop) < 20.0
             self.sources[name].data = {"x": loop.real[near], "y": loop.imag[near]}
         ratios = view.ratios
-        names = [name.replace("_", " ") for name in ratios]
         values = np.nan_to_num(np.array(list(ratios.values())), nan=_LONGEST_BAR, posinf=_LONGEST_BAR)
         self.sources["bars"].data = {
-            "name": names,
+            "name": [requirement_title(name) for name in ratios],
             "right": np.minimum(values, _LONGEST_BAR),
             "colour": [COLOURS["good" if value <= 1.0 else "bad"] for value in values],
-            "told": [f"{name}: {value:.3g}" for name, value in zip(names, ratios.values(), strict=True)],
+            "told": [f"{value:.3f}" if value < _LONGEST_BAR else f"{value:.3g}" for value in ratios.values()],
         }
 
     def show_map(self, found: DesignMap) -> None:
@@ -201,6 +204,8 @@ def _plot(key: str, x: str, y: str, **more: Any) -> Any:
     }
     plot = figure(**options)
     plot.toolbar.logo = None
+    # On a touch screen a finger on a figure scrolls the page, until a tool is chosen.
+    plot.toolbar.active_drag = None
     plot.toolbar_location = "above"
     return plot
 

@@ -31,14 +31,19 @@ _COLUMNS, _ROWS, _FINER = 20, 15, 2
 _RESTS_MS = 350
 _LOGARITHMIC = "return String(Number((10 ** tick).toPrecision(4)));"
 _PLAIN = "return String(Number(tick.toPrecision(4)));"
+_MAP_TOLD = (
+    "Coloured by its worst peak: a design that meets every requirement on all plants. Pale: one is missed; reddish: "
+    "unstable. The star is the present design."
+)
 _STYLE = """
 :host { color: inherit; font: inherit; }
 p { margin: 0.2rem 0; } .good { color: var(--good); } .warn { color: var(--warn); } .bad { color: var(--bad); }
 .quiet { color: var(--soft); }
 dl { display: flex; flex-wrap: wrap; gap: 0.5rem 1.6rem; margin: 0; }
 dt { color: var(--soft); font-size: 0.82rem; } dd { margin: 0; font-size: 1.2rem; font-variant-numeric: tabular-nums; }
+.bk-slider-title { white-space: normal; }
 .bk-slider-title, label { color: var(--ink); font-size: 0.85rem; }
-select { color: var(--ink); background: var(--paper); border-color: var(--line); }
+select.bk-input { color: var(--ink); background-color: var(--pale); border-color: var(--line); }
 .bk-btn { color: var(--ink); background: var(--pale); border-color: var(--line); white-space: normal; }
 """
 
@@ -259,10 +264,7 @@ def _told() -> dict[str, tuple[str, str]]:
         "admittance": ("Free-space admittance", "Magnitude of G over frequency, with the least that is asked."),
         "nyquist": ("Nyquist", "Both open loops around −1, with the circle that the modulus margin asks for."),
         "requirements": ("Requirements", "Required over achieved of each requirement; up to 1 is met."),
-        "map": (
-            "Feasible designs",
-            "Where designs meet every requirement, coloured by the worst peak, and the design.",
-        ),
+        "map": ("Feasible designs", _MAP_TOLD),
     }
 
 

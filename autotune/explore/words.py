@@ -9,6 +9,19 @@ from .save import Saved
 from .view import View
 
 _UNSEEN = "–"
+_TITLES = {
+    "gain_margin_db": "gain margin",
+    "phase_margin_deg": "phase margin",
+    "delay_margin_s": "delay margin",
+    "decay_rate_per_s": "decay rate",
+    "max_peak_force_n": "peak force",
+    "free_space_admittance": "free-space admittance",
+}
+
+
+def requirement_title(name: str) -> str:
+    """Return what a requirement is called on the page."""
+    return _TITLES.get(name, name.replace("_", " "))
 
 
 def verdict(view: View, count: int) -> str:
@@ -16,7 +29,7 @@ def verdict(view: View, count: int) -> str:
     if view.evaluation.is_stable and not view.missed:
         return _line("good", f"Meets every requirement on all {count} plants of the map.")
     if view.evaluation.is_stable:
-        missed = ", ".join(f"{name.replace('_', ' ')} ({_share(value)})" for name, value in view.missed.items())
+        missed = ", ".join(f"{requirement_title(name)} ({_share(value)})" for name, value in view.missed.items())
         return _line("warn", f"Stable, but misses {missed}, worst of {count} plants.")
     here = f"|z| = {view.radius:.4f}" if view.radius >= 1.0 else f"|z| = {view.evaluation.spectral_radius:.4f}"
     where = "on the plant that you look at" if view.radius >= 1.0 else "on another plant of the range"
