@@ -6,7 +6,7 @@ from .errors import EstimateError
 from .plan_contacts import ContactPlan, plan_contacts, through_coupling
 from .plan_poses import PosePlan, plan_poses, smallest_tilt_deg
 from .plan_result import LABELS, ExperimentPlan, Limits, Prediction, Step, StepKind
-from .plan_sweep import SweepLimits, SweepPlan, plan_sweep
+from .plan_sweep import SweepLimits, SweepPlan, careful_force_n, plan_sweep
 from .plan_taps import TapPlan, plan_taps
 from .plan_values import PlanValues
 
@@ -15,7 +15,6 @@ _COM_M = 2e-3
 _DAMPING_FLOOR = 0.1
 _DELAY_SAMPLES = 0.2
 _AIM = 0.5
-_GUESSED_SHARE = 0.5
 
 _STEP_OF = {
     "mass_kg": "poses",
@@ -87,8 +86,7 @@ def plan_experiment(axis: str, values: PlanValues, limits: Limits) -> Experiment
 
 
 def _force_limit(limits: Limits, std: dict[str, float | None], *names: str) -> float:
-    """Return the limit, half of it where what shapes the peak is a guess: a resonance or a surface may surprise."""
-    return limits.max_force_n * (_GUESSED_SHARE if any(std[name] is None for name in names) else 1.0)
+    return careful_force_n(limits.max_force_n, [std[name] for name in names])
 
 
 def _named(step: str) -> list[str]:

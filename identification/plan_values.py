@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from problems.errors import ParameterError
 from problems.robot import RobotModel
@@ -78,6 +79,12 @@ class PlanValues:
     def assumed(self) -> dict[str, float]:
         """Return the values that are usual ones and no results."""
         return {name: known.value for name, known in self.known().items() if known.is_assumed}
+
+    @property
+    def theta(self) -> NDArray[np.float64]:
+        """K_s, B_s, B_p, M_p (4,) in SI."""
+        coupling = self.stiffness_n_per_m.value, self.damping_n_s_per_m.value
+        return np.array([*coupling, self.drag_n_s_per_m.value, self.mass_kg.value])
 
     @property
     def critical_damping_n_s_per_m(self) -> float:
