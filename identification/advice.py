@@ -35,6 +35,8 @@ _OTHER_ROBOT = (
 _CONTACTS = "Record 3 or more contacts on the same spot: 1 to 3 cm/s, 20 to 50 N, hold for 1 s, back off."
 _IMPACTS = "Record 3 or more contacts at 3 to 5 cm/s, as far as the predicted peak force allows."
 _SHARP_PERCENT = 5.0
+_DRIFT = "force-follows-drift"
+_DRIFTING = "The sensor drifts, which widens this: see to that first. "
 _COMMAND = "Record the position command with the pose, on one clock, at the control rate."
 
 
@@ -61,14 +63,15 @@ def advise(result: Identified) -> tuple[Finding, ...]:
     What is missing and needed is an error, unless another error says why already; what is weak and needed is a warning;
     so is what is needed and told as an interval only; the rest is information.
     """
-    findings = list(_findings("", list(_payload_lacks(result))))
+    first = _DRIFTING if any(finding.code == _DRIFT for finding in result.findings) else ""
+    findings = list(_findings("", list(_payload_lacks(result)), first))
     for name, axis in result.axes.items():
-        findings += _findings(f"Axis {name}: ", list(_axis_lacks(name, axis, _sweep(result, name))))
+        findings += _findings(f"Axis {name}: ", list(_axis_lacks(name, axis, _sweep(result, name))), first)
     explained = any(f.severity == "error" for f in result.findings)
     return tuple(f for f in findings if not (explained and f.severity == "error"))
 
 
-def _findings(where: str, lacks: Sequence[_Lack]) -> Iterator[Finding]:
+def _findings(where: str, lacks: Sequence[_Lack], first: str) -> Iterator[Finding]:
     for code, verb, severities in (
         ("unidentifiable", "not told by the log", ("error", "info")),
         ("bounded", "told as an interval only", ("warning", "info")),
@@ -78,7 +81,8 @@ def _findings(where: str, lacks: Sequence[_Lack]) -> Iterator[Finding]:
             mine = [lack for lack in lacks if lack.code == code and lack.needed is needed]
             for advice in dict.fromkeys(lack.advice for lack in mine):
                 told = ", ".join(_told(lack) for lack in mine if lack.advice == advice)
-                yield Finding(code=code, severity=severity, message=f"{where}{told}: {verb}.", advice=advice)
+                text = first + advice
+                yield Finding(code=code, severity=severity, message=f"{where}{told}: {verb}.", advice=text)
 
 
 def _told(lack: _Lack) -> str:
