@@ -32,6 +32,7 @@ from .verdicts import missing
 FloatArray = NDArray[np.float64]
 
 _OBLIQUE_SHARE = 0.3
+_ABOUT = "about the origin of the sensor frame, not the centre of mass"
 
 
 def identify_cell(
@@ -152,7 +153,9 @@ def _inertia(fit: InertiaFit) -> InertiaEstimate | None:
     """Return the tensor, None where no component is told."""
     if all(component.value is None for component in fit.components):
         return None
-    xx, yy, zz, xy, xz, yz = fit.components
+    xx, yy, zz, xy, xz, yz = (
+        replace(each, note="; ".join(filter(None, (_ABOUT, each.note)))) for each in fit.components
+    )
     return InertiaEstimate(xx=xx, yy=yy, zz=zz, xy=xy, xz=xz, yz=yz)
 
 

@@ -74,11 +74,7 @@ def find_contacts(of: AxisContacts, payload: Payload, motion: Motion, period_s: 
     return Pressed(
         contacts=tuple(sorted((*contacts, *restless), key=lambda each: each.span.start)),
         untold=tuple(contact.hold for contact, law in pairs if law is None or not law.is_clear),
-        by_hand=tuple(
-            contact.hold
-            for contact, law in pairs
-            if law is not None and law.is_clear and _is_hand(law, of)
-        ),
+        by_hand=tuple(contact.hold for contact, law in pairs if law is not None and law.is_clear and _is_hand(law, of)),
     )
 
 

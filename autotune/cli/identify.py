@@ -123,7 +123,7 @@ def _rows(result: "Identified") -> Iterator[tuple[str, ...]]:
     yield from _vector_rows("centre of mass", result.payload.com_m, "mm", 1e3)
     if result.payload.inertia_kg_m2 is not None:
         for name, component in vars(result.payload.inertia_kg_m2).items():
-            yield _row(f"inertia {name}", component, "kg·m²")
+            yield _row(f"inertia {name} about sensor", component, "kg·m²")
     yield from _vector_rows("force bias", result.sensor.force_bias_n, "N", 1.0)
     yield _row("force noise", result.sensor.force_noise_rms_n, "N rms")
     yield _row("gravity residual", result.sensor.gravity_residual_rms_n, "N rms")

@@ -156,7 +156,9 @@ def test_a_hand_on_the_way_in_is_noticed(size_n: float) -> None:
 def test_the_slow_way_into_a_soft_surface_is_no_hand(stiffness: float) -> None:
     # Speed and depth go together on that way: what tells K_e from B_e there is little more than the position's noise.
     press = led_by_force(stiffness, 28.0)
-    told = [find_contacts(*pressed(press.position_m, press.force_n, seed=seed, jitter_m=5e-6), H_S) for seed in range(5)]
+    told = [
+        find_contacts(*pressed(press.position_m, press.force_n, seed=seed, jitter_m=5e-6), H_S) for seed in range(5)
+    ]
     assert [contact.hand_suspected for found in told for contact in found.contacts] == [False] * 5
 
 
