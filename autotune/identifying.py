@@ -134,7 +134,7 @@ def _source(recording: Recording) -> _Source:
 
 
 def _refusal(files: Sequence[Path], findings: Sequence[Finding]) -> str:
-    """Return one sentence: a contradiction first, since what is missing may follow from it; then what may explain it."""
+    """Return one sentence: a contradiction first, since what is missing may follow from it; then what explains it."""
     missing = [finding for finding in findings if finding.severity == "error"]
     missing = sorted(missing, key=lambda finding: finding.code not in _CONTRADICTIONS)
     first = missing[0]

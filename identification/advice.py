@@ -28,9 +28,8 @@ _FILTERED = (
 )
 _OTHER_ROBOT = (
     "The sweep is there, but the robot does not follow as one or two poles and a delay do. Log the command where the "
-    "position loop receives it, behind every interpolator, filter and limit; if it is logged there, the loop has a zero "
-    "(feed-forward, say): tell its delay from elsewhere, `--given {name}.delay_s=SECONDS`, and take what it is used for "
-    "with care."
+    "position loop receives it, behind every interpolator, filter and limit. If it is logged there, the loop has a "
+    "zero (feed-forward, say): tell its delay from elsewhere, `--given {name}.delay_s=SECONDS`, and use it with care."
 )
 _CONTACTS = "Record 3 or more contacts on the same spot: 1 to 3 cm/s, 20 to 50 N, hold for 1 s, back off."
 _IMPACTS = "Record 3 or more contacts at 3 to 5 cm/s, as far as the predicted peak force allows."

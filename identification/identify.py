@@ -134,8 +134,8 @@ def _hands(timeline: Timeline) -> list[Finding]:
         Finding(
             code="hand-in-contact",
             severity="warning",
-            message=f"During the contact at {when} the force does not follow depth and speed as on a surface: a hand may "
-            "have pushed, or what is touched gave way.",
+            message=f"During the contact at {when} the force does not follow depth and speed as on a surface: a hand "
+            "may have pushed, or what is touched gave way.",
             advice="Keep hands off the payload while it touches, clamp what it presses on, and record these contacts "
             "again.",
         )
