@@ -40,7 +40,7 @@ _TARGETS_S = {75.0: 5.0, 600.0: 20.0}
 _MEMORY_TIMES = 5.0
 _TOGETHER_S = 75.0
 _FIXED_S, _CONTACT_S = 30.0, 4.7
-_IMPORTS = "import autotune.cli.main, autotune.identifying, autotune.files.identified, problems.symbolic"
+_IMPORTS = "import autotune.cli.main, autotune.identifying, autotune.files.identified"
 
 
 def main() -> int:
