@@ -26,6 +26,19 @@ LABELS = {
     "environment_damping_n_s_per_m": "environment B_e",
 }
 """What people call the parameters of a plan."""
+UNITS = {
+    "mass_kg": ("kg", 1.0),
+    "com_m": ("mm", 1e3),
+    "stiffness_n_per_m": ("N/mm", 1e-3),
+    "damping_n_s_per_m": ("N·s/m", 1.0),
+    "drag_n_s_per_m": ("N·s/m", 1.0),
+    "motion_mass_kg": ("kg", 1.0),
+    "bandwidth_hz": ("Hz", 1.0),
+    "delay_s": ("ms", 1e3),
+    "environment_stiffness_n_per_m": ("N/mm", 1e-3),
+    "environment_damping_n_s_per_m": ("N·s/m", 1.0),
+}
+"""Their units on the screen, and how many of them an SI unit is."""
 
 
 class StepKind(StrEnum):
