@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from identification.plan_result import ExperimentPlan, Prediction, Step
     from identification.plan_sweep import SweepPlan
     from identification.plan_taps import TapPlan
+    from identification.plan_values import PlanValues
 
 _EPILOG = """\b
 Examples:
@@ -92,12 +93,11 @@ def command(
     from autotune import __version__
     from autotune.errors import UsageError
     from autotune.files.atomic import check_target
-    from autotune.files.identified import read_identified
     from autotune.files.plan import plan_tree, write_plan
     from identification.plan_experiment import plan_experiment
     from identification.plan_poses import FEWEST_POSES
     from identification.plan_result import Limits
-    from identification.plan_values import usual_values, values_of
+    from identification.plan_values import usual_values
 
     check_target(out, [] if identified is None else [identified])
     if 0 < poses < FEWEST_POSES:
@@ -119,18 +119,24 @@ def command(
     elif mass is not None or stiffness is not None:
         raise UsageError("--mass and --stiffness are guesses for a first recording; leave them out beside a file.")
     else:
-        source = read_identified(identified)
-        name, values = values_of(source.result, axis)
-        for finding in source.result.findings:
-            if finding.code in _DOUBTS:
-                output.note(
-                    f"{identified.name} says: {printable(finding.message)} The plan takes the values as they are."
-                )
-        provenance["identified"] = {"path": str(source.path), "sha256": source.sha256}
+        name, values = _from_file(output, identified, axis, provenance)
     with output.progress("planning", None):
         plan = plan_experiment(name, values, limits)
     write_plan(out, plan, provenance)
     output.result(plan_tree(plan, provenance), lambda: print_plan(plan, out))
+
+
+def _from_file(output: Output, path: Path, axis: str | None, provenance: dict[str, object]) -> tuple[str, "PlanValues"]:
+    """Return the axis and its values, note the file in `provenance`, and repeat what it says against its own values."""
+    from autotune.files.identified import read_identified
+    from identification.plan_values import values_of
+
+    source = read_identified(path)
+    provenance["identified"] = {"path": str(source.path), "sha256": source.sha256}
+    for finding in source.result.findings:
+        if finding.code in _DOUBTS:
+            output.note(f"{path.name} says: {printable(finding.message)} The plan takes the values as they are.")
+    return values_of(source.result, axis)
 
 
 def print_plan(plan: "ExperimentPlan", out: Path) -> None:
