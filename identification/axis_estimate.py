@@ -169,7 +169,7 @@ def fit_axis(cell: CellSignals, view: AxisView) -> AxisTold:
         contacts = AxisContacts(axis=axis, holds=view.holds, coupling=usual_coupling(cell.gravity.mass_kg))
         return AxisTold(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=None)
     left_n = _left_beside(axis, cell.motion.still, view.holds)
-    findings += _about_contacts(axis.name, data.holds, fit, left_n)
+    findings += _about_contacts(axis.name, _first_rests(cell.motion.still, data.holds), fit, left_n)
     findings += [*_about_lag(axis.name, fit), *_about_fit(axis.name, fit)]
     alone = _estimate(axis, fit, robot, data.period_s)
     both = alone if with_priors is None else _estimate(axis, with_priors, robot, data.period_s)
@@ -312,6 +312,12 @@ def _left_beside(axis: AxisMotion, still: Sequence[Span], holds: Sequence[Span])
         return 0.0
     nearest = [min(free, key=lambda span: abs(span.start - hold.start)) for hold in holds]
     return max(abs(float(np.median(axis.force_n[span.slice]))) for span in nearest)
+
+
+def _first_rests(still: Sequence[Span], holds: Sequence[Span]) -> tuple[Span, ...]:
+    """Return the holds without those that only a jerk parts from another, no rest without force being in between."""
+    before = [None, *still]
+    return tuple(span for i, span in enumerate(still) if span in holds and before[i] not in holds)
 
 
 def _about_contacts(axis: str, holds: Sequence[Span], fit: JointFit, left_n: float) -> list[Finding]:
