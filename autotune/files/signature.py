@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 _LARGEST_KEY_BYTES = 65536
-_OPENSSH_PRIVATE, _OPENSSH_PUBLIC = b"-----BEGIN OPENSSH", b"ssh-"
+_PEM, _OPENSSH_PRIVATE = b"-----BEGIN ", b"-----BEGIN OPENSSH"
 
 
 def signature_path(path: Path) -> Path:
@@ -46,7 +46,7 @@ def read_public_key(path: Path) -> "Ed25519PublicKey":
 
     data = _key_bytes(path)
     load: Callable[..., object] = (
-        serialization.load_ssh_public_key if data.startswith(_OPENSSH_PUBLIC) else serialization.load_pem_public_key
+        serialization.load_pem_public_key if data.startswith(_PEM) else serialization.load_ssh_public_key
     )
     key = _loaded(lambda: load(data), path, "public")
     if not isinstance(key, Ed25519PublicKey):
