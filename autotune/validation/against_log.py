@@ -98,8 +98,8 @@ def compare_with_log(
     if not found.contacts:
         raise LogError(
             f"The log must hold contacts along {', '.join(controller.axes)} from free motion into a rest, found none; "
-            "record the approach, the touch and a second of holding. (Or coupling and drag of this cell are so far from "
-            "the file's that its touches do not show.)"
+            "record the approach, the touch and a second of holding. (Or coupling and drag of this cell are so far "
+            "from the file's that its touches do not show.)"
         )
     followed = [_followed(controller, contact, found.period_s) for contact in found.contacts]
     pairs = [pair for pair in zip(found.contacts, followed, strict=True) if pair[1].left_share <= _FOLLOWS]
