@@ -39,7 +39,7 @@ def a_line_twice(rng: random.Random) -> str:
 
 
 def another_letter_in_a_key(rng: random.Random) -> str:
-    names = [m for m in re.finditer(r"(?m)^ *(?:- )?([a-z][a-z0-9_]*):", YAML)]
+    names = list(re.finditer(r"(?m)^ *(?:- )?([a-z][a-z0-9_]*):", YAML))
     name = rng.choice(names)
     at = rng.choice([i for i in range(*name.span(1)) if YAML[i].isalpha()])
     return YAML[:at] + rng.choice([c for c in "abcdefghijklmnopqrstuvwxyz" if c != YAML[at]]) + YAML[at + 1 :]

@@ -152,6 +152,27 @@ def test_what_is_not_said_is_taken_from_the_file_and_then_as_usual() -> None:
     assert (effects.deadband.width_n, effects.deadband.kind) == (5.0, "threshold")
 
 
+def test_an_axis_that_turns_has_its_own_units_and_noise() -> None:
+    """The same numbers about rx are the same contact, in N·m and rad."""
+    straight = gains(small_controller(), deadband=0.0)
+    certificate = straight.certificate
+    turning = replace(
+        straight,
+        axes={"rx": straight.axes["x"]},
+        predicted={"rx": straight.predicted["x"]},
+        certificate=replace(
+            certificate, domain={"rx": certificate.domain["x"]}, margins={"rx": certificate.margins["x"]}
+        ),
+    )
+    (found,) = run_monte_carlo(turning, count=2)
+    assert (found.effects.force_noise_rms_n, found.effects.limits) == (0.02, None)
+    assert found.contact is not None
+    plain = on_x(straight, count=2).contact
+    assert plain is not None
+    assert found.contact.linear == plain.linear
+    assert " N·m at the contact" in monte_carlo_checks((found,))[1].message
+
+
 @pytest.mark.parametrize(
     ("values", "name"),
     [
