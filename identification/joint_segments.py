@@ -1,23 +1,20 @@
 """Spans of the log that one payload on one spring explains, and the force that the model predicts there."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .joint_kernel import returns_at_once, run_contact, run_free
-from .joint_model import Layout, body, payload_step, swing_step
-from .joint_path import FlangePath
+from .joint_force_kernel import Law, run_force
+from .joint_kernel import TINY, returns_at_once
+from .joint_model import Array, Layout, body, held, payload_step, robot_rate, swing_step
+from .joint_path import Cut, FlangePath
 
 FloatArray = NDArray[np.float64]
 
-_NO_SURFACE = np.zeros(3)
-_STEP_SHARE = 1e-6
-_OWN_SIZES = (1.0, 1.0, 1.0, 1e-3)
+_NO_SURFACE = (0.0, 0.0, 0.0)
 _OFFSET = 2
-_DOMINATED = 0.2
 FREE = -1
 
 
@@ -61,20 +58,34 @@ def predict_force(
     F = K_s (x_p − x) + B_s (v_p − v) + offset, with F_e = M_e dv_p/dt + B_e v_p + K_e (x_p − x_w) ≥ 0 in contact.
     """
     cut, sign = path.cut(segment.slice), float(segment.sign)
+    law = _law(values, nuisance, segment, cut, layout, path.robot, path.hold.fraction, period_s)
+    nothing = np.empty((0, *cut.drive.shape)), np.empty((0, *cut.ends.shape))
+    none = _joined([], law)
+    ways = cut.drive, cut.ends
+    force = run_force(law, none, ways, nothing, np.empty(0, dtype=np.intp), sign, segment.is_contact)
+    return np.asarray(sign * force[0] + nuisance[_OFFSET])
+
+
+def _law(
+    values: Sequence[complex] | FloatArray,
+    nuisance: Sequence[complex] | FloatArray,
+    segment: Segment,
+    cut: Cut,
+    layout: Layout,
+    robot: Array | None,
+    fraction: complex,
+    period_s: float,
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return what `run_force` is moved by; one parameter may be complex, the path apart."""
+    sign = segment.sign
     surface = values[layout.surface(segment.surface)] if segment.is_contact else _NO_SURFACE
     of = body(values[:4], surface, period_s)
-    wall = float(sign * nuisance[3] if segment.is_contact else cut.ends[0, 0])
-    x, v = sign * float(cut.ends[0, 0]) - wall, sign * float(cut.ends[0, 1])
-    start, place = (x + float(nuisance[0]) / of[0], v + float(nuisance[1]) / of[0]), (sign, wall)
-    phi, gamma = payload_step(of, path.robot, path.hold.fraction, touching=False)
-    if segment.is_contact:
-        touched = payload_step(of, path.robot, path.hold.fraction, touching=True)
-        swing = swing_step(of, back_at_once=returns_at_once(of))
-        modes = np.stack([phi, touched[0]]), np.stack([gamma, touched[1]])
-        force = run_contact(*modes, swing, cut.drive, cut.ends, of, place, start)
-    else:
-        force = run_free(phi, gamma, cut.drive, cut.ends, of, place, start)
-    return np.asarray(sign * force + nuisance[2])
+    wall = sign * nuisance[3] if segment.is_contact else sign * cut.ends[0, 0]
+    x, v = sign * cut.ends[0, 0] - wall + nuisance[0] / of[0], sign * cut.ends[0, 1] + nuisance[1] / of[0]
+    free = payload_step(of, robot, fraction, touching=False)
+    touched = payload_step(of, robot, fraction, touching=True) if segment.is_contact else free
+    swing = swing_step(of, back_at_once=not segment.is_contact or returns_at_once(of))
+    return np.stack([free[0], touched[0]]), np.stack([free[1], touched[1]]), swing, np.array(of), np.array([wall, x, v])
 
 
 def shared_indices(segment: Segment, layout: Layout, *, through_robot: bool) -> NDArray[np.intp]:
@@ -86,58 +97,65 @@ def shared_indices(segment: Segment, layout: Layout, *, through_robot: bool) -> 
 
 def force_jacobian(
     values: FloatArray,
-    sizes: FloatArray,
     nuisance: FloatArray,
     segment: Segment,
-    paths: Callable[[int, int], FlangePath],
+    path: FlangePath,
+    path_slopes: Callable[[int], FlangePath],
     indices: NDArray[np.intp],
     layout: Layout,
     period_s: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the prediction (n,) and its derivatives (p, n) by the shared parameters `indices`, then its nuisances.
 
-    One-sided differences of an exact solution: `sizes` are the parameters' units, and the error of a difference is a
-    millionth of the curvature. `paths(i, n)` is the flange's path with parameter i moved by n steps. A bounce that
-    begins or ends at a tick makes the prediction jump there; a derivative that one sample dominates is therefore taken
-    over the next step too, and the smaller one counts, sample by sample.
+    Exact to rounding: the matrices of a sample are differentiated by complex steps, the ticks' states along with
+    themselves (`run_force`). `path_slopes(i)` is the derivative of the flange's path by parameter i of the robot. A
+    bounce that begins or ends at a tick, and the delay at whole samples, have a derivative on each side of them: a bounce
+    has that of what happens here, the delay that of a longer one.
     """
+    cut, sign = path.cut(segment.slice), float(segment.sign)
+    robot = range(layout.robot.start, layout.robot.stop)
+    through = [i for i in indices.tolist() if i in robot]
+    cuts = [path_slopes(i).cut(segment.slice) for i in through]
+    free = [i for i in range(segment.nuisance_count) if i != _OFFSET]
 
-    def shared(index: int, steps: int) -> FloatArray:
-        there = values.copy()
-        there[index] += steps * _STEP_SHARE * sizes[index]
-        return predict_force(there, nuisance, segment, paths(index, steps), layout, period_s)
+    def turned(shared: int | None, own: int | None) -> tuple[Array, ...]:
+        here = [complex(v, TINY if i == shared else 0.0) for i, v in enumerate(values)]
+        mine = [complex(v, TINY if i == own else 0.0) for i, v in enumerate(nuisance)]
+        rows, fraction = path.robot, path.hold.fraction
+        if shared in through:
+            rows, fraction = robot_rate(here[layout.robot], period_s), held(here[robot.stop - 1], period_s).fraction
+        return _law(here, mine, segment, cut, layout, rows, fraction, period_s)
 
-    def own(index: int, steps: int) -> FloatArray:
-        there = nuisance.copy()
-        there[index] += steps * _STEP_SHARE * _OWN_SIZES[index]
-        return predict_force(values, there, segment, paths(0, 0), layout, period_s)
-
-    base = predict_force(values, nuisance, segment, paths(0, 0), layout, period_s)
-    rows = np.empty((len(indices) + segment.nuisance_count, len(base)))
-    for row, i in zip(rows, indices, strict=False):
-        row[:] = difference(partial(shared, int(i)), base, _STEP_SHARE * sizes[i])
-    for index, row in enumerate(rows[len(indices) :]):
-        step = _STEP_SHARE * _OWN_SIZES[index]
-        row[:] = 1.0 if index == _OFFSET else difference(partial(own, index), base, step)
-    return base, rows
-
-
-def difference(predicted: Callable[[int], FloatArray], base: FloatArray, step: float) -> FloatArray:
-    """Return the slope of what 1 and 2 steps predict, a jump in a few samples left out (see `force_jacobian`)."""
-    once = predicted(1)
-    slope = (once - base) / step
-    return _smaller(slope, (predicted(2) - once) / step) if _is_jump(slope) else slope
-
-
-def _is_jump(slope: FloatArray) -> bool:
-    square = slope * slope
-    return bool(np.max(square) > _DOMINATED * np.sum(square))
+    law = _law(values, nuisance, segment, cut, layout, path.robot, path.hold.fraction, period_s)
+    turns = [turned(i, None) for i in indices.tolist()] + [turned(None, i) for i in free]
+    slopes = _joined(turns, law)
+    where = np.flatnonzero(np.isin(indices, through))
+    for at, moved in zip(where, cuts, strict=True):
+        # The payload starts on the flange; in free motion all is counted from there, too.
+        wall = 0.0 if segment.is_contact else sign * moved.ends[0, 0]
+        slopes[4][:, at] += wall, sign * moved.ends[0, 0] - wall, sign * moved.ends[0, 1]
+    ways = _path_slopes(cut, cuts, 0 if path.robot is None else len(path.robot))
+    found = run_force(law, slopes, (cut.drive, cut.ends), ways, where, sign, segment.is_contact)
+    rows = np.insert(sign * found[1:], len(indices) + _OFFSET, 1.0, axis=0)
+    return np.asarray(sign * found[0] + nuisance[_OFFSET]), rows
 
 
-def _smaller(first: FloatArray, second: FloatArray) -> FloatArray:
-    return np.where(np.abs(first) <= np.abs(second), first, second)
+def _joined(turns: Sequence[tuple[Array, ...]], law: tuple[Array, ...]) -> Law:
+    """Return the derivatives of a law by each parameter that was turned, their last axis."""
+    parts = [np.empty((*each.shape, len(turns))) for each in law]
+    for i, turn in enumerate(turns):
+        for part, each in zip(parts, turn, strict=True):
+            part[..., i] = each.imag / TINY
+    return parts[0], parts[1], parts[2], parts[3], parts[4]
 
 
-def robot_step(sizes: FloatArray, index: int) -> float:
-    """Return by how much a robot parameter is moved for its derivative."""
-    return _STEP_SHARE * float(sizes[index])
+def _path_slopes(cut: Cut, cuts: Sequence[Cut], order: int) -> tuple[FloatArray, FloatArray]:
+    """Return the derivatives of drive (r, n, m) and ends (r, n, 4); the commands have none.
+
+    A cut of `joint_path.path_slope` drives with (s', s, commands, rest).
+    """
+    drive, ends = np.zeros((len(cuts), *cut.drive.shape)), np.empty((len(cuts), *cut.ends.shape))
+    for i, each in enumerate(cuts):
+        drive[i, :, :order], drive[i, :, -4:] = each.drive[:, :order], each.drive[:, -4:]
+        ends[i] = each.ends
+    return drive, ends
