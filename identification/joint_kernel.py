@@ -214,49 +214,45 @@ def _until(state: FloatArray, ends: Ends, at: float, longest: float, body: Body,
 
 
 @compiled
-def switch_along(states: ComplexArray, ends: ComplexArray, bodies: ComplexArray, touching: bool, taken: FloatArray) -> None:
-    """Move `states` (p, 4) through the steps (n, 2) that `switch` took, each with `ends` (p, 4) and `bodies` (p, 7).
+def switch_along(along: ComplexArray, touching: bool, taken: FloatArray) -> None:
+    """Move the states in `along` (p, 15) through the steps (n, 2) that `switch` took.
 
-    All have the same real parts; the imaginary ones are TINY times slopes. A touch or release moves so that `pressure`
-    stays 0, and the last step ends at the tick.
+    Its rows are state, flange at both ends, and body; all have the same real parts, and the imaginary ones are TINY
+    times slopes. A touch or release moves so that `pressure` stays 0, and the last step ends at the tick.
     """
-    passed = np.zeros(len(states), dtype=np.complex128)
+    passed = np.zeros(len(along), dtype=np.complex128)
     for step in range(len(taken)):
-        dt, turns = taken[step]
-        growing = 1.0
-        if turns > 0.0:
-            growing = _growth(states[0].real, ends[0].real, passed[0].real, dt, bodies[0].real, touching)
-        for i in range(len(states)):
-            between = ends[i, 0], ends[i, 1], ends[i, 2], ends[i, 3]
-            body = _body(bodies[i])
+        dt, turns = taken[step, 0], taken[step, 1] > 0.0
+        growing = _growth(along[0].real, passed[0].real, dt, touching) if turns else 1.0
+        for i in range(len(along)):
+            state, ends, body = _parts(along[i])
             length = dt + 0j
-            if turns > 0.0:
-                end = advance(states[i], between, passed[i], length, body, touching)
-                off = pressure(end, between, passed[i] + length, body, touching).imag
+            if turns:
+                end = advance(state, ends, passed[i], length, body, touching)
+                off = pressure(end, ends, passed[i] + length, body, touching).imag
                 length -= 1j * (off / growing)
             elif step == len(taken) - 1:
                 length = 1.0 - passed[i]
-            states[i] = advance(states[i], between, passed[i], length, body, touching)
+            state[:] = advance(state, ends, passed[i], length, body, touching)
             passed[i] += length
-            if turns > 0.0:
-                meet(states[i], body, not touching)
-        if turns > 0.0:
-            touching = not touching
+            if turns:
+                meet(state, body, not touching)
+        touching ^= turns
     if touching:
-        states[:, 2:] = states[:, :2]
+        along[:, 2:4] = along[:, :2]
 
 
 @compiled
-def _growth(state: FloatArray, ends: FloatArray, at: float, dt: float, body: FloatArray, touching: bool) -> float:
-    """Return how fast `pressure` changes with time, `dt` samples after the state."""
-    later, between = dt + TINY * 1j, (ends[0] + 0j, ends[1] + 0j, ends[2] + 0j, ends[3] + 0j)
-    of = _body(body + 0j)
-    end = advance(state + 0j, between, at + 0j, later, of, touching)
-    found = pressure(end, between, at + later, of, touching).imag / TINY
+def _growth(of: FloatArray, at: float, dt: float, touching: bool) -> float:
+    """Return how fast `pressure` changes with time, `dt` samples after a state."""
+    state, ends, body = _parts(of + 0j)
+    later = dt + TINY * 1j
+    end = advance(state, ends, at + 0j, later, body, touching)
+    found = pressure(end, ends, at + later, body, touching).imag / TINY
     # What only grazes does not move.
     return found if found != 0.0 else np.inf
 
 
 @compiled
-def _body(of: ComplexArray) -> Body:
-    return of[0], of[1], of[2], of[3], of[4], of[5], of[6]
+def _parts(of: ComplexArray) -> tuple[ComplexArray, Ends, Body]:
+    return of[:4], (of[4], of[5], of[6], of[7]), (of[8], of[9], of[10], of[11], of[12], of[13], of[14])

@@ -1,20 +1,20 @@
 """Spans of the log that one payload on one spring explains, and the force that the model predicts there."""
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .joint_force_kernel import Law, run_force
-from .joint_kernel import TINY, returns_at_once
-from .joint_model import Array, Layout, body, held, payload_step, robot_rate, swing_step
+from .joint_force_kernel import ModeArray, RealBody, run_contact, run_free
+from .joint_kernel import Body, returns_at_once
+from .joint_model import Array, Layout, body, payload_step, swing_step
 from .joint_path import Cut, FlangePath
 
 FloatArray = NDArray[np.float64]
 
-_NO_SURFACE = (0.0, 0.0, 0.0)
-_OFFSET = 2
+_NO_SURFACE = np.zeros(3)
+OFFSET = 2
 FREE = -1
 
 
@@ -57,35 +57,69 @@ def predict_force(
 
     F = K_s (x_p − x) + B_s (v_p − v) + offset, with F_e = M_e dv_p/dt + B_e v_p + K_e (x_p − x_w) ≥ 0 in contact.
     """
-    cut, sign = path.cut(segment.slice), float(segment.sign)
-    law = _law(values, nuisance, segment, cut, layout, path.robot, path.hold.fraction, period_s)
-    nothing = np.empty((0, *cut.drive.shape)), np.empty((0, *cut.ends.shape))
-    none = _joined([], law)
-    ways = cut.drive, cut.ends
-    force = run_force(law, none, ways, nothing, np.empty(0, dtype=np.intp), sign, segment.is_contact)
-    return np.asarray(sign * force[0] + nuisance[_OFFSET])
+    cut = path.cut(segment.slice)
+    law = law_of(values, nuisance, segment, path, layout, period_s)
+    return np.asarray(segment.sign * run(law, cut, segment).force + nuisance[OFFSET])
 
 
-def _law(
-    values: Sequence[complex] | FloatArray,
-    nuisance: Sequence[complex] | FloatArray,
-    segment: Segment,
-    cut: Cut,
-    layout: Layout,
-    robot: Array | None,
-    fraction: complex,
-    period_s: float,
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Return what `run_force` is moved by; one parameter may be complex, the path apart."""
-    sign = segment.sign
-    surface = values[layout.surface(segment.surface)] if segment.is_contact else _NO_SURFACE
-    of = body(values[:4], surface, period_s)
-    wall = sign * nuisance[3] if segment.is_contact else sign * cut.ends[0, 0]
-    x, v = sign * cut.ends[0, 0] - wall + nuisance[0] / of[0], sign * cut.ends[0, 1] + nuisance[1] / of[0]
+class Law(NamedTuple):
+    """What a span's motion follows.
+
+    `phi` (2, 2, 2) and `gamma` (2, 2, m) of free motion and contact, `swing` (2, 2) of a freed environment; `wall` is
+    where all is counted from in the direction of pressing, `start` the payload's place and velocity at first.
+    """
+
+    phi: FloatArray
+    gamma: FloatArray
+    swing: FloatArray
+    body: Body
+    wall: float
+    start: tuple[float, float]
+
+
+def law_of(
+    values: FloatArray, nuisance: FloatArray, segment: Segment, path: FlangePath, layout: Layout, period_s: float
+) -> Law:
+    """Return what a span's motion follows, for what `predict_force` takes."""
+    of = body(values[:4], surface_of(values, segment, layout), period_s)
+    x, v = (segment.sign * float(end) for end in path.cut(segment.slice).ends[0, :2])
+    wall = segment.sign * float(nuisance[3]) if segment.is_contact else x
+    start = x - wall + float(nuisance[0]) / of[0].real, v + float(nuisance[1]) / of[0].real
+    phi, gamma, swing = steps_of(of, path.robot, path.hold.fraction, touches=segment.is_contact)
+    return Law(phi=phi, gamma=gamma, swing=swing, body=of, wall=wall, start=start)
+
+
+def surface_of(values: FloatArray, segment: Segment, layout: Layout) -> FloatArray:
+    """Return K_e, B_e, M_e of what a segment touches, zeros for nothing."""
+    return values[layout.surface(segment.surface)] if segment.is_contact else _NO_SURFACE
+
+
+def steps_of(of: Body, robot: Array | None, fraction: complex, *, touches: bool) -> tuple[Array, Array, Array]:
+    """Return phi, gamma and swing as `Law` has them; those of a contact are of use only if it `touches`."""
     free = payload_step(of, robot, fraction, touching=False)
-    touched = payload_step(of, robot, fraction, touching=True) if segment.is_contact else free
-    swing = swing_step(of, back_at_once=not segment.is_contact or returns_at_once(of))
-    return np.stack([free[0], touched[0]]), np.stack([free[1], touched[1]]), swing, np.array(of), np.array([wall, x, v])
+    touched = payload_step(of, robot, fraction, touching=True) if touches else free
+    swing = swing_step(of, back_at_once=not touches or returns_at_once(of))
+    return np.stack([free[0], touched[0]]), np.stack([free[1], touched[1]]), swing
+
+
+class Run(NamedTuple):
+    """A span's motion: the coupling's force (n,), states (n, 2), or (n, 4) with a wall, and `run_contact`'s modes."""
+
+    force: FloatArray
+    states: FloatArray
+    modes: ModeArray
+
+
+def run(law: Law, cut: Cut, segment: Segment) -> Run:
+    """Return a span's motion in the direction of pressing."""
+    count = len(segment)
+    states, modes = np.empty((count, 4 if segment.is_contact else 2)), np.zeros(count, dtype=np.int8)
+    of, start, place = cast(RealBody, law.body), law.start, (float(segment.sign), law.wall)
+    if segment.is_contact:
+        force = run_contact(law.phi, law.gamma, law.swing, cut.drive, cut.ends, of, place, start, states, modes)
+    else:
+        force = run_free(law.phi[0], law.gamma[0], cut.drive, cut.ends, of, place, start, states)
+    return Run(force, states, modes)
 
 
 def shared_indices(segment: Segment, layout: Layout, *, through_robot: bool) -> NDArray[np.intp]:
@@ -93,69 +127,3 @@ def shared_indices(segment: Segment, layout: Layout, *, through_robot: bool) -> 
     robot = np.arange(layout.robot.start, layout.robot.stop if through_robot else layout.robot.start)
     surface = np.arange(*layout.surface(segment.surface).indices(len(layout))) if segment.is_contact else np.empty(0)
     return np.concatenate([np.arange(4), robot, surface]).astype(np.intp)
-
-
-def force_jacobian(
-    values: FloatArray,
-    nuisance: FloatArray,
-    segment: Segment,
-    path: FlangePath,
-    path_slopes: Callable[[int], FlangePath],
-    indices: NDArray[np.intp],
-    layout: Layout,
-    period_s: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the prediction (n,) and its derivatives (p, n) by the shared parameters `indices`, then its nuisances.
-
-    Exact to rounding: the matrices of a sample are differentiated by complex steps, the ticks' states along with
-    themselves (`run_force`). `path_slopes(i)` is the derivative of the flange's path by parameter i of the robot. A
-    bounce that begins or ends at a tick, and the delay at whole samples, have a derivative on each side of them: a bounce
-    has that of what happens here, the delay that of a longer one.
-    """
-    cut, sign = path.cut(segment.slice), float(segment.sign)
-    robot = range(layout.robot.start, layout.robot.stop)
-    through = [i for i in indices.tolist() if i in robot]
-    cuts = [path_slopes(i).cut(segment.slice) for i in through]
-    free = [i for i in range(segment.nuisance_count) if i != _OFFSET]
-
-    def turned(shared: int | None, own: int | None) -> tuple[Array, ...]:
-        here = [complex(v, TINY if i == shared else 0.0) for i, v in enumerate(values)]
-        mine = [complex(v, TINY if i == own else 0.0) for i, v in enumerate(nuisance)]
-        rows, fraction = path.robot, path.hold.fraction
-        if shared in through:
-            rows, fraction = robot_rate(here[layout.robot], period_s), held(here[robot.stop - 1], period_s).fraction
-        return _law(here, mine, segment, cut, layout, rows, fraction, period_s)
-
-    law = _law(values, nuisance, segment, cut, layout, path.robot, path.hold.fraction, period_s)
-    turns = [turned(i, None) for i in indices.tolist()] + [turned(None, i) for i in free]
-    slopes = _joined(turns, law)
-    where = np.flatnonzero(np.isin(indices, through))
-    for at, moved in zip(where, cuts, strict=True):
-        # The payload starts on the flange; in free motion all is counted from there, too.
-        wall = 0.0 if segment.is_contact else sign * moved.ends[0, 0]
-        slopes[4][:, at] += wall, sign * moved.ends[0, 0] - wall, sign * moved.ends[0, 1]
-    ways = _path_slopes(cut, cuts, 0 if path.robot is None else len(path.robot))
-    found = run_force(law, slopes, (cut.drive, cut.ends), ways, where, sign, segment.is_contact)
-    rows = np.insert(sign * found[1:], len(indices) + _OFFSET, 1.0, axis=0)
-    return np.asarray(sign * found[0] + nuisance[_OFFSET]), rows
-
-
-def _joined(turns: Sequence[tuple[Array, ...]], law: tuple[Array, ...]) -> Law:
-    """Return the derivatives of a law by each parameter that was turned, their last axis."""
-    parts = [np.empty((*each.shape, len(turns))) for each in law]
-    for i, turn in enumerate(turns):
-        for part, each in zip(parts, turn, strict=True):
-            part[..., i] = each.imag / TINY
-    return parts[0], parts[1], parts[2], parts[3], parts[4]
-
-
-def _path_slopes(cut: Cut, cuts: Sequence[Cut], order: int) -> tuple[FloatArray, FloatArray]:
-    """Return the derivatives of drive (r, n, m) and ends (r, n, 4); the commands have none.
-
-    A cut of `joint_path.path_slope` drives with (s', s, commands, rest).
-    """
-    drive, ends = np.zeros((len(cuts), *cut.drive.shape)), np.empty((len(cuts), *cut.ends.shape))
-    for i, each in enumerate(cuts):
-        drive[i, :, :order], drive[i, :, -4:] = each.drive[:, :order], each.drive[:, -4:]
-        ends[i] = each.ends
-    return drive, ends

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from .joint_path import FlangePath, path_slope
 from .joint_problem import Point, Problem, logarithmic, sizes_of
-from .joint_segments import Segment, force_jacobian, predict_force, shared_indices
+from .joint_segments import Segment, predict_force, shared_indices
+from .joint_slopes import force_jacobian
 
 FloatArray = NDArray[np.float64]
 
