@@ -4,6 +4,8 @@ Time is counted in samples: velocities are m per sample, B/h and M/h² stand for
 answers with a slope as well: its imaginary part is the slope times that of what came in, if that is tiny.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,8 @@ from problems.compiled import compiled
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Of floats, or of complex numbers.
+Array = NDArray[Any]
 # (K_s, B_s/h, B_p/h, M_p/h², K_e, B_e/h, M_e/h²)
 Body = tuple[complex, complex, complex, complex, complex, complex, complex]
 # The flange's position and velocity at both ends of a sample.
@@ -23,6 +27,9 @@ _BISECTIONS = 40
 _RADIANS_PER_STEP = 0.15
 _MOST_STEPS = 400
 _MOST_SWITCHES = 8
+# 2^-38: the bisection has found nothing but the end.
+_AN_INSTANT = 4e-12
+_AT_ZERO, _AT_ONCE = 1.0, 2.0
 MOST_TAKEN = _MOST_STEPS + 3 * _MOST_SWITCHES
 # A freed environment that swings faster than this [rad/sample] is back before the payload is.
 _BACK_AT_ONCE = 20.0
@@ -86,9 +93,7 @@ def flange(ends: Ends, at: complex) -> tuple[complex, complex]:
 
 
 @compiled
-def accelerations(
-    state: FloatArray | ComplexArray, ends: Ends, at: complex, body: Body, touching: bool
-) -> tuple[complex, complex]:
+def accelerations(state: Array, ends: Ends, at: complex, body: Body, touching: bool) -> tuple[complex, complex]:
     """Return the accelerations of payload and environment in m per sample²."""
     k_s, b_s, b_p, m_p, k_e, b_e, m_e = body
     x, v = flange(ends, at)
@@ -108,24 +113,23 @@ def returns_at_once(body: Body) -> bool:
 
 
 @compiled
-def pressure(state: FloatArray | ComplexArray, ends: Ends, at: complex, body: Body, touching: bool) -> complex:
+def pressure(state: Array, ends: Ends, at: complex, body: Body, touching: bool) -> complex:
     """Return what is positive while the payload is on the environment.
 
     If it was on it, the force [N]; if it was off it, how far it is behind the environment's face [m], or, where that
     is back at once, the smaller one of the spring's force and the whole force [N].
     """
     if touching:
-        force = body[4] * state[0] + body[5] * state[1]
+        force: complex = body[4] * state[0] + body[5] * state[1]
         # Without a mass the slope by it counts as well.
         if body[6] != 0.0:
             force += body[6] * accelerations(state, ends, at, body, True)[0]
         return force
     if returns_at_once(body):
-        force = body[4] * state[0]
-        if state[1].real < 0.0:
-            force += body[5] * state[1]
-        return force
-    return state[0] - state[2]
+        spring: complex = body[4] * state[0]
+        return spring + body[5] * state[1] if state[1].real < 0.0 else spring
+    behind: complex = state[0] - state[2]
+    return behind
 
 
 @compiled
@@ -135,9 +139,7 @@ def pressing(state: FloatArray, ends: Ends, at: float, body: Body, touching: boo
 
 
 @compiled
-def advance(
-    state: FloatArray | ComplexArray, ends: Ends, at: complex, dt: complex, body: Body, touching: bool
-) -> FloatArray | ComplexArray:
+def advance(state: Array, ends: Ends, at: complex, dt: complex, body: Body, touching: bool) -> Array:
     """Return the state after `dt` samples, by the classical fourth-order rule."""
     slope, total, probe = np.empty_like(state), np.zeros_like(state), state.copy()
     for stage in range(4):
@@ -155,7 +157,7 @@ def advance(
 
 
 @compiled
-def meet(state: FloatArray | ComplexArray, body: Body, touching: bool) -> None:
+def meet(state: Array, body: Body, touching: bool) -> None:
     """Change the state where the payload touches, taking the environment's mass along without rebound, or leaves."""
     if touching:
         state[1] = (body[3] * state[1] + body[6] * state[3]) / (body[3] + body[6])
@@ -169,8 +171,9 @@ def meet(state: FloatArray | ComplexArray, body: Body, touching: bool) -> None:
 def switch(state: FloatArray, ends: Ends, body: Body, touching: bool, taken: FloatArray) -> tuple[bool, int]:
     """Move `state` through a sample in which the payload touches or leaves; return whether it touches at the end.
 
-    `taken` (MOST_TAKEN, 2) is given the steps: how long each is, and 1 where it ends at a touch or a release; how many
-    they are is returned, too.
+    `taken` (MOST_TAKEN, 2) is given the steps, whose number is returned, too: how long each is, and whether it ends at
+    a touch or a release, which it does where `pressure` passes 0, or at once: who meets a wall that is pulled back by
+    its spring is rid of it again.
     """
     k_s, b_s, b_p, m_p, k_e, b_e, m_e = body
     rate = np.sqrt((k_s + k_e) / m_p) + (b_s + b_p + b_e) / m_p
@@ -190,7 +193,7 @@ def switch(state: FloatArray, ends: Ends, body: Body, touching: bool, taken: Flo
             switches += 1
             touching = not touching
             meet(state, body, touching)
-            taken[count, 1] = 1.0
+            taken[count, 1] = _AT_ONCE if dt < size * _AN_INSTANT else _AT_ZERO
         taken[count, 0] = dt
         at += dt
         count += 1
@@ -218,20 +221,22 @@ def switch_along(along: ComplexArray, touching: bool, taken: FloatArray) -> None
     """Move the states in `along` (p, 15) through the steps (n, 2) that `switch` took.
 
     Its rows are state, flange at both ends, and body; all have the same real parts, and the imaginary ones are TINY
-    times slopes. A touch or release moves so that `pressure` stays 0, and the last step ends at the tick.
+    times slopes. Where `pressure` is 0 at a touch or release, that moves so that it stays 0; the last step ends at the
+    tick.
     """
     passed = np.zeros(len(along), dtype=np.complex128)
     for step in range(len(taken)):
         dt, turns = taken[step, 0], taken[step, 1] > 0.0
-        growing = _growth(along[0].real, passed[0].real, dt, touching) if turns else 1.0
+        at_zero = taken[step, 1] == _AT_ZERO
+        growing = _growth(along[0].real, passed[0].real, dt, touching) if at_zero else 1.0
         for i in range(len(along)):
             state, ends, body = _parts(along[i])
             length = dt + 0j
-            if turns:
+            if at_zero:
                 end = advance(state, ends, passed[i], length, body, touching)
                 off = pressure(end, ends, passed[i] + length, body, touching).imag
                 length -= 1j * (off / growing)
-            elif step == len(taken) - 1:
+            elif step == len(taken) - 1 and not turns:
                 length = 1.0 - passed[i]
             state[:] = advance(state, ends, passed[i], length, body, touching)
             passed[i] += length
@@ -254,5 +259,5 @@ def _growth(of: FloatArray, at: float, dt: float, touching: bool) -> float:
 
 
 @compiled
-def _parts(of: ComplexArray) -> tuple[ComplexArray, Ends, Body]:
+def _parts(of: Array) -> tuple[Array, Ends, Body]:
     return of[:4], (of[4], of[5], of[6], of[7]), (of[8], of[9], of[10], of[11], of[12], of[13], of[14])

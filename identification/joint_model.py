@@ -7,6 +7,7 @@ its derivative, exact to rounding, since nothing is subtracted (Al-Mohy and High
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from .joint_kernel import Body
 
 FloatArray = NDArray[np.float64]
 # Of floats, or of complex numbers where a parameter is one.
-Array = NDArray[np.inexact]
+Array = NDArray[Any]
 Rows = tuple[tuple[complex, ...], ...]
 
 COUPLING_NAMES = ("stiffness_n_per_m", "damping_n_s_per_m", "drag_n_s_per_m", "mass_kg")

@@ -112,7 +112,7 @@ class FlangePath:
             # What acts at the end of a sample has acted since its fraction.
             arriving = answer[1:] + of_command * newer[: len(arriving)] + arriving
             position = states[:, 0] + position
-            velocity = answer + of_command * (older if self.hold.fraction > 0.0 else newer) + velocity
+            velocity = answer + of_command * (older if self.hold.fraction.real > 0.0 else newer) + velocity
             drive = [states[:count], older[:count, None], newer[:count, None], *drive]
         ends = np.empty((count, 4))
         ends[:, 0], ends[:, 1] = position[:count], velocity[:count]

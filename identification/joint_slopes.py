@@ -41,15 +41,7 @@ def force_jacobian(
     # The first are those of the coupling, and a surface's are the last.
     moved = [path_slopes(i).cut(segment.slice) for i in indices.tolist() if i in robot]
     law = law_of(values, nuisance, segment, path, layout, period_s)
-    bends = _bends(
-        tuple(values[:_COUPLING].tolist()),
-        tuple(values[layout.robot].tolist()) if moved else (),
-        tuple(surface_of(values, segment, layout).tolist()),
-        None if path.robot is None else tuple(map(tuple, path.robot.tolist())),
-        path.hold.fraction,
-        period_s,
-        segment.is_contact,
-    )
+    bends = bends_of(values, segment, path, layout, period_s, moves_robot=bool(moved))
     found = run(law, cut, segment)
     slopes = _carried(law, bends, cut, moved, found, segment, _places(law, nuisance, moved, segment, len(indices)))
     rows = np.empty((len(indices) + segment.nuisance_count, len(segment)))
@@ -59,15 +51,31 @@ def force_jacobian(
     return np.asarray(segment.sign * found.force + nuisance[OFFSET]), rows
 
 
-class _Bends(NamedTuple):
+class Bends(NamedTuple):
     """The derivatives of a law by its parameters, which come last: the span's own ones, at the end, have none.
 
-    `steps` (2, 2 + m, 2, p) are those of phi and gamma side by side, transposed, in free motion and contact.
+    `steps` (2, 2 + m, 2, p) are those of phi and gamma side by side, transposed, in free motion and contact; `swing`
+    (2, 2, p); `body` (7, p).
     """
 
     steps: FloatArray
     swing: FloatArray
     body: FloatArray
+
+
+def bends_of(
+    values: FloatArray, segment: Segment, path: FlangePath, layout: Layout, period_s: float, *, moves_robot: bool
+) -> Bends:
+    """Return the derivatives of a segment's law, those by the robot only if it moves, one complex step for each."""
+    return _bends(
+        tuple(values[:_COUPLING].tolist()),
+        tuple(values[layout.robot].tolist()) if moves_robot else (),
+        tuple(surface_of(values, segment, layout).tolist()),
+        None if path.robot is None else tuple(map(tuple, path.robot.tolist())),
+        path.hold.fraction.real,
+        period_s,
+        segment.is_contact,
+    )
 
 
 # All spans in free motion have the same, and all contacts with one surface.
@@ -80,13 +88,12 @@ def _bends(
     fraction: float,
     period_s: float,
     touches: bool,
-) -> _Bends:
-    """Return the derivatives by coupling, robot (if it moves) and surface (if there is one), one complex step each."""
+) -> Bends:
     values = (*coupling, *robot, *(surface if touches else ()))
     count, last = len(values) + (3 if touches else 2), _COUPLING + len(robot)
     of_robot = None if rows is None else np.array(rows)
     width = 4 + (0 if of_robot is None else len(of_robot) + 2)
-    out = _Bends(np.zeros((2, 2 + width, 2, count)), np.zeros((2, 2, count)), np.zeros((7, count)))
+    out = Bends(np.zeros((2, 2 + width, 2, count)), np.zeros((2, 2, count)), np.zeros((7, count)))
     for i in range(len(values)):
         turned = [complex(value, TINY if i == j else 0.0) for j, value in enumerate(values)]
         of = body(turned[:_COUPLING], turned[last:] if touches else surface, period_s)
@@ -115,7 +122,7 @@ def _places(law: Law, nuisance: FloatArray, moved: list[Cut], segment: Segment, 
 
 
 def _carried(
-    law: Law, bends: _Bends, cut: Cut, moved: list[Cut], found: Run, segment: Segment, places: FloatArray
+    law: Law, bends: Bends, cut: Cut, moved: list[Cut], found: Run, segment: Segment, places: FloatArray
 ) -> FloatArray:
     """Return the slopes (n, p) of the coupling's force in the direction of pressing."""
     sign, of, start = float(segment.sign), np.array(law.body), places[1:].copy()
@@ -140,7 +147,7 @@ def _carried(
 
 
 def _pushed(
-    law: Law, bends: _Bends, cut: Cut, moved: list[Cut], found: Run, sign: float, walls: FloatArray
+    law: Law, bends: Bends, cut: Cut, moved: list[Cut], found: Run, sign: float, walls: FloatArray
 ) -> FloatArray:
     """Return what a sample adds to the slopes of the payload's state, phi' x + gamma' w + gamma w', (n, 2, p)."""
     width, count = cut.drive.shape[1], len(walls)
