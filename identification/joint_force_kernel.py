@@ -88,7 +88,7 @@ def run_contact(
     # Payload, then environment.
     state = np.array([start[0], start[1], 0.0, 0.0])
     following, taken = state.copy(), np.empty((MOST_TAKEN, 2))
-    touching = False
+    touching = bool(OFF)  # a literal False would be compiled once more
     for k in range(len(drive)):
         states[k] = state
         out[k] = _felt((state[0], state[1]), path[k], body, sign, wall)

@@ -123,7 +123,7 @@ def pressure(state: Array, ends: Ends, at: complex, body: Body, touching: bool) 
         force: complex = body[4] * state[0] + body[5] * state[1]
         # Without a mass the slope by it counts as well.
         if body[6] != 0.0:
-            force += body[6] * accelerations(state, ends, at, body, True)[0]
+            force += body[6] * accelerations(state, ends, at, body, touching)[0]
         return force
     if returns_at_once(body):
         spring: complex = body[4] * state[0]

@@ -1,7 +1,7 @@
 """Spans of the log that one payload on one spring explains, and the force that the model predicts there."""
 
 from dataclasses import dataclass
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,8 +98,14 @@ def steps_of(of: Body, robot: Array | None, fraction: complex, *, touches: bool)
     """Return phi, gamma and swing as `Law` has them; those of a contact are of use only if it `touches`."""
     free = payload_step(of, robot, fraction, touching=False)
     touched = payload_step(of, robot, fraction, touching=True) if touches else free
-    swing = swing_step(of, back_at_once=not touches or returns_at_once(of))
+    swing = swing_step(of, back_at_once=not touches or returns_at_once(plain(of)))
     return np.stack([free[0], touched[0]]), np.stack([free[1], touched[1]]), swing
+
+
+def plain(of: Body) -> RealBody:
+    """Return the real parts."""
+    k_s, b_s, b_p, m_p, k_e, b_e, m_e = (value.real for value in of)
+    return k_s, b_s, b_p, m_p, k_e, b_e, m_e
 
 
 class Run(NamedTuple):
@@ -114,7 +120,7 @@ def run(law: Law, cut: Cut, segment: Segment) -> Run:
     """Return a span's motion in the direction of pressing."""
     count = len(segment)
     states, modes = np.empty((count, 4 if segment.is_contact else 2)), np.zeros(count, dtype=np.int8)
-    of, start, place = cast(RealBody, law.body), law.start, (float(segment.sign), law.wall)
+    of, start, place = plain(law.body), law.start, (float(segment.sign), law.wall)
     if segment.is_contact:
         force = run_contact(law.phi, law.gamma, law.swing, cut.drive, cut.ends, of, place, start, states, modes)
     else:

@@ -1,6 +1,6 @@
 """The derivatives in the joint fit: against differences, and against those of the symbolic model of `problems`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -86,8 +86,8 @@ def onto_wall(depth_m: float, duration: int = 500) -> FloatArray:
 
 
 SWEEP = sweep(1.0, 1.0 / H_S)
-TOUCH = {"command_m": onto_wall(1.5e-3), "own": (-3.0, 0.5, 0.1, WALL_M), "start": 250}
-HARD = {**TOUCH, "command_m": onto_wall(1.5e-3, 150)}
+TOUCH = Case(command_m=onto_wall(1.5e-3), own=(-3.0, 0.5, 0.1, WALL_M), start=250)
+HARD = replace(TOUCH, command_m=onto_wall(1.5e-3, 150))
 CASES = {
     "pose alone": Case(command_m=SWEEP),
     "one pole": Case(command_m=SWEEP, robot=(*ONE_POLE,)),
@@ -95,16 +95,16 @@ CASES = {
     "beside the robot": Case(command_m=SWEEP, robot=(*ONE_POLE,), smoother=KEEP_ALL),
     "tap": Case(command_m=1e-9 * SWEEP, robot=(*ONE_POLE,), own=(40.0, 300.0, 0.0)),
     "whole delay": Case(command_m=SWEEP, robot=(35.0, 0.7, 2e-3)),
-    "contact": Case(**TOUCH, robot=(*ONE_POLE,), surface=(5.0e4, 60.0, 0.0)),
-    "contact by pose": Case(**TOUCH, surface=(5.0e4, 60.0, 2.0)),
-    "moving wall": Case(**TOUCH, robot=(*TWO_POLES,), surface=(5.0e4, 60.0, 2.0), smoother=KEEP_ALL),
-    "bounces": Case(**HARD, robot=(60.0, 2.35e-3), surface=(3.0e6, 20.0, 0.0)),
-    "bounces of a moving wall": Case(**HARD, robot=(60.0, 2.35e-3), surface=(3.0e6, 20.0, 1.0)),
-    "the other side": Case(
-        command_m=-onto_wall(1.5e-3),
+    "contact": replace(TOUCH, robot=(*ONE_POLE,), surface=(5.0e4, 60.0, 0.0)),
+    "contact by pose": replace(TOUCH, surface=(5.0e4, 60.0, 2.0)),
+    "moving wall": replace(TOUCH, robot=(*TWO_POLES,), surface=(5.0e4, 60.0, 2.0), smoother=KEEP_ALL),
+    "bounces": replace(HARD, robot=(60.0, 2.35e-3), surface=(3.0e6, 20.0, 0.0)),
+    "bounces of a moving wall": replace(HARD, robot=(60.0, 2.35e-3), surface=(3.0e6, 20.0, 1.0)),
+    "the other side": replace(
+        TOUCH,
+        command_m=-TOUCH.command_m,
         own=(-3.0, 0.5, 0.1, -WALL_M),
         sign=-1,
-        start=250,
         robot=(*ONE_POLE,),
         surface=(5.0e4, 60.0, 0.5),
     ),
