@@ -97,13 +97,15 @@ def _bends(
     for i in range(len(values)):
         turned = [complex(value, TINY if i == j else 0.0) for j, value in enumerate(values)]
         of = body(turned[:_COUPLING], turned[last:] if touches else surface, period_s)
-        rate, part = of_robot, complex(fraction)
+        rate, held_for = of_robot, complex(fraction)
         if _COUPLING <= i < last:
-            rate, part = robot_rate(turned[_COUPLING:last], period_s), held(turned[last - 1], period_s).fraction
-        phi, gamma, swing = steps_of(of, rate, part if part.imag else fraction, touches=touches)
+            rate, held_for = robot_rate(turned[_COUPLING:last], period_s), held(turned[last - 1], period_s).fraction
+        phi, gamma, swing = steps_of(of, rate, held_for if held_for.imag else fraction, touches=touches)
         out.steps[:, :2, :, i] = phi.imag.swapaxes(1, 2) / TINY
         out.steps[:, 2:, :, i] = gamma.imag.swapaxes(1, 2) / TINY
         out.swing[..., i], out.body[:, i] = swing.imag / TINY, np.imag(of) / TINY
+    for each in out:
+        each.setflags(write=False)
     return out
 
 
