@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from problems.requirements import LARGEST_SHARE
 from problems.screening import Screen
 
 from .box import bounds_of, linear_variables
-from .optimality import PEAK, Row, near_keys, row_at, unit_widths
+from .optimality import LEAST_RATIO, PEAK, Key, near_keys, row_at, unit_widths
 
 FloatArray = NDArray[np.float64]
 
@@ -37,24 +38,17 @@ def polish_exactly(screen: Screen, design: FloatArray, *, backoff: Mapping[str, 
     # Which of t and the w each row is held under.
     under = np.array([[name == owner for owner in (PEAK, *prices)] for name, _ in keys], dtype=np.float64)
     linear, bounds, count = linear_variables(problem), bounds_of(problem), len(design)
-    cache: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+    values = _Values(screen, keys)
 
     def at(move: FloatArray) -> FloatArray:
         scaled = np.where(linear, design + move * widths, design * np.exp(np.where(linear, 0.0, move)))
         return np.clip(scaled, bounds[:, 0], bounds[:, 1])
 
-    def rows(move: FloatArray) -> tuple[FloatArray, FloatArray]:
-        key = move.tobytes()
-        if key not in cache:
-            here = at(move)
-            if screen.evaluate(here[None]).is_stable[0]:
-                found: list[Row] = [row_at(prepared, here, each) for each in keys]
-                cache[key] = np.array([row.value for row in found]), np.array([row.gradient for row in found])
-            else:
-                cache[key] = np.full(len(keys), _WALL), np.zeros((len(keys), len(design)))
-        return cache[key]
+    def gradients(move: FloatArray) -> FloatArray:
+        here = at(move)
+        return np.array([row_at(prepared, here, each).gradient for each in keys])
 
-    first = rows(np.zeros(count))[0]
+    first = values(design)
     start = np.concatenate([np.zeros(count), np.max(np.where(under > 0.0, first[:, None], -_WALL), axis=0)])
     start[count + 1 :] = np.maximum(start[count + 1 :], 0.0)
     # Peak and prices are counted from the peak at the start.
@@ -68,13 +62,31 @@ def polish_exactly(screen: Screen, design: FloatArray, *, backoff: Mapping[str, 
         constraints=[
             {
                 "type": "ineq",
-                "fun": lambda x: under @ x[count:] - rows(x[:count])[0] - held,
-                "jac": lambda x: np.column_stack([-rows(x[:count])[1], under]),
+                "fun": lambda x: under @ x[count:] - values(at(x[:count])) - held,
+                "jac": lambda x: np.column_stack([-gradients(x[:count]), under]),
             }
         ],
         options={"maxiter": _ITERATIONS, "ftol": 1e-8},
     )
     return at(np.asarray(found.x[:count]))
+
+
+class _Values:
+    """The logarithms of the peaks and requirements named by `keys`, by the compiled screen; a wall where unstable."""
+
+    def __init__(self, screen: Screen, keys: tuple[Key, ...]) -> None:
+        self.screen, self.keys = screen, keys
+
+    def __call__(self, design: FloatArray) -> FloatArray:
+        found = self.screen.evaluate(design[None], peaks_if_missed=True)
+        if not found.is_stable[0]:
+            return np.full(len(self.keys), _WALL)
+        rows = {
+            name: np.clip(row, LEAST_RATIO, LARGEST_SHARE)
+            for name, row in (*found.rows.items(), *found.soft_rows.items())
+        }
+        rows[PEAK] = found.peaks_n
+        return np.log([rows[name][0, index] for name, index in self.keys])
 
 
 def _log_of_sum(levels: FloatArray, shares: FloatArray, count: int) -> tuple[float, FloatArray]:
