@@ -17,7 +17,8 @@ FloatArray = NDArray[np.float64]
 BACKOFF = 2e-5
 """The share of every requirement that is kept in hand, for what a step along a curved limit misses."""
 _STEP = 1e-6
-_ITERATIONS = 30
+# A descent that takes more is on a kink of a margin, where every further step is dear and small.
+_ITERATIONS = 12
 _TOLERANCE = 1e-8
 _WALL = 1e3
 _NONE: Mapping[str, float] = MappingProxyType({})

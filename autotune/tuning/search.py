@@ -30,6 +30,7 @@ FloatArray = NDArray[np.float64]
 
 _POPULATION = 10
 _GENERATIONS = 60
+_GATHERED = 0.03
 _ROUNDS = 8
 _POLISH_STARTS, _OTHER_VALLEYS = 3, 6
 _SAME, _NEAR, _FAR = 1e-3, 0.1, 0.45
@@ -193,7 +194,13 @@ class Search:
         start: FloatArray | None,
         each: Callable[[], None],
     ) -> OptimizeResult:
-        """Run differential evolution on costs (m,) of points (n, m)."""
+        """Run differential evolution on costs (m,) of points (n, m), until descents know the rest of the way."""
+
+        def has_gathered(intermediate_result: OptimizeResult) -> bool:
+            each()
+            energies = intermediate_result.population_energies
+            return bool(np.max(energies) < _MISSED and np.std(energies) <= _GATHERED * abs(np.mean(energies)))
+
         return differential_evolution(
             costs,
             [(0.0, 1.0)] * len(self.problem.variables),
@@ -206,7 +213,7 @@ class Search:
             tol=1e-5,
             vectorized=True,
             updating="deferred",
-            callback=lambda intermediate_result: each(),  # noqa: ARG005 - scipy goes by the name
+            callback=has_gathered,
         )
 
     def _screen(self, active: tuple[Scenario, ...]) -> Screen:
