@@ -32,15 +32,18 @@ class Descent:
     evaluations: int
 
 
-def descend(screen: Screen, box: Box, start: FloatArray, *, backoff: Mapping[str, float] = _NONE) -> Descent:
+def descend(
+    screen: Screen, box: Box, start: FloatArray, *, backoff: Mapping[str, float] = _NONE, reserve: float = BACKOFF
+) -> Descent:
     """Lower t, which no scenario's peak may exceed, while every margin keeps its limit, from a point (n,) on.
 
     By e_j ≥ 0 a soft requirement j may be missed, which costs its price times e_j. `backoff` is the share by which
-    more is asked of a requirement. Where the descent ends it may still miss something: that is for the caller to see.
+    more is asked of a requirement, `reserve` what is kept in hand of each. Where the descent ends it may still miss
+    something: that is for the caller to see.
     """
     wishes = screen.prepared.problem.requirements.soft_n if screen.goal is None else {}
     prices, count = np.array(list(wishes.values()), dtype=np.float64), len(start)
-    around = _Around(screen, box, backoff, np.asarray(start))
+    around = _Around(screen, box, backoff, reserve, np.asarray(start))
     first, spares = around.values(np.asarray(start)), around.spares
     costs = np.concatenate([np.zeros(count), [1.0], prices / around.scale])
 
@@ -81,8 +84,10 @@ class _Around:
     and by which of j soft requirements.
     """
 
-    def __init__(self, screen: Screen, box: Box, backoff: Mapping[str, float], start: FloatArray) -> None:
-        self.screen, self.box, self.backoff = screen, box, backoff
+    def __init__(
+        self, screen: Screen, box: Box, backoff: Mapping[str, float], reserve: float, start: FloatArray
+    ) -> None:
+        self.screen, self.box, self.backoff, self.reserve = screen, box, backoff, reserve
         self.evaluations, self.scale, self.spares = 0, 1.0, np.zeros((0, 0))
         highest = float(np.max(self._look(start[None])[0].peaks))
         self.scale = highest if np.isfinite(highest) else 1.0
@@ -119,5 +124,5 @@ class _Around:
         owners = np.repeat(np.arange(len(rows)), [row.shape[1] for row in rows]) - len(found.rows)
         self.spares = (owners[:, None] == np.arange(len(found.soft_rows))).astype(np.float64)
         peaks = np.where(stable, found.peaks_n / self.scale, _WALL)
-        slack = np.where(stable, np.clip(slack, -_WALL, 1.0) - BACKOFF * (owners < 0), -1.0)
+        slack = np.where(stable, np.clip(slack, -_WALL, 1.0) - self.reserve * (owners < 0), -1.0)
         return [_Standing(peaks=p, slack=s) for p, s in zip(peaks, slack, strict=True)]
