@@ -292,7 +292,7 @@ class Search:
 
     def _reason(self, prepared: PreparedScenarios, unit: FloatArray) -> str:
         """Say why nothing is feasible: the requirement that the closest design misses."""
-        evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True, radius=False)
+        evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True)
         if not evaluation.is_stable:
             return (
                 "No controller within the bounds is stable in every scenario (closest: largest |z| = "
