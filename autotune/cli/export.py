@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from autotune.exports.targets import TARGETS
+from autotune.exports.targets import EVERY_TARGET
 
 from ._common import Output, output_options
 
@@ -17,9 +17,10 @@ from ._common import Output, output_options
 @click.argument("controller", type=click.Path(path_type=Path, dir_okay=False))
 @click.option(
     "--target",
-    type=click.Choice(list(TARGETS)),
+    type=click.Choice(list(EVERY_TARGET)),
     required=True,
-    help="cell: the YAML that the cell reads. json: the same content as JSON, with a JSON Schema.",
+    help="cell: the YAML that the cell reads. json: the same content as JSON, with a JSON Schema. "
+    "c: the controller's step as one C99 source, and the header beside it.",
 )
 @click.option(
     "-o",
@@ -28,7 +29,7 @@ from ._common import Output, output_options
     type=click.Path(path_type=Path, dir_okay=False),
     required=True,
     metavar="OUT",
-    help="The file to write; it is replaced only once the new one is whole.",
+    help="The file to write (of c: NAME.c, with NAME.h beside it); it is replaced only once the new one is whole.",
 )
 @output_options
 def command(output: Output, controller: Path, target: str, out: Path) -> None:

@@ -26,6 +26,14 @@ def test_a_controller_is_exported_and_its_short_checksum_told(run_cli: RunCli, s
     assert run.stdout == f"out: {target}, checksum {short(exported.checksum)}\n"
 
 
+def test_c_is_a_source_and_its_header(run_cli: RunCli, source: Path) -> None:
+    run = run_cli("export", source, "--target", "c", "-o", "cell.c")
+    assert (run.returncode, run.stderr) == (0, "")
+    assert run.stdout == f"cell.c: c, checksum {short(read_controller(source).checksum)}\n"
+    assert source.with_name("cell.c").exists()
+    assert source.with_name("cell.h").exists()
+
+
 def test_json_is_one_object_and_quiet_is_silent(run_cli: RunCli, source: Path) -> None:
     digest = read_controller(source).checksum
     told = run_cli("export", source, "--target", "json", "-o", "out", "--json")
