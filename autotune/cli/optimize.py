@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -10,6 +10,7 @@ from ._common import Output, output_options
 from ._compare import compare_lines, compare_tree
 from ._pareto import FrontWriter, pareto_options
 from ._schedule import schedule_options
+from ._standing import active_lines, active_tree
 from ._table import table_lines
 
 if TYPE_CHECKING:
@@ -160,23 +161,6 @@ def _notes(plant: "IdentifiedFile", found: "Optimized", has_stiffness: bool) -> 
         )
 
 
-def active_tree(found: "Optimized") -> dict[str, Any]:
-    """Return, per axis, the active requirements and bounds with the price of one percent in N, or in N·m."""
-    from autotune.files.records import ROTATIONAL_AXES
-
-    return {
-        name: [
-            {
-                "name": a.name,
-                "price_n_m_per_percent" if name in ROTATIONAL_AXES else "price_n_per_percent": a.price_n,
-                **({"soft": True} if a.soft else {}),
-            }
-            for a in active
-        ]
-        for name, active in found.active.items()
-    }
-
-
 def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "ControllerFile | None" = None) -> None:
     """Print the chosen gains, the predicted peaks, what holds them up, and what was verified."""
     from autotune.files.units import axis_units
@@ -240,22 +224,3 @@ def _peak_lines(scenarios: "Iterable[ScenarioPrediction]", units: "AxisUnits") -
         for s, other in zip(scenarios, beyond, strict=True)
     ]
     yield from table_lines(rows, left=(5,) if told else (), indent="  ")
-
-
-def active_lines(found: "Optimized", name: str) -> list[str]:
-    """Say in words what holds the peak of one axis up."""
-    from autotune.files.units import axis_units
-
-    active, units = found.active[name], axis_units(name)
-    if not active:
-        return [f"no requirement is active: the peak is the approach {units.force_name} itself"]
-    lines = []
-    for entry in active:
-        if entry.soft and entry.price_n > 1e-3:
-            saved = f"{entry.price_n:.2f} {units.force}"
-            lines.append(f"{entry.name} is wished, not required: wishing 1 % less saves {saved} of peak and price")
-        elif entry.price_n > 1e-3:
-            lines.append(f"{entry.name} holds the peak up: easing it by 1 % saves {entry.price_n:.2f} {units.force}")
-        else:
-            lines.append(f"{entry.name} is active, easing it alone saves nothing")
-    return lines

@@ -11,31 +11,30 @@ from autotune.files.controller import ControllerFile
 from autotune.files.controller_record import Controller
 from autotune.files.identified import IdentifiedFile
 from autotune.files.problem import ProblemSpec
+from autotune.files.records import ROTATIONAL_AXES
 from autotune.validation.validate import ValidationReport, prove_axis, validate_controller
 from problems.design import DesignProblem
 
 from .compare import SideBySide, check_comparable, compare, start_design
-from .explain import Active, explain
-from .optimality import Optimality, check_optimality
 from .problems import Wishes, build_problems, certified_mass_kg, runtime_mass_kg
 from .record import build_controller, build_domain
 from .relax import find_relaxations
 from .search import SearchResult, solve_design
+from .standing import Standing, find_standing, standing_tree
 
 _SEARCH_SHARE, _PROOF_SHARE = 0.7, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class Optimized:
-    """A controller that passed validation, the searches behind it, what each rests on, and the checks it passed.
+    """A controller that passed validation, the searches behind it, how each result stands, and the checks it passed.
 
     `compared` puts it beside an existing controller, axis by axis, if one was given.
     """
 
     controller: Controller
     searches: Mapping[str, SearchResult]
-    active: Mapping[str, tuple[Active, ...]]
-    optimality: Mapping[str, Optimality]
+    standings: Mapping[str, Standing]
     report: ValidationReport
     compared: Mapping[str, SideBySide] = field(default_factory=dict)
 
@@ -72,10 +71,7 @@ def optimize(
         name: _search(name, problem, seed, existing, relax, lambda done: report(share * done))
         for name, problem in problems.items()
     }
-    optimality = {name: check_optimality(search.active, search.design) for name, search in searches.items()}
-    active = {
-        name: explain(search.problem, search.evaluation.peak_n, optimality[name]) for name, search in searches.items()
-    }
+    standings = {name: find_standing(search) for name, search in searches.items()}
     proofs = {
         name: prove_axis(
             build_domain(search.problem),
@@ -86,17 +82,18 @@ def optimize(
         for name, search in searches.items()
     }
     report(_PROOF_SHARE)
-    controller = build_controller(
-        searches, identified.result, proofs, _provenance(identified, wishes, seed, problem_path, existing), mass_kg
-    )
+    provenance = _provenance(identified, wishes, seed, problem_path, existing)
+    provenance["optimality"] = {
+        name: standing_tree(standing, rotational=name in ROTATIONAL_AXES) for name, standing in standings.items()
+    }
+    controller = build_controller(searches, identified.result, proofs, provenance, mass_kg)
     checked = validate_controller(controller, lambda done: report((1.0 - _SEARCH_SHARE - _PROOF_SHARE) * done))
     checked.require()
     compared = {} if existing is None else compare(existing.controller, searches)
     return Optimized(
         controller=controller,
         searches=searches,
-        active=active,
-        optimality=optimality,
+        standings=standings,
         report=checked,
         compared=compared,
     )

@@ -46,6 +46,11 @@ def test_people_see_gains_peaks_what_holds_them_up_and_the_checks(first_run: tup
     assert lines[0].startswith("axis x: M_a 6 kg, B_a ")
     assert "peak at contact [N]" in lines[1]
     assert any("holds the peak up: easing it by 1 % saves" in line for line in lines)
+    assert any(
+        line.startswith("  every requirement is met over 33 contacts; nearest to its limit is ") for line in lines
+    )
+    assert any("of the gradient is left over (KKT residual), unused slack is worth" in line for line in lines)
+    assert any("% to a reference: " in line and "descents from the best of 128 other designs" in line for line in lines)
     assert sum(line.startswith("  ok ") for line in lines) == len(EVERY_CHECK)
     digest = read_controller(folder / "controller.yaml").checksum
     assert lines[-1] == f"written: controller.yaml, checksum {short(digest)}"
@@ -65,6 +70,9 @@ def test_json_is_the_tree_of_the_file_and_the_same_seed_gives_the_same_bytes(
     assert (done.returncode, done.stderr) == (0, "")
     tree = json.loads(done.stdout)
     active = tree.pop("active")
+    told = tree["provenance"]["optimality"]["x"]
+    assert (told["feasible"], told["gap"] < 1e-3, told["kkt_residual"] < 1e-3) == (True, True, True)
+    assert [each["name"] for each in told["active"]] == [each["name"] for each in active["x"]]
     assert tree == load_yaml(tmp_path / "controller.yaml")
     assert {entry["name"] for entry in active["x"]} <= set(tree["certificate"]["requirements"]) | {
         f"{side} bound of {name}" for side in ("lower", "upper") for name in ("damping", "lead_s")
