@@ -8,9 +8,10 @@ from typing import Any
 from autotune import __version__
 from autotune.errors import InfeasibleError
 from autotune.files.controller import ControllerFile
-from autotune.files.controller_record import Controller
+from autotune.files.controller_record import Controller, Reach
 from autotune.files.identified import IdentifiedFile
 from autotune.files.problem import ProblemSpec
+from autotune.validation.continuous import ProofWishes, prove_reach
 from autotune.validation.validate import ValidationReport, prove_axis, validate_controller
 from problems.design import DesignProblem
 
@@ -49,14 +50,15 @@ def optimize(
     problem_path: Path | None = None,
     existing: ControllerFile | None = None,
     relax: bool = True,
+    proof: ProofWishes | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Optimized:
     """Tune every axis and return a controller that the independent validation has passed.
 
-    `existing` is a controller to compare with; its gains join the search where they lie inside the bounds. `progress`
-    is told the share of the work done since the last call. Raises InfeasibleError when nothing meets the
-    requirements (with `relax`, after searching for what would have to be eased: several times the work of a search),
-    CertificateError when a claim cannot be proved or verified, EstimateError for a missing parameter, UsageError for
+    `proof` tells how closely the modulus is proved. `existing` is a controller to compare with; its gains join the
+    search where they lie inside the bounds. `progress` is told the share of the work done since the last call. Raises
+    InfeasibleError when nothing meets the requirements (with `relax`, after searching for what would have to be eased:
+    several times the work of a search), CertificateError when a claim cannot be proved or verified, EstimateError for a missing parameter, UsageError for
     wishes or an existing controller that do not fit.
     """
     report = progress if progress is not None else _silent
@@ -85,10 +87,11 @@ def optimize(
         )
         for name, search in searches.items()
     }
+    asked = proof if proof is not None else ProofWishes()
+    reaches = {name: _reach(search, name, asked) for name, search in searches.items()}
     report(_PROOF_SHARE)
-    controller = build_controller(
-        searches, identified.result, proofs, _provenance(identified, wishes, seed, problem_path, existing), mass_kg
-    )
+    told = _provenance(identified, wishes, seed, problem_path, existing)
+    controller = build_controller(searches, identified.result, proofs, reaches, told, mass_kg)
     checked = validate_controller(controller, lambda done: report((1.0 - _SEARCH_SHARE - _PROOF_SHARE) * done))
     checked.require()
     compared = {} if existing is None else compare(existing.controller, searches)
@@ -100,6 +103,14 @@ def optimize(
         report=checked,
         compared=compared,
     )
+
+
+def _reach(search: SearchResult, name: str, asked: ProofWishes) -> tuple[Reach, ...]:
+    """Return what is proved of the modulus that the search found over its dense grid."""
+    problem = search.problem
+    swept = min(each.margins.modulus for each in search.margins)
+    law = problem.controller(search.design)
+    return prove_reach(build_domain(problem), law, problem.sample_time_s, name, swept, asked)
 
 
 def _search(

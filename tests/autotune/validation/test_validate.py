@@ -26,6 +26,7 @@ EVERY_CHECK = [
     "delay",
     "stability in free space",
     "stability in contact",
+    "continuous proof",
     "margins",
     "requirements",
     "free-space admittance",
