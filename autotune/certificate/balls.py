@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -29,8 +28,8 @@ _LEAST = 1e-290  # what may get lost below the smallest normal number
 class Balls:
     """Balls of any shape: |value − `mid`| ≤ `rad`, real or complex."""
 
-    mid: ComplexArray | FloatArray
-    rad: FloatArray
+    mid: NDArray[Any]
+    rad: NDArray[Any]
 
     def __add__(self, other: "Balls") -> "Balls":
         mid = self.mid + other.mid
@@ -64,7 +63,7 @@ def _out(rad: FloatArray) -> FloatArray:
     return np.asarray(rad * _OUTWARDS + _LEAST)
 
 
-def exact(values: FloatArray | ComplexArray) -> Balls:
+def exact(values: NDArray[Any]) -> Balls:
     """Return numbers as balls without radius."""
     return Balls(mid=values, rad=np.zeros(values.shape))
 
@@ -136,13 +135,16 @@ class Series:
         return Series(-self.value, None if self.slope is None else -self.slope)
 
     def __sub__(self, other: Any) -> "Series":
-        return self + (-other)
+        out: Series = self + (-other)
+        return out
 
     def __rsub__(self, other: Any) -> "Series":
-        return -self + other
+        out: Series = -self + other
+        return out
 
     def __rtruediv__(self, other: Any) -> "Series":
-        return as_series(other) / self
+        out: Series = as_series(other) / self
+        return out
 
     def __pow__(self, power: int) -> "Series":
         if power == 0:

@@ -12,7 +12,7 @@ from problems.controller import AdmittanceController
 from problems.sampled import build_loop, build_sampled_plant, stability_matrix
 from problems.uncertainty import Scenario
 
-from .balls import Balls, FloatArray, as_series, enclose, slope_of
+from .balls import Balls, FloatArray, Series, as_series, enclose, slope_of
 from .base_plant import fails_at, is_stable
 from .bounds import PlantCell, judge
 from .circle import Circle, IntArray
@@ -88,7 +88,7 @@ def certify(
     unstable = search.unstable_base()
     if unstable is not None:
         return unstable
-    while search.waiting and search.work < work:
+    while search.waiting and not search.is_stuck and search.work < work:
         before = search.share
         refuted = search.step()
         if refuted is not None:
@@ -116,7 +116,7 @@ class _Search:
         ends = [self.box[np.arange(len(self.box)), list(corner)] for corner in corners if corner]
         points = [_Part(cell=np.stack([end, end], axis=1), arcs=first, share=0.0) for end in ends]
         self.waiting = [_Part(cell=self.box, arcs=first, share=1.0), *points]
-        self.work, self.cells, self.arcs, self.share = 0, 0, 0, 0.0
+        self.work, self.cells, self.arcs, self.share, self.is_stuck = 0, 0, 0, 0.0, False
 
     def unstable_base(self) -> Certificate | None:
         """Return the refutation, or the lack of proof, by the plant in the middle; None if it is stable."""
@@ -155,14 +155,14 @@ class _Search:
         if len(rest):
             self._cut(part, rest, blame)
         else:
-            self.cells, self.share = self.cells + 1, self.share + part.share
+            self.cells, self.share = self.cells + int(part.share > 0.0), self.share + part.share
         return None
 
     def _cut(self, part: _Part, arcs: IntArray, blame: FloatArray) -> None:
-        if not len(self.box):
+        if np.all(part.cell[:, 0] == part.cell[:, 1]):
             # One plant and an arc that cannot be cut further: nothing is left to try.
             self.waiting.append(part)
-            self.work = 2**62
+            self.is_stuck = True
             return
         side = int(np.argmax(blame))
         low, high = part.cell[side]
@@ -182,7 +182,9 @@ class _Search:
 
     def _plant_cell(self, cell: FloatArray) -> PlantCell:
         """Return the coefficients over a cell: their values at its middle, and slopes that hold all over it."""
-        middle, half = np.mean(cell, axis=1), 0.5 * (cell[:, 1] - cell[:, 0]) * (1.0 + 1e-12)
+        middle = np.mean(cell, axis=1)
+        # Rounded up, as the middle is not exactly in the middle.
+        half = 0.5 * (cell[:, 1] - cell[:, 0]) * (1.0 + 1e-12) + 2.0 * np.spacing(middle)
         columns = [self._polynomials(np.stack([middle, middle], axis=1), None)]
         columns += [self._polynomials(cell, along) for along in range(len(cell))]
         groups = []
@@ -198,7 +200,7 @@ class _Search:
             groups.append(Balls(mid=mid, rad=rad))
         return PlantCell(groups=tuple(groups))
 
-    def _polynomials(self, cell: FloatArray, along: int | None) -> tuple[list, ...]:  # type: ignore[type-arg]
+    def _polynomials(self, cell: FloatArray, along: int | None) -> tuple[list[Series], ...]:
         d, force, position = plant_polynomials(self.family, cell, along)
         if self.family.is_free_space:
             # At rest nothing pulls on the flange: the factor w is there for every plant.

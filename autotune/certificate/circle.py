@@ -1,7 +1,7 @@
 """What of the loop's equation depends on frequency only, over arcs of the unit circle, worked out once for all plants.
 
-The closed loop is χ = z^c α d − β_F n_F − β_x n_x, linear in the coefficients of d, n_F and n_x: each has a factor that
-is a function of z alone. Of these factors an arc holds value and slope at its middle and half the curvature all over it.
+The closed loop χ = z^c α d − β_F n_F − β_x n_x is linear in the coefficients of d, n_F and n_x: each has a factor that
+is a function of z alone. Of it an arc holds value and slope at its middle, and half the curvature all over the arc.
 """
 
 import math

@@ -183,7 +183,8 @@ def _continuous(family: Family, values: Mapping[str, Any]) -> tuple[Any, Any, An
     The equations are those of `write_plant`; the payload's position is told relative to the flange, e = x_p − x, as
     otherwise the force of a free payload is a small difference of large balls.
     """
-    n, h = family.nominal.robot.order, as_series(family.sample_time_s)
+    n = family.nominal.robot.order
+    h: Any = as_series(family.sample_time_s)
     a, push = _objects(n + 2, n + 2), _objects(n + 2)
     b, position, force, contact, direct = (
         _objects(n + 2),

@@ -58,8 +58,8 @@ def optimize(
     `proof` tells how closely the modulus is proved. `existing` is a controller to compare with; its gains join the
     search where they lie inside the bounds. `progress` is told the share of the work done since the last call. Raises
     InfeasibleError when nothing meets the requirements (with `relax`, after searching for what would have to be eased:
-    several times the work of a search), CertificateError when a claim cannot be proved or verified, EstimateError for a missing parameter, UsageError for
-    wishes or an existing controller that do not fit.
+    several times the work of a search), CertificateError when a claim cannot be proved or verified, EstimateError for
+    a missing parameter, UsageError for wishes or an existing controller that do not fit.
     """
     report = progress if progress is not None else _silent
     problems = build_problems(identified.result, spec, wishes)

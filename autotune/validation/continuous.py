@@ -25,12 +25,13 @@ Progress = Callable[[float], None] | None
 class ProofWishes:
     """How much is to be proved: the share of the swept modulus that may be given away, and about how long it may take.
 
-    Raises ValueError unless 0 < `slack` < 1 and both times are positive; `further_s` may be 0, for not at all.
+    `further_s` is for the proof over everything that is uncertain; 0 leaves it out, as it takes a minute rather than a
+    second. Raises ValueError unless 0 < `slack` < 1 and the times are positive.
     """
 
     slack: float = 0.05
     budget_s: float = 60.0
-    further_s: float = 10.0
+    further_s: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.slack < 1.0:
@@ -55,7 +56,7 @@ def prove_reach(
     as it was before.
     """
     modulus = min((1.0 - wishes.slack) * swept_modulus, _MOST_MODULUS)
-    asked = [((STIFFNESS, MASS), wishes.budget_s)]
+    asked: list[tuple[tuple[str, ...], float]] = [((STIFFNESS, MASS), wishes.budget_s)]
     further = tuple(key for key in domain.uncertain or {} if key in PROVABLE)
     if further and wishes.further_s > 0.0:
         asked.append(((STIFFNESS, MASS, *further), wishes.further_s))
@@ -101,7 +102,7 @@ class Joint:
 
     @property
     def share(self) -> float:
-        """Return the share proved of the part of which least is."""
+        """Return the share proved of that part of which least is proved."""
         return min(part.share for part in self.parts)
 
     @property
@@ -130,7 +131,7 @@ def prove_over(
     work: int,
     progress: Progress = None,
 ) -> Joint:
-    """Prove a modulus in contact and in free space over the named parameters, the others nominal; work for each part.
+    """Prove a modulus in contact and in free space over the named parameters, the others nominal; `work` in all.
 
     Raises ParameterError for parameters that cannot be proved over.
     """
@@ -176,7 +177,8 @@ def _proved(asked: _Question) -> Joint:
 
     parts: list[Certificate] = []
     for family in every:
-        parts.append(certify(family, asked.law, asked.modulus, work=asked.work, progress=part_done))
+        left = max(asked.work - sum(part.work for part in parts), 0)
+        parts.append(certify(family, asked.law, asked.modulus, work=left, progress=part_done))
         if parts[-1].verdict is Verdict.REFUTED:
             break
     return Joint(parts=tuple(parts))
@@ -200,6 +202,7 @@ def told_false(false: Certificate, units: AxisUnits) -> str:
         return f"a modulus of {false.modulus:.4g} is not proved"
     return (
         f"stability with a modulus of {false.modulus:.4g} is refuted at "
-        f"M_p = {plant.payload_mass_kg:.6g} {units.mass}, K_e = {plant.environment_stiffness_n_per_m:.6g} {units.stiffness}{plant.off_nominal}, "
+        f"M_p = {plant.payload_mass_kg:.6g} {units.mass}, "
+        f"K_e = {plant.environment_stiffness_n_per_m:.6g} {units.stiffness}{plant.off_nominal}, "
         f"{frequency / (2.0 * math.pi):.4g} Hz"
     )
