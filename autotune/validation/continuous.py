@@ -11,6 +11,7 @@ from autotune.errors import CertificateError
 from autotune.files.controller_record import AxisDomain, Reach
 from autotune.files.units import AxisUnits, axis_units
 from problems.controller import AdmittanceController
+from problems.errors import ParameterError
 from problems.plant import Plant
 
 METHOD = "zero exclusion on the unit circle in ball arithmetic"
@@ -140,6 +141,9 @@ def prove_over(
         MASS: domain.payload_mass_kg,
         **(domain.uncertain or {}),
     }
+    for key in over:
+        if key not in every:
+            raise ParameterError("over", key, f"one of {', '.join(every)}, which the domain gives ranges of")
     return _proved(
         _Question(
             nominal=domain.nominal_plant(),
