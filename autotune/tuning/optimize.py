@@ -8,7 +8,7 @@ from typing import Any
 from autotune import __version__
 from autotune.errors import InfeasibleError
 from autotune.files.controller import ControllerFile
-from autotune.files.controller_record import Controller, Reach
+from autotune.files.controller_record import Controller, Proof, Reach
 from autotune.files.identified import IdentifiedFile
 from autotune.files.problem import ProblemSpec
 from autotune.validation.continuous import ProofWishes, prove_reach
@@ -78,18 +78,7 @@ def optimize(
     active = {
         name: explain(search.problem, search.evaluation.peak_n, optimality[name]) for name, search in searches.items()
     }
-    proofs = {
-        name: prove_axis(
-            build_domain(search.problem),
-            search.problem.controller(search.design),
-            search.problem.sample_time_s,
-            name,
-        )
-        for name, search in searches.items()
-    }
-    asked = proof if proof is not None else ProofWishes()
-    reaches = {name: _reach(search, name, asked) for name, search in searches.items()}
-    report(_PROOF_SHARE)
+    proofs, reaches = _prove(searches, proof if proof is not None else ProofWishes(), report)
     told = _provenance(identified, wishes, seed, problem_path, existing)
     controller = build_controller(searches, identified.result, proofs, reaches, told, mass_kg)
     checked = validate_controller(controller, lambda done: report((1.0 - _SEARCH_SHARE - _PROOF_SHARE) * done))
@@ -105,12 +94,35 @@ def optimize(
     )
 
 
-def _reach(search: SearchResult, name: str, asked: ProofWishes) -> tuple[Reach, ...]:
-    """Return what is proved of the modulus that the search found over its dense grid."""
-    problem = search.problem
-    swept = min(each.margins.modulus for each in search.margins)
-    law = problem.controller(search.design)
-    return prove_reach(build_domain(problem), law, problem.sample_time_s, name, swept, asked)
+class _Portion:
+    """Passes on what is told of one part of the work, and at the end what of it was never told."""
+
+    def __init__(self, report: Callable[[float], None], whole: float) -> None:
+        self._report, self._left = report, whole
+        self._whole = whole
+
+    def __call__(self, done: float) -> None:
+        step = min(self._whole * done, self._left)
+        self._left -= step
+        self._report(step)
+
+    def finish(self) -> None:
+        self(1.0)
+
+
+def _prove(
+    searches: Mapping[str, SearchResult], asked: ProofWishes, report: Callable[[float], None]
+) -> tuple[dict[str, tuple[Proof, ...]], dict[str, tuple[Reach, ...]]]:
+    """Return what is proved of every axis: stability, and of the modulus that the search found over its dense grid."""
+    proofs, reaches = {}, {}
+    for name, search in searches.items():
+        problem, law = search.problem, search.problem.controller(search.design)
+        domain, swept = build_domain(problem), min(each.margins.modulus for each in search.margins)
+        proofs[name] = prove_axis(domain, law, problem.sample_time_s, name)
+        portion = _Portion(report, _PROOF_SHARE / len(searches))
+        reaches[name] = prove_reach(domain, law, problem.sample_time_s, name, swept, asked, portion)
+        portion.finish()
+    return proofs, reaches
 
 
 def _search(

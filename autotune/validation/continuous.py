@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 from autotune.certificate.certify import Certificate, Verdict, certify
 from autotune.certificate.family import MASS, PROVABLE, STIFFNESS, build_families
@@ -64,7 +64,8 @@ def prove_reach(
     out = []
     for over, budget_s in asked:
         work = int(budget_s * WORK_PER_SECOND)
-        found = prove_over(domain, law, sample_time_s, over, modulus, work, progress)
+        share = None if progress is None else partial(_passed_on, progress, 1.0 / len(asked))
+        found = prove_over(domain, law, sample_time_s, over, modulus, work, share)
         false = refuted_inside(domain, found)
         if false is not None:
             raise CertificateError(f"Axis {name}: {told_false(false, axis_units(name))}")
@@ -83,6 +84,10 @@ def prove_reach(
             )
         )
     return tuple(out)
+
+
+def _passed_on(progress: Callable[[float], None], share: float, done: float) -> None:
+    progress(share * done)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,6 +8,7 @@ import pytest
 from autotune.certificate import certify as certify_module
 from autotune.certificate.balls import Balls, exact
 from autotune.certificate.base_plant import fails_at
+from autotune.certificate.bounds import judge
 from autotune.certificate.family import Family
 from problems.controller import AdmittanceController
 from problems.robot import RobotModel
@@ -82,14 +83,14 @@ def test_cells_and_arcs_hold_their_plants_and_frequencies(robot: RobotModel, law
         angles = search.circle.angles(arcs)
         cell = search._plant_cell(box)
         for modulus in (0.3, 0.6, 0.9):
-            holds = certify_module.judge(search.circle.at(arcs), cell, modulus).holds
+            holds = judge(search.circle.at(arcs), cell, modulus).holds
             for share in rng.random((4, len(box))):
                 plant = of.plant(box[:, 0] + share * (box[:, 1] - box[:, 0]))
                 inside: FloatArray = angles[:, 0] + rng.random(len(angles)) * (angles[:, 1] - angles[:, 0])
                 there = smallest_return_difference(plant, law, np.minimum(inside, np.pi))
                 # At the lowest frequencies determinants of free space lose their digits.
                 assert np.all(there[holds & (inside > 1e-3)] > modulus * (1.0 - 1e-6))
-        assert np.any(certify_module.judge(search.circle.at(arcs), cell, 0.1).holds)
+        assert np.any(judge(search.circle.at(arcs), cell, 0.1).holds)
 
 
 @EVERY_KIND
