@@ -12,8 +12,9 @@ from autotune.processes import map_in_processes
 from identification.advice import advise
 from identification.combine import NamedResult, combine_identified
 from identification.errors import EstimateError, LogError
+from identification.evidence import Evidence
 from identification.given import Given, check_names
-from identification.identify import identify_cell
+from identification.identify import identify_with_evidence
 from identification.logs import read_checked_recording
 from identification.logs.cell import Cell
 from identification.logs.interpret import build_frames
@@ -35,10 +36,14 @@ class Topics:
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifiedLog:
-    """An identified plant and where it comes from (the `provenance` of `identified.yaml`)."""
+    """An identified plant and where it comes from (the `provenance` of `identified.yaml`).
+
+    `evidence` has the signals of each recording, where it was asked for, in the order of `result.timelines`.
+    """
 
     result: Identified
     provenance: Mapping[str, Any]
+    evidence: tuple[Evidence, ...] = ()
 
 
 def identify_log(
@@ -50,6 +55,7 @@ def identify_log(
     allow_partial: bool = False,
     given: Mapping[str, Given] | None = None,
     processes: int = 1,
+    with_evidence: bool = False,
 ) -> IdentifiedLog:
     """Read logs and identify the cell.
 
@@ -57,14 +63,22 @@ def identify_log(
     of them at a time (`map_in_processes` tells what a script must do for more than one). What they tell is combined
     with each other and with what is `given` from elsewhere. Raises LogError for a log that cannot be used,
     EstimateError when a parameter that a controller needs is missing from all of them or they disagree on one (unless
-    `allow_partial`, which keeps the former as unidentifiable and the latter as a widened mean).
+    `allow_partial`, which keeps the former as unidentifiable and the latter as a widened mean). `with_evidence` keeps
+    the signals, for pictures.
     """
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     told = (Cell() if cell is None else cell.cell).with_topics(
         wrench=topics.wrench, pose=topics.pose, command=topics.command
     )
     runs = separate_runs(files, told, salvage=salvage)
-    work = partial(_identify_run, cell=told, salvage=salvage, given=dict(given or {}), is_one_of_many=len(runs) > 1)
+    work = partial(
+        _identify_run,
+        cell=told,
+        salvage=salvage,
+        given=dict(given or {}),
+        is_one_of_many=len(runs) > 1,
+        with_evidence=with_evidence,
+    )
     done = map_in_processes(work, runs, processes)
     result = combine_identified([run.told for run in done])
     check_names(given or {}, result.axes)
@@ -80,7 +94,11 @@ def identify_log(
         "salvage": salvage,
         **({"given": {name: [prior.value, prior.std] for name, prior in given.items()}} if given else {}),
     }
-    return IdentifiedLog(result=result, provenance=_provenance([run.source for run in done], cell, options))
+    return IdentifiedLog(
+        result=result,
+        provenance=_provenance([run.source for run in done], cell, options),
+        evidence=tuple(run.evidence for run in done if run.evidence is not None),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,22 +117,30 @@ class _Run:
 
     told: NamedResult
     source: _Source
+    evidence: Evidence | None
 
 
 def _identify_run(
-    run: tuple[Path, ...], *, cell: Cell, salvage: bool, given: Mapping[str, Given], is_one_of_many: bool
+    run: tuple[Path, ...],
+    *,
+    cell: Cell,
+    salvage: bool,
+    given: Mapping[str, Given],
+    is_one_of_many: bool,
+    with_evidence: bool,
 ) -> _Run:
     """Read and identify one recording; where it is one of many, errors bear its name."""
     name = ", ".join(path.name for path in run)
     try:
         recording = read_checked_recording(run, cell, salvage=salvage)
-        found = identify_cell(recording, build_frames(cell), given)
+        found, evidence = identify_with_evidence(recording, build_frames(cell), given)
     except (EstimateError, LogError) as error:
         if not is_one_of_many or name in str(error):
             raise
         raise type(error)(f"{name}: {error}") from error
     found = replace(found, findings=(*recording.findings, *found.findings))
-    return _Run(told=NamedResult(name=name, result=found), source=_source(recording))
+    kept = None if evidence is None or not with_evidence else replace(evidence, log=name)
+    return _Run(told=NamedResult(name=name, result=found), source=_source(recording), evidence=kept)
 
 
 def _source(recording: Recording) -> _Source:

@@ -11,10 +11,11 @@ from .aligned import AlignedLog
 from .axes import AXIS_NAMES, AxisMotion, commanded_motion, free_motions, unguided_spans
 from .coupling import CouplingFit, Noise, identify_coupling
 from .errors import EstimateError
+from .evidence import AxisEvidence
 from .given import Given, axis_keys, settle_axis
 from .gravity import GravityFit
 from .joint_contacts import find_holds, hold_threshold_n
-from .joint_data import build_joint_data, usual_coupling
+from .joint_data import JointData, build_joint_data, usual_coupling
 from .joint_estimates import JointEstimates
 from .joint_fit import identify_joint
 from .joint_gain import with_gain_error
@@ -23,7 +24,7 @@ from .joint_result import JointFit
 from .recording import Recording
 from .result import AxisEstimate, CouplingEstimate, Finding, RobotEstimate
 from .robot import RobotFit, identify_robot
-from .rotation import AxisTurn, rests_after
+from .rotation import LEVER_M, AxisTurn, rests_after
 from .segments import Motion, Span
 from .timeline import AxisContacts
 from .verdicts import judged, missing, unidentifiable, unidentifiable_vector, vector, weak_at_best
@@ -61,13 +62,14 @@ class CellSignals:
 class AxisTold:
     """What is told of one axis: the estimate, what there is to know about it, and the fit that only the log is in.
 
-    `contacts` are its rests under force with the coupling as far as it is known.
+    `contacts` are its rests under force with the coupling as far as it is known; `data` is what the fit began with.
     """
 
     estimate: AxisEstimate
     findings: tuple[Finding, ...]
     contacts: AxisContacts
     fit: JointFit | None
+    data: JointData | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,7 +167,21 @@ def fit_axis(cell: CellSignals, view: AxisView) -> AxisTold:
     both = alone if with_priors is None else _estimate(axis, with_priors, robot, data.period_s)
     estimate, contradictions = settle_axis(axis.name, alone, both, cell.given)
     contacts = AxisContacts(axis=axis, holds=view.holds, coupling=found.values[: len(COUPLING_NAMES)])
-    return AxisTold(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=fit)
+    return AxisTold(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=fit, data=data)
+
+
+def axis_evidence(told: AxisTold) -> AxisEvidence:
+    """Return the signals of an axis that the joint fit could use or not, a turn in rad and N·m."""
+    axis, data = told.contacts.axis, told.data
+    lever = LEVER_M if axis.name not in AXIS_NAMES else 1.0
+    command = None if data is None or data.command is None else data.command.command_m
+    return AxisEvidence(
+        position=axis.position_m / lever,
+        force=axis.force_n * lever,
+        command=None if command is None else command / lever,
+        spans=() if told.fit is None else told.fit.spans,
+        free=() if data is None else tuple(data.free),
+    )
 
 
 def _estimate(axis: AxisMotion, fit: JointFit, robot: RobotEstimate, period_s: float) -> AxisEstimate:

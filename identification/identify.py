@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from .admittance_estimates import AdmittanceRobots, identify_admittance_robots, with_compensated_force
 from .aligned import AlignedLog, align, check_regular, find_gaps
 from .axes import find_axes
-from .axis_estimate import AxisTold, CellSignals, identify_axis
+from .axis_estimate import AxisTold, CellSignals, axis_evidence, identify_axis
 from .convention_choice import read_by_weight
+from .evidence import Evidence
 from .frames import Frames
 from .given import Given, settle_cell
 from .gravity import identify_gravity
@@ -46,8 +47,22 @@ def identify_cell(
     `unidentifiable` and named by a finding of severity `error`. Raises EstimateError when not even gravity can be told
     (nothing else can be without it), LogError when the channels do not fit together.
     """
+    return _identify(recording, frames, given or {})[0]
+
+
+def identify_with_evidence(
+    recording: Recording, frames: Frames | None = None, given: Mapping[str, Given] | None = None
+) -> tuple[Identified, Evidence | None]:
+    """Return what `identify_cell` does, and the signals that it rests on; None where gravity was taken off before."""
+    found, cell, told = _identify(recording, frames, given or {})
+    return found, None if cell is None else _evidence(cell, told)
+
+
+def _identify(
+    recording: Recording, frames: Frames | None, given: Mapping[str, Given]
+) -> tuple[Identified, CellSignals | None, Mapping[str, AxisTold]]:
     if recording.wrench.gravity_compensated:
-        return settle_cell(identify_partial(recording, _sample_time(recording)), given or {})
+        return settle_cell(identify_partial(recording, _sample_time(recording)), given), None, {}
     if recording.command is not None:
         recording = replace(recording, command=restore_commands(recording.command))
     recording, about_spikes = without_spikes(recording)
@@ -64,7 +79,7 @@ def identify_cell(
         motion=motion,
         gravity=gravity,
         force_S_n=force,
-        given=dict(given or {}),
+        given=dict(given),
         robots=robots.robots,
         turns=find_turns(recording, log, motion, gravity),
     )
@@ -90,7 +105,17 @@ def identify_cell(
         ),
         timelines=(timeline,),
     )
-    return settle_cell(found, cell.given)
+    return settle_cell(found, cell.given), cell, told
+
+
+def _evidence(cell: CellSignals, told: Mapping[str, AxisTold]) -> Evidence:
+    """Gather what the pictures of this log show."""
+    return Evidence(
+        period_s=cell.log.period_s,
+        raw_S_n=cell.log.force_S_n,
+        compensated_S_n=cell.force_S_n,
+        axes={name: axis_evidence(axis) for name, axis in told.items()},
+    )
 
 
 def _identify_axes(cell: CellSignals, inertia: InertiaFit) -> tuple[dict[str, AxisTold], list[Finding]]:

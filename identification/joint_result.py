@@ -43,6 +43,21 @@ class JointSurface:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FittedSpan:
+    """One span that the fit used: `measured` and `predicted` force (n,) from sample `start` on, in N or N·m.
+
+    `surface` counts the surfaces of the axis, None in free motion; `white` is the whitened residual, whose deviation is
+    1 where the model leaves nothing but the noise.
+    """
+
+    start: int
+    surface: int | None
+    measured: FloatArray
+    predicted: FloatArray
+    white: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
 class Diagnostics:
     """How well it fits.
 
@@ -68,6 +83,7 @@ class JointFit:
 
     `ci95` holds intervals where plus and minus two deviations would be wrong (a damping or mass near 0); `lag` is the
     wrench's against pose and command. `is_weighed` where ringing alone told the coupling, with the mass from gravity.
+    `spans` are what was fitted, span by span.
     """
 
     names: tuple[str, ...]
@@ -79,6 +95,7 @@ class JointFit:
     diagnostics: Diagnostics
     lag: Lag
     is_weighed: bool = False
+    spans: tuple[FittedSpan, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ci95", MappingProxyType(dict(self.ci95)))
@@ -131,7 +148,25 @@ def describe(
         surfaces=surfaces,
         diagnostics=_diagnostics(problem, point, blocks, spread, share, ratio),
         lag=lag,
+        spans=_spans(problem, point, blocks),
     )
+
+
+def _spans(problem: Problem, point: Point, blocks: Sequence[Block]) -> tuple[FittedSpan, ...]:
+    """Return what was fitted beside what the model says at the minimum."""
+    spans = []
+    for i, segment in enumerate(problem.segments):
+        measured = problem.signals.force_n[segment.slice].copy()
+        spans.append(
+            FittedSpan(
+                start=segment.start,
+                surface=segment.surface if segment.is_contact else None,
+                measured=measured,
+                predicted=measured + _force_error(problem, point, segment, i),
+                white=blocks[i].residual,
+            )
+        )
+    return tuple(spans)
 
 
 def _surface(

@@ -50,6 +50,9 @@ def fit_about_axis(fit: JointFit, turn: AxisTurn) -> JointFit:
         covariance=fit.covariance * np.outer(scale, scale) + np.outer(common, common),
         ci95={name: (LEVER_M**2 * low, LEVER_M**2 * high) for name, (low, high) in fit.ci95.items()},
         surfaces=surfaces,
+        spans=tuple(
+            replace(span, measured=LEVER_M * span.measured, predicted=LEVER_M * span.predicted) for span in fit.spans
+        ),
     )
 
 

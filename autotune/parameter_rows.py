@@ -1,0 +1,110 @@
+"""What was identified, row by row, as people read it: name, value, deviation, unit, verdict."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from autotune.files.units import axis_units
+from identification.result import AxisEstimate, EnvironmentEstimate, Estimate, Identified, VectorEstimate
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterRow:
+    """One parameter in the unit in which it is told; texts, empty where there is nothing to say."""
+
+    name: str
+    value: str
+    std: str = ""
+    unit: str = ""
+    verdict: str = ""
+    method: str = ""
+    note: str = ""
+
+
+def parameter_rows(result: Identified) -> Iterator[ParameterRow]:
+    """Yield every parameter of a result, the cell's own first, then axis by axis."""
+    yield _row("payload mass", result.payload.mass_kg, "kg")
+    yield from _vector_rows("centre of mass", result.payload.com_m, "mm", 1e3)
+    if result.payload.inertia_kg_m2 is not None:
+        for name, component in vars(result.payload.inertia_kg_m2).items():
+            yield _row(f"inertia {name}", component, "kg·m²")
+    yield from _vector_rows("force bias", result.sensor.force_bias_n, "N", 1.0)
+    yield _row("force noise", result.sensor.force_noise_rms_n, "N rms")
+    yield _row("gravity residual", result.sensor.gravity_residual_rms_n, "N rms")
+    if result.sensor.mounting_rad is not None:
+        yield from _vector_rows("sensor turned about", result.sensor.mounting_rad, "deg", 180.0 / math.pi)
+    if result.sensor.base_tilt_rad is not None:
+        yield from _vector_rows("base tilted about", result.sensor.base_tilt_rad, "deg", 180.0 / math.pi)
+    yield _row("control period", result.sample_time_s, "ms", 1e3)
+    for name, axis in result.axes.items():
+        yield from axis_rows(name, axis)
+
+
+def axis_rows(name: str, axis: AxisEstimate) -> Iterator[ParameterRow]:
+    """Yield the parameters of one axis."""
+    units = axis_units(name)
+    # Stiffnesses of translations are told in N/mm, as on data sheets.
+    stiffness, scale = ("N/mm", 1e-3) if units.stiffness == "N/m" else (units.stiffness, 1.0)
+    yield _row(f"{name}: coupling K_s", axis.coupling.stiffness_n_per_m, stiffness, scale)
+    yield _row(f"{name}: coupling B_s", axis.coupling.damping_n_s_per_m, units.damping)
+    yield _row(f"{name}: drag B_p", axis.drag_n_s_per_m, units.damping)
+    if axis.mass_kg is not None:
+        yield _row(f"{name}: {units.mass_name} from motion", axis.mass_kg, units.mass)
+    yield _row(f"{name}: robot bandwidth", axis.robot.bandwidth_hz, "Hz")
+    yield _row(f"{name}: delay T_d", axis.robot.delay_s, "ms", 1e3)
+    for surface in axis.environments:
+        yield from _surface_rows(name, surface)
+
+
+def _surface_rows(name: str, surface: EnvironmentEstimate) -> Iterator[ParameterRow]:
+    units = axis_units(name)
+    stiffness, scale = ("N/mm", 1e-3) if units.stiffness == "N/m" else (units.stiffness, 1.0)
+    told = f"{name}: {surface.name}, {surface.contacts} contact{'' if surface.contacts == 1 else 's'}"
+    yield _row(f"{told}: K_e", surface.stiffness_n_per_m, stiffness, scale)
+    yield _row(f"{told}: secant", surface.secant_stiffness_n_per_m, stiffness, scale)
+    yield _row(f"{told}: B_e", surface.damping_n_s_per_m, units.damping)
+    yield _row(f"{told}: M_e", surface.mass_kg, units.mass)
+    lowest, highest = min(surface.peak_force_n, default=None), max(surface.peak_force_n, default=None)
+    if lowest is not None and highest is not None:
+        peaks = f"{highest:.1f}" if lowest == highest else f"{lowest:.1f} to {highest:.1f}"
+        yield ParameterRow(name=f"{told}: peak", value=peaks, unit=units.force)
+
+
+def _row(name: str, estimate: Estimate, unit: str, scale: float = 1.0) -> ParameterRow:
+    value, std = _numbers(estimate.value, estimate.std, scale)
+    if estimate.value is None and estimate.ci95 is not None:
+        low, high = estimate.ci95
+        value, std = f"{low * scale:.4g} to {high * scale:.4g}", "-"
+    return ParameterRow(
+        name=name,
+        value=value,
+        std=std,
+        unit=unit,
+        verdict=estimate.status.value,
+        method=estimate.method,
+        note=estimate.note,
+    )
+
+
+def _vector_rows(name: str, estimate: VectorEstimate, unit: str, scale: float) -> Iterator[ParameterRow]:
+    for i, axis in enumerate("xyz" if estimate.value is None else "xyz"[: len(estimate.value)]):
+        value, std = _numbers(
+            None if estimate.value is None else estimate.value[i],
+            None if estimate.std is None else estimate.std[i],
+            scale,
+        )
+        yield ParameterRow(
+            name=f"{name} {axis}",
+            value=value,
+            std=std,
+            unit=unit,
+            verdict=estimate.status.value,
+            method=estimate.method,
+            note=estimate.note,
+        )
+
+
+def _numbers(value: float | None, std: float | None, scale: float) -> tuple[str, str]:
+    if value is None:
+        return "-", "-"
+    return f"{value * scale:.4f}", "-" if std is None else f"{std * scale:.2g}"

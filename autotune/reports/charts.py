@@ -1,0 +1,174 @@
+"""What a figure shows, told once: a picture that stands alone and one that can be zoomed are both drawn from it."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.floating[Any]]
+Role = Literal["measured", "model", "before", "after", "target", "residual", "quiet", "bad", "good", "other"]
+Spacing = Literal["linear", "log"]
+
+
+def _column(values: ArrayLike) -> NDArray[np.float64]:
+    array = np.array(values, dtype=np.float64).reshape(-1)
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """A curve through (x, y), each (n,); NaN breaks it. `label` names it in the legend, empty for none."""
+
+    x: FloatArray
+    y: FloatArray
+    label: str = ""
+    role: Role = "measured"
+    dashed: bool = False
+    steps: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "x", _column(self.x))
+        object.__setattr__(self, "y", _column(self.y))
+        if len(self.x) != len(self.y):
+            raise ValueError(f"a curve needs as many y as x, found {len(self.y)} and {len(self.x)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Band:
+    """What lies between two curves over x, each (n,)."""
+
+    x: FloatArray
+    low: FloatArray
+    high: FloatArray
+    label: str = ""
+    role: Role = "model"
+
+    def __post_init__(self) -> None:
+        for name in ("x", "low", "high"):
+            object.__setattr__(self, name, _column(getattr(self, name)))
+        if not len(self.x) == len(self.low) == len(self.high):
+            raise ValueError("a band needs as many low and high as x")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Points:
+    """Single points (n,), with `names` (n,) that are told where the pointer rests, or none."""
+
+    x: FloatArray
+    y: FloatArray
+    label: str = ""
+    role: Role = "measured"
+    names: tuple[str, ...] = ()
+    marker: Literal["dot", "star", "diamond"] = "dot"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "x", _column(self.x))
+        object.__setattr__(self, "y", _column(self.y))
+        if len(self.x) != len(self.y) or (self.names and len(self.names) != len(self.x)):
+            raise ValueError("points need as many y, and names if any, as x")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bars:
+    """Bars between `edges` (n + 1,) of height `heights` (n,)."""
+
+    edges: FloatArray
+    heights: FloatArray
+    label: str = ""
+    role: Role = "quiet"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "edges", _column(self.edges))
+        object.__setattr__(self, "heights", _column(self.heights))
+        if len(self.edges) != len(self.heights) + 1:
+            raise ValueError("bars need one edge more than heights")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stretch:
+    """A stretch of the x axis that is shaded over the whole height: a phase of a log, a band of frequencies."""
+
+    low: float
+    high: float
+    label: str = ""
+    role: Role = "quiet"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """A straight line across the panel at `value` of an axis: a bound, a target, the design's own value."""
+
+    value: float
+    along: Literal["x", "y"] = "y"
+    label: str = ""
+    role: Role = "target"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Heat:
+    """Numbers on a grid as colours: `values` (rows, columns) over `x` (columns,) and `y` (rows,), NaN left open.
+
+    `x` and `y` are the middles of the cells, evenly spaced on the panel's scales. With `limits` the colours span them,
+    symmetric limits get a scale with a neutral middle. `names` (x, y) replaces the ticks of a table of names.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    values: FloatArray
+    label: str
+    limits: tuple[float, float] | None = None
+    names: tuple[tuple[str, ...], tuple[str, ...]] | None = None
+    written: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "x", _column(self.x))
+        object.__setattr__(self, "y", _column(self.y))
+        values = np.array(self.values, dtype=np.float64)
+        values.setflags(write=False)
+        object.__setattr__(self, "values", values)
+        if values.shape != (len(self.y), len(self.x)):
+            raise ValueError(f"a grid of {len(self.y)} rows and {len(self.x)} columns cannot hold {values.shape}")
+
+
+Element = Line | Band | Points | Bars | Stretch | Limit | Heat
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scale:
+    """One side of a panel: what it shows with its unit, its spacing, and its ends where they are not the data's."""
+
+    label: str
+    spacing: Spacing = "linear"
+    limits: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Panel:
+    """A pair of axes and what is drawn in it, in this order; `equal` keeps circles round."""
+
+    x: Scale
+    y: Scale
+    elements: tuple[Element, ...]
+    title: str = ""
+    height: float = 1.0
+    equal: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chart:
+    """A figure: panels below each other, or beside each other with `beside`.
+
+    `key` is its name within the page; `alternative` says in words what there is to see, for whoever cannot see it.
+    With `linked`, the panels' x axes move together.
+    """
+
+    key: str
+    title: str
+    alternative: str
+    panels: tuple[Panel, ...]
+    caption: str = ""
+    beside: bool = False
+    linked: bool = False
+    live: bool = True

@@ -1,0 +1,149 @@
+"""A report as one page: what stands in it, and the HTML that carries it without a network."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
+from typing import Literal
+from urllib.parse import quote
+
+from jinja2 import Environment, StrictUndefined, Template
+from markupsafe import Markup
+
+from .charts import Chart
+
+Tone = Literal["", "good", "warn", "bad", "quiet"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One entry of a table; `tone` colours it, and `is_number` sets it to the right."""
+
+    text: str
+    tone: Tone = ""
+    is_number: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """Rows below named columns; `caption` says what the table is."""
+
+    caption: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+
+    def __post_init__(self) -> None:
+        if any(len(row) != len(self.columns) for row in self.rows):
+            raise ValueError(f"a table of {len(self.columns)} columns needs as many cells in every row")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Note:
+    """A remark, a finding or an advice; `tone` says how much it matters, `kind` says it in a word."""
+
+    text: str
+    advice: str = ""
+    kind: str = ""
+    tone: Tone = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fact:
+    """A number in large type with what it is."""
+
+    label: str
+    value: str
+    detail: str = ""
+    tone: Tone = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Facts:
+    """Facts beside each other."""
+
+    facts: tuple[Fact, ...]
+
+
+# What may stand as it is in an address within double quotes; escaping it would double the page.
+_PLAIN_IN_ATTRIBUTE = " <>/:;=,.()'!*+-_~{}[]|@$?"
+
+Block = Chart | Table | Note | Facts
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """A part of the page under a heading; `key` is the anchor that the contents point to."""
+
+    key: str
+    title: str
+    blocks: tuple[Block, ...]
+    lead: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Page:
+    """A whole report: `lead` says the outcome in a sentence, `footer` where it comes from."""
+
+    title: str
+    lead: str
+    sections: tuple[Section, ...]
+    footer: str = ""
+    tone: Tone = ""
+
+
+def render_page(page: Page, progress: Callable[[float], None] | None = None) -> str:
+    """Return the page as one HTML text that refers to nothing outside of itself.
+
+    Every figure is a picture that stands alone, with its text alternative; those that can be zoomed carry what the
+    engine needs, which draws them when asked. `progress` is told the share of the figures drawn since the last call.
+    The same page gives the same text.
+    """
+    charts = [block for section in page.sections for block in section.blocks if isinstance(block, Chart)]
+    keys = [chart.key for chart in charts] + [section.key for section in page.sections]
+    if len(set(keys)) < len(keys):
+        raise ValueError(f"keys of sections and figures must differ: {sorted(keys)}")
+    pictures, live = {}, {}
+    for chart in charts:
+        pictures[chart.key] = _picture(chart)
+        if chart.live:
+            live[chart.key] = _live(chart)
+        if progress is not None:
+            progress(1.0 / len(charts))
+    return _template().render(page=page, pictures=pictures, live=live, engine=_engine() if live else "")
+
+
+def kind_of(block: Block) -> str:
+    """Return by which part of the template a block is written."""
+    return type(block).__name__.lower()
+
+
+def _picture(chart: Chart) -> Markup:
+    # matplotlib and Bokeh take a second to import; what only reads or checks a page does without.
+    from .static import draw_svg  # noqa: PLC0415
+
+    text = draw_svg(chart).decode("utf-8").replace("\n", " ")
+    return Markup("data:image/svg+xml," + quote(text, safe=_PLAIN_IN_ATTRIBUTE))
+
+
+def _live(chart: Chart) -> str:
+    from .live import draw_live  # noqa: PLC0415
+
+    # Inside of a script element, "</" would end it.
+    return json.dumps(draw_live(chart), separators=(",", ":")).replace("</", "<\\/")
+
+
+def _engine() -> str:
+    from .live import engine  # noqa: PLC0415
+
+    return engine().replace("</script", "<\\/script")
+
+
+@lru_cache(maxsize=1)
+def _template() -> Template:
+    folder = files("autotune.reports")
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["kind"] = kind_of
+    environment.globals["style"] = Markup((folder / "page.css").read_text("utf-8"))
+    environment.globals["script"] = Markup((folder / "page.js").read_text("utf-8"))
+    return environment.from_string((folder / "page.html.jinja").read_text("utf-8"))

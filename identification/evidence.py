@@ -1,0 +1,50 @@
+"""What a result rests on, for pictures: the signals, and what the model says of the spans that told it."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .aligned import Span
+from .joint_result import FittedSpan
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisEvidence:
+    """One axis on the log's clock: flange `position`, `force` on the sensor without weight and bias, `command`.
+
+    Arrays (n,) in m and N, of a rotational axis rad and N·m; `command` None where it is not known. `spans` are those
+    that the joint fit used, measured against model; `free` those of free motion without a hand.
+    """
+
+    position: FloatArray
+    force: FloatArray
+    command: FloatArray | None
+    spans: tuple[FittedSpan, ...]
+    free: tuple[Span, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """The wrench's force (n, 3) in the sensor frame S [N], as logged and without weight and bias, and the axes.
+
+    Sample k was taken k `period_s` after the start of the log; what a hole swallowed is NaN.
+    """
+
+    period_s: float
+    raw_S_n: FloatArray
+    compensated_S_n: FloatArray
+    axes: Mapping[str, AxisEvidence]
+    log: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "axes", MappingProxyType(dict(self.axes)))
+
+    def __reduce__(self) -> tuple[Callable[[], "Evidence"], tuple[()]]:
+        """Pickle by what the constructor takes: a view of a mapping has no copy of its own."""
+        return partial(Evidence, **{**vars(self), "axes": dict(self.axes)}), ()
