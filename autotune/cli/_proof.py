@@ -18,9 +18,9 @@ _DECLARED = (
     ),
     click.option(
         "--proof-budget",
-        type=click.FloatRange(min=0.0, min_open=True, max=1e6),
+        type=click.FloatRange(min=0.0, max=1e6),
         metavar="SECONDS",
-        help="Prove over everything that is uncertain too, for about so long; K_e and payload mass alone by default.",
+        help="Prove over all that is uncertain for about so long, 10 by default; 0: K_e and payload mass alone.",
     ),
 )
 
@@ -46,5 +46,5 @@ def _wishes(slack: float | None, budget_s: float | None) -> "ProofWishes | None"
     return ProofWishes(
         slack=usual.slack if slack is None else 0.01 * slack,
         budget_s=max(usual.budget_s, budget_s or 0.0),
-        further_s=budget_s or 0.0,
+        further_s=usual.further_s if budget_s is None else budget_s,
     )

@@ -138,9 +138,7 @@ def _draw_element(figure: Figure, axes: Axes, element: Element) -> None:
     elif isinstance(element, Points):
         size = 9.0 if element.marker == "star" else 5.0
         mark: dict[str, Any] = {"zorder": 4, "linestyle": "none", "markeredgecolor": "white", "markeredgewidth": 0.5}
-        axes.plot(
-            element.x, element.y, _MARKERS[element.marker], color=colour, label=label, markersize=size, **mark
-        )
+        axes.plot(element.x, element.y, _MARKERS[element.marker], color=colour, label=label, markersize=size, **mark)
     elif isinstance(element, Bars):
         axes.stairs(element.heights, element.edges, fill=True, color=colour, alpha=0.75, label=label)
     elif isinstance(element, Stretch):

@@ -26,13 +26,12 @@ Progress = Callable[[float], None] | None
 class ProofWishes:
     """How much is to be proved: the share of the swept modulus that may be given away, and about how long it may take.
 
-    `further_s` is for the proof over everything that is uncertain; 0 leaves it out, as it takes a minute rather than a
-    second. Raises ValueError unless 0 < `slack` < 1 and the times are positive.
+    `further_s` is for the proof over everything that is uncertain; 0 leaves it out. Raises ValueError unless 0 < `slack` < 1 and the times are positive.
     """
 
     slack: float = 0.05
     budget_s: float = 60.0
-    further_s: float = 0.0
+    further_s: float = 10.0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.slack < 1.0:

@@ -184,7 +184,7 @@ def test_what_cannot_be_met_is_exit_5_with_the_reason_and_no_file(
         (["identified.yaml", "--environment-stiffness", "1e5:inf"], "finite"),
         (["identified.yaml", "--seed", "-1"], "seed"),
         (["identified.yaml", "--slack", "0"], "slack"),
-        (["identified.yaml", "--proof-budget", "0"], "proof-budget"),
+        (["identified.yaml", "--proof-budget", "-1"], "proof-budget"),
         (["identified.yaml", "--seed", "one"], "seed"),
         (["problem.yaml"], "format must be autotune/identified"),
         (["identified.yaml", "--problem", "identified.yaml"], "identified.yaml, line 1"),

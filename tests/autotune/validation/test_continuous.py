@@ -37,10 +37,10 @@ def test_a_swept_modulus_that_is_none_is_refused_with_its_point() -> None:
         prove_reach(domain, law, 8e-4, "x", 1.1 * swept, ProofWishes())
 
 
-def test_all_that_is_uncertain_is_proved_on_request_and_only_then() -> None:
+def test_all_that_is_uncertain_is_proved_as_far_as_the_budget_goes() -> None:
     domain, law, swept = case()
     wide = replace(domain, uncertain=FURTHER)
-    (alone,) = prove_reach(wide, law, 8e-4, "x", 0.9 * swept, ProofWishes())
+    (alone,) = prove_reach(wide, law, 8e-4, "x", 0.9 * swept, ProofWishes(further_s=0.0))
     assert alone.over == BOTH
     first, second = prove_reach(wide, law, 8e-4, "x", 0.9 * swept, ProofWishes(further_s=2.0))
     assert first == alone
