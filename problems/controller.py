@@ -3,11 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from . import difference
 from ._checks import non_negative, positive
 from .compiled import compiled, equation
 from .errors import ParameterError
@@ -130,78 +131,10 @@ def _printed(feedback_damping: float) -> float:
     return feedback_damping
 
 
-@equation
-def write_first_order(block: Any, row: int, n1: Any, n0: Any, d1: Any, d0: Any, h: float, theta: float) -> None:
-    """Write (direct, pole, gain) of (n1 s + n0)/(d1 s + d0) under s = (z − 1)/(h (θ z + 1 − θ)) into a row.
-
-    y_k = direct·e_k + s_k, s_{k+1} = pole·s_k + gain·e_k.
-    """
-    lead = d1 + d0 * h * theta
-    direct = (n1 + n0 * h * theta) / lead
-    pole = (d1 - d0 * h * (1.0 - theta)) / lead
-    block[row, 0] = direct
-    block[row, 1] = pole
-    block[row, 2] = (n0 * h * (1.0 - theta) - n1) / lead + pole * direct
-
-
-@equation
-def write_blocks(blocks: Any, parameters: Any, h: float, theta: float, ideal: bool) -> None:
-    """Write the controller's first-order blocks into `blocks` (6, 3), see `controller_step`.
-
-    The first two add up to A(1 + C_ff) = (1/B_a)/s + (K_l − M_a/B_a)/(M_a s + B_a); the third is the velocity filter
-    ω_v s/(s + ω_v), the fourth the acceleration filter ω_a s/(s + ω_a) behind it. The sampled form of a sum or of a
-    series is the sum or series of the sampled forms, so this is the paper's difference equation in few states. The
-    ideal compensation is A(1 + C_ff) s² = (K_l/M_a) s + κ − κ B_a/(M_a s + B_a) with κ = (1 − K_l B_a/M_a)/M_a, whose
-    lag shares its pole, and so its state, with the second block; the fourth block is then the derivative.
-    """
-    mass, damping, lead, feedback = parameters[0], parameters[1], parameters[2], parameters[3]
-    corner, acceleration, compensation = parameters[4], parameters[5], parameters[6]
-    write_first_order(blocks, 0, 0.0, 1.0 / damping, 1.0, 0.0, h, theta)
-    write_first_order(blocks, 1, 0.0, lead - mass / damping, mass, damping, h, theta)
-    write_first_order(blocks, 2, corner, 0.0, 1.0, corner, h, theta)
-    blocks[4, 0] = feedback
-    if ideal:
-        kappa = compensation * (1.0 - lead * damping / mass) / mass
-        write_first_order(blocks, 5, 0.0, -kappa * damping, mass, damping, h, theta)
-        blocks[5, 1] = kappa + blocks[5, 0]
-        blocks[5, 0] = compensation * lead / mass
-        write_first_order(blocks, 3, 1.0, 0.0, 0.0, 1.0, h, theta)
-        blocks[4, 1] = 0.0
-        blocks[4, 2] = 1.0
-    else:
-        write_first_order(blocks, 3, acceleration, 0.0, 1.0, acceleration, h, theta)
-        blocks[4, 1] = compensation
-        blocks[4, 2] = 0.0
-        for i in range(3):
-            blocks[5, i] = 0.0
-
-
-@equation
-def controller_step(blocks: Any, state: tuple[Any, Any, Any, Any], force: Any, position: Any) -> Any:
-    """Return x^d_k from F^d + F and x at the tick, and the four states at the next: the difference equation.
-
-    Rows of `blocks`: integrator, lag, velocity filter, acceleration (each direct, pole, gain); then B_fb, P̂ and
-    whether the compensation is ideal; then its gain on the derivative, on x, and on x into the lag.
-    """
-    velocity = blocks[2, 0] * position + state[2]
-    source = position * blocks[4, 2] + velocity * (1.0 - blocks[4, 2])
-    acceleration = blocks[3, 0] * source + state[3]
-    drive = force + blocks[4, 1] * acceleration
-    command = (
-        state[0]
-        + state[1]
-        + (blocks[0, 0] + blocks[1, 0]) * drive
-        - blocks[4, 0] * velocity
-        + blocks[5, 0] * acceleration
-        + blocks[5, 1] * position
-    )
-    following = (
-        blocks[0, 1] * state[0] + blocks[0, 2] * drive,
-        blocks[1, 1] * state[1] + blocks[1, 2] * drive + blocks[5, 2] * position,
-        blocks[2, 1] * state[2] + blocks[2, 2] * position,
-        blocks[3, 1] * state[3] + blocks[3, 2] * source,
-    )
-    return command, following
+# Written once in plain arithmetic, and compiled into whatever kernel calls them.
+write_first_order = equation(difference.write_first_order)
+write_blocks = equation(difference.write_blocks)
+controller_step = equation(difference.controller_step)
 
 
 def controller_blocks(controller: AdmittanceController, sample_time_s: float) -> FloatArray:

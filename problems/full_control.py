@@ -5,12 +5,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import compiled
+from . import difference
+from .compiled import compiled, equation
 from .controller import controller_step, write_blocks
+from .difference import Entry
 
 FloatArray = NDArray[np.float64]
-# Output of the admittance without what it adds from the robot's motion, the force that drives it, and x, at one tick.
-Entry = tuple[float, float, float]
 
 # What the collision response does; `Memory.phase` starts at WATCHING.
 REPORTING, RESETTING, STOPPING = 0, 1, 2
@@ -22,6 +22,11 @@ _SCAN = 512
 _BISECTIONS = 60
 # An update falls on a tick that is this close to its time (in samples).
 _ON_TICK = 1e-9
+
+resume = equation(difference.resume)
+measured_motion = equation(difference.measured_motion)
+through_deadband = equation(difference.through_deadband)
+opposes = equation(difference.opposes)
 
 
 class Law(NamedTuple):
@@ -70,7 +75,7 @@ def seen_force(law: Law, force: float) -> tuple[float, int]:
         force, flags = np.copysign(law.force_limit, force), CLIPPED
     if abs(force) <= law.deadband:
         return 0.0, flags | (DEAD if law.deadband > 0.0 else 0)
-    return (np.copysign(abs(force) - law.deadband, force) if law.subtractive else force), flags
+    return through_deadband(force, law.deadband, law.subtractive), flags
 
 
 @compiled
@@ -88,37 +93,6 @@ def blocks_at(law: Law, damping: float) -> FloatArray:
     parameters[1] = damping
     write_blocks(blocks, parameters, law.h, law.theta, law.ideal)
     return blocks
-
-
-@compiled
-def resume(blocks: FloatArray, recent: Entry, older: Entry) -> tuple[float, float]:
-    """Return the states of integrator and lag with which the difference equation goes on from two past entries.
-
-    In the paper's form the memory of A(1 + C_ff) is its last two outputs and inputs: with its pole p,
-    y_{k+1} = (1 + p) y_k − p y_{k−1} + direct u_{k+1} + n_1 u_k + n_2 u_{k−1}, and likewise for x, which the ideal
-    compensation adds. Whatever is changed between two ticks, outputs or coefficients, the command stays continuous.
-    """
-    (y_1, u_1, x_1), (y_0, u_0, x_0) = recent, older
-    pole, direct, gains = blocks[1, 1], blocks[0, 0] + blocks[1, 0], (blocks[0, 2], blocks[1, 2])
-    n_1, n_2 = gains[0] + gains[1] - (1.0 + pole) * direct, pole * (direct - gains[0]) - gains[1]
-    m_1, m_2 = blocks[5, 2] - (1.0 + pole) * blocks[5, 1], pole * blocks[5, 1] - blocks[5, 2]
-    both = (1.0 + pole) * y_1 - pole * y_0 + n_1 * u_1 + n_2 * u_0 + m_1 * x_1 + m_2 * x_0
-    lag = (pole * (y_1 - both) - n_2 * u_1 - m_2 * x_1) / (1.0 - pole)
-    return both - lag, lag
-
-
-@compiled
-def measured_motion(
-    blocks: FloatArray, control: tuple[float, float, float, float], position: float
-) -> tuple[float, float]:
-    """Return what the controller adds to its output from the robot's motion, and to the force: P̂ times acceleration.
-
-    The first is −C_fb x and, with the ideal compensation, its gain on the derivative; see `controller_step`.
-    """
-    velocity = blocks[2, 0] * position + control[2]
-    source = position * blocks[4, 2] + velocity * (1.0 - blocks[4, 2])
-    acceleration = blocks[3, 0] * source + control[3]
-    return blocks[5, 0] * acceleration - blocks[4, 0] * velocity, blocks[4, 1] * acceleration
 
 
 @compiled
@@ -157,7 +131,7 @@ def update_damping(law: Law, blocks: FloatArray, memory: Memory, tick: int, posi
 @compiled
 def next_phase(law: Law, memory: Memory, seen: float, position: float) -> int:
     """Return the phase of the collision response: it begins once, where the force opposes the motion too much."""
-    if memory.phase != WATCHING or not -seen * np.sign(position - memory.recent[2]) > law.threshold:
+    if memory.phase != WATCHING or not opposes(seen, position - memory.recent[2], law.threshold):
         return memory.phase
     if law.response == STOPPING:
         return STOPPED

@@ -1,4 +1,4 @@
-"""Build the wheel and check that it holds the three packages, their types and schemas, and nothing else.
+"""Build the wheel and check that it holds the three packages, their types, schemas and page, and nothing else.
 
 The build runs on a copy of the sources: files left over from an earlier build cannot get in, and none is left behind.
 """
@@ -15,13 +15,15 @@ PACKAGES = ("autotune", "identification", "problems")
 AROUND = ("pyproject.toml", "README.md", "LICENSE")
 TYPED = frozenset(f"{package}/py.typed" for package in PACKAGES)
 SCHEMAS = "autotune/files/schemas/"
+PAGE = "autotune/reports/"
 
 
 def expected_files(root: Path) -> frozenset[str]:
     """Return what the wheel must hold beside its metadata, from what lies on disk under `root`."""
     modules = {path for package in PACKAGES for path in (root / package).rglob("*.py")}
     schemas = set((root / SCHEMAS).glob("*.json"))
-    return TYPED | {path.relative_to(root).as_posix() for path in modules | schemas}
+    page = set((root / PAGE).glob("page.*"))
+    return TYPED | {path.relative_to(root).as_posix() for path in modules | schemas | page}
 
 
 def build_wheel(root: Path, work: Path) -> Path:

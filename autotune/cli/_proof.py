@@ -20,7 +20,7 @@ _DECLARED = (
         "--proof-budget",
         type=click.FloatRange(min=0.0, max=1e6),
         metavar="SECONDS",
-        help="Prove over all that is uncertain for about so long (10); 0: K_e and payload mass alone.",
+        help="Prove over all that is uncertain, for about so long (10); 0 leaves it out.",
     ),
 )
 

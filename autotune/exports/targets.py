@@ -30,12 +30,16 @@ def render_json(controller: "Controller") -> str:
 
 
 TARGETS: Mapping[str, Callable[["Controller"], str]] = MappingProxyType({"cell": render_cell, "json": render_json})
+EVERY_TARGET = (*TARGETS, "c")
+"""Also those that are no text from which the controller could be read back."""
+PEER_TARGETS = ("ros2_control", "fzi_cartesian")
+"""Controllers of others, which run another law: `autotune.exports.peers` certifies it before it writes anything."""
 
 
 def export_controller(path: Path | str, target: str, out: Path | str) -> str:
     """Verify the controller file `path`, write it to `out` in the format `target` and return its checksum.
 
-    The text is read back and must tell the same controller before `out` is touched.
+    The text is read back and must tell the same controller before `out` is touched; for C see `c_source.export_c`.
 
     Raises UsageError for an unknown target or a file that cannot be opened or written, CertificateError for a file
     that is altered, not validated or not read back the same.
@@ -43,8 +47,12 @@ def export_controller(path: Path | str, target: str, out: Path | str) -> str:
     from autotune.files.atomic import write_atomic  # noqa: PLC0415
     from autotune.files.controller import parse_controller, read_controller, short  # noqa: PLC0415
 
+    if target == "c":
+        from .c_source import export_c  # noqa: PLC0415
+
+        return export_c(path, out)
     if target not in TARGETS:
-        raise UsageError(f"There is no export target {target}; targets: {', '.join(TARGETS)}.")
+        raise UsageError(f"There is no export target {target}; targets: {', '.join(EVERY_TARGET)}.")
     source = read_controller(path)
     text = TARGETS[target](source.controller)
     twin = parse_controller(text, out)

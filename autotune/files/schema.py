@@ -2,19 +2,16 @@
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from problems.errors import ParameterError
 
 from .canonical import Place, spell
 from .yaml12 import Document, describe
-
-if TYPE_CHECKING:
-    from jsonschema.exceptions import ValidationError
 
 VERSION = 1
 
@@ -78,13 +75,14 @@ class Violation:
 
 def check_document(document: Document, name: str) -> None:
     """Raise the document's error, with its line, for the first entry that the schema `name` does not allow."""
-    found = min(
-        violations(document.tree, name),
-        key=lambda violation: (document.line(violation.place), len(violation.place)),
-        default=None,
-    )
-    if found is not None:
-        document.refuse(found.place, f"{found.entry} must be {found.must}, found {found.found}.")
+    refuse_first(document, violations(document.tree, name))
+
+
+def refuse_first(document: Document, found: Iterable[Violation]) -> None:
+    """Raise the document's error, with its line, for the first violation in the order of the lines, if there is one."""
+    first = min(found, key=lambda violation: (document.line(violation.place), len(violation.place)), default=None)
+    if first is not None:
+        document.refuse(first.place, f"{first.entry} must be {first.must}, found {first.found}.")
 
 
 def check_tree(tree: Mapping[str, Any], name: str) -> None:
@@ -99,10 +97,35 @@ def violations(tree: Mapping[str, Any], name: str) -> Iterator[Violation]:
     from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow to import, and not every command reads a file
 
     for problem in Draft202012Validator(load_schema(name)).iter_errors(tree):
-        yield _explain(problem)
+        yield explain(problem)
 
 
-def _explain(problem: "ValidationError") -> Violation:
+class Breach(Protocol):
+    """A rule of a schema that an entry breaks, as jsonschema tells it."""
+
+    @property
+    def absolute_path(self) -> Sequence[str | int]:
+        """Keys and indices that lead to the entry."""
+
+    @property
+    def validator(self) -> str:
+        """The rule's keyword."""
+
+    @property
+    def validator_value(self) -> Any:
+        """What the rule says."""
+
+    @property
+    def instance(self) -> Any:
+        """The entry."""
+
+    @property
+    def schema(self) -> Mapping[str, Any]:
+        """The part of the schema that the rule stands in."""
+
+
+def explain(problem: Breach) -> Violation:
+    """Return what is wrong in words: where it stands, what must hold, what was found."""
     place: Place = tuple(problem.absolute_path)
     rule, limit, found = str(problem.validator), problem.validator_value, problem.instance
     if rule == "required":
@@ -115,7 +138,7 @@ def _explain(problem: "ValidationError") -> Violation:
     return Violation(place=place, must=_must(rule, limit, problem), found=describe(found))
 
 
-def _must(rule: str, limit: Any, problem: "ValidationError") -> str:
+def _must(rule: str, limit: Any, problem: Breach) -> str:
     if rule == "type":
         names = " or ".join(_TYPE_NAMES[name] for name in ([limit] if isinstance(limit, str) else limit))
         comma = isinstance(problem.instance, str) and re.fullmatch(r"[-+]?\d*,\d+", problem.instance)

@@ -1,0 +1,109 @@
+"""The header of an exported controller, with `$words` to be filled in."""
+
+HEADER = """\
+/* format: autotune/c, version 1: $prefix.h, written by autotune $tool_version. Do not edit; export it again.
+ *
+ * The six-axis admittance controller of a validated controller file
+$about
+ *
+ * Compile $prefix.c as C99 and without -ffast-math. No allocation, no library, no global state.
+ *
+ *     $prefix_state state;
+ *     $prefix_payload payload = $prefix_file_payload;
+ *     if ($prefix_check(&payload, period_s, inertia_kg_m2) != ${PREFIX}_ACCEPTED) refuse();
+ *     $prefix_start(&state);
+ *     each period: $prefix_step(&state, &payload, &reading, &command);
+ */
+#ifndef ${PREFIX}_H
+#define ${PREFIX}_H
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* The first digits of the checksum, by which $prefix.c refuses the header of another controller. */
+#define ${PREFIX}_CHECKSUM_HEAD 0x${head}UL
+
+/* Why a cell is refused. */
+enum {
+    ${PREFIX}_ACCEPTED = 0,
+    ${PREFIX}_OTHER_SAMPLE_TIME = 1,
+    ${PREFIX}_MASS_NOT_CERTIFIED = 2,
+    ${PREFIX}_INERTIA_NOT_CERTIFIED = 3
+};
+
+/* Why the command is held; a fault lasts until $prefix_start. */
+enum {
+    ${PREFIX}_NO_FAULT = 0,
+    ${PREFIX}_NOT_FINITE = 1,
+    ${PREFIX}_NOT_A_ROTATION = 2,
+    ${PREFIX}_JUMP = 3
+};
+
+/* Where the collision response is; it responds once and then waits for $prefix_rearm. */
+enum { ${PREFIX}_WATCHING = 0, ${PREFIX}_RESPONDED = 1, ${PREFIX}_STOPPED = 2 };
+
+/* What the gravity compensation takes off the wrench: in the sensor frame S, gravity in the world frame W, down. */
+typedef struct {
+    double mass_kg;
+    double com_S_m[3];
+    double force_bias_S_n[3];
+    double torque_bias_S_n_m[3];
+    double gravity_W_m_s2[3];
+} $prefix_payload;
+
+/* One period's input: the raw wrench that the payload puts on the flange (N, N m; in S, about its origin), the
+ * measured pose of S (R_WS row by row, v_W = R_WS v_S), and F^d (N, N m; positive presses along the axis). */
+typedef struct {
+    double wrench_S[6];
+    double position_W_m[3];
+    double R_WS[9];
+    double desired_S[6];
+} $prefix_reading;
+
+/* One period's output: how the commanded pose goes on (m, rad), the same per second, both in the axes of S, and the
+ * wrench without weight and bias. Axes that are not tuned stand still. */
+typedef struct {
+    double increment_S[6];
+    double twist_S[6];
+    double wrench_S[6];
+    int phase;
+    int fault;
+} $prefix_command;
+
+typedef struct {
+    double control[6][4];
+    double drive[6];
+    double position[6];
+    double command[6];
+    double position_W_m[3];
+    double R_WS[9];
+    int has_pose;
+    int phase;
+    int fault;
+} $prefix_state;
+
+extern const char $prefix_checksum[65];
+extern const double $prefix_sample_time_s;
+extern const $prefix_payload $prefix_file_payload;
+
+/* Tell whether the certificate holds for the cell: its period, the mass in `payload`, and the payload's inertia about
+ * rx, ry, rz, of which those that are not tuned are not looked at. */
+int $prefix_check(const $prefix_payload *payload, double sample_time_s, const double inertia_kg_m2[3]);
+
+/* Begin, with the robot at rest. */
+void $prefix_start($prefix_state *state);
+
+/* Do one period and return the fault, which is also in the command. */
+int $prefix_step($prefix_state *state, const $prefix_payload *payload, const $prefix_reading *reading,
+    $prefix_command *command);
+
+/* Watch for the next collision, and go on after a full stop. */
+void $prefix_rearm($prefix_state *state);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
+"""

@@ -1,0 +1,21 @@
+"""The cell's side: load a controller file and step its six axes. Needs the YAML parser, and no other library."""
+
+from .law import AXES, AxisLaw, CollisionResponse, Payload, RuntimeController
+from .load import load_controller
+from .step import START, Command, Fault, Phase, State, rearm, step
+
+__all__ = [
+    "AXES",
+    "START",
+    "AxisLaw",
+    "CollisionResponse",
+    "Command",
+    "Fault",
+    "Payload",
+    "Phase",
+    "RuntimeController",
+    "State",
+    "load_controller",
+    "rearm",
+    "step",
+]

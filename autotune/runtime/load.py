@@ -1,0 +1,131 @@
+"""Read `controller.yaml` on the cell's computer and refuse it unless it is whole, validated and for this cell."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from autotune.errors import CertificateError, UsageError
+from autotune.files.canonical import checksum, short
+from autotune.files.schema import check_format, explain, load_schema, refuse_first
+from autotune.files.yaml12 import Document, load_document
+from problems.errors import ParameterError
+
+from .law import AXES, AxisLaw, CollisionResponse, Payload, RuntimeController
+from .schema_check import breaches
+
+_SHORT, _LONG = 8, 64
+
+
+def load_controller(
+    path: Path | str,
+    *,
+    sample_time_s: float,
+    payload_mass_kg: float,
+    payload_inertia_kg_m2: Mapping[str, float] | None = None,
+    payload: Payload | None = None,
+    expected_checksum: str | None = None,
+) -> RuntimeController:
+    """Return the controller of a file, verified and found right for this cell.
+
+    `sample_time_s` is the period of the cell's loop, `payload_mass_kg` what it carries; `payload_inertia_kg_m2` by
+    axis what it weighs about each of rx, ry, rz that is tuned. `payload` replaces the file's gravity compensation when
+    the cell carries another payload of the certified range. `expected_checksum` (8 or 64 digits) is what was agreed on.
+
+    Raises CertificateError: the file is altered, truncated, not validated, not the expected one, or not for this cell.
+    UsageError: it cannot be opened, or the expected checksum is none.
+    """
+    controller = read_law(path)
+    if expected_checksum is not None:
+        _check_expected(expected_checksum, controller, path)
+    if payload is not None:
+        controller = replace(controller, payload=payload)
+    try:
+        controller.check_cell(
+            sample_time_s=sample_time_s, payload_mass_kg=payload_mass_kg, payload_inertia_kg_m2=payload_inertia_kg_m2
+        )
+    except CertificateError as reason:
+        raise CertificateError(f"{path}: {reason}") from reason
+    return controller
+
+
+def read_law(path: Path | str) -> RuntimeController:
+    """Return the controller of a file that is whole, unaltered and validated, whatever cell it is for.
+
+    Raises as `load_controller`.
+    """
+    document = load_document(path, error=CertificateError, exact=True)
+    check_format(document, "controller")
+    refuse_first(document, map(explain, breaches(document.tree, load_schema("controller"))))
+    stated, found = document.tree["checksum"], checksum(document.tree)
+    if stated != found:
+        reason = f"the checksum says {short(stated)}, but the content has {short(found)}; the file is altered."
+        document.refuse(("checksum",), reason)
+    _check_claims(document)
+    try:
+        return _law(document.tree)
+    except ParameterError as reason:
+        raise CertificateError(f"{path}: {reason}") from reason
+
+
+def _check_claims(document: Document) -> None:
+    """Refuse what the schema cannot: not validated, or a certificate that does not speak of this controller."""
+    tree, certificate = document.tree, document.tree["certificate"]
+    if tree["status"] != "validated":
+        document.refuse(("status",), "the controller is not validated; run optimize until its certificate holds.")
+    if not certificate["proved"]:
+        document.refuse(("certificate", "proved"), "a validated controller proves something; this one proves nothing.")
+    if certificate["sample_time_s"] != tree["sample_time_s"]:
+        told = f"{certificate['sample_time_s']:g} s, but the controller runs every {tree['sample_time_s']:g} s."
+        document.refuse(("certificate", "sample_time_s"), f"the certificate is for {told}")
+    for axis in tree["axes"]:
+        if axis not in certificate["domain"]:
+            document.refuse(("certificate", "domain"), f"the certificate does not speak of axis {axis}.")
+        if axis.startswith("r") and tree["compensation_mass_kg"] != 0.0:
+            reason = f"it is a mass and says nothing of axis {axis}, which turns; it must be 0."
+            document.refuse(("compensation_mass_kg",), reason)
+
+
+def _law(tree: Mapping[str, Any]) -> RuntimeController:
+    payload, collision = tree["payload"], tree["collision"]
+    response = CollisionResponse(collision["response"])
+    return RuntimeController(
+        checksum=tree["checksum"],
+        sample_time_s=float(tree["sample_time_s"]),
+        axes=tuple(_axis(tree, name) for name in AXES if name in tree["axes"]),
+        response=response,
+        threshold_n=float("inf") if response is CollisionResponse.NONE else float(collision["threshold_n"]),
+        payload=Payload(
+            mass_kg=payload["mass_kg"],
+            com_S_m=payload["com_m"],
+            force_bias_S_n=payload["force_bias_n"],
+            torque_bias_S_n_m=payload["torque_bias_n_m"],
+        ),
+    )
+
+
+def _axis(tree: Mapping[str, Any], name: str) -> AxisLaw:
+    gains, domain = tree["axes"][name], tree["certificate"]["domain"][name]
+    low, high = domain["payload_inertia_kg_m2" if name.startswith("r") else "payload_mass_kg"]
+    return AxisLaw(
+        name=name,
+        sample_time_s=float(tree["sample_time_s"]),
+        mass=float(gains["mass"]),
+        damping=float(gains["damping"]),
+        lead_s=float(gains["lead_s"]),
+        feedback_damping_s=float(gains["feedback_damping_s"]),
+        velocity_filter_rad_per_s=float(tree["filters"]["velocity_rad_per_s"]),
+        acceleration_filter_rad_per_s=float(tree["filters"]["acceleration_rad_per_s"]),
+        compensation_mass_kg=float(tree["compensation_mass_kg"]),
+        deadband=float(gains["deadband"]),
+        is_subtractive=gains["deadband_type"] == "subtractive",
+        payload_range=(float(low), float(high)),
+    )
+
+
+def _check_expected(expected: str, controller: RuntimeController, path: Path | str) -> None:
+    if len(expected) not in (_SHORT, _LONG):
+        raise UsageError(f"A checksum has {_SHORT} or {_LONG} digits, found {expected!r}.")
+    if not controller.checksum.startswith(expected.lower()):
+        found = short(controller.checksum)
+        raise CertificateError(f"{path}: it is another file: its checksum is {found}, not {short(expected)}.")

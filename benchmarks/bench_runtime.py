@@ -1,0 +1,146 @@
+"""What one period of the runtime costs, in Python and as exported C, beside the period of 0.8 ms.
+
+Usage: python benchmarks/bench_runtime.py
+
+Six axes, a tool that moves and turns. The C is compiled with gcc, if there is one, and stepped inside a loop of C.
+The imports are measured in processes of their own.
+"""
+
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from autotune.exports.c_source import render_c
+from autotune.runtime import AXES, START, AxisLaw, CollisionResponse, Payload, RuntimeController, step
+from benchmarks.timing import best
+
+PERIOD_S = 8e-4
+STEPS = 2000
+C_STEPS = 1_000_000
+PROCESSES = 7
+
+LOOP = """
+#include "cell.h"
+#include <stdio.h>
+#include <stdlib.h>
+#include <time.h>
+static cell_reading readings[2];
+int main(int count, char **words)
+{
+    cell_state state;
+    cell_command command;
+    struct timespec begin, end;
+    double s = 1e-4, sum = 0.0;
+    long k, steps = count > 1 ? atol(words[1]) : 0;
+    for (k = 0; k < 2; ++k) {
+        int i;
+        for (i = 0; i < 6; ++i) readings[k].wrench_S[i] = k ? 30.0 : -20.0;
+        readings[k].R_WS[0] = readings[k].R_WS[4] = readings[k].R_WS[8] = 1.0;
+    }
+    readings[1].R_WS[1] = -s;
+    readings[1].R_WS[3] = s;
+    readings[1].position_W_m[0] = s;
+    cell_start(&state);
+    clock_gettime(CLOCK_MONOTONIC, &begin);
+    for (k = 0; k < steps; ++k) {
+        if (cell_step(&state, &cell_file_payload, &readings[k & 1], &command)) return 1;
+        sum += command.increment_S[0];
+    }
+    clock_gettime(CLOCK_MONOTONIC, &end);
+    sum *= 0.0; /* used, so that no step is left out */
+    sum += (double)(end.tv_sec - begin.tv_sec) + 1e-9 * (double)(end.tv_nsec - begin.tv_nsec);
+    printf("%.9g\\n", sum / (double)steps);
+    return 0;
+}
+"""
+
+
+def main() -> int:
+    controller = example()
+    _tell("Python step", _python_s(controller))
+    if shutil.which("gcc") is None:
+        print("no gcc: the C was not measured")
+    else:
+        _tell("C step (gcc -O2)", _c_s(controller))
+    _tell_processes()
+    return 0
+
+
+def example() -> RuntimeController:
+    """Return a controller of six axes with deadband and collision response."""
+    axes = tuple(
+        AxisLaw(
+            name=name,
+            sample_time_s=PERIOD_S,
+            mass=12.5,
+            damping=1400.0,
+            lead_s=0.0125,
+            feedback_damping_s=2e-2,
+            velocity_filter_rad_per_s=120.0,
+            acceleration_filter_rad_per_s=200.0,
+            compensation_mass_kg=0.0,
+            deadband=5.0,
+            is_subtractive=True,
+            payload_range=(14.0, 18.0),
+        )
+        for name in AXES
+    )
+    payload = Payload(
+        mass_kg=16.0, com_S_m=(0.01, -0.02, 0.1), force_bias_S_n=(1.5, -0.2, 3.0), torque_bias_S_n_m=(0.1, 0.2, -0.3)
+    )
+    return RuntimeController(
+        checksum="0" * 64,
+        sample_time_s=PERIOD_S,
+        axes=axes,
+        response=CollisionResponse.RESET,
+        threshold_n=150.0,
+        payload=payload,
+    )
+
+
+def _python_s(controller: RuntimeController) -> float:
+    level, turned = (
+        ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+        ((1.0, -1e-4, 0.0), (1e-4, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    )
+
+    def run() -> None:
+        state = START
+        for _ in range(STEPS // 2):
+            state, _ = step(controller, state, wrench_S=(-20.0,) * 6, position_W_m=(0.0, 0.0, 0.0), R_WS=level)
+            state, _ = step(controller, state, wrench_S=(30.0,) * 6, position_W_m=(1e-4, 0.0, 0.0), R_WS=turned)
+
+    return best(run, 5) / STEPS
+
+
+def _c_s(controller: RuntimeController) -> float:
+    with tempfile.TemporaryDirectory() as work:
+        text = render_c(replace(controller, checksum="0" * 64), "cell", {})
+        for name, content in (("cell.h", text.header), ("cell.c", text.source), ("loop.c", LOOP)):
+            (Path(work) / name).write_text(content, encoding="ascii")
+        command = ["gcc", "-std=gnu99", "-O2", "-ffp-contract=off", "-o", "loop", "loop.c", "cell.c"]
+        subprocess.run(command, cwd=work, check=True)
+        runs = [subprocess.run(["./loop", str(C_STEPS)], cwd=work, check=True, capture_output=True) for _ in range(5)]
+    return min(float(run.stdout.split()[0]) for run in runs)
+
+
+def _tell(what: str, seconds: float) -> None:
+    print(f"{what:<22}{seconds * 1e6:9.3f} µs   {100.0 * seconds / PERIOD_S:8.4f} % of the period")
+
+
+def _tell_processes() -> None:
+    for what in ("autotune.runtime", "numpy", "autotune.files.controller"):
+        code = f"import time; t = time.perf_counter(); import {what}; print(time.perf_counter() - t)"
+        runs = [subprocess.run([sys.executable, "-c", code], check=True, capture_output=True) for _ in range(PROCESSES)]
+        times = [float(run.stdout) for run in runs]
+        print(f"import {what:<28}{min(times) * 1e3:7.1f} ms   median {statistics.median(times) * 1e3:7.1f} ms")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,71 @@
+"""What the page on the runtime shows works as it stands."""
+
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from autotune.exports.targets import export_controller
+from autotune.files.controller import short, write_controller
+from tests.autotune.files.samples import make_controller
+
+
+def block(repository: Path, language: str) -> str:
+    page = (repository / "docs" / "runtime.md").read_text(encoding="utf-8")
+    (found,) = re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)
+    return str(found)
+
+
+class StandingCell:
+    """Stands still under a push, for three periods, and then tells a number that is none."""
+
+    period_s, payload_mass_kg, payload_inertia_kg_m2 = 8e-4, 16.0, {"rz": 16.0}
+
+    def __init__(self, agreed_checksum: str) -> None:
+        self.agreed_checksum, self.is_stopped = agreed_checksum, False
+        self.sent: list[tuple[float, ...]] = []
+
+    def is_running(self) -> bool:
+        return not self.is_stopped
+
+    def raw_wrench(self) -> list[float]:
+        return [50.0 if len(self.sent) < 3 else float("nan")] * 6
+
+    def position(self) -> list[float]:
+        return [0.0, 0.0, 0.0]
+
+    def orientation(self) -> list[list[float]]:
+        return [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+
+    def send_twist(self, twist_S: tuple[float, ...]) -> None:
+        self.sent.append(twist_S)
+
+    def stop(self) -> None:
+        self.is_stopped = True
+
+
+def test_the_python_loop_runs(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    digest = write_controller(tmp_path / "controller.yaml", make_controller())
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(compile(block(repository, "python"), "runtime.md", "exec"), names)
+    cell = StandingCell(short(digest))
+    names["run"](cell)
+    assert [twist[0] > 0.0 for twist in cell.sent] == [True, True, True, False]
+    assert cell.sent[3] == (0.0,) * 6
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+def test_the_c_loop_compiles(repository: Path, tmp_path: Path) -> None:
+    write_controller(tmp_path / "controller.yaml", replace(make_controller(), provenance={}))
+    export_controller(tmp_path / "controller.yaml", "c", tmp_path / "cell.c")
+    (tmp_path / "loop.c").write_text(block(repository, "c"), encoding="utf-8")
+    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-fsyntax-only"]
+    done = subprocess.run(
+        ["gcc", *strict, "loop.c", "cell.c"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
