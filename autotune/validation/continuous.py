@@ -26,8 +26,8 @@ Progress = Callable[[float], None] | None
 class ProofWishes:
     """How much is to be proved: the share of the swept modulus that may be given away, and about how long it may take.
 
-    `further_s` is for the proof over everything that is uncertain; 0 leaves it out. Raises ValueError unless 0 < `slack`
-    < 1 and the times are positive.
+    `further_s` is for the proof over everything that is uncertain; 0 leaves it out. Raises ValueError unless 0 <
+    `slack` < 1 and the times are positive.
     """
 
     slack: float = 0.05
