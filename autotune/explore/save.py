@@ -12,6 +12,7 @@ from autotune.files.canonical import short
 from autotune.files.controller import write_controller
 from autotune.tuning.chosen import judge_design
 from autotune.tuning.optimize import certify
+from autotune.validation.continuous import ProofWishes
 
 from .source import Exploration, keep_deadband
 
@@ -46,7 +47,7 @@ def save_controller(
         except InfeasibleError as error:
             raise InfeasibleError(f"Axis {name}: {error}") from error
     told = progress if progress is not None else _silent
-    controller, report = certify(searches, exploration.payload, exploration.provenance, told)
+    controller, report = certify(searches, exploration.payload, exploration.provenance, ProofWishes(), told)
     checksum = write_controller(path, keep_deadband(exploration, controller))
     return Saved(
         path=path,

@@ -23,6 +23,7 @@ from autotune.tuning.optimize import carried_mass_kg, make_provenance
 from autotune.tuning.problems import Wishes, build_problems
 from autotune.tuning.record import runtime_payload
 from autotune.tuning.search import solve_design
+from autotune.validation.continuous import ProofWishes
 from autotune.validation.validate import admittance_controller
 from problems.contact import Approach
 from problems.controller import AdmittanceController
@@ -107,7 +108,7 @@ def _from_identified(path: Path, problem_path: Path | None, progress: Progress) 
         path=path,
         axes={name: _searched(each, lambda done: progress(done / len(problems))) for name, each in problems.items()},
         payload=payload,
-        provenance=_by_hand(make_provenance(identified, Wishes(), 0, problem_path, None)),
+        provenance=_by_hand(make_provenance(identified, Wishes(), 0, problem_path, None, ProofWishes())),
     )
 
 

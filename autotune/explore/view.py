@@ -175,7 +175,7 @@ def compute_view(prepared: PreparedView, design: FloatArray) -> View:
         frequency_hz=loop.frequency_rad_per_s / (2.0 * np.pi),
         at_force=loop.at_force,
         at_command=loop.at_command,
-        evaluation=prepared.screen.prepared.evaluate(design, peaks_if_missed=True, radius=False),
+        evaluation=prepared.screen.prepared.evaluate(design, peaks_if_missed=True),
     )
 
 

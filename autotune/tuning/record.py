@@ -20,6 +20,7 @@ from autotune.files.controller_record import (
     Filters,
     FreeSpaceAdmittance,
     Proof,
+    Reach,
     Requirement,
     RuntimePayload,
     ScenarioPrediction,
@@ -49,9 +50,10 @@ def build_controller(
     results: Mapping[str, SearchResult],
     payload: RuntimePayload,
     proofs: Mapping[str, tuple[Proof, ...]],
+    reaches: Mapping[str, tuple[Reach, ...]],
     provenance: Mapping[str, Any],
 ) -> Controller:
-    """Assemble the controller of all tuned axes; `proofs` are what validation's code has shown, per axis.
+    """Assemble the controller of all tuned axes; `proofs` and `reaches` are what validation's code has shown, per axis.
 
     The axes share h, filters and payload, and axes of a kind their requirements; they come from one identified file
     and one problem. `payload` is what the runtime compensates.
@@ -91,6 +93,7 @@ def build_controller(
             ),
             margins=margins,
             soft=soft or None,
+            continuous=reaches or None,
         ),
         provenance=provenance,
     )
