@@ -1,5 +1,6 @@
 """`autotune explore`: turn gains and plant by hand and see what the loop does."""
 
+import contextlib
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -68,10 +69,9 @@ def command(output: Output, source: Path, out: Path, problem: Path | None, port:
         if wants:
             click.launch(address)
 
-    try:
+    with contextlib.suppress(KeyboardInterrupt):
         serve(exploration, out, port=port, ready=ready)
-    except KeyboardInterrupt:
-        output.note("Ended.")
+    output.note("Ended.")
 
 
 def _tell(output: Output, exploration: "Exploration", out: Path, address: str) -> None:

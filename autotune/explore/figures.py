@@ -141,9 +141,10 @@ class Figures:
     def show(self, view: View) -> None:
         """Show one view; an unstable loop has no transient and no requirement."""
         run = view.transient
-        for name in ("contact", "sensor", "peak"):
-            self.sources[name].data = dict(_EMPTY)
-        if run is not None:
+        if run is None:
+            for name in ("contact", "sensor", "peak"):
+                self.sources[name].data = dict(_EMPTY)
+        else:
             self.sources["contact"].data = _over_time(run.time_s, run.contact_force_n)
             self.sources["sensor"].data = _over_time(run.time_s, run.sensor_force_n)
             self.sources["peak"].data = {"x": [1e3 * run.time_of_peak_s], "y": [run.peak_contact_force_n]}

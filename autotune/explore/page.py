@@ -107,17 +107,20 @@ class Page:
         pairs = map_pairs(problem)
         self.choice.visible = len(self.exploration.axes) > 1
         titles = [(",".join(pair), " and ".join(self.knobs[name].label for name in pair)) for pair in pairs]
+        self.turning = True
         self.over.update(options=titles, value=titles[0][0] if titles else "", visible=len(pairs) > 1)
+        self.turning = False
         self.figures.plots["map"].visible = bool(pairs)
         self.status.text = words.plain_line(self.start.note)
         view = compute_view(self._prepare(), self.start.design)
         self.figures.begin(problem, self.axis, view)
         self.window = None
+        self._set_reaches()
         self._set_sliders()
         self.update()
 
-    def _set_sliders(self) -> None:
-        values = {**dict(zip(self.start.problem.variables, self.designs[self.axis], strict=True)), **self._plant()}
+    def _set_reaches(self) -> None:
+        """Give every slider the reach of its knob; one that cannot be turned is not shown."""
         self.turning = True
         for name, slider in self.sliders.items():
             knob = self.knobs.get(name)
@@ -125,14 +128,16 @@ class Page:
             if knob is None or not slider.visible:
                 continue
             low, high = knob.ends
-            slider.update(
-                title=knob.title,
-                start=low,
-                end=high,
-                step=(high - low) / STEPS,
-                value=min(max(knob.position(float(values[name])), low), high),
-                format=CustomJSTickFormatter(code=_LOGARITHMIC if knob.logarithmic else _PLAIN),
-            )
+            form = CustomJSTickFormatter(code=_LOGARITHMIC if knob.logarithmic else _PLAIN)
+            slider.update(title=knob.title, start=low, end=high, step=(high - low) / STEPS, format=form)
+        self.turning = False
+
+    def _set_sliders(self) -> None:
+        values = {**dict(zip(self.start.problem.variables, self.designs[self.axis], strict=True)), **self._plant()}
+        self.turning = True
+        for name, value in values.items():
+            if self.sliders[name].visible:
+                self.sliders[name].value = self.knobs[name].position(float(value))
         self.turning = False
 
     def _plant(self) -> dict[str, float]:
@@ -215,7 +220,8 @@ class Page:
         self._show_axis()
 
     def _map_chosen(self, _name: str, _old: str, _new: str) -> None:
-        self._ask()
+        if not self.turning:
+            self._ask()
 
     def _go_back(self) -> None:
         self.designs[self.axis] = np.array(self.start.design)

@@ -1,8 +1,10 @@
 """Serve the page on this machine and nowhere else."""
 
 import asyncio
+import contextlib
 import logging
 import secrets
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -61,8 +63,14 @@ async def _serve(exploration: Exploration, out: Path, port: int, ready: Callable
     http.add_sockets(sockets)
     server = BaseServer(IOLoop.current(), application, http)
     server.start()
-    ready(f"http://{LOOPBACK}:{bound}/{secret}/")
+    ended = asyncio.Event()
+    for kind in (signal.SIGINT, signal.SIGTERM):
+        # Where the loop cannot watch signals, the interrupt arrives as the exception that it is.
+        with contextlib.suppress(NotImplementedError):
+            asyncio.get_running_loop().add_signal_handler(kind, ended.set)
     try:
-        await asyncio.Event().wait()
+        ready(f"http://{LOOPBACK}:{bound}/{secret}/")
+        await ended.wait()
     finally:
         server.stop()
+        await http.close_all_connections()
