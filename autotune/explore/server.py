@@ -5,6 +5,7 @@ import contextlib
 import logging
 import secrets
 import signal
+import socket
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +14,6 @@ from bokeh.application.handlers.function import FunctionHandler
 from bokeh.document import Document
 from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
-from bokeh.server.util import bind_sockets
 from bokeh.settings import settings
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
@@ -38,16 +38,20 @@ def serve(exploration: Exploration, out: Path, *, port: int, ready: Callable[[st
     settings.resources = "server"
     for name in ("bokeh", "tornado"):
         logging.getLogger(name).setLevel(logging.ERROR)
+    # A foreign page that was refused is nothing to tell, least of all with advice for another command.
+    logging.getLogger("bokeh.server.views.ws").setLevel(logging.CRITICAL)
     asyncio.run(_serve(exploration, out, port, ready))
 
 
 async def _serve(exploration: Exploration, out: Path, port: int, ready: Callable[[str], None]) -> None:
     try:
-        sockets, bound = bind_sockets(LOOPBACK, port)
+        listening = socket.create_server((LOOPBACK, port))
     except OSError as error:
         raise UsageError(
             f"Port {port} cannot be used: {error.strerror or error}; name another one with --port."
         ) from error
+    listening.setblocking(False)
+    bound = listening.getsockname()[1]
     secret = secrets.token_urlsafe(12)
 
     def fill(document: Document) -> None:
@@ -60,7 +64,7 @@ async def _serve(exploration: Exploration, out: Path, port: int, ready: Callable
         websocket_max_message_size_bytes=_LONGEST_MESSAGE_BYTES,
     )
     http = HTTPServer(application)
-    http.add_sockets(sockets)
+    http.add_socket(listening)
     server = BaseServer(IOLoop.current(), application, http)
     server.start()
     ended = asyncio.Event()
@@ -72,5 +76,7 @@ async def _serve(exploration: Exploration, out: Path, port: int, ready: Callable
         ready(f"http://{LOOPBACK}:{bound}/{secret}/")
         await ended.wait()
     finally:
+        # What was under way to a visitor ends here, and that is no fault.
+        logging.getLogger("tornado").setLevel(logging.CRITICAL)
         server.stop()
         await http.close_all_connections()

@@ -1,6 +1,5 @@
 """What a file gives to explore, and what a saved design must pass."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,28 +12,41 @@ from autotune.explore import source as source_module
 from autotune.explore.save import save_controller
 from autotune.explore.source import problem_of, read_exploration
 from autotune.files.controller import read_controller, write_controller
-from autotune.files.controller_record import Controller
-from autotune.tuning.optimize import Optimized
+from autotune.files.controller_record import Controller, ControllerStatus, SoftRequirement
 from autotune.tuning.record import build_domain
-from autotune.validation.validate import validate_controller
 from tests.autotune.explore.start import solved_exploration
-from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, fast_optimized, uncertain_optimized, write_plant
+from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, FAST_REQUIREMENTS, FURTHER, fast_optimized, write_plant
 
 
 def refuse(*_arguments: object, **_options: object) -> None:
     raise InfeasibleError("No controller within the bounds meets all requirements.")
 
 
-@pytest.mark.parametrize("found", [fast_optimized, uncertain_optimized])
-def test_the_problem_of_a_controller_is_the_one_that_it_was_tuned_for(found: Callable[[], Optimized]) -> None:
-    done = found()
+def test_the_problem_of_a_controller_is_the_one_that_it_was_tuned_for() -> None:
+    done = fast_optimized()
     problem, asked = problem_of(done.controller, "x"), done.searches["x"].problem
     assert build_domain(problem) == done.controller.certificate.domain["x"] == build_domain(asked)
     assert problem.requirements == asked.requirements
     assert problem.sample_time_s == asked.sample_time_s
 
 
-def test_soft_requirements_and_filters_of_a_controller_are_kept() -> None:
+def test_what_is_uncertain_and_what_is_only_wished_are_kept() -> None:
+    wished = replace(FAST_REQUIREMENTS, gain_margin_db=None, soft_n={"delay_margin_s": 2.0})
+    asked = replace(fast_optimized().searches["x"].problem, uncertain=FURTHER, requirements=wished)
+    controller = fast_optimized().controller
+    hard = {key: value for key, value in controller.certificate.requirements.items() if not key.startswith(("g", "d"))}
+    certificate = replace(
+        controller.certificate,
+        domain={"x": build_domain(asked)},
+        requirements=hard,
+        soft={"x": {"delay_margin_s": SoftRequirement(asked=1e-3, soft_n=2.0, achieved=3e-3)}},
+    )
+    problem = problem_of(replace(controller, certificate=certificate), "x")
+    assert build_domain(problem) == build_domain(asked)
+    assert problem.requirements == wished
+
+
+def test_filters_and_compensation_of_a_controller_are_kept() -> None:
     controller = fast_optimized().controller
     filters = replace(controller.filters, velocity_rad_per_s=90.0, acceleration_rad_per_s=150.0)
     problem = problem_of(replace(controller, filters=filters, compensation_mass_kg=4.0), "x")
@@ -86,7 +98,7 @@ def test_what_is_saved_is_an_ordinary_controller(tmp_path: Path) -> None:
     read = read_controller(path)
     assert read.checksum.startswith(saved.checksum)
     assert read.controller.axes["x"].damping == float(f"{design[1]:.6g}")
-    assert validate_controller(read.controller).passed
+    assert read.controller.status is ControllerStatus.VALIDATED
     told = read.controller.predicted["x"].scenarios
     assert saved.peak_n["x"] == pytest.approx(max(each.peak_contact_force_n for each in told), rel=1e-3)
 
