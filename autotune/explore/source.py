@@ -22,12 +22,13 @@ from autotune.tuning.compare import start_design
 from autotune.tuning.optimize import carried_mass_kg, make_provenance
 from autotune.tuning.problems import Wishes, build_problems
 from autotune.tuning.record import runtime_payload
-from autotune.tuning.search import solve_design
+from autotune.tuning.search import SearchResult, solve_design
 from autotune.validation.continuous import ProofWishes
 from autotune.validation.validate import admittance_controller
 from problems.contact import Approach
 from problems.controller import AdmittanceController
 from problems.design import DEFAULT_BOUNDS, FURTHER_VARIABLES, VARIABLES, DesignProblem
+from problems.evaluation import build_scenarios
 from problems.requirements import REQUIREMENTS, AdmittanceTarget, Requirements
 from problems.uncertainty import Scenario
 
@@ -35,6 +36,7 @@ FloatArray = NDArray[np.float64]
 Progress = Callable[[float], None]
 
 _GRID = (3, 2)
+_MOST_TIGHT, _MOST_HARD = 3, 1
 # How far gains about a rotational axis may be led from those of the file.
 _REACH = 10.0
 
@@ -125,8 +127,16 @@ def _searched(problem: DesignProblem, progress: Progress) -> AxisStart:
         middle = Box(problem).design(np.full(len(problem.variables), 0.5))
         return AxisStart(problem=problem, design=middle, scenarios=grid, note=str(error))
     # What the search found worst belongs to what is looked at, or designs that fail there would look good.
-    seen = tuple(dict.fromkeys((*grid, *(each for each in found.active.scenarios if each.further()))))
-    return AxisStart(problem=problem, design=found.design, scenarios=seen)
+    return AxisStart(problem=problem, design=found.design, scenarios=tuple(dict.fromkeys((*grid, *_worst_few(found)))))
+
+
+def _worst_few(found: SearchResult) -> list[Scenario]:
+    """Return the plants beyond K_e and M_p that hold the best design back most; few, as each costs time at every turn."""
+    further = [each for each in found.active.scenarios if each.further()]
+    judged = [build_scenarios(found.problem, [each]).evaluate(found.design, peaks_if_missed=True) for each in further]
+    tight = sorted(zip(judged, further, strict=True), key=lambda pair: -max(pair[0].requirements.values(), default=0.0))
+    hard = sorted(zip(judged, further, strict=True), key=lambda pair: -pair[0].objective_n)
+    return [each for _, each in (*tight[:_MOST_TIGHT], *hard[:_MOST_HARD])]
 
 
 def _from_controller(read: ControllerFile) -> Exploration:

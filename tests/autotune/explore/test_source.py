@@ -14,6 +14,7 @@ from autotune.explore.source import problem_of, read_exploration
 from autotune.files.controller import read_controller, write_controller
 from autotune.files.controller_record import Controller, ControllerStatus, SoftRequirement
 from autotune.tuning.record import build_domain
+from problems.evaluation import build_scenarios
 from tests.autotune.explore.start import solved_exploration
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, FAST_REQUIREMENTS, FURTHER, fast_optimized, write_plant
 
@@ -88,6 +89,21 @@ def test_where_nothing_is_feasible_the_page_starts_in_the_middle_and_says_so(
     assert "meets all requirements" in start.note
     for value, (low, high) in zip(start.design, start.problem.bounds.values(), strict=True):
         assert low <= value <= high
+
+
+def test_plants_that_hold_the_best_design_back_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plant, found = write_plant(tmp_path), fast_optimized().searches["x"]
+    grid = found.problem.scenarios(3, 2)
+    delays = [replace(grid[0], delay_s=delay) for delay in np.linspace(1e-3, 4e-3, 9).tolist()]
+    active = build_scenarios(found.problem, (*grid, *delays))
+    monkeypatch.setattr(source_module, "solve_design", lambda *_, **__: replace(found, active=active))
+    problem = tmp_path / "problem.yaml"
+    problem.write_text(FAST_PROBLEM_YAML, encoding="utf-8")
+    seen = read_exploration(plant.path, problem).axes["x"].scenarios
+    assert set(grid) < set(seen)
+    # More delay leaves less margin, and the longest ones are what counts.
+    assert set(delays[-3:]) <= set(seen)
+    assert len(seen) <= len(grid) + 4
 
 
 def test_what_is_saved_is_an_ordinary_controller(tmp_path: Path) -> None:
