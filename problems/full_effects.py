@@ -92,7 +92,8 @@ class Effects:
     """What the linear loop leaves out; by default nothing is.
 
     To the measured force comes first white noise of `force_noise_rms_n` per tick, then clipping at ±`force_limit_n`
-    (the sensor's range), then the deadband.
+    (the sensor's range), then the deadband. Of the commands a share of `late_share`, drawn at random, is a period late:
+    the robot goes on with the command before, and has both when the next one arrives.
     """
 
     deadband: Deadband | None = None
@@ -101,11 +102,14 @@ class Effects:
     limits: CommandLimits | None = None
     collision: Collision | None = None
     variable_damping: VariableDamping | None = None
+    late_share: float = 0.0
 
     def __post_init__(self) -> None:
         if self.force_limit_n is not None:
             object.__setattr__(self, "force_limit_n", positive("force_limit_n", self.force_limit_n))
         object.__setattr__(self, "force_noise_rms_n", non_negative("force_noise_rms_n", self.force_noise_rms_n))
+        if not 0.0 <= self.late_share < 1.0:
+            raise ParameterError("late_share", self.late_share, "at least 0 and below 1")
 
 
 NO_EFFECTS = Effects()

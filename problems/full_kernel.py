@@ -107,12 +107,14 @@ def run_full(
     desired: tuple[float, float],
     pushes: tuple[float, float],
     noise: FloatArray,
+    late: NDArray[np.bool_],
     recording: Recording,
 ) -> None:
     """Step over all samples of the recording.
 
     `start` is plant state, past commands (newest first) and memory; `desired` and `pushes` are F^d and the hand's force
-    before and after the impact; `noise` (samples,) is added to F. Without delay the velocity that is recorded is the
+    before and after the impact; `noise` (samples,) is added to F. Where `late` (samples,) no command arrives at the
+    robot, which goes on with the one before. Without delay the velocity that is recorded is the
     one just before the command changes.
     """
     state, past, memory = start[0].copy(), start[1].copy(), start[2]
@@ -120,8 +122,12 @@ def run_full(
     traces, found, work = recording.traces, recording.found, np.empty((3, n))
     blocks = blocks_at(law, memory.damping)
     found[2] = wall_force(motion, state[n - 2], state[n - 1])
+    acting = past[(head + motion.chain - 1) % places] if motion.chain > 0 else memory.sent
     for k in range(traces.shape[1]):
-        held = past[(head + motion.chain - 1) % places] if motion.chain > 0 else memory.sent
+        # What acts at the tick is the last command that arrived, or with a delay of whole samples the one arriving.
+        held = acting
+        if motion.chain == motion.whole and motion.whole > 0 and not late[k]:
+            held = past[(head + motion.whole - 1) % places]
         position, force, velocity = 0.0, rows[1, n] * held, rows[2, n] * held
         for i in range(n):
             position += rows[0, i] * state[i]
@@ -142,6 +148,9 @@ def run_full(
         if -force > found[0]:
             found[0], found[1] = -force, k
         newer = memory.sent if motion.whole == 0 else past[(head + motion.whole - 1) % places]
+        if late[k]:
+            newer = acting
         cross_sample(motion, state, (held if motion.chain > motion.whole else newer, newer), pushes, k, found, work)
+        acting = newer
         head = (head - 1) % places
         past[head] = memory.sent

@@ -114,7 +114,8 @@ def simulate_fully(
     clipping, speed limit and variable damping in it); with it, at rest at that distance from the wall, when the force
     is switched on. `substeps` per sample; those before and after the command changes inside a sample are counted
     apart. Without switching the error falls with the fourth power of the step; a kink of the contact force or a jump
-    of it (B_e) inside a step costs the square, or the first power, of one step. `noise` draws the sensor noise.
+    of it (B_e) inside a step costs the square, or the first power, of one step. `noise` draws the sensor noise
+    and the late commands.
 
     Raises UnstableLoopError for a loop that is not stable in contact or in free space without the effects (at the
     ends of the variable damping), unless `even_if_unstable`; ParameterError for what this simulation cannot do.
@@ -133,7 +134,8 @@ def simulate_fully(
     recording.found[4:] = math.nan
     if start_distance_m is None:
         recording.found[4:6] = 0.0, drive.speed_m_s * h
-    run_full(motion, law, start, drive.desired_n, drive.push_n, _noise(effects, noise, count), recording)
+    drawn = _noise(effects, noise, count), _late(effects, noise, count)
+    run_full(motion, law, start, drive.desired_n, drive.push_n, *drawn, recording)
     return _run(recording, h, drive, is_stable=radius < 1.0)
 
 
@@ -298,6 +300,14 @@ def _noise(effects: Effects, noise: np.random.Generator | None, count: int) -> F
     if noise is None:
         raise ParameterError("noise", noise, "a numpy Generator, for a force_noise_rms_n above 0")
     return effects.force_noise_rms_n * noise.standard_normal(count)
+
+
+def _late(effects: Effects, noise: np.random.Generator | None, count: int) -> BoolArray:
+    if effects.late_share == 0.0:
+        return np.zeros(count, dtype=np.bool_)
+    if noise is None:
+        raise ParameterError("noise", noise, "a numpy Generator, for a late_share above 0")
+    return np.asarray(noise.random(count) < effects.late_share)
 
 
 def _run(recording: Recording, h: float, drive: _Drive, *, is_stable: bool) -> FullRun:

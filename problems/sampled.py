@@ -12,9 +12,11 @@ from ._checks import positive
 from .compiled import compiled, equation
 from .controller import CONTROLLER_STATES, AdmittanceController, controller_blocks, controller_step, needed_states
 from .errors import ParameterError
+from .laws import LinearLaw
 from .plant import Plant, build_plant_matrices
 
 FloatArray = NDArray[np.float64]
+Law = AdmittanceController | LinearLaw
 
 # A delay this close to a whole number of samples (in samples) is that number; it is far below any clock's resolution.
 _WHOLE = 1e-9
@@ -165,7 +167,7 @@ class SampledLoop:
     F_k = c_force s_k + d_force F^d_k and x^d_k = c_command s_k + d_command F^d_k; whatever is added to the measured
     force (noise) acts as F^d does. `d_force` is non-zero only when the delay is zero and the coupling has damping.
     `translation` is the state's change when everything moves by one metre: the eigenvector of the integrator at
-    z = 1 that a loop has whose environment is not `is_anchored`.
+    z = 1 that a loop has of which neither environment nor law holds a position (`is_anchored`).
     """
 
     a: FloatArray
@@ -289,12 +291,11 @@ def _cut_loop(
     plant: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float],
     whole: int,
     chain: int,
-    blocks: FloatArray,
-    kept: NDArray[np.int64],
+    controller: FloatArray,
 ) -> FloatArray:
-    size = len(plant[1]) + chain + len(kept)
+    size = len(plant[1]) + chain + len(controller) - 1
     m = np.zeros((size + 2, size + 3))
-    write_open_loop(m, plant, whole, chain, controller_matrices(blocks, kept))
+    write_open_loop(m, plant, whole, chain, controller)
     return m
 
 
@@ -305,9 +306,40 @@ def _closed(m: FloatArray, signal: int) -> FloatArray:
     return out
 
 
-def build_cut_loop(sampled: SampledPlant, controller: AdmittanceController) -> CutLoop:
-    """Lay out plant and sampled controller as one system that is cut at the force signal and at the command."""
-    blocks = controller_blocks(controller, sampled.sample_time_s)
+def law_matrix(law: Law, sample_time_s: float) -> FloatArray:
+    """Return the difference equation at h as `LinearLaw` holds it; raises ParameterError for a law of another h."""
+    if isinstance(law, AdmittanceController):
+        blocks = controller_blocks(law, sample_time_s)
+        return controller_matrices(blocks, needed_states(blocks))
+    if law.sample_time_s != sample_time_s:
+        raise ParameterError("sample_time_s", law.sample_time_s, f"that of the plant, {sample_time_s:g} s")
+    return law.matrix
+
+
+def linear_law(controller: AdmittanceController, sample_time_s: float) -> LinearLaw:
+    """Return the sampled form of an admittance controller as a law like any other."""
+    blocks = controller_blocks(controller, sample_time_s)
+    kept = needed_states(blocks)
+    matrix = controller_matrices(blocks, kept)
+    return LinearLaw(matrix=matrix, rest=controller_rest(blocks)[kept], sample_time_s=sample_time_s)
+
+
+def build_cut_loop(sampled: SampledPlant, controller: Law) -> CutLoop:
+    """Lay out plant and sampled controller as one system that is cut at the force signal and at the command.
+
+    Of a law that follows the position (`LinearLaw.follows_position`) the cut at the command is that of what it adds.
+    """
+    cut = _build_whole_cut(sampled, controller)
+    if isinstance(controller, LinearLaw) and controller.follows_position:
+        # The position is added behind the cut: whatever enters there moves the robot from where it is.
+        m, n = cut.matrix, sampled.state_count
+        m[:, :n] += np.outer(m[:, cut.command], sampled.c_position)
+        m[cut.command, :n] -= sampled.c_position
+    return cut
+
+
+def _build_whole_cut(sampled: SampledPlant, controller: Law) -> CutLoop:
+    matrix = law_matrix(controller, sampled.sample_time_s)
     plant = (
         sampled.phi,
         sampled.gamma,
@@ -317,13 +349,13 @@ def build_cut_loop(sampled: SampledPlant, controller: AdmittanceController) -> C
         sampled.c_force,
         sampled.d_force,
     )
-    m = _cut_loop(plant, sampled.whole_delay, sampled.chain_length, blocks, needed_states(blocks))
+    m = _cut_loop(plant, sampled.whole_delay, sampled.chain_length, matrix)
     return CutLoop(matrix=m, state_count=len(m) - 2)
 
 
-def build_loop(sampled: SampledPlant, controller: AdmittanceController) -> SampledLoop:
+def build_loop(sampled: SampledPlant, controller: Law) -> SampledLoop:
     """Close the loop of `sampled` and the sampled form of `controller`, without approximation."""
-    cut = build_cut_loop(sampled, controller)
+    cut = _build_whole_cut(sampled, controller)
     m, n = cut.closed_at(cut.command, cut.force), cut.state_count
     return SampledLoop(
         a=np.ascontiguousarray(m[:n, :n]),
@@ -335,18 +367,22 @@ def build_loop(sampled: SampledPlant, controller: AdmittanceController) -> Sampl
         d_command=float(m[cut.command, n]),
         translation=translation_state(sampled, controller),
         sample_time_s=sampled.sample_time_s,
-        is_anchored=sampled.plant.environment.is_anchored,
+        is_anchored=sampled.plant.environment.is_anchored
+        or (isinstance(controller, LinearLaw) and controller.holds_position),
     )
 
 
-def translation_state(sampled: SampledPlant, controller: AdmittanceController) -> FloatArray:
+def translation_state(sampled: SampledPlant, controller: Law) -> FloatArray:
     """Return the loop state in which flange, payload and command all rest at one metre and F = 0."""
-    blocks = controller_blocks(controller, sampled.sample_time_s)
     n = sampled.state_count
     # The robot chain's first state has unit gain at rest (r(0) = 1); then x_p.
     plant = np.zeros(n)
     plant[0] = plant[n - 2] = 1.0
-    rest = controller_rest(blocks)[needed_states(blocks)]
+    if isinstance(controller, LinearLaw):
+        rest = controller.rest
+    else:
+        blocks = controller_blocks(controller, sampled.sample_time_s)
+        rest = controller_rest(blocks)[needed_states(blocks)]
     return np.concatenate([plant, np.ones(sampled.chain_length), rest])
 
 

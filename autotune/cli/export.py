@@ -1,12 +1,39 @@
 """`autotune export`: a validated controller in the format that another program reads."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from autotune.exports.targets import EVERY_TARGET
+from autotune.exports.targets import EVERY_TARGET, PEER_TARGETS
 
 from ._common import Output, output_options
+
+_FOR_PEERS = (
+    click.option("--ros2-version", "version", metavar="NAME", help="jazzy (default), kilted, rolling, or as 6.4.0."),
+    click.option("--controller-name", metavar="NAME", help="The name of the controller in the parameter file."),
+    click.option("--joints", metavar="NAME,…", help="The robot's joints, from base to tip (joint_1 to joint_6)."),
+    click.option("--base-link", metavar="NAME", help="The robot's base (base_link)."),
+    click.option("--tip-link", metavar="NAME", help="The robot's last link (tool0)."),
+    click.option("--sensor-name", metavar="NAME", help="The force sensor in the robot description (ft_sensor)."),
+    click.option("--sensor-frame", metavar="NAME", help="The frame of its wrench (ft_frame)."),
+    click.option("--control-frame", metavar="NAME", help="The frame of the tuned axes (the sensor's)."),
+    click.option(
+        "--return-stiffness",
+        type=float,
+        metavar="N/M",
+        help="ros2_control: the spring without which there is no damping there (1).",
+    ),
+    click.option(
+        "--filter-coefficient", type=float, metavar="A", help="ros2_control: the force filter, 1 being none (1)."
+    ),
+)
+
+
+def _peer_options(command: Any) -> Any:
+    for option in reversed(_FOR_PEERS):
+        command = option(command)
+    return command
 
 
 @click.command(
@@ -17,10 +44,11 @@ from ._common import Output, output_options
 @click.argument("controller", type=click.Path(path_type=Path, dir_okay=False))
 @click.option(
     "--target",
-    type=click.Choice(list(EVERY_TARGET)),
+    type=click.Choice([*EVERY_TARGET, *PEER_TARGETS]),
     required=True,
-    help="cell: the YAML that the cell reads. json: the same content as JSON, with a JSON Schema. "
-    "c: the controller's step as one C99 source, and the header beside it.",
+    help="cell: the YAML that the cell reads. json: the same content as JSON, with a JSON Schema. c: the controller's "
+    "step as one C99 source, and the header beside it. ros2_control: parameters of the admittance controller of "
+    "ros2_controllers. fzi_cartesian: parameters of FZI's Cartesian force controller.",
 )
 @click.option(
     "-o",
@@ -31,16 +59,56 @@ from ._common import Output, output_options
     metavar="OUT",
     help="The file to write (of c: NAME.c, with NAME.h beside it); it is replaced only once the new one is whole.",
 )
+@_peer_options
 @output_options
-def command(output: Output, controller: Path, target: str, out: Path) -> None:
+def command(output: Output, /, controller: Path, target: str, out: Path, **further: Any) -> None:
     """Verify CONTROLLER and write it in the format of another program.
 
     A file that is altered or not validated is refused (exit code 6). The short checksum is for people to compare with
     what the cell shows.
+
+    Controllers of others run other laws. For them the parameters are translated, what they cannot express is dropped,
+    and what remains is certified again over the file's domain; if that fails, the best that they can do is tuned, and
+    the price in peak force is told. If nothing meets the requirements, nothing is written (exit code 5).
     """
+    from autotune.errors import UsageError
     from autotune.exports.targets import export_controller
     from autotune.files.canonical import short
 
+    given = {name: value for name, value in further.items() if value is not None}
+    if target in PEER_TARGETS:
+        _export_peer(output, controller, target, out, given)
+        return
+    if given:
+        raise UsageError(f"The target {target} takes no names, versions or numbers of another controller.")
     checksum = export_controller(controller, target, out)
     result = {"target": target, "path": str(out), "checksum": checksum, "short_checksum": short(checksum)}
     output.result(result, lambda: click.echo(f"{out}: {target}, checksum {short(checksum)}"))
+
+
+def _export_peer(output: Output, controller: Path, target: str, out: Path, given: dict[str, Any]) -> None:
+    """Certify, write and tell what was kept, what was dropped and what it costs."""
+    from autotune.exports.peers import export_peer, peer_options
+    from autotune.files.canonical import short
+
+    if "joints" in given:
+        given["joints"] = tuple(name.strip() for name in given["joints"].split(","))
+    options = peer_options(target, given)
+    with output.progress("certifying", 1.0) as advance:
+        made = export_peer(controller, options, out, advance)
+    checksum = made.source.checksum
+    head = {"target": target, "path": str(out), "checksum": checksum, "short_checksum": short(checksum)}
+
+    def text() -> None:
+        click.echo(f"{out}: {target}, from the file with checksum {short(checksum)}")
+        for axis in made.axes:
+            how = "translated" if axis.tuned_because is None else f"tuned anew, since {axis.tuned_because}"
+            numbers = ", ".join(f"{name} {value:g}" for name, value in axis.written.items())
+            click.echo(f"axis {axis.axis}: {numbers} ({how})")
+            click.echo(f"axis {axis.axis}: peak force {axis.price()}")
+            for note in axis.notes:
+                click.echo(note)
+        for line in made.dropped:
+            click.echo(f"dropped: {line}")
+
+    output.result({**head, **made.tree()}, text)

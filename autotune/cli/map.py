@@ -132,7 +132,10 @@ def print_summary(tree: dict[str, Any]) -> None:
 
 def summary_lines(tree: dict[str, Any]) -> list[str]:
     """Return the summary for people."""
+    from autotune.files.canonical import short
+
     lines = _interval_lines(tree) if "cases" in tree else _map_lines(tree)
+    lines += [f"{path}: checksum {short(checksum)}" for path, checksum in tree["checksums"].items()]
     return [*lines, f"written: {tree['picture']}, {tree['data']}"]
 
 

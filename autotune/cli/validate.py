@@ -5,61 +5,182 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ._against_log import compare_logs, comparison_tree, print_comparison
 from ._common import Output, output_options
 from ._schedule import validate_schedule
 
 if TYPE_CHECKING:
+    from autotune.files.controller import ControllerFile
+    from autotune.files.identified import IdentifiedFile
+    from autotune.validation.against_log import LogComparison
+    from autotune.validation.disturbances import Told
     from autotune.validation.validate import ValidationReport
 
 _EPILOG = """\b
 Examples:
   autotune validate controller.yaml
   autotune validate controller.yaml --identified identified.yaml
+  autotune validate controller.yaml --log first_contacts.mcap
+  autotune validate controller.yaml --sign key.pem
+  autotune validate controller.yaml --public-key pub.pem
   autotune validate schedule/schedule.yaml
 """
+_FILE = click.Path(path_type=Path, dir_okay=False)
+
+
+def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[float | None, float | None] | None:
+    """Read a number for x, y, z and, after a comma, one for rx, ry, rz."""
+    if value is None:
+        return None
+    try:
+        numbers = [float(part) for part in value.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in {1, 2}:
+        must = "must be a number, or two with a comma between: for x, y, z and for rx, ry, rz"
+        raise click.BadParameter(f"{value!r} {must}.", ctx, param)
+    return numbers[0], (numbers[1] if len(numbers) == 2 else None)
 
 
 @click.command("validate", epilog=_EPILOG)
-@click.argument("controller", type=click.Path(path_type=Path, dir_okay=False))
+@click.argument("controller", type=_FILE)
 @click.option(
-    "--identified",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Also check that this identified plant lies inside the certified domain.",
+    "--identified", type=_FILE, help="Also check that this identified plant lies inside the certified domain."
 )
+@click.option(
+    "--log",
+    "logs",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    help="Also compare every contact in this log, recorded under this controller. Several are parts of one recording.",
+)
+@click.option("--cell", "cell_path", type=_FILE, help="A cell.yaml that says what the log cannot.")
+@click.option("--command-topic", help="Channel of the commanded pose in the log.")
+@click.option(
+    "--samples",
+    type=click.IntRange(0),
+    default=256,
+    show_default=True,
+    help="Plants of the certified set to simulate with deadband, noise, clipping and late commands; 0: none.",
+)
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Which plants, and which noise.")
+@click.option(
+    "--noise", callback=_pair, help="The sensor's noise, N RMS[,N·m RMS].  [default: of the file, else 0.2,0.02]"
+)
+@click.option("--sensor-range", callback=_pair, help="Where the sensor clips, N[,N·m].  [default: nowhere]")
+@click.option("--speed-limit", callback=_pair, help="Limit on the command, m/s[,rad/s].  [default: 0.25 m/s]")
+@click.option("--late", type=click.FloatRange(0, 1, max_open=True), help="Share of late commands.  [default: 0.01]")
+@click.option("--public-key", type=_FILE, help="Demand the signature CONTROLLER.sig, by the key of this file.")
+@click.option("--sign", type=_FILE, help="Write CONTROLLER.sig with this private key, if everything holds.")
 @output_options
-def command(output: Output, controller: Path, identified: Path | None) -> None:
+def command(output: Output, /, controller: Path, identified: Path | None, **options: Any) -> None:
     """Verify CONTROLLER again, from the file alone and by other code than the optimizer's.
 
     Checksum, schema and ranges; stability proved anew over the whole domain; margins and free-space admittance by a
-    second method; every predicted contact replayed. Of a schedule, every controller that it lists. Exit code 6: a claim
-    does not hold, or the file was altered.
+    second method; every predicted contact replayed; contacts with many plants of the domain simulated with deadband,
+    noise, clipping and late commands. Of a schedule, every controller that it lists. Exit code 6: a claim or a
+    signature does not hold, or the file was altered. 3: the log cannot be used, or another controller was running.
     """
     from autotune.files.schedule import is_schedule
 
     if is_schedule(controller):
+        given = [name for name in ("logs", "public_key", "sign") if options[name]]
+        if given:
+            raise click.UsageError(f"--{given[0].replace('_', '-').removesuffix('s')} is for one controller file.")
         validate_schedule(output, controller, identified)
         return
+    _validate(output, controller, identified, options)
+
+
+def _validate(output: Output, path: Path, identified_path: Path | None, options: dict[str, Any]) -> None:
     from autotune.files.canonical import short
     from autotune.files.controller import read_controller
     from autotune.files.identified import read_identified
     from autotune.validation.domain import check_domain
+    from autotune.validation.monte_carlo import run_monte_carlo
+    from autotune.validation.monte_carlo_report import monte_carlo_checks, monte_carlo_tree
     from autotune.validation.validate import ValidationReport, validate_controller
 
-    read = read_controller(controller)
-    with output.progress(f"validating {controller.name}", 1.0) as advance:
+    private, public = _keys(path, options)
+    read = read_controller(path)
+    signed_by = None if public is None else _signed_by(read, public)
+    identified = None if identified_path is None else read_identified(identified_path)
+    told, samples = _told(options, identified), options["samples"]
+    with output.progress(f"validating {path.name}", 2.0 if samples else 1.0) as advance:
         report = validate_controller(read.controller, advance)
-    if identified is not None:
-        inside = check_domain(read.controller, read_identified(identified).result)
-        report = ValidationReport(checks=(*report.checks, *inside))
+        # Behind a claim that does not hold there is nothing to simulate: an unstable loop has no peaks.
+        simulated = (
+            run_monte_carlo(read.controller, count=samples, seed=options["seed"], told=told, progress=advance)
+            if samples and report.passed
+            else ()
+        )
+    checks = [*report.checks, *monte_carlo_checks(simulated)]
+    checks += [] if identified is None else check_domain(read.controller, identified.result)
+    compared = _compared(output, read, options) if all(check.passed for check in checks) else None
+    if compared is not None:
+        from autotune.validation.against_log import log_checks
+
+        checks += log_checks(compared)
+    report = ValidationReport(checks=tuple(checks))
+    if private is not None and report.passed:
+        from autotune.files.signature import sign_file
+
+        signed_by = sign_file(path, private, read.sha256)
     tree = {
-        "path": str(controller),
+        "path": str(path),
         "checksum": read.checksum,
         "short_checksum": short(read.checksum),
         "passed": report.passed,
+        "signed_by": signed_by,
         "checks": checks_tree(report),
+        "monte_carlo": monte_carlo_tree(simulated),
+        "log": None if compared is None else comparison_tree(compared),
     }
-    output.result(tree, lambda: print_report(report, controller, short(read.checksum)))
+    output.result(tree, lambda: _print(report, path, short(read.checksum), compared, signed_by))
     report.require()
+
+
+def _keys(path: Path, options: dict[str, Any]) -> tuple[Any, Any]:
+    """Read the keys before the long work."""
+    if options["sign"] is None and options["public_key"] is None:
+        return None, None
+    from autotune.files.atomic import check_target
+    from autotune.files.signature import read_private_key, read_public_key, signature_path
+
+    if options["sign"] is not None:
+        check_target(signature_path(path))
+    private = None if options["sign"] is None else read_private_key(options["sign"])
+    return private, None if options["public_key"] is None else read_public_key(options["public_key"])
+
+
+def _signed_by(read: "ControllerFile", public: Any) -> str:
+    from autotune.files.signature import check_signature
+
+    return check_signature(read.path, public, read.sha256)
+
+
+def _told(options: dict[str, Any], identified: "IdentifiedFile | None") -> "Told":
+    """Return what is known of the cell: what the options say, else the noise that was identified."""
+    from autotune.validation.disturbances import Told
+
+    nothing = (None, None)
+    noise = options["noise"]
+    if noise is None and identified is not None:
+        sensor = identified.result.sensor
+        torque = None if sensor.torque_noise_rms_n_m is None else sensor.torque_noise_rms_n_m.value
+        noise = sensor.force_noise_rms_n.value, None if torque is None else max(torque)
+    return Told(
+        noise_rms=noise or nothing,
+        sensor_range=options["sensor_range"] or nothing,
+        speed_limit=options["speed_limit"] or nothing,
+        late_share=options["late"],
+    )
+
+
+def _compared(output: Output, read: "ControllerFile", options: dict[str, Any]) -> "LogComparison | None":
+    if not options["logs"]:
+        return None
+    return compare_logs(output, read.controller, options["logs"], options["cell_path"], options["command_topic"])
 
 
 def checks_tree(report: "ValidationReport") -> list[dict[str, Any]]:
@@ -67,8 +188,13 @@ def checks_tree(report: "ValidationReport") -> list[dict[str, Any]]:
     return [{"axis": c.axis, "name": c.name, "passed": c.passed, "message": c.message} for c in report.checks]
 
 
-def print_report(report: "ValidationReport", path: Path, checksum: str) -> None:
-    """Print one line per check."""
+def _print(
+    report: "ValidationReport", path: Path, checksum: str, compared: "LogComparison | None", signed_by: str | None
+) -> None:
+    """Print one line per check, the contacts of the log as a table."""
     for check in report.checks:
         click.echo(f"{'ok' if check.passed else 'FAILED':6} axis {check.axis}, {check.name}: {check.message}")
-    click.echo(f"{path}: {'valid' if report.passed else 'NOT valid'}, checksum {checksum}")
+    if compared is not None:
+        print_comparison(compared)
+    signed = "" if signed_by is None else f", signed by the key {signed_by}"
+    click.echo(f"{path}: {'valid' if report.passed else 'NOT valid'}, checksum {checksum}{signed}")

@@ -32,6 +32,8 @@ def render_json(controller: "Controller") -> str:
 TARGETS: Mapping[str, Callable[["Controller"], str]] = MappingProxyType({"cell": render_cell, "json": render_json})
 EVERY_TARGET = (*TARGETS, "c")
 """Also those that are no text from which the controller could be read back."""
+PEER_TARGETS = ("ros2_control", "fzi_cartesian")
+"""Controllers of others, which run another law: `autotune.exports.peers` certifies it before it writes anything."""
 
 
 def export_controller(path: Path | str, target: str, out: Path | str) -> str:

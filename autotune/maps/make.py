@@ -48,6 +48,7 @@ def summary_tree(made: MadeMap) -> dict[str, Any]:
     plan, request = made.plan, made.result.request
     tree: dict[str, Any] = {
         "source": str(made.ask.source),
+        "checksums": dict(plan.source.checksums),
         "axis": plan.source.axis,
         "show": made.ask.show,
         "where": request.where,

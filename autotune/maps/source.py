@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -31,6 +31,8 @@ _DEFAULT_APPROACH_N = 30.0
 class MapSource:
     """One axis of a file: `known` by the names of `problems.map_parameters`, `missing` with the reason.
 
+    `checksums` holds those of the controller files that were read, by path.
+
     The environment is without damping and mass unless a certificate says otherwise, as when a controller is tuned.
     """
 
@@ -42,10 +44,12 @@ class MapSource:
     missing: Mapping[str, str]
     controller: AdmittanceController | None
     approach: Approach
+    checksums: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "known", MappingProxyType(dict(self.known)))
         object.__setattr__(self, "missing", MappingProxyType(dict(self.missing)))
+        object.__setattr__(self, "checksums", MappingProxyType(dict(self.checksums)))
 
     @property
     def is_rotational(self) -> bool:
@@ -65,7 +69,8 @@ def read_source(path: Path, *, axis: str | None, controller: Path | None) -> Map
     """
     kind = _kind(path)
     if kind == "controller":
-        source = _certified(path, read_controller(path).controller, axis)
+        read = read_controller(path)
+        source = replace(_certified(path, read.controller, axis), checksums={str(path): read.checksum})
     elif kind == "identified":
         source = _identified(path, read_identified(path).result, axis)
     else:
@@ -74,9 +79,11 @@ def read_source(path: Path, *, axis: str | None, controller: Path | None) -> Map
         )
     if controller is None:
         return source
-    other = read_controller(controller).controller
+    read = read_controller(controller)
+    other, checksums = read.controller, {**source.checksums, str(controller): read.checksum}
     law, domain = _law(controller, other, source.axis), other.certificate.domain.get(source.axis)
-    return replace(source, controller=law, approach=source.approach if domain is None else _approach(domain))
+    approach = source.approach if domain is None else _approach(domain)
+    return replace(source, controller=law, approach=approach, checksums=checksums)
 
 
 def _kind(path: Path) -> str:

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from problems.controller import AdmittanceController
 from problems.margins import LARGEST_GAIN_DB, frequency_grid, margins_on_grid
 from problems.plant import FREE_SPACE, Plant
-from problems.sampled import SampledPlant, build_cut_loop, build_sampled_plant
+from problems.sampled import Law, SampledPlant, build_cut_loop, build_sampled_plant
 
 from .proof import UncertainPlant
 
@@ -33,7 +32,7 @@ class SweptMargins:
 
 def sweep_margins(
     plants: UncertainPlant,
-    controller: AdmittanceController,
+    controller: Law,
     sample_time_s: float,
     *,
     stiffness: int,
@@ -66,7 +65,7 @@ def sweep_margins(
     return SweptMargins(values=values, worst=worst, plants=count, largest_radius=radius)
 
 
-def _margins(sampled: SampledPlant, controller: AdmittanceController) -> tuple[dict[str, float], float]:
+def _margins(sampled: SampledPlant, controller: Law) -> tuple[dict[str, float], float]:
     """Return the margins of one loop from 1 + L = ∏(z − λ_closed)/∏(z − λ_cut), and its largest |λ_closed| but 1.
 
     The loop is cut at the force or at the command; both polynomials are monic, and only a loop without delay has a

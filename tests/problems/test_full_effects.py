@@ -20,6 +20,7 @@ from problems.full_effects import Collision, CommandLimits, Deadband, Effects, V
         (lambda: VariableDamping(decay_s_per_m=-1.0), "decay"),
         (lambda: Effects(force_limit_n=0.0), "force_limit_n"),
         (lambda: Effects(force_noise_rms_n=-0.1), "force_noise_rms_n"),
+        (lambda: Effects(late_share=1.0), "late_share"),
     ],
 )
 def test_values_that_cannot_be_are_refused(make: Callable[[], object], text: str) -> None:

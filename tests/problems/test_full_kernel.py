@@ -152,3 +152,35 @@ def test_the_variance_of_force_and_command_is_that_of_the_linear_loop() -> None:
     command = math.sqrt(loop.c_command @ covariance @ loop.c_command + (loop.d_command * rms) ** 2)
     assert np.std(run.sensor_force_n[settled]) == pytest.approx(force, rel=share)
     assert np.std(run.command_m[settled]) == pytest.approx(command, rel=share)
+
+
+@pytest.mark.parametrize("delay_samples", [0.0, 3.0, 2.4])
+def test_a_command_that_does_not_arrive_leaves_the_robot_with_the_one_before(delay_samples: float) -> None:
+    """The flange follows, by the closed form of a lag, what arrives: where that is late, the command before."""
+    rate, share, h = 20.0, 0.3, PERIOD_S
+    robot = RobotModel(numerator=np.array([rate]), denominator=np.array([1.0, rate]), delay_s=delay_samples * h)
+    effects = Effects(late_share=share)
+    run = simulate(paper_plant(stiffness=1e5, robot=robot), effects=effects, seed=5, duration=0.2, distance=1e-3)
+    count = len(run.time_s)
+    late = np.random.default_rng(5).random(count) < share
+    whole = math.floor(delay_samples + 1e-9)
+    fraction = delay_samples - whole
+    place = acting = -1e-3
+    for k in range(count - 1):
+        assert run.flange_position_m[k] == pytest.approx(place, abs=1e-12)
+        sent = run.command_m[k - whole] if k >= whole else -1e-3
+        newer = acting if late[k] else sent
+        for held, part in ((acting if fraction > 1e-9 else newer, fraction), (newer, 1.0 - fraction)):
+            place = held + (place - held) * math.exp(-rate * part * h)
+        acting = newer
+
+
+def test_late_commands_cost_as_much_as_a_longer_delay() -> None:
+    """With half of them late a command is held for one sample more on average: the peak lies between the two delays."""
+    plant = paper_plant(stiffness=1e5)
+    later = replace(plant, robot=replace(plant.robot, delay_s=plant.robot.delay_s + 2.0 * PERIOD_S))
+    clean, shaken, delayed = (
+        simulate(of, effects=Effects(late_share=share), seed=1).peak_contact_force_n
+        for of, share in ((plant, 0.0), (plant, 0.5), (later, 0.0))
+    )
+    assert clean < shaken < delayed

@@ -181,6 +181,7 @@ def test_the_run_is_a_value() -> None:
         (paper_plant(), FAST, {"limits": CommandLimits(speed_m_s=0.05)}, {}, "0.05 m/s"),
         (paper_plant(), replace(FAST, driven_by="hand"), {"force_limit_n": 20.0}, {}, "clipped"),
         (paper_plant(), PRESS, {"force_noise_rms_n": 0.1}, {}, "Generator"),
+        (paper_plant(), PRESS, {"late_share": 0.1}, {}, "Generator"),
         (paper_plant(), PRESS, {"collision": Collision(threshold_n=2.0)}, {}, "above the drag"),
         (paper_plant(), PRESS, {"variable_damping": VariableDamping(update_period_s=1e-4)}, {}, "at least h"),
         (paper_plant(), PRESS, {}, {"substeps": 0}, "substeps"),

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from autotune.cli.main import main
 from autotune.files.controller import read_controller, short, write_controller
+from tests.autotune.exports.peer_cases import PLAIN, peer_controller, requirements
 from tests.autotune.files.samples import make_controller
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -74,3 +76,58 @@ def test_the_help_has_an_example(run_cli: RunCli) -> None:
     run = run_cli("export", "--help")
     assert run.returncode == 0
     assert "Example: autotune export controller.yaml --target json -o controller.json" in run.stdout
+
+
+def test_another_controller_is_certified_and_its_price_told(run_cli: RunCli, tmp_path: Path) -> None:
+    write_controller(tmp_path / "easy.yaml", peer_controller({"x": PLAIN}, requirements(2.5e-4)))
+    run = run_cli("export", "easy.yaml", "--target", "ros2_control", "-o", "out.yaml", "--joints", "j1, j2")
+    assert (run.returncode, run.stderr) == (0, "")
+    lines = run.stdout.splitlines()
+    assert lines[0].startswith("out.yaml: ros2_control, from the file with checksum ")
+    assert lines[1].startswith("axis x: mass 8, damping_ratio ")
+    assert " N instead of " in lines[2]
+    assert 'joints: ["j1", "j2"]' in (tmp_path / "out.yaml").read_text(encoding="utf-8")
+
+
+def test_the_json_of_another_controller_tells_parameters_and_price(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, out = tmp_path / "easy.yaml", tmp_path / "out.yaml"
+    digest = write_controller(source, peer_controller({"x": PLAIN}, requirements(2.5e-4)))
+    assert main(["export", str(source), "--target", "fzi_cartesian", "-o", str(out), "--json"]) == 0
+    tree = json.loads(capsys.readouterr().out)
+    axis = tree["axes"]["x"]
+    assert set(axis["parameters"]) == {"p", "d"}
+    assert {"tuned", "reason", "peak_contact_force", "peak_contact_force_before", "margins"} <= set(axis)
+    assert (tree["checksum"], tree["target"]) == (digest, "fzi_cartesian")
+    assert out.exists()
+
+
+def test_what_another_controller_cannot_do_is_exit_5_and_writes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, out = tmp_path / "hard.yaml", tmp_path / "out.yaml"
+    write_controller(source, peer_controller({"x": PLAIN}, requirements(5e-3)))
+    assert main(["export", str(source), "--target", "ros2_control", "-o", str(out)]) == 5
+    told = capsys.readouterr()
+    assert (told.out, told.err.count("\n")) == ("", 1)
+    assert "cannot do what was asked" in told.err
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--target", "cell", "--joints", "a"], "takes no names"),
+        (["--target", "fzi_cartesian", "--ros2-version", "jazzy"], "--ros2-version says nothing"),
+        (["--target", "ros2_control", "--ros2-version", "3.1.0"], "4.0.0 to 6.x"),
+        (["--target", "ros2_control", "--return-stiffness", "0"], "above 0"),
+    ],
+)
+def test_an_option_that_does_not_fit_is_exit_2(
+    source: Path, arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = source.with_name("out")
+    assert main(["export", str(source), "-o", str(out), *arguments]) == 2
+    assert told in capsys.readouterr().err
+    assert not out.exists()

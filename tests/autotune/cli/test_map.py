@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from autotune.cli.main import main
-from autotune.files.controller import write_controller
+from autotune.files.controller import read_controller, write_controller
 from autotune.files.controller_record import CollisionResponse
 from autotune.files.identified import write_identified
 from tests.autotune.files.samples import make_controller, make_identified
@@ -36,9 +36,10 @@ def test_people_see_the_share_the_extremes_and_the_design(run_cli: RunCli, folde
     lines = done.stdout.splitlines()
     assert lines[0].startswith("63 points, ")
     assert lines[0].endswith("% stable in contact and in free space")
-    assert [line.split(":")[0] for line in lines[1:]] == ["smallest modulus", "largest modulus", "design", "written"]
+    told = ["smallest modulus", "largest modulus", "design", "controller.yaml", "written"]
+    assert [line.split(":")[0] for line in lines[1:]] == told
     assert lines[3].endswith(" at damping 913 N·s/m, lead_s 0.0125 s")
-    assert lines[4] == "written: map.svg, map.csv"
+    assert lines[5] == "written: map.svg, map.csv"
     assert (folder / "map.csv").read_text(encoding="utf-8").count("\n") >= 63
 
 
@@ -72,7 +73,8 @@ def test_intervals_are_told_and_drawn_the_same_twice(
     assert lines[0] == "lead_s searched in 0 to 0.1 s, in free space"
     assert lines[1].startswith("  B_a = 400 N·s/m: smallest stable value ")
     assert "none at " in lines[1]
-    assert lines[-1] == f"written: {picture.name}, lead.csv"
+    checksum = read_controller(folder / "controller.yaml").checksum
+    assert lines[-2:] == [f"controller.yaml: checksum {checksum[:8]}", f"written: {picture.name}, lead.csv"]
 
 
 def test_the_smallest_damping_is_told_for_each_controller(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

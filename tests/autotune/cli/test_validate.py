@@ -8,14 +8,22 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 
+from autotune.cell.write import write_mcap
+from autotune.cli.main import main
 from autotune.files.controller import read_controller, short, write_controller
 from autotune.files.controller_record import ControllerStatus
 from autotune.files.identified import write_identified
+from autotune.files.signature import fingerprint
 from tests.autotune.tuning.cases import identified_plant, known, small_controller, write_plant
+from tests.autotune.validation.test_against_log import recorded
 from tests.autotune.validation.test_validate import EVERY_CHECK, FALSE_CLAIMS
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
+FEW = ("--samples", "4")
+SIMULATED = ["sampled peaks", "full simulation"]
 THROUGH_THE_COMMAND_LINE = [
     "modulus too high",
     "damping too low",
@@ -31,37 +39,53 @@ THROUGH_THE_COMMAND_LINE = [
 
 
 @pytest.fixture
+def run_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> RunCli:
+    """Run the command line in this process, which has its imports behind it: most of the time of a short run."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str | Path) -> "subprocess.CompletedProcess[str]":
+        code = main([*map(str, arguments)])
+        told = capsys.readouterr()
+        return subprocess.CompletedProcess(arguments, code, told.out, told.err)
+
+    return run
+
+
+@pytest.fixture
 def good(tmp_path: Path) -> Path:
     write_controller(tmp_path / "controller.yaml", small_controller())
     return tmp_path / "controller.yaml"
 
 
 def test_a_true_file_passes_and_every_check_is_told(run_cli: RunCli, good: Path) -> None:
-    done = run_cli("validate", "controller.yaml")
+    done = run_cli("validate", "controller.yaml", *FEW)
     assert (done.returncode, done.stderr) == (0, "")
     lines = done.stdout.splitlines()
-    assert [re.match(r"ok +axis x, ([^:]+): \S", line)[1] for line in lines[:-1]] == EVERY_CHECK  # type: ignore[index]
+    told = [re.match(r"ok +axis x, ([^:]+): \S", line)[1] for line in lines[:-1]]  # type: ignore[index]
+    assert told == [*EVERY_CHECK, *SIMULATED]
     assert lines[-1] == f"controller.yaml: valid, checksum {short(read_controller(good).checksum)}"
     assert [path.name for path in good.parent.iterdir()] == ["controller.yaml"]
 
 
-def test_json_is_one_object_and_quiet_is_silent(run_cli: RunCli, good: Path) -> None:
-    done = run_cli("validate", "controller.yaml", "--json")
+def test_json_is_one_object_and_quiet_is_silent(run_here: RunCli, good: Path) -> None:
+    done = run_here("validate", "controller.yaml", "--json", *FEW)
     tree = json.loads(done.stdout)
     assert (done.returncode, done.stderr, tree["passed"]) == (0, "", True)
-    assert [check["name"] for check in tree["checks"]] == EVERY_CHECK
+    assert [check["name"] for check in tree["checks"]] == [*EVERY_CHECK, *SIMULATED]
     assert tree["checksum"] == read_controller(good).checksum
-    quiet = run_cli("validate", "controller.yaml", "--quiet")
+    assert (tree["signed_by"], tree["log"]) == (None, None)
+    assert tree["monte_carlo"]["x"]["samples"] == 4
+    quiet = run_here("validate", "controller.yaml", "--quiet", "--samples", "0")
     assert (quiet.returncode, quiet.stdout, quiet.stderr) == (0, "", "")
 
 
 @pytest.mark.parametrize("name", THROUGH_THE_COMMAND_LINE)
 def test_a_false_file_with_a_right_checksum_is_exit_6_and_the_check_names_numbers(
-    run_cli: RunCli, tmp_path: Path, name: str
+    run_here: RunCli, tmp_path: Path, name: str
 ) -> None:
     change, check, told = FALSE_CLAIMS[name]
     write_controller(tmp_path / "controller.yaml", change(small_controller()))
-    done = run_cli("validate", "controller.yaml")
+    done = run_here("validate", "controller.yaml")
     assert done.returncode == 6
     assert done.stderr.count("\n") == 1
     assert done.stderr.startswith("autotune: Axis x, ")
@@ -88,32 +112,33 @@ def test_a_false_file_with_json_is_one_object_and_exit_6(run_cli: RunCli, tmp_pa
     ],
     ids=["a gain", "the status", "the end is missing", "empty"],
 )
-def test_an_altered_file_is_exit_6(run_cli: RunCli, good: Path, old: str, new: str) -> None:
+def test_an_altered_file_is_exit_6(run_here: RunCli, good: Path, old: str, new: str) -> None:
     text = good.read_text(encoding="utf-8")
     altered = re.sub(old, new, text, count=1)
     assert altered != text
     good.write_text(altered, encoding="utf-8")
-    done = run_cli("validate", "controller.yaml")
+    done = run_here("validate", "controller.yaml")
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (6, "", 1)
     assert done.stderr.startswith("autotune: controller.yaml")
 
 
-def test_an_unvalidated_file_is_exit_6(run_cli: RunCli, tmp_path: Path) -> None:
+def test_an_unvalidated_file_is_exit_6(run_here: RunCli, tmp_path: Path) -> None:
     write_controller(tmp_path / "c.yaml", replace(small_controller(), status=ControllerStatus.UNVALIDATED))
-    done = run_cli("validate", "c.yaml")
+    done = run_here("validate", "c.yaml")
     assert (done.returncode, done.stdout) == (6, "")
     assert "not validated" in done.stderr
 
 
-def test_the_identified_plant_is_compared_with_the_domain(run_cli: RunCli, good: Path) -> None:
+def test_the_identified_plant_is_compared_with_the_domain(run_here: RunCli, good: Path) -> None:
     write_plant(good.parent)
-    inside = run_cli("validate", "controller.yaml", "--identified", "identified.yaml")
+    inside = run_here("validate", "controller.yaml", "--identified", "identified.yaml", *FEW)
     assert (inside.returncode, inside.stderr) == (0, "")
     assert "axis x, identified plant: lies inside the certified domain" in inside.stdout
+    assert "0.14 N noise" in inside.stdout
     plant = identified_plant()
     heavy = replace(plant, payload=replace(plant.payload, mass_kg=known(20.0, 0.1)))
     write_identified(good.parent / "heavy.yaml", heavy, {"tool": "by hand"})
-    outside = run_cli("validate", "controller.yaml", "--identified", "heavy.yaml")
+    outside = run_here("validate", "controller.yaml", "--identified", "heavy.yaml", "--samples", "0")
     assert outside.returncode == 6
     assert "payload mass [kg] is 20, certified for [16, 16]" in outside.stderr
 
@@ -125,10 +150,63 @@ def test_the_identified_plant_is_compared_with_the_domain(run_cli: RunCli, good:
         (["absent.yaml"], "absent.yaml cannot be read"),
         (["controller.yaml", "--identified", "absent.yaml"], "absent.yaml cannot be read"),
         (["controller.yaml", "--identified", "controller.yaml"], "format must be autotune/identified"),
+        (["controller.yaml", "--noise", "soft"], "must be a number, or two with a comma between"),
+        (["controller.yaml", "--noise", "-1"], "noise_rms must be not below 0"),
+        (["controller.yaml", "--sensor-range", "1,2,3"], "must be a number, or two with a comma between"),
+        (["controller.yaml", "--late", "1"], "--late"),
+        (["controller.yaml", "--sign", "absent.pem"], "absent.pem cannot be read"),
+        (["controller.yaml", "--public-key", "controller.yaml"], "must hold an Ed25519 public key"),
     ],
 )
-def test_a_wrong_request_is_exit_2(run_cli: RunCli, good: Path, arguments: list[str], told: str) -> None:
-    done = run_cli("validate", *arguments)
+def test_a_wrong_request_is_exit_2(run_here: RunCli, good: Path, arguments: list[str], told: str) -> None:
+    done = run_here("validate", *arguments)
     assert good.exists()
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
     assert told in done.stderr
+
+
+def test_a_file_is_signed_once_it_holds_and_the_signature_is_demanded(run_here: RunCli, good: Path) -> None:
+    key = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
+    folder = good.parent
+    (folder / "key.pem").write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    public = key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+    (folder / "pub.pem").write_bytes(public)
+    check = ("validate", "controller.yaml", "--samples", "0", "--public-key", "pub.pem")
+    unsigned = run_here(*check)
+    assert (unsigned.returncode, unsigned.stdout) == (6, "")
+    assert "controller.yaml must be signed" in unsigned.stderr
+    signed = run_here("validate", "controller.yaml", "--samples", "0", "--sign", "key.pem", "--json")
+    assert signed.returncode == 0
+    assert json.loads(signed.stdout)["signed_by"] == fingerprint(key.public_key())
+    demanded = run_here(*check)
+    assert (demanded.returncode, demanded.stderr) == (0, "")
+    assert demanded.stdout.endswith(f", signed by the key {fingerprint(key.public_key())}\n")
+    good.write_text(good.read_text(encoding="utf-8") + "# looked at\n", encoding="utf-8")
+    changed = run_here(*check)
+    assert (changed.returncode, changed.stdout, changed.stderr.count("\n")) == (6, "", 1)
+    assert "is not a signature of controller.yaml" in changed.stderr
+
+
+def test_a_file_that_does_not_hold_is_not_signed(run_here: RunCli, tmp_path: Path) -> None:
+    write_controller(tmp_path / "controller.yaml", FALSE_CLAIMS["delay too small"][0](small_controller()))
+    key = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
+    (tmp_path / "key.pem").write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    assert run_here("validate", "controller.yaml", "--sign", "key.pem").returncode == 6
+    assert not (tmp_path / "controller.yaml.sig").exists()
+
+
+def test_a_log_is_compared_contact_by_contact(run_here: RunCli, good: Path, good_log: Path) -> None:
+    write_mcap(recorded(), good.parent / "own.mcap")
+    asked = ("validate", "controller.yaml", "--samples", "0", "--log")
+    done = run_here(*asked, "own.mcap")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "2 of 2 traces lie inside the predicted band all the time\n" in done.stdout
+    tree = json.loads(run_here(*asked, "own.mcap", "--json").stdout)
+    assert (tree["passed"], tree["log"]["inside_share"], tree["log"]["payload_from"]) == (True, 1.0, "log")
+    for contact in tree["log"]["contacts"]:
+        error = contact["predicted_peak_n"] - contact["measured_peak_n"]
+        assert contact["peak_error_n"] == error
+        assert contact["peak_error_percent"] == pytest.approx(100.0 * error / contact["measured_peak_n"])
+    other = run_here(*asked, good_log)
+    assert (other.returncode, other.stdout, other.stderr.count("\n")) == (3, "", 1)
+    assert "was recorded with another controller" in other.stderr

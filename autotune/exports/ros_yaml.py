@@ -1,0 +1,90 @@
+"""Parameter files of ROS 2 controllers: plain YAML whose numbers, lists and keys are what the readers there take.
+
+Their reader takes a number without a point for an integer, which a parameter of type double refuses, and a number with
+an exponent but without a point for text. Keys that nobody declared are passed over in silence.
+"""
+
+import json
+import math
+import re
+import textwrap
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
+
+from autotune.errors import UsageError
+from problems.errors import ParameterError
+
+Tree = Mapping[str, "Tree | float | bool | int | str | list[float] | list[bool] | list[str]"]
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
+_WIDTH = 110
+
+
+def check_names(what: str, names: Iterable[str]) -> None:
+    """Raise UsageError for a name that ROS would not take, or none at all."""
+    given = tuple(names)
+    if not given or len(set(given)) != len(given):
+        raise UsageError(f"{what}: names must be given, each once; found {', '.join(given) or 'none'}.")
+    for name in given:
+        if not _NAME.fullmatch(name):
+            must = "a letter or _ first, then letters, digits and _ . / - only"
+            raise UsageError(f"{what}: {json.dumps(name, ensure_ascii=False)} is no name ({must}).")
+
+
+def update_rate_hz(sample_time_s: float) -> int:
+    """Return 1/h, which a controller manager takes in whole hertz only; raises UsageError for any other h."""
+    rate = round(1.0 / sample_time_s)
+    if rate < 1 or abs(rate * sample_time_s - 1.0) > 1e-6:
+        raise UsageError(
+            f"The controller manager's update_rate is in whole hertz, and 1/h = {1.0 / sample_time_s:.6f} Hz is not; "
+            "what is certified for one period is not for another. Tune at a period of 1/(whole number) s."
+        )
+    return rate
+
+
+def check_keys(parameters: Tree, known: frozenset[str]) -> None:
+    """Raise ParameterError for a key that the controller does not declare: it would be ignored in silence."""
+    unknown = sorted(set(_paths(parameters)) - known)
+    if unknown:
+        raise ParameterError("parameters", unknown, "declared by the controller")
+
+
+def _paths(tree: Tree, within: str = "") -> Iterator[str]:
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _paths(value, f"{within}{key}.")
+        else:
+            yield f"{within}{key}"
+
+
+def dump_parameters(tree: Tree, comments: Iterable[str]) -> str:
+    """Return the comments and the tree as the text of a parameter file, floats with a point and no exponent."""
+    lines = [line for comment in comments for line in _wrapped(comment)]
+    return "\n".join([*lines, *_lines(tree, 0), ""])
+
+
+def _wrapped(comment: str) -> list[str]:
+    found = textwrap.wrap(comment, _WIDTH, initial_indent="# ", subsequent_indent="#   ", break_on_hyphens=False)
+    return found or ["#"]
+
+
+def _lines(tree: Tree, depth: int) -> Iterator[str]:
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield f"{'  ' * depth}{key}:"
+            yield from _lines(value, depth + 1)
+        else:
+            yield f"{'  ' * depth}{key}: {_scalar(value)}"
+
+
+def _scalar(value: object) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(_scalar(each) for each in value)}]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise ParameterError("parameters", value, "finite")
+        return np.format_float_positional(value, trim="0")
+    return str(value) if isinstance(value, int) else json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,298 @@
+"""Certify any linear law over the domain of a controller file: stability, margins, peaks and what was asked.
+
+The certificate of a controller is for the law that it holds. Another controller runs another law, whose certificate
+is made here: the same domain, the same requirements, its own difference equation.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from autotune.files.controller_record import (
+    AdmittanceRequirement,
+    Asked,
+    AxisDomain,
+    AxisMargins,
+    AxisPrediction,
+    FreeSpaceAdmittance,
+    ScenarioPrediction,
+)
+from autotune.files.units import axis_units
+from problems.contact import Approach, build_sampled_contact
+from problems.law_contact import force_per_speed, simulate_law_contact
+from problems.laws import LinearLaw
+from problems.margins import frequency_grid
+from problems.noise import command_speed_gain
+from problems.passivity import passive_below_hz
+from problems.plant import FREE_SPACE, Plant
+from problems.requirements import NoiseLimit, PassivityTarget
+from problems.response import controller_response, free_space_admittance, plant_response
+from problems.sampled import build_loop, build_sampled_plant, spectral_radius
+from problems.uncertainty import Scenario
+
+from .margins import SweptMargins, sweep_margins
+from .proof import StabilityProof, UncertainPlant, prove_stability
+from .validate import uncertain_plant
+from .whole_set import OtherPlants, build_other_plants
+
+_STIFFNESS_POINTS, _MASS_POINTS = 25, 3
+_PEAK_STIFFNESS_POINTS = 9
+_BAND_POINTS = 41
+# What a requirement may be missed by: the frequency grid's share of a margin, as in `validate`.
+_MISSED = 1e-3
+_DEFAULT_BAND_HZ = (0.1, 2.0)
+# How much of the room of a weak spring may be used, see `spring_share`.
+_SPRING_ROOM = 0.1
+MARGIN_OF = {
+    "modulus_margin": "modulus",
+    "gain_margin_db": "gain_db",
+    "phase_margin_deg": "phase_deg",
+    "delay_margin_s": "delay_s",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisTask:
+    """What one axis of a controller file was certified for and asked, and what its own law was predicted to do."""
+
+    axis: str
+    domain: AxisDomain
+    asked: Asked
+    margins: AxisMargins
+    predicted: AxisPrediction
+    sample_time_s: float
+
+    def plants(self) -> UncertainPlant:
+        """Return the set over K_e and M_p."""
+        return uncertain_plant(self.domain)
+
+    def others(self) -> OtherPlants:
+        """Return the plants of the domain beyond K_e and M_p."""
+        return build_other_plants(self.domain, self.margins, self.predicted)
+
+    def approach(self) -> Approach:
+        """Return how the contacts of the file begin; of a speed and a force, the speed."""
+        speed = self.domain.approach_speed_m_s
+        return Approach(force_n=self.domain.approach_force_n if speed is None else None, speed_m_s=speed)
+
+    def contacts(self) -> tuple[Scenario, ...]:
+        """Return the contacts that are looked at: those of the file, a grid over K_e × M_p, and the further plants."""
+        low, high = self.domain.environment_stiffness_n_per_m
+        stiffness = np.unique(np.clip(np.geomspace(low, high, _PEAK_STIFFNESS_POINTS), low, high))
+        masses = np.unique(np.linspace(*self.domain.payload_mass_kg, _MASS_POINTS))
+        grid = (
+            Scenario(environment_stiffness_n_per_m=float(k), payload_mass_kg=float(m))
+            for m in masses
+            for k in stiffness
+        )
+        named = (each.scenario() for each in self.predicted.scenarios)
+        return tuple(dict.fromkeys((*named, *grid, *self.others().scenarios)))
+
+    def promised_n(self) -> float:
+        """Return the largest contact force that the file predicts for its own law."""
+        return max(each.peak_contact_force_n for each in self.predicted.scenarios)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawCertificate:
+    """What was found of one law; `missed` says in words what of it is not as was asked, empty when all is.
+
+    `spring_share` is the share of its room that a spring takes (None without one). Without stability there are no
+    margins and no peaks. `is_unproved` where a proof failed at plants that are stable: finer ranges could tell.
+    """
+
+    free: StabilityProof
+    contact: StabilityProof
+    spring_share: float | None
+    margins: SweptMargins | None
+    worst: ScenarioPrediction | None
+    admittance: FreeSpaceAdmittance | None
+    missed: tuple[str, ...]
+    is_unproved: bool = False
+
+    @property
+    def holds(self) -> bool:
+        """Whether everything that was asked is met."""
+        return not self.missed
+
+
+def certify_law(task: AxisTask, law: LinearLaw) -> LawCertificate:
+    """Prove the law stable over the domain, sweep its margins, simulate its contacts and compare with what is asked."""
+    units, plants, others = axis_units(task.axis), task.plants(), task.others()
+    free, contact, share = prove_law(plants, law)
+    missed = [
+        f"stability {where} does not hold or cannot be proved: fails at M_p = {proof.failed_mass_kg:.6g} {units.mass}"
+        f", K_e = {proof.failed_stiffness_n_per_m:.6g} {units.stiffness}"
+        for where, proof in (("in free space", free), ("in contact", contact))
+        if not proof.holds
+    ]
+    if share is not None and not share < _SPRING_ROOM:
+        missed.append(f"the return spring takes {100.0 * share:.3g} % of the room that it has, more than 10 %")
+    if missed:
+        return LawCertificate(
+            free=free,
+            contact=contact,
+            spring_share=share,
+            margins=None,
+            worst=None,
+            admittance=None,
+            missed=tuple(missed),
+            is_unproved=not (free.holds and contact.holds)
+            and all(proof.holds or _is_stable(plants, proof, law) for proof in (free, contact)),
+        )
+    h = law.sample_time_s
+    swept = sweep_margins(plants, law, h, stiffness=_STIFFNESS_POINTS, mass=_MASS_POINTS, others=others.plants)
+    if not swept.largest_radius < 1.0:
+        missed.append(f"a plant of the domain is unstable (largest |z| = {swept.largest_radius:.6f})")
+        worst = None
+    else:
+        worst = worst_contact(task, law)
+    admittance = _admittance(task, law)
+    missed += _missed(task, law, swept, worst, others)
+    return LawCertificate(
+        free=free,
+        contact=contact,
+        spring_share=share,
+        margins=swept,
+        worst=worst,
+        admittance=admittance,
+        missed=tuple(missed),
+    )
+
+
+def prove_law(plants: UncertainPlant, law: LinearLaw) -> tuple[StabilityProof, StabilityProof, float | None]:
+    """Prove stability in free space and in contact; the one place that names the method of proof.
+
+    A weak spring leaves a pole next to z = 1, too near for a proof over cells. In free space the law is proved without
+    the spring, and the spring by `spring_share`, which is returned too.
+    """
+    h = law.sample_time_s
+    if not law.holds_position:
+        return prove_stability(plants.in_free_space(), law, h), prove_stability(plants, law, h), None
+    loose = replace(law, matrix=law.steady(), approach=None, holds_position=False)
+    masses = np.unique(np.linspace(*plants.payload_mass_kg, _MASS_POINTS))
+    share = max(spring_share(plants.in_free_space().at(float(mass), 0.0), law) for mass in masses)
+    return prove_stability(plants.in_free_space(), loose, h), prove_stability(plants, law, h), share
+
+
+def _is_stable(plants: UncertainPlant, proof: StabilityProof, law: LinearLaw) -> bool:
+    """Return whether the plant at which a proof failed is stable, by its eigenvalues."""
+    stiffness = proof.failed_stiffness_n_per_m or 0.0
+    found = (plants if stiffness > 0.0 else plants.in_free_space()).at(proof.failed_mass_kg or 0.0, stiffness)
+    return spectral_radius(build_loop(build_sampled_plant(found, law.sample_time_s), law)) < 1.0
+
+
+def spring_share(plant: Plant, law: LinearLaw) -> float:
+    """Return the largest −Re K H(e^{jωh}), H the position per force that the law's spring K closes its loop around.
+
+    The loop with the spring has 1 + K H for its characteristic function over that of the loop without. H is analytic
+    outside of the unit circle but for a pole at z = 1 with a positive residue, and 1/(z − 1) has a real part of at
+    least −1/2 there: where the loop without spring is stable and −Re K H < 1 on the circle, that with it is stable.
+    """
+    sampled = build_sampled_plant(plant, law.sample_time_s)
+    seen = plant_response(sampled, frequency_grid(sampled))
+    loose = replace(law, matrix=law.steady(), approach=None, holds_position=False)
+    forward, feedback = controller_response(loose, seen.z, law.sample_time_s)
+    _, sprung = controller_response(law, seen.z, law.sample_time_s)
+    gain = (sprung - feedback) * seen.position / (1.0 - forward * seen.force + feedback * seen.position)
+    return float(np.max(-gain.real))
+
+
+def worst_contact(task: AxisTask, law: LinearLaw) -> ScenarioPrediction:
+    """Return the contact of the domain with the largest force on the environment."""
+    units, nominal, approach, found = axis_units(task.axis), task.domain.nominal_plant(), task.approach(), []
+    for scenario in task.contacts():
+        pair = build_sampled_contact(build_sampled_plant(scenario.plant(nominal), law.sample_time_s))
+        seen = simulate_law_contact(pair, law, approach)
+        found.append((seen.peak_contact_force_n, scenario, seen))
+    _, scenario, seen = max(found, key=lambda each: each[0])
+    return ScenarioPrediction(
+        name=f"K_e {scenario.environment_stiffness_n_per_m:.4g} {units.stiffness}, "
+        f"{scenario.payload_mass_kg:.4g} {units.mass}{scenario.off_nominal}",
+        environment_stiffness_n_per_m=scenario.environment_stiffness_n_per_m,
+        payload_mass_kg=scenario.payload_mass_kg,
+        peak_sensor_force_n=seen.peak_sensor_force_n,
+        peak_contact_force_n=seen.peak_contact_force_n,
+        time_of_peak_s=seen.time_of_peak_s,
+        further=scenario.further() or None,
+    )
+
+
+def smallest_admittance(task: AxisTask, law: LinearLaw, band_hz: tuple[float, float]) -> float:
+    """Return the least |G| over the band, for the nominal robot and the slowest and fastest of the domain."""
+    omega = 2.0 * np.pi * np.unique(np.clip(np.geomspace(*band_hz, _BAND_POINTS), *band_hz))
+    nominal = task.plants().in_free_space().at(task.domain.payload_mass_kg[0], 0.0)
+    robots = (nominal.robot, *task.others().extreme_robots())
+    return min(
+        float(
+            np.min(
+                np.abs(
+                    free_space_admittance(
+                        build_sampled_plant(replace(nominal, robot=robot), law.sample_time_s), law, omega
+                    )
+                )
+            )
+        )
+        for robot in robots
+    )
+
+
+def _admittance(task: AxisTask, law: LinearLaw) -> FreeSpaceAdmittance:
+    bands = [each.band_hz for each in task.asked.values() if isinstance(each, AdmittanceRequirement)]
+    band = bands[0] if bands else _DEFAULT_BAND_HZ
+    pair = build_sampled_contact(build_sampled_plant(task.domain.nominal_plant(), law.sample_time_s))
+    return FreeSpaceAdmittance(
+        band_hz=band,
+        min_m_s_per_n=smallest_admittance(task, law, band),
+        hand_force_n_per_m_s=force_per_speed(pair, law),
+    )
+
+
+def _missed(
+    task: AxisTask, law: LinearLaw, swept: SweptMargins, worst: ScenarioPrediction | None, others: OtherPlants
+) -> Iterator[str]:
+    """Say which requirements are not met, with both numbers."""
+    units = axis_units(task.axis)
+    for name, asked in task.asked.items():
+        if isinstance(asked, AdmittanceRequirement):
+            found, least, unit = smallest_admittance(task, law, asked.band_hz), asked.min_m_s_per_n, units.admittance
+        elif isinstance(asked, NoiseLimit | PassivityTarget):
+            yield from _missed_command(task, law, asked, others)
+            continue
+        elif name == "max_peak_force_n":
+            if worst is not None and worst.peak_contact_force_n > float(asked):
+                told = f"found {worst.peak_contact_force_n:.4g} {units.force} at {worst.name}"
+                yield f"the peak {units.force_name} must be at most {asked:g} {units.force}, {told}"
+            continue
+        elif name == "decay_rate_per_s":
+            found, least, unit = -math.log(swept.largest_radius) / law.sample_time_s, float(asked), "1/s"
+        elif name in MARGIN_OF:
+            found, least, unit = swept.values[MARGIN_OF[name]], float(asked), ""
+        else:
+            yield f"{name} cannot be verified by this release"
+            continue
+        if found < least * (1.0 - _MISSED):
+            yield f"{name} must be at least {least:.4g}{' ' * bool(unit)}{unit}, found {found:.4g}"
+
+
+def _missed_command(
+    task: AxisTask, law: LinearLaw, asked: NoiseLimit | PassivityTarget, others: OtherPlants
+) -> Iterator[str]:
+    """Say whether the command's noise or the passive band misses what was asked."""
+    h, units, nominal = law.sample_time_s, axis_units(task.axis), task.domain.nominal_plant()
+    if isinstance(asked, PassivityTarget):
+        robots = (nominal.robot, *others.extreme_robots())
+        reached = min(passive_below_hz(build_sampled_plant(replace(nominal, robot=robot), h), law) for robot in robots)
+        if reached < asked.passive_below_hz * (1.0 - _MISSED):
+            yield f"the port must be passive up to {asked.passive_below_hz:.4g} Hz, found {reached:.4g} Hz"
+        return
+    plants = [scenario.plant(nominal) for scenario in task.contacts()]
+    both = dict.fromkeys((*plants, *(plant.in_contact_with(FREE_SPACE) for plant in plants)))
+    gain = max(command_speed_gain(build_sampled_plant(plant, h), law) for plant in both)
+    found = (asked.force_noise_rms_n or 0.0) * gain
+    if found > asked.max_speed_rms_m_s * (1.0 + _MISSED):
+        yield (
+            f"the command's speed RMS must be at most {asked.max_speed_rms_m_s:.4g} {units.speed}, found {found:.4g}"
+        )

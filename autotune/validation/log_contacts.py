@@ -1,0 +1,205 @@
+"""The contacts in a log as validation sees them: through the payload and the coupling of the file, not of a fit."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autotune.files.controller_record import AxisDomain, Controller
+from autotune.files.records import ROTATIONAL_AXES
+from identification.aligned import AlignedLog, align
+from identification.axes import AxisMotion, find_axes
+from identification.convention_choice import read_by_weight
+from identification.errors import EstimateError, LogError
+from identification.frames import Frames
+from identification.gravity import GRAVITY_B_M_S2, identify_gravity
+from identification.joint_contacts import find_holds, hold_threshold_n
+from identification.recording import AXES, Recording
+from identification.segments import Motion, Span, find_motion
+from identification.static_poses import collect_static_poses
+from identification.timeline_contacts import find_contacts
+from identification.timeline_law import ContactTimes, learn_law
+from identification.timeline_payload import AxisContacts, press_sign, see_payload
+
+FloatArray = NDArray[np.float64]
+
+_RESIDUAL_N = 1.0
+_UNEXPLAINED_N, _UNEXPLAINED_SHARE = 5.0, 0.05
+_BEFORE_S, _SPEED_S = 0.06, 0.01
+_TARE_S = 0.5
+_SAME_GAIN = 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogContact:
+    """One contact on one axis of S, in samples of the log's clock.
+
+    `force_n` (n,) is that of the whole log along the axis, free of weight and bias, `position_m` and `command_m` (n,)
+    the flange's; `sign` is +1 where the payload presses towards +axis. `speed_m_s` is that of the approach;
+    `stiffness_n_per_m` K_e as this contact alone tells it, None where it does not.
+    """
+
+    axis: str
+    times: ContactTimes
+    onset: int
+    sign: float
+    speed_m_s: float
+    stiffness_n_per_m: float | None
+    force_n: FloatArray
+    position_m: FloatArray
+    command_m: FloatArray
+    noise_rms_n: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactLog:
+    """All contacts of a log; `mass_kg` is the payload's as the log tells it, or as the file does (`is_weighed`)."""
+
+    period_s: float
+    mass_kg: float
+    is_weighed: bool
+    contacts: tuple[LogContact, ...]
+
+
+def find_log_contacts(recording: Recording, controller: Controller, frames: Frames | None = None) -> ContactLog:
+    """Find the contacts along the controller's axes.
+
+    The weight is that of the rests in the log where these tell it, else that of the file's payload. Raises LogError for
+    a log without command, with other gains or another payload, EstimateError for one without raw wrench or pose.
+    """
+    _check_gains(recording, controller)
+    if recording.command is None:
+        raise LogError(
+            "The log must hold the commanded pose, found none: without it nobody can tell whether this controller was "
+            "running. Record the position command, or name it with --command-topic."
+        )
+    log = align(recording)
+    motion = find_motion(log)
+    force, mass, recording, log, motion = _weighed(recording, log, motion, controller, frames)
+    travel = find_axes(log, motion, force)
+    contacts = [
+        contact
+        for axis in travel.axes
+        if axis.name in controller.axes and axis.name not in ROTATIONAL_AXES
+        for contact in _axis_contacts(
+            axis, controller.certificate.domain[axis.name], mass or controller.payload.mass_kg, recording, log, motion
+        )
+    ]
+    return ContactLog(
+        period_s=log.period_s,
+        mass_kg=mass or controller.payload.mass_kg,
+        is_weighed=mass is not None,
+        contacts=tuple(contacts),
+    )
+
+
+def _check_gains(recording: Recording, controller: Controller) -> None:
+    """Raise LogError where the log tells gains, and other ones than the file."""
+    if recording.gains is None:
+        return
+    for name, asked in controller.axes.items():
+        column = AXES.index(name)
+        for symbol, logged, told in (
+            ("M_a", recording.gains.mass, asked.mass),
+            ("B_a", recording.gains.damping, asked.damping),
+        ):
+            usual = float(np.nanmedian(logged[:, column])) if np.any(np.isfinite(logged[:, column])) else told
+            if abs(usual / told - 1.0) > _SAME_GAIN:
+                raise LogError(
+                    f"The log was recorded with another controller: topic {recording.gains.topic} says {symbol} = "
+                    f"{usual:.6g} on axis {name}, the file {told:.6g}. Give the file that was running."
+                )
+
+
+def _weighed(
+    recording: Recording, log: AlignedLog, motion: Motion, controller: Controller, frames: Frames | None
+) -> tuple[FloatArray, float | None, Recording, AlignedLog, Motion]:
+    """Return the force without weight and bias, the mass if the log tells it, and the log as its weight reads it."""
+    try:
+        identify_gravity(collect_static_poses(log, motion.still))
+        read = read_by_weight(recording, log, motion, frames)
+        gravity = identify_gravity(read.poses)
+    except EstimateError:
+        payload = controller.payload
+        weight = payload.mass_kg * log.orientation_BS.inv().apply(GRAVITY_B_M_S2)
+        force = np.asarray(log.force_S_n - np.array(payload.force_bias_n) - weight)
+        _check_weight(force, motion, controller)
+        return force, None, recording, log, motion
+    return gravity.compensated_force_S_n(read.log), gravity.mass_kg, read.recording, read.log, read.motion
+
+
+def _check_weight(force_S_n: FloatArray, motion: Motion, controller: Controller) -> None:
+    """Raise LogError where no rest is free of force: another payload, another bias or another sign."""
+    left = [float(np.linalg.norm(np.median(force_S_n[span.slice], axis=0))) for span in motion.still]
+    limit = _UNEXPLAINED_N + _UNEXPLAINED_SHARE * 9.81 * controller.payload.mass_kg
+    if not left or min(left) > limit:
+        found = f"{min(left):.1f} N" if left else "no rest"
+        raise LogError(
+            f"At rest and free the force must be explained by the file's payload of {controller.payload.mass_kg:.4g} "
+            f"kg and its bias to {limit:.1f} N, found {found} left; this is another payload, or the sensor was tared. "
+            "Record 6 to 12 tilted poses with the contacts, which tell the weight."
+        )
+
+
+def _axis_contacts(
+    axis: AxisMotion,
+    domain: AxisDomain,
+    mass_kg: float,
+    recording: Recording,
+    log: AlignedLog,
+    motion: Motion,
+) -> Iterator[LogContact]:
+    holds = find_holds(motion.still, axis.force_n, hold_threshold_n(_RESIDUAL_N))
+    coupling = np.array(
+        [domain.coupling_stiffness_n_per_m, domain.coupling_damping_n_s_per_m, domain.drag_n_s_per_m, mass_kg]
+    )
+    of = AxisContacts(axis=axis, holds=holds, coupling=coupling)
+    payload = see_payload(of, log.period_s)
+    command = _command_along(recording, log, axis)
+    free = [span for span in motion.still if span not in holds]
+    for times in find_contacts(of, payload, motion, log.period_s).contacts:
+        if times.onset is None:
+            continue
+        law = learn_law(times, of, payload, log.period_s)
+        sign = press_sign(of, times.hold)
+        tare, noise = _at_rest_before(axis.force_n, free, times.span, log.period_s)
+        yield LogContact(
+            axis=axis.name,
+            times=times,
+            onset=times.onset,
+            sign=sign,
+            speed_m_s=sign * _speed_before(axis.position_m, times.onset, log.period_s),
+            stiffness_n_per_m=law.stiffness if law is not None and law.is_clear else None,
+            force_n=axis.force_n - tare,
+            position_m=axis.position_m,
+            command_m=command,
+            noise_rms_n=noise,
+        )
+
+
+def _command_along(recording: Recording, log: AlignedLog, axis: AxisMotion) -> FloatArray:
+    """Return the commanded position (n,) along the axis on the log's clock, NaN where it is not covered."""
+    command = recording.command
+    if command is None:
+        return np.full(len(log), np.nan)
+    along = (command.position_m - log.position_B_m[0]) @ axis.direction_B
+    time = (command.stamp_ns - log.start_ns) * 1e-9
+    return np.asarray(np.interp(log.time_s, time, along, left=np.nan, right=np.nan))
+
+
+def _speed_before(position: FloatArray, onset: int, period_s: float) -> float:
+    """Return the flange's mean speed over the last 50 ms before the touch."""
+    stop = max(onset - round(_SPEED_S / period_s), 2)
+    start = max(stop - round(_BEFORE_S / period_s), 0)
+    return float(np.polyfit(np.arange(start, stop) * period_s, position[start:stop], 1)[0])
+
+
+def _at_rest_before(force: FloatArray, free: list[Span], contact: Span, period_s: float) -> tuple[float, float]:
+    """Return mean and deviation of the force in the rest before the contact, 0 and that of the log's where none is."""
+    before = [span for span in free if span.stop <= contact.start]
+    if not before:
+        rests = [float(np.std(force[span.slice])) for span in free]
+        return 0.0, min(rests, default=_RESIDUAL_N)
+    last = force[before[-1].slice][-max(2, round(_TARE_S / period_s)) :]
+    return float(np.mean(last)), float(np.std(last))

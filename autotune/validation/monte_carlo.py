@@ -1,0 +1,216 @@
+"""The full nonlinear simulation over seeded plants of the certified set, its peaks against the predicted ones."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autotune.files.controller_record import AxisDomain, Controller
+from problems.contact import Approach
+from problems.controller import AdmittanceController
+from problems.errors import ParameterError
+from problems.full_effects import NO_EFFECTS, Effects
+from problems.full_simulation import simulate_fully
+from problems.margins import UnstableLoopError
+from problems.plant import FREE_SPACE, Plant, build_plant_matrices
+from problems.uncertainty import Scenario
+
+from .disturbances import Told, axis_effects
+from .validate import admittance_controller
+
+FloatArray = NDArray[np.float64]
+
+SAMPLES, SEED = 256, 1
+QUANTILES = (0.5, 0.95, 0.99)
+# As of a replayed contact (`peaks`): an impact anywhere between two samples.
+SAME_PEAK = 0.02
+_PEAKS_LATER, _SHORTEST_S, _LONGEST_S = 4.0, 0.3, 10.0
+_SUBSTEPS = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class Peaks:
+    """Peaks over all runs: the largest, of which plant, and the quantiles `QUANTILES`."""
+
+    largest: float
+    plant: Scenario
+    quantiles: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampledPeaks:
+    """One force of one axis: `predicted` is the file's worst, `linear` what its own model makes of the sampled plants.
+
+    `observed` is that of the full simulation; `limit` is what it may reach (`axis_monte_carlo`). N, about a turning
+    axis N·m, pressing positive.
+    """
+
+    predicted: float
+    linear: Peaks
+    observed: Peaks
+    limit: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisMonteCarlo:
+    """What came of `count` runs on one axis with `effects`; `unstable` is the first plant whose loop is not stable.
+
+    `refusal` tells what the full simulation cannot do.
+    """
+
+    axis: str
+    count: int
+    seed: int
+    effects: Effects
+    driving_force: float
+    contact: SampledPeaks | None = None
+    sensor: SampledPeaks | None = None
+    unstable: Scenario | None = None
+    refusal: str = ""
+
+
+def run_monte_carlo(
+    controller: Controller,
+    *,
+    count: int = SAMPLES,
+    seed: int = SEED,
+    told: Told | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[AxisMonteCarlo, ...]:
+    """Simulate contacts with `count` plants of every axis' certified set; `progress` is told shares of the work.
+
+    Axes whose certificate names no approach or no contact, or what cannot be simulated, are left out: other checks
+    refuse them. Raises ParameterError for a count below 1, and for what the caller says of the cell and cannot be.
+    """
+    if count < 1:
+        raise ParameterError("samples", count, "at least 1")
+    found = []
+    for name in controller.axes:
+
+        def advance(share: float) -> None:
+            if progress is not None:
+                progress(share / len(controller.axes))
+
+        if _is_simulated(controller, name):
+            found.append(_axis_monte_carlo(controller, name, count, seed, told or Told(), advance))
+    return tuple(found)
+
+
+def _is_simulated(controller: Controller, name: str) -> bool:
+    domain, predicted = controller.certificate.domain.get(name), controller.predicted.get(name)
+    if domain is None or predicted is None or not predicted.scenarios:
+        return False
+    return domain.environment_mass_kg == 0.0 and (domain.approach_force_n or domain.approach_speed_m_s) is not None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Contacts:
+    """Contacts of one axis, as its certificate says."""
+
+    domain: AxisDomain
+    law: AdmittanceController
+    sample_time_s: float
+    duration_s: float
+
+    @property
+    def approach(self) -> Approach:
+        if self.domain.approach_speed_m_s is not None:
+            return Approach(speed_m_s=self.domain.approach_speed_m_s)
+        return Approach(force_n=self.domain.approach_force_n)
+
+    def driving(self) -> tuple[float, float]:
+        """Return force and speed of the approach of the linear loop, F^d = (B_a + B_p) v."""
+        resistance = self.law.damping_n_s_per_m + self.domain.drag_n_s_per_m
+        force, speed = self.domain.approach_force_n or 0.0, self.domain.approach_speed_m_s
+        return (force, force / resistance) if speed is None else (speed * resistance, speed)
+
+    def peaks(self, plant: Plant, effects: Effects, noise: np.random.Generator) -> tuple[float, float]:
+        """Return the peaks of the contact force and of the force at the sensor."""
+        run = simulate_fully(
+            plant,
+            self.law,
+            self.approach,
+            sample_time_s=self.sample_time_s,
+            duration_s=self.duration_s,
+            effects=effects,
+            substeps=needed_substeps(plant, self.sample_time_s),
+            noise=noise,
+        )
+        return run.peak_contact_force_n, run.peak_sensor_force_n
+
+
+def _axis_monte_carlo(
+    controller: Controller, name: str, count: int, seed: int, told: Told, advance: Callable[[float], None]
+) -> AxisMonteCarlo:
+    """Run one axis.
+
+    An error of the felt force of b, held all the time, changes every force of the linear contact in the ratio of
+    (F^d + b)/F^d, since the unilateral contact scales with what drives it. The deadband and one deviation of the noise
+    are such an error at most, and mostly less; so the limit is that of the prediction, plus 2 %, plus b/F^d.
+    """
+    domain, scenarios = controller.certificate.domain[name], controller.predicted[name].scenarios
+    latest = max(scenario.time_of_peak_s for scenario in scenarios)
+    contacts = _Contacts(
+        domain=domain,
+        law=admittance_controller(controller, name),
+        sample_time_s=controller.sample_time_s,
+        duration_s=min(max(_SHORTEST_S, _PEAKS_LATER * latest), _LONGEST_S),
+    )
+    force, speed = contacts.driving()
+    effects = axis_effects(controller, name, told, speed)
+    plants = tuple(_drawn(domain, count, seed))
+    result = AxisMonteCarlo(axis=name, count=count, seed=seed, effects=effects, driving_force=force)
+    nominal, rows = domain.nominal_plant(), []
+    for i, scenario in enumerate(plants):
+        noise = np.random.default_rng((seed, i))
+        try:
+            plant = scenario.plant(nominal)
+            rows.append((*contacts.peaks(plant, NO_EFFECTS, noise), *contacts.peaks(plant, effects, noise)))
+        except UnstableLoopError:
+            return replace(result, unstable=scenario)
+        except ParameterError as error:
+            return replace(result, refusal=str(error))
+        advance(1.0 / count)
+    bias = (effects.deadband.width_n if effects.deadband is not None else 0.0) + effects.force_noise_rms_n
+    share = 1.0 + SAME_PEAK + bias / force
+    peaks = np.array(rows)
+    contact, sensor = (
+        SampledPeaks(
+            predicted=predicted,
+            linear=_peaks(peaks[:, column], plants),
+            observed=_peaks(peaks[:, column + 2], plants),
+            limit=share * max(predicted, force),
+        )
+        for column, predicted in (
+            (0, max(each.peak_contact_force_n for each in scenarios)),
+            (1, max(each.peak_sensor_force_n for each in scenarios)),
+        )
+    )
+    return replace(result, contact=contact, sensor=sensor)
+
+
+def _drawn(domain: AxisDomain, count: int, seed: int) -> Iterator[Scenario]:
+    """Yield `count` plants of the set, the same again where it holds fewer."""
+    different = domain.uncertainty().samples(count, seed=seed)
+    for i in range(count):
+        yield different[i % len(different)]
+
+
+def _peaks(values: FloatArray, plants: Sequence[Scenario]) -> Peaks:
+    worst = int(np.argmax(values))
+    return Peaks(
+        largest=float(values[worst]),
+        plant=plants[worst],
+        quantiles=tuple(float(value) for value in np.quantile(values, QUANTILES)),
+    )
+
+
+def needed_substeps(plant: Plant, sample_time_s: float) -> int:
+    """Return how many steps follow the plant's fastest motion; the parts of a sample share them to within a half."""
+    sides = (plant, plant.in_contact_with(FREE_SPACE))
+    fastest = max(
+        float(np.max(np.abs(np.linalg.eigvals(build_plant_matrices(side, sample_time_s).a)))) for side in sides
+    )
+    return max(_SUBSTEPS, math.ceil(2.0 * fastest))

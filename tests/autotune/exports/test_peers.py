@@ -1,0 +1,334 @@
+"""Exports to other controllers: what is written is what was certified, and one test for each of their traps."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from autotune.errors import CertificateError, InfeasibleError, UsageError
+from autotune.exports import fzi_cartesian, peers, ros2_control
+from autotune.exports import retune as retune_module
+from autotune.exports.fzi_cartesian import FziOptions
+from autotune.exports.peers import PEERS, PeerExport, export_peer, make_peer, peer_options
+from autotune.exports.retune import QuickJudge, retune
+from autotune.exports.ros2_control import Ros2Axis, Ros2Options
+from autotune.exports.ros_yaml import check_keys
+from autotune.exports.targets import PEER_TARGETS
+from autotune.files.controller import read_controller, write_controller
+from autotune.files.controller_record import AxisGains, Controller
+from autotune.validation.law import AxisTask, LawCertificate, certify_law
+from problems.errors import ParameterError
+from problems.law_contact import force_per_speed
+from problems.laws import LinearLaw
+from problems.peer_laws import SpringAdmittance
+from problems.uncertainty import Scenario
+from tests.autotune.exports.peer_cases import CELL, LEAD, PERIOD_S, PLAIN, peer_controller, requirements, task_of
+
+EASY = requirements(2.5e-4)
+
+
+def exported(folder: Path, controller: Controller, options: Ros2Options | FziOptions) -> PeerExport:
+    write_controller(folder / "controller.yaml", controller)
+    return make_peer(read_controller(folder / "controller.yaml"), options)
+
+
+def load_as_ros(text: str) -> dict[str, Any]:
+    """Read a text as the readers of ROS do: plain YAML 1.1, in which 1e-05 is text and 5 an integer."""
+    reader = YAML(typ="safe", pure=True)
+    reader.version = (1, 1)
+    found: dict[str, Any] = reader.load(text)
+    return found
+
+
+def parameters(made: PeerExport) -> dict[str, Any]:
+    """Return the parameters of the one controller in the text."""
+    tree = load_as_ros(made.text)
+    (name,) = set(tree) - {"controller_manager"}
+    found: dict[str, Any] = tree[name]["ros__parameters"]
+    return found
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> PeerExport:
+    return exported(tmp_path_factory.mktemp("plain"), peer_controller({"x": PLAIN}, EASY), Ros2Options())
+
+
+@pytest.fixture(scope="module")
+def tuned(tmp_path_factory: pytest.TempPathFactory) -> PeerExport:
+    return exported(tmp_path_factory.mktemp("tuned"), peer_controller({"x": LEAD}), Ros2Options())
+
+
+@pytest.fixture(scope="module")
+def fzi(tmp_path_factory: pytest.TempPathFactory) -> PeerExport:
+    return exported(tmp_path_factory.mktemp("fzi"), peer_controller({"z": PLAIN}, EASY), FziOptions())
+
+
+def test_gains_that_the_other_controller_can_express_are_translated(plain: PeerExport) -> None:
+    (axis,) = plain.axes
+    assert axis.tuned_because is None
+    rule = parameters(plain)["admittance"]
+    assert rule["mass"][0] == PLAIN.mass
+    # 2 ζ √(M S) is the damping, to the six digits that are written.
+    damping = 2.0 * rule["damping_ratio"][0] * np.sqrt(rule["mass"][0] * rule["stiffness"][0])
+    assert damping == pytest.approx(PLAIN.damping, rel=1e-5)
+    # The same law but for Euler's rule and a weak spring: nearly the same peak.
+    assert axis.peak_n == pytest.approx(axis.peak_before_n, rel=0.03)
+
+
+def test_what_fails_without_its_lead_is_tuned_anew_and_the_price_is_told(tuned: PeerExport) -> None:
+    (axis,) = tuned.axes
+    assert axis.tuned_because is not None
+    assert "modulus_margin must be at least 0.5" in axis.tuned_because
+    assert axis.peak_n > axis.peak_before_n
+    more = f"{axis.peak_n - axis.peak_before_n:.1f} N more"
+    assert axis.price() == f"{axis.peak_n:.1f} N instead of {axis.peak_before_n:.1f} N: {more}"
+    assert more in " ".join(line.removeprefix("#").strip() for line in tuned.text.splitlines())
+    assert axis.certificate.holds
+
+
+def test_what_is_written_is_what_was_certified(tuned: PeerExport) -> None:
+    written = parameters(tuned)["admittance"]
+    values = {name: written[name][0] for name in ("mass", "damping_ratio", "stiffness")}
+    rule = SpringAdmittance(
+        **values,
+        joint_damping_per_s=written["joint_damping"],
+        filter_coefficient=parameters(tuned)["ft_sensor"]["filter_coefficient"],
+    )
+    again = certify_law(task_of(peer_controller({"x": LEAD})), rule.law(PERIOD_S))
+    assert again.holds
+    assert again.margins is not None
+    assert tuned.axes[0].certificate.margins is not None
+    assert again.margins.values == tuned.axes[0].certificate.margins.values
+    assert again.worst == tuned.axes[0].certificate.worst
+
+
+def test_the_search_leaves_nothing_better_in_its_box() -> None:
+    """Random designs, judged by the same quick judge without its reserve, against the tuned one's certified peak."""
+    task = task_of(peer_controller({"x": LEAD}))
+    axis = Ros2Axis(task=task, gains=LEAD, options=Ros2Options())
+    values, found = retune(task, axis)
+    assert found.worst is not None
+    ends = tuple(
+        Scenario(environment_stiffness_n_per_m=k, payload_mass_kg=16.0) for k in CELL.environment_stiffness_n_per_m
+    )
+    judge, rng = QuickJudge(task, ends, 0.0), np.random.default_rng(3)
+    low, high = (np.log([getattr(each, end) for each in axis.variables]) for end in ("low", "high"))
+    # Half of them all over the box, half of them near by.
+    far, near = rng.uniform(low, high, (60, 2)), np.log(values) + rng.uniform(-0.15, 0.15, (60, 2))
+    costs = [judge.cost(axis.law(tuple(point))) for point in np.exp(np.clip(np.vstack([far, near]), low, high))]
+    assert min(costs) > found.worst.peak_contact_force_n * 0.995
+    assert min(costs) < 1e3  # some of them are feasible
+
+
+def test_nothing_is_written_where_the_other_controller_cannot_do_it(tmp_path: Path) -> None:
+    source, out = tmp_path / "controller.yaml", tmp_path / "out.yaml"
+    write_controller(source, peer_controller({"x": LEAD}, requirements(9e-4)))
+    out.write_text("old", encoding="utf-8")
+    with pytest.raises(
+        InfeasibleError, match=r"Axis x: that controller cannot do what was asked\. .*the nearest: mass"
+    ):
+        export_peer(source, Ros2Options(), out)
+    assert out.read_text(encoding="utf-8") == "old"
+
+
+def test_the_same_file_gives_the_same_bytes(tmp_path: Path, plain: PeerExport) -> None:
+    again = exported(tmp_path, peer_controller({"x": PLAIN}, EASY), Ros2Options())
+    assert again.text == plain.text
+
+
+def test_numbers_have_a_point_and_no_exponent_and_keys_are_the_controllers_own(
+    plain: PeerExport, tuned: PeerExport, fzi: PeerExport
+) -> None:
+    for made, known in (
+        (plain, ros2_control.KNOWN_KEYS),
+        (tuned, ros2_control.KNOWN_KEYS),
+        (fzi, fzi_cartesian.KNOWN_KEYS),
+    ):
+        leaves = dict(_leaves(parameters(made)))
+        assert set(leaves) <= known
+        for path, value in leaves.items():
+            for each in value if isinstance(value, list) else [value]:
+                assert isinstance(each, bool | str | float) or path == "solver.iterations", (path, each)
+        assert not re.search(r"^[^#\n]*\d[eE][+-]?\d", made.text, re.MULTILINE)
+
+
+def _leaves(tree: dict[str, Any], within: str = "") -> list[tuple[str, Any]]:
+    found = []
+    for key, value in tree.items():
+        found += _leaves(value, f"{within}{key}.") if isinstance(value, dict) else [(f"{within}{key}", value)]
+    return found
+
+
+def test_the_header_names_source_version_rate_and_what_was_dropped(tuned: PeerExport) -> None:
+    told = re.sub(r"\n#\s*", " ", tuned.text)
+    for part in (
+        "ros2_controllers admittance_controller 4.41.0 (jazzy)",
+        tuned.source.checksum,
+        "an update rate of 1250 Hz",
+        "Dropped: axis x: lead K_l = 0.0209 s.",
+        "Dropped: axis x: feedback damping B_fb = 0.005 s.",
+        "Dropped: axis x: deadband = 5 N.",
+        "Dropped: sensor bias",
+    ):
+        assert part in told
+    assert load_as_ros(tuned.text)["controller_manager"]["ros__parameters"]["update_rate"] == 1250
+
+
+def test_hidden_damping_and_filter_are_switched_off_and_the_weight_is_in_newtons(plain: PeerExport) -> None:
+    found = parameters(plain)
+    assert found["admittance"]["joint_damping"] == 0.0
+    assert found["ft_sensor"]["filter_coefficient"] == 1.0
+    assert found["gravity_compensation"]["CoG"] == {"pos": [0.01, -0.02, 0.1], "force": 156.9064}
+    assert found["enable_parameter_update_without_reactivation"] is False
+
+
+def test_the_return_spring_is_told_and_axes_that_were_not_tuned_stay(plain: PeerExport) -> None:
+    found = parameters(plain)["admittance"]
+    assert found["selected_axes"] == [True, False, False, False, False, False]
+    assert found["stiffness"] == [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    assert found["mass"][:3] == [PLAIN.mass] * 3
+    assert "0.1 N per 100 mm, with a time constant of 3e+03 s" in re.sub(r"\n#\s*", " ", plain.text)
+    assert plain.axes[0].certificate.spring_share is not None
+
+
+def test_a_strong_filter_is_certified_as_it_is() -> None:
+    """The default coefficient delays the force so much that the translated gains no longer hold."""
+    task = task_of(peer_controller({"x": PLAIN}, EASY))
+    filtered = Ros2Axis(task=task, gains=PLAIN, options=Ros2Options(filter_coefficient=0.05))
+    open_ = Ros2Axis(task=task, gains=PLAIN, options=Ros2Options())
+    late, plain = (certify_law(task, axis.law(axis.translated)) for axis in (filtered, open_))
+    assert plain.margins is not None
+    assert late.margins is None or late.margins.values["modulus"] < 0.95 * plain.margins.values["modulus"]
+
+
+@pytest.mark.parametrize(
+    ("version", "common"), [("6.3.0", True), ("6.4.0", False), ("jazzy", True), ("rolling", False)]
+)
+def test_masses_are_common_where_they_are_read_in_the_base_frame(tmp_path: Path, version: str, common: bool) -> None:
+    axes = {"x": PLAIN, "z": replace(PLAIN, mass=9.0)}
+    made = exported(tmp_path, peer_controller(axes, EASY), Ros2Options(version=version))
+    assert parameters(made)["admittance"]["mass"][:3] == ([9.0, 9.0, 9.0] if common else [8.0, 9.0, 9.0])
+    assert ("in the frame of kinematics.base" in re.sub(r"\n#\s*", " ", made.text)) == common
+    # What is written was certified with its common mass.
+    assert made.axes[0].written["mass"] == (9.0 if common else 8.0)
+    assert made.axes[0].tuned_because is None
+
+
+def test_forward_dynamics_leads_by_its_derivative_and_drops_the_mass(fzi: PeerExport) -> None:
+    (axis,) = fzi.axes
+    gains = parameters(fzi)["pd_gains"]
+    assert gains["trans_z"] == {"p": axis.written["p"], "d": axis.written["d"]}
+    assert gains["trans_x"] == gains["rot_z"] == {"p": 0.0, "d": 0.0}
+    assert "axis z: mass M_a = 8 kg (it is not free)" in fzi.dropped
+    assert not any("lead" in line for line in fzi.dropped)
+    assert axis.certificate.holds
+    assert axis.certificate.admittance is not None
+    # The speed per force is that of the file where the gains were translated, and as certified in any case.
+    told = re.search(r"rendered damping (\d+\.?\d*)", axis.notes[0])
+    assert told is not None
+    hand = axis.certificate.admittance.hand_force_n_per_m_s
+    assert float(told[1]) == pytest.approx(hand - CELL.drag_n_s_per_m, rel=1e-3)
+
+
+def test_a_translated_gain_of_forward_dynamics_moves_as_fast_as_the_file_s_damping() -> None:
+    task = task_of(peer_controller({"x": PLAIN}, EASY))
+    axis = fzi_cartesian.FziAxis(task, PLAIN, FziOptions())
+    found = force_per_speed(axis.pair, axis.law(axis.translated))
+    assert found == pytest.approx(PLAIN.damping + CELL.drag_n_s_per_m, rel=1e-4)
+
+
+def test_a_misspelt_key_does_not_get_out() -> None:
+    with pytest.raises(ParameterError, match=r"pd_gains\.trans_x\.D"):
+        check_keys({"pd_gains": {"trans_x": {"p": 1.0, "D": 0.0}}}, fzi_cartesian.KNOWN_KEYS)
+
+
+def test_a_rotational_axis_has_its_own_units_and_places(tmp_path: Path) -> None:
+    turning = replace(CELL, drag_n_s_per_m=13.2, payload_mass_kg=(0.64, 0.64), coupling_damping_n_s_per_m=6.0)
+    turning = replace(
+        turning,
+        coupling_stiffness_n_per_m=1.2e4,
+        environment_stiffness_n_per_m=(3200.0, 4800.0),
+        approach_force_n=6.0,
+    )
+    gains: AxisGains = replace(PLAIN, mass=0.32, damping=120.0)
+    controller = peer_controller({"rz": gains}, requirements(6e-3), domain=turning)
+    made = exported(tmp_path, controller, Ros2Options(return_stiffness=0.05))
+    assert made.axes[0].written["mass"] == 0.32
+    assert parameters(made)["admittance"]["selected_axes"] == [False] * 5 + [True]
+    assert "N·m per 0.1 rad" in made.text
+    assert "N·m instead of" in re.sub(r"\n#\s*", " ", made.text)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"return_stiffness": 0.0}, "2ζ√"),
+        ({"filter_coefficient": 0.0}, "above 0"),
+        ({"version": "7.0.0"}, "4.0.0 to 6.x"),
+        ({"version": "iron"}, "jazzy, kilted, rolling"),
+        ({"joints": ("a", "a")}, "each once"),
+        ({"base_link": "base link"}, "is no name"),
+    ],
+)
+def test_options_that_make_no_file_are_refused(given: dict[str, Any], told: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(told)):
+        peer_options("ros2_control", given)
+
+
+def test_an_option_of_another_target_is_refused() -> None:
+    with pytest.raises(UsageError, match="--return-stiffness, --ros2-version says nothing"):
+        peer_options("fzi_cartesian", {"version": "jazzy", "return_stiffness": 1.0})
+
+
+def test_a_period_that_is_no_whole_rate_is_refused(tmp_path: Path) -> None:
+    controller = peer_controller({"x": PLAIN}, EASY)
+    controller = replace(
+        controller, sample_time_s=7e-4, certificate=replace(controller.certificate, sample_time_s=7e-4)
+    )
+    with pytest.raises(UsageError, match="whole hertz"):
+        exported(tmp_path, controller, Ros2Options())
+
+
+def test_an_environment_with_mass_cannot_be_certified_again(tmp_path: Path) -> None:
+    controller = peer_controller({"x": PLAIN}, EASY)
+    certificate = replace(controller.certificate, domain={"x": replace(CELL, environment_mass_kg=2.0)})
+    with pytest.raises(CertificateError, match="environment with mass"):
+        exported(tmp_path, replace(controller, certificate=certificate), Ros2Options())
+
+
+def test_a_rotational_axis_without_its_requirements_cannot_be_certified_again(tmp_path: Path) -> None:
+    controller = peer_controller({"rz": PLAIN}, EASY)
+    certificate = replace(controller.certificate, rotational_requirements=None)
+    with pytest.raises(CertificateError, match="does not say what was asked"):
+        exported(tmp_path, replace(controller, certificate=certificate), FziOptions())
+
+
+def test_an_approach_at_a_speed_is_certified_at_that_speed(tmp_path: Path) -> None:
+    """A speed goes before a force, as in `validate`; twice the speed is twice the force of a linear contact."""
+    peaks = []
+    for speed in (0.02, 0.04):
+        controller = peer_controller({"x": PLAIN}, EASY)
+        domain = replace(CELL, approach_speed_m_s=speed)
+        certificate = replace(controller.certificate, domain={"x": domain})
+        peaks.append(exported(tmp_path, replace(controller, certificate=certificate), Ros2Options()).axes[0].peak_n)
+    assert peaks[1] == pytest.approx(2.0 * peaks[0], rel=1e-6)
+
+
+def test_every_target_of_the_command_has_its_structure() -> None:
+    assert tuple(PEERS) == PEER_TARGETS
+
+
+def test_numbers_that_cannot_be_proved_are_a_certificate_that_does_not_hold(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unproved(task: AxisTask, law: LinearLaw) -> LawCertificate:
+        return replace(certify_law(task, law), missed=("not proved",), is_unproved=True)
+
+    for module in (peers, retune_module):
+        monkeypatch.setattr(module, "certify_law", unproved)
+    with pytest.raises(CertificateError, match=r"Axis x: .* cannot be proved stable"):
+        exported(tmp_path, peer_controller({"x": PLAIN}, EASY), Ros2Options())
