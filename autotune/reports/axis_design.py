@@ -68,9 +68,7 @@ class AxisDesign:
 
     def corners(self) -> tuple[Plant, ...]:
         """Return the nominal plants at the ends of K_e and M_p, all in contact."""
-        ends = product(
-            sorted(set(self.domain.environment_stiffness_n_per_m)), sorted(set(self.domain.payload_mass_kg))
-        )
+        ends = product(sorted(set(self.domain.environment_stiffness_n_per_m)), sorted(set(self.domain.payload_mass_kg)))
         return tuple(
             self.plant(Scenario(environment_stiffness_n_per_m=stiffness, payload_mass_kg=mass))
             for stiffness, mass in ends
@@ -149,4 +147,3 @@ def over_stiffness(
         run = contact_of(design, law, scenario)
         peak[i] = math.nan if run is None else run.peak_contact_force_n
     return OverStiffness(payload_mass_kg=payload_mass_kg, stiffness=stiffness, modulus=modulus, peak_n=peak)
-

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,7 +143,7 @@ def _cuts(grid: _Grid, over: FloatArray, i: int, j: int) -> list[tuple[float, fl
     """Return where the level passes the sides of one cell, by linear interpolation."""
     around = ((i, j), (i, j + 1), (i + 1, j + 1), (i + 1, j), (i, j))
     found = []
-    for (a, b), (c, d) in zip(around[:-1], around[1:], strict=True):
+    for (a, b), (c, d) in pairwise(around):
         start, stop = over[a, b], over[c, d]
         if (start < 0.0) != (stop < 0.0):
             share = start / (start - stop)

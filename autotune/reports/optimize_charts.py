@@ -130,7 +130,8 @@ def admittance_chart(design: AxisDesign, old: AdmittanceController | None) -> Ch
     phases: list[Element] = []
     if asked is not None:
         band = Stretch(low=asked.band_hz[0], high=asked.band_hz[1], label="band that is asked", role="target")
-        gains += [band, Line(x=np.array(asked.band_hz), y=np.full(2, asked.min_m_s_per_n), label="asked", role="target")]
+        least = np.full(2, asked.min_m_s_per_n)
+        gains += [band, Line(x=np.array(asked.band_hz), y=least, label="asked", role="target")]
         phases.append(band)
     for name, law in (("before", old), ("after", design.law)):
         if law is not None:
@@ -225,13 +226,14 @@ def stiffness_chart(design: AxisDesign, old: AdmittanceController | None) -> Cha
     units, masses = design.units, sorted(set(design.domain.payload_mass_kg))
     scale, unit = (1e-3, "N/mm") if units.stiffness == "N/m" else (1.0, units.stiffness)
     now = [over_stiffness(design, design.law, mass, grid) for mass in masses]
+    roles: tuple[Role, ...] = ("after", "model")
     before = [] if old is None else [over_stiffness(design, old, mass, grid) for mass in masses[-1:]]
     certified = Stretch(low=scale * low, high=scale * high, label="certified", role="target")
     x = Scale(label=f"environment stiffness K_e [{unit}]", spacing="log")
     asked = design.modulus_asked
     limits = () if asked is None else (Limit(value=asked, label="asked", role="bad"),)
-    cases = [("before", "before", each) for each in before]
-    cases += [(_mass(design, each.payload_mass_kg), role, each) for each, role in zip(now, ("after", "model"))]
+    cases: list[tuple[str, Role, OverStiffness]] = [("before", "before", each) for each in before]
+    cases += [(_mass(design, each.payload_mass_kg), roles[i], each) for i, each in enumerate(now)]
     predicted = design.predicted.scenarios
     dots = Points(
         x=scale * np.array([each.environment_stiffness_n_per_m for each in predicted]),
@@ -263,10 +265,9 @@ def stiffness_chart(design: AxisDesign, old: AdmittanceController | None) -> Cha
     )
 
 
-def _curves(cases: Sequence[tuple[str, str, OverStiffness]], scale: float, what: str) -> Iterator[Line]:
-    roles: dict[str, Role] = {"before": "before", "after": "after", "model": "model"}
+def _curves(cases: Sequence[tuple[str, Role, OverStiffness]], scale: float, what: str) -> Iterator[Line]:
     for name, role, each in cases:
-        yield Line(x=scale * each.stiffness, y=getattr(each, what), label=name, role=roles[role])
+        yield Line(x=scale * each.stiffness, y=getattr(each, what), label=name, role=role)
 
 
 def _told_inside(now: Sequence[OverStiffness], low: float, high: float, units: AxisUnits) -> str:
@@ -279,4 +280,3 @@ def _told_inside(now: Sequence[OverStiffness], low: float, high: float, units: A
         f"Inside the certified interval the margin is at least {np.nanmin(margins):.3f} and the peak at most "
         f"{np.nanmax(peaks):.4g} {units.force}."
     )
-
