@@ -9,6 +9,7 @@ import click
 from ._common import Output, output_options
 from ._compare import compare_lines, compare_tree
 from ._pareto import FrontWriter, pareto_options
+from ._report import check_report, print_report_path, report_option, write_report
 from ._schedule import schedule_options
 from ._table import table_lines
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from autotune.files.controller import ControllerFile, ScenarioPrediction
     from autotune.files.identified import IdentifiedFile
     from autotune.files.units import AxisUnits
+    from autotune.reports.page import Page
     from autotune.studies.trace import FrontRequest
     from autotune.tuning.optimize import Optimized
 
@@ -24,7 +26,7 @@ Examples:
   autotune optimize identified.yaml -o controller.yaml
   autotune optimize identified.yaml --payload-mass 10,22 --environment-stiffness 2e4:5e5
   autotune optimize identified.yaml --problem problem.yaml --json
-  autotune optimize identified.yaml --compare old.yaml
+  autotune optimize identified.yaml --compare old.yaml --report controller.html
   autotune optimize identified.yaml --pareto 9
   autotune optimize identified.yaml --schedule payload=8:12,16.2,22 --schedule stiffness=2e4:1e5,1e5:5e5 -o cell
 """
@@ -86,6 +88,7 @@ def _ordered(low: float, high: float, what: str) -> tuple[float, float]:
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same file.")
 @pareto_options
+@report_option
 @output_options
 @schedule_options
 def command(
@@ -98,6 +101,7 @@ def command(
     old: Path | None,
     seed: int,
     pareto: "FrontRequest | None",
+    report: Path | None,
 ) -> None:
     """Search the controller with the gentlest contact that stays stable and moves freely, and validate it.
 
@@ -114,7 +118,9 @@ def command(
     from autotune.tuning.optimize import optimize
     from autotune.tuning.problems import Wishes
 
+    sources = [path for path in (identified, problem, old) if path is not None]
     check_target(out, [path for path in (identified, problem) if path is not None])
+    check_report(report, [*sources, out])
     plant = read_identified(identified)
     existing = None if old is None else read_controller(old)
     spec = ProblemSpec() if problem is None else read_problem(problem)
@@ -133,9 +139,19 @@ def command(
     if fronts.tree:
         tree["pareto"] = fronts.tree
 
+    def page() -> "Page":
+        from autotune.reports.optimize_page import build_optimize_page
+
+        before = None if existing is None else existing.controller
+        traced = fronts.tree.get("axes")
+        return build_optimize_page(found.controller, checksum, found=found, old=before, fronts=traced)
+
+    tree |= write_report(output, report, page)
+
     def text() -> None:
         print_optimized(found, out, short(checksum), existing)
         fronts.print()
+        print_report_path(report)
 
     output.result(tree, text)
 

@@ -222,13 +222,28 @@ def worst_table(design: AxisDesign) -> Table:
     return Table(caption=f"Worst cases of axis {design.name}", columns=("", "value", "at"), rows=tuple(rows))
 
 
+def symbol_units(units: AxisUnits) -> dict[str, str]:
+    """Return the unit of each symbol of what may be uncertain."""
+    stiffness, damping = units.stiffness, units.damping
+    return {
+        "K_e": stiffness,
+        "M_p": units.mass,
+        "K_s": stiffness,
+        "B_s": damping,
+        "B_p": damping,
+        "B_e": damping,
+        "T_d": "s",
+        "f_b": "Hz",
+    }
+
+
 def _case(case: Mapping[str, Any], units: AxisUnits) -> str:
     told: list[str] = []
     for name, value in case.items():
         if name == "environment_stiffness_n_per_m" and value == 0.0:
             told.insert(0, "free space")
         elif isinstance(value, int | float):
-            unit = {"K_e": units.stiffness, "M_p": units.mass}.get(SYMBOLS.get(name, ""), "")
+            unit = symbol_units(units).get(SYMBOLS.get(name, ""), "")
             told.append(f"{SYMBOLS.get(name, name)} {value:.4g} {unit}".strip())
     return ", ".join(told)
 

@@ -40,13 +40,12 @@ def map_chart(design: AxisDesign) -> Chart:
                 low=_LESS * law.damping_n_s_per_m,
                 high=_MORE * law.damping_n_s_per_m,
                 count=_COUNT,
-                spacing="log",
             ),
             MapAxis(name="lead_s", low=0.0, high=max(_MORE * law.lead_s, _LEAST_LEAD_S), count=_COUNT),
             (law.damping_n_s_per_m, law.lead_s),
         ),
         (
-            MapAxis(name="mass", low=_LESS * law.mass_kg, high=_MORE * law.mass_kg, count=_COUNT, spacing="log"),
+            MapAxis(name="mass", low=_LESS * law.mass_kg, high=_MORE * law.mass_kg, count=_COUNT),
             MapAxis(
                 name="feedback_damping_s",
                 low=0.0,
@@ -70,7 +69,7 @@ def map_chart(design: AxisDesign) -> Chart:
         f"stable) and over mass and feedback damping ({shares[1]:.0f} % stable), with the design marked at "
         f"{design.margins.modulus:.3f}.",
         caption=f"Colour: the smallest modulus margin over {len(plants)} plants, the ends of the domain and its worst "
-        "case, free space included. White: unstable. Star: the design. Dotted: where the margin is what was asked.",
+        "case, free space included. White: unstable. Star: the design. Dashed: where the margin is what was asked.",
         panels=panels,
         beside=True,
     )

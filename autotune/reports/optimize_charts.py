@@ -9,6 +9,7 @@ from autotune.files.controller_record import AdmittanceRequirement, ScenarioPred
 from autotune.files.units import AxisUnits
 from problems.contact import ContactTransient
 from problems.controller import AdmittanceController
+from problems.margins import frequency_grid
 from problems.response import free_space_admittance, loop_response
 from problems.sampled import build_loop, build_sampled_plant, spectral_radius
 
@@ -65,10 +66,11 @@ def _contact_chart(
     units, duration = design.units, max(_duration(run) for run in every)
     panels = tuple(
         Panel(
-            title=f"K_e {stiffness_text(each.environment_stiffness_n_per_m, units)}",
+            title=f"K_e {stiffness_text(each.environment_stiffness_n_per_m, units)}"
+            + (f", {_mass(design, each.payload_mass_kg)}" if each.further else ""),
             x=Scale(label="time after touching [ms]", limits=(0.0, 1e3 * duration)),
             y=Scale(label=f"{units.force_name} [{units.force}]", limits=(0.0, highest)),
-            elements=tuple(_contact_lines(run, duration)),
+            elements=tuple(_contact_lines(run, duration, alone=old is None)),
         )
         for each, run in zip(shown, runs, strict=True)
     )
@@ -93,16 +95,17 @@ def _before_told(runs: Sequence[dict[str, ContactTransient | None]], units: Axis
     return f" Before it was up to {max(peaks):.4g} {units.force}." if peaks else ""
 
 
-def _contact_lines(run: dict[str, ContactTransient | None], duration: float) -> Iterator[Element]:
+def _contact_lines(run: dict[str, ContactTransient | None], duration: float, *, alone: bool) -> Iterator[Element]:
     for name, seen in run.items():
         if seen is None:
             continue
         role: Role = "after" if name == "after" else "before"
         used = slice(0, int(np.searchsorted(seen.time_s, duration)) + 1)
         time = 1e3 * seen.time_s[used]
-        yield Line(x=time, y=seen.contact_force_n[used], label=name, role=role)
+        yield Line(x=time, y=seen.contact_force_n[used], label="at the surface" if alone else name, role=role)
         if name == "after":
-            yield Line(x=time, y=seen.sensor_force_n[used], role=role, dashed=True)
+            told = "at the sensor" if alone else "after, at the sensor"
+            yield Line(x=time, y=seen.sensor_force_n[used], label=told, role=role, dashed=True)
             peak = np.array([1e3 * seen.time_of_peak_s]), np.array([seen.peak_contact_force_n])
             if seen.time_of_peak_s <= duration:
                 yield Points(x=peak[0], y=peak[1], role=role, marker="diamond", names=("peak",))
@@ -137,17 +140,18 @@ def admittance_chart(design: AxisDesign, old: AdmittanceController | None) -> Ch
         if law is not None:
             role: Role = "after" if name == "after" else "before"
             found = free_space_admittance(free, law, 2.0 * np.pi * frequency)
-            gains.append(Line(x=frequency, y=np.abs(found), label=name, role=role))
-            phases.append(Line(x=frequency, y=np.degrees(np.unwrap(np.angle(found))), label=name, role=role))
+            told = "" if old is None else name
+            gains.append(Line(x=frequency, y=np.abs(found), label=told, role=role))
+            phases.append(Line(x=frequency, y=np.degrees(np.unwrap(np.angle(found))), label=told, role=role))
     x = Scale(label="frequency [Hz]", spacing="log")
     reached = design.predicted.free_space_admittance
-    told = "" if asked is None else f"; asked are {asked.min_m_s_per_n:.3g} {units.admittance}"
+    target = "" if asked is None else f"; asked are {asked.min_m_s_per_n:.3g} {units.admittance}"
     return Chart(
         key=f"{design.name}-admittance",
         title="How freely it moves: admittance in free space",
         alternative=f"Magnitude and phase of the velocity per {units.force_name} from 0.05 to {frequency[-1]:.0f} Hz. "
         f"From {reached.band_hz[0]:g} to {reached.band_hz[1]:g} Hz it is at least {reached.min_m_s_per_n:.3g} "
-        f"{units.admittance}{told}.",
+        f"{units.admittance}{target}.",
         panels=(
             Panel(x=x, y=Scale(label=f"|G| [{units.admittance}]", spacing="log"), elements=tuple(gains)),
             Panel(x=x, y=Scale(label="phase [°]"), elements=tuple(phases), height=0.7),
@@ -166,13 +170,14 @@ def nyquist_chart(design: AxisDesign, old: AdmittanceController | None) -> Chart
     """Draw L at both break points, and the disk that it must not enter."""
     h = design.sample_time_s
     worst = design.worst_plant() or design.corners()[-1]
-    frequency = np.geomspace(2.0 * np.pi * 0.02, 0.999 * np.pi / h, _LOOP_POINTS)
     curves: list[tuple[str, Role, tuple[ComplexArray, ComplexArray]]] = []
     for i, plant in enumerate(design.corners()):
-        found = loop_response(build_sampled_plant(plant, h), design.law, frequency)
+        corner = build_sampled_plant(plant, h)
+        found = loop_response(corner, design.law, frequency_grid(corner, _LOOP_POINTS))
         name = "" if i else "ends of the domain"
         curves.append((name, "quiet", (found.at_force, found.at_command)))
     sampled = build_sampled_plant(worst, h)
+    frequency = frequency_grid(sampled, _LOOP_POINTS)
     if old is not None and spectral_radius(build_loop(sampled, old)) < 1.0:
         found = loop_response(sampled, old, frequency)
         curves.append(("before, same plant", "before", (found.at_force, found.at_command)))
@@ -190,7 +195,7 @@ def nyquist_chart(design: AxisDesign, old: AdmittanceController | None) -> Chart
         )
         for k, where in enumerate(("force", "command"))
     )
-    told = "" if asked is None else f" Asked are {asked:g}: the shaded circle."
+    told = "" if asked is None else f" Asked are {asked:g}: the dashed circle."
     return Chart(
         key=f"{design.name}-nyquist",
         title="How far from instability: Nyquist",
@@ -252,7 +257,7 @@ def stiffness_chart(design: AxisDesign, old: AdmittanceController | None) -> Cha
         panels=(
             Panel(
                 x=x,
-                y=Scale(label="modulus margin"),
+                y=Scale(label="modulus margin", limits=(0.0, _highest(now, before))),
                 elements=(certified, *limits, *_curves(cases, scale, "modulus")),
             ),
             Panel(
@@ -263,6 +268,12 @@ def stiffness_chart(design: AxisDesign, old: AdmittanceController | None) -> Cha
         ),
         linked=True,
     )
+
+
+def _highest(*cases: Sequence[OverStiffness]) -> float:
+    """Return the end of the margin's side: it begins at 0, so that a flat curve looks flat."""
+    values = np.concatenate([each.modulus for group in cases for each in group])
+    return 1.15 * float(np.nanmax(values, initial=0.5))
 
 
 def _curves(cases: Sequence[tuple[str, Role, OverStiffness]], scale: float, what: str) -> Iterator[Line]:
