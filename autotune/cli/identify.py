@@ -101,8 +101,10 @@ def command(
 
     def page() -> "Page":
         from autotune.reports.identify_page import build_identify_page
+        from autotune.reports.log_summaries import summaries_of
 
-        return build_identify_page(found.result, found.provenance, found.evidence)
+        summaries = summaries_of(logs, cell, salvage=salvage)
+        return build_identify_page(found.result, found.provenance, found.evidence, summaries)
 
     tree = {**identified_tree(found.result, found.provenance), **write_report(output, report, page)}
 

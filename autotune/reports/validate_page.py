@@ -65,12 +65,10 @@ def lead(validated: Validated) -> str:
 
 
 def verdict_section(checksum: str, validated: Validated) -> Section:
-    """Return checksum, verdict and the table of checks."""
+    """Return checksum, unless it is empty, verdict and the table of checks."""
     passed = validated.report.passed
-    facts = [
-        checksum_fact(checksum),
-        Fact(label="verdict", value="valid" if passed else "NOT valid", tone="good" if passed else "bad"),
-    ]
+    facts = [] if not checksum else [checksum_fact(checksum)]
+    facts.append(Fact(label="verdict", value="valid" if passed else "NOT valid", tone="good" if passed else "bad"))
     if validated.signed_by is not None:
         facts.append(Fact(label="signed by the key", value=validated.signed_by))
     return Section(key="verdict", title="Verdict", blocks=(Facts(facts=tuple(facts)), checks_table(validated.report)))
