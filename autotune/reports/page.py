@@ -1,5 +1,7 @@
 """A report as one page: what stands in it, and the HTML that carries it without a network."""
 
+import base64
+import gzip
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -159,14 +161,18 @@ def _picture(chart: Chart) -> Markup:
 def _live(chart: Chart) -> str:
     from .live import draw_live  # noqa: PLC0415
 
-    # Inside of a script element, "</" would end it.
-    return json.dumps(draw_live(chart), separators=(",", ":")).replace("</", "<\\/")
+    return _packed(json.dumps(draw_live(chart), separators=(",", ":")))
 
 
 def _engine() -> str:
     from .live import engine  # noqa: PLC0415
 
-    return engine().replace("</script", "<\\/script")
+    return _packed(engine())
+
+
+def _packed(text: str) -> str:
+    """Return text as the page carries what it may never need: a third of the length, and nothing a browser reads."""
+    return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
 
 
 @lru_cache(maxsize=1)
