@@ -69,7 +69,7 @@ def map_chart(design: AxisDesign) -> Chart:
         f"stable) and over mass and feedback damping ({shares[1]:.0f} % stable), with the design marked at "
         f"{design.margins.modulus:.3f}.",
         caption=f"Colour: the smallest modulus margin over {len(plants)} plants, the ends of the domain and its worst "
-        "case, free space included. White: unstable. Star: the design. Dashed: where the margin is what was asked.",
+        "case, free space included. Blank: unstable. Star: the design. Dashed: where the margin is what was asked.",
         panels=panels,
         beside=True,
     )
