@@ -23,6 +23,7 @@ from identification.recording import Recording
 from identification.result import Finding, Identified
 
 _CONTRADICTIONS = frozenset({"given-contradicts", "logs-disagree"})
+_EXPLAINING = frozenset({"clock-offset", "hand-in-contact", "rests-without-spring", "mass-disagreement"})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,9 +84,8 @@ def identify_log(
     result = combine_identified([run.told for run in done])
     check_names(given or {}, result.axes)
     result = replace(result, findings=(*result.findings, *advise(result)))
-    missing = [finding for finding in result.findings if finding.severity == "error"]
-    if missing and not allow_partial:
-        raise EstimateError(_refusal(files, missing))
+    if not allow_partial and any(finding.severity == "error" for finding in result.findings):
+        raise EstimateError(_refusal(files, result.findings))
     options = {
         "wrench_topic": topics.wrench,
         "pose_topic": topics.pose,
@@ -159,13 +159,16 @@ def _source(recording: Recording) -> _Source:
     )
 
 
-def _refusal(files: Sequence[Path], missing: list[Finding]) -> str:
-    """Return one sentence: a contradiction first, since what is missing may follow from it."""
+def _refusal(files: Sequence[Path], findings: Sequence[Finding]) -> str:
+    """Return one sentence: a contradiction first, since what is missing may follow from it; then what explains it."""
+    missing = [finding for finding in findings if finding.severity == "error"]
     missing = sorted(missing, key=lambda finding: finding.code not in _CONTRADICTIONS)
     first = missing[0]
     alike = [finding.message for finding in missing[1:] if finding.code == first.code]
     rest = [finding.code for finding in missing[1:] if finding.code != first.code]
     others = (f" Also: {' '.join(alike)}" if alike else "") + (f" (And {', '.join(rest)}.)" if rest else "")
+    noticed = [finding.message for finding in findings if finding.code in _EXPLAINING and finding.severity != "info"]
+    others += f" Noticed: {' '.join(noticed)}" if noticed else ""
     names = ", ".join(path.name for path in files)
     return f"{names}: {first.message} {first.advice}".rstrip() + others
 

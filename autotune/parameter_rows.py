@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from autotune.files.units import axis_units
 from identification.result import AxisEstimate, EnvironmentEstimate, Estimate, Identified, VectorEstimate
 
+_MOST_DECIMALS = 6
+
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterRow:
@@ -27,7 +29,7 @@ def parameter_rows(result: Identified) -> Iterator[ParameterRow]:
     yield from _vector_rows("centre of mass", result.payload.com_m, "mm", 1e3)
     if result.payload.inertia_kg_m2 is not None:
         for name, component in vars(result.payload.inertia_kg_m2).items():
-            yield _row(f"inertia {name}", component, "kg·m²")
+            yield _row(f"inertia {name} about sensor", component, "kg·m²")
     yield from _vector_rows("force bias", result.sensor.force_bias_n, "N", 1.0)
     yield _row("force noise", result.sensor.force_noise_rms_n, "N rms")
     yield _row("gravity residual", result.sensor.gravity_residual_rms_n, "N rms")
@@ -105,6 +107,12 @@ def _vector_rows(name: str, estimate: VectorEstimate, unit: str, scale: float) -
 
 
 def _numbers(value: float | None, std: float | None, scale: float) -> tuple[str, str]:
+    """Write a value as far as its deviation tells it, the deviation with two digits; four decimals without one."""
     if value is None:
         return "-", "-"
-    return f"{value * scale:.4f}", "-" if std is None else f"{std * scale:.2g}"
+    if std is None or not std * scale > 0.0:
+        return f"{value * scale:.4f}", "-" if std is None else "0"
+    told = std * scale
+    decimals = min(max(1 - math.floor(math.log10(told)), 0), _MOST_DECIMALS)
+    small = round(told, decimals) == 0.0
+    return f"{value * scale:.{decimals}f}", f"{told:.1e}" if small else f"{told:.{decimals}f}"

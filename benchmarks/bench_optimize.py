@@ -2,10 +2,11 @@
 
 Usage: python benchmarks/bench_optimize.py [--write docs/optimizer.md]
 
-Four parts (`--parts`), one process, one compiled evaluator:
+Five parts (`--parts`), one process, one compiled evaluator:
 - problems: problems drawn at random; each is solved, held to a long differential evolution and checked at random on a
   grid twenty times denser than the search's own. A draw that is refused is drawn again, once the same evolution has
   looked for a design that holds.
+- polish: the last digits by sequential quadratic programming and by IPOPT, the same local problem and start.
 - peers: other optimizers on the paper's cell, with a budget of processor time each.
 - growth: 1 to 1000 scenarios, by exchange and all at once.
 - bits: one seed in several processes.
@@ -31,18 +32,20 @@ from dataclasses import asdict, replace
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from autotune.errors import InfeasibleError
-from autotune.tuning.search import SearchResult, solve_design
+from autotune.tuning.reference import find_reference
+from autotune.tuning.search import solve_design
 from benchmarks.optimizer_authors import run_authors
 from benchmarks.optimizer_ipopt import run_ipopt
 from benchmarks.optimizer_judge import JUDGED, Trace, judge, screen_of, stand
 from benchmarks.optimizer_page import FIGURE, misses, put_between, tables
+from benchmarks.optimizer_polish import compare_polishes
 from benchmarks.optimizer_reference import bracket_best, check_densely, evolve_long
 from benchmarks.optimizer_samplers import run_cma_es, run_differential_evolution, run_dual_annealing, run_tpe
 from benchmarks.optimizer_scaling import ALL_AT_ONCE_UP_TO, Growth, draw_growth, measure_growth
@@ -50,10 +53,13 @@ from benchmarks.tuning_problems import draw_problem, paper_cell
 from problems.design import DesignProblem
 
 Record = dict[str, Any]
+Found = TypeVar("Found")
 
-PARTS = ("problems", "peers", "growth", "bits")
+PARTS = ("problems", "polish", "peers", "growth", "bits")
 _CORNERS = (3, 2)
 _LIKE_OURS = "autotune"
+# Six of the drawn problems that can be solved.
+_POLISHED = (2, 3, 4, 6, 14, 16)
 # A drawn problem that is solved in a second.
 _TWO_POLES = 0
 # Samplers and IPOPT's starts hang on the seed; the authors' formulation has one start.
@@ -78,6 +84,7 @@ def main() -> int:
     else:
         runs = {
             "problems": lambda: run_problems(options),
+            "polish": run_polish,
             "peers": lambda: run_peers(options),
             "growth": lambda: run_growth(options.at_once),
             "bits": run_bits,
@@ -138,6 +145,7 @@ def run_problem(seed: int, options: argparse.Namespace) -> Record:
         feasible = bool(np.isfinite(found.objective_n))
         holds = feasible and check_densely(problem, found.design, seed=seed).holds
         return _record("problem", seed=seed, refused=str(error), rival_holds=holds, reference_n=found.objective_n)
+    own, _, own_seconds = _timed(lambda: find_reference(result))
     long = bracket_best(problem, result.active.scenarios, **search)
     dense = check_densely(problem, result.design, seed=seed)
     return _record(
@@ -148,6 +156,8 @@ def run_problem(seed: int, options: argparse.Namespace) -> Record:
         cpu_s=processor,
         design=result.design.tolist(),
         value_n=result.evaluation.objective_n,
+        own_gap=own.gap(result.evaluation.objective_n),
+        own_gap_s=own_seconds,
         reference_n=long.low.objective_n,
         reference_high_n=long.high_n,
         by_seed=long.low.by_seed,
@@ -161,6 +171,12 @@ def run_problem(seed: int, options: argparse.Namespace) -> Record:
         dense_n=dense.objective_n,
         dense_count=dense.count,
     )
+
+
+def run_polish() -> Iterator[Record]:
+    """Polish the paper's cell and some drawn problems by both solvers."""
+    for name, problem in {"the paper's cell": paper_cell(), **{str(i): draw_problem(i) for i in _POLISHED}}.items():
+        yield from (_record("polish", **each) for each in compare_polishes(name, problem))
 
 
 def run_peers(options: argparse.Namespace) -> list[Record]:
@@ -229,7 +245,7 @@ def design_sha256(seed: int) -> str:
     return hashlib.sha256(solve_design(paper_cell(), seed=seed).design.tobytes()).hexdigest()
 
 
-def _timed(run: Callable[[], SearchResult]) -> tuple[SearchResult, float, float]:
+def _timed(run: Callable[[], Found]) -> tuple[Found, float, float]:
     """Return a result with its wall and processor seconds."""
     wall, processor = time.perf_counter(), time.process_time()
     found = run()

@@ -15,7 +15,7 @@ BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 
 def tables(records: Sequence[Record]) -> str:
     """Return every table that the records have something for."""
-    parts = [_problems(records), _peers(records), _growth(records), _bits(records)]
+    parts = [_problems(records), _polish(records), _peers(records), _growth(records), _bits(records)]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
@@ -68,6 +68,7 @@ def _problems(records: Sequence[Record]) -> str:
             _newtons(each["reference_n"]),
             _newtons(each["reference_high_n"]),
             "–" if each["gap"] is None else f"{100.0 * each['gap']:+.3f}",
+            f"{100.0 * each['own_gap']:.3f} ({each['own_gap_s']:.2f} s)",
             str(each["unstable"]),
             f"{each['worst']:.6f} ({_words(each['worst_name'])})",
             f"{100.0 * (each['dense_n'] / each['value_n'] - 1.0):+.3f}",
@@ -82,6 +83,7 @@ def _problems(records: Sequence[Record]) -> str:
         "evolution, at least [N]",
         "its design [N]",
         "gap [%]",
+        "told gap [%]",
         "unstable",
         "largest required/achieved",
         "peak, denser grid [%]",
@@ -96,6 +98,35 @@ def _problems(records: Sequence[Record]) -> str:
         f"{np.median([each['cpu_s'] for each in solved]):.2f} s, at most {max(each['cpu_s'] for each in solved):.2f} s."
     )
     return f"### Drawn problems\n\n{over}\n\n{_table(head, rows)}"
+
+
+def _polish(records: Sequence[Record]) -> str:
+    found = _part(records, "polish")
+    if not found:
+        return ""
+    solvers = [each for each in dict.fromkeys(each["solver"] for each in found) if each != "before"]
+    rows = []
+    for name in dict.fromkeys(each["name"] for each in found):
+        of_name = {each["solver"]: each for each in found if each["name"] == name}
+        cells = [name, f"{of_name['before']['value_n']:.6f}"]
+        for solver in solvers:
+            each = of_name[solver]
+            cells += [f"{each['value_n']:.6f}", f"{each['residual']:.1e}", f"{each['seconds']:.3f}"]
+        rows.append(cells)
+    head = ["problem", "before [N]"]
+    for solver in solvers:
+        head += [f"{solver} [N]", "KKT residual", "processor [s]"]
+    apart = max(
+        abs(one["value_n"] / other["value_n"] - 1.0)
+        for one in found
+        for other in found
+        if one["name"] == other["name"] and "before" not in (one["solver"], other["solver"])
+    )
+    over = (
+        "The same local problem, start and exact gradients; the residual as a share of the gradient, the processor's "
+        f"time of one call. Their values differ by {apart:.0e} at most."
+    )
+    return f"### The last digits\n\n{over}\n\n{_table(head, rows)}"
 
 
 def _peers(records: Sequence[Record]) -> str:

@@ -5,6 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .axes import AXIS_NAMES
+from .plan_sweep import SweepLimits, careful_force_n, fastest_sweep
+from .plan_values import values_of
 from .result import AxisEstimate, EnvironmentEstimate, Estimate, Finding, Identified, Status, VectorEstimate
 
 _POSES = (
@@ -12,12 +15,27 @@ _POSES = (
     "the payload."
 )
 _SWEEP = (
-    "Record a commanded sweep in free space of 0.5 Hz to {highest}, 10 s or more, with a centimetre at its slow end "
-    "and no hand on the payload."
+    "Record a commanded sweep in free space of 0.5 Hz to {highest}, 10 s or more,{speed} with no hand on the payload."
+)
+_SWEEP_FROM_HZ = 0.5
+_SWEEP_S = 10.0
+_SWEEP_TO_HZ = 50.0
+_MISFIT_RATIO = 1.5
+_FILTERED = (
+    "The sweep is there, but one payload on one spring leaves {ratio:.1f} times the sensor's noise of its force. The "
+    "likeliest cause is a low-pass in the sensor or its driver: set it to 200 Hz or more, or switch it off, and record "
+    "again. A second spring, play or friction in the gripper does this too."
+)
+_OTHER_ROBOT = (
+    "The sweep is there, but the robot does not follow as one or two poles and a delay do. Log the command where the "
+    "position loop receives it, behind every interpolator, filter and limit. If it is logged there, the loop has a "
+    "zero (feed-forward, say): tell its delay from elsewhere, `--given {name}.delay_s=SECONDS`, and use it with care."
 )
 _CONTACTS = "Record 3 or more contacts on the same spot: 1 to 3 cm/s, 20 to 50 N, hold for 1 s, back off."
 _IMPACTS = "Record 3 or more contacts at 3 to 5 cm/s, as far as the predicted peak force allows."
 _SHARP_PERCENT = 5.0
+_DRIFT = "force-follows-drift"
+_DRIFTING = "The sensor drifts, which widens this: see to that first. "
 _COMMAND = "Record the position command with the pose, on one clock, at the control rate."
 
 
@@ -44,14 +62,15 @@ def advise(result: Identified) -> tuple[Finding, ...]:
     What is missing and needed is an error, unless another error says why already; what is weak and needed is a warning;
     so is what is needed and told as an interval only; the rest is information.
     """
-    findings = list(_findings("", list(_payload_lacks(result))))
+    first = _DRIFTING if any(finding.code == _DRIFT for finding in result.findings) else ""
+    findings = list(_findings("", list(_payload_lacks(result)), first))
     for name, axis in result.axes.items():
-        findings += _findings(f"Axis {name}: ", list(_axis_lacks(axis)))
+        findings += _findings(f"Axis {name}: ", list(_axis_lacks(name, axis, _sweep(result, name))), first)
     explained = any(f.severity == "error" for f in result.findings)
     return tuple(f for f in findings if not (explained and f.severity == "error"))
 
 
-def _findings(where: str, lacks: Sequence[_Lack]) -> Iterator[Finding]:
+def _findings(where: str, lacks: Sequence[_Lack], first: str) -> Iterator[Finding]:
     for code, verb, severities in (
         ("unidentifiable", "not told by the log", ("error", "info")),
         ("bounded", "told as an interval only", ("warning", "info")),
@@ -61,7 +80,8 @@ def _findings(where: str, lacks: Sequence[_Lack]) -> Iterator[Finding]:
             mine = [lack for lack in lacks if lack.code == code and lack.needed is needed]
             for advice in dict.fromkeys(lack.advice for lack in mine):
                 told = ", ".join(_told(lack) for lack in mine if lack.advice == advice)
-                yield Finding(code=code, severity=severity, message=f"{where}{told}: {verb}.", advice=advice)
+                text = first + advice
+                yield Finding(code=code, severity=severity, message=f"{where}{told}: {verb}.", advice=text)
 
 
 def _told(lack: _Lack) -> str:
@@ -81,34 +101,69 @@ def _payload_lacks(result: Identified) -> Iterator[_Lack]:
     yield _Lack(name="centre of mass", estimate=result.payload.com_m, advice=_POSES, needed=True)
 
 
-def _axis_lacks(axis: AxisEstimate) -> Iterator[_Lack]:
-    sweep = _SWEEP.format(highest=_highest(axis))
+def _axis_lacks(name: str, axis: AxisEstimate, sweep: str) -> Iterator[_Lack]:
     coupling, robot = axis.coupling, axis.robot
-    yield _Lack(name="K_s", estimate=coupling.stiffness_n_per_m, advice=sweep, needed=True)
-    yield _Lack(name="B_s", estimate=coupling.damping_n_s_per_m, advice=sweep, needed=True)
-    yield _Lack(name="B_p", estimate=axis.drag_n_s_per_m, advice=sweep, needed=True)
+    by_sweep = _about_coupling(axis, sweep)
+    yield _Lack(name="K_s", estimate=coupling.stiffness_n_per_m, advice=by_sweep, needed=True)
+    yield _Lack(name="B_s", estimate=coupling.damping_n_s_per_m, advice=by_sweep, needed=True)
+    yield _Lack(name="B_p", estimate=axis.drag_n_s_per_m, advice=by_sweep, needed=True)
     if axis.mass_kg is not None:
-        yield _Lack(name="mass from motion", estimate=axis.mass_kg, advice=sweep, needed=False)
-    known = robot.denominator.value is not None
-    yield _Lack(name="r(s)", estimate=robot.denominator, advice=sweep if known else _COMMAND, needed=True)
-    yield _Lack(name="T_d", estimate=robot.delay_s, advice=sweep if known else _COMMAND, needed=True)
+        yield _Lack(name="mass from motion", estimate=axis.mass_kg, advice=by_sweep, needed=False)
+    by_command = _about_robot(name, axis, by_sweep)
+    yield _Lack(name="r(s)", estimate=robot.denominator, advice=by_command, needed=True)
+    yield _Lack(name="T_d", estimate=robot.delay_s, advice=by_command, needed=True)
+    hidden = by_sweep != sweep
     for surface in axis.environments:
-        contacts = _CONTACTS if not _through_coupling(axis, surface) else sweep
+        contacts = by_sweep if hidden or _through_coupling(axis, surface) else _CONTACTS
+        secant = by_sweep if hidden else _CONTACTS
         yield _Lack(name=f"{surface.name} K_e", estimate=surface.stiffness_n_per_m, advice=contacts, needed=True)
         yield _Lack(
-            name=f"{surface.name} secant", estimate=surface.secant_stiffness_n_per_m, advice=_CONTACTS, needed=False
+            name=f"{surface.name} secant", estimate=surface.secant_stiffness_n_per_m, advice=secant, needed=False
         )
         yield _Lack(name=f"{surface.name} B_e", estimate=surface.damping_n_s_per_m, advice=_IMPACTS, needed=False)
         yield _Lack(name=f"{surface.name} M_e", estimate=surface.mass_kg, advice=_IMPACTS, needed=False)
 
 
-def _highest(axis: AxisEstimate) -> str:
-    """Return where a sweep may end: well above the payload's own frequency, where that is known."""
+def _about_coupling(axis: AxisEstimate, sweep: str) -> str:
+    """Return what helps where the coupling is not told: another sweep does not, where the model does not fit."""
+    ratio = _misfit_ratio(axis)
+    if axis.coupling.stiffness_n_per_m.status is not Status.UNIDENTIFIABLE or ratio <= _MISFIT_RATIO:
+        return sweep
+    return _FILTERED.format(ratio=ratio)
+
+
+def _about_robot(name: str, axis: AxisEstimate, sweep: str) -> str:
+    if axis.robot.denominator.value is None:
+        return _COMMAND
+    is_told = axis.coupling.stiffness_n_per_m.status is not Status.UNIDENTIFIABLE
+    misses = axis.robot.delay_s.status is Status.UNIDENTIFIABLE and _misfit_ratio(axis) > _MISFIT_RATIO
+    return _OTHER_ROBOT.format(name=name) if is_told and misses else sweep
+
+
+def _misfit_ratio(axis: AxisEstimate) -> float:
+    """Return how many times the noise at rest the fit leaves in free motion, in the worst log."""
+    return max((fit.noise_ratio_free for fit in axis.fits), default=0.0)
+
+
+def _sweep(result: Identified, name: str) -> str:
+    """Return the sweep to record, as fast as `autotune plan` would make it within its usual limits."""
+    axis = result.axes[name]
     stiffness, mass = axis.coupling.stiffness_n_per_m.value, None if axis.mass_kg is None else axis.mass_kg.value
-    if stiffness is None or mass is None:
-        return "50 Hz"
-    own = float(np.sqrt(stiffness / mass)) / (2.0 * np.pi)
-    return f"{max(1.6 * own, 20.0):.0f} Hz (the payload swings at {own:.0f} Hz)"
+    highest_hz, swings = _SWEEP_TO_HZ, ""
+    if stiffness is not None and mass is not None:
+        own = float(np.sqrt(stiffness / mass)) / (2.0 * np.pi)
+        highest_hz, swings = max(1.6 * own, 20.0), f" (the payload swings at {own:.0f} Hz)"
+    speed = _speed(result, name, highest_hz) if name in AXIS_NAMES else ""
+    return _SWEEP.format(highest=f"{highest_hz:.0f} Hz{swings}", speed=speed)
+
+
+def _speed(result: Identified, name: str, highest_hz: float) -> str:
+    _, values = values_of(result, name)
+    shaping = (values.damping_n_s_per_m.std, values.drag_n_s_per_m.std)
+    limits = SweepLimits(max_force_n=careful_force_n(SweepLimits.max_force_n, shaping))
+    sweep, _, _ = fastest_sweep(values, limits, _SWEEP_FROM_HZ, highest_hz, _SWEEP_S)
+    travel_m = sweep.flange_speed_m_s / (2.0 * np.pi * _SWEEP_FROM_HZ)
+    return f" the flange at {1e3 * sweep.flange_speed_m_s:.2g} mm/s throughout ({1e3 * travel_m:.2g} mm at 0.5 Hz),"
 
 
 def _through_coupling(axis: AxisEstimate, surface: EnvironmentEstimate) -> bool:

@@ -38,6 +38,12 @@ _OBLIQUE_CONTACT_DEG = 10.0
 _MODEL_STD_SHARE = 0.003
 _MORE_THAN_NOISE = 1.5
 _EXACT_SHARE = 1e-6
+# What a force must exceed to count as a touch.
+_LEFT_AT_REST_N = 2.0
+_OFF_ADVICE = (
+    "First see what is told of the payload's weight: a sensor whose gain or zero changes leaves such a force. Or press "
+    "near an orientation in which the poses were held."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,7 +168,9 @@ def fit_axis(cell: CellSignals, view: AxisView) -> AxisTold:
         estimate, contradictions = settle_axis(axis.name, _without_coupling(robot, str(error)), None, cell.given)
         contacts = AxisContacts(axis=axis, holds=view.holds, coupling=usual_coupling(cell.gravity.mass_kg))
         return AxisTold(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=None)
-    findings += [*_about_contacts(axis.name, data.holds, fit), *_about_lag(axis.name, fit), *_about_fit(axis.name, fit)]
+    left_n = _left_beside(axis, cell.motion.still, view.holds)
+    findings += _about_contacts(axis.name, _first_rests(cell.motion.still, data.holds), fit, left_n)
+    findings += [*_about_lag(axis.name, fit), *_about_fit(axis.name, fit)]
     alone = _estimate(axis, fit, robot, data.period_s)
     both = alone if with_priors is None else _estimate(axis, with_priors, robot, data.period_s)
     estimate, contradictions = settle_axis(axis.name, alone, both, cell.given)
@@ -297,8 +305,25 @@ def _is_along(hold: Span, force_S_n: FloatArray, axis: AxisMotion, findings: lis
     return along
 
 
-def _about_contacts(axis: str, holds: Sequence[Span], fit: JointFit) -> list[Finding]:
+def _left_beside(axis: AxisMotion, still: Sequence[Span], holds: Sequence[Span]) -> float:
+    """Return the highest force [N] at the rests next to the holds, in which nothing is touched; 0 without such."""
+    free = [span for span in still if span not in holds]
+    if not free or not holds:
+        return 0.0
+    nearest = [min(free, key=lambda span: abs(span.start - hold.start)) for hold in holds]
+    return max(abs(float(np.median(axis.force_n[span.slice]))) for span in nearest)
+
+
+def _first_rests(still: Sequence[Span], holds: Sequence[Span]) -> tuple[Span, ...]:
+    """Return the holds without those that only a jerk parts from another, no rest without force being in between."""
+    before = [None, *still]
+    return tuple(span for i, span in enumerate(still) if span in holds and before[i] not in holds)
+
+
+def _about_contacts(axis: str, holds: Sequence[Span], fit: JointFit, left_n: float) -> list[Finding]:
+    """Tell which rests under force were no contacts; a force that is there without contact explains that best."""
     used = sum(len(surface.onsets) for surface in fit.surfaces)
+    is_off = left_n > _LEFT_AT_REST_N
     findings = []
     if used < len(holds):
         findings.append(
@@ -306,8 +331,13 @@ def _about_contacts(axis: str, holds: Sequence[Span], fit: JointFit) -> list[Fin
                 code="rests-without-spring",
                 severity="warning",
                 message=f"Axis {axis}: {len(holds) - used} of {len(holds)} rests under force do not look like pressing "
-                "on a surface after a free approach (a hand, perhaps) and were left out.",
-                advice="Keep hands off the payload during contacts.",
+                "on a surface after a free approach and were left out: "
+                + (
+                    f"even without contact weight and bias leave {left_n:.1f} N along the axis."
+                    if is_off
+                    else "a hand may have pushed."
+                ),
+                advice=_OFF_ADVICE if is_off else "Keep hands off the payload during contacts.",
             )
         )
     if not fit.surfaces:
@@ -316,7 +346,10 @@ def _about_contacts(axis: str, holds: Sequence[Span], fit: JointFit) -> list[Fin
                 "no-contact",
                 f"Axis {axis}: no contact with an onset and a hold was found, so the environment's stiffness "
                 "cannot be told.",
-                "Record 3 or more contacts: approach at 1 to 3 cm/s, press with 20 to 50 N, hold for 1 s, back off.",
+                _OFF_ADVICE
+                if is_off and holds
+                else "Record 3 or more contacts: approach at 1 to 3 cm/s, press with 20 to 50 N, hold for 1 s, back "
+                "off.",
             )
         )
     return findings

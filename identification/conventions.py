@@ -12,6 +12,7 @@ from .convention import Convention, Pull, numbers_text, residuals_text
 from .convention_fit import READINGS, FreeMounting, Scores, score_readings
 from .errors import EstimateError
 from .frames import Frames
+from .leaning import LeaningGravity, find_leaning_gravity
 from .result import Finding
 from .static_poses import StaticPose, group_by_orientation
 
@@ -22,6 +23,8 @@ _UNEXPLAINED = 0.1
 _MOST_TOLD = 6
 _SMALLEST_ANGLE_RAD = np.radians(10.0)
 _FAR_BETTER = 3.0
+# What leans further is told by the sign of the force, if at all.
+_LARGEST_LEAN_RAD = np.radians(135.0)
 
 
 class Verdict(StrEnum):
@@ -39,7 +42,8 @@ class ConventionRanking:
     """All readings, best first, and what follows; `declared` is the one in cell.yaml or assumed.
 
     `orientations` distinct ones took part; `swing_rms_n` is how much the force changed between them. `mounting` is the
-    flange-from-sensor rotation that fits far better than any quarter turn, where there is one.
+    flange-from-sensor rotation that fits far better than any quarter turn, where there is one; `leaning` the direction
+    of gravity that does, where nothing fits as declared.
     """
 
     verdict: Verdict
@@ -49,6 +53,7 @@ class ConventionRanking:
     swing_rms_n: float
     frames: Frames
     mounting: Rotation | None = None
+    leaning: LeaningGravity | None = None
 
     @property
     def alike(self) -> tuple[Convention, ...]:
@@ -79,12 +84,21 @@ class ConventionRanking:
                 "(xyzw, flange from sensor) after checking it against the drawing, or `gravity_direction` if the base "
                 "is tilted."
             )
+        if self.leaning is not None:
+            told = ", ".join(f"{each:.5f}" for each in self.frames.R_WB.inv().apply(self.leaning.direction_W))
+            return (
+                f"Gravity leans by {np.degrees(self.leaning.angle_rad):.1f} degrees from where it is assumed: that "
+                f"leaves {self.leaning.left_n:.2f} N, the best of {len(self.candidates)} conventions "
+                f"{best.residual_rms_n:.2f} N of a swing of {self.swing_rms_n:.2f} N. If the base is mounted that way, "
+                f"declare `gravity_direction: [{told}]` in cell.yaml; else level it."
+            )
         if self.verdict is Verdict.NONE:
             return (
                 f"The force must follow gravity as the tool turns, found {best.residual_rms_n:.2f} N left of a swing "
                 f"of {self.swing_rms_n:.2f} N under the best of {len(self.candidates)} conventions; check that wrench "
                 "and pose are of the same robot and clock, that nothing touched the payload, and declare "
-                "`sensor.orientation` in cell.yaml if the sensor is mounted at an angle that is no multiple of 90°."
+                "`sensor.orientation` in cell.yaml if the sensor is mounted at an angle that is no multiple of 90°, "
+                "`gravity_direction` if the base leans."
             )
         alike = self.alike
         told = "; ".join(self._told(each) for each in alike[:_MOST_TOLD])
@@ -158,15 +172,32 @@ def rank_conventions(poses: Sequence[StaticPose], frames: Frames | None = None) 
         orientations=scores.orientations,
         swing_rms_n=float(np.sqrt(scores.swing_n2 / (3.0 * scores.orientations))),
     )
+    judged = _judged(ranked, scores)
+    if judged.verdict is not Verdict.NONE or judged.mounting is not None:
+        return judged
+    return replace(judged, leaning=_leaning(judged, poses))
+
+
+def _judged(ranked: ConventionRanking, scores: Scores) -> ConventionRanking:
+    """Return the ranking with its verdict."""
     free = scores.free_mounting
     if not _is_far_better(free, ranked, scores):
         return replace(ranked, verdict=_verdict(ranked, scores))
     if free.angle_rad > _SMALLEST_ANGLE_RAD or not free.is_as_declared:
-        mounting = declared.R_FS * free.turn if free.is_as_declared else None
+        mounting = ranked.frames.R_FS * free.turn if free.is_as_declared else None
         return replace(ranked, verdict=Verdict.NONE, mounting=mounting)
     # A little off the declared axes is for the mounting's estimate to say.
     nearly = free.turn.magnitude() < _SMALLEST_ANGLE_RAD and ranked.declared is not None
     return replace(ranked, verdict=Verdict.DECLARED if nearly else _verdict(ranked, scores))
+
+
+def _leaning(ranking: ConventionRanking, poses: Sequence[StaticPose]) -> LeaningGravity | None:
+    """Return where gravity points, if that explains the force far better than any convention."""
+    found = find_leaning_gravity(poses)
+    if found is None or found.angle_rad > _LARGEST_LEAN_RAD:
+        return None
+    explains = found.left_n < np.sqrt(_UNEXPLAINED) * ranking.swing_rms_n
+    return found if explains and found.left_n * _FAR_BETTER < ranking.candidates[0].residual_rms_n else None
 
 
 def _is_far_better(free: FreeMounting, ranking: ConventionRanking, scores: Scores) -> bool:

@@ -106,26 +106,12 @@ def _set(axis: AxisEstimate, name: str, estimate: Estimate) -> AxisEstimate:
 
 
 def _posterior(name: str, estimate: Estimate, fitted: Estimate | None, prior: Given) -> tuple[Estimate, list[Finding]]:
-    """Return what log and prior tell together: as the fit found it, else the product of two normal densities."""
-    method = "given" if fitted is None or fitted.value is None else fitted.method
+    """Return what log and prior tell together: as the fit found it, else the product of two normal densities.
+
+    Beside it what the user should know: that it was used, or that it contradicts the log.
+    """
     if estimate.value is None or estimate.std is None:
-        note = "the log alone does not tell it"
-        told = (
-            (fitted.value, fitted.std) if fitted is not None and fitted.value is not None else (prior.value, prior.std)
-        )
-        return Estimate(value=told[0], std=told[1], status=Status.GIVEN, method=method, note=note), []
-    apart, together = abs(estimate.value - prior.value), math.hypot(estimate.std, prior.std)
-    contradiction = []
-    if apart > _CONTRADICTION_STDS * together:
-        contradiction.append(
-            Finding(
-                code="given-contradicts",
-                severity="error",
-                message=f"The log tells {name} as {estimate.value:.5g} ± {estimate.std:.2g}, given is "
-                f"{prior.value:.5g} ± {prior.std:.2g}.",
-                advice="Check the given value and its unit, and that the log is of this cell and payload.",
-            )
-        )
+        return _without_log(name, fitted, prior)
     if fitted is not None and fitted.value is not None and fitted.std is not None and prior.std > 0.0:
         value, std = fitted.value, fitted.std
     elif prior.std == 0.0 or estimate.std == 0.0:
@@ -136,4 +122,31 @@ def _posterior(name: str, estimate: Estimate, fitted: Estimate | None, prior: Gi
         std = precision**-0.5
     note = f"given {prior.value:.6g} ± {prior.std:.2g}, the log tells {estimate.value:.6g} ± {estimate.std:.2g}"
     status = Status.GIVEN if prior.std <= estimate.std else estimate.status
-    return Estimate(value=value, std=std, status=status, method=estimate.method, note=note), contradiction
+    apart, alone = abs(estimate.value - prior.value), f"{estimate.value:.5g} ± {estimate.std:.2g}"
+    if apart > _CONTRADICTION_STDS * math.hypot(estimate.std, prior.std):
+        about = Finding(
+            code="given-contradicts",
+            severity="error",
+            message=f"The log tells {name} as {alone}, given is {prior.value:.5g} ± {prior.std:.2g}.",
+            advice="Check the given value and its unit, and that the log is of this cell and payload.",
+        )
+    else:
+        told = f"{value:.5g} ± {std:.2g}" if std else f"{value:.5g}"
+        about = _used(f"{name}: given is {_number(prior)}, the log alone tells {alone}; {told} was taken.")
+    return Estimate(value=value, std=std, status=status, method=estimate.method, note=note), [about]
+
+
+def _without_log(name: str, fitted: Estimate | None, prior: Given) -> tuple[Estimate, list[Finding]]:
+    note = "the log alone does not tell it"
+    found = Estimate(value=prior.value, std=prior.std, status=Status.GIVEN, method="given", note=note)
+    if fitted is not None and fitted.value is not None:
+        found = replace(found, value=fitted.value, std=fitted.std, method=fitted.method)
+    return found, [_used(f"{name}: given is {_number(prior)}; {note}.")]
+
+
+def _number(prior: Given) -> str:
+    return f"{prior.value:.5g} ± {prior.std:.2g}" if prior.std else f"{prior.value:.5g}, taken as exact"
+
+
+def _used(message: str) -> Finding:
+    return Finding(code="given-used", severity="info", message=message, advice="")

@@ -17,7 +17,7 @@ _LARGE_SHARE = 0.02
 _SMALL_DRIFT_N = 0.2
 _GROWTH_FACTOR = 2.0
 _ADVICE = {
-    TermKind.DRIFT: "Warm the sensor up for half an hour, tare before recording, or record the poses faster.",
+    TermKind.DRIFT: "Warm the sensor up for half an hour and record again, quickly; a tare takes no drift away.",
     TermKind.AXIS_GAIN: "Have the sensor calibrated, and look for cables and hoses that carry a part of the load.",
     TermKind.LOAD_CURVE: "The load is near the sensor's range or the mounting yields: use a sensor of a larger range, "
     "and identify at the load that the controller will carry.",

@@ -33,6 +33,7 @@ from .verdicts import missing
 FloatArray = NDArray[np.float64]
 
 _OBLIQUE_SHARE = 0.3
+_ABOUT = "about the origin of the sensor frame, not the centre of mass"
 
 
 def identify_cell(
@@ -158,8 +159,10 @@ def _hands(timeline: Timeline) -> list[Finding]:
         Finding(
             code="hand-in-contact",
             severity="warning",
-            message=f"During the contact at {when} the force changes as no surface makes it: a hand, perhaps.",
-            advice="Keep hands off the payload while it touches, and record these contacts again.",
+            message=f"During the contact at {when} the force does not follow depth and speed as on a surface: a hand "
+            "may have pushed, or what is touched gave way.",
+            advice="Keep hands off the payload while it touches, clamp what it presses on, and record these contacts "
+            "again.",
         )
     ]
 
@@ -175,7 +178,9 @@ def _inertia(fit: InertiaFit) -> InertiaEstimate | None:
     """Return the tensor, None where no component is told."""
     if all(component.value is None for component in fit.components):
         return None
-    xx, yy, zz, xy, xz, yz = fit.components
+    xx, yy, zz, xy, xz, yz = (
+        replace(each, note="; ".join(filter(None, (_ABOUT, each.note)))) for each in fit.components
+    )
     return InertiaEstimate(xx=xx, yy=yy, zz=zz, xy=xy, xz=xz, yz=yz)
 
 

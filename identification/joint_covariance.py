@@ -152,8 +152,8 @@ def _swing_left(problem: Problem, surface: int, damping: float, mass: float) -> 
 def beside_rival(problem: Problem, point: Point, spread: Spread, rival: Rival | None, *, blurred: bool) -> Spread:
     """Return the covariance with what a rival minimum adds, as in `other_minima`; a delay is known to 0.001 samples.
 
-    At a step of the command beside a tick a difference over the jump would promise more. A command that is `blurred`
-    over every sample costs ω h²/8 of the delay and, of ω, half of what that is of its own time constant.
+    At a step of the command beside a tick the force jumps, of which a derivative knows nothing. A command that is
+    `blurred` over every sample costs ω h²/8 of the delay and, of ω, half of what that is of its own time constant.
     """
     covariance = spread.covariance.copy()
     if problem.layout.robot_order:

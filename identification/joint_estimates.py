@@ -22,6 +22,7 @@ from .verdicts import judged, judged_damping, vector, weak_at_best
 FloatArray = NDArray[np.float64]
 
 # Sizes below which a value does not matter: a tenth of the critical damping, a tenth of the payload.
+_TWO_SIDED = 1.96
 _DAMPING_FLOOR = 0.1
 _MASS_FLOOR = 0.1
 _SYMBOLS = {
@@ -168,7 +169,12 @@ class JointEstimates:
 
     def _judged(self, name: str, *, floor: float = 0.0) -> Estimate:
         value, std = self.fit.value(name)
-        return judged(value, std, method=self.method, floor=floor, ci95=self._interval(name))
+        interval = self._interval(name)
+        if interval is not None:
+            # Whoever reads the deviation must not come to less, or more, than the interval admits.
+            low, high = value - _TWO_SIDED * std, value + _TWO_SIDED * std
+            interval = (max(min(interval[0], low), 0.0), max(interval[1], high))
+        return judged(value, std, method=self.method, floor=floor, ci95=interval)
 
     def _judged_damping(self, name: str, stiffness: str) -> Estimate:
         value, std = self.fit.value(name)

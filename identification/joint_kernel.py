@@ -1,7 +1,10 @@
-"""The payload behind the coupling on a known flange path, with and without something to touch: compiled loops.
+"""The robot's steps, and the payload's inside a sample in which it touches or leaves: compiled loops.
 
-Time is counted in samples: velocities are m per sample, B/h and M/h² stand for B and M.
+Time is counted in samples: velocities are m per sample, B/h and M/h² stand for B and M. What takes complex numbers
+answers with a slope as well: its imaginary part is the slope times that of what came in, if that is tiny.
 """
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,13 +12,25 @@ from numpy.typing import NDArray
 from problems.compiled import compiled
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+# Of floats, or of complex numbers.
+Array = NDArray[Any]
 # (K_s, B_s/h, B_p/h, M_p/h², K_e, B_e/h, M_e/h²)
-Body = tuple[float, float, float, float, float, float, float]
+Body = tuple[complex, complex, complex, complex, complex, complex, complex]
+# The flange's position and velocity at both ends of a sample.
+Ends = tuple[complex, complex, complex, complex]
+
+# So small that its square is nothing beside 1, and so is what rounding leaves of it.
+TINY = 1e-30
 
 _BISECTIONS = 40
 _RADIANS_PER_STEP = 0.15
 _MOST_STEPS = 400
 _MOST_SWITCHES = 8
+# 2^-38: the bisection has found nothing but the end.
+_AN_INSTANT = 4e-12
+_AT_ZERO, _AT_ONCE = 1.0, 2.0
+MOST_TAKEN = _MOST_STEPS + 3 * _MOST_SWITCHES
 # A freed environment that swings faster than this [rad/sample] is back before the payload is.
 _BACK_AT_ONCE = 20.0
 
@@ -69,88 +84,7 @@ def _follow(step: FloatArray, command: FloatArray, older: int, k: int, now: Floa
 
 
 @compiled
-def _driven(gamma: FloatArray, drive: FloatArray, sign: float, wall: float) -> tuple[float, float]:
-    """Return gamma w (2,) of one sample; w is the drive seen in the direction of pressing, from the wall on."""
-    first = second = 0.0
-    place = len(drive) - 4
-    for j in range(len(drive)):
-        w = sign * drive[j] - (wall if j == place else 0.0)
-        first += gamma[0, j] * w
-        second += gamma[1, j] * w
-    return first, second
-
-
-@compiled
-def _felt(state: tuple[float, float], path: FloatArray, body: Body, sign: float, wall: float) -> float:
-    """Return F = K_s (x_p − x) + B_s (v_p − v) right after a tick."""
-    return float(body[0] * (state[0] - (sign * path[0] - wall)) + body[1] * (state[1] - sign * path[1]))
-
-
-@compiled
-def run_free(
-    phi: FloatArray,
-    gamma: FloatArray,
-    drive: FloatArray,
-    path: FloatArray,
-    body: Body,
-    place: tuple[float, float],
-    start: tuple[float, float],
-) -> FloatArray:
-    """Return the coupling's force at every tick (n,), the payload moving freely: p_(k+1) = phi p_k + gamma w_k.
-
-    `drive` (n, m) holds w, `path` (n, 4) the flange's position and velocity after tick k and before tick k + 1;
-    `place` is the direction, +1 or -1, in which all is counted, and where it is counted from; `start` is p_0.
-    """
-    out = np.empty(len(drive))
-    sign, wall = place
-    x, v = start
-    for k in range(len(drive)):
-        out[k] = _felt((x, v), path[k], body, sign, wall)
-        first, second = _driven(gamma, drive[k], sign, wall)
-        x, v = phi[0, 0] * x + phi[0, 1] * v + first, phi[1, 0] * x + phi[1, 1] * v + second
-    return out
-
-
-@compiled
-def run_contact(
-    phi: FloatArray,
-    gamma: FloatArray,
-    swing: FloatArray,
-    drive: FloatArray,
-    path: FloatArray,
-    body: Body,
-    place: tuple[float, float],
-    start: tuple[float, float],
-) -> FloatArray:
-    """Return what `run_free` does with a wall at `place[1]`, at first not touched.
-
-    `phi` (2, 2, 2) and `gamma` (2, 2, m) hold free motion and contact; `swing` (2, 2) moves a freed environment.
-    """
-    out = np.empty(len(drive))
-    sign, wall = place
-    # Payload, then environment.
-    state = np.array([start[0], start[1], 0.0, 0.0])
-    following = state.copy()
-    touching = False
-    for k in range(len(drive)):
-        out[k] = _felt((state[0], state[1]), path[k], body, sign, wall)
-        mode = 1 if touching else 0
-        driven = _driven(gamma[mode], drive[k], sign, wall)
-        for i in range(2):
-            following[i] = phi[mode, i, 0] * state[0] + phi[mode, i, 1] * state[1] + driven[i]
-            following[2 + i] = swing[i, 0] * state[2] + swing[i, 1] * state[3]
-        if touching:
-            following[2], following[3] = following[0], following[1]
-        ends = sign * path[k, 0] - wall, sign * path[k, 1], sign * path[k, 2] - wall, sign * path[k, 3]
-        if pressing(following, ends, 1.0, body, touching) == touching:
-            state[:] = following
-        else:
-            touching = switch(state, ends, body, touching)
-    return out
-
-
-@compiled
-def flange(ends: tuple[float, float, float, float], at: float) -> tuple[float, float]:
+def flange(ends: Ends, at: complex) -> tuple[complex, complex]:
     """Return the flange's position and velocity inside a sample, by the cubic through both ends."""
     x0, v0, x1, v1 = ends
     c2 = 3.0 * (x1 - x0) - 2.0 * v0 - v1
@@ -159,9 +93,7 @@ def flange(ends: tuple[float, float, float, float], at: float) -> tuple[float, f
 
 
 @compiled
-def accelerations(
-    state: FloatArray, ends: tuple[float, float, float, float], at: float, body: Body, touching: bool
-) -> tuple[float, float]:
+def accelerations(state: Array, ends: Ends, at: complex, body: Body, touching: bool) -> tuple[complex, complex]:
     """Return the accelerations of payload and environment in m per sample²."""
     k_s, b_s, b_p, m_p, k_e, b_e, m_e = body
     x, v = flange(ends, at)
@@ -170,35 +102,46 @@ def accelerations(
         shared = (pull - k_e * state[0] - b_e * state[1]) / (m_p + m_e)
         return shared, shared
     if returns_at_once(body):
-        return pull / m_p, 0.0
+        return pull / m_p, 0.0 * pull
     return pull / m_p, -(k_e * state[2] + b_e * state[3]) / m_e
 
 
 @compiled
 def returns_at_once(body: Body) -> bool:
     """Whether a freed environment is at its rest position before the payload can meet it again."""
-    return bool(body[6] * _BACK_AT_ONCE**2 <= body[4])
+    return bool(body[6].real * _BACK_AT_ONCE**2 <= body[4].real)
 
 
 @compiled
-def pressing(state: FloatArray, ends: tuple[float, float, float, float], at: float, body: Body, touching: bool) -> bool:
-    """Tell whether the payload is on the environment, given whether it was: force when on it, gap when off it."""
+def pressure(state: Array, ends: Ends, at: complex, body: Body, touching: bool) -> complex:
+    """Return what is positive while the payload is on the environment.
+
+    If it was on it, the force [N]; if it was off it, how far it is behind the environment's face [m], or, where that
+    is back at once, the smaller one of the spring's force and the whole force [N].
+    """
     if touching:
-        force = body[4] * state[0] + body[5] * state[1]
-        if body[6] > 0.0:
-            force += body[6] * accelerations(state, ends, at, body, True)[0]
-        return bool(force > 0.0)
+        force: complex = body[4] * state[0] + body[5] * state[1]
+        # Without a mass the slope by it counts as well.
+        if body[6] != 0.0:
+            force += body[6] * accelerations(state, ends, at, body, touching)[0]
+        return force
     if returns_at_once(body):
-        return bool(state[0] > 0.0 and body[4] * state[0] + body[5] * state[1] > 0.0)
-    return bool(state[0] > state[2])
+        spring: complex = body[4] * state[0]
+        return spring + body[5] * state[1] if state[1].real < 0.0 else spring
+    behind: complex = state[0] - state[2]
+    return behind
 
 
 @compiled
-def _advance(
-    state: FloatArray, ends: tuple[float, float, float, float], at: float, dt: float, body: Body, touching: bool
-) -> FloatArray:
+def pressing(state: FloatArray, ends: Ends, at: float, body: Body, touching: bool) -> bool:
+    """Tell whether the payload is on the environment, given whether it was."""
+    return bool(pressure(state, ends, at, body, touching).real > 0.0)
+
+
+@compiled
+def advance(state: Array, ends: Ends, at: complex, dt: complex, body: Body, touching: bool) -> Array:
     """Return the state after `dt` samples, by the classical fourth-order rule."""
-    slope, total, probe = np.empty(4), np.zeros(4), state.copy()
+    slope, total, probe = np.empty_like(state), np.zeros_like(state), state.copy()
     for stage in range(4):
         share = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
         payload, environment = accelerations(probe, ends, at + share * dt, body, touching)
@@ -214,41 +157,107 @@ def _advance(
 
 
 @compiled
-def switch(state: FloatArray, ends: tuple[float, float, float, float], body: Body, touching: bool) -> bool:
-    """Move `state` through a sample in which the payload touches or leaves; return whether it touches at the end."""
+def meet(state: Array, body: Body, touching: bool) -> None:
+    """Change the state where the payload touches, taking the environment's mass along without rebound, or leaves."""
+    if touching:
+        state[1] = (body[3] * state[1] + body[6] * state[3]) / (body[3] + body[6])
+    elif returns_at_once(body):
+        state[2], state[3] = 0.0, 0.0
+    else:
+        state[2], state[3] = state[0], state[1]
+
+
+@compiled
+def switch(state: FloatArray, ends: Ends, body: Body, touching: bool, taken: FloatArray) -> tuple[bool, int]:
+    """Move `state` through a sample in which the payload touches or leaves; return whether it touches at the end.
+
+    `taken` (MOST_TAKEN, 2) is given the steps, whose number is returned, too: how long each is, and whether it ends at
+    a touch or a release, which it does where `pressure` passes 0, or at once: who meets a wall that is pulled back by
+    its spring is rid of it again.
+    """
     k_s, b_s, b_p, m_p, k_e, b_e, m_e = body
     rate = np.sqrt((k_s + k_e) / m_p) + (b_s + b_p + b_e) / m_p
     if not returns_at_once(body):
         rate = max(rate, np.sqrt(k_e / m_e) + b_e / m_e)
     steps = int(min(max(np.ceil(rate / _RADIANS_PER_STEP), 8.0), _MOST_STEPS))
-    size, at, switches = 1.0 / steps, 0.0, 0
+    size, at, switches, count = 1.0 / steps, 0.0, 0, 0
     while at < 1.0 - 1e-12:
         dt = min(size, 1.0 - at)
-        end = _advance(state, ends, at, dt, body, touching)
+        end = advance(state, ends, at, dt, body, touching)
         # What chatters more often than this within a sample is taken to stay as it is until the next tick.
         if switches >= _MOST_SWITCHES or pressing(end, ends, at + dt, body, touching) == touching:
             state[:] = end
-            at += dt
-            continue
-        low, high = 0.0, dt
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (low + high)
-            probe = _advance(state, ends, at, middle, body, touching)
-            if pressing(probe, ends, at + middle, body, touching) == touching:
-                low = middle
-            else:
-                high = middle
-        state[:] = _advance(state, ends, at, high, body, touching)
-        at += high
-        switches += 1
-        touching = not touching
-        if touching:
-            # The payload takes the environment's mass along without rebound.
-            state[1] = (m_p * state[1] + m_e * state[3]) / (m_p + m_e)
-        elif returns_at_once(body):
-            state[2], state[3] = 0.0, 0.0
         else:
-            state[2], state[3] = state[0], state[1]
+            dt = _until(state, ends, at, dt, body, touching)
+            state[:] = advance(state, ends, at, dt, body, touching)
+            switches += 1
+            touching = not touching
+            meet(state, body, touching)
+            taken[count, 1] = _AT_ONCE if dt < size * _AN_INSTANT else _AT_ZERO
+        taken[count, 0] = dt
+        at += dt
+        count += 1
     if touching:
         state[2], state[3] = state[0], state[1]
-    return touching
+    return touching, count
+
+
+@compiled
+def _until(state: FloatArray, ends: Ends, at: float, longest: float, body: Body, touching: bool) -> float:
+    """Return after how many samples, `longest` at most, the payload touches or leaves."""
+    low, high = 0.0, longest
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        probe = advance(state, ends, at, middle, body, touching)
+        if pressing(probe, ends, at + middle, body, touching) == touching:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+@compiled
+def switch_along(along: ComplexArray, touching: bool, taken: FloatArray) -> None:
+    """Move the states in `along` (p, 15) through the steps (n, 2) that `switch` took.
+
+    Its rows are state, flange at both ends, and body; all have the same real parts, and the imaginary ones are TINY
+    times slopes. Where `pressure` is 0 at a touch or release, that moves so that it stays 0; the last step ends at the
+    tick.
+    """
+    passed = np.zeros(len(along), dtype=np.complex128)
+    for step in range(len(taken)):
+        dt, turns = taken[step, 0], taken[step, 1] > 0.0
+        at_zero = taken[step, 1] == _AT_ZERO
+        growing = _growth(along[0].real, passed[0].real, dt, touching) if at_zero else 1.0
+        for i in range(len(along)):
+            state, ends, body = _parts(along[i])
+            length = dt + 0j
+            if at_zero:
+                end = advance(state, ends, passed[i], length, body, touching)
+                off = pressure(end, ends, passed[i] + length, body, touching).imag
+                length -= 1j * (off / growing)
+            elif step == len(taken) - 1 and not turns:
+                length = 1.0 - passed[i]
+            state[:] = advance(state, ends, passed[i], length, body, touching)
+            passed[i] += length
+            if turns:
+                meet(state, body, not touching)
+        touching ^= turns
+    if touching:
+        along[:, 2:4] = along[:, :2]
+
+
+@compiled
+def _growth(of: FloatArray, at: float, dt: float, touching: bool) -> float:
+    """Return how fast `pressure` changes with time, `dt` samples after a state."""
+    state, ends, body = _parts(of + 0j)
+    later = dt + TINY * 1j
+    end = advance(state, ends, at + 0j, later, body, touching)
+    found = pressure(end, ends, at + later, body, touching).imag / TINY
+    # What only grazes does not move.
+    return found if found != 0.0 else np.inf
+
+
+@compiled
+def _parts(of: Array) -> tuple[Array, Ends, Body]:
+    return of[:4], (of[4], of[5], of[6], of[7]), (of[8], of[9], of[10], of[11], of[12], of[13], of[14])

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .joint_kernel import mark_robot, run_robot
+from .joint_kernel import TINY, mark_robot, run_robot
 from .joint_model import Hold, held, held_step, robot_rate
 from .joint_noise import Smoother
 
@@ -112,7 +112,7 @@ class FlangePath:
             # What acts at the end of a sample has acted since its fraction.
             arriving = answer[1:] + of_command * newer[: len(arriving)] + arriving
             position = states[:, 0] + position
-            velocity = answer + of_command * (older if self.hold.fraction > 0.0 else newer) + velocity
+            velocity = answer + of_command * (older if self.hold.fraction.real > 0.0 else newer) + velocity
             drive = [states[:count], older[:count, None], newer[:count, None], *drive]
         ends = np.empty((count, 4))
         ends[:, 0], ends[:, 1] = position[:count], velocity[:count]
@@ -172,6 +172,34 @@ def commanded_path(
         robot=robot_rate(values, period_s),
         hold=held(float(values[-1]), period_s),
         keeps=keeps,
+    )
+
+
+def path_slope(path: FlangePath, values: FloatArray, index: int, period_s: float) -> FlangePath:
+    """Return the derivative of a commanded path by one of the robot's parameters, as a path of its own, exactly.
+
+    The derivative s' of the robot's state s moves by S s' + S' (s, commands): (s', s) is the state of one more system
+    under the same command. What the pose shows beside the robot is linear in it.
+    """
+    if path.run is None or path.robot is None:
+        raise ValueError("A path without a command does not depend on the robot.")
+    turned = [complex(value, TINY if i == index else 0.0) for i, value in enumerate(values)]
+    step, row = held_step(turned, period_s)[0], robot_rate(turned, period_s)[0]
+    order = len(step)
+    both = np.zeros((2 * order, 2 * order + 2))
+    both[:order, :order], both[:order, order:] = step.real[:, :order], step.imag / TINY
+    both[order:, order:] = step.real
+    command, nowhere, start = path.run.command_m, np.zeros(len(path.position_m)), np.zeros(2 * order)
+    start[order] = command[0]
+    marks, mean = mark_robot(both, command, path.run.older, start, nowhere, _MARK_EVERY)
+    return FlangePath(
+        position_m=nowhere,
+        smoother=path.smoother,
+        mean_m=mean,
+        run=RobotRun(step=both, command_m=command, older=path.run.older, marks=marks),
+        robot=np.concatenate([row.real[:-1], row.imag / TINY])[None],
+        hold=path.hold,
+        keeps=1,
     )
 
 

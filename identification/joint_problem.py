@@ -109,10 +109,6 @@ class Problem:
         """Return the flange's path at these parameters."""
         return self.signals.path(values, self.layout) if self.known_path is None else self.known_path
 
-    def path_once(self, values: FloatArray) -> FlangePath:
-        """Return the path at parameters that nobody asks for again: it keeps the span only that was asked for last."""
-        return self.signals.path_of(values[self.layout.robot], keeps=1)
-
     def noise(self, segment: Segment) -> Whitener:
         """Return the whitener of a segment's force."""
         return self.contact_noise if segment.is_contact else self.free_noise

@@ -1,23 +1,20 @@
 """Spans of the log that one payload on one spring explains, and the force that the model predicts there."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .joint_kernel import returns_at_once, run_contact, run_free
-from .joint_model import Layout, body, payload_step, swing_step
-from .joint_path import FlangePath
+from .joint_force_kernel import ModeArray, RealBody, run_contact, run_free
+from .joint_kernel import Body, returns_at_once
+from .joint_model import Array, Layout, body, payload_step, swing_step
+from .joint_path import Cut, FlangePath
 
 FloatArray = NDArray[np.float64]
 
 _NO_SURFACE = np.zeros(3)
-_STEP_SHARE = 1e-6
-_OWN_SIZES = (1.0, 1.0, 1.0, 1e-3)
-_OFFSET = 2
-_DOMINATED = 0.2
+OFFSET = 2
 FREE = -1
 
 
@@ -60,21 +57,75 @@ def predict_force(
 
     F = K_s (x_p − x) + B_s (v_p − v) + offset, with F_e = M_e dv_p/dt + B_e v_p + K_e (x_p − x_w) ≥ 0 in contact.
     """
-    cut, sign = path.cut(segment.slice), float(segment.sign)
-    surface = values[layout.surface(segment.surface)] if segment.is_contact else _NO_SURFACE
-    of = body(values[:4], surface, period_s)
-    wall = float(sign * nuisance[3] if segment.is_contact else cut.ends[0, 0])
-    x, v = sign * float(cut.ends[0, 0]) - wall, sign * float(cut.ends[0, 1])
-    start, place = (x + float(nuisance[0]) / of[0], v + float(nuisance[1]) / of[0]), (sign, wall)
-    phi, gamma = payload_step(of, path.robot, path.hold.fraction, touching=False)
+    cut = path.cut(segment.slice)
+    law = law_of(values, nuisance, segment, path, layout, period_s)
+    return np.asarray(segment.sign * run(law, cut, segment).force + nuisance[OFFSET])
+
+
+class Law(NamedTuple):
+    """What a span's motion follows.
+
+    `phi` (2, 2, 2) and `gamma` (2, 2, m) of free motion and contact, `swing` (2, 2) of a freed environment; `wall` is
+    where all is counted from in the direction of pressing, `start` the payload's place and velocity at first.
+    """
+
+    phi: FloatArray
+    gamma: FloatArray
+    swing: FloatArray
+    body: Body
+    wall: float
+    start: tuple[float, float]
+
+
+def law_of(
+    values: FloatArray, nuisance: FloatArray, segment: Segment, path: FlangePath, layout: Layout, period_s: float
+) -> Law:
+    """Return what a span's motion follows, for what `predict_force` takes."""
+    of = body(values[:4], surface_of(values, segment, layout), period_s)
+    x, v = (segment.sign * float(end) for end in path.cut(segment.slice).ends[0, :2])
+    wall = segment.sign * float(nuisance[3]) if segment.is_contact else x
+    start = x - wall + float(nuisance[0]) / of[0].real, v + float(nuisance[1]) / of[0].real
+    phi, gamma, swing = steps_of(of, path.robot, path.hold.fraction, touches=segment.is_contact)
+    return Law(phi=phi, gamma=gamma, swing=swing, body=of, wall=wall, start=start)
+
+
+def surface_of(values: FloatArray, segment: Segment, layout: Layout) -> FloatArray:
+    """Return K_e, B_e, M_e of what a segment touches, zeros for nothing."""
+    return values[layout.surface(segment.surface)] if segment.is_contact else _NO_SURFACE
+
+
+def steps_of(of: Body, robot: Array | None, fraction: complex, *, touches: bool) -> tuple[Array, Array, Array]:
+    """Return phi, gamma and swing as `Law` has them; those of a contact are of use only if it `touches`."""
+    free = payload_step(of, robot, fraction, touching=False)
+    touched = payload_step(of, robot, fraction, touching=True) if touches else free
+    swing = swing_step(of, back_at_once=not touches or returns_at_once(plain(of)))
+    return np.stack([free[0], touched[0]]), np.stack([free[1], touched[1]]), swing
+
+
+def plain(of: Body) -> RealBody:
+    """Return the real parts."""
+    k_s, b_s, b_p, m_p, k_e, b_e, m_e = (value.real for value in of)
+    return k_s, b_s, b_p, m_p, k_e, b_e, m_e
+
+
+class Run(NamedTuple):
+    """A span's motion: the coupling's force (n,), states (n, 2), or (n, 4) with a wall, and `run_contact`'s modes."""
+
+    force: FloatArray
+    states: FloatArray
+    modes: ModeArray
+
+
+def run(law: Law, cut: Cut, segment: Segment) -> Run:
+    """Return a span's motion in the direction of pressing."""
+    count = len(segment)
+    states, modes = np.empty((count, 4 if segment.is_contact else 2)), np.zeros(count, dtype=np.int8)
+    of, start, place = plain(law.body), law.start, (float(segment.sign), law.wall)
     if segment.is_contact:
-        touched = payload_step(of, path.robot, path.hold.fraction, touching=True)
-        swing = swing_step(of, back_at_once=returns_at_once(of))
-        modes = np.stack([phi, touched[0]]), np.stack([gamma, touched[1]])
-        force = run_contact(*modes, swing, cut.drive, cut.ends, of, place, start)
+        force = run_contact(law.phi, law.gamma, law.swing, cut.drive, cut.ends, of, place, start, states, modes)
     else:
-        force = run_free(phi, gamma, cut.drive, cut.ends, of, place, start)
-    return np.asarray(sign * force + nuisance[2])
+        force = run_free(law.phi[0], law.gamma[0], cut.drive, cut.ends, of, place, start, states)
+    return Run(force, states, modes)
 
 
 def shared_indices(segment: Segment, layout: Layout, *, through_robot: bool) -> NDArray[np.intp]:
@@ -82,62 +133,3 @@ def shared_indices(segment: Segment, layout: Layout, *, through_robot: bool) -> 
     robot = np.arange(layout.robot.start, layout.robot.stop if through_robot else layout.robot.start)
     surface = np.arange(*layout.surface(segment.surface).indices(len(layout))) if segment.is_contact else np.empty(0)
     return np.concatenate([np.arange(4), robot, surface]).astype(np.intp)
-
-
-def force_jacobian(
-    values: FloatArray,
-    sizes: FloatArray,
-    nuisance: FloatArray,
-    segment: Segment,
-    paths: Callable[[int, int], FlangePath],
-    indices: NDArray[np.intp],
-    layout: Layout,
-    period_s: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the prediction (n,) and its derivatives (p, n) by the shared parameters `indices`, then its nuisances.
-
-    One-sided differences of an exact solution: `sizes` are the parameters' units, and the error of a difference is a
-    millionth of the curvature. `paths(i, n)` is the flange's path with parameter i moved by n steps. A bounce that
-    begins or ends at a tick makes the prediction jump there; a derivative that one sample dominates is therefore taken
-    over the next step too, and the smaller one counts, sample by sample.
-    """
-
-    def shared(index: int, steps: int) -> FloatArray:
-        there = values.copy()
-        there[index] += steps * _STEP_SHARE * sizes[index]
-        return predict_force(there, nuisance, segment, paths(index, steps), layout, period_s)
-
-    def own(index: int, steps: int) -> FloatArray:
-        there = nuisance.copy()
-        there[index] += steps * _STEP_SHARE * _OWN_SIZES[index]
-        return predict_force(values, there, segment, paths(0, 0), layout, period_s)
-
-    base = predict_force(values, nuisance, segment, paths(0, 0), layout, period_s)
-    rows = np.empty((len(indices) + segment.nuisance_count, len(base)))
-    for row, i in zip(rows, indices, strict=False):
-        row[:] = difference(partial(shared, int(i)), base, _STEP_SHARE * sizes[i])
-    for index, row in enumerate(rows[len(indices) :]):
-        step = _STEP_SHARE * _OWN_SIZES[index]
-        row[:] = 1.0 if index == _OFFSET else difference(partial(own, index), base, step)
-    return base, rows
-
-
-def difference(predicted: Callable[[int], FloatArray], base: FloatArray, step: float) -> FloatArray:
-    """Return the slope of what 1 and 2 steps predict, a jump in a few samples left out (see `force_jacobian`)."""
-    once = predicted(1)
-    slope = (once - base) / step
-    return _smaller(slope, (predicted(2) - once) / step) if _is_jump(slope) else slope
-
-
-def _is_jump(slope: FloatArray) -> bool:
-    square = slope * slope
-    return bool(np.max(square) > _DOMINATED * np.sum(square))
-
-
-def _smaller(first: FloatArray, second: FloatArray) -> FloatArray:
-    return np.where(np.abs(first) <= np.abs(second), first, second)
-
-
-def robot_step(sizes: FloatArray, index: int) -> float:
-    """Return by how much a robot parameter is moved for its derivative."""
-    return _STEP_SHARE * float(sizes[index])

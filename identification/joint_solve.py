@@ -7,9 +7,10 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from .joint_path import FlangePath
+from .joint_path import FlangePath, path_slope
 from .joint_problem import Point, Problem, logarithmic, sizes_of
-from .joint_segments import Segment, force_jacobian, predict_force, robot_step, shared_indices
+from .joint_segments import Segment, predict_force, shared_indices
+from .joint_slopes import force_jacobian
 
 FloatArray = NDArray[np.float64]
 
@@ -41,23 +42,18 @@ def linearise(problem: Problem, point: Point) -> list[Block]:
     robot = range(layout.robot.start, layout.robot.stop)
 
     @cache
-    def moved(index: int, steps: int) -> FlangePath:
-        values = point.values.copy()
-        values[index] += steps * robot_step(sizes, index)
-        return problem.path_once(values)
-
-    def paths(index: int, steps: int) -> FlangePath:
-        return moved(index, steps) if index in robot and problem.known_path is None else here
+    def slope(index: int) -> FlangePath:
+        return path_slope(here, point.values[layout.robot], index - robot.start, signals.period_s)
 
     blocks = [
-        _force_block(problem, point.values, nuisance, segment, paths)
+        _force_block(problem, point.values, nuisance, segment, here, slope)
         for segment, nuisance in zip(problem.segments, point.nuisances, strict=True)
     ]
     if problem.pose_spans:
         indices = np.array(robot)
         for span in map(signals.at_poses, problem.pose_spans):
             misfit = here.misfit(span)
-            slopes = [(moved(i, 1).misfit(span) - misfit) / robot_step(sizes, i) * sizes[i] for i in robot]
+            slopes = [slope(i).misfit(span) * sizes[i] for i in robot]
             rows = np.array([misfit, *slopes, np.ones(len(misfit))]).T
             blocks.append(_block(problem.pose_noise.apply(rows), indices, 1))
     return blocks + _known(problem, point)
@@ -68,13 +64,15 @@ def _force_block(
     values: FloatArray,
     nuisance: FloatArray,
     segment: Segment,
-    paths: Callable[[int, int], FlangePath],
+    here: FlangePath,
+    slope: Callable[[int], FlangePath],
 ) -> Block:
-    """Return a span's force; `paths` is that of `force_jacobian`."""
-    signals, layout, here = problem.signals, problem.layout, paths(0, 0)
+    """Return a span's force on the flange's path, whose derivatives are `slope`: see `force_jacobian`."""
+    signals, layout = problem.signals, problem.layout
     sizes = sizes_of(values, layout, signals.period_s)
     indices = shared_indices(segment, layout, through_robot=problem.known_path is None)
-    predicted, jacobian = force_jacobian(values, sizes, nuisance, segment, paths, indices, layout, signals.period_s)
+    period = signals.period_s
+    predicted, jacobian = force_jacobian(values, nuisance, segment, here, slope, indices, layout, period)
     jacobian[: len(indices)] *= sizes[indices, None]
     lines = [(predicted - signals.force_n[segment.slice])[None], jacobian]
     if here.robot is None:
@@ -206,7 +204,8 @@ def _bounded_step(problem: Problem, point: Point, matrix: FloatArray, gradient: 
     for _ in range(count):
         step[:] = 0.0
         inside = matrix[np.ix_(free, free)]
-        ridge = 1e-10 * np.maximum(np.diag(inside), 1e-12)
+        # What the spans do not tell to 30 of its sizes stays where it is: its slopes may be nothing but rounding.
+        ridge = 1e-10 * np.diag(inside) + 1e-3
         step[free] = -np.linalg.solve(inside + np.diag(ridge), gradient[free])
         at_bound = linear & (scaled <= 0.0)
         at_bound[3] = point.values[3] <= problem.lightest_kg

@@ -5,8 +5,8 @@ import numpy as np
 from .errors import EstimateError
 from .plan_contacts import ContactPlan, plan_contacts, through_coupling
 from .plan_poses import PosePlan, plan_poses, smallest_tilt_deg
-from .plan_result import LABELS, ExperimentPlan, Limits, Prediction, Step, StepKind
-from .plan_sweep import SweepLimits, SweepPlan, plan_sweep
+from .plan_result import LABELS, UNITS, ExperimentPlan, Limits, Prediction, Step, StepKind
+from .plan_sweep import SweepLimits, SweepPlan, careful_force_n, plan_sweep
 from .plan_taps import TapPlan, plan_taps
 from .plan_values import PlanValues
 
@@ -15,7 +15,6 @@ _COM_M = 2e-3
 _DAMPING_FLOOR = 0.1
 _DELAY_SAMPLES = 0.2
 _AIM = 0.5
-_GUESSED_SHARE = 0.5
 
 _STEP_OF = {
     "mass_kg": "poses",
@@ -87,8 +86,7 @@ def plan_experiment(axis: str, values: PlanValues, limits: Limits) -> Experiment
 
 
 def _force_limit(limits: Limits, std: dict[str, float | None], *names: str) -> float:
-    """Return the limit, half of it where what shapes the peak is a guess: a resonance or a surface may surprise."""
-    return limits.max_force_n * (_GUESSED_SHARE if any(std[name] is None for name in names) else 1.0)
+    return careful_force_n(limits.max_force_n, [std[name] for name in names])
 
 
 def _named(step: str) -> list[str]:
@@ -176,6 +174,8 @@ def _ordered(
         mine = tuple(predictions[name] for name in _named(kind))
         needed = urgency[kind] > 1.0
         why = _why(kind, mine, needed=needed, waits=waits)
+        if kind == "contacts" and values.surface:
+            why += f"; planned for surface {values.surface}"
         if kind == "contacts" and contacts is None:
             why += f"; no contact stays surely below {limits.max_force_n:g} N"
         steps.append(Step(kind=StepKind(kind), is_needed=needed, why=why, predictions=mine, settings=plans[kind]))
@@ -200,7 +200,10 @@ def _why(kind: str, mine: tuple[Prediction, ...], *, needed: bool, waits: bool) 
     if worst.std_now is None:
         sentence = f"{label} is not known yet"
     else:
-        sentence = f"{label} is known to {worst.std_now:.2g}, {worst.urgency:.2g} times what is allowed"
+        unit, scale = UNITS[worst.name]
+        sentence = (
+            f"{label} is known to ± {worst.std_now * scale:.2g} {unit}, {worst.urgency:.2g} times what is allowed"
+        )
     if waits and kind == "sweep":
         return "most of what is not known of environment K_e comes from coupling K_s, which the sweep tells"
     if waits and kind == "contacts":

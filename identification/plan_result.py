@@ -9,7 +9,7 @@ from problems.errors import ParameterError
 
 from .plan_contacts import ContactPlan
 from .plan_poses import FEWEST_POSES, PosePlan
-from .plan_sweep import SweepPlan
+from .plan_sweep import SweepLimits, SweepPlan
 from .plan_taps import TapPlan
 from .plan_values import PlanValues
 
@@ -26,6 +26,19 @@ LABELS = {
     "environment_damping_n_s_per_m": "environment B_e",
 }
 """What people call the parameters of a plan."""
+UNITS = {
+    "mass_kg": ("kg", 1.0),
+    "com_m": ("mm", 1e3),
+    "stiffness_n_per_m": ("N/mm", 1e-3),
+    "damping_n_s_per_m": ("N·s/m", 1.0),
+    "drag_n_s_per_m": ("N·s/m", 1.0),
+    "motion_mass_kg": ("kg", 1.0),
+    "bandwidth_hz": ("Hz", 1.0),
+    "delay_s": ("ms", 1e3),
+    "environment_stiffness_n_per_m": ("N/mm", 1e-3),
+    "environment_damping_n_s_per_m": ("N·s/m", 1.0),
+}
+"""Their units on the screen, and how many of them an SI unit is."""
 
 
 class StepKind(StrEnum):
@@ -43,10 +56,10 @@ class Limits:
 
     max_tilt_deg: float = 60.0
     pose_count: int = 9
-    max_speed_m_s: float = 0.25
-    max_force_n: float = 100.0
-    max_stroke_m: float = 0.02
-    max_duration_s: float = 60.0
+    max_speed_m_s: float = SweepLimits.max_speed_m_s
+    max_force_n: float = SweepLimits.max_force_n
+    max_stroke_m: float = SweepLimits.max_stroke_m
+    max_duration_s: float = SweepLimits.max_duration_s
     max_frequency_hz: float | None = None
 
     def __post_init__(self) -> None:

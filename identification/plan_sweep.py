@@ -1,5 +1,6 @@
 """Which sweep tells coupling, payload and robot best: predicted deviations from the Fisher information."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
 
@@ -27,6 +28,7 @@ _AIM = 0.5
 _MODEL_SHARE = 0.3  # of the misfit
 _MODEL_DAMPING_SHARE = 0.1  # of the misfit, times the critical damping
 _INDEPENDENT_MISFITS = 40.0
+_GUESSED_SHARE = 0.5
 _SINGULAR = 1e13
 _STEP = 1e-5
 
@@ -35,10 +37,10 @@ _STEP = 1e-5
 class SweepLimits:
     """What the cell allows: speed of the command, force at the sensor, travel to each side, length, frequency."""
 
-    max_speed_m_s: float
-    max_force_n: float
-    max_stroke_m: float
-    max_duration_s: float
+    max_speed_m_s: float = 0.25
+    max_force_n: float = 100.0
+    max_stroke_m: float = 0.02
+    max_duration_s: float = 60.0
     max_frequency_hz: float | None = None
 
 
@@ -165,23 +167,39 @@ def _delay_size(robot: RobotModel) -> float:
 def _predicted(
     values: PlanValues, limits: SweepLimits, low: float, high: float, length: float, robot_limit: float
 ) -> SweepPlan:
-    frequency = np.geomspace(low, high, _POINTS)
-    s = _s(frequency)
-    per_speed = np.abs(_slopes(values, s)[1] / s)
-    speeds = {
-        "max-speed": limits.max_speed_m_s * float(np.min(_passed(values.robot, frequency))),
-        "max-force": limits.max_force_n / float(np.max(per_speed)),
-        "max-stroke": limits.max_stroke_m * 2.0 * np.pi * low,
-    }
-    bound_by = min(speeds, key=lambda name: speeds[name])
-    sweep = Sweep(low_hz=low, high_hz=high, flange_speed_m_s=speeds[bound_by], duration_s=length)
+    sweep, force_n, bound_by = fastest_sweep(values, limits, low, high, length)
     return SweepPlan(
         sweep=sweep,
         std=_std_after(values, sweep),
-        peak_force_n=float(np.max(per_speed)) * sweep.flange_speed_m_s,
+        peak_force_n=force_n,
         bound_by=bound_by,
         robot_limit_hz=robot_limit,
     )
+
+
+def careful_force_n(max_force_n: float, stds: Iterable[float | None]) -> float:
+    """Return the limit, half of it where what shapes the peak is a guess: a resonance or a surface may surprise."""
+    return max_force_n * (_GUESSED_SHARE if any(std is None for std in stds) else 1.0)
+
+
+def fastest_sweep(
+    values: PlanValues, limits: SweepLimits, low_hz: float, high_hz: float, duration_s: float
+) -> tuple[Sweep, float, str]:
+    """Return the sweep over a band with the highest flange speed within the limits.
+
+    Beside it the largest amplitude of the force [N] and the name of the limit that keeps the speed down.
+    """
+    frequency = np.geomspace(low_hz, high_hz, _POINTS)
+    s = _s(frequency)
+    force_per_speed = float(np.max(np.abs(felt_impedance(values.theta, s) / s)))
+    speeds = {
+        "max-speed": limits.max_speed_m_s * float(np.min(_passed(values.robot, frequency))),
+        "max-force": limits.max_force_n / force_per_speed,
+        "max-stroke": limits.max_stroke_m * 2.0 * np.pi * low_hz,
+    }
+    bound_by = min(speeds, key=lambda name: speeds[name])
+    sweep = Sweep(low_hz=low_hz, high_hz=high_hz, flange_speed_m_s=speeds[bound_by], duration_s=duration_s)
+    return sweep, force_per_speed * sweep.flange_speed_m_s, bound_by
 
 
 def _std_after(values: PlanValues, sweep: Sweep) -> dict[str, float]:
@@ -232,14 +250,7 @@ def standard_deviations(information: FloatArray) -> FloatArray:
 
 def _slopes(values: PlanValues, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     """Return dZ/dθ (n, 4) for K_s, B_s, B_p, M_p by central differences, and Z (n,)."""
-    theta = np.array(
-        [
-            values.stiffness_n_per_m.value,
-            values.damping_n_s_per_m.value,
-            values.drag_n_s_per_m.value,
-            values.mass_kg.value,
-        ]
-    )
+    theta = values.theta
     critical = values.critical_damping_n_s_per_m
     steps = 1e-5 * np.array([theta[0], critical, critical, theta[3]])
     slopes = [

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from problems.errors import ParameterError
 from problems.robot import RobotModel
@@ -42,6 +43,7 @@ class PlanValues:
     `com_m` is the distance of the centre of mass from the sensor with the deviation of its worst component;
     `motion_mass_kg` is M_p as motion tells it. `pose_force_std_n`, `pose_torque_std_n_m`: what one pose at rest misses
     by, beyond noise; `misfit_share` is what the model of motion and contact misses of the force, beyond noise.
+    `surface` is the one that is to be touched, where the file knows some.
     """
 
     mass_kg: Known
@@ -62,6 +64,7 @@ class PlanValues:
     position_noise_rms_m: Known = field(default_factory=lambda: Known(value=5e-6))
     sample_time_s: Known = field(default_factory=lambda: Known(value=1e-3))
     robot: RobotModel
+    surface: str = ""
 
     def __post_init__(self) -> None:
         for name, known in self.known().items():
@@ -78,6 +81,12 @@ class PlanValues:
     def assumed(self) -> dict[str, float]:
         """Return the values that are usual ones and no results."""
         return {name: known.value for name, known in self.known().items() if known.is_assumed}
+
+    @property
+    def theta(self) -> NDArray[np.float64]:
+        """K_s, B_s, B_p, M_p (4,) in SI."""
+        coupling = self.stiffness_n_per_m.value, self.damping_n_s_per_m.value
+        return np.array([*coupling, self.drag_n_s_per_m.value, self.mass_kg.value])
 
     @property
     def critical_damping_n_s_per_m(self) -> float:
@@ -213,6 +222,9 @@ def _with_axis(values: PlanValues, axis: AxisEstimate) -> PlanValues:
             values,
             environment_stiffness_n_per_m=_known(surface.stiffness_n_per_m, values.environment_stiffness_n_per_m),
             environment_damping_n_s_per_m=_known(told, values.environment_damping_n_s_per_m, may_vanish=True),
+            surface=surface.name
+            if len(axis.environments) == 1
+            else f"{surface.name}, the least well known of {len(axis.environments)}",
         )
     return values
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from .aligned import spans_of
 from .segments import Motion, Span, low_pass, without_pauses, without_short
-from .timeline_law import ContactTimes, learn_law, suspect_hand
+from .timeline_law import ContactTimes, Law, learn_law, suspect_hand
 from .timeline_motion import is_hand_led
 from .timeline_payload import AxisContacts, Payload, least_touch, press_sign
 
@@ -30,7 +30,7 @@ class Pressed:
     """Rests under force: `contacts` with a surface, those that are `untold`, and those `by_hand`.
 
     Untold is what the way in or out does not show, or shows as no law of force over depth; by hand is what rests on
-    something softer than any surface.
+    something that is softer than any surface or drives the payload.
     """
 
     contacts: tuple[ContactTimes, ...]
@@ -68,18 +68,19 @@ def find_contacts(of: AxisContacts, payload: Payload, motion: Motion, period_s: 
     contacts = [
         replace(contact, hand_suspected=suspect_hand(contact, law, payload, free, period_s))
         for contact, law in pairs
-        if law is not None and law.is_clear and law.stiffness >= of.softest_n_per_m
+        if law is not None and law.is_clear and not _is_hand(law, of)
     ]
     restless = _restless(of, payload, motion, contacts, noise, period_s)
     return Pressed(
         contacts=tuple(sorted((*contacts, *restless), key=lambda each: each.span.start)),
         untold=tuple(contact.hold for contact, law in pairs if law is None or not law.is_clear),
-        by_hand=tuple(
-            contact.hold
-            for contact, law in pairs
-            if law is not None and law.is_clear and law.stiffness < of.softest_n_per_m
-        ),
+        by_hand=tuple(contact.hold for contact, law in pairs if law is not None and law.is_clear and _is_hand(law, of)),
     )
+
+
+def _is_hand(law: Law, of: AxisContacts) -> bool:
+    """Return whether what is touched is softer than any surface, or drives the payload."""
+    return law.stiffness < of.softest_n_per_m or law.is_driving
 
 
 def _restless(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 from scipy.special import fdtri
 
 from .segments import Span
@@ -24,6 +25,8 @@ FALSE_ALARM = 1e-3
 _SMALLEST_HAND_SHARE = 0.04
 _LAW_SHARE = 0.1
 _POOR_LAW = 0.5
+_BROKEN_LAW = 0.2
+_DRIVING_SHARE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,16 +50,30 @@ class ContactTimes:
 
 @dataclass(frozen=True, kw_only=True)
 class Law:
-    """F_e = K_e (x_p − x_w) + B_e v_p and the share of the variance of F_e that it leaves."""
+    """F_e = K_e (x_p − x_w) + B_e v_p with K_e, B_e ≥ 0, and the share of the variance of F_e that it leaves.
+
+    `unsigned_share` is what it would leave with any signs: a hand that drives the payload is a damping below zero.
+    """
 
     stiffness: float
     damping: float
     left_share: float
+    unsigned_share: float
 
     @property
     def is_clear(self) -> bool:
-        """Whether it explains half of the force or more."""
-        return self.left_share < _POOR_LAW
+        """Whether half of the force or more goes with depth and speed."""
+        return self.unsigned_share < _POOR_LAW
+
+    @property
+    def is_driving(self) -> bool:
+        """Whether it takes a damping or a stiffness below zero: what is touched does work, as no surface can."""
+        return self.left_share - self.unsigned_share > _DRIVING_SHARE
+
+    @property
+    def is_broken(self) -> bool:
+        """Whether it leaves more than what yields ever harder, F_e ∝ depth³, would leave (0.16)."""
+        return self.left_share > _BROKEN_LAW
 
 
 def learn_law(contact: ContactTimes, of: AxisContacts, payload: Payload, period_s: float) -> Law | None:
@@ -75,13 +92,21 @@ def learn_law(contact: ContactTimes, of: AxisContacts, payload: Payload, period_
     if (used.stop - used.start) * period_s < _SHORTEST_LEARNT_S:
         return None
     force, position = payload.touch_n[used], payload.position_m[used]
-    rows = np.column_stack([position - position.mean(), payload.velocity_m_s[used], np.ones(len(force))])
+    rows = np.column_stack([position, payload.velocity_m_s[used]])
     if not np.all(np.isfinite(rows)):
         return None
+    # On the way into something soft the speed falls as the depth grows: only the signs tell K_e and B_e apart.
+    rows, force = rows - rows.mean(axis=0), force - force.mean()
     size = np.maximum(np.max(np.abs(rows), axis=0), 1e-300)
-    solution = np.linalg.lstsq(rows / size, force, rcond=None)[0]
-    share = float(np.var(force - rows / size @ solution) / max(float(np.var(force)), 1e-300))
-    return Law(stiffness=float(solution[0] / size[0]), damping=float(solution[1] / size[1]), left_share=share)
+    solution, left = nnls(rows / size, force)
+    unsigned = force - rows / size @ np.linalg.lstsq(rows / size, force, rcond=None)[0]
+    energy = max(float(force @ force), 1e-300)
+    return Law(
+        stiffness=float(solution[0] / size[0]),
+        damping=float(solution[1] / size[1]),
+        left_share=float(left**2 / energy),
+        unsigned_share=float(unsigned @ unsigned / energy),
+    )
 
 
 def _last_touch(contact: ContactTimes, of: AxisContacts, payload: Payload) -> int:
@@ -101,8 +126,11 @@ def suspect_hand(
 
     What the law leaves of F_e from the hold to the release is a hand (or a wall that moves). Its means over 50 ms are
     held against those at rest by an F-test of level `FALSE_ALARM`, widened by a tenth of what the law says changes and
-    by 4 % of the hold's force. None where the log is too short.
+    by 4 % of the hold's force. A hand that is there on the way in leaves no law (`Law.is_broken`). None where the log
+    is too short.
     """
+    if law.is_broken:
+        return True
 
     def left(span: Span) -> FloatArray:
         position, velocity = payload.position_m[span.slice], payload.velocity_m_s[span.slice]

@@ -7,7 +7,7 @@ from .compiled import compiled
 from .contact_kernel import run_contact
 from .contact_start import contact_forces, steady_start
 from .controller import blocks_of
-from .margin_kernel import EVERY_MARGIN, MARGINS, MODULUS_ALONE, find_loop_margins
+from .margin_kernel import MARGINS, MODULUS_ALONE, find_loop_margins
 from .polynomials import CONTROLLER_POWERS, STABLE, controller_polynomials, hurwitz, loop_polynomial
 
 FloatArray = NDArray[np.float64]
@@ -56,32 +56,6 @@ def judge_stability(loops: Loops, designs: FloatArray, h: float, theta: float, i
         for j in range(count):
             out[i, j] = judge_loop(loops, j, controller, degree, h, theta, work)
     return out
-
-
-@compiled
-def margins_of_plants(
-    loops: Loops,
-    responses: FloatArray,
-    grids: Grids,
-    design: FloatArray,
-    sampling: tuple[float, float, bool],
-    out: FloatArray,
-) -> None:
-    """Fill `out` (p, 1 + MARGINS) with verdict and all margins of one design (7,) on p plants.
-
-    `responses` and `sampling` as in `evaluate_pairs`. A loop that is not STABLE leaves its margins alone.
-    """
-    controller, work, found = np.zeros((3, CONTROLLER_POWERS)), loop_room(loops), np.zeros(MARGINS)
-    h, theta, ideal = sampling
-    omega, tangent, force, position, offsets = grids
-    degree = controller_polynomials(design, ideal, controller)
-    for j in range(len(loops[1])):
-        out[j, 0] = judge_loop(loops, j, controller, degree, h, theta, work)
-        if out[j, 0] == STABLE:
-            part = slice(offsets[j], offsets[j + 1])
-            grid = (omega[part], tangent[part], force[part], position[part])
-            find_loop_margins(responses[j], grid, controller, degree, (h, theta), EVERY_MARGIN, found)
-            out[j, 1:] = found
 
 
 @compiled

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from .contact import SampledContact, build_sampled_contact, transient_from
 from .controller import AdmittanceController
 from .design import DesignProblem
-from .margin_table import MarginTable, build_margin_table
 from .margins import Margins, PreparedMargins, UnstableLoopError, prepare_margins
 from .noise import command_speed_gain
 from .passivity import PreparedPort, prepare_port
@@ -44,8 +43,7 @@ class Evaluation:
     `requirements` maps each requirement to required/achieved (≤ 1 is met), worst over the scenarios; it is empty
     and `peaks` too when the loop is unstable. `peaks` is also empty when a margin is missed, unless the peaks were
     asked for all the same. `soft` is the same of requirements that need not be met, `soft_cost_n` what each of them
-    adds to the peak in `objective_n`. `spectral_radius` is NaN of a loop that Routh's test calls stable and whose
-    radius nobody asked for; that of an unstable one is always a number.
+    adds to the peak in `objective_n`.
     """
 
     controller: AdmittanceController
@@ -152,7 +150,6 @@ class PreparedScenarios:
     plants: tuple[PreparedMargins, ...]
     free_of: tuple[Scenario, ...]
     target_response: PlantResponse | None
-    table: MarginTable
     ports: tuple[PreparedPort, ...]
 
     @property
@@ -160,19 +157,13 @@ class PreparedScenarios:
         """The different plants in free space, the lightest first."""
         return tuple(plant.sampled for plant in self.plants[len(self.pairs) :])
 
-    def evaluate(
-        self, design: Sequence[float] | FloatArray, *, peaks_if_missed: bool = False, radius: bool = True
-    ) -> Evaluation:
+    def evaluate(self, design: Sequence[float] | FloatArray, *, peaks_if_missed: bool = False) -> Evaluation:
         """Evaluate a design, the values of `problem.variables`, over the scenarios.
 
         `peaks_if_missed` asks for the peaks of a stable design that misses a requirement as well (a solver that walks
-        along the boundary needs them). Without `radius` a loop that Routh's test calls stable is told no radius.
+        along the boundary needs them).
         """
         controller = self.problem.controller(design)
-        if not radius and self.problem.requirements.decay_rate_per_s is None:
-            quick = self.table.find(controller)
-            if quick is not None:
-                return self._evaluated(controller, math.nan, self._of_plants(controller, quick), peaks_if_missed)
         radii = self.radii(controller)
         if not np.max(radii) < 1.0:
             return Evaluation(
@@ -204,21 +195,16 @@ class PreparedScenarios:
 
     def margins(self, controller: AdmittanceController, radii: FloatArray) -> tuple[PlantMargins, ...]:
         """Find the margins of every plant's loop, all of them stable."""
-        return self._of_plants(
-            controller,
-            [plant.find(controller, float(radius)) for plant, radius in zip(self.plants, radii, strict=True)],
-        )
-
-    def _of_plants(self, controller: AdmittanceController, margins: Sequence[Margins]) -> tuple[PlantMargins, ...]:
         limited = self.problem.requirements.command_noise is not None
+        of_plant = zip(self.plants, (*self.scenarios, *self.free_of), radii, strict=True)
         return tuple(
             PlantMargins(
                 scenario=scenario,
                 free_space=i >= len(self.scenarios),
-                margins=found,
-                speed_gain_m_s_per_n=command_speed_gain(self.plants[i].sampled, controller) if limited else None,
+                margins=plant.find(controller, float(radius)),
+                speed_gain_m_s_per_n=command_speed_gain(plant.sampled, controller) if limited else None,
             )
-            for i, (scenario, found) in enumerate(zip((*self.scenarios, *self.free_of), margins, strict=True))
+            for i, (plant, scenario, radius) in enumerate(of_plant)
         )
 
     def _evaluated(
@@ -292,7 +278,6 @@ def build_scenarios(problem: DesignProblem, scenarios: Sequence[Scenario]) -> Pr
         scenarios=tuple(scenarios),
         pairs=pairs,
         plants=plants,
-        table=build_margin_table(plants),
         free_of=tuple(scenario for _, scenario in free),
         target_response=_target_response(problem, [plant for plant, _ in free]),
         ports=() if problem.requirements.passivity is None else _ports([plant for plant, _ in free]),
@@ -323,7 +308,6 @@ def _target_response(problem: DesignProblem, free: Sequence[SampledPlant]) -> Pl
 
 def normalise_margins(requirements: Requirements, margins: Margins, sample_time_s: float) -> dict[str, float]:
     """Return required/achieved for every margin that is asked; ≤ 1 is met, an unlimited margin gives 0."""
-    # A radius that is not known (NaN) tells no decay, and then none is asked.
     decay = decay_rate(margins.spectral_radius, sample_time_s)
     asked = {
         "modulus_margin": (requirements.modulus_margin, margins.modulus),

@@ -21,7 +21,6 @@ from .margin_kernel import (
     Grid,
     find_loop_margins,
 )
-from .plant import Plant
 from .polynomials import CONTROLLER_POWERS, controller_polynomials, plant_polynomials
 from .response import plant_response
 from .sampled import SampledPlant, build_loop, spectral_radius
@@ -145,22 +144,17 @@ class PreparedMargins:
         degree = controller_polynomials(controller.parameters(), controller.is_ideal, factors)
         sampling = (self.sampled.sample_time_s, controller.theta)
         find_loop_margins(self.polynomials, self.grid, factors, degree, sampling, EVERY_MARGIN, found)
-        return margins_from(found, spectral_radius, self.sampled.plant)
-
-
-def margins_from(found: FloatArray, spectral_radius: float, plant: Plant) -> Margins:
-    """Return what `find_loop_margins` found as a value; raises ParameterError for a response that is not finite."""
-    if np.any(np.isnan(found)):
-        raise ParameterError("loop", plant, "one with a finite response at every frequency")
-    return Margins(
-        modulus=float(found[MODULUS]),
-        modulus_hz=float(found[MODULUS_RAD_PER_S] / (2.0 * math.pi)),
-        disk=float(found[DISK]),
-        gain_db=float(found[GAIN_DB]) if found[GAIN_DB] < LARGEST_GAIN_DB else math.inf,
-        phase_deg=math.degrees(found[PHASE_RAD]),
-        delay_s=float(found[DELAY_S]),
-        spectral_radius=spectral_radius,
-    )
+        if np.any(np.isnan(found)):
+            raise ParameterError("loop", self.sampled.plant, "one with a finite response at every frequency")
+        return Margins(
+            modulus=float(found[MODULUS]),
+            modulus_hz=float(found[MODULUS_RAD_PER_S] / (2.0 * math.pi)),
+            disk=float(found[DISK]),
+            gain_db=float(found[GAIN_DB]) if found[GAIN_DB] < LARGEST_GAIN_DB else math.inf,
+            phase_deg=math.degrees(found[PHASE_RAD]),
+            delay_s=float(found[DELAY_S]),
+            spectral_radius=spectral_radius,
+        )
 
 
 def prepare_margins(sampled: SampledPlant) -> PreparedMargins:

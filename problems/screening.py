@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .batch import controller_numbers, stack_contacts
+from .batch import check_alike, controller_numbers, stack_contacts, stack_grids, stack_loops, stack_responses
 from .batch_kernel import Contacts
 from .contact import longest_run
 from .controller import AdmittanceController
@@ -224,7 +224,9 @@ def _settle(found: Screened, index: int, evaluation: Evaluation) -> None:
 
 def build_screen(prepared: PreparedScenarios) -> Screen:
     """Stack prepared scenarios; plants in contact first, then those in free space."""
-    asked, target, table = prepared.problem.requirements, prepared.target_response, prepared.table
+    asked, target = prepared.problem.requirements, prepared.target_response
+    sampled = [plant.sampled for plant in prepared.plants]
+    check_alike(sampled)
     margins = np.zeros(PLANT_COLUMNS)
     for name, column in _MARGINS.items():
         margins[column] = 0.0 if name in asked.soft_n else getattr(asked, name) or 0.0
@@ -234,7 +236,7 @@ def build_screen(prepared: PreparedScenarios) -> Screen:
     nothing = np.zeros(0, dtype=np.complex128)
     return Screen(
         prepared=prepared,
-        plants=(table.loops, table.responses, table.grids),
+        plants=(stack_loops(sampled), stack_responses(prepared.plants), stack_grids(prepared.plants)),
         contacts=stack_contacts(prepared.pairs),
         band=(np.zeros(0), nothing, nothing)
         if target is None

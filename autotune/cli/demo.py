@@ -42,7 +42,7 @@ def command(output: Output, directory: Path, seed: int) -> None:
 def _tree(found: "DemoResult") -> dict[str, Any]:
     from autotune.files.controller import controller_tree
 
-    from .optimize import active_tree
+    from ._standing import active_tree
     from .validate import checks_tree
 
     return {
@@ -68,7 +68,7 @@ def _tree(found: "DemoResult") -> dict[str, Any]:
 def _print(found: "DemoResult") -> None:
     from autotune.files.canonical import short
 
-    from .optimize import active_lines
+    from ._standing import active_lines
 
     click.echo("\nIdentified from the log, beside the truth of the simulation")
     rows = [("parameter", "identified", "± std", "truth", "error", "unit", "verdict")]

@@ -119,8 +119,10 @@ def print_identified(result: "Identified", out: Path) -> None:
     """Print the parameters as a table, the findings below."""
     from autotune.parameter_rows import parameter_rows
 
-    rows = [("parameter", "value", "± std", "unit", "verdict")]
-    rows += [(row.name, row.value, row.std, row.unit, row.verdict) for row in parameter_rows(result)]
+    rows = [
+        ("parameter", "value", "± std", "unit", "verdict"),
+        *((row.name, row.value, row.std, row.unit, row.verdict) for row in parameter_rows(result)),
+    ]
     for line in table_lines(rows, left=(0, 3, 4)):
         click.echo(line)
     for timeline in result.timelines:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -10,7 +10,9 @@ from ._common import Output, output_options
 from ._compare import compare_lines, compare_tree
 from ._pareto import FrontWriter, pareto_options
 from ._report import check_report, print_report_path, report_option, write_report
+from ._proof import proof_options
 from ._schedule import schedule_options
+from ._standing import active_lines, active_tree
 from ._table import table_lines
 
 if TYPE_CHECKING:
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from autotune.reports.page import Page
     from autotune.studies.trace import FrontRequest
     from autotune.tuning.optimize import Optimized
+    from autotune.validation.continuous import ProofWishes
 
 _EPILOG = """\b
 Examples:
@@ -89,6 +92,7 @@ def _ordered(low: float, high: float, what: str) -> tuple[float, float]:
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same file.")
 @pareto_options
 @report_option
+@proof_options
 @output_options
 @schedule_options
 def command(
@@ -102,11 +106,13 @@ def command(
     seed: int,
     pareto: "FrontRequest | None",
     report: Path | None,
+    proof: "ProofWishes | None",
 ) -> None:
     """Search the controller with the gentlest contact that stays stable and moves freely, and validate it.
 
     Every identified axis is tuned, rotational ones in rad, N·m and kg·m². Peak force, stability and margins are those
-    of the exact sampled loop, over the whole range of payload mass and environment stiffness. Exit code 5: no
+    of the exact sampled loop, over the whole range of payload mass and environment stiffness, where stability and the
+    modulus are proved, not only swept. Exit code 5: no
     controller meets the requirements. 6: a claim could not be verified, or the file to compare with is altered. Nothing
     is written then. The controller is the same with and without --pareto. With --schedule the output is a folder.
     """
@@ -127,7 +133,9 @@ def command(
     wishes = Wishes(payload_mass_kg=payload_mass, environment_stiffness_n_per_m=environment_stiffness)
     fronts = FrontWriter(pareto, out)
     with output.progress("searching", 1.0) as advance:
-        found = optimize(plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, progress=advance)
+        found = optimize(
+            plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, proof=proof, progress=advance
+        )
     fronts.trace(output, found)
     checksum = write_controller(out, found.controller)
     fronts.write(found)
@@ -174,23 +182,6 @@ def _notes(plant: "IdentifiedFile", found: "Optimized", has_stiffness: bool) -> 
             f"--environment-stiffness is in N/m and says nothing of {', '.join(turning)}; the range certified there is "
             "the identified one, or that of problem.yaml."
         )
-
-
-def active_tree(found: "Optimized") -> dict[str, Any]:
-    """Return, per axis, the active requirements and bounds with the price of one percent in N, or in N·m."""
-    from autotune.files.records import ROTATIONAL_AXES
-
-    return {
-        name: [
-            {
-                "name": a.name,
-                "price_n_m_per_percent" if name in ROTATIONAL_AXES else "price_n_per_percent": a.price_n,
-                **({"soft": True} if a.soft else {}),
-            }
-            for a in active
-        ]
-        for name, active in found.active.items()
-    }
 
 
 def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "ControllerFile | None" = None) -> None:
@@ -256,22 +247,3 @@ def _peak_lines(scenarios: "Iterable[ScenarioPrediction]", units: "AxisUnits") -
         for s, other in zip(scenarios, beyond, strict=True)
     ]
     yield from table_lines(rows, left=(5,) if told else (), indent="  ")
-
-
-def active_lines(found: "Optimized", name: str) -> list[str]:
-    """Say in words what holds the peak of one axis up."""
-    from autotune.files.units import axis_units
-
-    active, units = found.active[name], axis_units(name)
-    if not active:
-        return [f"no requirement is active: the peak is the approach {units.force_name} itself"]
-    lines = []
-    for entry in active:
-        if entry.soft and entry.price_n > 1e-3:
-            saved = f"{entry.price_n:.2f} {units.force}"
-            lines.append(f"{entry.name} is wished, not required: wishing 1 % less saves {saved} of peak and price")
-        elif entry.price_n > 1e-3:
-            lines.append(f"{entry.name} holds the peak up: easing it by 1 % saves {entry.price_n:.2f} {units.force}")
-        else:
-            lines.append(f"{entry.name} is active, easing it alone saves nothing")
-    return lines

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from identification.plan_result import ExperimentPlan, Prediction, Step
     from identification.plan_sweep import SweepPlan
     from identification.plan_taps import TapPlan
+    from identification.plan_values import PlanValues
 
 _EPILOG = """\b
 Examples:
@@ -23,18 +24,10 @@ Examples:
   autotune plan identified.yaml --poses 0 --max-speed 0.1 --json
 """
 _POSITIVE = click.FloatRange(min=0.0, min_open=True)
-_UNITS = {
-    "mass_kg": ("kg", 1.0),
-    "com_m": ("mm", 1e3),
-    "stiffness_n_per_m": ("N/mm", 1e-3),
-    "damping_n_s_per_m": ("N·s/m", 1.0),
-    "drag_n_s_per_m": ("N·s/m", 1.0),
-    "motion_mass_kg": ("kg", 1.0),
-    "bandwidth_hz": ("Hz", 1.0),
-    "delay_s": ("ms", 1e3),
-    "environment_stiffness_n_per_m": ("N/mm", 1e-3),
-    "environment_damping_n_s_per_m": ("N·s/m", 1.0),
-}
+_DOUBTS = frozenset({"mass-disagreement", "logs-disagree", "given-contradicts"})
+# What a wrist carries, and what holds it: outside of this a unit is wrong.
+_MASS = click.FloatRange(min=0.05, max=1000.0)
+_STIFFNESS = click.FloatRange(min=1e3, max=1e8)
 
 
 @click.command("plan", epilog=_EPILOG)
@@ -49,10 +42,10 @@ _UNITS = {
     help="The file to write.",
 )
 @click.option("--axis", type=click.Choice(["x", "y", "z"]), help="The axis of sweep and contacts.")
-@click.option("--mass", type=_POSITIVE, metavar="KG", help="A guess of the payload's mass, where no file tells it.")
-@click.option("--stiffness", type=_POSITIVE, metavar="N/M", help="A guess of K_s, where no file tells it.")
+@click.option("--mass", type=_MASS, metavar="KG", help="A guess of the payload's mass, where no file tells it.")
+@click.option("--stiffness", type=_STIFFNESS, metavar="N/M", help="A guess of K_s, where no file tells it.")
 @click.option("--max-tilt", type=_POSITIVE, default=60.0, show_default=True, metavar="DEG", help="Largest tilt.")
-@click.option("--poses", type=click.IntRange(0, 24), default=9, show_default=True, help="How many; 0 for none.")
+@click.option("--poses", type=click.IntRange(0, 24), default=9, show_default=True, help="0 for none, else 4 or more.")
 @click.option(
     "--max-speed",
     type=click.FloatRange(min=1e-3),
@@ -100,13 +93,17 @@ def command(
     from autotune import __version__
     from autotune.errors import UsageError
     from autotune.files.atomic import check_target
-    from autotune.files.identified import read_identified
     from autotune.files.plan import plan_tree, write_plan
     from identification.plan_experiment import plan_experiment
+    from identification.plan_poses import FEWEST_POSES
     from identification.plan_result import Limits
-    from identification.plan_values import usual_values, values_of
+    from identification.plan_values import usual_values
 
     check_target(out, [] if identified is None else [identified])
+    if 0 < poses < FEWEST_POSES:
+        raise UsageError(
+            f"--poses must be 0 (none) or at least {FEWEST_POSES}, which tell mass and centre; found {poses}."
+        )
     limits = Limits(
         max_tilt_deg=max_tilt,
         pose_count=poses,
@@ -122,18 +119,29 @@ def command(
     elif mass is not None or stiffness is not None:
         raise UsageError("--mass and --stiffness are guesses for a first recording; leave them out beside a file.")
     else:
-        source = read_identified(identified)
-        name, values = values_of(source.result, axis)
-        provenance["identified"] = {"path": str(source.path), "sha256": source.sha256}
+        name, values = _from_file(output, identified, axis, provenance)
     with output.progress("planning", None):
         plan = plan_experiment(name, values, limits)
     write_plan(out, plan, provenance)
     output.result(plan_tree(plan, provenance), lambda: print_plan(plan, out))
 
 
+def _from_file(output: Output, path: Path, axis: str | None, provenance: dict[str, object]) -> tuple[str, "PlanValues"]:
+    """Return the axis and its values, note the file in `provenance`, and repeat what it says against its own values."""
+    from autotune.files.identified import read_identified
+    from identification.plan_values import values_of
+
+    source = read_identified(path)
+    provenance["identified"] = {"path": str(source.path), "sha256": source.sha256}
+    for finding in source.result.findings:
+        if finding.code in _DOUBTS:
+            output.note(f"{path.name} says: {printable(finding.message)} The plan takes the values as they are.")
+    return values_of(source.result, axis)
+
+
 def print_plan(plan: "ExperimentPlan", out: Path) -> None:
     """Print the steps in their order, then what each parameter would gain, then what was assumed."""
-    from identification.plan_result import LABELS
+    from identification.plan_result import LABELS, UNITS
 
     click.echo(f"axis {plan.axis}, binding uncertainty: {LABELS[plan.binding]}")
     for number, step in enumerate(plan.steps, start=1):
@@ -142,7 +150,11 @@ def print_plan(plan: "ExperimentPlan", out: Path) -> None:
         for line in _settings(step, plan):
             click.echo(printable(f"   {line}"))
     rows: list[tuple[str, ...]] = [("parameter", "value", "± now", "± after", "allowed", "unit", "by")]
-    rows += [_row(entry, LABELS[entry.name], step.kind.value) for step in plan.steps for entry in step.predictions]
+    rows += [
+        _row(entry, LABELS[entry.name], UNITS[entry.name], step.kind.value)
+        for step in plan.steps
+        for entry in step.predictions
+    ]
     for line in table_lines(rows, left=(0, 5, 6)):
         click.echo(line)
     if plan.values.assumed:
@@ -151,8 +163,8 @@ def print_plan(plan: "ExperimentPlan", out: Path) -> None:
     click.echo(f"written: {out}")
 
 
-def _row(entry: "Prediction", label: str, step: str) -> tuple[str, ...]:
-    unit, scale = _UNITS[entry.name]
+def _row(entry: "Prediction", label: str, told_in: tuple[str, float], step: str) -> tuple[str, ...]:
+    unit, scale = told_in
     now, after = (f"{std * scale:.2g}" if std is not None else "-" for std in (entry.std_now, entry.std_after))
     return label, f"{entry.value * scale:.4g}", now, after, f"{entry.allowed_std * scale:.2g}", unit, step
 

@@ -1,5 +1,7 @@
 """The bounds of a design problem as a unit cube."""
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,3 +45,14 @@ class Box:
         ratio = np.where(self.high > self.low, np.log(np.where(self.logarithmic, self.high, np.e) / floor), 1.0)
         geometric = np.log(np.where(self.logarithmic, design, 1.0) / floor) / np.where(ratio > 0.0, ratio, 1.0)
         return np.clip(np.where(self.logarithmic, geometric, (design - self.low) / span), 0.0, 1.0)
+
+
+def spread_out(units: Iterable[FloatArray], distance: float, count: int) -> list[FloatArray]:
+    """Return the first few points (n,) of the unit cube that lie this far apart."""
+    kept: list[FloatArray] = []
+    for unit in units:
+        if all(np.linalg.norm(unit - other) > distance for other in kept):
+            kept.append(unit)
+        if len(kept) == count:
+            break
+    return kept

@@ -49,7 +49,7 @@ _STEP = 1e-5
 _LATEST_TICK = 600
 _SUM_WEIGHT = 1e3
 _AT_BOUND = 1e-6
-_LEAST_RATIO = 1e-100
+LEAST_RATIO = 1e-100
 # The order of the controller's parameters in a slope.
 _PARAMETERS = (*VARIABLES, *FURTHER_VARIABLES)
 
@@ -175,7 +175,7 @@ def near_keys(prepared: PreparedScenarios, design: FloatArray, near: float) -> t
     if asked.max_peak_force_n is not None:
         ratios["max_peak_force_n"] = [p.peak_contact_force_n / asked.max_peak_force_n for p in found]
     for name, of_name in ratios.items():
-        logs = np.log(np.clip(of_name, _LEAST_RATIO, LARGEST_SHARE))
+        logs = np.log(np.clip(of_name, LEAST_RATIO, LARGEST_SHARE))
         limit = max(0.0, float(np.max(logs))) if name in asked.soft_n else 0.0
         keys += [(name, int(i)) for i in np.flatnonzero(logs >= limit - near)]
     return tuple(keys)

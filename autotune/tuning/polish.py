@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from problems.requirements import LARGEST_SHARE
 from problems.screening import Screen
 
 from .box import bounds_of, linear_variables
-from .optimality import PEAK, Row, near_keys, row_at, unit_widths
+from .optimality import LEAST_RATIO, PEAK, near_keys, row_at, unit_widths
 
 FloatArray = NDArray[np.float64]
 
@@ -22,59 +23,89 @@ _WALL = 1e3
 def polish_exactly(screen: Screen, design: FloatArray, *, backoff: Mapping[str, float], reserve: float) -> FloatArray:
     """Return a design (n,) near a stable one, with a lower peak if the gradients lead to one.
 
-    min t under φ_s ≤ t and c_j ≤ −reserve − backoff_j, in the variables of `optimality`, over the peaks and
-    requirements within 1 % of their limits: sequential quadratic programming, steps of at most 1 %. A soft requirement
-    has c_j ≤ w and w ≥ 0, and its price times e^w − 1 is added to the peak. Whether the result
-    is better, and feasible, is for the caller to evaluate: scenarios that were far from active are not looked at.
+    Sequential quadratic programming on `LocalProblem`. Whether the result is better, and feasible, is for the caller
+    to evaluate: scenarios that were far from active are not looked at.
     """
-    prepared, problem = screen.prepared, screen.prepared.problem
-    widths = unit_widths(problem, design)
-    keys = near_keys(prepared, design, _NEAR)
-    prices = {name: price for name, price in problem.requirements.soft_n.items() if name in dict(keys)}
-    held = np.array(
-        [0.0 if name == PEAK or name in prices else reserve + np.log1p(backoff.get(name, 0.0)) for name, _ in keys]
-    )
-    # Which of t and the w each row is held under.
-    under = np.array([[name == owner for owner in (PEAK, *prices)] for name, _ in keys], dtype=np.float64)
-    linear, bounds, count = linear_variables(problem), bounds_of(problem), len(design)
-    cache: dict[bytes, tuple[FloatArray, FloatArray]] = {}
-
-    def at(move: FloatArray) -> FloatArray:
-        scaled = np.where(linear, design + move * widths, design * np.exp(np.where(linear, 0.0, move)))
-        return np.clip(scaled, bounds[:, 0], bounds[:, 1])
-
-    def rows(move: FloatArray) -> tuple[FloatArray, FloatArray]:
-        key = move.tobytes()
-        if key not in cache:
-            here = at(move)
-            if screen.evaluate(here[None]).is_stable[0]:
-                found: list[Row] = [row_at(prepared, here, each) for each in keys]
-                cache[key] = np.array([row.value for row in found]), np.array([row.gradient for row in found])
-            else:
-                cache[key] = np.full(len(keys), _WALL), np.zeros((len(keys), len(design)))
-        return cache[key]
-
-    first = rows(np.zeros(count))[0]
-    start = np.concatenate([np.zeros(count), np.max(np.where(under > 0.0, first[:, None], -_WALL), axis=0)])
-    start[count + 1 :] = np.maximum(start[count + 1 :], 0.0)
+    problem, count = LocalProblem(screen, design, backoff=backoff, reserve=reserve), len(design)
+    start = problem.start()
     # Peak and prices are counted from the peak at the start.
-    shares, origin = np.array(list(prices.values())) / np.exp(start[count]), np.append(start[count], 0.0 * under[0, 1:])
+    shares, origin = problem.prices / np.exp(start[count]), np.append(start[count], np.zeros(len(problem.prices)))
     found = minimize(
         lambda x: _log_of_sum(x[count:] - origin, shares, count),
         start,
         jac=True,
         method="SLSQP",
-        bounds=[*_moves(screen, design, widths), (None, None), *[(0.0, None)] * len(prices)],
-        constraints=[
-            {
-                "type": "ineq",
-                "fun": lambda x: under @ x[count:] - rows(x[:count])[0] - held,
-                "jac": lambda x: np.column_stack([-rows(x[:count])[1], under]),
-            }
-        ],
+        bounds=[*problem.moves, (None, None), *[(0.0, None)] * len(problem.prices)],
+        constraints=[{"type": "ineq", "fun": problem.slack, "jac": problem.slack_gradients}],
         options={"maxiter": _ITERATIONS, "ftol": 1e-8},
     )
-    return at(np.asarray(found.x[:count]))
+    return problem.at(np.asarray(found.x[:count]))
+
+
+class LocalProblem:
+    """min t under φ_s ≤ t and c_j ≤ −reserve − backoff_j around a stable design (n,), with exact gradients.
+
+    x is the move (n,) in the variables of `optimality`, at most 1 %, then t and a w per soft requirement, which has
+    c_j ≤ w and w ≥ 0: its price times e^w − 1 is added to the peak. Rows are the peaks and requirements within 1 % of
+    their limits. `moves` are the bounds of the moves, `prices` (N) those of the soft requirements.
+    """
+
+    def __init__(self, screen: Screen, design: FloatArray, *, backoff: Mapping[str, float], reserve: float) -> None:
+        problem = screen.prepared.problem
+        self._screen, self._design = screen, design
+        self._widths, self._bounds = unit_widths(problem, design), bounds_of(problem)
+        self._linear = linear_variables(problem)
+        self._keys = near_keys(screen.prepared, design, _NEAR)
+        prices = {name: price for name, price in problem.requirements.soft_n.items() if name in dict(self._keys)}
+        self._held = np.array(
+            [
+                0.0 if name == PEAK or name in prices else reserve + np.log1p(backoff.get(name, 0.0))
+                for name, _ in self._keys
+            ]
+        )
+        # Which of t and the w each row is held under.
+        self._under = np.array(
+            [[name == owner for owner in (PEAK, *prices)] for name, _ in self._keys], dtype=np.float64
+        )
+        self.prices = np.array(list(prices.values()), dtype=np.float64)
+        self.moves = _moves(screen, design, self._widths)
+
+    def start(self) -> FloatArray:
+        """Return x at the design itself, with the least t and w that it allows."""
+        count = len(self._design)
+        first = np.where(self._under > 0.0, self._values(self._design)[:, None], -_WALL)
+        start = np.concatenate([np.zeros(count), np.max(first, axis=0)])
+        start[count + 1 :] = np.maximum(start[count + 1 :], 0.0)
+        return start
+
+    def at(self, move: FloatArray) -> FloatArray:
+        """Return the design at a move (n,)."""
+        steps = np.where(self._linear, 0.0, move)
+        scaled = np.where(self._linear, self._design + move * self._widths, self._design * np.exp(steps))
+        return np.clip(scaled, self._bounds[:, 0], self._bounds[:, 1])
+
+    def slack(self, x: FloatArray) -> FloatArray:
+        """Return what must not be negative (k,)."""
+        count = len(self._design)
+        return np.asarray(self._under @ x[count:] - self._values(self.at(x[:count])) - self._held)
+
+    def slack_gradients(self, x: FloatArray) -> FloatArray:
+        """Return the gradients of `slack` (k, len(x))."""
+        here = self.at(x[: len(self._design)])
+        rows = [row_at(self._screen.prepared, here, key).gradient for key in self._keys]
+        return np.column_stack([-np.array(rows), self._under])
+
+    def _values(self, design: FloatArray) -> FloatArray:
+        """Return the logarithms of the rows (k,), by the compiled screen; a wall where unstable."""
+        found = self._screen.evaluate(design[None], peaks_if_missed=True)
+        if not found.is_stable[0]:
+            return np.full(len(self._keys), _WALL)
+        rows = {
+            name: np.clip(row, LEAST_RATIO, LARGEST_SHARE)
+            for name, row in (*found.rows.items(), *found.soft_rows.items())
+        }
+        rows[PEAK] = found.peaks_n
+        return np.log([rows[name][0, index] for name, index in self._keys])
 
 
 def _log_of_sum(levels: FloatArray, shares: FloatArray, count: int) -> tuple[float, FloatArray]:

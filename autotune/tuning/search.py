@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import OptimizeResult, differential_evolution, minimize
+from scipy.optimize import OptimizeResult, differential_evolution
 
 from autotune.errors import InfeasibleError
 from problems.controller import SMALLEST_FEEDBACK_DAMPING_S
@@ -20,7 +20,8 @@ from problems.margins import UnstableLoopError
 from problems.screening import Screen, Screened, build_screen
 from problems.uncertainty import Scenario
 
-from .box import Box, bounds_of, linear_variables
+from .box import Box, bounds_of, linear_variables, spread_out
+from .descent import BACKOFF, descend
 from .joining import scenarios_of, softly_missed_scenarios, worst_scenarios
 from .polish import polish_exactly
 from .worst import DENSE_STIFFNESS, WholeSet
@@ -29,16 +30,13 @@ FloatArray = NDArray[np.float64]
 
 _POPULATION = 10
 _GENERATIONS = 60
+_GATHERED = 0.03
 _ROUNDS = 8
 _POLISH_STARTS, _OTHER_VALLEYS = 3, 6
-_NEAR, _FAR = 0.1, 0.45
-_BACKOFF = 2e-5
-_STEP = 1e-6
-_LOCAL_ITERATIONS = 30
+_SAME, _NEAR, _FAR = 1e-3, 0.1, 0.45
 # What six digits may cost a requirement.
 _RESERVE = 5e-6
 _NOTHING = 1e-7
-_WALL = 1e3
 _HAIR = 2e-3
 # Costs of designs that miss something lie above every force, those of unstable ones above these.
 _UNSTABLE = 1e15
@@ -165,23 +163,6 @@ def _silent(_: float) -> None:
     return None
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Around:
-    """Peaks (1 + n, s) and slack (1 + n, k) at a point and at a step (n,) from it along each of n variables.
-
-    `spares` (k, j) says which rows of slack may be missed at a price, and by which of j soft requirements.
-    """
-
-    peaks: FloatArray
-    slack: FloatArray
-    spares: FloatArray
-    steps: FloatArray
-
-    def differences(self, values: FloatArray) -> FloatArray:
-        """Return forward differences of values (1 + n, k), shape (k, n)."""
-        return np.asarray((values[1:] - values[0]).T / self.steps)
-
-
 class Search:
     """One run: the box, what was asked (tightened where a grid flattered), and the count of evaluations.
 
@@ -220,7 +201,7 @@ class Search:
             return self._recovered(screen, np.asarray(found.x))
         good = [unit for value, unit in sorted(seen, key=lambda pair: pair[0]) if value < _MISSED]
         # The best, and the best of other valleys: the generations leave a valley that starts higher, but may end lower.
-        self.elite = _spread(good, _NEAR, _POLISH_STARTS) + _spread(good, _FAR, _OTHER_VALLEYS)[1:]
+        self.elite = spread_out(good, _NEAR, _POLISH_STARTS) + spread_out(good, _FAR, _OTHER_VALLEYS)[1:]
         return np.asarray(found.x)
 
     def _note_generation(self, scenarios: int, found_n: float) -> None:
@@ -248,7 +229,13 @@ class Search:
         start: FloatArray | None,
         each: Callable[[], None],
     ) -> OptimizeResult:
-        """Run differential evolution on costs (m,) of points (n, m)."""
+        """Run differential evolution on costs (m,) of points (n, m), until descents know the rest of the way."""
+
+        def has_gathered(intermediate_result: OptimizeResult) -> bool:
+            each()
+            energies = intermediate_result.population_energies
+            return bool(np.max(energies) < _MISSED and np.std(energies) <= _GATHERED * abs(np.mean(energies)))
+
         return differential_evolution(
             costs,
             [(0.0, 1.0)] * len(self.problem.variables),
@@ -261,7 +248,7 @@ class Search:
             tol=1e-5,
             vectorized=True,
             updating="deferred",
-            callback=lambda intermediate_result: each(),  # noqa: ARG005 - scipy goes by the name
+            callback=has_gathered,
         )
 
     def _screen(self, active: tuple[Scenario, ...]) -> Screen:
@@ -281,13 +268,14 @@ class Search:
     def polish(self, active: tuple[Scenario, ...], unit: FloatArray) -> FloatArray:
         """Improve locally from `unit` and from the elite; return the best design that is feasible."""
         screen = self._screen(active)
-        starts = [unit, *self.elite] if self.start is None else [unit, *self.elite, self.start]
+        known = [unit, *self.elite] if self.start is None else [unit, *self.elite, self.start]
+        starts = spread_out(known, _SAME, len(known))
         candidates = np.array([unit, *(self.local(screen, start) for start in starts)])
         costs = self._tightened_costs(screen, candidates)
         order = np.argsort(costs, kind="stable")
         best = candidates[order[0]]
         # The next round starts where this one ended, in the best few valleys.
-        self.elite = _spread([candidates[i] for i in order if costs[i] < _MISSED], _NEAR, _POLISH_STARTS)
+        self.elite = spread_out([candidates[i] for i in order if costs[i] < _MISSED], _NEAR, _POLISH_STARTS)
         if np.min(costs) >= _MISSED:
             best = self._recover(screen, best)
         if self.goal is not None:
@@ -329,74 +317,17 @@ class Search:
         for name, value in exact.requirements.items():
             if value > 1.0:
                 flattered = min(value - 1.0, 0.02)
-                self.backoff[name] = self.backoff.get(name, 0.0) + 1.5 * flattered + _BACKOFF
+                self.backoff[name] = self.backoff.get(name, 0.0) + 1.5 * flattered + BACKOFF
 
     def local(self, screen: Screen, start: FloatArray) -> FloatArray:
-        """Run sequential quadratic programming: least t above every scenario's peak, every margin a constraint.
-
-        By e_j ≥ 0 a soft requirement j may be missed, which costs its price times e_j.
-        """
-        scale, count = 1.0, len(start)
-        wishes = self.problem.requirements.soft_n if self.goal is None else {}
-        prices = np.array(list(wishes.values()), dtype=np.float64)
-        cache: dict[bytes, _Around] = {}
-
-        def around(unit: FloatArray) -> _Around:
-            key = unit.tobytes()
-            if key not in cache:
-                cache[key] = self._around(screen, unit, scale)
-            return cache[key]
-
-        highest = float(np.max(around(np.asarray(start)).peaks[0]))
-        scale, cache = highest if np.isfinite(highest) else 1.0, {}
-        costs = np.concatenate([np.zeros(count), [1.0], prices / scale])
-
-        def slack(x: FloatArray) -> FloatArray:
-            here = around(x[:count])
-            return np.concatenate([x[count] - here.peaks[0], here.slack[0] + here.spares @ x[count + 1 :]])
-
-        def slack_gradients(x: FloatArray) -> FloatArray:
-            here = around(x[:count])
-            peaks, others = here.differences(here.peaks), here.differences(here.slack)
-            none = np.zeros((len(peaks), len(prices)))
-            return np.block(
-                [[-peaks, np.ones((len(peaks), 1)), none], [others, np.zeros((len(others), 1)), here.spares]]
-            )
-
-        first = around(np.asarray(start))
-        missed = np.max(first.spares * -first.slack[0][:, None], axis=0, initial=0.0)
-        found = minimize(
-            lambda x: costs @ x,
-            np.concatenate([start, [np.max(first.peaks[0])], missed]),
-            jac=lambda _: costs,
-            method="SLSQP",
-            bounds=[*[(0.0, 1.0)] * count, *[(0.0, None)] * (1 + len(prices))],
-            constraints=[{"type": "ineq", "fun": slack, "jac": slack_gradients}],
-            options={"maxiter": _LOCAL_ITERATIONS, "ftol": 1e-8},
-        )
-        return np.asarray(np.clip(found.x[:count], 0.0, 1.0))
-
-    def _around(self, screen: Screen, unit: FloatArray, scale: float) -> "_Around":
-        """Evaluate a point and one step along each variable; an unstable one is a plain wall to the line search."""
-        steps = np.where(unit + _STEP <= 1.0, _STEP, -_STEP)
-        units = unit + np.vstack([np.zeros(len(unit)), np.diag(steps)])
-        found = screen.evaluate(self.box.design(units), peaks_if_missed=True)
-        self.evaluations += len(units)
-        stable = found.is_stable[:, None]
-        rows = [1.0 - value * self._tightened(name) for name, value in found.rows.items()]
-        rows += [1.0 - value for value in found.soft_rows.values()]
-        slack = np.hstack([np.zeros((len(units), 0)), *rows])
-        owners = np.repeat(np.arange(len(rows)), [row.shape[1] for row in rows]) - len(found.rows)
-        return _Around(
-            peaks=np.where(stable, found.peaks_n / scale, _WALL),
-            slack=np.where(stable, np.clip(slack, -_WALL, 1.0) - _BACKOFF * (owners < 0), -1.0),
-            spares=(owners[:, None] == np.arange(len(found.soft_rows))).astype(np.float64),
-            steps=steps,
-        )
+        """Descend from a point, with what the grid flattered asked for."""
+        found = descend(screen, self.box, start, backoff=self.backoff)
+        self.evaluations += found.evaluations
+        return found.unit
 
     def _reason(self, prepared: PreparedScenarios, unit: FloatArray) -> str:
         """Say why nothing is feasible: the requirement that the closest design misses."""
-        evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True, radius=False)
+        evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True)
         if not evaluation.is_stable:
             return (
                 "No controller within the bounds is stable in every scenario (closest: largest |z| = "
@@ -415,14 +346,3 @@ def _told(evaluation: Evaluation) -> str:
         ", ".join(f"{name} (only {min(100.0 / value, 99.9):.3g} % of what is asked)" for name, value in missed)
         or "a peak"
     )
-
-
-def _spread(units: list[FloatArray], distance: float, count: int) -> list[FloatArray]:
-    """Return the first few points that lie this far apart."""
-    kept: list[FloatArray] = []
-    for unit in units:
-        if all(np.linalg.norm(unit - other) > distance for other in kept):
-            kept.append(unit)
-        if len(kept) == count:
-            break
-    return kept

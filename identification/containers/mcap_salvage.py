@@ -171,7 +171,11 @@ class _Salvager(Walker):
                 offset, footer = probe.walk_summary(offset)
             probe.check_summary(footer, start)
         except Damage as damage:
-            self.lose(self.file.size, self.file.size, f"no sound summary at the end: {damage.reason}")
+            cut = self.file.size >= len(MAGIC) and self.peek(self.file.size - len(MAGIC), len(MAGIC)) != MAGIC
+            lost = (
+                "the end was cut off, with all that was recorded after the last message that is left; " if cut else ""
+            )
+            self._lost.append((self.file.size, f"{lost}no sound summary at the end: {damage.reason}"))
             return
         self.definitions, self.chunk_indexes, self._stop = probe.definitions, probe.chunk_indexes, start
         self.statistics, self.summary_crc = probe.statistics, probe.summary_crc

@@ -20,7 +20,6 @@ from .cell import Cell
 from .choose import Choice
 from .heads import Head, build_heads
 from .layouts import Role
-from .table_log import TableLog
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,6 +214,8 @@ def _times(container: Container, channels: Sequence[Channel]) -> dict[Channel, S
 
 def _opened(path: Path, cell: Cell, *, salvage: bool) -> OpenedLog:
     if not path.is_dir() and is_table(path):
+        from .table_log import TableLog  # noqa: PLC0415 - its library takes 40 MB, which only tables need
+
         return TableLog(path, cell.table)
     return ContainerLog(path, salvage=salvage)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 from ..errors import LogError
@@ -79,7 +80,9 @@ def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool) -> _Read:
         recording = _continuous(join_recordings(recordings))
         questions = open_questions(logs.heads, cell, logs.name)
         chosen = map(_chosen, choices.values())
-        findings = (*logs.findings(), *chosen, *questions, *about_clocks, *about_samples, *recording.findings)
+        about_log = logs.findings()
+        about_log = (*about_log, *_about_what_is_left(about_log, recording, logs))
+        findings = (*about_log, *chosen, *questions, *about_clocks, *about_samples, *recording.findings)
     recording = replace(recording, sha256=digests(files), findings=findings, keeps_holes=salvage)
     return _Read(recording=recording, times=times)
 
@@ -151,6 +154,23 @@ def _times(parts: Sequence[Part], clocks: Mapping[Role, Clock]) -> list[ChannelT
             )
         )
     return times
+
+
+def _about_what_is_left(findings: Sequence[Finding], recording: Recording, logs: OpenedLogs) -> tuple[Finding, ...]:
+    """Tell from when to when a damaged log still holds a wrench: how much was recorded nobody may know any more."""
+    if not any(finding.code == "salvaged" for finding in findings):
+        return ()
+    first, last = (int(recording.wrench.stamp_ns[i]) for i in (0, -1))
+    ends = datetime.fromtimestamp(last // 10**9, tz=UTC)
+    return (
+        Finding(
+            code="salvaged-span",
+            severity="warning",
+            message=f"What is left of {logs.name} spans {1e-9 * (last - first):.3f} s: the last wrench is stamped "
+            f"{ends:%Y-%m-%d %H:%M:%S}.{last // 10**6 % 1000:03d} UTC.",
+            advice="What was recorded after that is not in the result.",
+        ),
+    )
 
 
 def _chosen(choice: Choice) -> Finding:

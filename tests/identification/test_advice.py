@@ -1,12 +1,16 @@
 """Every weak or missing parameter comes with what to record next."""
 
 import dataclasses
+import re
 from typing import Any
 
+import numpy as np
 import pytest
 
 from identification.advice import advise
-from identification.result import Estimate, Finding, Identified, Status
+from identification.plan_sweep import SweepLimits, fastest_sweep
+from identification.plan_values import values_of
+from identification.result import Estimate, Finding, FitQuality, Identified, Status
 from tests.identification.test_combine import UNTOLD, known, surface, told
 
 
@@ -76,3 +80,60 @@ def test_the_binding_uncertainty_decides_what_is_recorded_for_the_environment(k_
     (about,) = (f for f in findings if "K_e" in f.message)
     assert ("sweep" in about.advice) == sweep
     assert ("contacts" in about.advice) != sweep
+
+
+def with_misfit(result: Identified, ratio: float) -> Identified:
+    """The same, its fit leaving so many times the sensor's noise in free motion."""
+    axis = result.axes["x"]
+    quality = FitQuality(
+        free_spans=1,
+        explained_free=0.99,
+        whiteness_free=0.0,
+        noise_ratio_free=ratio,
+        left_out_free=None,
+        contacts=0,
+        explained_contact=None,
+        whiteness_contact=None,
+        noise_ratio_contact=None,
+        left_out_contact=None,
+        widening=1.0,
+        wrench_lag_s=0.0,
+        wrench_lag_std_s=1e-5,
+    )
+    return dataclasses.replace(result, axes={"x": dataclasses.replace(axis, fits=(quality,))})
+
+
+@pytest.mark.parametrize(("ratio", "said"), [(5.6, "low-pass in the sensor"), (1.0, "commanded sweep in free space")])
+def test_where_the_model_does_not_fit_another_sweep_is_no_advice(ratio: float, said: str) -> None:
+    (missing,) = needed(advise(with_misfit(with_stiffness(told(), UNTOLD), ratio)))
+    assert said in missing.advice
+
+
+@pytest.mark.parametrize(("ratio", "said"), [(2.4, "--given x.delay_s="), (1.0, "commanded sweep in free space")])
+def test_a_robot_of_another_form_is_named(ratio: float, said: str) -> None:
+    axis = told().axes["x"]
+    robot = dataclasses.replace(axis.robot, delay_s=UNTOLD)
+    result = dataclasses.replace(told(), axes={"x": dataclasses.replace(axis, robot=robot)})
+    (missing,) = needed(advise(with_misfit(result, ratio)))
+    assert said in missing.advice
+
+
+def test_the_sweep_that_is_advised_is_the_one_that_a_plan_would_make() -> None:
+    result = with_stiffness(told(), weak(3.0e5, 3.0e4))
+    (uncertain,) = needed(advise(result))
+    numbers = re.search(r"to (\d+) Hz.*flange at ([\d.]+) mm/s throughout \(([\d.]+) mm at 0.5 Hz\)", uncertain.advice)
+    assert numbers is not None
+    highest_hz, speed_mm_s, travel_mm = map(float, numbers.groups())
+    # Two digits each.
+    assert travel_mm == pytest.approx(speed_mm_s / (2.0 * np.pi * 0.5), rel=0.06)
+    _, values = values_of(result, "x")
+    sweep, force_n, _ = fastest_sweep(values, SweepLimits(), 0.5, highest_hz, 10.0)
+    assert force_n <= SweepLimits.max_force_n * (1.0 + 1e-12)
+    assert speed_mm_s == pytest.approx(1e3 * sweep.flange_speed_m_s, rel=0.06)
+
+
+def test_what_a_drift_widens_is_said_to_be_widened() -> None:
+    drift = Finding(code="force-follows-drift", severity="warning", message="It drifts.", advice="")
+    result = dataclasses.replace(with_stiffness(told(), weak(3.0e5, 3.0e4)), findings=(drift,))
+    (uncertain,) = needed(advise(result))
+    assert uncertain.advice.startswith("The sensor drifts")

@@ -239,3 +239,20 @@ def test_moves_tell_a_wrench_of_the_other_body_from_gravity_reversed(demo_record
         assert [finding.code for finding in found.findings] == ["convention-found"]
         assert identify_gravity(found.poses).mass_kg == pytest.approx(16.2, rel=5e-3)
     np.testing.assert_array_equal(readings[Pull.WRENCH].recording.wrench.force_n, wrench.force_n)
+
+
+@pytest.mark.parametrize("lean_deg", [15.0, 90.0])
+def test_a_base_that_leans_is_told_with_its_direction(lean_deg: float) -> None:
+    down = Rotation.from_euler("xy", [0.6 * lean_deg, -0.8 * lean_deg], degrees=True).apply([0.0, 0.0, -1.0])
+    rng = np.random.default_rng(7)
+    poses = list(poses_at(general(12), rng, noise_n=0.3, torque_noise_n_m=0.02, down=down))
+    # One rest in contact.
+    poses[3] = replace(poses[3], force_S_n=poses[3].force_S_n + np.array([0.0, 0.0, 30.0]))
+    ranking = rank_conventions(poses)
+    assert ranking.verdict is Verdict.NONE
+    with pytest.raises(EstimateError, match=r"declare `gravity_direction: \[") as caught:
+        ranking.chosen()
+    told = re.search(r"gravity_direction: \[(.*?)\]", str(caught.value))
+    assert told is not None
+    # 0.3 N / √1000 a rest over 160 N, many times.
+    assert [float(each) for each in told[1].split(",")] == pytest.approx(down.tolist(), abs=1e-3)

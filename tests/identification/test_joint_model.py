@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
-from identification.joint_kernel import pressing, switch
+from identification.joint_kernel import MOST_TAKEN, pressing, switch
 from identification.joint_model import Layout, body, held, payload_step, robot_model
 from identification.joint_noise import Smoother
 from identification.joint_path import commanded_path, measured_path
@@ -137,7 +137,7 @@ def test_an_impact_with_mass_keeps_the_momentum() -> None:
     # A payload just before the wall with next to no springs: v · 6 kg is shared by 8 kg.
     state = np.array([-1e-6, 1e-3, 0.0, 0.0])
     assert not pressing(state, (0.0, 0.0, 0.0, 0.0), 0.0, of, False)
-    touching = switch(state, (-1e-6, 0.0, -1e-6, 0.0), of, False)
+    touching, _ = switch(state, (-1e-6, 0.0, -1e-6, 0.0), of, False, np.empty((MOST_TAKEN, 2)))
     assert touching
     assert state[1] == pytest.approx(0.75e-3, rel=1e-3)
     np.testing.assert_array_equal(state[2:], state[:2])

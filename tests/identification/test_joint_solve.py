@@ -12,7 +12,7 @@ from identification.joint_model import Layout
 from identification.joint_noise import Smoother, Whitener
 from identification.joint_problem import Point, Problem, Signals, sizes_of
 from identification.joint_profile import bounded_intervals
-from identification.joint_segments import Segment, difference, predict_force
+from identification.joint_segments import Segment, predict_force
 from identification.joint_solve import information, linearise, minimise
 from tests.identification.synthetic import sweep
 
@@ -163,14 +163,3 @@ def test_contacts_that_felt_alike_are_one_surface() -> None:
     assert group_contacts(starts, 1.12) == [2, 1, 2, 0, 1]
     # What is known badly is no surface of its own.
     assert group_contacts([(1, 4.0e4, 50.0), (1, 5.0e4, 3.0e3)], 1.12) == [0, 0]
-
-
-def test_a_jump_in_a_span_is_no_derivative() -> None:
-    """A bounce that ends at a tick makes one sample jump; a difference over it would be of the size of 1/step."""
-    base, jump = np.zeros(50), np.zeros(50)
-    jump[20] = 0.2
-
-    def predicted(steps: int) -> FloatArray:
-        return 3.0 * steps * 1e-6 + (jump if steps >= 1 else base)
-
-    np.testing.assert_allclose(difference(predicted, base, 1e-6), np.full(50, 3.0), rtol=1e-6)

@@ -82,7 +82,10 @@ def test_a_damaged_log_is_read_on_request_and_the_loss_is_told(
     assert (code, err) == (0, "")
     read = read_identified(out)
     assert read.provenance["options"]["salvage"] is True
-    assert any("cut.mcap" in finding.message for finding in read.result.findings if finding.severity == "warning")
+    told = {finding.code: finding.message for finding in read.result.findings if "cut.mcap" in finding.message}
+    assert "the end was cut off" in told["salvaged"]
+    lasts = read.provenance["time_span_s"][1] - read.provenance["time_span_s"][0]
+    assert f"spans {lasts:.3f} s" in told["salvaged-span"]
     assert run(capsys, "inspect", cut)[0] == 3
     assert run(capsys, "inspect", cut, "--salvage")[0] == 0
 

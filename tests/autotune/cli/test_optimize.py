@@ -46,6 +46,11 @@ def test_people_see_gains_peaks_what_holds_them_up_and_the_checks(first_run: tup
     assert lines[0].startswith("axis x: M_a 6 kg, B_a ")
     assert "peak at contact [N]" in lines[1]
     assert any("holds the peak up: easing it by 1 % saves" in line for line in lines)
+    assert any(
+        line.startswith("  every requirement is met over 33 contacts; nearest to its limit is ") for line in lines
+    )
+    assert any("of the gradient is left over (KKT residual), unused slack is worth" in line for line in lines)
+    assert any("% to a reference: " in line and "descents from the best of 128 other designs" in line for line in lines)
     assert sum(line.startswith("  ok ") for line in lines) == len(EVERY_CHECK)
     digest = read_controller(folder / "controller.yaml").checksum
     assert lines[-1] == f"written: controller.yaml, checksum {short(digest)}"
@@ -65,6 +70,9 @@ def test_json_is_the_tree_of_the_file_and_the_same_seed_gives_the_same_bytes(
     assert (done.returncode, done.stderr) == (0, "")
     tree = json.loads(done.stdout)
     active = tree.pop("active")
+    told = tree["provenance"]["optimality"]["x"]
+    assert (told["feasible"], told["gap"] < 1e-3, told["kkt_residual"] < 1e-3) == (True, True, True)
+    assert [each["name"] for each in told["active"]] == [each["name"] for each in active["x"]]
     assert tree == load_yaml(tmp_path / "controller.yaml")
     assert {entry["name"] for entry in active["x"]} <= set(tree["certificate"]["requirements"]) | {
         f"{side} bound of {name}" for side in ("lower", "upper") for name in ("damping", "lead_s")
@@ -136,13 +144,15 @@ def test_a_straight_and_a_turning_axis_come_from_one_call(run_cli: RunCli, tmp_p
 
 def test_quiet_and_the_ranges_of_the_command_line(run_cli: RunCli, tmp_path: Path) -> None:
     prepare(tmp_path)
-    ranges = ["--payload-mass", "16.1", "--environment-stiffness", "9e4:1.0e5", "--seed", "3"]
+    ranges = ["--payload-mass", "16.1", "--environment-stiffness", "9e4:1.0e5", "--seed", "3", "--slack", "3"]
     done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml", *ranges, "--quiet", "-o", "c.yaml")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     controller = read_controller(tmp_path / "c.yaml").controller
     domain = controller.certificate.domain["x"]
     assert (domain.payload_mass_kg, domain.environment_stiffness_n_per_m) == ((16.1, 16.1), (9e4, 1e5))
     assert controller.provenance["options"]["seed"] == 3
+    (reach,) = (controller.certificate.continuous or {})["x"]
+    assert (reach.slack, reach.share) == (0.03, 1.0)
     assert not (tmp_path / "controller.yaml").exists()
 
 
@@ -181,6 +191,8 @@ def test_what_cannot_be_met_is_exit_5_with_the_reason_and_no_file(
         (["identified.yaml", "--environment-stiffness", "2e5:1e5"], "the lower one first"),
         (["identified.yaml", "--environment-stiffness", "1e5:inf"], "finite"),
         (["identified.yaml", "--seed", "-1"], "seed"),
+        (["identified.yaml", "--slack", "0"], "slack"),
+        (["identified.yaml", "--proof-budget", "-1"], "proof-budget"),
         (["identified.yaml", "--seed", "one"], "seed"),
         (["problem.yaml"], "format must be autotune/identified"),
         (["identified.yaml", "--problem", "identified.yaml"], "identified.yaml, line 1"),

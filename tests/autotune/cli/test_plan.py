@@ -10,7 +10,7 @@ import pytest
 
 from autotune.cli.main import main
 from autotune.files.identified import write_identified
-from identification.result import Identified
+from identification.result import Estimate, Finding, Identified, Status
 from tests.autotune.files.samples import make_identified
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -45,6 +45,26 @@ def test_people_see_the_steps_the_gains_and_what_was_assumed(run_cli: RunCli, tm
     assert {entry.split()[0] for entry in assumed.removeprefix("assumed, not measured: ").split(", ")} == told
     assert lines[-1] == "written: plan.yaml"
     assert (tmp_path / "plan.yaml").is_file()
+
+
+@pytest.mark.usefixtures("folder")
+def test_doubts_of_the_file_and_the_surface_that_is_meant_are_told(capsys: pytest.CaptureFixture[str]) -> None:
+    found = one_axis()
+    axis = found.axes["x"]
+    second = replace(
+        axis.environments[0],
+        name="x2",
+        stiffness_n_per_m=Estimate(value=1e5, std=4e4, status=Status.WEAK),
+    )
+    doubt = Finding(code="mass-disagreement", severity="warning", message="Axis x: the masses disagree.", advice="")
+    both = replace(axis, environments=(axis.environments[0], second))
+    write_identified("identified.yaml", replace(found, axes={"x": both}, findings=(doubt,)), {})
+    assert main(["plan", "identified.yaml"]) == 0
+    out, err = capsys.readouterr()
+    assert "Axis x: the masses disagree." in err
+    # 4e4 N/m in the unit of the table.
+    assert "environment K_e is known to ± 40 N/mm, 8 times what is allowed" in out
+    assert "planned for surface x2, the least well known of 2" in out
 
 
 def test_json_is_the_file_and_names_its_source(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -93,7 +113,9 @@ def test_without_a_file_a_first_recording_is_planned_from_guesses(
     ("arguments", "code", "told"),
     [
         (["--max-tilt", "2"], 4, "it takes 15 degrees"),
-        (["--poses", "2"], 2, "at least 4"),
+        (["--poses", "3"], 2, "--poses must be 0 (none) or at least 4"),
+        (["--mass", "16000"], 2, "--mass"),
+        (["--stiffness", "300"], 2, "--stiffness"),
         (["missing.yaml"], 2, "missing.yaml"),
         (["identified.yaml", "--mass", "3"], 2, "--mass and --stiffness"),
         (["two.yaml"], 2, "--axis"),

@@ -82,7 +82,7 @@ def test_more_freedom_makes_a_gentler_contact_that_validates() -> None:
     found, fixed = free_optimized(), fast_optimized()
     assert found.report.passed
     assert found.searches["x"].evaluation.objective_n < 0.99 * fixed.searches["x"].evaluation.objective_n
-    assert found.optimality["x"].relative_residual < 5e-3
+    assert found.standings["x"].optimality.relative_residual < 5e-3
     assert found.controller.compensation_mass_kg >= 4.0
 
 

@@ -158,6 +158,7 @@ def test_a_file_without_its_end_has_lost_nothing_but_that(tmp_path: Path) -> Non
         contents = read_all(path, salvage=True)
         assert contents.messages == expected(messages)
         assert "no sound summary at the end" in told(contents)
+        assert "the end was cut off, with all that was recorded after" in told(contents)
 
 
 @pytest.mark.parametrize("value", [struct.pack("<Q", 2**63), struct.pack("<Q", 70), struct.pack("<Q", 24)])

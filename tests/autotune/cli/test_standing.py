@@ -1,0 +1,50 @@
+"""What people read of the requirements and bounds that a result rests on."""
+
+from dataclasses import replace
+
+import pytest
+
+from autotune.cli._standing import active_lines
+from autotune.tuning.explain import Active
+from autotune.tuning.optimize import Optimized
+from tests.autotune.tuning.cases import fast_optimized
+
+
+def with_active(*active: Active) -> Optimized:
+    found = fast_optimized()
+    return replace(found, standings={"x": replace(found.standings["x"], active=active)})
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        (
+            Active(name="delay_margin_s", price_n=0.8),
+            "delay_margin_s holds the peak up: easing it by 1 % saves 0.80 N, asking 1 % more costs as much",
+        ),
+        (
+            Active(name="upper bound of lead_s", price_n=0.25),
+            "the upper bound of lead_s, 0.03, is active: 1 % wider saves 0.25 N; widen it, or accept",
+        ),
+        (
+            Active(name="lower bound of damping", price_n=0.0),
+            "the lower bound of damping, 900, is active, and widening it saves nothing",
+        ),
+        (Active(name="gain_margin_db", price_n=0.0), "gain_margin_db is active, easing it alone saves nothing"),
+        (
+            Active(name="modulus_margin", price_n=0.5, soft=True),
+            "modulus_margin is wished, not required: wishing 1 % less saves 0.50 N of peak and price",
+        ),
+    ],
+)
+def test_every_kind_of_limit_has_its_sentence(entry: Active, said: str) -> None:
+    assert active_lines(with_active(entry), "x")[0] == said
+
+
+def test_nothing_active_and_nothing_found_elsewhere() -> None:
+    found = with_active()
+    standing = found.standings["x"]
+    alone = replace(standing.reference, elsewhere_n=float("inf"), arrived=0)
+    lines = active_lines(replace(found, standings={"x": replace(standing, reference=alone)}), "x")
+    assert lines[0] == "no requirement is active: the peak is the approach force itself"
+    assert lines[-1].endswith("other designs, none of which met the requirements")
