@@ -9,8 +9,8 @@ import click
 from ._common import Output, output_options
 from ._compare import compare_lines, compare_tree
 from ._pareto import FrontWriter, pareto_options
-from ._report import check_report, print_report_path, report_option, write_report
 from ._proof import proof_options
+from ._report import check_report, print_report_path, report_option, write_report
 from ._schedule import schedule_options
 from ._standing import active_lines, active_tree
 from ._table import table_lines
@@ -152,7 +152,8 @@ def command(
 
         before = None if existing is None else existing.controller
         traced = fronts.tree.get("axes")
-        return build_optimize_page(found.controller, checksum, found=found, old=before, fronts=traced)
+        steps = {name: search.steps for name, search in found.searches.items()}
+        return build_optimize_page(found.controller, checksum, steps=steps, old=before, fronts=traced)
 
     tree |= write_report(output, report, page)
 

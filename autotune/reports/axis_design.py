@@ -14,6 +14,7 @@ from autotune.files.controller_record import (
     AxisMargins,
     AxisPrediction,
     Controller,
+    Reach,
     SoftRequirement,
 )
 from autotune.files.units import AxisUnits, axis_units
@@ -33,7 +34,10 @@ _STIFFNESS = "environment_stiffness_n_per_m"
 
 @dataclass(frozen=True, kw_only=True)
 class AxisDesign:
-    """An axis `name` that runs `law` every `sample_time_s`, and what its certificate says; SI units of the axis."""
+    """An axis `name` that runs `law` every `sample_time_s`, and what its certificate says; SI units of the axis.
+
+    `reach` tells how far the modulus is proved.
+    """
 
     name: str
     law: AdmittanceController
@@ -43,6 +47,7 @@ class AxisDesign:
     margins: AxisMargins
     asked: Asked
     soft: Mapping[str, SoftRequirement]
+    reach: tuple[Reach, ...] = ()
 
     @property
     def units(self) -> AxisUnits:
@@ -103,6 +108,7 @@ def axis_designs(controller: Controller) -> tuple[AxisDesign, ...]:
             margins=certificate.margins[name],
             asked=certificate.requirements_of(name) or {},
             soft=(certificate.soft or {}).get(name, {}),
+            reach=(certificate.continuous or {}).get(name, ()),
         )
         for name in controller.axes
         if name in certificate.domain and name in certificate.margins and name in controller.predicted

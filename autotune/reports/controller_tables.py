@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from autotune.files.canonical import short
 from autotune.files.controller_record import (
@@ -18,9 +18,6 @@ from problems.uncertainty import SYMBOLS
 
 from .axis_design import AxisDesign
 from .page import Cell, Fact, Facts, Table, Tone
-
-if TYPE_CHECKING:
-    from autotune.tuning.explain import Active
 
 _MARGINS = {
     "modulus_margin": ("modulus margin", "modulus", 1.0, ""),
@@ -92,10 +89,20 @@ def gains_table(controller: Controller) -> Table:
     )
 
 
-def requirement_table(design: AxisDesign, active: Sequence["Active"] | None) -> Table:
+def prices_of(standing: Mapping[str, Any] | None) -> dict[str, float] | None:
+    """Return what one percent of each active requirement or bound costs (N, N·m), from what the file says of it."""
+    if standing is None:
+        return None
+    return {
+        str(each["name"]): next(float(value) for key, value in each.items() if key.startswith("price_"))
+        for each in standing["active"]
+    }
+
+
+def requirement_table(design: AxisDesign, active: Mapping[str, float] | None) -> Table:
     """Return what was asked beside what is reached, with the price of those that hold the peak up, if it is known."""
     wished = {name: claim.asked for name, claim in design.soft.items()}
-    prices = {} if active is None else {each.name: each.price_n for each in active}
+    prices = dict(active or {})
     rows = []
     for name, asked in {**design.asked, **wished}.items():
         title, want, got, share = _standing(design, name, asked)
@@ -246,6 +253,32 @@ def _case(case: Mapping[str, Any], units: AxisUnits) -> str:
             unit = symbol_units(units).get(SYMBOLS.get(name, ""), "")
             told.append(f"{SYMBOLS.get(name, name)} {value:.4g} {unit}".strip())
     return ", ".join(told)
+
+
+def reach_table(design: AxisDesign) -> Table | None:
+    """Return how far the modulus is proved at all frequencies, None where the file does not say it."""
+    if not design.reach:
+        return None
+    rows = []
+    for reach in design.reach:
+        low, high = reach.environment_stiffness_n_per_m
+        tone: Tone = "good" if reach.share == 1.0 else "warn"
+        rows.append(
+            (
+                Cell(text=", ".join(SYMBOLS.get(name, name) for name in reach.over)),
+                Cell(text=f"{reach.modulus:.4g}", is_number=True),
+                Cell(text=f"{100.0 * reach.slack:.3g} %", is_number=True),
+                Cell(text=f"{100.0 * reach.share:.4g} %", is_number=True, tone=tone),
+                Cell(text=f"{low:.4g} to {high:.4g} {design.units.stiffness}"),
+                Cell(text=f"{reach.cells:.0f}, {reach.arcs:.0f}", is_number=True),
+                Cell(text=reach.method, tone="quiet"),
+            )
+        )
+    return Table(
+        caption=f"Modulus margin of axis {design.name} that is proved at all frequencies, in contact and free space",
+        columns=("over", "modulus", "slack", "of the set", "whole for K_e", "cells, arcs", "by"),
+        rows=tuple(rows),
+    )
 
 
 def proof_table(controller: Controller) -> Table:

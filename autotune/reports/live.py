@@ -91,7 +91,6 @@ def _draw_panel(panel: Panel, is_beside: bool) -> Any:
                 border_line_alpha=0.0,
                 background_fill_alpha=0.0,
                 margin=0,
-                padding=2,
             ),
             "below",
         )

@@ -258,7 +258,7 @@ def stiffness_chart(design: AxisDesign, old: AdmittanceController | None) -> Cha
             Panel(
                 x=x,
                 y=Scale(label="modulus margin", limits=(0.0, _highest(now, before))),
-                elements=(certified, *limits, *_curves(cases, scale, "modulus")),
+                elements=(certified, *limits, *_proved(design, scale), *_curves(cases, scale, "modulus")),
             ),
             Panel(
                 x=x,
@@ -268,6 +268,14 @@ def stiffness_chart(design: AxisDesign, old: AdmittanceController | None) -> Cha
         ),
         linked=True,
     )
+
+
+def _proved(design: AxisDesign, scale: float) -> Iterator[Line]:
+    """Yield the modulus that is proved over K_e and M_p, as far as it is."""
+    for reach in design.reach[:1]:
+        ends = scale * np.array(reach.environment_stiffness_n_per_m)
+        if ends[1] > ends[0]:
+            yield Line(x=ends, y=np.full(2, reach.modulus), label="proved", role="good")
 
 
 def _highest(*cases: Sequence[OverStiffness]) -> float:

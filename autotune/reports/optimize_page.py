@@ -13,7 +13,9 @@ from .controller_tables import (
     design_facts,
     domain_table,
     gains_table,
+    prices_of,
     proof_table,
+    reach_table,
     requirement_table,
     worst_table,
 )
@@ -23,20 +25,22 @@ from .page import Block, Cell, Facts, Note, Page, Section, Table, Tone
 from .search_charts import convergence_chart, front_chart
 
 if TYPE_CHECKING:
-    from autotune.tuning.optimize import Optimized
+    from autotune.tuning.search import SearchStep
+
+_LEAST_PRICE = 1e-3
 
 
 def build_optimize_page(
     controller: Controller,
     checksum: str,
     *,
-    found: "Optimized | None" = None,
+    steps: Mapping[str, Sequence["SearchStep"]] | None = None,
     old: Controller | None = None,
     fronts: Mapping[str, Any] | None = None,
 ) -> Page:
     """Build the report of a controller from its file alone, or with what only the search knows.
 
-    `found` adds prices and convergence, `old` is drawn beside it on the same plants, `fronts` are the axes of
+    `steps` adds by axis how the search converged, `old` is drawn beside it on the same plants, `fronts` are the axes of
     `pareto.yaml`.
     """
     designs = axis_designs(controller)
@@ -48,12 +52,12 @@ def build_optimize_page(
                 Facts(facts=(checksum_fact(checksum),)),
                 design_facts(designs),
                 gains_table(controller),
-                *active_notes(found),
+                *active_notes(controller),
             ),
         ),
-        *(design_section(design, found, old) for design in designs),
+        *(design_section(design, standing_of(controller, design.name), old) for design in designs),
         *([] if fronts is None else [front_section(fronts)]),
-        *([] if found is None else search_section(found)),
+        search_section(controller, steps or {}),
         certificate_section(controller, designs),
     ]
     return Page(
@@ -85,54 +89,63 @@ def footer(controller: Controller, checksum: str) -> str:
     return " · ".join(part for part in (str(tool), source, f"checksum {checksum}") if part)
 
 
-def active_notes(found: "Optimized | None") -> Iterator[Note]:
+def active_notes(controller: Controller) -> Iterator[Note]:
     """Yield what holds the peak of each axis up, in a sentence."""
-    if found is None:
-        return
-    for name, active in found.active.items():
-        paid = [each for each in active if each.price_n > 1e-3]
-        told = ", ".join(each.name.replace("_", " ") for each in paid)
-        text = (
-            f"Axis {name}: what holds the peak up is {told}."
-            if paid
-            else f"Axis {name}: no requirement holds the peak up."
-        )
-        yield Note(text=text, kind="why", tone="quiet")
+    for name in controller.axes:
+        prices = prices_of(standing_of(controller, name))
+        if prices is not None:
+            told = ", ".join(each.replace("_", " ") for each, price in prices.items() if price > _LEAST_PRICE)
+            text = f"what holds the peak up is {told}." if told else "no requirement holds the peak up."
+            yield Note(text=f"Axis {name}: {text}", kind="why", tone="quiet")
 
 
-def design_section(design: AxisDesign, found: "Optimized | None", old: Controller | None) -> Section:
+def standing_of(controller: Controller, name: str) -> Mapping[str, Any] | None:
+    """Return what the file says of how near one axis is to the best, None where it does not."""
+    told = controller.provenance.get("optimality")
+    found = told.get(name) if isinstance(told, Mapping) else None
+    return found if isinstance(found, Mapping) else None
+
+
+def design_section(design: AxisDesign, standing: Mapping[str, Any] | None, old: Controller | None) -> Section:
     """Return requirements and figures of one axis."""
     before = None if old is None or design.name not in old.axes else admittance_controller(old, design.name)
-    active = None if found is None else found.active.get(design.name)
-    blocks: list[Block] = [requirement_table(design, active), *contact_charts(design, before)]
+    blocks: list[Block] = [requirement_table(design, prices_of(standing)), *contact_charts(design, before)]
     blocks += [stiffness_chart(design, before), admittance_chart(design, before), nyquist_chart(design, before)]
     blocks.append(map_chart(design))
     return Section(key=f"axis-{design.name}", title=f"Axis {design.name}", blocks=tuple(blocks))
 
 
-def search_section(found: "Optimized") -> list[Section]:
-    """Return how the search went, axis by axis."""
+def search_section(controller: Controller, steps: Mapping[str, Sequence["SearchStep"]]) -> Section:
+    """Return how the search went, as far as it is known, and how near each axis is to the best."""
     blocks: list[Block] = []
-    for name, search in found.searches.items():
-        chart = convergence_chart(name, axis_units(name), search.steps)
+    for name in controller.axes:
+        chart, standing = convergence_chart(name, axis_units(name), steps.get(name, ())), standing_of(controller, name)
         blocks += [] if chart is None else [chart]
-        blocks.append(_optimality_table(name, found))
-    return [Section(key="search", title="The search", blocks=tuple(blocks))]
+        blocks += [] if standing is None else [_standing_table(name, standing)]
+    return Section(key="search", title="The search", blocks=tuple(blocks))
 
 
-def _optimality_table(name: str, found: "Optimized") -> Table:
-    search, holds = found.searches[name], found.optimality[name]
-    rows = (
-        ("designs evaluated", f"{search.evaluations}"),
-        ("scenarios that the result was evaluated on", f"{search.scenario_count}"),
-        ("rounds of adding the worst scenarios", f"{search.rounds}"),
-        ("scenarios at the top together", f"{holds.scenarios}"),
-        ("residual of the optimality conditions", f"{100.0 * holds.relative_residual:.2g} % of the gradient"),
-        ("what unused slack could still save", f"{100.0 * holds.slack:.2g} % of the peak"),
+def _standing_table(name: str, standing: Mapping[str, Any]) -> Table:
+    against, force = standing["gap_against"], axis_units(name).force
+    least, elsewhere = (
+        next(value for key, value in against.items() if key.startswith(f"{what}_"))
+        for what in ("least", "from_elsewhere")
     )
+    rows = [
+        ("requirements", "all met" if standing["feasible"] else "missed"),
+        ("contacts that this was seen on", str(standing["scenarios"])),
+        ("left over of the conditions of an optimum", f"at most {standing['kkt_residual']:.2g} of the gradient"),
+        ("unused slack is worth", f"at most {100.0 * standing['unused_slack']:.2g} % of the peak"),
+        ("gap to the least that was found", f"at most {100.0 * standing['gap']:.2g} %"),
+        ("the least, over the hardest contacts alone", f"{least:.4g} {force}"),
+        (
+            f"by {against['descents']} descents from the best of {against['designs']} other designs",
+            "none met the requirements" if elsewhere is None else f"{elsewhere:.4g} {force}",
+        ),
+    ]
     return Table(
-        caption=f"Axis {name}: whether it is optimal",
-        columns=("", "value"),
+        caption=f"Axis {name}: how near it is to the best",
+        columns=("", "found"),
         rows=tuple((Cell(text=what), Cell(text=value, is_number=True)) for what, value in rows),
     )
 
@@ -178,5 +191,7 @@ def certificate_section(controller: Controller, designs: Sequence[AxisDesign]) -
     """Return what is proved, over which plants, and the worst of them."""
     blocks: list[Block] = [proof_table(controller)]
     for design in designs:
+        reach = reach_table(design)
+        blocks += [] if reach is None else [reach]
         blocks += [domain_table(design), worst_table(design)]
     return Section(key="certificate", title="Certificate", blocks=tuple(blocks))

@@ -34,7 +34,8 @@ def controller_page() -> Page:
     found = fast_optimized()
     axes = dict(found.controller.axes)
     stiffer = replace(found.controller, axes={"x": replace(axes["x"], damping=1.2 * axes["x"].damping)})
-    return build_optimize_page(found.controller, CHECKSUM, found=found, old=stiffer)
+    steps = {name: search.steps for name, search in found.searches.items()}
+    return build_optimize_page(found.controller, CHECKSUM, steps=steps, old=stiffer)
 
 
 def charts_of(page: Page) -> dict[str, Chart]:
@@ -117,7 +118,7 @@ def test_an_unstable_loop_has_no_numbers_to_draw() -> None:
 def test_the_page_says_what_was_asked_what_it_costs_and_how_the_search_came_there() -> None:
     found, page = fast_optimized(), controller_page()
     text = texts_of(page)
-    for active in found.active["x"]:
+    for active in found.standings["x"].active:
         if active.price_n > 0.01 and "bound" not in active.name:
             assert f"{active.price_n:.2f} N" in text
     steps = found.searches["x"].steps
