@@ -112,9 +112,9 @@ def command(
 
     Every identified axis is tuned, rotational ones in rad, N·m and kg·m². Peak force, stability and margins are those
     of the exact sampled loop, over the whole range of payload mass and environment stiffness, where stability and the
-    modulus are proved, not only swept. Exit code 5: no
-    controller meets the requirements. 6: a claim could not be verified, or the file to compare with is altered. Nothing
-    is written then. The controller is the same with and without --pareto. With --schedule the output is a folder.
+    modulus are proved, not only swept. Exit code 5: no controller meets the requirements. 6: a claim could not be
+    verified, or the file to compare with is altered. Nothing is written then. The controller is the same with and
+    without --pareto. With --schedule the output is a folder.
     """
     from autotune.files.atomic import check_target
     from autotune.files.canonical import short
@@ -124,9 +124,9 @@ def command(
     from autotune.tuning.optimize import optimize
     from autotune.tuning.problems import Wishes
 
-    sources = [path for path in (identified, problem, old) if path is not None]
-    check_target(out, [path for path in (identified, problem) if path is not None])
-    check_report(report, [*sources, out])
+    sources = [path for path in (identified, problem) if path is not None]
+    check_target(out, sources)
+    check_report(report, [*sources, out, *([] if old is None else [old])])
     plant = read_identified(identified)
     existing = None if old is None else read_controller(old)
     spec = ProblemSpec() if problem is None else read_problem(problem)
@@ -146,16 +146,7 @@ def command(
         tree["compare"] = compare_tree(existing, found.compared)
     if fronts.tree:
         tree["pareto"] = fronts.tree
-
-    def page() -> "Page":
-        from autotune.reports.optimize_page import build_optimize_page
-
-        before = None if existing is None else existing.controller
-        traced = fronts.tree.get("axes")
-        steps = {name: search.steps for name, search in found.searches.items()}
-        return build_optimize_page(found.controller, checksum, steps=steps, old=before, fronts=traced)
-
-    tree |= write_report(output, report, page)
+    tree |= write_report(output, report, lambda: _page(found, checksum, existing, fronts))
 
     def text() -> None:
         print_optimized(found, out, short(checksum), existing)
@@ -163,6 +154,18 @@ def command(
         print_report_path(report)
 
     output.result(tree, text)
+
+
+def _page(found: "Optimized", checksum: str, existing: "ControllerFile | None", fronts: FrontWriter) -> "Page":
+    from autotune.reports.optimize_page import build_optimize_page
+
+    return build_optimize_page(
+        found.controller,
+        checksum,
+        steps={name: search.steps for name, search in found.searches.items()},
+        old=None if existing is None else existing.controller,
+        fronts=fronts.tree.get("axes"),
+    )
 
 
 def _notes(plant: "IdentifiedFile", found: "Optimized", has_stiffness: bool) -> Iterator[str]:

@@ -1,7 +1,7 @@
 """Predicted against measured force of every contact in a log that was recorded under the controller of a file."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +71,7 @@ class ComparedContact:
     share_inside: float
     rms_error_n: float
     outside: str
-    trace: ContactTrace
+    trace: ContactTrace = field(compare=False)
 
     @property
     def is_inside(self) -> bool:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +81,7 @@ class AxisMonteCarlo:
     sensor: SampledPeaks | None = None
     unstable: Scenario | None = None
     refusal: str = ""
-    band: ForceBand | None = None
+    band: ForceBand | None = field(default=None, compare=False)
 
 
 def run_monte_carlo(
