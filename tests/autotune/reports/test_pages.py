@@ -4,13 +4,16 @@ import json
 import re
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from autotune.files.controller import controller_tree, short
+from autotune.files.schedule import write_schedule
 from autotune.reports.axis_design import axis_designs, contact_of, modulus_of, over_stiffness
 from autotune.reports.charts import Chart, Heat, Line
+from autotune.reports.from_files import report_files
 from autotune.reports.optimize_charts import nyquist_chart
 from autotune.reports.optimize_page import build_front_page, build_optimize_page
 from autotune.reports.page import Page, Section, Table, join_pages, render_page
@@ -21,6 +24,7 @@ from autotune.validation.monte_carlo import run_monte_carlo
 from autotune.validation.monte_carlo_report import monte_carlo_checks
 from autotune.validation.validate import Check, ValidationReport
 from problems.controller import AdmittanceController
+from tests.autotune.files.test_schedule import make_schedule
 from tests.autotune.reports.page_law import check_page, unpacked
 from tests.autotune.tuning.cases import fast_optimized, small_controller
 from tests.autotune.validation.test_against_log import own
@@ -192,6 +196,16 @@ def test_what_stands_in_a_file_cannot_become_part_of_the_page() -> None:
     assert "<script>alert" not in text
     assert re.search(r"&lt;script&gt;alert", text)
     assert controller_tree(found)["status"] == "validated"
+
+
+def test_a_schedule_is_a_table_of_its_classes_in_the_units_of_each_axis(tmp_path: Path) -> None:
+    write_schedule(tmp_path / "cell", make_schedule())
+    page = report_files([tmp_path / "cell" / "schedule.yaml"]).page
+    rows = texts_of(page).splitlines()
+    assert len(rows) == 4
+    assert rows[0].startswith("m14-18 | x | 14 to 18 | 93.1 N | 102.4 N | +9.31 N | ")
+    assert rows[3].startswith("m18 | rz | 18 | 93.1 N·m | 93.1 N·m | +0 N·m | ")
+    assert render_page(page) == render_page(page)
 
 
 def test_a_log_without_contacts_is_left_out() -> None:
