@@ -131,7 +131,7 @@ def _searched(problem: DesignProblem, progress: Progress) -> AxisStart:
 
 
 def _worst_few(found: SearchResult) -> list[Scenario]:
-    """Return the plants beyond K_e and M_p that hold the best design back most; few, as each costs time at every turn."""
+    """Return the plants beyond K_e and M_p that hold the best design back most; few, for each costs time at a turn."""
     further = [each for each in found.active.scenarios if each.further()]
     judged = [build_scenarios(found.problem, [each]).evaluate(found.design, peaks_if_missed=True) for each in further]
     tight = sorted(zip(judged, further, strict=True), key=lambda pair: -max(pair[0].requirements.values(), default=0.0))

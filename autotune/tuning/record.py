@@ -89,7 +89,7 @@ def build_controller(
             sampled=tuple(
                 claim
                 for name in results
-                for claim in sampled_claims(domain[name], margins[name], predicted[name], name)
+                for claim in sampled_claims(domain[name], margins[name], predicted[name], name, reaches.get(name, ()))
             ),
             margins=margins,
             soft=soft or None,
