@@ -32,8 +32,8 @@ _RESTS_MS = 350
 _LOGARITHMIC = "return String(Number((10 ** tick).toPrecision(4)));"
 _PLAIN = "return String(Number(tick.toPrecision(4)));"
 _MAP_TOLD = (
-    "Coloured by its worst peak: a design that meets every requirement on all plants. Pale: one is missed; reddish: "
-    "unstable. The star is the present design."
+    "Coloured by its worst peak: a design that meets every requirement on all plants. The plain ground misses one, the "
+    "reddish is unstable. The star is the present design."
 )
 _STYLE = """
 :host { color: inherit; font: inherit; }
