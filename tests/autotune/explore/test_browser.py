@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -15,35 +14,12 @@ from urllib.parse import urlsplit
 import pytest
 
 from autotune.files.controller import read_controller, write_controller
+from tests.autotune.browser import PAINTED, Visit
 from tests.autotune.tuning.cases import small_controller
 
 FIGURES = ("contact", "admittance", "nyquist", "requirements", "map")
 READY = "() => window.Bokeh && Bokeh.documents[0] && Bokeh.documents[0].get_model_by_name('data-map').data.x.length > 0"
-# The share of a figure's pixels that are painted: what the engine draws lies on canvases inside of shadow roots.
-PAINTED = """key => {
-  const canvases = [];
-  const walk = node => {
-    if (node.tagName === 'CANVAS') canvases.push(node);
-    for (const child of [...(node.shadowRoot ? node.shadowRoot.children : []), ...node.children]) walk(child);
-  };
-  walk(document.getElementById(key));
-  let painted = 0, all = 0;
-  for (const canvas of canvases.filter(each => each.width > 0 && each.height > 0)) {
-    const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
-    for (let i = 3; i < pixels.length; i += 4) { all += 1; painted += pixels[i] > 0; }
-  }
-  return all ? painted / all : 0;
-}"""
 CONTACT = "() => Array.from(Bokeh.documents[0].get_model_by_name('data-contact').data.y)"
-
-
-def chromium() -> str:
-    found = shutil.which("chromium")
-    if found is None:
-        if os.environ.get("CI") == "true":
-            pytest.fail("Chromium must be there in CI; install Debian's package chromium.")
-        pytest.skip("needs Debian's chromium")
-    return found
 
 
 @pytest.fixture(scope="module")
@@ -74,29 +50,10 @@ def served(tmp_path_factory: pytest.TempPathFactory, repository: Path) -> Iterat
         assert (server.returncode, complaints) == (0, "Ended.\n")
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    path = chromium()
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as tools:
-        opened = tools.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        yield opened
-        opened.close()
-
-
-class Visit:
-    """One opened page, and what it asked for and complained of."""
-
-    def __init__(self, browser: Any, url: str, width: int, scheme: str) -> None:
-        self.page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
-        self.requests: list[str] = []
-        self.complaints: list[str] = []
-        self.page.on("request", lambda asked: self.requests.append(asked.url))
-        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.page.on("console", lambda told: self.complaints.extend([told.text] if told.type == "error" else []))
-        self.page.goto(url)
-        self.page.wait_for_function(READY, timeout=60_000)
+def visit_of(browser: Any, url: str, width: int, scheme: str) -> Visit:
+    visit = Visit(browser, url, width, scheme)
+    visit.page.wait_for_function(READY, timeout=60_000)
+    return visit
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
@@ -104,18 +61,16 @@ def test_every_figure_is_drawn_and_nothing_overflows(
     browser: Any, served: tuple[str, Path], width: int, scheme: str
 ) -> None:
     url, _ = served
-    visit = Visit(browser, url, width, scheme)
+    visit = visit_of(browser, url, width, scheme)
     for key in FIGURES:
         visit.page.wait_for_function(f"() => ({PAINTED})('{key}') > 0.005", timeout=30_000)
-    assert visit.page.evaluate("document.documentElement.scrollWidth") <= width
-    assert all(each.startswith((url, "data:", "blob:")) for each in visit.requests), visit.requests
-    assert visit.complaints == []
+    visit.check()
     visit.page.close()
 
 
 def test_the_hand_is_followed_and_what_holds_is_saved(browser: Any, served: tuple[str, Path]) -> None:
     url, out = served
-    visit = Visit(browser, url, 1280, "light")
+    visit = visit_of(browser, url, 1280, "light")
     page = visit.page
     before = page.evaluate(CONTACT)
     # The second handle is that of the damping; an arrow key turns it by a few per cent.

@@ -1,0 +1,20 @@
+"""Fixtures of the tool's tests."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from tests.autotune.browser import chromium
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """A real browser without a window."""
+    path = chromium()
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as tools:
+        opened = tools.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield opened
+        opened.close()
