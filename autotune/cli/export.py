@@ -8,6 +8,7 @@ import click
 from autotune.exports.targets import EVERY_TARGET, PEER_TARGETS
 
 from ._common import Output, output_options
+from ._terminal import tell
 
 _FOR_PEERS = (
     click.option("--ros2-version", "version", metavar="NAME", help="jazzy (default), kilted, rolling, or as 6.4.0."),
@@ -83,7 +84,7 @@ def command(output: Output, /, controller: Path, target: str, out: Path, **furth
         raise UsageError(f"The target {target} takes no names, versions or numbers of another controller.")
     checksum = export_controller(controller, target, out)
     result = {"target": target, "path": str(out), "checksum": checksum, "short_checksum": short(checksum)}
-    output.result(result, lambda: click.echo(f"{out}: {target}, checksum {short(checksum)}"))
+    output.result(result, lambda: tell(f"{out}: {target}, checksum {short(checksum)}"))
 
 
 def _export_peer(output: Output, controller: Path, target: str, out: Path, given: dict[str, Any]) -> None:
@@ -100,15 +101,15 @@ def _export_peer(output: Output, controller: Path, target: str, out: Path, given
     head = {"target": target, "path": str(out), "checksum": checksum, "short_checksum": short(checksum)}
 
     def text() -> None:
-        click.echo(f"{out}: {target}, from the file with checksum {short(checksum)}")
+        tell(f"{out}: {target}, from the file with checksum {short(checksum)}")
         for axis in made.axes:
             how = "translated" if axis.tuned_because is None else f"tuned anew, since {axis.tuned_because}"
             numbers = ", ".join(f"{name} {value:g}" for name, value in axis.written.items())
-            click.echo(f"axis {axis.axis}: {numbers} ({how})")
-            click.echo(f"axis {axis.axis}: peak force {axis.price()}")
+            tell(f"axis {axis.axis}: {numbers} ({how})")
+            tell(f"axis {axis.axis}: peak force {axis.price()}")
             for note in axis.notes:
-                click.echo(note)
+                tell(note)
         for line in made.dropped:
-            click.echo(f"dropped: {line}")
+            tell(f"dropped: {line}")
 
     output.result({**head, **made.tree()}, text)

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 import click
 
 from ._common import Output, output_options
-from ._table import printable, table_lines
+from ._table import print_table
+from ._terminal import tell
 
 if TYPE_CHECKING:
     from identification.result import Identified
@@ -80,7 +81,7 @@ def command(
     check_target(out, [*logs, *([] if cell_path is None else [cell_path])])
     topics = Topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
     cell = None if cell_path is None else read_cell(cell_path)
-    with output.progress(f"identifying {', '.join(log.name for log in logs)}", None):
+    with output.progress(f"identifying {', '.join(log.name for log in logs)}", 1.0) as advance:
         found = identify_log(
             logs,
             topics,
@@ -89,6 +90,7 @@ def command(
             allow_partial=allow_partial,
             given=parse_given(given),
             processes=count_processors(),
+            progress=advance,
         )
     write_identified(out, found.result, found.provenance)
     output.result(identified_tree(found.result, found.provenance), lambda: print_identified(found.result, out))
@@ -102,13 +104,12 @@ def print_identified(result: "Identified", out: Path) -> None:
         ("parameter", "value", "± std", "unit", "verdict"),
         *((row.name, row.value, row.std, row.unit, row.verdict) for row in parameter_rows(result)),
     ]
-    for line in table_lines(rows, left=(0, 3, 4)):
-        click.echo(line)
+    print_table(rows, left=(0, 3, 4), point=(1, 2), verdict=4)
     for timeline in result.timelines:
-        click.echo(printable(_timeline_line(timeline)))
+        tell(_timeline_line(timeline))
     for finding in result.findings:
-        click.echo(printable(f"{finding.severity}: {finding.message} {finding.advice}".rstrip()))
-    click.echo(f"written: {out}")
+        tell(f"{finding.message} {finding.advice}", verdict=f"{finding.severity}: ")
+    tell(f"written: {out}")
 
 
 def _timeline_line(timeline: "Timeline") -> str:

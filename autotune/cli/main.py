@@ -18,6 +18,7 @@ from click.shell_completion import CompletionItem
 
 from autotune import __version__
 from autotune.cli._common import Delivery, discard_output, json_text, say
+from autotune.cli._terminal import painted
 from autotune.cli.completion import COMPLETE_VARIABLE
 from autotune.errors import CertificateError, InfeasibleError, UsageError
 from identification.errors import EstimateError, LogError
@@ -184,7 +185,8 @@ def _report(error: BaseException, arguments: Sequence[str], delivery: Delivery) 
         say("".join(traceback.format_exception(error)).rstrip())
     message = _one_line(error, code)
     hint = _hint(error, code)
-    say(f"{PROGRAM}: {message}" + (f" {hint}" if hint else ""))
+    name = painted(f"{PROGRAM}:", error=True)
+    say(f"{name} {message}" + (f" {hint}" if hint else ""))
     if _asked("--json", arguments) and not delivery.done:
         tree = {"error": {"kind": type(error).__name__, "message": message, "exit_code": int(code), **_details(error)}}
         with contextlib.suppress(BrokenPipeError):

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output, output_options
+from ._terminal import tell
 
 if TYPE_CHECKING:
     from problems.map_plants import Where
@@ -127,7 +128,7 @@ def command(
 def print_summary(tree: dict[str, Any]) -> None:
     """Print what was found in a few lines, and where the files are."""
     for line in summary_lines(tree):
-        click.echo(line)
+        tell(line)
 
 
 def summary_lines(tree: dict[str, Any]) -> list[str]:

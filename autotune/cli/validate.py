@@ -8,6 +8,7 @@ import click
 from ._against_log import compare_logs, comparison_tree, print_comparison
 from ._common import Output, output_options
 from ._schedule import validate_schedule
+from ._terminal import echo, painted, printable, tell
 
 if TYPE_CHECKING:
     from autotune.files.controller import ControllerFile
@@ -193,8 +194,8 @@ def _print(
 ) -> None:
     """Print one line per check, the contacts of the log as a table."""
     for check in report.checks:
-        click.echo(f"{'ok' if check.passed else 'FAILED':6} axis {check.axis}, {check.name}: {check.message}")
+        tell(f"axis {check.axis}, {check.name}: {check.message}", verdict=f"{'ok' if check.passed else 'FAILED':6} ")
     if compared is not None:
         print_comparison(compared)
     signed = "" if signed_by is None else f", signed by the key {signed_by}"
-    click.echo(f"{path}: {'valid' if report.passed else 'NOT valid'}, checksum {checksum}{signed}")
+    echo(f"{printable(str(path))}: {painted('valid' if report.passed else 'NOT valid')}, checksum {checksum}{signed}")
