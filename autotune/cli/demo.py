@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output, output_options
+from ._help import GroupedCommand
 from ._table import print_table
 from ._terminal import tell
 
@@ -13,12 +14,14 @@ if TYPE_CHECKING:
     from autotune.demo import Comparison, DemoResult
 
 _EPILOG = """\b
-Example:
-  autotune demo first-try
+Examples:
+  autotune demo
+  autotune demo first-try --seed 7
+  autotune demo --json --quiet
 """
 
 
-@click.command("demo", epilog=_EPILOG)
+@click.command("demo", cls=GroupedCommand, epilog=_EPILOG)
 @click.argument("directory", metavar="[DIR]", type=click.Path(path_type=Path, file_okay=False), default="autotune-demo")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Noise of the log, and search.")
 @output_options
@@ -28,15 +31,10 @@ def command(output: Output, directory: Path, seed: int) -> None:
     DIR (default autotune-demo) then holds the log (MCAP), identified.yaml, controller.yaml and its JSON twin. The
     summary puts what was identified beside the truth of the simulation.
     """
-    from autotune.demo import STEPS, run_demo
+    from autotune.demo import run_demo
 
-    with output.progress("demo", len(STEPS)) as advance:
-
-        def step(name: str) -> None:
-            output.note(f"{name} ...")
-            advance(1)
-
-        found = run_demo(directory, seed=seed, step=step)
+    with output.progress("demo", 1.0) as advance:
+        found = run_demo(directory, seed=seed, step=lambda name: output.note(f"{name} ..."), progress=advance)
     output.result(_tree(found), lambda: _print(found))
 
 

@@ -8,8 +8,16 @@ import click
 from autotune.exports.targets import EVERY_TARGET, PEER_TARGETS
 
 from ._common import Output, output_options
+from ._files import SETTINGS, FilePath
+from ._help import GroupedCommand
 from ._terminal import tell
 
+_EPILOG = """\b
+Examples:
+  autotune export controller.yaml --target json -o controller.json
+  autotune export controller.yaml --target c -o cell.c
+  autotune export controller.yaml --target ros2_control --ros2-version jazzy -o admittance.yaml
+"""
 _FOR_PEERS = (
     click.option("--ros2-version", "version", metavar="NAME", help="jazzy (default), kilted, rolling, or as 6.4.0."),
     click.option("--controller-name", metavar="NAME", help="The name of the controller in the parameter file."),
@@ -31,6 +39,14 @@ _FOR_PEERS = (
 )
 
 
+_GROUPS = {
+    "For ros2_control and fzi_cartesian": (
+        *("version", "controller_name", "joints", "base_link", "tip_link", "sensor_name", "sensor_frame"),
+        *("control_frame", "return_stiffness", "filter_coefficient"),
+    ),
+}
+
+
 def _peer_options(command: Any) -> Any:
     for option in reversed(_FOR_PEERS):
         command = option(command)
@@ -39,10 +55,12 @@ def _peer_options(command: Any) -> Any:
 
 @click.command(
     "export",
+    cls=GroupedCommand,
+    groups=_GROUPS,
     short_help="Write a controller in another format.",
-    epilog="Example: autotune export controller.yaml --target json -o controller.json",
+    epilog=_EPILOG,
 )
-@click.argument("controller", type=click.Path(path_type=Path, dir_okay=False))
+@click.argument("controller", type=FilePath(*SETTINGS))
 @click.option(
     "--target",
     type=click.Choice([*EVERY_TARGET, *PEER_TARGETS]),

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 import click
 
 from ._common import Output, output_options
+from ._files import LOGS, SETTINGS, FilePath
+from ._help import GroupedCommand
 from ._table import print_table
 from ._terminal import tell
 
@@ -20,10 +22,14 @@ Examples:
   autotune identify part1.bag part2.bag --cell cell.yaml
   autotune identify monday.mcap friday.mcap --given mass_kg=16.2±0.1
 """
+_GROUPS = {
+    "What the log does not say": ("cell_path", "wrench_topic", "pose_topic", "command_topic", "given"),
+    "Where a log or a result is not whole": ("allow_partial", "salvage"),
+}
 
 
-@click.command("identify", epilog=_EPILOG)
-@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.command("identify", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FilePath(*LOGS, dir_okay=True))
 @click.option(
     "-o",
     "--output",
@@ -33,9 +39,7 @@ Examples:
     show_default=True,
     help="The file to write.",
 )
-@click.option(
-    "--cell", "cell_path", type=click.Path(path_type=Path, dir_okay=False), help="What the log cannot say: cell.yaml."
-)
+@click.option("--cell", "cell_path", type=FilePath(*SETTINGS), help="What the log cannot say: cell.yaml.")
 @click.option("--wrench-topic", help="The wrench, if the log has several.")
 @click.option("--pose-topic", help="The measured flange pose, if the log has several.")
 @click.option("--command-topic", help="The commanded flange pose.")

@@ -9,6 +9,8 @@ import click
 from autotune.errors import UsageError
 
 from ._common import Output, output_options
+from ._files import LOGS, SETTINGS, FilePath
+from ._help import GroupedCommand
 from ._table import print_table
 from ._terminal import tell
 
@@ -23,11 +25,9 @@ Examples:
 """
 
 
-@click.command("inspect", epilog=_EPILOG)
-@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option(
-    "--cell", "cell_path", type=click.Path(path_type=Path, dir_okay=False), help="What the log cannot say: cell.yaml."
-)
+@click.command("inspect", cls=GroupedCommand, epilog=_EPILOG)
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FilePath(*LOGS, dir_okay=True))
+@click.option("--cell", "cell_path", type=FilePath(*SETTINGS), help="What the log cannot say: cell.yaml.")
 @click.option(
     "--write-cell",
     "start_path",

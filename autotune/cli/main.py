@@ -26,6 +26,15 @@ from problems.errors import ParameterError
 
 PROGRAM = "autotune"
 _GARBAGE = 50_000
+_EPILOG = """\b
+Examples:
+  autotune demo
+  autotune identify run7.mcap && autotune optimize identified.yaml
+  autotune validate controller.yaml --identified identified.yaml
+
+\b
+Colour and progress are for terminals; NO_COLOR=1 switches colour off, FORCE_COLOR=1 on.
+"""
 
 
 class ExitCode(IntEnum):
@@ -119,9 +128,9 @@ def build_cli(entries: Mapping[str, CommandEntry] = COMMANDS) -> click.Group:
     group = LazyGroup(
         entries=entries,
         name=PROGRAM,
-        context_settings={"help_option_names": ["-h", "--help"]},
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
         help="From the log of a contact experiment to a validated admittance controller.",
-        epilog="Example: autotune demo",
+        epilog=_EPILOG,
     )
     return click.version_option(__version__, prog_name=PROGRAM, message="%(prog)s %(version)s")(group)
 
@@ -166,6 +175,9 @@ def _run(cli: click.Group, arguments: list[str], delivery: Delivery) -> int:
     if instruction:
         from click.shell_completion import shell_complete
 
+        from autotune.cli._files import register
+
+        register()
         return shell_complete(cli, {}, PROGRAM, COMPLETE_VARIABLE, instruction)
     # Not `cli.main`: it ends the process by itself on a closed pipe, with a code of its own.
     try:

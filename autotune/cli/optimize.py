@@ -9,6 +9,8 @@ import click
 
 from ._common import Output, output_options
 from ._compare import compare_lines, compare_tree
+from ._files import SETTINGS, FilePath
+from ._help import GroupedCommand
 from ._pareto import FrontWriter, pareto_options
 from ._schedule import schedule_options
 from ._spark import contact_spark
@@ -29,9 +31,15 @@ Examples:
   autotune optimize identified.yaml --payload-mass 10,22 --environment-stiffness 2e4:5e5
   autotune optimize identified.yaml --problem problem.yaml --json
   autotune optimize identified.yaml --compare old.yaml
-  autotune optimize identified.yaml --pareto 9
+  autotune optimize identified.yaml --pareto 9 -o best.yaml
   autotune optimize identified.yaml --schedule payload=8:12,16.2,22 --schedule stiffness=2e4:1e5,1e5:5e5 -o cell
 """
+_GROUPS = {
+    "What must all be safe": ("payload_mass", "environment_stiffness", "schedule"),
+    "A front of peak force against admittance, or of other objectives": (
+        *("pareto", "objectives", "require", "choose", "storage", "study", "trials", "sampler"),
+    ),
+}
 
 
 def _masses(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[float, float] | None:
@@ -66,8 +74,8 @@ def _ordered(low: float, high: float, what: str) -> tuple[float, float]:
     return low, high
 
 
-@click.command("optimize", epilog=_EPILOG)
-@click.argument("identified", type=click.Path(path_type=Path, dir_okay=False))
+@click.command("optimize", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
+@click.argument("identified", type=FilePath(*SETTINGS))
 @click.option(
     "-o",
     "--output",
@@ -76,7 +84,7 @@ def _ordered(low: float, high: float, what: str) -> tuple[float, float]:
     show_default="controller.yaml, or the folder schedule",
     help="The file to write, or with --schedule the folder.",
 )
-@click.option("--problem", type=click.Path(path_type=Path, dir_okay=False), help="Requirements, bounds and ranges.")
+@click.option("--problem", type=FilePath(*SETTINGS), help="Requirements, bounds and ranges.")
 @click.option("--payload-mass", callback=_masses, metavar="KG[,KG]", help="One mass, or a range that must all be safe.")
 @click.option(
     "--environment-stiffness", callback=_stiffness, metavar="LO:HI", help="A range [N/m] that must all be safe."
@@ -84,7 +92,7 @@ def _ordered(low: float, high: float, what: str) -> tuple[float, float]:
 @click.option(
     "--compare",
     "old",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FilePath(*SETTINGS),
     metavar="CONTROLLER",
     help="Put this controller beside the new one on the same problem; the search starts from it too.",
 )

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import click
 
 from ._common import Output, output_options
+from ._files import SETTINGS, FilePath
+from ._help import GroupedCommand
 from ._table import print_table
 from ._terminal import printable, tell
 
@@ -24,6 +26,12 @@ Examples:
   autotune plan --mass 25 --max-tilt 30 --max-force 60
   autotune plan identified.yaml --poses 0 --max-speed 0.1 --json
 """
+_GROUPS = {
+    "What is guessed without a file": ("mass", "stiffness"),
+    "What the cell allows": (
+        *("max_tilt", "poses", "max_speed", "max_force", "max_stroke", "max_duration", "max_frequency"),
+    ),
+}
 _POSITIVE = click.FloatRange(min=0.0, min_open=True)
 _DOUBTS = frozenset({"mass-disagreement", "logs-disagree", "given-contradicts"})
 # What a wrist carries, and what holds it: outside of this a unit is wrong.
@@ -31,8 +39,8 @@ _MASS = click.FloatRange(min=0.05, max=1000.0)
 _STIFFNESS = click.FloatRange(min=1e3, max=1e8)
 
 
-@click.command("plan", epilog=_EPILOG)
-@click.argument("identified", required=False, type=click.Path(path_type=Path, dir_okay=False))
+@click.command("plan", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
+@click.argument("identified", required=False, type=FilePath(*SETTINGS))
 @click.option(
     "-o",
     "--output",

@@ -7,6 +7,8 @@ import click
 
 from ._against_log import compare_logs, comparison_tree, print_comparison
 from ._common import Output, output_options
+from ._files import KEYS, LOGS, SETTINGS, FilePath
+from ._help import GroupedCommand
 from ._schedule import validate_schedule
 from ._terminal import echo, painted, printable, tell
 
@@ -26,7 +28,12 @@ Examples:
   autotune validate controller.yaml --public-key pub.pem
   autotune validate schedule/schedule.yaml
 """
-_FILE = click.Path(path_type=Path, dir_okay=False)
+_FILE, _KEY = FilePath(*SETTINGS), FilePath(*KEYS)
+_GROUPS = {
+    "Against a log": ("logs", "cell_path", "command_topic"),
+    "Simulation of the certified set": ("samples", "seed", "noise", "sensor_range", "speed_limit", "late"),
+    "Signature": ("public_key", "sign"),
+}
 
 
 def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[float | None, float | None] | None:
@@ -43,7 +50,7 @@ def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tupl
     return numbers[0], (numbers[1] if len(numbers) == 2 else None)
 
 
-@click.command("validate", epilog=_EPILOG)
+@click.command("validate", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
 @click.argument("controller", type=_FILE)
 @click.option(
     "--identified", type=_FILE, help="Also check that this identified plant lies inside the certified domain."
@@ -51,7 +58,7 @@ def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tupl
 @click.option(
     "--log",
     "logs",
-    type=click.Path(path_type=Path),
+    type=FilePath(*LOGS, dir_okay=True),
     multiple=True,
     help="Also compare every contact in this log, recorded under this controller. Several are parts of one recording.",
 )
@@ -71,8 +78,8 @@ def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tupl
 @click.option("--sensor-range", callback=_pair, help="Where the sensor clips, N[,N·m].  [default: nowhere]")
 @click.option("--speed-limit", callback=_pair, help="Limit on the command, m/s[,rad/s].  [default: 0.25 m/s]")
 @click.option("--late", type=click.FloatRange(0, 1, max_open=True), help="Share of late commands.  [default: 0.01]")
-@click.option("--public-key", type=_FILE, help="Demand the signature CONTROLLER.sig, by the key of this file.")
-@click.option("--sign", type=_FILE, help="Write CONTROLLER.sig with this private key, if everything holds.")
+@click.option("--public-key", type=_KEY, help="Demand the signature CONTROLLER.sig, by the key of this file.")
+@click.option("--sign", type=_KEY, help="Write CONTROLLER.sig with this private key, if everything holds.")
 @output_options
 def command(output: Output, /, controller: Path, identified: Path | None, **options: Any) -> None:
     """Verify CONTROLLER again, from the file alone and by other code than the optimizer's.
