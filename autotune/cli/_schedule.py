@@ -124,6 +124,8 @@ def _check_alone(tables: Mapping[str, Sequence[Interval]], others: Mapping[str, 
     for name, option in (("old", "compare"), ("pareto", "pareto")):
         if others[name] is not None:
             raise click.UsageError(f"--{option} is about one controller, and --schedule tunes many.")
+    if others["proof"] is not None:
+        raise click.UsageError("--slack and --proof-budget are about one controller, and --schedule tunes many.")
     for kind in tables:
         if others[_OPTION_OF[kind]] is not None:
             option = _OPTION_OF[kind].replace("_", "-")

@@ -12,6 +12,7 @@ from ._compare import compare_lines, compare_tree
 from ._files import SETTINGS, FilePath
 from ._help import GroupedCommand
 from ._pareto import FrontWriter, pareto_options
+from ._proof import proof_options
 from ._schedule import schedule_options
 from ._spark import contact_spark
 from ._standing import active_lines, active_tree
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from autotune.files.units import AxisUnits
     from autotune.studies.trace import FrontRequest
     from autotune.tuning.optimize import Optimized
+    from autotune.validation.continuous import ProofWishes
 
 _EPILOG = """\b
 Examples:
@@ -98,6 +100,7 @@ def _ordered(low: float, high: float, what: str) -> tuple[float, float]:
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same file.")
 @pareto_options
+@proof_options
 @output_options
 @schedule_options
 def command(
@@ -110,11 +113,13 @@ def command(
     old: Path | None,
     seed: int,
     pareto: "FrontRequest | None",
+    proof: "ProofWishes | None",
 ) -> None:
     """Search the controller with the gentlest contact that stays stable and moves freely, and validate it.
 
     Every identified axis is tuned, rotational ones in rad, N·m and kg·m². Peak force, stability and margins are those
-    of the exact sampled loop, over the whole range of payload mass and environment stiffness. Exit code 5: no
+    of the exact sampled loop, over the whole range of payload mass and environment stiffness, where stability and the
+    modulus are proved, not only swept. Exit code 5: no
     controller meets the requirements. 6: a claim could not be verified, or the file to compare with is altered. Nothing
     is written then. The controller is the same with and without --pareto. With --schedule the output is a folder.
     """
@@ -133,7 +138,9 @@ def command(
     wishes = Wishes(payload_mass_kg=payload_mass, environment_stiffness_n_per_m=environment_stiffness)
     fronts = FrontWriter(pareto, out)
     with output.progress("searching", 1.0) as advance:
-        found = optimize(plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, progress=advance)
+        found = optimize(
+            plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, proof=proof, progress=advance
+        )
     fronts.trace(output, found)
     checksum = write_controller(out, found.controller)
     fronts.write(found)

@@ -24,6 +24,7 @@ from .controller_record import (
     Filters,
     FreeSpaceAdmittance,
     Proof,
+    Reach,
     RuntimePayload,
     ScenarioPrediction,
     SoftRequirement,
@@ -110,8 +111,9 @@ def _renamed(body: dict[str, Any], *, reading: bool) -> dict[str, Any]:
     if "rotational_requirements" in certificate:
         rotational = rename_axis_keys("rx", certificate["rotational_requirements"], reading=reading)
         renamed["rotational_requirements"] = rotational
-    if "soft" in certificate:
-        renamed["soft"] = axes(certificate["soft"])
+    for part in ("soft", "continuous"):
+        if part in certificate:
+            renamed[part] = axes(certificate[part])
     return body | {"predicted": axes(body["predicted"]), "certificate": certificate | renamed}
 
 
@@ -133,6 +135,7 @@ __all__ = [
     "Filters",
     "FreeSpaceAdmittance",
     "Proof",
+    "Reach",
     "RuntimePayload",
     "ScenarioPrediction",
     "SoftRequirement",

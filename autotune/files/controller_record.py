@@ -285,6 +285,31 @@ class Proof:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Reach:
+    """How far a modulus margin, and stability with it, is proved at all frequencies, in contact and in free space.
+
+    `over` names what varies in its whole range, the rest is nominal. `modulus` is the swept one less the share `slack`.
+    `share` of the set is proved, and all of it for K_e inside `environment_stiffness_n_per_m`; 1 is all of it.
+    `cells` of plants and `arcs` of the unit circle were looked at, of a `work` that ends the attempt.
+    """
+
+    over: tuple[str, ...]
+    modulus: float
+    slack: float
+    method: str
+    share: float
+    environment_stiffness_n_per_m: Interval
+    cells: float
+    arcs: float
+    work: float
+
+    def __post_init__(self) -> None:
+        _check_interval("environment_stiffness_n_per_m", self.environment_stiffness_n_per_m)
+        if not (0.0 < self.modulus < 1.0 and 0.0 < self.slack < 1.0 and 0.0 <= self.share <= 1.0 and self.work > 0.0):
+            raise ParameterError("modulus", self.modulus, "modulus, slack and share between 0 and 1, work above 0")
+
+
+@dataclass(frozen=True, kw_only=True)
 class AdmittanceRequirement:
     """The free-space target: at least `min_m_s_per_n` over the band (Hz)."""
 
@@ -321,7 +346,7 @@ class Certificate:
 
     `proved` holds for every plant that it names, `sampled` was looked for on many plants of the set and not found.
     `requirements` are those of x, y, z, `rotational_requirements` those of rx, ry, rz (rad, N·m), None without them.
-    `soft` holds by axis what need not be met, and what was achieved.
+    `soft` holds by axis what need not be met, and what was achieved, `continuous` what of the modulus is proved.
     """
 
     domain: Mapping[str, AxisDomain]
@@ -332,9 +357,12 @@ class Certificate:
     rotational_requirements: Mapping[str, Requirement] | None = None
     sampled: tuple[Proof, ...] = ()
     soft: Mapping[str, Mapping[str, SoftRequirement]] | None = None
+    continuous: Mapping[str, tuple[Reach, ...]] | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, "domain", "requirements", "margins")
+        if self.continuous is not None:
+            _freeze(self, "continuous")
         if self.rotational_requirements is not None:
             _freeze(self, "rotational_requirements")
         if self.soft is not None:
@@ -376,9 +404,10 @@ class Controller:
             "certificate.domain": self.certificate.domain,
             "certificate.margins": self.certificate.margins,
         }
-        strangers = sorted(set(self.certificate.soft or {}) - set(self.axes))
-        if strangers:
-            raise ParameterError("certificate.soft", strangers, f"for tuned axes only, {', '.join(self.axes)}")
+        for name in ("soft", "continuous"):
+            strangers = sorted(set(getattr(self.certificate, name) or {}) - set(self.axes))
+            if strangers:
+                raise ParameterError(f"certificate.{name}", strangers, f"for tuned axes only, {', '.join(self.axes)}")
         for name, part in parts.items():
             if set(part) - set(self.axes):
                 raise ParameterError(name, sorted(part), f"for tuned axes only, {', '.join(self.axes)}")

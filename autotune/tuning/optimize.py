@@ -8,10 +8,11 @@ from typing import Any
 from autotune import __version__
 from autotune.errors import InfeasibleError
 from autotune.files.controller import ControllerFile
-from autotune.files.controller_record import Controller
+from autotune.files.controller_record import Controller, Proof, Reach
 from autotune.files.identified import IdentifiedFile
 from autotune.files.problem import ProblemSpec
 from autotune.files.records import ROTATIONAL_AXES
+from autotune.validation.continuous import ProofWishes, prove_reach
 from autotune.validation.validate import ValidationReport, prove_axis, validate_controller
 from problems.design import DesignProblem
 
@@ -49,17 +50,19 @@ def optimize(
     problem_path: Path | None = None,
     existing: ControllerFile | None = None,
     relax: bool = True,
+    proof: ProofWishes | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Optimized:
     """Tune every axis and return a controller that the independent validation has passed.
 
-    `existing` is a controller to compare with; its gains join the search where they lie inside the bounds. `progress`
-    is told the share of the work done since the last call. Raises InfeasibleError when nothing meets the
-    requirements (with `relax`, after searching for what would have to be eased: several times the work of a search),
-    CertificateError when a claim cannot be proved or verified, EstimateError for a missing parameter, UsageError for
-    wishes or an existing controller that do not fit.
+    `proof` tells how closely the modulus is proved. `existing` is a controller to compare with; its gains join the
+    search where they lie inside the bounds. `progress` is told the share of the work done since the last call. Raises
+    InfeasibleError when nothing meets the requirements (with `relax`, after searching for what would have to be eased:
+    several times the work of a search), CertificateError when a claim cannot be proved or verified, EstimateError for
+    a missing parameter, UsageError for wishes or an existing controller that do not fit.
     """
     report = progress if progress is not None else _silent
+    asked = proof if proof is not None else ProofWishes()
     problems = build_problems(identified.result, spec, wishes)
     if existing is not None:
         check_comparable(existing, problems)
@@ -73,21 +76,12 @@ def optimize(
         for name, problem in problems.items()
     }
     standings = {name: find_standing(search) for name, search in searches.items()}
-    proofs = {
-        name: prove_axis(
-            build_domain(search.problem),
-            search.problem.controller(search.design),
-            search.problem.sample_time_s,
-            name,
-        )
-        for name, search in searches.items()
-    }
-    report(_PROOF_SHARE)
-    provenance = _provenance(identified, wishes, seed, problem_path, existing)
+    proofs, reaches = _prove(searches, asked, report)
+    provenance = _provenance(identified, wishes, seed, problem_path, existing, asked)
     provenance["optimality"] = {
         name: standing_tree(standing, rotational=name in ROTATIONAL_AXES) for name, standing in standings.items()
     }
-    controller = build_controller(searches, identified.result, proofs, provenance, mass_kg)
+    controller = build_controller(searches, identified.result, proofs, reaches, provenance, mass_kg)
     checked = validate_controller(controller, lambda done: report((1.0 - _SEARCH_SHARE - _PROOF_SHARE) * done))
     checked.require()
     compared = {} if existing is None else compare(existing.controller, searches)
@@ -98,6 +92,37 @@ def optimize(
         report=checked,
         compared=compared,
     )
+
+
+class _Portion:
+    """Passes on what is told of one part of the work, and at the end what of it was never told."""
+
+    def __init__(self, report: Callable[[float], None], whole: float) -> None:
+        self._report, self._left = report, whole
+        self._whole = whole
+
+    def __call__(self, done: float) -> None:
+        step = min(self._whole * done, self._left)
+        self._left -= step
+        self._report(step)
+
+    def finish(self) -> None:
+        self(1.0)
+
+
+def _prove(
+    searches: Mapping[str, SearchResult], asked: ProofWishes, report: Callable[[float], None]
+) -> tuple[dict[str, tuple[Proof, ...]], dict[str, tuple[Reach, ...]]]:
+    """Return what is proved of every axis: stability, and of the modulus that the search found over its dense grid."""
+    proofs, reaches = {}, {}
+    for name, search in searches.items():
+        problem, law = search.problem, search.problem.controller(search.design)
+        domain, swept = build_domain(problem), min(each.margins.modulus for each in search.margins)
+        proofs[name] = prove_axis(domain, law, problem.sample_time_s, name)
+        portion = _Portion(report, _PROOF_SHARE / len(searches))
+        reaches[name] = prove_reach(domain, law, problem.sample_time_s, name, swept, asked, portion)
+        portion.finish()
+    return proofs, reaches
 
 
 def _search(
@@ -141,7 +166,12 @@ def _silent(_: float) -> None:
 
 
 def _provenance(
-    identified: IdentifiedFile, wishes: Wishes, seed: int, problem_path: Path | None, existing: ControllerFile | None
+    identified: IdentifiedFile,
+    wishes: Wishes,
+    seed: int,
+    problem_path: Path | None,
+    existing: ControllerFile | None,
+    proof: ProofWishes,
 ) -> dict[str, Any]:
     mass, stiffness = wishes.payload_mass_kg, wishes.environment_stiffness_n_per_m
     return {
@@ -152,6 +182,8 @@ def _provenance(
             "payload_mass_kg": None if mass is None else list(mass),
             "environment_stiffness_n_per_m": None if stiffness is None else list(stiffness),
             "seed": seed,
+            "slack": proof.slack,
+            "proof_budget_s": proof.further_s,
             "compare": None if existing is None else {"path": str(existing.path), "checksum": existing.checksum},
         },
     }

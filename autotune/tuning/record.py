@@ -20,6 +20,7 @@ from autotune.files.controller_record import (
     Filters,
     FreeSpaceAdmittance,
     Proof,
+    Reach,
     Requirement,
     RuntimePayload,
     ScenarioPrediction,
@@ -49,10 +50,11 @@ def build_controller(
     results: Mapping[str, SearchResult],
     identified: Identified,
     proofs: Mapping[str, tuple[Proof, ...]],
+    reaches: Mapping[str, tuple[Reach, ...]],
     provenance: Mapping[str, Any],
     mass_kg: float,
 ) -> Controller:
-    """Assemble the controller of all tuned axes; `proofs` are what validation's code has shown, per axis.
+    """Assemble the controller of all tuned axes; `proofs` and `reaches` are what validation's code has shown, per axis.
 
     The axes share h, filters and payload, and axes of a kind their requirements; they come from one identified file
     and one problem. `mass_kg` is what the runtime compensates.
@@ -88,10 +90,11 @@ def build_controller(
             sampled=tuple(
                 claim
                 for name in results
-                for claim in sampled_claims(domain[name], margins[name], predicted[name], name)
+                for claim in sampled_claims(domain[name], margins[name], predicted[name], name, reaches.get(name, ()))
             ),
             margins=margins,
             soft=soft or None,
+            continuous=reaches or None,
         ),
         provenance=provenance,
     )

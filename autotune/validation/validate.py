@@ -15,6 +15,7 @@ from autotune.files.controller_record import (
     CollisionResponse,
     Controller,
     Proof,
+    Reach,
     Requirement,
     SoftRequirement,
 )
@@ -28,6 +29,7 @@ from problems.robot import RobotModel
 
 from .admittance import sampled_admittance
 from .command import passive_band_hz, worst_speed_rms
+from .continuous import prove_over, refuted_inside, told_false
 from .margins import SweptMargins, sweep_margins
 from .peaks import verify_peaks
 from .proof import StabilityProof, UncertainPlant, prove_stability
@@ -85,7 +87,8 @@ def validate_controller(controller: Controller, progress: Callable[[float], None
     checks: list[Check] = []
     for name in controller.axes:
         commands = sum(isinstance(each, NoiseLimit | PassivityTarget) for each in _asked(controller, name).values())
-        count = _CHECKS - (name in ROTATIONAL_AXES) + commands
+        proofs = len((controller.certificate.continuous or {}).get(name, ()))
+        count = _CHECKS - (name in ROTATIONAL_AXES) + commands + proofs
         for check in _axis_checks(controller, name):
             checks.append(check)
             if progress is not None:
@@ -120,6 +123,8 @@ def _axis_checks(controller: Controller, name: str) -> Iterator[Check]:
         yield _stability(name, proof, where, plants, nominal=bool(others.plants))
         if not proof.holds:
             return
+    for reach in (controller.certificate.continuous or {}).get(name, ()):
+        yield _continuous(name, domain, law, h, reach)
     swept = sweep_margins(plants, law, h, stiffness=_STIFFNESS_POINTS, mass=_MASS_POINTS, others=others.plants)
     yield _margins(name, margins, swept)
     yield _requirements(controller, name, swept)
@@ -250,6 +255,34 @@ def _stability(name: str, proof: StabilityProof, where: str, plants: UncertainPl
             f"{units.stiffness}"
         )
     return Check(axis=name, name=f"stability in {where.removeprefix('in ')}", passed=proof.holds, message=message)
+
+
+def _continuous(name: str, domain: AxisDomain, law: AdmittanceController, h: float, reach: Reach) -> Check:
+    """Prove again how far a modulus holds; more than is claimed may be proved, less may not."""
+    units, (low, high) = axis_units(name), reach.environment_stiffness_n_per_m
+    told = f"|1 + L| > {reach.modulus:.4g} and stable at every frequency, over {', '.join(reach.over)}"
+    try:
+        found = prove_over(domain, law, h, reach.over, reach.modulus, int(reach.work))
+    except ParameterError as error:
+        return Check(axis=name, name="continuous proof", passed=False, message=str(error))
+    false = refuted_inside(domain, found)
+    wide = domain.environment_stiffness_n_per_m
+    proved = wide if found.holds else (wide[0], found.up_to(wide[0]))
+    share = 0.0 if found.false else found.share
+    passed = (
+        false is None and reach.share <= share + _SAME_NUMBER and high <= max(proved[1], low) * (1.0 + _SAME_NUMBER)
+    )
+    if false is not None:
+        message = told_false(false, units)
+    elif not passed:
+        message = f"{told}: claimed for the share {reach.share:.4g}, proved for {share:.4g}"
+    elif reach.share < 1.0:
+        message = (
+            f"{told}: proved up to here, {100.0 * reach.share:.4g} % of the set, K_e up to {high:g} {units.stiffness}"
+        )
+    else:
+        message = f"{told}: proved ({found.cells} cells, {found.arcs} arcs)"
+    return Check(axis=name, name="continuous proof", passed=passed, message=message)
 
 
 def _margins(name: str, claimed: AxisMargins, swept: SweptMargins) -> Check:

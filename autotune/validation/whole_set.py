@@ -1,9 +1,9 @@
 """The plants beyond K_e × M_p at which a certificate is held against: its own worst cases, corners, seeded samples."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from autotune.files.controller_record import AxisDomain, AxisMargins, AxisPrediction, Proof
+from autotune.files.controller_record import AxisDomain, AxisMargins, AxisPrediction, Proof, Reach
 from autotune.files.units import axis_units
 from problems.plant import Plant
 from problems.robot import RobotModel
@@ -53,14 +53,21 @@ def build_other_plants(domain: AxisDomain, margins: AxisMargins, predicted: Axis
     )
 
 
-def sampled_claims(domain: AxisDomain, margins: AxisMargins, predicted: AxisPrediction, name: str) -> tuple[Proof, ...]:
-    """Return what is looked for, and not found, beyond what is proved; nothing where nothing else is uncertain."""
+def sampled_claims(
+    domain: AxisDomain, margins: AxisMargins, predicted: AxisPrediction, name: str, reaches: Sequence[Reach] = ()
+) -> tuple[Proof, ...]:
+    """Return what is looked for, and not found, beyond what is proved; nothing where nothing else is uncertain.
+
+    Where `reaches` hold a proof over all that is uncertain, stability is none of it.
+    """
     if domain.uncertain is None:
         return ()
     others = build_other_plants(domain, margins, predicted)
+    is_proved = any(reach.share == 1.0 and set(domain.uncertain) <= set(reach.over) for reach in reaches)
+    stable = "the margins stated" if is_proved else "stable with the margins stated"
     return (
         Proof(
-            claim=f"axis {name}: stable with the margins stated, and no peak above the largest predicted",
+            claim=f"axis {name}: {stable}, and no peak above the largest predicted",
             method="margins at recorded worst cases, corners and Sobol' samples of the whole set; some replayed",
             over=told_set(domain, name),
             numbers={"plants": float(len(others.plants)), "replayed": float(len(others.replayed)), "seed": float(SEED)},

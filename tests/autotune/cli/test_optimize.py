@@ -144,13 +144,15 @@ def test_a_straight_and_a_turning_axis_come_from_one_call(run_cli: RunCli, tmp_p
 
 def test_quiet_and_the_ranges_of_the_command_line(run_cli: RunCli, tmp_path: Path) -> None:
     prepare(tmp_path)
-    ranges = ["--payload-mass", "16.1", "--environment-stiffness", "9e4:1.0e5", "--seed", "3"]
+    ranges = ["--payload-mass", "16.1", "--environment-stiffness", "9e4:1.0e5", "--seed", "3", "--slack", "3"]
     done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml", *ranges, "--quiet", "-o", "c.yaml")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     controller = read_controller(tmp_path / "c.yaml").controller
     domain = controller.certificate.domain["x"]
     assert (domain.payload_mass_kg, domain.environment_stiffness_n_per_m) == ((16.1, 16.1), (9e4, 1e5))
     assert controller.provenance["options"]["seed"] == 3
+    (reach,) = (controller.certificate.continuous or {})["x"]
+    assert (reach.slack, reach.share) == (0.03, 1.0)
     assert not (tmp_path / "controller.yaml").exists()
 
 
@@ -189,6 +191,8 @@ def test_what_cannot_be_met_is_exit_5_with_the_reason_and_no_file(
         (["identified.yaml", "--environment-stiffness", "2e5:1e5"], "the lower one first"),
         (["identified.yaml", "--environment-stiffness", "1e5:inf"], "finite"),
         (["identified.yaml", "--seed", "-1"], "seed"),
+        (["identified.yaml", "--slack", "0"], "slack"),
+        (["identified.yaml", "--proof-budget", "-1"], "proof-budget"),
         (["identified.yaml", "--seed", "one"], "seed"),
         (["problem.yaml"], "format must be autotune/identified"),
         (["identified.yaml", "--problem", "identified.yaml"], "identified.yaml, line 1"),

@@ -26,6 +26,7 @@ EVERY_CHECK = [
     "delay",
     "stability in free space",
     "stability in contact",
+    "continuous proof",
     "margins",
     "requirements",
     "free-space admittance",
@@ -43,6 +44,14 @@ def domain(**values: Any) -> Change:
 
 def margins(**values: float | None) -> Change:
     return lambda c: _certified(c, margins={"x": replace(c.certificate.margins["x"], **values)})  # type: ignore[arg-type]
+
+
+def reach(**values: Any) -> Change:
+    def changed(c: Controller) -> Controller:
+        (told,) = (c.certificate.continuous or {})["x"]
+        return _certified(c, continuous={"x": (replace(told, **values),)})
+
+    return changed
 
 
 def required(**values: float | bool) -> Change:
@@ -102,6 +111,21 @@ FALSE_CLAIMS: dict[str, tuple[Change, str, str]] = {
     "phase too high": (margins(phase_deg=45.0), "margins", r"phase_deg is claimed as 45, found 3\d\."),
     "gain margin without limit": (margins(gain_db=None), "margins", r"gain_db is claimed as inf, found 1\d\."),
     "delay margin too high": (margins(delay_s=0.02), "margins", r"delay_s is claimed as 0\.02, found 0\.00\d"),
+    "proof of too much modulus": (
+        reach(modulus=0.6),
+        "continuous proof",
+        r"stability with a modulus of 0\.6 is refuted at M_p = 16 kg, K_e = \d+ N/m, \d+\.?\d* Hz",
+    ),
+    "proof of more than its work allows": (
+        reach(work=1.0),
+        "continuous proof",
+        r"payload_mass_kg: claimed for the share 1, proved for 0$",
+    ),
+    "proof over what is not in the domain": (
+        reach(over=("environment_stiffness_n_per_m", "gripper")),
+        "continuous proof",
+        r"gripper",
+    ),
     "damping too low": (
         gains(damping=300.0),
         "stability in free space",

@@ -141,6 +141,7 @@ def test_a_turning_axis_tells_its_wishes_in_its_units() -> None:
         margins={"ry": whole.certificate.margins["x"]},
         rotational_requirements=whole.certificate.requirements,
         soft={"ry": {**claims, "command_noise": noise}},
+        continuous={"ry": (whole.certificate.continuous or {})["x"]},
     )
     turned = replace(
         whole, axes={"ry": whole.axes["x"]}, predicted={"ry": whole.predicted["x"]}, certificate=certificate

@@ -1,0 +1,216 @@
+"""Arrays of balls in double precision, and the one door to python-flint, whose balls of any precision they enclose.
+
+A ball is a midpoint and a radius; every operation returns a ball that holds all results for all members. Rounding is
+bounded per operation (Rump's midpoint-radius arithmetic) and added to the radius.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
+
+import flint
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+P = ParamSpec("P")
+R = TypeVar("R")
+
+BITS = 128
+_UNIT = float(np.finfo(np.float64).eps)
+# Radii are sums and products of a few hundred positive numbers at most: this much more than covers their rounding.
+_OUTWARDS = 1.0 + 1e-12
+_LEAST = 1e-290  # what may get lost below the smallest normal number
+
+
+@dataclass(frozen=True, kw_only=True)
+class Balls:
+    """Balls of any shape: |value − `mid`| ≤ `rad`, real or complex."""
+
+    mid: NDArray[Any]
+    rad: NDArray[Any]
+
+    def __add__(self, other: "Balls") -> "Balls":
+        mid = self.mid + other.mid
+        return Balls(mid=mid, rad=_out(self.rad + other.rad + _UNIT * np.abs(mid)))
+
+    def __mul__(self, other: "Balls") -> "Balls":
+        left, right = np.abs(self.mid), np.abs(other.mid)
+        rad = left * other.rad + self.rad * (right + other.rad) + 4.0 * _UNIT * left * right
+        return Balls(mid=self.mid * other.mid, rad=_out(rad))
+
+    def __matmul__(self, other: "Balls") -> "Balls":
+        left, right = np.abs(self.mid), np.abs(other.mid)
+        terms = self.mid.shape[-1] + 4.0
+        rad = left @ other.rad + self.rad @ (right + other.rad) + terms * _UNIT * (left @ right)
+        return Balls(mid=self.mid @ other.mid, rad=_out(rad))
+
+    def times(self, factor: float | FloatArray) -> "Balls":
+        """Return the balls times exact real numbers."""
+        mid = self.mid * factor
+        return Balls(mid=mid, rad=_out(self.rad * np.abs(factor) + 2.0 * _UNIT * np.abs(mid)))
+
+    def magnitude(self) -> FloatArray:
+        """Return an upper bound of |value|."""
+        return _out(np.abs(self.mid) + self.rad)
+
+    def __getitem__(self, index: Any) -> "Balls":
+        return Balls(mid=self.mid[index], rad=self.rad[index])
+
+
+def _out(rad: FloatArray) -> FloatArray:
+    return np.asarray(rad * _OUTWARDS + _LEAST)
+
+
+def exact(values: NDArray[Any]) -> Balls:
+    """Return numbers as balls without radius."""
+    return Balls(mid=values, rad=np.zeros(values.shape))
+
+
+def enclose(values: Sequence[Any]) -> Balls:
+    """Return real flint balls (k,) as balls in double precision that hold them."""
+    mid = np.array([float(v.mid()) for v in values])
+    rad = np.array([float(v.rad()) for v in values])
+    return Balls(mid=mid, rad=_out(rad + 2.0 * _UNIT * np.abs(mid)))
+
+
+def enclose_complex(values: Sequence[Any]) -> Balls:
+    """Return complex flint balls (k,), which are rectangles, as discs that hold them."""
+    real, imaginary = enclose([v.real for v in values]), enclose([v.imag for v in values])
+    return Balls(mid=real.mid + 1j * imaginary.mid, rad=_out(np.hypot(real.rad, imaginary.rad)))
+
+
+def precise(function: Callable[P, R]) -> Callable[P, R]:
+    """Run a function with flint at `BITS` of precision, or at the caller's if that is more."""
+
+    @wraps(function)
+    def run(*args: P.args, **kwargs: P.kwargs) -> R:
+        with flint.ctx.workprec(max(BITS, flint.ctx.prec)):
+            return function(*args, **kwargs)
+
+    return run
+
+
+def ball(low: float, high: float) -> Any:
+    """Return the flint ball that holds [low, high]."""
+    return flint.arb(low).union(flint.arb(high))
+
+
+class Series:
+    """A flint ball that carries its derivative along one direction through arithmetic; `slope` None is none."""
+
+    __slots__ = ("slope", "value")
+
+    def __init__(self, value: Any, slope: Any = None) -> None:
+        self.value, self.slope = value, slope
+
+    def __add__(self, other: Any) -> "Series":
+        if not isinstance(other, Series):
+            return Series(self.value + other, self.slope)
+        if self.slope is None or other.slope is None:
+            return Series(self.value + other.value, other.slope if self.slope is None else self.slope)
+        return Series(self.value + other.value, self.slope + other.slope)
+
+    def __mul__(self, other: Any) -> "Series":
+        if not isinstance(other, Series):
+            return Series(self.value * other, None if self.slope is None else self.slope * other)
+        slope = None if self.slope is None else self.slope * other.value
+        if other.slope is not None:
+            more = self.value * other.slope
+            slope = more if slope is None else slope + more
+        return Series(self.value * other.value, slope)
+
+    def __truediv__(self, other: Any) -> "Series":
+        if not isinstance(other, Series):
+            return Series(self.value / other, None if self.slope is None else self.slope / other)
+        ratio = self.value / other.value
+        slope = None if self.slope is None else self.slope / other.value
+        if other.slope is not None:
+            less = ratio * other.slope / other.value
+            slope = -less if slope is None else slope - less
+        return Series(ratio, slope)
+
+    def __neg__(self) -> "Series":
+        return Series(-self.value, None if self.slope is None else -self.slope)
+
+    def __sub__(self, other: Any) -> "Series":
+        out: Series = self + (-other)
+        return out
+
+    def __rsub__(self, other: Any) -> "Series":
+        out: Series = -self + other
+        return out
+
+    def __rtruediv__(self, other: Any) -> "Series":
+        out: Series = as_series(other) / self
+        return out
+
+    def __pow__(self, power: int) -> "Series":
+        if power == 0:
+            return Series(flint.arb(1))
+        slope = None if self.slope is None else power * self.value ** (power - 1) * self.slope
+        return Series(self.value**power, slope)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+
+def as_series(value: Any) -> Series:
+    """Return a number as a series without slope, and a series as it is."""
+    return value if isinstance(value, Series) else Series(flint.arb(value))
+
+
+def number(value: Any) -> Any:
+    """Return a number as a flint ball."""
+    return flint.arb(value)
+
+
+def polynomial(ascending: Sequence[Any]) -> Any:
+    """Return a real flint polynomial."""
+    return flint.arb_poly(list(ascending))
+
+
+def at(ascending: Sequence[Any], place: Any) -> Any:
+    """Return the value of a real polynomial at a complex flint ball."""
+    return flint.acb_poly(list(ascending))(place)
+
+
+def on_circle(angle: float) -> Any:
+    """Return e^{jφ} as a complex flint ball."""
+    return flint.acb(0, flint.arb(angle)).exp()
+
+
+def with_bits(bits: int) -> Any:
+    """Return the context in which flint works with so many bits."""
+    return flint.ctx.workprec(bits)
+
+
+def slope_of(value: Any) -> Any:
+    """Return the derivative of a number or series, 0 where it carries none."""
+    return value.slope if isinstance(value, Series) and value.slope is not None else flint.arb(0)
+
+
+def exponential(matrix: Any) -> Any:
+    """Return exp of an object array (n, n) of series: exp [[A, E], [0, A]] holds value and slope."""
+    n = len(matrix)
+    entries = [[as_series(each) for each in row] for row in matrix]
+    has_slope = any(each.slope is not None for row in entries for each in row)
+    block = flint.arb_mat(2 * n, 2 * n) if has_slope else flint.arb_mat(n, n)
+    for i, row in enumerate(entries):
+        for j, entry in enumerate(row):
+            block[i, j] = entry.value
+            if has_slope:
+                block[n + i, n + j] = entry.value
+                block[i, n + j] = slope_of(entry)
+    found = block.exp()
+    out = np.empty((n, n), dtype=object)
+    for i in range(n):
+        for j in range(n):
+            out[i, j] = Series(found[i, j], found[i, n + j] if has_slope else None)
+    return out
+
+
+def turn(angles: FloatArray, half: FloatArray) -> tuple[Balls, Balls]:
+    """Return z = e^{jφ} and w = z − 1 (m,) for all φ within `half` of `angles`; w keeps its digits near z = 1."""
+    found = [flint.acb(0, flint.arb(a, r)).exp() for a, r in zip(angles.tolist(), half.tolist(), strict=True)]
+    return enclose_complex(found), enclose_complex([z - 1 for z in found])

@@ -1,0 +1,121 @@
+"""Zero exclusion on one cell of plants and many arcs at once: |χ| > m |R| for the return differences χ/R."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .balls import Balls, FloatArray
+from .circle import Arcs
+
+# The last steps are some hundred operations on doubles; this share of their size is far more than they can lose.
+_ROUNDING = 1e-11
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantCell:
+    """Coefficients of d, n_F and n_x over a cell of plants: value + Σ δ_i slope_i ± rest for |δ_i| ≤ 1.
+
+    Per group `linear` (k, 1 + d) holds value and slopes, its first column's radius the rest.
+    """
+
+    groups: tuple[Balls, ...]
+
+    def whole(self) -> tuple[Balls, ...]:
+        """Return one ball per coefficient that holds it over the cell, (k, 1) each."""
+        return tuple(
+            Balls(mid=g.mid[:, :1], rad=g.rad[:, :1] + np.sum(np.abs(g.mid[:, 1:]) + g.rad[:, 1:], axis=1)[:, None])
+            for g in self.groups
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdicts:
+    """Per arc: whether it `holds`, whether it fails at its middle, and what each direction adds to the bound.
+
+    `blame` (m, 1 + d) is in the order frequency, then coordinates.
+    """
+
+    holds: NDArray[np.bool_]
+    middle: FloatArray
+    blame: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Linear:
+    """A quantity over a cell and an arc: `terms` (m, 2 + d) of value, frequency and coordinates, and what is left."""
+
+    terms: NDArray[np.complex128]
+    curve: FloatArray
+    cross: FloatArray
+    rest: FloatArray
+
+    def error(self) -> FloatArray:
+        return np.asarray(self.curve + np.sum(self.cross, axis=1) + self.rest)
+
+    def reach(self) -> FloatArray:
+        return np.asarray(np.sum(np.abs(self.terms), axis=1))
+
+
+def judge(arcs: Arcs, cell: PlantCell, modulus: float) -> Verdicts:
+    """Judge |χ| > m |R| on every arc for all plants of the cell, R of the force and R of the command."""
+    parts = []
+    for jet, linear, whole in zip(arcs.groups, cell.groups, cell.whole(), strict=True):
+        parts.append((jet[0] @ linear, jet[1] @ linear, jet[2] @ whole))
+    opened = _linear(parts, (1.0, 0.0, 0.0), arcs.half)
+    closed = _linear(parts, (1.0, -1.0, -1.0), arcs.half)
+    found = [_compare(closed, opened, modulus)]
+    if len(parts) > 2:
+        found.append(_compare(closed, _linear(parts, (1.0, 0.0, -1.0), arcs.half), modulus))
+    worse = np.argmin([slack for slack, _, _ in found], axis=0)
+    pick = np.arange(len(worse))
+    return Verdicts(
+        holds=np.min([slack for slack, _, _ in found], axis=0) > 0.0,
+        middle=np.min([middle for _, middle, _ in found], axis=0),
+        blame=np.array([blame for _, _, blame in found])[worse, pick],
+    )
+
+
+def _linear(parts: list[tuple[Balls, Balls, Balls]], signs: tuple[float, ...], half: FloatArray) -> _Linear:
+    """Add up the groups with their signs; what is not linear in frequency and coordinates goes into the errors."""
+    value, slope, curve = (
+        _sum([part[order] for part, sign in zip(parts, signs, strict=False) if sign], signs) for order in range(3)
+    )
+    terms = np.concatenate([value.mid[:, :1], half[:, None] * slope.mid[:, :1], value.mid[:, 1:]], axis=1)
+    return _Linear(
+        terms=terms,
+        curve=half**2 * curve.magnitude()[:, 0],
+        cross=half[:, None] * slope[:, 1:].magnitude(),
+        rest=np.sum(value.rad, axis=1) + half * slope.rad[:, 0],
+    )
+
+
+def _sum(balls: list[Balls], signs: tuple[float, ...]) -> Balls:
+    used = [sign for sign in signs if sign]
+    out = balls[0]
+    for ball, sign in zip(balls[1:], used[1:], strict=False):
+        out = out + ball.times(sign)
+    return out
+
+
+def _compare(closed: _Linear, opened: _Linear, modulus: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return a lower bound of |χ|² − m²|R|² less all errors, its value at the middle, and the blame.
+
+    With t in the unit cube it is q + 2 g·t + tᵀHt; each coordinate alone is minimised exactly.
+    """
+    square = modulus**2
+    gram = np.real(np.einsum("mi,mj->mij", np.conj(closed.terms), closed.terms))
+    gram = gram - square * np.real(np.einsum("mi,mj->mij", np.conj(opened.terms), opened.terms))
+    middle, g, h = gram[:, 0, 0], np.abs(gram[:, 0, 1:]), np.diagonal(gram, axis1=1, axis2=2)[:, 1:]
+    bowl = np.where(h > 0.0, h, 1.0)
+    own = np.where(h > g, -(g**2) / bowl, h - 2.0 * g)
+    mixed = np.sum(np.abs(gram[:, 1:, 1:]), axis=2) - np.abs(h)
+    error, reach = closed.error() + modulus * opened.error(), opened.reach()
+    lost = (2.0 * modulus * reach + error) * error + _ROUNDING * (closed.reach() + modulus * reach) ** 2
+    slack = middle + np.sum(own, axis=1) - np.sum(mixed, axis=1) - lost
+    weight = 2.0 * modulus * reach + error
+    blame = 2.0 * g + np.abs(h) + mixed
+    for each, share in ((closed, 1.0), (opened, modulus)):
+        blame[:, 0] += weight * share * (each.curve + 0.5 * np.sum(each.cross, axis=1))
+        blame[:, 1:] += weight[:, None] * share * (0.5 * each.cross + (each.rest / max(h.shape[1] - 1, 1))[:, None])
+    return slack, middle, blame

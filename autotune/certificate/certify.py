@@ -1,0 +1,235 @@
+"""Prove stability and a modulus margin for every plant of a family at every frequency, or say where that ends."""
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from problems.controller import AdmittanceController
+from problems.sampled import build_loop, build_sampled_plant, stability_matrix
+from problems.uncertainty import Scenario
+
+from .balls import Balls, FloatArray, Series, as_series, enclose, slope_of
+from .base_plant import fails_at, is_stable
+from .bounds import PlantCell, judge
+from .circle import Circle, IntArray
+from .family import STIFFNESS, Family, plant_polynomials
+from .law import LawPolynomials, law_polynomials, without_constant
+
+# Work is counted in arcs judged, so that the same claim ends the same way on every machine; a cell of plants costs as
+# much as this many.
+CELL_WORK = 300
+_NARROWEST_ARC = 1e-9
+_AT_ONCE = 4096
+_MOST_CORNERS = 4  # of more coordinates the corners are left to the cells
+
+
+class Verdict(Enum):
+    """How an attempt to prove a claim ended; the text says what that means."""
+
+    PROVED = "holds for every plant of the set at every frequency"
+    REFUTED = "is false at the plant and frequency named"
+    RAN_OUT = "is proved for the share of the set that is named, and the rest was not decided"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """The outcome: `cells` of plants and `arcs` that were proved, the `work` spent, the `share` of the set proved.
+
+    Where the claim is false, `plant` and `frequency_rad_per_s` name the point; where the work ran out, everything
+    below `stiffness_up_to_n_per_m` is proved (None if K_e does not vary), and `plant` lies in a part that is not.
+    """
+
+    verdict: Verdict
+    modulus: float
+    cells: int
+    arcs: int
+    work: int
+    share: float
+    plant: Scenario | None = None
+    frequency_rad_per_s: float | None = None
+    stiffness_up_to_n_per_m: float | None = None
+
+    @property
+    def holds(self) -> bool:
+        """Whether the claim is proved for the whole set."""
+        return self.verdict is Verdict.PROVED
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Part:
+    """A cell of plants (d, 2), the arcs on which it is not proved yet, and its share of the whole set."""
+
+    cell: FloatArray
+    arcs: IntArray
+    share: float
+
+
+def certify(
+    family: Family,
+    law: AdmittanceController,
+    modulus: float,
+    *,
+    work: int,
+    progress: Callable[[float], None] | None = None,
+) -> Certificate:
+    """Prove that the exact sampled loop is stable with |1 + L| > `modulus` > 0 at both break points, for all plants.
+
+    No cell of plants × arc of the unit circle holds a zero of the closed loop; as poles depend continuously on the
+    plant and one plant is stable, all are. `work` bounds the effort (arcs judged); `progress` is told the share of the
+    set proved since the last call. Raises ValueError for a modulus that is not between 0 and 1.
+    """
+    if not 0.0 < modulus < 1.0:
+        raise ValueError(f"modulus must be between 0 and 1, found {modulus!r}")
+    search = _Search(family, law, modulus)
+    unstable = search.unstable_base()
+    if unstable is not None:
+        return unstable
+    while search.waiting and not search.is_stuck and search.work < work:
+        before = search.share
+        refuted = search.step()
+        if refuted is not None:
+            return refuted
+        if progress is not None and search.share > before:
+            progress(search.share - before)
+    return search.outcome()
+
+
+class _Search:
+    """The cells still to be proved, the softest on top, and what was counted so far."""
+
+    def __init__(self, family: Family, law: AdmittanceController, modulus: float) -> None:
+        self.family, self.controller, self.modulus = family, law, modulus
+        self.law: LawPolynomials = law_polynomials(law, family.sample_time_s)
+        self.box = family.box()
+        whole, has_fraction = family.delay()
+        sizes = tuple(len(part) for part in self._polynomials(self.box, None))
+        self.circle = Circle(
+            self.law, whole + int(has_fraction), (sizes[0], sizes[1], sizes[2]), is_deflated=family.is_free_space
+        )
+        first = np.arange(self.circle.count_of_first)
+        # What is false is mostly false at a corner of the set, and one plant is judged at once.
+        corners = [] if len(self.box) > _MOST_CORNERS else list(itertools.product((0, 1), repeat=len(self.box)))
+        ends = [self.box[np.arange(len(self.box)), list(corner)] for corner in corners if corner]
+        points = [_Part(cell=np.stack([end, end], axis=1), arcs=first, share=0.0) for end in ends]
+        self.waiting = [_Part(cell=self.box, arcs=first, share=1.0), *points]
+        self.work, self.cells, self.arcs, self.share, self.is_stuck = 0, 0, 0, 0.0, False
+
+    def unstable_base(self) -> Certificate | None:
+        """Return the refutation, or the lack of proof, by the plant in the middle; None if it is stable."""
+        middle = np.mean(self.box, axis=1)
+        stable = is_stable(self.family, self.controller, middle)
+        if stable:
+            return None
+        sampled = build_sampled_plant(self.family.plant(middle), self.family.sample_time_s)
+        poles = np.linalg.eigvals(stability_matrix(build_loop(sampled, self.controller)))
+        worst = complex(poles[int(np.argmax(np.abs(poles)))])
+        angle = abs(math.atan2(worst.imag, worst.real))
+        return self._ended(Verdict.RAN_OUT if stable is None else Verdict.REFUTED, middle, angle)
+
+    def step(self) -> Certificate | None:
+        """Judge the cell on top, cut it where its plants are to blame; return the point where the claim is false."""
+        part = self.waiting.pop()
+        cell = self._plant_cell(part.cell)
+        self.work += CELL_WORK
+        arcs, left, blame = part.arcs, [np.zeros(0, dtype=np.int64)], np.zeros(len(self.box))
+        while len(arcs):
+            now, arcs = arcs[:_AT_ONCE], arcs[_AT_ONCE:]
+            found = judge(self.circle.at(now), cell, self.modulus)
+            self.work += len(now)
+            self.arcs += int(np.sum(found.holds))
+            failed = ~found.holds
+            refuted = self._refute(part, now, np.where(failed, found.middle, np.inf))
+            if refuted is not None:
+                return refuted
+            wide = np.ptp(self.circle.angles(now), axis=1) > _NARROWEST_ARC
+            by_plant = failed & (np.argmax(found.blame, axis=1) > 0)
+            by_plant |= failed & ~wide
+            left.append(now[by_plant])
+            blame += np.sum(found.blame[by_plant, 1:], axis=0)
+            arcs = np.concatenate([self.circle.halves(now[failed & ~by_plant]), arcs])
+        rest = np.concatenate(left)
+        if len(rest):
+            self._cut(part, rest, blame)
+        else:
+            self.cells, self.share = self.cells + int(part.share > 0.0), self.share + part.share
+        return None
+
+    def _cut(self, part: _Part, arcs: IntArray, blame: FloatArray) -> None:
+        if np.all(part.cell[:, 0] == part.cell[:, 1]):
+            # One plant and an arc that cannot be cut further: nothing is left to try.
+            self.waiting.append(part)
+            self.is_stuck = True
+            return
+        side = int(np.argmax(blame))
+        low, high = part.cell[side]
+        middle = 0.5 * (low + high)
+        upper, lower = part.cell.copy(), part.cell.copy()
+        upper[side], lower[side] = (middle, high), (low, middle)
+        self.waiting += [_Part(cell=each, arcs=arcs, share=0.5 * part.share) for each in (upper, lower)]
+
+    def _refute(self, part: _Part, arcs: IntArray, middles: FloatArray) -> Certificate | None:
+        worst = int(np.argmin(middles))
+        if middles[worst] >= 0.0:
+            return None
+        point, angle = np.mean(part.cell, axis=1), float(np.mean(self.circle.angles(arcs[worst : worst + 1])))
+        if not fails_at(self.family, self.controller, point, angle, self.modulus):
+            return None
+        return self._ended(Verdict.REFUTED, point, angle)
+
+    def _plant_cell(self, cell: FloatArray) -> PlantCell:
+        """Return the coefficients over a cell: their values at its middle, and slopes that hold all over it."""
+        middle = np.mean(cell, axis=1)
+        # Rounded up, as the middle is not exactly in the middle.
+        half = 0.5 * (cell[:, 1] - cell[:, 0]) * (1.0 + 1e-12) + 2.0 * np.spacing(middle)
+        columns = [self._polynomials(np.stack([middle, middle], axis=1), None)]
+        columns += [self._polynomials(cell, along) for along in range(len(cell))]
+        groups = []
+        for kind in range(3 if self.law.position else 2):
+            value = enclose([each.value for each in columns[0][kind]])
+            slopes = [
+                enclose([slope_of(e) for e in part[kind]]).times(h) for part, h in zip(columns[1:], half, strict=True)
+            ]
+            rest = value.rad + np.sum([s.rad for s in slopes], axis=0)
+            mid = np.stack([value.mid, *(s.mid for s in slopes)], axis=1)
+            rad = np.zeros_like(mid)
+            rad[:, 0] = rest * (1.0 + 1e-12)
+            groups.append(Balls(mid=mid, rad=rad))
+        return PlantCell(groups=tuple(groups))
+
+    def _polynomials(self, cell: FloatArray, along: int | None) -> tuple[list[Series], ...]:
+        d, force, position = plant_polynomials(self.family, cell, along)
+        if self.family.is_free_space:
+            # At rest nothing pulls on the flange: the factor w is there for every plant.
+            without_constant([as_series(force[0]).value])
+            force = force[1:]
+        return tuple([as_series(each) for each in part] for part in (d, force, position))
+
+    def _ended(self, verdict: Verdict, point: FloatArray, angle: float | None) -> Certificate:
+        return Certificate(
+            verdict=verdict,
+            modulus=self.modulus,
+            cells=self.cells,
+            arcs=self.arcs,
+            work=self.work,
+            share=self.share,
+            plant=self.family.scenario(point),
+            frequency_rad_per_s=None if angle is None else angle / self.family.sample_time_s,
+        )
+
+    def outcome(self) -> Certificate:
+        """Return what is proved now that nothing waits or the work is spent."""
+        if self.waiting:
+            middle = np.mean(self.waiting[-1].cell, axis=1)
+            out = self._ended(Verdict.RAN_OUT, middle, None)
+            if STIFFNESS not in self.family.varying:
+                return out
+            place = self.family.varying.index(STIFFNESS)
+            up_to = min(float(part.cell[place, 0]) for part in self.waiting)
+            return Certificate(**{**vars(out), "stiffness_up_to_n_per_m": up_to})
+        return Certificate(
+            verdict=Verdict.PROVED, modulus=self.modulus, cells=self.cells, arcs=self.arcs, work=self.work, share=1.0
+        )

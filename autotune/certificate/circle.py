@@ -1,0 +1,125 @@
+"""What of the loop's equation depends on frequency only, over arcs of the unit circle, worked out once for all plants.
+
+The closed loop χ = z^c α d − β_F n_F − β_x n_x is linear in the coefficients of d, n_F and n_x: each has a factor that
+is a function of z alone. Of it an arc holds value and slope at its middle, and half the curvature all over the arc.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .balls import Balls, FloatArray, enclose, exact, turn
+from .law import LawPolynomials
+
+IntArray = NDArray[np.int64]
+Jet = tuple[Balls, Balls, Balls]
+
+# Frequencies [rad/sample] spread over decades: the first arcs halve towards 0, where loops have their poles.
+_OCTAVES = 14
+_TURN = float(np.nextafter(math.pi, 4.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arcs:
+    """Factors on m arcs: per group (d, n_F, n_x) balls (m, k) of value, slope and half curvature by angle."""
+
+    half: FloatArray
+    groups: tuple[Jet, ...]
+
+
+class Circle:
+    """The arcs of the upper half circle that were asked for so far; each is cut in two at most once.
+
+    `sizes` is how many coefficients d, n_F and n_x have. `is_deflated` takes a factor w out of everything: free space
+    has its integrator there.
+    """
+
+    def __init__(self, law: LawPolynomials, chain: int, sizes: tuple[int, int, int], *, is_deflated: bool) -> None:
+        drop = 1 if is_deflated else 0
+        self._chain, self._sizes = chain, sizes
+        self._alpha = enclose(law.denominator[drop:])
+        self._force = enclose(law.force)
+        self._position = enclose(law.position[drop:]) if law.position else None
+        self._angles = np.zeros((0, 2))
+        self._children = np.zeros(0, dtype=np.int64)
+        self._table: list[list[Balls]] = []
+        ends = np.concatenate([[0.0], _TURN * 2.0 ** -np.arange(_OCTAVES, -1.0, -1.0)])
+        self._add(np.stack([ends[:-1], ends[1:]], axis=1))
+        self.count_of_first = _OCTAVES + 1
+
+    def angles(self, arcs: IntArray) -> FloatArray:
+        """Return the ends (m, 2) of arcs, rad/sample."""
+        return np.asarray(self._angles[arcs])
+
+    def halves(self, arcs: IntArray) -> IntArray:
+        """Return the two halves of every arc, (2 m,)."""
+        missing = np.unique(arcs[self._children[arcs] < 0])
+        if missing.size:
+            low, high = self._angles[missing].T
+            middle = 0.5 * (low + high)
+            self._children[missing] = len(self._angles) + 2 * np.arange(len(missing))
+            self._add(np.stack([low, middle, middle, high], axis=1).reshape(-1, 2))
+        first = self._children[arcs]
+        return np.stack([first, first + 1], axis=1).ravel()
+
+    def at(self, arcs: IntArray) -> Arcs:
+        """Return the factors on arcs."""
+        low, high = self._angles[arcs].T
+        # Half an arc, rounded up: together the arcs leave nothing out.
+        half = 0.5 * (high - low) * (1.0 + 1e-12) + 1e-15
+        groups = tuple((jet[0][arcs], jet[1][arcs], jet[2][arcs]) for jet in self._table)
+        return Arcs(half=half, groups=groups)
+
+    def _add(self, ends: FloatArray) -> None:
+        middle = 0.5 * (ends[:, 0] + ends[:, 1])
+        half = 0.5 * (ends[:, 1] - ends[:, 0]) * (1.0 + 1e-12) + 1e-15
+        thin, wide = self._factors(middle, np.zeros_like(half)), self._factors(middle, half)
+        new = [[a[0], a[1], b[2]] for a, b in zip(thin, wide, strict=True)]
+        old = self._table or [[each[:0] for each in jet] for jet in new]
+        self._table = [[_stack(a, b) for a, b in zip(*pair, strict=True)] for pair in zip(old, new, strict=True)]
+        self._angles = np.vstack([self._angles, ends])
+        self._children = np.concatenate([self._children, np.full(len(ends), -1)])
+
+    def _factors(self, middle: FloatArray, half: FloatArray) -> list[Jet]:
+        z, w = turn(middle, half)
+        slope, curve = z * exact(np.full(len(middle), 1j)), z.times(-0.5)
+        z_jet, w_jet = (z, slope, curve), (w, slope, curve)
+        alpha = _polynomial(self._alpha, w_jet)
+        for _ in range(self._chain):
+            alpha = _product(alpha, z_jet)
+        found = [_powers(alpha, w_jet, self._sizes[0]), _powers(_polynomial(self._force, w_jet), w_jet, self._sizes[1])]
+        if self._position is not None:
+            found.append(_powers(_polynomial(self._position, w_jet), w_jet, self._sizes[2]))
+        return found
+
+
+def _product(a: Jet, b: Jet) -> Jet:
+    return a[0] * b[0], a[0] * b[1] + a[1] * b[0], a[0] * b[2] + a[1] * b[1] + a[2] * b[0]
+
+
+def _polynomial(coefficients: Balls, w: Jet) -> Jet:
+    """Return a polynomial with coefficients (k,) on the jets of w (m,), by Horner's rule."""
+    nothing = exact(np.zeros_like(w[0].mid))
+    out: Jet = (nothing, nothing, nothing)
+    for i in range(len(coefficients.mid) - 1, -1, -1):
+        value, slope, curve = _product(out, w)
+        out = (value + coefficients[i], slope, curve)
+    return out
+
+
+def _powers(first: Jet, w: Jet, count: int) -> Jet:
+    """Return first·w^k for k below `count` as balls (m, count)."""
+    found = [first]
+    while len(found) < count:
+        found.append(_product(found[-1], w))
+    return tuple(_columns([jet[order] for jet in found]) for order in range(3))  # type: ignore[return-value]
+
+
+def _columns(balls: list[Balls]) -> Balls:
+    return Balls(mid=np.stack([b.mid for b in balls], axis=1), rad=np.stack([b.rad for b in balls], axis=1))
+
+
+def _stack(old: Balls, more: Balls) -> Balls:
+    return Balls(mid=np.vstack([old.mid, more.mid]), rad=np.vstack([old.rad, more.rad]))

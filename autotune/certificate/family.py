@@ -1,0 +1,236 @@
+"""The plants that a certificate speaks of, as numbers that the loop's equations take: in balls, with derivatives."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from problems.errors import ParameterError
+from problems.plant import FREE_SPACE, Plant, write_plant
+from problems.robot_variation import bandwidth_hz
+from problems.sampled import split_delay
+from problems.uncertainty import FURTHER_UNCERTAIN, Scenario
+
+from . import rational
+from .balls import Series, as_series, ball, exponential, number, precise
+
+FloatArray = NDArray[np.float64]
+Interval = tuple[float, float]
+
+MASS, STIFFNESS = "payload_mass_kg", "environment_stiffness_n_per_m"
+# What is proved over; a robot's damping ratio is not among them.
+PROVABLE = (STIFFNESS, MASS, *(name for name in FURTHER_UNCERTAIN if name != "robot_damping_ratio"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Family:
+    """A nominal plant and closed ranges of its parameters, under a hold of `sample_time_s`.
+
+    `ranges` is keyed by the names of `problems.uncertainty`; what is not named is nominal. Free space is a nominal
+    environment that is FREE_SPACE. Raises ParameterError for a name that is not provable, for a range that is none,
+    for an environment with mass, for one whose stiffness reaches 0 without being free space, and for a delay that
+    crosses a whole number of samples, where the loop changes its order (`build_families` cuts there).
+    """
+
+    nominal: Plant
+    ranges: Mapping[str, Interval]
+    sample_time_s: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ranges", MappingProxyType(dict(self.ranges)))
+        for name, (low, high) in self.ranges.items():
+            if name not in PROVABLE:
+                raise ParameterError("ranges", name, f"one of {', '.join(PROVABLE)}")
+            if not 0.0 <= low <= high < math.inf:
+                raise ParameterError(name, (low, high), "[lowest, highest] with 0 ≤ lowest ≤ highest")
+        environment = self.nominal.environment
+        if environment.mass_kg != 0.0:
+            raise ParameterError("environment.mass_kg", environment.mass_kg, "0, to be proved over")
+        softest = self.range_of(STIFFNESS)[0]
+        touched = {STIFFNESS, "environment_damping_n_s_per_m"} & set(self.ranges)
+        if softest <= 0.0 and (touched or not environment.is_free_space):
+            raise ParameterError(STIFFNESS, softest, "greater than 0 in contact")
+        if self.range_of(MASS)[0] <= 0.0:
+            raise ParameterError(MASS, self.range_of(MASS)[0], "greater than 0")
+        self.delay()
+
+    def range_of(self, name: str) -> Interval:
+        """Return the range of one parameter, from nominal to nominal where none is given."""
+        plant = self.nominal
+        values = {
+            STIFFNESS: plant.environment.stiffness_n_per_m,
+            MASS: plant.payload.mass_kg,
+            "coupling_stiffness_n_per_m": plant.coupling.stiffness_n_per_m,
+            "coupling_damping_n_s_per_m": plant.coupling.damping_n_s_per_m,
+            "drag_n_s_per_m": plant.payload.drag_n_s_per_m,
+            "environment_damping_n_s_per_m": plant.environment.damping_n_s_per_m,
+            "delay_s": plant.robot.delay_s,
+        }
+        if name in self.ranges:
+            return self.ranges[name]
+        value = values[name] if name in values else bandwidth_hz(plant.robot)
+        return value, value
+
+    @property
+    def varying(self) -> tuple[str, ...]:
+        """Names of what has more than one value, in a fixed order."""
+        return tuple(name for name in PROVABLE if self.range_of(name)[0] < self.range_of(name)[1])
+
+    @property
+    def is_free_space(self) -> bool:
+        """Whether nothing is touched, so that the loop keeps its integrator."""
+        return self.range_of(STIFFNESS)[1] == 0.0
+
+    def delay(self) -> tuple[int, bool]:
+        """Return the whole samples of delay, and whether a fraction may remain."""
+        low, high = self.range_of("delay_s")
+        whole, fraction = split_delay(low, self.sample_time_s)
+        if low == high:
+            return whole, fraction > 0.0
+        last, rest = split_delay(high, self.sample_time_s)
+        if last > whole and not (last == whole + 1 and rest == 0.0):
+            raise ParameterError(
+                "delay_s", (low, high), "within two ticks of the controller; cut it with `build_families`"
+            )
+        return whole, True
+
+    def in_free_space(self) -> "Family":
+        """Return the same plants with nothing to touch."""
+        touching = (STIFFNESS, "environment_damping_n_s_per_m")
+        kept = {name: span for name, span in self.ranges.items() if name not in touching}
+        return replace(self, nominal=self.nominal.in_contact_with(FREE_SPACE), ranges=kept)
+
+    def box(self) -> FloatArray:
+        """Return the coordinates' ends (d, 2), rounded outwards; the payload's coordinate is 1/M_p."""
+        spans = [self.range_of(name) for name in self.varying]
+        rows = [
+            (np.nextafter(1.0 / high, 0.0), np.nextafter(1.0 / low, np.inf)) if name == MASS else (low, high)
+            for name, (low, high) in zip(self.varying, spans, strict=True)
+        ]
+        return np.array(rows, dtype=np.float64).reshape(-1, 2)
+
+    def scenario(self, point: FloatArray) -> Scenario:
+        """Return the plant at coordinates (d,) as a point of the uncertainty."""
+        values = dict(zip(self.varying, np.asarray(point).tolist(), strict=True))
+        if MASS in values:
+            values[MASS] = 1.0 / values[MASS]
+        inside = {name: min(max(value, self.ranges[name][0]), self.ranges[name][1]) for name, value in values.items()}
+        return Scenario(**{STIFFNESS: self.range_of(STIFFNESS)[0], MASS: self.range_of(MASS)[0], **inside})
+
+    def plant(self, point: FloatArray) -> Plant:
+        """Return the plant at coordinates (d,)."""
+        return self.scenario(point).plant(self.nominal)
+
+
+def build_families(nominal: Plant, ranges: Mapping[str, Interval], sample_time_s: float) -> tuple[Family, ...]:
+    """Return all plants as families, cut where the delay passes a tick of the controller."""
+    low, high = ranges.get("delay_s", (nominal.robot.delay_s, nominal.robot.delay_s))
+    first, last = math.floor(low / sample_time_s) + 1, math.ceil(high / sample_time_s)
+    ends = [low, *(each for k in range(first, last) if low < (each := k * sample_time_s) < high), high]
+    spans = [dict(ranges) if "delay_s" not in ranges else {**ranges, "delay_s": span} for span in pairwise(ends)]
+    return tuple(Family(nominal=nominal, ranges=each, sample_time_s=sample_time_s) for each in spans)
+
+
+@precise
+def plant_polynomials(family: Family, cell: FloatArray, along: int | None = None) -> tuple[list[Any], ...]:
+    """Return d, n_F and n_x in w = z − 1 over a cell (d, 2) of coordinates, ascending, as series.
+
+    X = n_x/(z^c d) X^d and F = n_F/(z^c d) X^d with d = det(zI − φ) and c commands in the delay chain. The slope of
+    every number is its derivative along coordinate `along`, over the whole cell.
+    """
+    values = _values(family, cell, along)
+    whole, has_fraction = family.delay()
+    order = family.nominal.robot.order
+    augmented, position, force, direct = _continuous(family, values)
+    size = order + 2
+    full = exponential(augmented)
+    change = full[:size, :size] - np.array([[int(i == j) for j in range(size)] for i in range(size)], dtype=object)
+    characteristic, adjugate = rational.resolvent(change)
+    gamma = full[:size, size]
+    if has_fraction:
+        # The newer command acts during the last 1 − fraction of the period, the older one before.
+        rest = (whole + 1) - values["delay_s"] / family.sample_time_s
+        newer = exponential(augmented * rest)[:size, size]
+        inputs = [(newer, True), (gamma - newer, False)]
+    else:
+        inputs = [(gamma, False)]
+    found_force, found_position = [direct * each for each in characteristic], [0]
+    for column, is_newer in inputs:
+        for_force = rational.numerator(force, adjugate, column)
+        for_position = rational.numerator(position, adjugate, column)
+        found_force = rational.add(found_force, rational.times_z(for_force) if is_newer else for_force)
+        found_position = rational.add(found_position, rational.times_z(for_position) if is_newer else for_position)
+    return characteristic, found_force, found_position
+
+
+def _values(family: Family, cell: FloatArray, along: int | None) -> dict[str, Any]:
+    """Return every parameter as a series; the payload's is 1/M_p."""
+    found = {name: as_series(family.range_of(name)[0]) for name in PROVABLE}
+    found[MASS] = 1 / found[MASS]
+    for i, name in enumerate(family.varying):
+        found[name] = Series(ball(float(cell[i, 0]), float(cell[i, 1])), number(1) if i == along else None)
+    return found
+
+
+def _continuous(family: Family, values: Mapping[str, Any]) -> tuple[Any, Any, Any, Any]:
+    """Return the augmented continuous plant by sample (n + 3, n + 3), the rows of x and F, and F's direct part.
+
+    The equations are those of `write_plant`; the payload's position is told relative to the flange, e = x_p − x, as
+    otherwise the force of a free payload is a small difference of large balls.
+    """
+    n = family.nominal.robot.order
+    h: Any = as_series(family.sample_time_s)
+    a, push = _objects(n + 2, n + 2), _objects(n + 2)
+    b, position, force, contact, direct = (
+        _objects(n + 2),
+        _objects(n + 2),
+        _objects(n + 2),
+        _objects(n + 2),
+        _objects(3),
+    )
+    parameters = _objects(7)
+    named = ("coupling_damping_n_s_per_m", "drag_n_s_per_m", "environment_damping_n_s_per_m")
+    for place, name in zip((1, 3, 5), named, strict=True):
+        parameters[place] = values[name]
+    parameters[2] = as_series(1)
+    top, bottom = _robot(family, values)
+    write_plant(a, b, push, position, force, contact, direct, top, bottom, parameters, h)
+    k_s, k_e, inverse = values["coupling_stiffness_n_per_m"], values[STIFFNESS], values[MASS]
+    scale, flange = push[n + 1], rational.dot(position[:n], a[:n, :n])
+    for i in range(n):
+        a[n, i] = -flange[i]
+        a[n + 1, i] = inverse * (a[n + 1, i] - scale * k_e * position[i])
+    b[n] = -rational.dot(position[:n], b[:n])
+    a[n + 1, n] = -inverse * scale * (k_s + k_e)
+    a[n + 1, n + 1] = inverse * a[n + 1, n + 1]
+    b[n + 1] = inverse * b[n + 1]
+    force[n] = k_s
+    augmented = _objects(n + 3, n + 3)
+    augmented[: n + 2, : n + 2], augmented[: n + 2, n + 2] = a, b
+    return augmented, position, force, direct[0]
+
+
+def _robot(family: Family, values: Mapping[str, Any]) -> tuple[Any, Any]:
+    """Return numerator and monic denominator, ascending, with all frequencies of r(s) moved to the bandwidth."""
+    numerator, denominator = family.nominal.robot.ascending()
+    n = len(numerator)
+    top, bottom = _objects(n), _objects(n + 1)
+    moves = "robot_bandwidth_hz" in family.ranges
+    ratio = values["robot_bandwidth_hz"] / bandwidth_hz(family.nominal.robot) if moves else 1
+    for i in range(n + 1):
+        power = ratio ** (n - i) if moves and i < n else 1
+        bottom[i] = as_series(float(denominator[i])) * power
+        if i < n:
+            top[i] = as_series(float(numerator[i])) * power
+    return top, bottom
+
+
+def _objects(*shape: int) -> Any:
+    out = np.empty(shape, dtype=object)
+    out.fill(0)
+    return out

@@ -1,0 +1,57 @@
+"""Time to prove stability and modulus of the paper's cell over continuous ranges, at several slacks."""
+
+import time
+
+from autotune.certificate.certify import certify
+from autotune.certificate.family import MASS, STIFFNESS, Family
+from autotune.validation.margins import sweep_margins
+from autotune.validation.proof import UncertainPlant, prove_stability
+from problems.controller import AdmittanceController
+from problems.plant import Coupling, Environment, Payload, Plant
+from problems.robot import RobotModel
+
+PERIOD_S = 8e-4
+STIFFNESSES = (2e4, 5e5)
+WORK = 20_000_000
+LAW = AdmittanceController(mass_kg=10.0, damping_n_s_per_m=1600.0, lead_s=0.02, feedback_damping_s=0.01)
+PLANT = Plant(
+    robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=2.4e-3),
+    coupling=Coupling(stiffness_n_per_m=3e5, damping_n_s_per_m=0.0),
+    payload=Payload(mass_kg=16.0, drag_n_s_per_m=630.0),
+    environment=Environment(stiffness_n_per_m=STIFFNESSES[0]),
+)
+
+
+def main() -> None:
+    for mass, slacks in (((16.0, 16.0), (0.1, 0.05, 0.03, 0.01)), ((14.0, 24.0), (0.1, 0.05, 0.03))):
+        plants = UncertainPlant(
+            robot=PLANT.robot,
+            coupling=PLANT.coupling,
+            drag_n_s_per_m=PLANT.payload.drag_n_s_per_m,
+            environment_damping_n_s_per_m=0.0,
+            payload_mass_kg=mass,
+            environment_stiffness_n_per_m=STIFFNESSES,
+        )
+        swept = sweep_margins(plants, LAW, PERIOD_S, stiffness=25, mass=3)
+        told = f"K_e {STIFFNESSES[0]:g} to {STIFFNESSES[1]:g} N/m, M_p {mass[0]:g} to {mass[1]:g} kg"
+        print(f"{told}: swept modulus {swept.values['modulus']:.4f}")
+        family = Family(nominal=PLANT, ranges={STIFFNESS: STIFFNESSES, MASS: mass}, sample_time_s=PERIOD_S)
+        for slack in slacks:
+            start, modulus = time.process_time(), (1.0 - slack) * swept.values["modulus"]
+            parts = [certify(each, LAW, modulus, work=WORK) for each in (family, family.in_free_space())]
+            spent = time.process_time() - start
+            cells, arcs = sum(p.cells for p in parts), sum(p.arcs for p in parts)
+            verdict = "proved" if all(p.holds for p in parts) else "NOT proved"
+            print(f"  {100 * slack:4.1f} % slack: {verdict}, {spent:6.2f} s, {cells} cells, {arcs} arcs")
+        start = time.process_time()
+        lyapunov = prove_stability(plants, LAW, PERIOD_S)
+        told = "proved" if lyapunov.holds else "not proved"
+        print(
+            f"  stability alone, by Lyapunov cells: {told}, {time.process_time() - start:.2f} s, {lyapunov.cells} cells"
+        )
+        false = certify(family, LAW, 1.05 * swept.values["modulus"], work=WORK)
+        print(f"  a claim 5 % too high: {false.verdict.name.lower()} after {false.work} units of work")
+
+
+if __name__ == "__main__":
+    main()

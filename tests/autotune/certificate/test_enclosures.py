@@ -1,0 +1,114 @@
+"""Balls hold what they must: their arithmetic, the plants of a cell, the factors on an arc."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from autotune.certificate import certify as certify_module
+from autotune.certificate.balls import Balls, exact
+from autotune.certificate.base_plant import fails_at
+from autotune.certificate.bounds import judge
+from autotune.certificate.family import Family
+from problems.controller import AdmittanceController
+from problems.robot import RobotModel
+from tests.autotune.certificate.loops import FloatArray, family, smallest_return_difference
+from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
+
+TWO_POLES = RobotModel(numerator=np.array([900.0]), denominator=np.array([1.0, 42.0, 900.0]), delay_s=2.0e-3)
+ROBOTS = {
+    "whole delay": one_pole(),
+    "no delay": one_pole(0.0),
+    "fraction": one_pole(2.7 * PERIOD_S),
+    "fraction below one sample": one_pole(0.4 * PERIOD_S),
+    "two poles": TWO_POLES,
+}
+PLAIN = admittance(20.0, 3500.0, 0.013, 0.01)
+LAWS = {
+    "plain": admittance(20.0, 3500.0, 0.0),
+    "feedback": PLAIN,
+    "compensated": replace(PLAIN, compensation_mass_kg=8.0),
+    "ideal": replace(PLAIN, compensation_mass_kg=4.0, compensation="ideal"),
+    "forward": replace(PLAIN, discretization="forward_euler"),
+    "backward": replace(PLAIN, discretization="backward_euler"),
+}
+EVERY_KIND = pytest.mark.parametrize(
+    ("robot", "law"),
+    [(robot, LAWS["feedback"]) for robot in ROBOTS.values()] + [(TWO_POLES, law) for law in LAWS.values()],
+    ids=[*ROBOTS, *(f"two poles, {name}" for name in LAWS)],
+)
+
+
+def of_kind(robot: RobotModel) -> Family:
+    plant = paper_plant(
+        stiffness=1e5, mass=15.0, drag=400.0, coupling_damping=120.0, environment_damping=30.0, robot=robot
+    )
+    return family((1e5, 1.3e5), (15.0, 17.0), nominal=plant, coupling_damping_n_s_per_m=(100.0, 140.0))
+
+
+def test_operations_on_balls_hold_all_results() -> None:
+    rng = np.random.default_rng(2)
+    left, right = (rng.normal(size=(4, 5)) + 1j * rng.normal(size=(4, 5)) for _ in range(2))
+    radii = 0.1 * rng.random((2, 4, 5))
+    a, b = Balls(mid=left, rad=radii[0]), Balls(mid=right, rad=radii[1])
+    for _ in range(200):
+        turns = np.exp(2j * np.pi * rng.random((2, 4, 5)))
+        x, y = left + radii[0] * turns[0], right + radii[1] * turns[1]
+        for found, value in ((a + b, x + y), (a * b, x * y), (a @ Balls(mid=right.T, rad=radii[1].T), x @ y.T)):
+            assert np.all(np.abs(value - found.mid) <= found.rad * (1.0 + 1e-12) + 1e-14)
+    third = exact(np.array([1.0 / 3.0])) * exact(np.array([3.0]))
+    assert third.rad[0] >= 1e-16
+
+
+@EVERY_KIND
+def test_the_balls_return_difference_is_that_of_the_loop(robot: RobotModel, law: AdmittanceController) -> None:
+    """A claim a millionth above or below |1 + L| by determinants is certainly false, or not."""
+    for of in (of_kind(robot), of_kind(robot).in_free_space()):
+        point = np.mean(of.box(), axis=1)
+        for angle in (0.003, 0.02, 0.15, 1.0, 3.0):
+            there = float(smallest_return_difference(of.plant(point), law, np.array([angle]))[0])
+            assert fails_at(of, law, point, angle, there * (1.0 + 1e-6))
+            assert not fails_at(of, law, point, angle, there * (1.0 - 1e-6))
+
+
+@EVERY_KIND
+def test_cells_and_arcs_hold_their_plants_and_frequencies(robot: RobotModel, law: AdmittanceController) -> None:
+    """|χ| > m |R| is claimed on no arc on which a plant of the cell has |1 + L| ≤ m."""
+    rng = np.random.default_rng(6)
+    for of in (of_kind(robot), of_kind(robot).in_free_space()):
+        search = certify_module._Search(of, law, 0.5)
+        box, arcs = of.box(), np.arange(search.circle.count_of_first)
+        for _ in range(3):
+            arcs = search.circle.halves(arcs)
+        angles = search.circle.angles(arcs)
+        cell = search._plant_cell(box)
+        for modulus in (0.3, 0.6, 0.9):
+            holds = judge(search.circle.at(arcs), cell, modulus).holds
+            for share in rng.random((4, len(box))):
+                plant = of.plant(box[:, 0] + share * (box[:, 1] - box[:, 0]))
+                inside: FloatArray = angles[:, 0] + rng.random(len(angles)) * (angles[:, 1] - angles[:, 0])
+                there = smallest_return_difference(plant, law, np.minimum(inside, np.pi))
+                # At the lowest frequencies determinants of free space lose their digits.
+                assert np.all(there[holds & (inside > 1e-3)] > modulus * (1.0 - 1e-6))
+        assert np.any(judge(search.circle.at(arcs), cell, 0.1).holds)
+
+
+@EVERY_KIND
+def test_the_coefficients_of_a_cell_hold_those_of_its_plants(robot: RobotModel, law: AdmittanceController) -> None:
+    of = of_kind(robot)
+    search = certify_module._Search(of, law, 0.5)
+    box = of.box()
+    cell = search._plant_cell(box)
+    rng = np.random.default_rng(8)
+    middle, half = np.mean(box, axis=1), 0.5 * (box[:, 1] - box[:, 0])
+    for delta in [*rng.uniform(-1.0, 1.0, (12, len(box))), np.ones(len(box)), -np.ones(len(box))]:
+        point = np.clip(middle + half * delta, box[:, 0], box[:, 1])
+        there = search._plant_cell(np.stack([point, point], axis=1))
+        moved = np.concatenate([[1.0], delta])
+        for group, found in zip(cell.groups, there.groups, strict=True):
+            # Half a side is rounded up by 1e-12, so that δ is not exactly that of the point.
+            rounding = 1e-11 * np.sum(np.abs(group.mid), axis=1)
+            off = np.abs(group.mid @ moved - found.mid[:, 0])
+            assert np.all(off <= group.rad[:, 0] + found.rad[:, 0] + rounding)
+            # The rest is of second order: far below what the slopes tell.
+            assert np.max(group.rad[:, 0]) < 0.3 * np.max(np.sum(np.abs(group.mid[:, 1:]), axis=1))
