@@ -5,7 +5,6 @@ A pipe or a file gets the plain text, one line for each thing that is told.
 
 import os
 import re
-import shutil
 import sys
 import textwrap
 from collections.abc import Mapping
@@ -59,7 +58,7 @@ def look_at(stream: TextIO | None, environment: Mapping[str, str] = os.environ) 
         has_colour=_has_colour(is_able, environment),
         has_blocks=is_terminal and _can_encode(stream, _BLOCKS),
         can_redraw=is_able,
-        columns=max(shutil.get_terminal_size().columns, _NARROWEST) if is_terminal else None,
+        columns=max(_columns(stream, environment), _NARROWEST) if is_terminal else None,
     )
 
 
@@ -76,6 +75,17 @@ def _has_colour(is_able: bool, environment: Mapping[str, str]) -> bool:
     if any(environment.get(name, "0") not in {"", "0"} for name in ("FORCE_COLOR", "CLICOLOR_FORCE")):
         return True
     return is_able and environment.get("CLICOLOR") != "0"
+
+
+def _columns(stream: TextIO | None, environment: Mapping[str, str]) -> int:
+    """Return the width that `COLUMNS` says, else that of the terminal, else 80."""
+    said = environment.get("COLUMNS", "")
+    if said.isdecimal() and int(said) > 0:
+        return int(said)
+    try:
+        return 80 if stream is None else os.get_terminal_size(stream.fileno()).columns or 80
+    except (OSError, ValueError):
+        return 80
 
 
 def _can_encode(stream: TextIO | None, text: str) -> bool:

@@ -38,6 +38,7 @@ Examples:
 """
 _GROUPS = {
     "What must all be safe": ("payload_mass", "environment_stiffness", "schedule"),
+    "What is proved": ("slack", "proof_budget"),
     "A front of peak force against admittance, or of other objectives": (
         *("pareto", "objectives", "require", "choose", "storage", "study", "trials", "sampler"),
     ),
