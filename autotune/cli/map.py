@@ -47,7 +47,14 @@ _RANGE = "NAME=LO:HI[:N][:log|lin]"
 @click.argument("source", type=FilePath(*SETTINGS))
 @click.option("--x", metavar=_RANGE, help="The parameter to the right; N values (120), log from a factor of 10 on.")
 @click.option("--y", metavar=_RANGE, help="The parameter upwards (90 values), or that of which curves are compared.")
-@click.option("--show", type=click.Choice(_SHOWS), default="stability", show_default=True, help="What is computed.")
+@click.option(
+    "--show",
+    type=click.Choice(_SHOWS),
+    default="stability",
+    show_default=True,
+    metavar="WHAT",
+    help=f"What is computed: {', '.join(_SHOWS)}.",
+)
 @click.option(
     "--where",
     type=click.Choice(["contact", "free_space", "both"]),

@@ -96,9 +96,8 @@ def test_bash_completes_commands_files_of_the_kind_and_folders(folder: Path, rep
     os.close(theirs)
     told = ""
     try:
-        _type(
-            ours, 'source script.sh; autotune() { echo "$@"; }; complete -o nosort -F _autotune_completion autotune\n'
-        )
+        again = "complete -o nosort -F _autotune_completion autotune"
+        _type(ours, f'source script.sh; autotune() {{ echo "$@"; }}; {again}\n')
         told = _until(ours, "$ ", 2)
         for line, words in typed.items():
             expected = "".join(f"<{word}>" for word in words)
