@@ -93,8 +93,8 @@ def run_demo(
     run = simulate_cell(cell, Program(), seed=seed)
     report(_SHARES[0])
     begin(STEPS[1])
-    # Wrench, pose and command have a message each at every sample.
-    each = _SHARES[1] / (3 * len(run.recording.wrench.stamp_ns))
+    logged = (run.recording.wrench, run.recording.pose, run.recording.command)
+    each = _SHARES[1] / sum(len(signal.stamp_ns) for signal in logged if signal is not None)
     write_mcap(run.recording, files.log, progress=lambda count: report(each * count))
     begin(STEPS[2])
     found = identify_log(files.log, Topics(), progress=lambda share: report(_SHARES[2] * share))

@@ -71,7 +71,9 @@ def _identify(
     recording: Recording, frames: Frames | None, given: Mapping[str, Given], report: Callable[[float], None]
 ) -> tuple[Identified, CellSignals | None, Mapping[str, AxisTold]]:
     if recording.wrench.gravity_compensated:
-        return settle_cell(identify_partial(recording, _sample_time(recording)), given), None, {}
+        partial = settle_cell(identify_partial(recording, _sample_time(recording)), given)
+        report(1.0)
+        return partial, None, {}
     if recording.command is not None:
         recording = replace(recording, command=restore_commands(recording.command))
     recording, about_spikes = without_spikes(recording)

@@ -144,7 +144,7 @@ def print_fronts(fronts: Mapping[str, "Front"], path: Path) -> None:
             "",
         ]
         rows = [
-            (*_cells(front, point), "<- the controller written" if index == front.chosen else "")
+            (*_cells(front, point), "<- written" if index == front.chosen else "")
             for index, point in enumerate(front.points)
         ]
         count = len(heads)

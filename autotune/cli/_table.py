@@ -39,7 +39,7 @@ def table_lines(
             yield from _last_folded(aligned, room, indent)
             return
         if stacks:
-            yield from _stacked(cells, indent)
+            yield from _stacked(cells, indent, named=0 not in left)
             return
     for row in aligned:
         told = [painted(text) if column == verdict else text for column, text in enumerate(row)]
@@ -103,11 +103,12 @@ def _last_folded(aligned: Sequence[Sequence[str]], room: int, indent: str) -> It
         yield from (" " * display_width(head) + text for text in folded[1:])
 
 
-def _stacked(cells: Sequence[Sequence[str]], indent: str) -> Iterator[str]:
+def _stacked(cells: Sequence[Sequence[str]], indent: str, *, named: bool) -> Iterator[str]:
+    """Yield each row as a block; `named`: its first cell is a number and says nothing without its heading."""
     headings, *rows = cells
     width = max(map(display_width, headings[1:]))
     for row in rows:
-        yield (indent + row[0]).rstrip()
+        yield f"{indent}{headings[0]} {row[0]}" if named else (indent + row[0]).rstrip()
         for heading, text in zip(headings[1:], row[1:], strict=True):
             if text:
                 yield f"{indent}{_GAP}{heading}{' ' * (width - display_width(heading))}{_GAP}{text}"

@@ -72,8 +72,7 @@ def optimize(
     )
     share = _SEARCH_SHARE / len(problems)
     searches = {
-        name: _search(name, problem, seed, existing, relax, lambda done: report(share * done))
-        for name, problem in problems.items()
+        name: _search(name, problem, seed, existing, relax, report, share) for name, problem in problems.items()
     }
     standings = {name: find_standing(search) for name, search in searches.items()}
     proofs, reaches = _prove(searches, asked, report)
@@ -132,18 +131,22 @@ def _search(
     existing: ControllerFile | None,
     relax: bool,
     report: Callable[[float], None],
+    share: float,
 ) -> SearchResult:
+    portion = _Portion(report, share)
     start = None if existing is None else start_design(existing.controller, name, problem)
     try:
-        return solve_design(problem, seed=seed, start=start, progress=report)
+        found = solve_design(problem, seed=seed, start=start, progress=portion)
     except InfeasibleError as error:
         if not relax:
             raise InfeasibleError(f"Axis {name}: {error}") from error
         # In the place of what a controller would still have to pass.
-        eased = find_relaxations(problem, seed=seed, progress=lambda share: report((1.0 / _SEARCH_SHARE - 1.0) * share))
+        eased = find_relaxations(problem, seed=seed, progress=_Portion(report, 1.0 - _SEARCH_SHARE))
         told = f" Enough by itself would be: {'; or '.join(map(str, eased))}." if eased else ""
         numbers = tuple((each.name, each.asked, each.possible) for each in eased)
         raise InfeasibleError(f"Axis {name}: {error}{_without_uncertainty(problem, seed)}{told}", numbers) from error
+    portion.finish()
+    return found
 
 
 def _without_uncertainty(problem: DesignProblem, seed: int) -> str:

@@ -47,6 +47,8 @@ def test_a_table_too_wide_is_told_row_by_row_where_that_is_wanted() -> None:
     lines = list(table_lines(ROWS, left=(0, 3, 4), columns=40, stacks=True))
     assert lines[:3] == ["payload mass", "  value    16.205", "  ± std    0.024"]
     assert max(map(len, lines)) <= 40
+    numbers = [("peak [N]", "M_a [kg]", "K_l [s]"), ("49.21", "6", "0.02")]
+    assert next(table_lines(numbers, left=(), columns=12, stacks=True)) == "peak [N] 49.21"
     # Otherwise nothing is cut off, and without a width nothing is changed.
     assert list(table_lines(ROWS, columns=40)) == list(table_lines(ROWS)) == list(table_lines(ROWS, stacks=True))
 
