@@ -125,8 +125,8 @@ def tell(text: str = "", *, verdict: str = "", indent: str = "") -> None:
 def told_lines(text: str, *, verdict: str = "", indent: str = "", columns: int | None = None) -> list[str]:
     """Return the lines of `tell` for a width of `columns`, None for any."""
     whole = f"{indent}{verdict}{text}".rstrip()
-    under = indent + " " * (len(verdict) if verdict else 2)
-    lines = [whole] if columns is None else _folded(whole, under, columns)
+    before = len(indent + verdict) if verdict else len(whole) - len(whole.lstrip()) + 2
+    lines = [whole] if columns is None else _folded(whole, " " * before, columns)
     head = indent + verdict
     if verdict and lines[0].startswith(head):
         lines[0] = indent + painted(verdict) + lines[0][len(head) :]

@@ -155,7 +155,7 @@ def print_plan(plan: "ExperimentPlan", out: Path) -> None:
     tell(f"axis {plan.axis}, binding uncertainty: {LABELS[plan.binding]}")
     for number, step in enumerate(plan.steps, start=1):
         wanted = "" if step.is_needed else " (not needed)"
-        tell(f"{number}. {step.kind.value}{wanted}: {step.why}")
+        tell(f"{step.kind.value}{wanted}: {step.why}", verdict=f"{number}. ")
         for line in _settings(step, plan):
             tell(f"   {line}")
     rows: list[tuple[str, ...]] = [("parameter", "value", "± now", "± after", "allowed", "unit", "by")]

@@ -12,6 +12,7 @@ import click
 import pytest
 
 from autotune.cli._files import LOGS, SETTINGS, FilePath
+from autotune.cli.main import main
 from autotune.cli.map import command as map_command
 from autotune.cli.validate import command as validate_command
 
@@ -62,6 +63,23 @@ def test_every_file_that_is_read_is_proposed_by_kind() -> None:
     for command in (validate_command, map_command):
         read = [each for each in command.params if each.name not in {"out", "data"}]
         assert [each.name for each in read if isinstance(each.type, click.Path) and type(each.type) is click.Path] == []
+
+
+@pytest.mark.parametrize(
+    ("shell", "position", "answer"),
+    [("zsh", "2", "dir\ncon\n_\nplain\ncontroller.yaml\n_\n"), ("fish", "con", "dir,con\nplain,controller.yaml\n")],
+)
+@pytest.mark.usefixtures("folder")
+def test_the_other_shells_are_told_files_and_folders(
+    shell: str, position: str, answer: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COMP_WORDS", "autotune validate con")
+    monkeypatch.setenv("COMP_CWORD", position)
+    monkeypatch.setenv("_AUTOTUNE_COMPLETE", f"{shell}_complete")
+    assert main([]) == 0
+    told = capsys.readouterr().out
+    # Newer versions of click write another word for "no help", or none.
+    assert [line for line in told.split() if line != "_"] == [line for line in answer.split() if line != "_"]
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")

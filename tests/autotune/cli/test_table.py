@@ -61,6 +61,7 @@ def test_a_folded_line_hangs_under_its_beginning_and_keeps_numbers_with_units() 
     assert all(len(line) <= 47 for line in lines)
     assert any("16.6 kg" in line for line in lines)
     assert told_lines(text, verdict="ok     ") == [f"ok     {text}"]
+    assert {line[:5].count(" ") for line in told_lines(f"   {text}", columns=47)[1:]} == {5}
 
 
 @pytest.mark.parametrize("columns", [None, 40, 200])
