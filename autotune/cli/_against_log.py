@@ -39,7 +39,7 @@ def comparison_tree(found: "LogComparison") -> dict[str, Any]:
         "passed_over": found.passed_over,
         "contacts": [
             {
-                **vars(each),
+                **{name: value for name, value in vars(each).items() if name != "trace"},
                 "band_peaks_n": list(each.band_peaks_n),
                 "outside": each.outside or None,
                 "is_inside": each.is_inside,

@@ -121,7 +121,7 @@ def _tune(
 
 def _check_alone(tables: Mapping[str, Sequence[Interval]], others: Mapping[str, Any]) -> None:
     """Refuse options that speak of one controller, or of what the table says."""
-    for name, option in (("old", "compare"), ("pareto", "pareto")):
+    for name, option in (("old", "compare"), ("pareto", "pareto"), ("report", "report")):
         if others[name] is not None:
             raise click.UsageError(f"--{option} is about one controller, and --schedule tunes many.")
     if others["proof"] is not None:

@@ -8,16 +8,18 @@ import click
 from ._common import Output, output_options
 from ._files import LOGS, SETTINGS, FilePath
 from ._help import GroupedCommand
+from ._report import check_report, print_report_path, report_option, write_report
 from ._table import print_table
 from ._terminal import tell
 
 if TYPE_CHECKING:
+    from autotune.reports.page import Page
     from identification.result import Identified
     from identification.timeline_phases import Timeline
 
 _EPILOG = """\b
 Examples:
-  autotune identify run7.mcap -o identified.yaml
+  autotune identify run7.mcap -o identified.yaml --report run7.html
   autotune identify run7.mcap --wrench-topic /ft/raw --command-topic /servo/target
   autotune identify part1.bag part2.bag --cell cell.yaml
   autotune identify monday.mcap friday.mcap --given mass_kg=16.2±0.1
@@ -55,6 +57,7 @@ _GROUPS = {
     multiple=True,
     help="What is known from elsewhere, e.g. mass_kg=16.2±0.1 or x.delay_s=2.4e-3+-1e-4; without ± it is exact.",
 )
+@report_option
 @output_options
 def command(
     output: Output,
@@ -67,6 +70,7 @@ def command(
     allow_partial: bool,
     salvage: bool,
     given: tuple[str, ...],
+    report: Path | None,
 ) -> None:
     """Estimate payload, sensor, robot, coupling and environment from LOG, each with its uncertainty and a verdict.
 
@@ -82,7 +86,9 @@ def command(
     from autotune.identifying import Topics, identify_log
     from autotune.processes import count_processors
 
-    check_target(out, [*logs, *([] if cell_path is None else [cell_path])])
+    sources = [*logs, *([] if cell_path is None else [cell_path])]
+    check_target(out, sources)
+    check_report(report, [*sources, out])
     topics = Topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
     cell = None if cell_path is None else read_cell(cell_path)
     with output.progress(f"identifying {', '.join(log.name for log in logs)}", 1.0) as advance:
@@ -95,9 +101,24 @@ def command(
             given=parse_given(given),
             processes=count_processors(),
             progress=advance,
+            with_evidence=report is not None,
         )
     write_identified(out, found.result, found.provenance)
-    output.result(identified_tree(found.result, found.provenance), lambda: print_identified(found.result, out))
+
+    def page() -> "Page":
+        from autotune.reports.identify_page import build_identify_page
+        from autotune.reports.log_summaries import summaries_of
+
+        summaries = summaries_of(logs, cell, salvage=salvage)
+        return build_identify_page(found.result, found.provenance, found.evidence, summaries)
+
+    tree = {**identified_tree(found.result, found.provenance), **write_report(output, report, page)}
+
+    def text() -> None:
+        print_identified(found.result, out)
+        print_report_path(report)
+
+    output.result(tree, text)
 
 
 def print_identified(result: "Identified", out: Path) -> None:

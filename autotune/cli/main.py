@@ -71,6 +71,7 @@ COMMANDS: Mapping[str, CommandEntry] = MappingProxyType(
         "map": CommandEntry(
             module="autotune.cli.map", help="Draw two parameters against stability, margins or the peak."
         ),
+        "report": CommandEntry(module="autotune.cli.report", help="Show written files as one page with figures."),
         "plan": CommandEntry(module="autotune.cli.plan", help="Propose what to record next."),
         "completion": CommandEntry(module="autotune.cli.completion", help="Print the completion script for a shell."),
     }

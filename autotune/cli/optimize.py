@@ -13,6 +13,7 @@ from ._files import SETTINGS, FilePath
 from ._help import GroupedCommand
 from ._pareto import FrontWriter, pareto_options
 from ._proof import proof_options
+from ._report import check_report, print_report_path, report_option, write_report
 from ._schedule import schedule_options
 from ._spark import contact_spark
 from ._standing import active_lines, active_tree
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from autotune.files.controller import ControllerFile, ScenarioPrediction
     from autotune.files.identified import IdentifiedFile
     from autotune.files.units import AxisUnits
+    from autotune.reports.page import Page
     from autotune.studies.trace import FrontRequest
     from autotune.tuning.optimize import Optimized
     from autotune.validation.continuous import ProofWishes
@@ -32,7 +34,7 @@ Examples:
   autotune optimize identified.yaml -o controller.yaml
   autotune optimize identified.yaml --payload-mass 10,22 --environment-stiffness 2e4:5e5
   autotune optimize identified.yaml --problem problem.yaml --json
-  autotune optimize identified.yaml --compare old.yaml
+  autotune optimize identified.yaml --compare old.yaml --report controller.html
   autotune optimize identified.yaml --pareto 9 -o best.yaml
   autotune optimize identified.yaml --schedule payload=8:12,16.2,22 --schedule stiffness=2e4:1e5,1e5:5e5 -o cell
 """
@@ -101,6 +103,7 @@ def _ordered(low: float, high: float, what: str) -> tuple[float, float]:
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same file.")
 @pareto_options
+@report_option
 @proof_options
 @output_options
 @schedule_options
@@ -114,15 +117,16 @@ def command(
     old: Path | None,
     seed: int,
     pareto: "FrontRequest | None",
+    report: Path | None,
     proof: "ProofWishes | None",
 ) -> None:
     """Search the controller with the gentlest contact that stays stable and moves freely, and validate it.
 
     Every identified axis is tuned, rotational ones in rad, N·m and kg·m². Peak force, stability and margins are those
     of the exact sampled loop, over the whole range of payload mass and environment stiffness, where stability and the
-    modulus are proved, not only swept. Exit code 5: no
-    controller meets the requirements. 6: a claim could not be verified, or the file to compare with is altered. Nothing
-    is written then. The controller is the same with and without --pareto. With --schedule the output is a folder.
+    modulus are proved, not only swept. Exit code 5: no controller meets the requirements. 6: a claim could not be
+    verified, or the file to compare with is altered. Nothing is written then. The controller is the same with and
+    without --pareto. With --schedule the output is a folder.
     """
     from autotune.files.atomic import check_target
     from autotune.files.canonical import short
@@ -132,7 +136,9 @@ def command(
     from autotune.tuning.optimize import optimize
     from autotune.tuning.problems import Wishes
 
-    check_target(out, [path for path in (identified, problem) if path is not None])
+    sources = [path for path in (identified, problem) if path is not None]
+    check_target(out, sources)
+    check_report(report, [*sources, out, *([] if old is None else [old])])
     plant = read_identified(identified)
     existing = None if old is None else read_controller(old)
     spec = ProblemSpec() if problem is None else read_problem(problem)
@@ -152,12 +158,26 @@ def command(
         tree["compare"] = compare_tree(existing, found.compared)
     if fronts.tree:
         tree["pareto"] = fronts.tree
+    tree |= write_report(output, report, lambda: _page(found, checksum, existing, fronts))
 
     def text() -> None:
         print_optimized(found, out, short(checksum), existing)
         fronts.print()
+        print_report_path(report)
 
     output.result(tree, text)
+
+
+def _page(found: "Optimized", checksum: str, existing: "ControllerFile | None", fronts: FrontWriter) -> "Page":
+    from autotune.reports.optimize_page import build_optimize_page
+
+    return build_optimize_page(
+        found.controller,
+        checksum,
+        steps={name: search.steps for name, search in found.searches.items()},
+        old=None if existing is None else existing.controller,
+        fronts=fronts.tree.get("axes"),
+    )
 
 
 def _notes(plant: "IdentifiedFile", found: "Optimized", has_stiffness: bool) -> Iterator[str]:

@@ -9,12 +9,14 @@ from ._against_log import compare_logs, comparison_tree, print_comparison
 from ._common import Output, output_options
 from ._files import KEYS, LOGS, SETTINGS, FilePath
 from ._help import GroupedCommand
+from ._report import check_report, print_report_path, report_option, write_report
 from ._schedule import validate_schedule
 from ._terminal import echo, painted, printable, tell
 
 if TYPE_CHECKING:
     from autotune.files.controller import ControllerFile
     from autotune.files.identified import IdentifiedFile
+    from autotune.reports.page import Page
     from autotune.validation.against_log import LogComparison
     from autotune.validation.disturbances import Told
     from autotune.validation.validate import ValidationReport
@@ -23,7 +25,7 @@ _EPILOG = """\b
 Examples:
   autotune validate controller.yaml
   autotune validate controller.yaml --identified identified.yaml
-  autotune validate controller.yaml --log first_contacts.mcap
+  autotune validate controller.yaml --log first_contacts.mcap --report contacts.html
   autotune validate controller.yaml --sign key.pem
   autotune validate controller.yaml --public-key pub.pem
   autotune validate schedule/schedule.yaml
@@ -80,6 +82,7 @@ def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tupl
 @click.option("--late", type=click.FloatRange(0, 1, max_open=True), help="Share of late commands.  [default: 0.01]")
 @click.option("--public-key", type=_KEY, help="Demand the signature CONTROLLER.sig, by the key of this file.")
 @click.option("--sign", type=_KEY, help="Write CONTROLLER.sig with this private key, if everything holds.")
+@report_option
 @output_options
 def command(output: Output, /, controller: Path, identified: Path | None, **options: Any) -> None:
     """Verify CONTROLLER again, from the file alone and by other code than the optimizer's.
@@ -92,7 +95,7 @@ def command(output: Output, /, controller: Path, identified: Path | None, **opti
     from autotune.files.schedule import is_schedule
 
     if is_schedule(controller):
-        given = [name for name in ("logs", "public_key", "sign") if options[name]]
+        given = [name for name in ("logs", "public_key", "sign", "report") if options[name]]
         if given:
             raise click.UsageError(f"--{given[0].replace('_', '-').removesuffix('s')} is for one controller file.")
         validate_schedule(output, controller, identified)
@@ -109,6 +112,7 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
     from autotune.validation.monte_carlo_report import monte_carlo_checks, monte_carlo_tree
     from autotune.validation.validate import ValidationReport, validate_controller
 
+    check_report(options["report"], [path, *options["logs"], *([] if identified_path is None else [identified_path])])
     private, public = _keys(path, options)
     read = read_controller(path)
     signed_by = None if public is None else _signed_by(read, public)
@@ -144,7 +148,20 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
         "monte_carlo": monte_carlo_tree(simulated),
         "log": None if compared is None else comparison_tree(compared),
     }
-    output.result(tree, lambda: _print(report, path, short(read.checksum), compared, signed_by))
+
+    def page() -> "Page":
+        from autotune.reports.validate_page import Validated, build_validate_page
+
+        validated = Validated(report=report, simulated=tuple(simulated), compared=compared, signed_by=signed_by)
+        return build_validate_page(read.controller, read.checksum, validated)
+
+    tree |= write_report(output, options["report"], page)
+
+    def text() -> None:
+        _print(report, path, short(read.checksum), compared, signed_by)
+        print_report_path(options["report"])
+
+    output.result(tree, text)
     report.require()
 
 

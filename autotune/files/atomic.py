@@ -10,13 +10,14 @@ from pathlib import Path
 from autotune.errors import UsageError
 
 _HEAD_BYTES = 4096
-_OURS = (b"format: autotune/", b'"format": "autotune/')
+_OURS = (b"format: autotune/", b'"format": "autotune/', b'<meta name="generator" content="autotune report">')
 
 
-def check_target(path: Path | str, sources: Iterable[Path | str] | None = None) -> None:
+def check_target(path: Path | str, sources: Iterable[Path | str] | None = None, *, option: str = "-o") -> None:
     """Raise UsageError now if `write_atomic` could not write there later: worth asking before long work.
 
     With `sources`, what the work reads, the target may be none of them, nor a file that is not one of the tool's own.
+    `option` is what names the target on the command line.
     """
     folder = Path(path).resolve().parent
     if not folder.is_dir():
@@ -25,9 +26,13 @@ def check_target(path: Path | str, sources: Iterable[Path | str] | None = None) 
         raise UsageError(f"{path} cannot be written: the folder {folder} is not writable.")
     for source in sources or ():
         if os.path.realpath(source) == os.path.realpath(path):
-            raise UsageError(f"{path} is what is read, and would be replaced by the result; name another file with -o.")
+            raise UsageError(
+                f"{path} is what is read, and would be replaced by the result; name another file with {option}."
+            )
     if sources is not None and not _is_ours(Path(path)):
-        raise UsageError(f"{path} exists and is no file of this tool, so it is not replaced; name another one with -o.")
+        raise UsageError(
+            f"{path} exists and is no file of this tool, so it is not replaced; name another one with {option}."
+        )
 
 
 def _is_ours(path: Path) -> bool:

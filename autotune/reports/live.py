@@ -18,7 +18,7 @@ from .charts import Band, Bars, Chart, Heat, Limit, Line, Panel, Points, Stretch
 from .decimate import decimate
 from .palette import COLOURS
 
-_PANEL_PIXELS, _FRAME_PIXELS = 210, 60
+_PANEL_PIXELS, _BESIDE_PIXELS = 210, 240
 _MOST_POINTS = 2800
 _TOOLS = "xpan,xwheel_zoom,box_zoom,reset"
 _ROUND_TOOLS = "pan,wheel_zoom,box_zoom,reset"
@@ -42,7 +42,7 @@ def draw_live(chart: Chart) -> dict[str, Any]:
             plot.x_range = plots[0].x_range
     rows = [plots] if chart.beside else [[plot] for plot in plots]
     document = Document()
-    document.add_root(gridplot(rows, sizing_mode="stretch_width", merge_tools=False, toolbar_location="above"))
+    document.add_root(gridplot(rows, sizing_mode="stretch_width", merge_tools=False, toolbar_location=None))
     told = serialize_json(document.to_json(deferred=False))
     found = dict.fromkeys(_MODEL_ID.findall(told))
     names = {old: f'"{chart.key}-{i}"' for i, old in enumerate(found)}
@@ -51,14 +51,14 @@ def draw_live(chart: Chart) -> dict[str, Any]:
 
 
 def _draw_panel(panel: Panel, is_beside: bool) -> Any:
-    height = int((280 if is_beside else _PANEL_PIXELS) * panel.height + _FRAME_PIXELS)
+    height = int((_BESIDE_PIXELS if is_beside else _PANEL_PIXELS) * panel.height)
     ranges: dict[str, Any] = {}
     if panel.x.limits is not None:
         ranges["x_range"] = Range1d(start=panel.x.limits[0], end=panel.x.limits[1])
     if panel.y.limits is not None:
         ranges["y_range"] = Range1d(start=panel.y.limits[0], end=panel.y.limits[1])
     plot = figure(
-        height=height,
+        frame_height=height,
         sizing_mode="stretch_width",
         title=panel.title or None,
         x_axis_type=panel.x.spacing,
@@ -81,7 +81,18 @@ def _draw_panel(panel: Panel, is_beside: bool) -> Any:
             items.append(LegendItem(label=element.label, renderers=[drawn]))
     if items:
         plot.add_layout(
-            Legend(items=items, label_text_font_size="11px", click_policy="hide", border_line_alpha=0.0), "below"
+            Legend(
+                items=items,
+                orientation="horizontal",
+                spacing=12,
+                location="left",
+                label_text_font_size="11px",
+                click_policy="hide",
+                border_line_alpha=0.0,
+                background_fill_alpha=0.0,
+                margin=0,
+            ),
+            "below",
         )
     return plot
 

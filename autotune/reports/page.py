@@ -1,8 +1,10 @@
 """A report as one page: what stands in it, and the HTML that carries it without a network."""
 
+import base64
+import gzip
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import files
 from typing import Literal
@@ -14,6 +16,7 @@ from markupsafe import Markup
 from .charts import Chart
 
 Tone = Literal["", "good", "warn", "bad", "quiet"]
+_GRAVITY: tuple[Tone, ...] = ("", "quiet", "good", "warn", "bad")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,12 +53,13 @@ class Note:
 
 @dataclass(frozen=True, kw_only=True)
 class Fact:
-    """A number in large type with what it is."""
+    """A number in large type with what it is; `is_large` for the one to read from afar."""
 
     label: str
     value: str
     detail: str = ""
     tone: Tone = ""
+    is_large: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,12 +77,16 @@ Block = Chart | Table | Note | Facts
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """A part of the page under a heading; `key` is the anchor that the contents point to."""
+    """A part of the page under a heading; `key` is the anchor that the contents point to.
+
+    One that `is_part` begins a report of its own on a page of several.
+    """
 
     key: str
     title: str
     blocks: tuple[Block, ...]
     lead: str = ""
+    is_part: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,6 +98,30 @@ class Page:
     sections: tuple[Section, ...]
     footer: str = ""
     tone: Tone = ""
+
+
+def join_pages(title: str, pages: Sequence[tuple[str, Page]]) -> Page:
+    """Return one page with a part for each of the named pages; a single one is returned as it is.
+
+    Keys are made different by the number of the part. The tone is that of the gravest part.
+    """
+    if len(pages) == 1:
+        return pages[0][1]
+    sections: list[Section] = []
+    for number, (name, page) in enumerate(pages, 1):
+        mark = f"part-{number}"
+        lead = " ".join(part for part in (page.lead, page.footer) if part)
+        sections.append(Section(key=mark, title=f"{name}: {page.title}", blocks=(), lead=lead, is_part=True))
+        sections += [_renamed(section, mark) for section in page.sections]
+    gravest = max((page.tone for _, page in pages), key=_GRAVITY.index)
+    return Page(title=title, lead=", ".join(name for name, _ in pages), sections=tuple(sections), tone=gravest)
+
+
+def _renamed(section: Section, mark: str) -> Section:
+    blocks = tuple(
+        replace(block, key=f"{mark}-{block.key}") if isinstance(block, Chart) else block for block in section.blocks
+    )
+    return replace(section, key=f"{mark}-{section.key}", blocks=blocks)
 
 
 def render_page(page: Page, progress: Callable[[float], None] | None = None) -> str:
@@ -129,14 +161,18 @@ def _picture(chart: Chart) -> Markup:
 def _live(chart: Chart) -> str:
     from .live import draw_live  # noqa: PLC0415
 
-    # Inside of a script element, "</" would end it.
-    return json.dumps(draw_live(chart), separators=(",", ":")).replace("</", "<\\/")
+    return _packed(json.dumps(draw_live(chart), separators=(",", ":")))
 
 
 def _engine() -> str:
     from .live import engine  # noqa: PLC0415
 
-    return engine().replace("</script", "<\\/script")
+    return _packed(engine())
+
+
+def _packed(text: str) -> str:
+    """Return text as the page carries what it may never need: a third of the length, and nothing a browser reads."""
+    return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
 
 
 @lru_cache(maxsize=1)

@@ -9,7 +9,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from .charts import Band, Bars, Chart, Element, Heat, Limit, Line, Panel, Points, Scale, Stretch
 from .decimate import decimate
@@ -20,7 +20,10 @@ _MOST_POINTS = 1400
 _MARKERS = {"dot": "o", "star": "*", "diamond": "D"}
 _MOST_WRITTEN = 400
 # A hundredth of a point is no width on any paper, and the digits after it were a third of the file.
-_LONG_NUMBER = re.compile(rb"(\d\.\d\d)\d+")
+# What stands between tags is text for people, and stays.
+_LONG_NUMBER = re.compile(rb">[^<]*<|(\d\.\d\d)\d+")
+# Where a logarithmic side shows fewer than two decades.
+_WITHIN_A_DECADE = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
 
 
 def draw_svg(chart: Chart) -> bytes:
@@ -33,7 +36,7 @@ def draw_svg(chart: Chart) -> bytes:
         mpl.rc("svg", hashsalt="autotune", fonttype="none")
         mpl.rc("path", simplify=True)
         _draw(chart).savefig(stream, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
-    return _LONG_NUMBER.sub(rb"\1", stream.getvalue())
+    return _LONG_NUMBER.sub(lambda match: match[1] or match[0], stream.getvalue())
 
 
 def _draw(chart: Chart) -> Figure:
@@ -84,16 +87,17 @@ def _draw_panel(figure: Figure, axes: Axes, panel: Panel) -> None:
     for element in panel.elements:
         _draw_element(figure, axes, element)
     for which, scale in (("x", panel.x), ("y", panel.y)):
-        if scale.spacing == "log" and scale.limits is None:
-            _widen_to_decades(axes, which)
+        if scale.spacing == "log":
+            _fill_decade(axes, which)
 
 
-def _widen_to_decades(axes: Axes, which: str) -> None:
-    """Let a logarithmic side without two decades' ticks end at decades: ticks without numbers say nothing."""
+def _fill_decade(axes: Axes, which: str) -> None:
+    """Give a logarithmic side without two decades' ticks more of them: ticks without numbers say nothing."""
     low, high = getattr(axes, f"get_{which}lim")()
     below, above = math.floor(math.log10(low)), math.ceil(math.log10(high))
     if sum(low <= 10.0**power <= high for power in range(below, above + 1)) < 2:
-        getattr(axes, f"set_{which}lim")(10.0**below, 10.0**above)
+        side = axes.xaxis if which == "x" else axes.yaxis
+        side.set_major_locator(LogLocator(subs=_WITHIN_A_DECADE))
 
 
 def _draw_legend(axes: Axes, *, is_beside: bool) -> None:
@@ -119,7 +123,10 @@ def _set_scale(axes: Axes, which: str, scale: Scale) -> None:
 
 def _plain(value: float, _place: int | None) -> str:
     """Write a tick of a logarithmic scale without mathematics to set, which took a third of the time."""
-    return f"{value:g}" if 1e-3 <= value < 1e5 else f"1e{round(math.log10(value))}"
+    if 1e-3 <= value < 1e5:
+        return f"{value:g}"
+    digits, power = f"{value:.1e}".split("e")
+    return f"{digits.removesuffix('.0')}e{int(power)}"
 
 
 def _draw_element(figure: Figure, axes: Axes, element: Element) -> None:

@@ -44,12 +44,25 @@ _MISSED = 1e12
 
 
 @dataclass(frozen=True, kw_only=True)
+class SearchStep:
+    """Where the search stood after so many `evaluations`: `best_n` over the `scenarios` that it then worked with.
+
+    `whole_n` is that design's value over the whole set, at the end of a round; None within the global stage.
+    """
+
+    evaluations: int
+    scenarios: int
+    best_n: float
+    whole_n: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class SearchResult:
     """The chosen design, the values of `problem.variables`, and how it stands.
 
     `evaluation` is exact (refined margins) over the dense grid of `scenario_count` scenarios; `active` the scenarios
     that the search worked with; `margins` plant by plant; `rounds` how often the worst of the rest was added;
-    `evaluations` of designs.
+    `evaluations` of designs. `steps` tells how the search came there, from its first feasible design on.
     """
 
     problem: DesignProblem
@@ -60,6 +73,7 @@ class SearchResult:
     scenario_count: int
     rounds: int
     evaluations: int
+    steps: tuple[SearchStep, ...] = ()
 
 
 def solve_design(
@@ -88,6 +102,7 @@ def solve_design(
         design = presentable(problem, search.box.design(unit))
         exact, margins = _evaluated_exactly(whole, design)
         report(0.4 / _ROUNDS)
+        search.note_round(len(active), exact)
         worse = worst_scenarios(problem, exact, search.last, active)
         worse += tuple(s for s in softly_missed_scenarios(whole, exact, search.last, margins) if s not in active)
         missed = exact.violation
@@ -103,6 +118,7 @@ def solve_design(
                 scenario_count=len(whole.scenarios),
                 rounds=round_index + 1,
                 evaluations=search.evaluations,
+                steps=tuple(search.steps),
             )
         if not exact.is_stable:
             # Stability is cheap to ask, so the grid joins too.
@@ -165,6 +181,7 @@ class Search:
         self.backoff: dict[str, float] = {}
         self.last: Evaluation | None = None
         self.elite: list[FloatArray] = []
+        self.steps: list[SearchStep] = []
 
     def explore(self, active: tuple[Scenario, ...], report: Callable[[float], None]) -> FloatArray:
         """Run differential evolution on the active scenarios; return the best point, keep the best few."""
@@ -176,6 +193,7 @@ class Search:
         def costs(units: FloatArray) -> FloatArray:
             found = self._costs(screen, units.T, peaks_if_missed=limited)
             seen.extend(zip(found.tolist(), units.T.copy(), strict=True))
+            self._note_generation(len(active), float(np.min(found)))
             return found
 
         found = self._evolve(costs, seed=self.seed, start=self.start, each=lambda: report(1.0 / _GENERATIONS))
@@ -185,6 +203,23 @@ class Search:
         # The best, and the best of other valleys: the generations leave a valley that starts higher, but may end lower.
         self.elite = spread_out(good, _NEAR, _POLISH_STARTS) + spread_out(good, _FAR, _OTHER_VALLEYS)[1:]
         return np.asarray(found.x)
+
+    def _note_generation(self, scenarios: int, found_n: float) -> None:
+        best = min([found_n, *(step.best_n for step in self.steps[-1:])])
+        if best < _MISSED:
+            self.steps.append(SearchStep(evaluations=self.evaluations, scenarios=scenarios, best_n=best))
+
+    def note_round(self, scenarios: int, exact: Evaluation) -> None:
+        """Keep what a round ended with."""
+        if self.last is not None:
+            self.steps.append(
+                SearchStep(
+                    evaluations=self.evaluations,
+                    scenarios=scenarios,
+                    best_n=self.last.objective_n,
+                    whole_n=exact.objective_n,
+                )
+            )
 
     def _evolve(
         self,

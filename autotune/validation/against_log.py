@@ -1,7 +1,7 @@
 """Predicted against measured force of every contact in a log that was recorded under the controller of a file."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,12 +36,27 @@ _OUTSIDE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
+class ContactTrace:
+    """The pressing force of one contact from the touch on: measured (m,) at `measured_s`, the others (n,) at `time_s`.
+
+    `low` and `high` are the ends of what the certified set allows, noise included.
+    """
+
+    measured_s: FloatArray
+    measured: FloatArray
+    time_s: FloatArray
+    predicted: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
 class ComparedContact:
     """One contact: what was measured, and what the file's plant predicts at its speed, F^d and K_e.
 
     `band_peaks_n` are the smallest and the largest peak over the certified set at the same speed and F^d, and
     `share_inside` is the share of the trace between the lowest and the highest of its forces. `outside` tells where
-    the contact lies outside of what is certified.
+    the contact lies outside of what is certified. `trace` is for pictures.
     """
 
     axis: str
@@ -56,6 +71,7 @@ class ComparedContact:
     share_inside: float
     rms_error_n: float
     outside: str
+    trace: ContactTrace = field(compare=False)
 
     @property
     def is_inside(self) -> bool:
@@ -170,6 +186,14 @@ def _compared(controller: Controller, log: ContactLog, contact: LogContact, foll
         share_inside=float(np.mean(inside)),
         rms_error_n=float(np.sqrt(np.mean((np.interp(time, simulate.time, predicted) - measured) ** 2))),
         outside=_outside(domain, stiffness, log),
+        trace=ContactTrace(
+            measured_s=time,
+            measured=measured,
+            time_s=np.asarray(simulate.time, dtype=np.float64),
+            predicted=predicted,
+            low=low,
+            high=high,
+        ),
     )
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from problems.contact import Approach
 from problems.controller import AdmittanceController
 from problems.errors import ParameterError
 from problems.full_effects import NO_EFFECTS, Effects
-from problems.full_simulation import simulate_fully
+from problems.full_simulation import FullRun, simulate_fully
 from problems.margins import UnstableLoopError
 from problems.plant import FREE_SPACE, Plant, build_plant_matrices
 from problems.uncertainty import Scenario
@@ -24,6 +24,7 @@ FloatArray = NDArray[np.float64]
 
 SAMPLES, SEED = 256, 1
 QUANTILES = (0.5, 0.95, 0.99)
+BAND = (0.05, 0.5, 0.95)
 # As of a replayed contact (`peaks`): an impact anywhere between two samples.
 SAME_PEAK = 0.02
 _PEAKS_LATER, _SHORTEST_S, _LONGEST_S = 4.0, 0.3, 10.0
@@ -54,10 +55,21 @@ class SampledPeaks:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ForceBand:
+    """The contact force of all runs with disturbances over `time_s` (n,) from the touch on.
+
+    `levels` (5, n): the smallest, the quantiles `BAND`, and the largest at each moment.
+    """
+
+    time_s: FloatArray
+    levels: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
 class AxisMonteCarlo:
     """What came of `count` runs on one axis with `effects`; `unstable` is the first plant whose loop is not stable.
 
-    `refusal` tells what the full simulation cannot do.
+    `refusal` tells what the full simulation cannot do. `band` is for pictures.
     """
 
     axis: str
@@ -69,6 +81,7 @@ class AxisMonteCarlo:
     sensor: SampledPeaks | None = None
     unstable: Scenario | None = None
     refusal: str = ""
+    band: ForceBand | None = field(default=None, compare=False)
 
 
 def run_monte_carlo(
@@ -126,9 +139,9 @@ class _Contacts:
         force, speed = self.domain.approach_force_n or 0.0, self.domain.approach_speed_m_s
         return (force, force / resistance) if speed is None else (speed * resistance, speed)
 
-    def peaks(self, plant: Plant, effects: Effects, noise: np.random.Generator) -> tuple[float, float]:
-        """Return the peaks of the contact force and of the force at the sensor."""
-        run = simulate_fully(
+    def run(self, plant: Plant, effects: Effects, noise: np.random.Generator) -> FullRun:
+        """Simulate one contact."""
+        return simulate_fully(
             plant,
             self.law,
             self.approach,
@@ -138,7 +151,6 @@ class _Contacts:
             substeps=needed_substeps(plant, self.sample_time_s),
             noise=noise,
         )
-        return run.peak_contact_force_n, run.peak_sensor_force_n
 
 
 def _axis_monte_carlo(
@@ -162,16 +174,25 @@ def _axis_monte_carlo(
     effects = axis_effects(controller, name, told, speed)
     plants = tuple(_drawn(domain, count, seed))
     result = AxisMonteCarlo(axis=name, count=count, seed=seed, effects=effects, driving_force=force)
-    nominal, rows = domain.nominal_plant(), []
+    nominal, rows, traces = domain.nominal_plant(), list[tuple[float, ...]](), list[FloatArray]()
     for i, scenario in enumerate(plants):
         noise = np.random.default_rng((seed, i))
         try:
             plant = scenario.plant(nominal)
-            rows.append((*contacts.peaks(plant, NO_EFFECTS, noise), *contacts.peaks(plant, effects, noise)))
+            linear, full = contacts.run(plant, NO_EFFECTS, noise), contacts.run(plant, effects, noise)
         except UnstableLoopError:
             return replace(result, unstable=scenario)
         except ParameterError as error:
             return replace(result, refusal=str(error))
+        rows.append(
+            (
+                linear.peak_contact_force_n,
+                linear.peak_sensor_force_n,
+                full.peak_contact_force_n,
+                full.peak_sensor_force_n,
+            )
+        )
+        traces.append(full.contact_force_n)
         advance(1.0 / count)
     bias = (effects.deadband.width_n if effects.deadband is not None else 0.0) + effects.force_noise_rms_n
     share = 1.0 + SAME_PEAK + bias / force
@@ -188,7 +209,13 @@ def _axis_monte_carlo(
             (1, max(each.peak_sensor_force_n for each in scenarios)),
         )
     )
-    return replace(result, contact=contact, sensor=sensor)
+    return replace(result, contact=contact, sensor=sensor, band=_band(traces, controller.sample_time_s))
+
+
+def _band(traces: Sequence[FloatArray], h: float) -> ForceBand:
+    together = np.array(traces)
+    levels = np.quantile(together, (0.0, *BAND, 1.0), axis=0)
+    return ForceBand(time_s=np.asarray(h * np.arange(together.shape[1]), dtype=np.float64), levels=levels)
 
 
 def _drawn(domain: AxisDomain, count: int, seed: int) -> Iterator[Scenario]:

@@ -161,7 +161,10 @@ def test_an_axis_that_turns_has_its_own_units_and_noise() -> None:
         axes={"rx": straight.axes["x"]},
         predicted={"rx": straight.predicted["x"]},
         certificate=replace(
-            certificate, domain={"rx": certificate.domain["x"]}, margins={"rx": certificate.margins["x"]}
+            certificate,
+            domain={"rx": certificate.domain["x"]},
+            margins={"rx": certificate.margins["x"]},
+            continuous=None,
         ),
     )
     (found,) = run_monte_carlo(turning, count=2)

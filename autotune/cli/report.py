@@ -1,0 +1,63 @@
+"""`autotune report`: one page with figures from files that are already written."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ._common import Output, output_options
+from ._files import LOGS, SETTINGS, FilePath
+from ._help import GroupedCommand
+from ._report import check_report, write_report
+from ._terminal import tell
+
+if TYPE_CHECKING:
+    from autotune.reports.page import Page
+
+_EPILOG = """\b
+Examples:
+  autotune report controller.yaml
+  autotune report controller.yaml --compare old.yaml -o controller.html
+  autotune report identified.yaml run7.mcap
+  autotune report identified.yaml run7.mcap controller.yaml pareto.yaml -o cell.html
+"""
+_FILE = click.Path(path_type=Path, dir_okay=False)
+
+
+@click.command("report", cls=GroupedCommand, epilog=_EPILOG)
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FilePath(*SETTINGS, *LOGS, dir_okay=True))
+@click.option(
+    "-o", "--output", "out", type=_FILE, default=Path("report.html"), show_default=True, help="The page to write."
+)
+@click.option(
+    "--compare", "old", type=FilePath(*SETTINGS), metavar="CONTROLLER", help="Draw this controller beside the others."
+)
+@click.option(
+    "--samples",
+    type=click.IntRange(0),
+    default=256,
+    show_default=True,
+    help="Plants of each certified set to simulate with all that disturbs; 0: none.",
+)
+@output_options
+def command(output: Output, files: tuple[Path, ...], out: Path, old: Path | None, samples: int) -> None:
+    """Show what FILEs hold as one page that needs no network, a part for each.
+
+    FILE is what identify, optimize, --pareto or --schedule wrote. A log beside the identified.yaml that came from it,
+    told by its SHA-256, adds the signals. A controller is verified again. Exit code 2: a file that has no report. 3: a
+    log that cannot be used, or is another one. 6: a controller was altered, or a claim of it does not hold, which the
+    page then says.
+    """
+    from autotune.reports.from_files import report_files
+
+    check_report(out, [*files, *([] if old is None else [old])], option="-o")
+    with output.progress("reading and verifying", None) as advance:
+        found = report_files(files, old=old, samples=samples, progress=advance)
+
+    def page() -> "Page":
+        return found.page
+
+    tree = {**write_report(output, out, page), "files": dict(found.kinds)}
+    output.result(tree, lambda: tell(f"written: {out}"))
+    for report in found.reports:
+        report.require()

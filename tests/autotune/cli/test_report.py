@@ -1,0 +1,123 @@
+"""`--report` and `autotune report`, through the real entry point."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from autotune.cli.main import main
+from autotune.files.controller import read_controller, write_controller
+from autotune.files.schedule import FORMAT
+from tests.autotune.reports.page_law import check_page
+from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, small_controller, write_plant
+from tests.autotune.validation.test_validate import FALSE_CLAIMS
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def refused(capsys: pytest.CaptureFixture[str], arguments: list[str], code: int) -> str:
+    assert main(arguments) == code
+    told = capsys.readouterr()
+    assert told.err.count("\n") == 1
+    return told.err
+
+
+def test_the_page_of_identify_is_that_of_its_file_and_log(
+    folder: Path, good_log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["identify", str(good_log), "--report", "first.html", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["report"] == "first.html"
+    assert main(["report", "identified.yaml", str(good_log), "-o", "again.html", "--json"]) == 0
+    tree = json.loads(capsys.readouterr().out)
+    assert tree == {"report": "again.html", "files": {"identified.yaml": "identified", str(good_log): "log"}}
+    text = (folder / "first.html").read_text(encoding="utf-8")
+    # The numbers of the file are read to the last bit, so the page is the same to the last byte.
+    assert text == (folder / "again.html").read_text(encoding="utf-8")
+    check_page(text)
+    for told in ("Health of cell.mcap", 'id="wrench-1"', 'id="x-residual"', 'id="x-white"', 'id="noise"'):
+        assert told in text
+    other = folder / "other.mcap"
+    shutil.copy(good_log, other)
+    with other.open("ab") as stream:
+        stream.write(b"\0")
+    told = refused(capsys, ["report", "identified.yaml", "other.mcap"], 3)
+    assert "other.mcap is not a log that identified.yaml was identified from" in told
+    assert main(["report", "identified.yaml", "-o", "short.html", "--quiet"]) == 0
+    assert 'id="wrench-1"' not in (folder / "short.html").read_text(encoding="utf-8")
+
+
+def test_optimize_writes_its_page_and_json_tells_where(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_plant(folder)
+    (folder / "problem.yaml").write_text(FAST_PROBLEM_YAML, encoding="utf-8")
+    arguments = ["optimize", "identified.yaml", "--problem", "problem.yaml"]
+    assert "name must end in .html" in refused(capsys, [*arguments, "--report", "controller.yaml"], 2)
+    (folder / "mine.html").write_text("<p>mine</p>", encoding="utf-8")
+    assert "name another one with --report" in refused(capsys, [*arguments, "--report", "mine.html"], 2)
+    assert "--schedule tunes many" in capsys_first_line(
+        capsys, [*arguments, "--schedule", "payload=16", "--report", "r.html"]
+    )
+    assert main([*arguments, "--report", "r.html"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "report: r.html"
+    text = (folder / "r.html").read_text(encoding="utf-8")
+    check_page(text)
+    assert read_controller("controller.yaml").checksum in text
+    assert 'id="x-convergence"' in text
+    assert "1 % less would save" in text
+
+
+def capsys_first_line(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
+    assert main(arguments) == 2
+    return capsys.readouterr().err.splitlines()[0]
+
+
+def test_validate_and_report_show_a_controller_and_replace_their_own_page(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_controller("controller.yaml", small_controller())
+    assert main(["validate", "controller.yaml", "--samples", "4", "--report", "r.html", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["report"] == "r.html"
+    check_page((folder / "r.html").read_text(encoding="utf-8"))
+    arguments = ["report", "controller.yaml", "--samples", "4", "-o", "r.html", "--compare", "controller.yaml"]
+    assert main(arguments) == 0
+    text = (folder / "r.html").read_text(encoding="utf-8")
+    check_page(text)
+    for told in ('id="verdict"', 'id="x-band"', 'id="x-map"', 'id="x-nyquist"', "before"):
+        assert told in text
+
+
+def test_a_claim_that_does_not_hold_is_exit_6_and_the_page_says_it(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change, check, _ = FALSE_CLAIMS["damping too low"]
+    write_controller("controller.yaml", change(small_controller()))
+    for arguments in (
+        ["report", "controller.yaml", "-o", "r.html"],
+        ["validate", "controller.yaml", "--report", "r.html"],
+    ):
+        assert check in refused(capsys, arguments, 6)
+        text = (folder / "r.html").read_text(encoding="utf-8")
+        assert "NOT valid" in text
+        assert "FAILED" in text
+        (folder / "r.html").unlink()
+
+
+def test_files_that_have_no_report_are_refused_in_a_sentence(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_controller("controller.yaml", small_controller())
+    altered = (
+        (folder / "controller.yaml").read_text(encoding="utf-8").replace("status: validated", "status: unvalidated")
+    )
+    (folder / "altered.yaml").write_text(altered, encoding="utf-8")
+    (folder / "plan.yaml").write_text("format: autotune/plan\nversion: 1\n", encoding="utf-8")
+    (folder / "notes.txt").write_text("nothing", encoding="utf-8")
+    (folder / "schedule.yaml").write_text(f"format: {FORMAT}\nversion: 1\n", encoding="utf-8")
+    assert "altered.yaml" in refused(capsys, ["report", "altered.yaml"], 6)
+    assert "plan.yaml is of the format autotune/plan" in refused(capsys, ["report", "plan.yaml"], 2)
+    assert "notes.txt is a log; give identified.yaml with it" in refused(capsys, ["report", "notes.txt"], 2)
+    assert "none.yaml cannot be read" in refused(capsys, ["report", "none.yaml"], 2)
+    assert "schedule.yaml" in refused(capsys, ["report", "schedule.yaml"], 6)
+    assert not (folder / "report.html").exists()

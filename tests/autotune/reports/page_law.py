@@ -1,0 +1,59 @@
+"""What holds of every page, told by reading it as a browser would."""
+
+import base64
+import gzip
+import re
+from dataclasses import dataclass, field
+from html.parser import HTMLParser
+from urllib.parse import unquote
+
+SPEAKS_OF_OUTSIDE = re.compile(
+    r"""(?:src|href|action|data|poster)\s*=\s*["']?\s*(?:https?:)?//|url\(\s*["']?(?!#|data:)"""
+)
+
+
+@dataclass
+class Seen(HTMLParser):
+    """Elements of a page; `refuse` is what no page may hold."""
+
+    ids: list[str] = field(default_factory=list)
+    links: list[str] = field(default_factory=list)
+    pictures: list[dict[str, str | None]] = field(default_factory=list)
+    addresses: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        super().__init__()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        told = dict(attrs)
+        self.ids += [told["id"] or ""] if "id" in told else []
+        if tag == "img":
+            self.pictures.append(told)
+        for name in ("src", "href"):
+            if name in told:
+                (self.links if tag == "a" else self.addresses).append(told[name] or "")
+
+
+def check_page(text: str) -> Seen:
+    """Hold a page against what is promised of every page, and return what it holds."""
+    seen = Seen()
+    seen.feed(text)
+    assert len(set(seen.ids)) == len(seen.ids)
+    assert all(link.startswith("#") and link[1:] in seen.ids for link in seen.links)
+    assert all(address.startswith("data:") for address in seen.addresses)
+    assert seen.pictures
+    for picture in seen.pictures:
+        assert len((picture["alt"] or "").split()) > 5, picture["alt"]
+        drawn = unquote((picture["src"] or "").removeprefix("data:image/svg+xml,"))
+        assert drawn.lstrip().startswith("<?xml")
+        assert SPEAKS_OF_OUTSIDE.search(drawn) is None
+    outside_of_pictures = re.sub(r'src="data:[^"]*"', "", text)
+    assert SPEAKS_OF_OUTSIDE.search(outside_of_pictures) is None
+    assert len(text.encode()) < 3e6
+    return seen
+
+
+def unpacked(text: str, key: str) -> str:
+    """Return what a page carries packed under an id."""
+    (packed,) = re.findall(rf'<script type="text/plain" id="{key}">([^<]*)</script>', text)
+    return gzip.decompress(base64.b64decode(packed)).decode()

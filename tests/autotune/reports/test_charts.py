@@ -1,0 +1,108 @@
+"""Charts refuse shapes that do not fit; decimation loses no peak; pictures keep their numbers."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from autotune.reports.charts import Band, Bars, Chart, Heat, Limit, Line, Panel, Points, Scale, Stretch
+from autotune.reports.decimate import decimate
+from autotune.reports.live import draw_live
+from autotune.reports.static import draw_svg
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "told"),
+    [
+        (Line, {"x": [0.0, 1.0], "y": [0.0]}, "found 1 and 2"),
+        (Band, {"x": [0.0, 1.0], "low": [0.0, 1.0], "high": [1.0]}, "as many low and high"),
+        (Points, {"x": [0.0], "y": [0.0], "names": ("a", "b")}, "names if any"),
+        (Bars, {"edges": [0.0, 1.0], "heights": [1.0, 2.0]}, "one edge more"),
+        (Heat, {"x": [0.0, 1.0], "y": [0.0], "values": [[1.0], [2.0]], "label": "m"}, "1 rows and 2 columns"),
+    ],
+)
+def test_shapes_that_do_not_fit_are_refused(kind: Any, values: dict[str, Any], told: str) -> None:
+    with pytest.raises(ValueError, match=told):
+        kind(**values)
+
+
+def test_what_a_chart_holds_cannot_be_changed_behind_it() -> None:
+    given_y = np.array([1.0, 2.0])
+    line = Line(x=np.array([0.0, 1.0]), y=given_y)
+    given_y[0] = 9.0
+    assert line.y[0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        line.y[0] = 5.0
+
+
+@given(y=st.lists(st.floats(-1e6, 1e6, width=32), min_size=5, max_size=400), most=st.integers(4, 60), gap=st.booleans())
+def test_decimation_keeps_every_peak_the_ends_and_the_gaps(y: list[float], most: int, gap: bool) -> None:
+    values, x = np.array(y), np.arange(len(y), dtype=np.float64)
+    if gap:
+        values[len(y) // 2] = np.nan
+    kept_x, kept = decimate(x, values, most)
+    assert len(kept) <= max(most, 4)
+    assert (kept_x[0], kept_x[-1]) == (x[0], x[-1])
+    assert np.all(np.diff(kept_x) > 0.0)
+    # Nothing is made up, and where the curve was broken it is.
+    np.testing.assert_array_equal(kept, values[kept_x.astype(int)])
+    assert np.any(np.isnan(kept)) == gap
+    if not gap:
+        assert (np.min(kept), np.max(kept)) == (np.min(values), np.max(values))
+    else:
+        # Beside a gap the larger of both signs stays.
+        assert np.nanmax(np.abs(kept)) == np.nanmax(np.abs(values))
+
+
+def test_a_single_spike_in_ten_minutes_stays() -> None:
+    time = np.arange(750_000) * 8e-4
+    force = 0.1 * np.sin(time)
+    force[123_456] = 80.0
+    x, y = decimate(time, force, 1400)
+    assert len(x) <= 1400
+    assert x[np.argmax(y)] == time[123_456]
+
+
+def everything() -> Chart:
+    """Return a chart with one of each element."""
+    x = np.array([1.0, 2.0, 4.0])
+    heat = Heat(x=x, y=x[:2], values=np.array([[0.1, np.nan, 0.3], [0.4, 0.5, 0.6]]), label="margin", limits=(0.0, 1.0))
+    plain = Panel(
+        title="plain",
+        x=Scale(label="x", spacing="log"),
+        y=Scale(label="y", limits=(0.0, 0.006)),
+        elements=(
+            Line(x=x, y=x / 1e3, label="line"),
+            Band(x=x, low=x / 2e3, high=x / 1e3, label="band"),
+            Points(x=x, y=x / 1e3, names=("a", "b", "c"), label="points"),
+            Bars(edges=np.array([0.5, 1.0]), heights=np.array([0.002])),
+            Stretch(low=1.0, high=2.0, label="stretch"),
+            Limit(value=0.005, label="limit"),
+        ),
+    )
+    mapped = Panel(x=Scale(label="a"), y=Scale(label="b"), elements=(heat,))
+    return Chart(key="all", title="All", alternative="One of each.", panels=(plain, mapped), beside=True)
+
+
+def test_both_pictures_are_the_same_each_time_and_say_the_numbers_in_full() -> None:
+    chart = everything()
+    drawn = draw_svg(chart)
+    assert drawn == draw_svg(chart)
+    # Coordinates are shortened; what people read is not: ticks 0.001 and 0.002 must not both be 0.00.
+    assert b"0.001" in drawn
+    assert b"0.002" in drawn
+    told = [json.dumps(draw_live(chart), sort_keys=True) for _ in range(2)]
+    assert told[0] == told[1]
+    assert all(label in told[0] for label in ("line", "band", "points", "margin"))
+
+
+def test_a_logarithmic_side_within_a_decade_has_numbers() -> None:
+    line = Line(x=np.array([2e-4, 8e-4]), y=np.array([3e-4, 7e-4]))
+    sides = Scale(label="f", spacing="log"), Scale(label="G", spacing="log")
+    drawn = draw_svg(
+        Chart(key="g", title="G", alternative="A line.", panels=(Panel(x=sides[0], y=sides[1], elements=(line,)),))
+    )
+    assert drawn.count(b"5e-4") == 2
