@@ -51,7 +51,7 @@ def command(output: Output, files: tuple[Path, ...], out: Path, old: Path | None
     from autotune.reports.from_files import report_files
 
     check_report(out, [*files, *([] if old is None else [old])], option="-o")
-    with output.progress("reading and verifying", None) as advance:
+    with output.progress("reading and verifying", 1.0) as advance:
         found = report_files(files, old=old, samples=samples, progress=advance)
 
     def page() -> "Page":

@@ -1,5 +1,6 @@
 """What the shell proposes for a file, through click and through bash itself."""
 
+import importlib
 import os
 import pty
 import shutil
@@ -12,9 +13,9 @@ import click
 import pytest
 
 from autotune.cli._files import LOGS, SETTINGS, FilePath
-from autotune.cli.main import main
-from autotune.cli.map import command as map_command
-from autotune.cli.validate import command as validate_command
+from autotune.cli.main import COMMANDS, main
+
+WRITTEN = {"out", "data", "report", "start_path"}
 
 
 @pytest.fixture
@@ -59,10 +60,11 @@ def test_an_absolute_beginning_and_the_home_stay_as_typed(folder: Path, monkeypa
     assert proposed(FilePath(*SETTINGS), "~/con") == ["~/controller.yaml"]
 
 
-def test_every_file_that_is_read_is_proposed_by_kind() -> None:
-    for command in (validate_command, map_command):
-        read = [each for each in command.params if each.name not in {"out", "data"}]
-        assert [each.name for each in read if isinstance(each.type, click.Path) and type(each.type) is click.Path] == []
+@pytest.mark.parametrize("name", [name for name in COMMANDS if name != "demo"])
+def test_every_file_that_is_read_is_proposed_by_kind(name: str) -> None:
+    command = importlib.import_module(COMMANDS[name].module).command
+    read = [each for each in command.params if each.name not in WRITTEN]
+    assert [each.name for each in read if type(each.type) is click.Path] == []
 
 
 @pytest.mark.parametrize(

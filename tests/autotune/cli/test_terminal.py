@@ -3,7 +3,7 @@
 import io
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +15,11 @@ from autotune.cli._terminal import look_at, painted
 from autotune.cli.main import main
 from autotune.cli.optimize import print_optimized
 from autotune.files.controller import write_controller
+from autotune.files.controller_record import Controller
+from autotune.reports import from_files
+from autotune.validation.validate import ValidationReport
 from tests.autotune.cli.terminals import SAID_BY_USERS, terminal
-from tests.autotune.tuning.cases import fast_optimized
+from tests.autotune.tuning.cases import fast_optimized, write_plant
 
 BLOCKS = set("▁▂▃▄▅▆▇█")
 ESCAPE = "\x1b"
@@ -117,11 +120,11 @@ def test_an_error_stands_out_on_a_terminal() -> None:
 def test_json_is_the_same_object_on_a_terminal_and_under_force(
     controller_file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    arguments = ["validate", str(controller_file), "--samples", "0", "--json"]
+    arguments = ["export", str(controller_file), "--target", "json", "-o", f"{controller_file}.json", "--json"]
     with terminal(columns=60) as seen:
-        main(arguments)
+        assert main(arguments) == 0
     monkeypatch.setenv("FORCE_COLOR", "1")
-    main(arguments)
+    assert main(arguments) == 0
     piped = capsys.readouterr().out
     assert ESCAPE not in piped
     assert json.loads(piped) == json.loads(seen.text)
@@ -211,3 +214,17 @@ def test_what_is_printed_of_a_failed_check_is_red() -> None:
             replace(found, report=replace(found.report, checks=checks)), Path("controller.yaml"), "0123abcd"
         )
     assert seen.raw.count("\x1b[31m\x1b[1mFAILED\x1b[0m") == 1
+
+
+def test_a_page_of_several_files_tells_how_far_it_is(controller_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = write_plant(controller_file.parent)
+    shares: list[float] = []
+
+    def passed(_controller: Controller, progress: Callable[[float], None]) -> ValidationReport:
+        for _ in range(4):
+            progress(0.25)
+        return fast_optimized().report
+
+    monkeypatch.setattr(from_files, "validate_controller", passed)
+    from_files.report_files([plant.path, controller_file], progress=shares.append)
+    assert shares == pytest.approx([0.5, 0.125, 0.125, 0.125, 0.125])
