@@ -15,14 +15,14 @@ PACKAGES = ("autotune", "identification", "problems")
 AROUND = ("pyproject.toml", "README.md", "LICENSE")
 TYPED = frozenset(f"{package}/py.typed" for package in PACKAGES)
 SCHEMAS = "autotune/files/schemas/"
-PAGE = "autotune/reports/"
+PAGES = ("autotune/reports/page.*", "autotune/explore/*.jinja")
 
 
 def expected_files(root: Path) -> frozenset[str]:
     """Return what the wheel must hold beside its metadata, from what lies on disk under `root`."""
     modules = {path for package in PACKAGES for path in (root / package).rglob("*.py")}
     schemas = set((root / SCHEMAS).glob("*.json"))
-    page = set((root / PAGE).glob("page.*"))
+    page = {path for pattern in PAGES for path in root.glob(pattern)}
     return TYPED | {path.relative_to(root).as_posix() for path in modules | schemas | page}
 
 

@@ -73,6 +73,9 @@ COMMANDS: Mapping[str, CommandEntry] = MappingProxyType(
         ),
         "report": CommandEntry(module="autotune.cli.report", help="Show written files as one page with figures."),
         "plan": CommandEntry(module="autotune.cli.plan", help="Propose what to record next."),
+        "explore": CommandEntry(
+            module="autotune.cli.explore", help="Turn gains and plant by hand, and see what the loop does."
+        ),
         "completion": CommandEntry(module="autotune.cli.completion", help="Print the completion script for a shell."),
     }
 )

@@ -67,7 +67,7 @@ def read_source(path: Path, *, axis: str | None, controller: Path | None) -> Map
     Raises UsageError: not such a file, or not such an axis. CertificateError: the controller file is altered or not
     validated. EstimateError: the robot or the sample time is not identified.
     """
-    kind = _kind(path)
+    kind = kind_of_file(path)
     if kind == "controller":
         read = read_controller(path)
         source = replace(_certified(path, read.controller, axis), checksums={str(path): read.checksum})
@@ -86,7 +86,8 @@ def read_source(path: Path, *, axis: str | None, controller: Path | None) -> Map
     return replace(source, controller=law, approach=approach, checksums=checksums)
 
 
-def _kind(path: Path) -> str:
+def kind_of_file(path: Path) -> str:
+    """Return what a file says that it is, `identified`, `controller` …; empty where it does not."""
     try:
         with path.open("rb") as stream:
             found = _FORMAT.search(stream.read(LARGEST_FILE_BYTES))

@@ -8,23 +8,25 @@ from typing import Any
 from autotune import __version__
 from autotune.errors import InfeasibleError
 from autotune.files.controller import ControllerFile
-from autotune.files.controller_record import Controller, Proof, Reach
+from autotune.files.controller_record import Controller, Proof, Reach, RuntimePayload
 from autotune.files.identified import IdentifiedFile
 from autotune.files.problem import ProblemSpec
 from autotune.files.records import ROTATIONAL_AXES
 from autotune.validation.continuous import ProofWishes, prove_reach
 from autotune.validation.validate import ValidationReport, prove_axis, validate_controller
+from identification.result import Identified
 from problems.design import DesignProblem
 
 from .compare import SideBySide, check_comparable, compare, start_design
 from .problems import Wishes, build_problems, certified_mass_kg, runtime_mass_kg
-from .record import build_controller, build_domain
+from .record import build_controller, build_domain, runtime_payload
 from .relax import find_relaxations
 from .search import SearchResult, solve_design
 from .standing import Standing, find_standing, standing_tree
 
-# Of the time of a usual run, measured; of no other use than to tell how it goes on.
-_SEARCH_SHARE, _PROOF_SHARE = 0.4, 0.06
+# Of the time of a usual run, measured; of no other use than to tell how it goes on. The second is a share of what comes
+# after the search.
+_SEARCH_SHARE, _PROOF_SHARE = 0.4, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,22 +69,19 @@ def optimize(
     if existing is not None:
         check_comparable(existing, problems)
     # Asked before the search, because it may refuse.
-    mass_kg = runtime_mass_kg(
-        identified.result, certified_mass_kg(problems) or wishes.payload_mass_kg or spec.payload_mass_kg
-    )
+    payload = runtime_payload(identified.result, carried_mass_kg(identified.result, problems, spec, wishes))
     share = _SEARCH_SHARE / len(problems)
     searches = {
         name: _search(name, problem, seed, existing, relax, report, share) for name, problem in problems.items()
     }
     standings = {name: find_standing(search) for name, search in searches.items()}
-    proofs, reaches = _prove(searches, asked, report)
-    provenance = _provenance(identified, wishes, seed, problem_path, existing, asked)
+    provenance = make_provenance(identified, wishes, seed, problem_path, existing, asked)
     provenance["optimality"] = {
         name: standing_tree(standing, rotational=name in ROTATIONAL_AXES) for name, standing in standings.items()
     }
-    controller = build_controller(searches, identified.result, proofs, reaches, provenance, mass_kg)
-    checked = validate_controller(controller, lambda done: report((1.0 - _SEARCH_SHARE - _PROOF_SHARE) * done))
-    checked.require()
+    controller, checked = certify(
+        searches, payload, provenance, asked, lambda done: report((1.0 - _SEARCH_SHARE) * done)
+    )
     compared = {} if existing is None else compare(existing.controller, searches)
     return Optimized(
         controller=controller,
@@ -91,6 +90,32 @@ def optimize(
         report=checked,
         compared=compared,
     )
+
+
+def carried_mass_kg(
+    identified: Identified, problems: Mapping[str, DesignProblem], spec: ProblemSpec, wishes: Wishes
+) -> float:
+    """Return the mass that the runtime compensates; raises UsageError where ranges leave the identified one out."""
+    return runtime_mass_kg(identified, certified_mass_kg(problems) or wishes.payload_mass_kg or spec.payload_mass_kg)
+
+
+def certify(
+    searches: Mapping[str, SearchResult],
+    payload: RuntimePayload,
+    provenance: Mapping[str, Any],
+    proof: ProofWishes,
+    progress: Callable[[float], None],
+) -> tuple[Controller, ValidationReport]:
+    """Prove what can be proved of the designs, write them down, and return the controller once validation passed it.
+
+    `progress` is told the share of the work done since the last call. Raises CertificateError when a claim cannot be
+    proved or verified.
+    """
+    proofs, reaches = _prove(searches, proof, progress)
+    controller = build_controller(searches, payload, proofs, reaches, provenance)
+    checked = validate_controller(controller, lambda done: progress((1.0 - _PROOF_SHARE) * done))
+    checked.require()
+    return controller, checked
 
 
 class _Portion:
@@ -168,7 +193,7 @@ def _silent(_: float) -> None:
     return None
 
 
-def _provenance(
+def make_provenance(
     identified: IdentifiedFile,
     wishes: Wishes,
     seed: int,
@@ -176,6 +201,7 @@ def _provenance(
     existing: ControllerFile | None,
     proof: ProofWishes,
 ) -> dict[str, Any]:
+    """Return where a controller comes from: the tool, the identified file, and what was asked."""
     mass, stiffness = wishes.payload_mass_kg, wishes.environment_stiffness_n_per_m
     return {
         "tool": f"autotune {__version__}",

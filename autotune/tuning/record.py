@@ -48,16 +48,15 @@ _NAMES = ("modulus", "gain_db", "phase_deg", "delay_s")
 
 def build_controller(
     results: Mapping[str, SearchResult],
-    identified: Identified,
+    payload: RuntimePayload,
     proofs: Mapping[str, tuple[Proof, ...]],
     reaches: Mapping[str, tuple[Reach, ...]],
     provenance: Mapping[str, Any],
-    mass_kg: float,
 ) -> Controller:
     """Assemble the controller of all tuned axes; `proofs` and `reaches` are what validation's code has shown, per axis.
 
     The axes share h, filters and payload, and axes of a kind their requirements; they come from one identified file
-    and one problem. `mass_kg` is what the runtime compensates.
+    and one problem. `payload` is what the runtime compensates.
     """
     first = next(iter(results.values())).problem
     controllers = {name: _controller(result) for name, result in results.items()}
@@ -79,7 +78,7 @@ def build_controller(
         ),
         compensation_mass_kg=law.compensation_mass_kg,
         collision=Collision(response=CollisionResponse.NONE, threshold_n=None),
-        payload=_payload(identified, mass_kg),
+        payload=payload,
         predicted=predicted,
         certificate=Certificate(
             domain=domain,
@@ -119,7 +118,7 @@ def _gains(name: str, controller: AdmittanceController) -> AxisGains:
     )
 
 
-def _payload(identified: Identified, mass_kg: float) -> RuntimePayload:
+def runtime_payload(identified: Identified, mass_kg: float) -> RuntimePayload:
     """Return what gravity compensation needs; raises EstimateError for a file without centre of mass or bias."""
     com, force = identified.payload.com_m.value, identified.sensor.force_bias_n.value
     torque = identified.sensor.torque_bias_n_m.value

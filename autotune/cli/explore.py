@@ -1,0 +1,84 @@
+"""`autotune explore`: turn gains and plant by hand and see what the loop does."""
+
+import contextlib
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ._common import Output, output_options
+from ._files import SETTINGS, FilePath
+from ._help import GroupedCommand
+
+if TYPE_CHECKING:
+    from autotune.explore.source import Exploration
+
+_EPILOG = """\b
+Examples:
+  autotune explore identified.yaml
+  autotune explore identified.yaml --problem problem.yaml -o tried.yaml
+  autotune explore controller.yaml -o tried.yaml --port 5010 --no-open
+"""
+
+
+@click.command("explore", cls=GroupedCommand, epilog=_EPILOG)
+@click.argument("source", metavar="FILE", type=FilePath(*SETTINGS))
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path("controller.yaml"),
+    show_default=True,
+    help="The one file that the page can write.",
+)
+@click.option(
+    "--problem",
+    type=FilePath(*SETTINGS),
+    help="Requirements, bounds and ranges, for an identified plant.",
+)
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=0, show_default="a free one", help="Where the page is served."
+)
+@click.option(
+    "--open/--no-open",
+    "opens",
+    default=None,
+    show_default="on a terminal",
+    help="Open the page in the browser.",
+)
+@output_options
+def command(output: Output, source: Path, out: Path, problem: Path | None, port: int, opens: bool | None) -> None:
+    """Serve a page on this machine with sliders for the gains and the plant of FILE.
+
+    FILE is identified.yaml (the page starts at the best design) or controller.yaml. Contact transient, admittance,
+    Nyquist, requirements and the map of feasible designs follow the hand; "save" proves and validates as optimize does
+    and writes an ordinary controller.yaml, or says why not. The page needs no network and no other machine reaches it.
+    Ctrl-C ends it, with exit code 0.
+    """
+    from autotune.explore.server import serve
+    from autotune.explore.source import read_exploration
+    from autotune.files.atomic import check_target
+
+    check_target(out, [path for path in (source, problem) if path is not None])
+    with output.progress("searching where to start", 1.0) as advance:
+        exploration = read_exploration(source, problem, advance)
+    wants = sys.stderr.isatty() and not output.as_json if opens is None else opens
+
+    def ready(address: str) -> None:
+        _tell(output, exploration, out, address)
+        if wants:
+            click.launch(address)
+
+    with contextlib.suppress(KeyboardInterrupt):
+        serve(exploration, out, port=port, ready=ready)
+    output.note("Ended.")
+
+
+def _tell(output: Output, exploration: "Exploration", out: Path, address: str) -> None:
+    for name, start in exploration.axes.items():
+        if start.note:
+            output.note(f"axis {name}: {start.note}")
+    tree = {"url": address, "source": str(exploration.path), "output": str(out), "axes": list(exploration.axes)}
+    output.result(tree, lambda: click.echo(f"{address}\nCtrl-C ends it."))

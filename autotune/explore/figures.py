@@ -1,0 +1,244 @@
+"""The figures of the page: drawn once, then fed with a new view whenever something is turned."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from bokeh.models import (
+    ColumnDataSource,
+    CustomJSTickFormatter,
+    FactorRange,
+    HoverTool,
+    LinearColorMapper,
+    LogTicker,
+)
+from bokeh.models.annotations import ColorBar, Span
+from bokeh.plotting import figure
+from numpy.typing import NDArray
+
+from autotune.files.units import axis_units
+from autotune.reports.decimate import decimate
+from autotune.reports.palette import COLOURS
+from problems.design import DesignProblem
+
+from .knobs import Knob
+from .view import DesignMap, MapWindow, View
+from .words import requirement_title
+
+FloatArray = NDArray[np.floating[Any]]
+
+KEYS = ("contact", "admittance", "nyquist", "requirements", "map")
+_MOST_POINTS = 900
+_HEIGHT, _MAP_HEIGHT = 300, 380
+_TOOLS = "pan,wheel_zoom,box_zoom,reset"
+# What misses a limit by more than this is drawn as if it missed by that much.
+_LONGEST_BAR = 2.0
+_NYQUIST_X, _NYQUIST_Y = (-2.2, 1.0), (-1.7, 1.5)
+_UNSTABLE, _MISSED = "#d9b3b0", "#e8e4d8"
+_EMPTY: Mapping[str, list[float]] = {"x": [], "y": []}
+
+
+class Figures:
+    """All figures by their key in `plots`, and what they are drawn from."""
+
+    def __init__(self) -> None:
+        self.sources = {
+            name: ColumnDataSource(dict(_EMPTY), name=f"data-{name}")
+            for name in ("contact", "sensor", "begun", "peak", "gain", "force", "command", "circle", "star")
+        }
+        self.sources["bars"] = ColumnDataSource({"name": [], "right": [], "colour": [], "told": []}, name="data-bars")
+        cells: dict[str, list[float]] = {"stable": [], "peak": [], "x": [], "y": [], "dw": [], "dh": []}
+        self.sources["map"] = ColumnDataSource(cells, name="data-map")
+        self.target = ColumnDataSource({"x": [], "y": []}, name="data-target")
+        self.plots = {
+            "contact": self._contact(),
+            "admittance": self._admittance(),
+            "nyquist": self._nyquist(),
+            "requirements": self._requirements(),
+            "map": self._map(),
+        }
+
+    def _contact(self) -> Any:
+        plot = _plot("contact", "time after the contact [ms]", "force")
+        _line(plot, self.sources["begun"], "before", "as begun", dashed=True)
+        _line(plot, self.sources["sensor"], "quiet", "at the sensor")
+        _line(plot, self.sources["contact"], "model", "at the contact")
+        plot.scatter("x", "y", source=self.sources["peak"], color=COLOURS["model"], size=9, line_color="white")
+        return _finished(plot)
+
+    def _admittance(self) -> Any:
+        plot = _plot("admittance", "frequency [Hz]", "|G|", x_axis_type="log", y_axis_type="log")
+        plot.yaxis.ticker = LogTicker(mantissas=[1, 2, 5])
+        plot.yaxis.formatter = CustomJSTickFormatter(code="return tick.toExponential(0);")
+        _line(plot, self.target, "target", "at least", dashed=True)
+        _line(plot, self.sources["gain"], "after", "|G|, free space")
+        return _finished(plot)
+
+    def _nyquist(self) -> Any:
+        plot = _plot(
+            "nyquist",
+            "real",
+            "imaginary",
+            x_range=_NYQUIST_X,
+            y_range=_NYQUIST_Y,
+            aspect_ratio=1.0,
+        )
+        _line(plot, self.sources["circle"], "target", "margin asked", dashed=True)
+        _line(plot, self.sources["force"], "model", "at the force")
+        _line(plot, self.sources["command"], "after", "at the command")
+        plot.scatter([-1.0], [0.0], marker="cross", size=14, line_width=2, color=COLOURS["bad"])
+        return _finished(plot)
+
+    def _requirements(self) -> Any:
+        plot = _plot(
+            "requirements",
+            "required / achieved: up to 1 is met",
+            "",
+            y_range=FactorRange(),
+            x_range=(0.0, 1.2 * _LONGEST_BAR),
+        )
+        bars = self.sources["bars"]
+        plot.hbar(y="name", right="right", height=0.6, color="colour", source=bars)
+        place: dict[str, Any] = {"x_offset": 5, "text_font_size": "12px", "text_baseline": "middle"}
+        plot.text(x="right", y="name", text="told", source=bars, **place)
+        plot.add_layout(Span(location=1.0, dimension="height", line_color=COLOURS["target"], line_width=2))
+        return plot
+
+    def _map(self) -> Any:
+        ends: dict[str, Any] = {"x_range": (1.0, 2.0), "y_range": (0.0, 1.0)}
+        plot = _plot("map", "", "", x_axis_type="log", height=_MAP_HEIGHT, **ends)
+        box: dict[str, Any] = {"x": "x", "y": "y", "dw": "dw", "dh": "dh", "source": self.sources["map"]}
+        two = LinearColorMapper(palette=[_UNSTABLE, _MISSED], low=0.0, high=1.0)
+        self.colours = LinearColorMapper(palette="Viridis256", low=0.0, high=1.0, nan_color="rgba(0,0,0,0)")
+        plot.image(image="stable", color_mapper=two, **box)
+        drawn = plot.image(image="peak", color_mapper=self.colours, **box)
+        plot.scatter(
+            "x", "y", source=self.sources["star"], marker="star", size=17, color=COLOURS["model"], line_color="white"
+        )
+        plot.add_tools(HoverTool(renderers=[drawn], tooltips=[("worst peak", "@peak{0.0}")], visible=False))
+        self.bar = ColorBar(color_mapper=self.colours, width=10, title="worst peak", background_fill_alpha=0.0)
+        plot.add_layout(self.bar, "right")
+        return plot
+
+    def begin(self, problem: DesignProblem, axis: str, begun: View) -> None:
+        """Show what does not change while one axis is explored: limits, units, and the design to start from."""
+        units, asked = axis_units(axis), problem.requirements
+        self.plots["contact"].yaxis.axis_label = f"{units.force_name} [{units.force}]"
+        self.plots["admittance"].yaxis.axis_label = f"|G| [{units.admittance}]"
+        target = asked.free_space_admittance
+        self.target.data = (
+            dict(_EMPTY) if target is None else {"x": list(target.band_hz), "y": [target.min_m_s_per_n] * 2}
+        )
+        turn = np.linspace(0.0, 2.0 * np.pi, 121)
+        radius = asked.modulus_margin or 0.0
+        self.sources["circle"].data = {"x": radius * np.cos(turn) - 1.0, "y": radius * np.sin(turn)}
+        self.plots["requirements"].y_range.factors = [requirement_title(name) for name in asked.asked()][::-1]
+        self.sources["begun"].data = dict(_EMPTY)
+        if begun.transient is not None:
+            self.sources["begun"].data = _over_time(begun.transient.time_s, begun.transient.contact_force_n)
+        self.bar.title = f"worst peak [{units.force}]"
+
+    def show(self, view: View) -> None:
+        """Show one view; an unstable loop has no transient and no requirement."""
+        run = view.transient
+        if run is None:
+            for name in ("contact", "sensor", "peak"):
+                self.sources[name].data = dict(_EMPTY)
+        else:
+            self.sources["contact"].data = _over_time(run.time_s, run.contact_force_n)
+            self.sources["sensor"].data = _over_time(run.time_s, run.sensor_force_n)
+            self.sources["peak"].data = {"x": [1e3 * run.time_of_peak_s], "y": [run.peak_contact_force_n]}
+        self.sources["gain"].data = {"x": view.admittance_hz, "y": view.admittance_m_s_per_n}
+        for name, loop in (("force", view.at_force), ("command", view.at_command)):
+            near = np.abs(loop) < 20.0
+            self.sources[name].data = {"x": loop.real[near], "y": loop.imag[near]}
+        ratios = view.ratios
+        values = np.nan_to_num(np.array(list(ratios.values())), nan=_LONGEST_BAR, posinf=_LONGEST_BAR)
+        self.sources["bars"].data = {
+            "name": [requirement_title(name) for name in ratios],
+            "right": np.minimum(values, _LONGEST_BAR),
+            "colour": [COLOURS["good" if value <= 1.0 else "bad"] for value in values],
+            "told": [f"{value:.3f}" if value < _LONGEST_BAR else f"{value:.3g}" for value in ratios.values()],
+        }
+
+    def show_map(self, found: DesignMap) -> None:
+        """Show which designs around are stable and feasible."""
+        window = found.window
+        left, right = _edges(window.x_values(), True)
+        bottom, top = _edges(window.y_values(), False)
+        if found.is_feasible.any():
+            low, high = float(np.nanmin(found.peak_n)), float(np.nanmax(found.peak_n))
+            self.colours.update(low=low, high=high if high > low else low + 1.0)
+        self.sources["map"].data = {
+            "stable": [found.is_stable.astype(np.float32)],
+            "peak": [found.peak_n.astype(np.float32)],
+            "x": [left],
+            "y": [bottom],
+            "dw": [right - left],
+            "dh": [top - bottom],
+        }
+
+    def show_window(self, window: MapWindow, x: Knob, y: Knob) -> None:
+        """Turn the map to a window of two knobs."""
+        plot = self.plots["map"]
+        plot.xaxis.axis_label, plot.yaxis.axis_label = x.title, y.title
+        plot.x_range.start, plot.x_range.end = _edges(window.x_values(), True)
+        plot.y_range.start, plot.y_range.end = _edges(window.y_values(), False)
+
+    def show_star(self, x: float, y: float) -> None:
+        """Mark the design in the map."""
+        self.sources["star"].data = {"x": [x], "y": [y]}
+
+
+def _plot(key: str, x: str, y: str, **more: Any) -> Any:
+    options: dict[str, Any] = {
+        "height": _HEIGHT,
+        "sizing_mode": "stretch_width",
+        "tools": _TOOLS,
+        "x_axis_label": x,
+        "y_axis_label": y,
+        "background_fill_alpha": 0.0,
+        "border_fill_alpha": 0.0,
+        "outline_line_color": "#7a7f85",
+        "name": key,
+        **more,
+    }
+    plot = figure(**options)
+    plot.toolbar.logo = None
+    # On a touch screen a finger on a figure scrolls the page, until a tool is chosen.
+    plot.toolbar.active_drag = None
+    plot.toolbar_location = "above"
+    return plot
+
+
+def _line(plot: Any, source: ColumnDataSource, role: str, label: str, *, dashed: bool = False) -> None:
+    plot.line(
+        "x",
+        "y",
+        source=source,
+        color=COLOURS[role],
+        line_width=1.8,
+        line_dash="dashed" if dashed else "solid",
+        legend_label=label,
+    )
+
+
+def _finished(plot: Any) -> Any:
+    """Put the legend below the figure, where it hides nothing."""
+    plot.legend.update(label_text_font_size="11px", border_line_alpha=0.0, background_fill_alpha=0.0)
+    plot.legend.orientation = "horizontal"
+    plot.add_layout(plot.legend[0], "below")
+    return plot
+
+
+def _over_time(time_s: FloatArray, force_n: FloatArray) -> dict[str, Any]:
+    x, y = decimate(1e3 * time_s, force_n, _MOST_POINTS)
+    return {"x": x, "y": y}
+
+
+def _edges(middles: FloatArray, by_ratios: bool) -> tuple[float, float]:
+    """Return where the first cell begins and the last one ends."""
+    on = np.log(middles) if by_ratios else middles
+    half = 0.5 * (on[1] - on[0])
+    ends = on[0] - half, on[-1] + half
+    return (float(np.exp(ends[0])), float(np.exp(ends[1]))) if by_ratios else (float(ends[0]), float(ends[1]))

@@ -1,0 +1,281 @@
+"""The page: sliders, figures, and what happens when something is turned."""
+
+import asyncio
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bokeh.document import Document
+from bokeh.models import CustomJSTickFormatter, InlineStyleSheet
+from bokeh.models.widgets import Button, Div, Select, Slider
+from jinja2 import Environment, StrictUndefined, Template
+from numpy.typing import NDArray
+
+from autotune.files.records import ROTATIONAL_AXES
+from autotune.files.units import axis_units
+from problems.errors import AutotuneError
+
+from . import words
+from .figures import KEYS, Figures
+from .knobs import STEPS, Knob, build_gain_knobs, build_plant_knobs, nominal_values, scenario_at
+from .save import save_controller
+from .source import AxisStart, Exploration
+from .view import MapWindow, PreparedView, View, build_window, compute_map, compute_view, map_pairs, prepare_view
+
+FloatArray = NDArray[np.float64]
+
+_COLUMNS, _ROWS, _FINER = 20, 15, 2
+# How long a hand rests before the map is drawn more finely.
+_RESTS_MS = 350
+_LOGARITHMIC = "return String(Number((10 ** tick).toPrecision(4)));"
+_PLAIN = "return String(Number(tick.toPrecision(4)));"
+_MAP_TOLD = (
+    "Coloured by its worst peak: a design that meets every requirement on all plants. The plain ground misses one, the "
+    "reddish is unstable. The star is the present design."
+)
+_STYLE = """
+:host { color: inherit; font: inherit; }
+p { margin: 0.2rem 0; } .good { color: var(--good); } .warn { color: var(--warn); } .bad { color: var(--bad); }
+.quiet { color: var(--soft); }
+dl { display: flex; flex-wrap: wrap; gap: 0.5rem 1.6rem; margin: 0; }
+dt { color: var(--soft); font-size: 0.82rem; } dd { margin: 0; font-size: 1.2rem; font-variant-numeric: tabular-nums; }
+.bk-slider-title { white-space: normal; }
+.bk-slider-title, label { color: var(--ink); font-size: 0.85rem; }
+select.bk-input { color: var(--ink); background-color: var(--pale); border-color: var(--line); }
+.bk-btn { color: var(--ink); background: var(--pale); border-color: var(--line); white-space: normal; }
+"""
+
+
+class Page:
+    """One visitor's page: the designs of all axes, and the axis that is shown.
+
+    The designs live as long as the page. `out` is the one file that it can write.
+    """
+
+    def __init__(self, exploration: Exploration, out: Path, document: Document) -> None:
+        self.exploration, self.out, self.document = exploration, out, document
+        self.axis = next(iter(exploration.axes))
+        self.designs = {name: np.array(start.design) for name, start in exploration.axes.items()}
+        self.plants = {name: nominal_values(start.problem) for name, start in exploration.axes.items()}
+        self.figures = Figures()
+        self.knobs: dict[str, Knob] = {}
+        self.window: MapWindow | None = None
+        self.prepared: tuple[object, PreparedView] | None = None
+        self.mapped: object = None
+        self.asked = self.busy = self.turning = False
+        self.resting: Any = None
+        self._build_widgets()
+        self._show_axis()
+
+    @property
+    def start(self) -> AxisStart:
+        """The axis that is shown, as it began."""
+        return self.exploration.axes[self.axis]
+
+    def _build_widgets(self) -> None:
+        wide: dict[str, Any] = {"sizing_mode": "stretch_width", "stylesheets": [InlineStyleSheet(css=_STYLE)]}
+        names = {
+            knob.name: knob
+            for axis, start in self.exploration.axes.items()
+            for knob in (*build_gain_knobs(start.problem, axis), *build_plant_knobs(start.problem, axis))
+        }
+        self.sliders = {name: Slider(start=0.0, end=1.0, value=0.0, step=0.01, name=name, **wide) for name in names}
+        for slider in self.sliders.values():
+            slider.on_change("value", self._turned)
+        self.verdict, self.facts, self.status = (Div(name=key, **wide) for key in ("verdict", "facts", "status"))
+        self.save = Button(label=f"Validate and save {self.out.name}", name="save", button_type="default", **wide)
+        self.back = Button(label="Back to the start", name="back", button_type="default", **wide)
+        axes: Any = list(self.exploration.axes)
+        self.choice = Select(title="Axis", name="axis", value=self.axis, options=axes, **wide)
+        self.over = Select(title="Map over", name="over", **wide)
+        self.save.on_click(self._save_asked)
+        self.back.on_click(self._go_back)
+        self.choice.on_change("value", self._axis_chosen)
+        self.over.on_change("value", self._map_chosen)
+
+    def roots(self) -> list[Any]:
+        """Return everything that the page places by its name."""
+        widgets = [self.verdict, self.facts, self.status, self.save, self.back, self.choice, self.over]
+        return [*widgets, *self.sliders.values(), *self.figures.plots.values()]
+
+    def _show_axis(self) -> None:
+        problem = self.start.problem
+        gains, plant = build_gain_knobs(problem, self.axis), build_plant_knobs(problem, self.axis)
+        self.knobs = {knob.name: knob for knob in (*gains, *plant)}
+        pairs = map_pairs(problem)
+        self.choice.visible = len(self.exploration.axes) > 1
+        titles = [(",".join(pair), " and ".join(self.knobs[name].label for name in pair)) for pair in pairs]
+        self.turning = True
+        self.over.update(options=titles, value=titles[0][0] if titles else "", visible=len(pairs) > 1)
+        self.turning = False
+        self.figures.plots["map"].visible = bool(pairs)
+        self.status.text = words.plain_line(self.start.note)
+        view = compute_view(self._prepare(), self.start.design)
+        self.figures.begin(problem, self.axis, view)
+        self.window = None
+        self._set_reaches()
+        self._set_sliders()
+        self.update()
+
+    def _set_reaches(self) -> None:
+        """Give every slider the reach of its knob; one that cannot be turned is not shown."""
+        self.turning = True
+        for name, slider in self.sliders.items():
+            knob = self.knobs.get(name)
+            slider.visible = knob is not None and knob.high > knob.low
+            if knob is None or not slider.visible:
+                continue
+            low, high = knob.ends
+            form = CustomJSTickFormatter(code=_LOGARITHMIC if knob.logarithmic else _PLAIN)
+            slider.update(title=knob.title, start=low, end=high, step=(high - low) / STEPS, format=form)
+        self.turning = False
+
+    def _set_sliders(self) -> None:
+        values = {**dict(zip(self.start.problem.variables, self.designs[self.axis], strict=True)), **self._plant()}
+        self.turning = True
+        for name, value in values.items():
+            if self.sliders[name].visible:
+                self.sliders[name].value = self.knobs[name].position(float(value))
+        self.turning = False
+
+    def _plant(self) -> dict[str, float]:
+        return self.plants[self.axis]
+
+    def _turned(self, _name: str, _old: float, _new: float) -> None:
+        if not self.turning:
+            self._ask()
+
+    def _ask(self) -> None:
+        """Compute once for all that was turned meanwhile: no picture is made that nobody will see."""
+        if not self.asked:
+            self.asked = True
+            self.document.add_next_tick_callback(self._answer)
+
+    def _answer(self) -> None:
+        self.asked = False
+        problem = self.start.problem
+        for i, name in enumerate(problem.variables):
+            if self.sliders[name].visible:
+                self.designs[self.axis][i] = self.knobs[name].value(float(self.sliders[name].value))
+        for name in self._plant():
+            self._plant()[name] = self.knobs[name].value(float(self.sliders[name].value))
+        self.update()
+
+    def update(self) -> None:
+        """Compute and show the view of the present design and plant, and the map if another one is due."""
+        try:
+            prepared = self._prepare()
+            view = compute_view(prepared, self.designs[self.axis])
+            self.figures.show(view)
+            self._show_words(view, len(prepared.scenarios))
+            self._show_map(prepared)
+        except AutotuneError as error:
+            self.verdict.text = words.refused_line(str(error)).replace("Not written.", "No picture.")
+
+    def _show_words(self, view: View, count: int) -> None:
+        law = self.start.problem.controller(view.design)
+        hand = law.damping_n_s_per_m + self._plant()["drag_n_s_per_m"]
+        self.verdict.text = words.verdict(view, count)
+        self.facts.text = words.facts(view, axis_units(self.axis), hand)
+
+    def _prepare(self) -> PreparedView:
+        scenario = scenario_at(self.start.problem, self._plant())
+        key = self.axis, scenario
+        if self.prepared is None or self.prepared[0] != key:
+            self.prepared = key, prepare_view(self.start.problem, scenario, self.start.scenarios)
+        return self.prepared[1]
+
+    def _show_map(self, prepared: PreparedView, finer: int = 1) -> None:
+        if not self.over.value:
+            return
+        x, y = str(self.over.value).split(",")
+        problem, design = self.start.problem, self.designs[self.axis]
+        values = dict(zip(problem.variables, design.tolist(), strict=True))
+        if (
+            self.window is None
+            or (self.window.x, self.window.y) != (x, y)
+            or not self.window.holds(values[x], values[y])
+        ):
+            self.window = build_window(problem, design, (x, y), columns=_COLUMNS, rows=_ROWS)
+            self.figures.show_window(self.window, self.knobs[x], self.knobs[y])
+        self.figures.show_star(values[x], values[y])
+        key = prepared.scenario, self.axis, self.window, tuple(v for name, v in values.items() if name not in {x, y})
+        if self.mapped in {(key, _FINER), (key, finer)}:
+            return
+        self.figures.show_map(compute_map(prepared, design, self.window.finer(finer)))
+        self.mapped = key, finer
+        if self.resting is not None:
+            self.document.remove_timeout_callback(self.resting)
+        self.resting = None if finer > 1 else self.document.add_timeout_callback(self._rest, _RESTS_MS)
+
+    def _rest(self) -> None:
+        self.resting = None
+        if not self.asked:
+            self._show_map(self._prepare(), _FINER)
+
+    def _axis_chosen(self, _name: str, _old: str, new: str) -> None:
+        self.axis = new
+        self._show_axis()
+
+    def _map_chosen(self, _name: str, _old: str, _new: str) -> None:
+        if not self.turning:
+            self._ask()
+
+    def _go_back(self) -> None:
+        self.designs[self.axis] = np.array(self.start.design)
+        self.plants[self.axis] = nominal_values(self.start.problem)
+        self._set_sliders()
+        self.update()
+
+    def _save_asked(self) -> None:
+        if not self.busy:
+            self.busy = True
+            self.status.text = words.plain_line("Judging the design over the whole set, proving, validating …")
+            # Bokeh awaits what a callback returns; its types do not say so.
+            self.document.add_next_tick_callback(self._save)  # type: ignore[arg-type]
+
+    async def _save(self) -> None:
+        """Save beside the event loop, so that the connection stays alive; the page waits for the answer."""
+        try:
+            designs = {name: np.array(design) for name, design in self.designs.items()}
+            saved = await asyncio.to_thread(save_controller, self.exploration, designs, self.out)
+            first = "N·m" if set(self.designs) <= ROTATIONAL_AXES else "N"
+            self.status.text = words.saved_line(saved, first)
+        except AutotuneError as error:
+            self.status.text = words.refused_line(str(error))
+        finally:
+            self.busy = False
+
+
+def build_page(exploration: Exploration, out: Path, document: Document) -> Page:
+    """Fill a document with the page of an exploration; `out` is the file that it may write."""
+    page = Page(exploration, out, document)
+    for root in page.roots():
+        document.add_root(root)
+    gains = [name for name in page.sliders if name not in page.plants[page.axis]]
+    document.title = f"autotune explore {exploration.path.name}"
+    document.template = _template()
+    document.template_variables.update(
+        gains=gains, plant=list(page.plants[page.axis]), figures=_told(), keys=KEYS, source=exploration.path.name
+    )
+    return page
+
+
+def _told() -> dict[str, tuple[str, str]]:
+    """Return, for each figure, its heading and what there is to see, for whoever cannot see it."""
+    return {
+        "contact": ("Contact transient", "Force over time after the payload touches the surface."),
+        "admittance": ("Free-space admittance", "Magnitude of G over frequency, with the least that is asked."),
+        "nyquist": ("Nyquist", "Both open loops around −1, with the circle that the modulus margin asks for."),
+        "requirements": ("Requirements", "Required over achieved of each requirement; up to 1 is met."),
+        "map": ("Feasible designs", _MAP_TOLD),
+    }
+
+
+@lru_cache(maxsize=1)
+def _template() -> Template:
+    text = (files("autotune.explore") / "explore.html.jinja").read_text("utf-8")
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    return environment.from_string(text)

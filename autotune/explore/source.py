@@ -1,0 +1,225 @@
+"""What a file gives to explore: a design problem per axis, a design to start from, and what a saved file must carry."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autotune import __version__
+from autotune.errors import InfeasibleError, UsageError
+from autotune.files.controller import ControllerFile, read_controller
+from autotune.files.controller_record import AdmittanceRequirement, AxisGains, Controller, RuntimePayload
+from autotune.files.identified import read_identified
+from autotune.files.problem import ProblemSpec, read_problem
+from autotune.files.records import ROTATIONAL_AXES
+from autotune.maps.source import kind_of_file
+from autotune.tuning.box import Box
+from autotune.tuning.compare import start_design
+from autotune.tuning.optimize import carried_mass_kg, make_provenance
+from autotune.tuning.problems import Wishes, build_problems
+from autotune.tuning.record import runtime_payload
+from autotune.tuning.search import SearchResult, solve_design
+from autotune.validation.continuous import ProofWishes
+from autotune.validation.validate import admittance_controller
+from problems.contact import Approach
+from problems.controller import AdmittanceController
+from problems.design import DEFAULT_BOUNDS, FURTHER_VARIABLES, VARIABLES, DesignProblem
+from problems.evaluation import build_scenarios
+from problems.requirements import REQUIREMENTS, AdmittanceTarget, Requirements
+from problems.uncertainty import Scenario
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[float], None]
+
+_GRID = (3, 2)
+_MOST_TIGHT, _MOST_HARD = 3, 1
+# How far gains about a rotational axis may be led from those of the file.
+_REACH = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisStart:
+    """One axis: its problem, the design (n,) to start from, and the plants that designs are judged on while exploring.
+
+    `note` says why the start is not the best design, where it is not.
+    """
+
+    problem: DesignProblem
+    design: FloatArray
+    scenarios: tuple[Scenario, ...]
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        design = np.array(self.design, dtype=np.float64)
+        design.setflags(write=False)
+        object.__setattr__(self, "design", design)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exploration:
+    """All axes of a file, by name, and what a controller that is saved takes over: `payload`, `provenance`, `gains`.
+
+    `gains` are those of an explored controller, of which the deadband is kept.
+    """
+
+    path: Path
+    axes: Mapping[str, AxisStart]
+    payload: RuntimePayload
+    provenance: Mapping[str, Any]
+    gains: Mapping[str, AxisGains] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("axes", "provenance", "gains"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+
+def read_exploration(path: Path, problem: Path | None = None, progress: Progress | None = None) -> Exploration:
+    """Read `identified.yaml`, or `controller.yaml` with the plant and the requirements of its certificate.
+
+    An identified plant starts at the best design, which is searched; where there is none, in the middle of the bounds.
+    `progress` is told the share of the work done since the last call. Raises UsageError for another file, or a problem
+    beside a controller; what `optimize` raises for a plant that cannot be tuned; CertificateError for an altered
+    controller.
+    """
+    kind = kind_of_file(path)
+    if kind == "identified":
+        return _from_identified(path, problem, progress if progress is not None else _silent)
+    if kind != "controller":
+        raise UsageError(
+            f"{path} is neither an identified plant nor a controller; give what identify or optimize wrote."
+        )
+    if problem is not None:
+        raise UsageError(f"{path} says by itself what is asked of it; --problem goes with an identified plant.")
+    return _from_controller(read_controller(path))
+
+
+def _silent(_: float) -> None:
+    return None
+
+
+def _from_identified(path: Path, problem_path: Path | None, progress: Progress) -> Exploration:
+    identified = read_identified(path)
+    spec = ProblemSpec() if problem_path is None else read_problem(problem_path)
+    problems = build_problems(identified.result, spec, Wishes())
+    payload = runtime_payload(identified.result, carried_mass_kg(identified.result, problems, spec, Wishes()))
+    return Exploration(
+        path=path,
+        axes={name: _searched(each, lambda done: progress(done / len(problems))) for name, each in problems.items()},
+        payload=payload,
+        provenance=_by_hand(make_provenance(identified, Wishes(), 0, problem_path, None, ProofWishes())),
+    )
+
+
+def _by_hand(provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a provenance that says that nobody searched these gains."""
+    return {**provenance, "options": {**provenance["options"], "gains": "chosen by hand in autotune explore"}}
+
+
+def _searched(problem: DesignProblem, progress: Progress) -> AxisStart:
+    grid = problem.scenarios(*_GRID)
+    try:
+        found = solve_design(problem, progress=progress)
+    except InfeasibleError as error:
+        middle = Box(problem).design(np.full(len(problem.variables), 0.5))
+        return AxisStart(problem=problem, design=middle, scenarios=grid, note=str(error))
+    # What the search found worst belongs to what is looked at, or designs that fail there would look good.
+    return AxisStart(problem=problem, design=found.design, scenarios=tuple(dict.fromkeys((*grid, *_worst_few(found)))))
+
+
+def _worst_few(found: SearchResult) -> list[Scenario]:
+    """Return the plants beyond K_e and M_p that hold the best design back most; few, for each costs time at a turn."""
+    further = [each for each in found.active.scenarios if each.further()]
+    judged = [build_scenarios(found.problem, [each]).evaluate(found.design, peaks_if_missed=True) for each in further]
+    tight = sorted(zip(judged, further, strict=True), key=lambda pair: -max(pair[0].requirements.values(), default=0.0))
+    hard = sorted(zip(judged, further, strict=True), key=lambda pair: -pair[0].objective_n)
+    return [each for _, each in (*tight[:_MOST_TIGHT], *hard[:_MOST_HARD])]
+
+
+def _from_controller(read: ControllerFile) -> Exploration:
+    controller = read.controller
+    axes = {}
+    for name in controller.axes:
+        problem = problem_of(controller, name)
+        design = start_design(controller, name, problem)
+        if design is None:
+            raise UsageError(f"{read.path}: the gains of axis {name} cannot be led from where they are.")
+        further = (each.scenario() for each in controller.predicted[name].scenarios if each.further)
+        seen = tuple(dict.fromkeys((*problem.scenarios(*_GRID), *further)))
+        axes[name] = AxisStart(problem=problem, design=design, scenarios=seen)
+    before = {"path": str(read.path), "checksum": read.checksum}
+    told = {"identified": controller.provenance["identified"]} if "identified" in controller.provenance else {}
+    return Exploration(
+        path=read.path,
+        axes=axes,
+        payload=controller.payload,
+        provenance=_by_hand({"tool": f"autotune {__version__}", **told, "options": {"controller": before}}),
+        gains=controller.axes,
+    )
+
+
+def problem_of(controller: Controller, name: str) -> DesignProblem:
+    """Return the design problem whose answer a certificate is: its plants, approach and requirements.
+
+    The bounds are the usual ones, widened to the gains of the file; filters and compensation stay as they are.
+    """
+    domain, law = controller.certificate.domain[name], admittance_controller(controller, name)
+    nominal = domain.nominal_plant()
+    return DesignProblem(
+        robot=nominal.robot,
+        coupling=nominal.coupling,
+        drag_n_s_per_m=nominal.payload.drag_n_s_per_m,
+        environment_stiffness_n_per_m=domain.environment_stiffness_n_per_m,
+        environment_damping_n_s_per_m=nominal.environment.damping_n_s_per_m,
+        payload_mass_kg=domain.payload_mass_kg,
+        sample_time_s=controller.sample_time_s,
+        approach=Approach(force_n=domain.approach_force_n, speed_m_s=domain.approach_speed_m_s),
+        bounds=_bounds(law, name),
+        requirements=_requirements(controller, name),
+        velocity_filter_rad_per_s=law.velocity_filter_rad_per_s,
+        uncertain=domain.uncertain or {},
+        ellipsoid=None if domain.confidence is None else domain.confidence.ellipsoid(),
+    )
+
+
+def _bounds(law: AdmittanceController, name: str) -> dict[str, tuple[float, float]]:
+    values = dict(zip((*VARIABLES, *FURTHER_VARIABLES), law.numbers(), strict=True))
+    bounds = {}
+    for key in VARIABLES:
+        low, high = DEFAULT_BOUNDS[key]
+        if name in ROTATIONAL_AXES and key in {"mass", "damping"}:
+            low, high = values[key] / _REACH, values[key] * _REACH
+        bounds[key] = min(low, values[key]), max(high, values[key])
+    if law.compensates:
+        bounds |= {key: (values[key], values[key]) for key in FURTHER_VARIABLES}
+    return bounds
+
+
+def _requirements(controller: Controller, name: str) -> Requirements:
+    soft = (controller.certificate.soft or {}).get(name, {})
+    asked: dict[str, Any] = {**(controller.certificate.requirements_of(name) or {})}
+    asked |= {key: each.asked for key, each in soft.items()}
+    said = {
+        key: AdmittanceTarget(min_m_s_per_n=value.min_m_s_per_n, band_hz=value.band_hz)
+        if isinstance(value, AdmittanceRequirement)
+        else value
+        for key, value in asked.items()
+        if key in REQUIREMENTS
+    }
+    # What is not said was not asked, whatever is asked by default.
+    whole: dict[str, Any] = {**dict.fromkeys(REQUIREMENTS), **said}
+    return Requirements(**whole, soft_n={key: each.soft_n for key, each in soft.items()})
+
+
+def keep_deadband(exploration: Exploration, controller: Controller) -> Controller:
+    """Return a controller with the deadbands of the one that was explored, which no certificate speaks of."""
+    axes = {
+        name: replace(gains, deadband=old.deadband, deadband_type=old.deadband_type)
+        if (old := exploration.gains.get(name)) is not None
+        else gains
+        for name, gains in controller.axes.items()
+    }
+    return replace(controller, axes=axes)

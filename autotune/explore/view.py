@@ -1,0 +1,241 @@
+"""What one design does on one plant, and which designs around it hold: everything that the page shows, as numbers."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from problems.contact import ContactTransient, SampledContact, transient_from
+from problems.design import DesignProblem
+from problems.evaluation import Evaluation, build_scenarios
+from problems.margins import Margins, PreparedMargins, frequency_grid
+from problems.response import PlantResponse, loop_at, plant_response, rendered_admittance
+from problems.sampled import build_loop, spectral_radius
+from problems.screening import Screen, build_screen
+from problems.uncertainty import Scenario
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+BoolArray = NDArray[np.bool_]
+
+_POINTS = 300
+_LOWEST_HZ, _HIGHEST_HZ = 0.02, 100.0
+_SMALLER, _LARGER, _LEAST = 0.6, 1.6, 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreparedView:
+    """A problem and the plant that is looked at, with everything that no gain changes already computed.
+
+    `screen` judges designs on `scenario` and on the plants around it; `own` is the place of `scenario` among those.
+    """
+
+    problem: DesignProblem
+    scenario: Scenario
+    screen: Screen
+    own: int
+    response: PlantResponse
+    band: PlantResponse
+
+    @property
+    def pair(self) -> SampledContact:
+        """The plant that is looked at, sampled in contact and in free space."""
+        return self.screen.prepared.pairs[self.own]
+
+    @property
+    def scenarios(self) -> tuple[Scenario, ...]:
+        """The plants on which a design is judged."""
+        return self.screen.prepared.scenarios
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """One design (n,) on one plant: forces over time, G and both open loops over frequency, margins, requirements.
+
+    `admittance_m_s_per_n` (k,) at `admittance_hz`; `at_force`, `at_command` (l,) at `frequency_hz`. `radius` is the
+    largest |z| of the plant that is looked at; `transient` and `margins` are None where that is unstable. `margins` are
+    the smaller ones of contact and free space. `evaluation` is over all plants on which designs are judged.
+    """
+
+    design: FloatArray
+    scenario: Scenario
+    radius: float
+    transient: ContactTransient | None
+    margins: Margins | None
+    admittance_hz: FloatArray
+    admittance_m_s_per_n: FloatArray
+    frequency_hz: FloatArray
+    at_force: ComplexArray
+    at_command: ComplexArray
+    evaluation: Evaluation
+
+    @property
+    def ratios(self) -> Mapping[str, float]:
+        """Required/achieved of everything asked, hard and soft, worst over the plants; empty where unstable."""
+        return MappingProxyType({**self.evaluation.requirements, **self.evaluation.soft})
+
+    @property
+    def missed(self) -> Mapping[str, float]:
+        """Required/achieved of what must be met and is not."""
+        return MappingProxyType({name: value for name, value in self.evaluation.requirements.items() if value > 1.0})
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapWindow:
+    """Two variables and where they are looked at, ends included: `columns` values of x by equal ratios, `rows` of y."""
+
+    x: str
+    y: str
+    x_ends: tuple[float, float]
+    y_ends: tuple[float, float]
+    columns: int
+    rows: int
+
+    def x_values(self) -> FloatArray:
+        """Return the values (columns,) of x."""
+        return np.asarray(np.geomspace(*self.x_ends, self.columns), dtype=np.float64)
+
+    def y_values(self) -> FloatArray:
+        """Return the values (rows,) of y."""
+        return np.linspace(*self.y_ends, self.rows)
+
+    def finer(self, factor: int) -> "MapWindow":
+        """Return the same window with so many times as many values each way."""
+        return replace(self, columns=factor * self.columns, rows=factor * self.rows)
+
+    def holds(self, x: float, y: float) -> bool:
+        """Whether a point lies in the window."""
+        return self.x_ends[0] <= x <= self.x_ends[1] and self.y_ends[0] <= y <= self.y_ends[1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignMap:
+    """What designs are, rows over y and columns over x: stable or not, and the worst peak [N], NaN unless feasible."""
+
+    window: MapWindow
+    is_stable: BoolArray
+    peak_n: FloatArray
+
+    @property
+    def is_feasible(self) -> BoolArray:
+        """Which designs meet every requirement on every plant."""
+        return np.isfinite(self.peak_n)
+
+
+def prepare_view(problem: DesignProblem, scenario: Scenario, around: Sequence[Scenario]) -> PreparedView:
+    """Sample the plant that is looked at and those around it.
+
+    Of a plant that is not nominal beyond K_e and M_p the ones around are so too: the map is then that of a cell of
+    which this would be true. Raises ParameterError for a plant that cannot be sampled.
+    """
+    further = scenario.further()
+    if further:
+        around = tuple(
+            Scenario(
+                environment_stiffness_n_per_m=each.environment_stiffness_n_per_m,
+                payload_mass_kg=each.payload_mass_kg,
+                **further,
+            )
+            for each in around
+        )
+    scenarios = tuple(dict.fromkeys((*around, scenario)))
+    prepared = build_scenarios(problem, scenarios)
+    own = scenarios.index(scenario)
+    pair, h = prepared.pairs[own], problem.sample_time_s
+    highest = min(_HIGHEST_HZ, 0.45 / h)
+    return PreparedView(
+        problem=problem,
+        scenario=scenario,
+        screen=build_screen(prepared),
+        own=own,
+        response=plant_response(pair.contact, frequency_grid(pair.contact, _POINTS)),
+        band=plant_response(pair.free, 2.0 * np.pi * np.geomspace(_LOWEST_HZ, highest, _POINTS)),
+    )
+
+
+def compute_view(prepared: PreparedView, design: FloatArray) -> View:
+    """Compute what a design (n,), the values of `problem.variables`, does on the prepared plants."""
+    problem, pair = prepared.problem, prepared.pair
+    law, h = problem.controller(design), problem.sample_time_s
+    loop = loop_at(prepared.response, law, h)
+    plants = _own_plants(prepared)
+    radii = [spectral_radius(build_loop(plant.sampled, law)) for plant in plants]
+    is_stable = max(radii) < 1.0
+    margins = [plant.find(law, radius) for plant, radius in zip(plants, radii, strict=True)] if is_stable else []
+    return View(
+        design=np.array(design),
+        scenario=prepared.scenario,
+        radius=max(radii),
+        transient=transient_from(pair, law, problem.approach) if is_stable else None,
+        margins=_smaller(margins) if margins else None,
+        admittance_hz=prepared.band.frequency_rad_per_s / (2.0 * np.pi),
+        admittance_m_s_per_n=np.abs(rendered_admittance(prepared.band, law, h)),
+        frequency_hz=loop.frequency_rad_per_s / (2.0 * np.pi),
+        at_force=loop.at_force,
+        at_command=loop.at_command,
+        evaluation=prepared.screen.prepared.evaluate(design, peaks_if_missed=True),
+    )
+
+
+def compute_map(prepared: PreparedView, design: FloatArray, window: MapWindow) -> DesignMap:
+    """Judge the designs that differ from `design` (n,) in two variables, on all plants of the view."""
+    columns = [prepared.problem.variables.index(name) for name in (window.x, window.y)]
+    x, y = np.meshgrid(window.x_values(), window.y_values())
+    designs = np.tile(design, (x.size, 1))
+    designs[:, columns[0]], designs[:, columns[1]] = x.reshape(-1), y.reshape(-1)
+    found = prepared.screen.evaluate(designs)
+    worst = np.where(found.violation <= 0.0, np.max(found.peaks_n, axis=1), np.nan)
+    return DesignMap(
+        window=window,
+        is_stable=found.is_stable.reshape(x.shape),
+        peak_n=np.where(np.isfinite(worst), worst, np.nan).reshape(x.shape),
+    )
+
+
+def map_pairs(problem: DesignProblem) -> tuple[tuple[str, str], ...]:
+    """Return which variables a map can be over, (x, y): those with bounds of some width."""
+    turned = {name for name, (low, high) in problem.bounds.items() if high > low}
+    pairs = ((x, y) for x in ("damping", "mass") for y in ("lead_s", "feedback_damping_s"))
+    return tuple(pair for pair in pairs if turned.issuperset(pair))
+
+
+def build_window(
+    problem: DesignProblem, design: FloatArray, pair: tuple[str, str], *, columns: int, rows: int
+) -> MapWindow:
+    """Return a window around a design (n,): from 0.6 to 1.6 times each of two values (x, y), within their bounds."""
+    ends = []
+    for name in pair:
+        low, high = problem.bounds[name]
+        value = float(design[problem.variables.index(name)])
+        # A gain of nothing would have a window of no width.
+        ends.append((max(low, _SMALLER * value), min(high, max(_LARGER * value, _LEAST * high))))
+    return MapWindow(
+        x=pair[0],
+        y=pair[1],
+        x_ends=ends[0],
+        y_ends=ends[1],
+        columns=columns,
+        rows=rows,
+    )
+
+
+def _own_plants(prepared: PreparedView) -> tuple[PreparedMargins, PreparedMargins]:
+    """Return the plant that is looked at in contact, and in free space."""
+    found = prepared.screen.prepared
+    free = prepared.pair.free.plant
+    in_free_space = next(each for each in found.plants[len(found.pairs) :] if each.sampled.plant == free)
+    return found.plants[prepared.own], in_free_space
+
+
+def _smaller(margins: Sequence[Margins]) -> Margins:
+    worst = min(margins, key=lambda each: each.modulus)
+    return replace(
+        worst,
+        disk=min(each.disk for each in margins),
+        gain_db=min(each.gain_db for each in margins),
+        phase_deg=min(each.phase_deg for each in margins),
+        delay_s=min(each.delay_s for each in margins),
+        spectral_radius=max(each.spectral_radius for each in margins),
+    )

@@ -1,0 +1,116 @@
+"""How long a change by hand takes in `autotune explore`: computing, and until the browser holds the new picture's data.
+
+Usage: python benchmarks/bench_explore.py [IDENTIFIED_OR_CONTROLLER]
+
+Without a file the controller of the demo is explored. The round trip needs playwright and Chromium.
+"""
+
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from autotune.explore.knobs import nominal_values, scenario_at
+from autotune.explore.source import AxisStart, read_exploration
+from autotune.explore.view import build_window, compute_map, compute_view, prepare_view
+from benchmarks.timing import best
+
+COLUMNS, ROWS = 20, 15
+RUNS = 20
+# A slider is moved in the page, and the clock stops when the loop's new curve (or the new map) has arrived.
+MOVE = """([slider, source, share]) => new Promise(done => {
+  const page = Bokeh.documents[0], knob = page.get_model_by_name(slider), shown = page.get_model_by_name(source);
+  const begin = performance.now();
+  const arrived = () => { shown.properties.data.change.disconnect(arrived); done(performance.now() - begin); };
+  shown.properties.data.change.connect(arrived);
+  knob.value = knob.start + share * (knob.end - knob.start);
+})"""
+READY = "() => window.Bokeh && Bokeh.documents[0] && Bokeh.documents[0].get_model_by_name('data-map').data.x.length > 0"
+
+
+def main(arguments: list[str]) -> int:
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(arguments[0]) if arguments else make_source(Path(folder))
+        exploration = read_exploration(source)
+        start = next(iter(exploration.axes.values()))
+        print("computing                                       ms")
+        for name, run in steps(start).items():
+            print(f"{name:44}{1e3 * best(run, RUNS):7.1f}")
+        if shutil.which("chromium") is None:
+            print("no chromium: no round trip")
+            return 0
+        print("until the browser has it                shortest   median ms")
+        for name, times in round_trips(source, Path(folder)).items():
+            print(f"{name:40}{min(times):8.1f} {statistics.median(times):8.1f}")
+    return 0
+
+
+def make_source(folder: Path) -> Path:
+    """Run the demo's chain and return its controller."""
+    from autotune.demo import run_demo
+
+    return run_demo(folder / "demo").files.controller
+
+
+def steps(start: AxisStart) -> dict[str, Callable[[], object]]:
+    problem, design = start.problem, start.design
+    values = nominal_values(problem)
+    ready = prepare_view(problem, scenario_at(problem, values), start.scenarios)
+    window = build_window(problem, design, ("damping", "lead_s"), columns=COLUMNS, rows=ROWS)
+    moved = scenario_at(problem, {**values, "drag_n_s_per_m": 1.1 * values["drag_n_s_per_m"] + 1.0})
+
+    def plant() -> None:
+        other = prepare_view(problem, moved, start.scenarios)
+        compute_view(other, design)
+        compute_map(other, design, window)
+
+    def gain() -> None:
+        compute_view(ready, design)
+        compute_map(ready, design, window)
+
+    return {
+        "a gain of the map's axes: the view": lambda: compute_view(ready, design),
+        "another gain: view and map": gain,
+        "the plant: sampling, view and map": plant,
+        "at rest: the finer map": lambda: compute_map(ready, design, window.finer(2)),
+    }
+
+
+def round_trips(source: Path, folder: Path) -> dict[str, list[float]]:
+    from playwright.sync_api import sync_playwright
+
+    command = [sys.executable, "-m", "autotune", "explore", str(source.resolve()), "--json", "-o", "tried.yaml"]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parent.parent)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=folder, env=environment) as server:
+        assert server.stdout is not None
+        told = "".join(iter(server.stdout.readline, "}\n")) + "}"
+        with sync_playwright() as tools:
+            browser = tools.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+            page = browser.new_page(viewport={"width": 1280, "height": 900})
+            page.goto(json.loads(told)["url"])
+            page.wait_for_function(READY)
+            found: dict[str, list[float]] = {}
+            for name, slider, shown in (
+                ("damping to loops", "damping", "data-command"),
+                ("feedback damping to map", "feedback_damping_s", "data-map"),
+                ("drag to map", "drag_n_s_per_m", "data-map"),
+            ):
+                found[name] = []
+                for share in np.linspace(0.3, 0.6, RUNS):
+                    found[name].append(float(page.evaluate(MOVE, [slider, shown, float(share)])))
+                    time.sleep(0.05)
+            browser.close()
+        server.terminate()
+    return found
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,92 @@
+"""The page without a browser: what happens in its document when something is turned."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bokeh.document import Document
+
+from autotune.explore.page import Page, build_page
+from autotune.explore.words import refused_line
+from tests.autotune.explore.start import small_exploration
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Page:
+    return build_page(small_exploration(), tmp_path / "controller.yaml", Document())
+
+
+def turn(page: Page, name: str, value: float) -> None:
+    page.sliders[name].value = page.knobs[name].position(value)
+    page._answer()
+
+
+def data(page: Page, name: str) -> np.ndarray:
+    return np.array(page.figures.sources[name].data["y"], dtype=np.float64)
+
+
+@pytest.mark.parametrize(("name", "value"), [("damping", 1400.0), ("mass", 7.0), ("payload_mass_kg", 20.0)])
+def test_turning_changes_the_transient_and_the_loops(page: Page, name: str, value: float) -> None:
+    before = {key: data(page, key) for key in ("contact", "force", "begun")}
+    turn(page, name, value)
+    assert not np.array_equal(data(page, "contact"), before["contact"])
+    assert not np.array_equal(data(page, "force"), before["force"])
+    assert np.array_equal(data(page, "begun"), before["begun"])
+
+
+def test_the_map_is_computed_again_only_where_it_is_another_one(page: Page) -> None:
+    def cells() -> np.ndarray:
+        return np.asarray(np.nan_to_num(page.figures.sources["map"].data["peak"][0]))
+
+    first = cells()
+    turn(page, "damping", 1310.0)
+    assert cells() is not first
+    assert np.array_equal(cells(), first)
+    assert page.figures.sources["star"].data["x"] == [1310.0]
+    turn(page, "feedback_damping_s", 0.008)
+    assert not np.array_equal(cells(), first)
+
+
+def test_a_finer_map_follows_when_the_hand_rests(page: Page) -> None:
+    rows, columns = page.figures.sources["map"].data["peak"][0].shape
+    page._rest()
+    assert page.figures.sources["map"].data["peak"][0].shape == (2 * rows, 2 * columns)
+
+
+def test_an_unstable_design_shows_no_peak_and_says_so(page: Page) -> None:
+    turn(page, "drag_n_s_per_m", 0.0)
+    turn(page, "coupling_damping_n_s_per_m", 0.0)
+    turn(page, "damping", 900.0)
+    assert "Unstable" in page.verdict.text
+    assert "|z|" in page.verdict.text
+    assert len(data(page, "contact")) == len(data(page, "peak")) == 0
+    assert "peak at the contact</dt><dd>–" in page.facts.text
+    page._go_back()
+    assert "Meets every requirement" in page.verdict.text
+    assert page.designs["x"].tolist() == small_exploration().axes["x"].design.tolist()
+
+
+def test_what_is_turned_between_two_pictures_is_computed_once(page: Page) -> None:
+    before = len(page.document.session_callbacks)
+    for value in (1310.0, 1320.0, 1330.0):
+        page.sliders["damping"].value = page.knobs["damping"].position(value)
+    assert len(page.document.session_callbacks) == before + 1
+
+
+def test_each_axis_keeps_its_own_design(page: Page) -> None:
+    turn(page, "damping", 1400.0)
+    page.choice.value = "y"
+    assert page.knobs["damping"].value(page.sliders["damping"].value) == 1250.0
+    page.choice.value = "x"
+    assert page.knobs["damping"].value(page.sliders["damping"].value) == 1400.0
+    assert page.designs["x"].tolist() == [6.0, 1400.0, 0.018, 0.005]
+
+
+def test_two_visitors_share_nothing(page: Page, tmp_path: Path) -> None:
+    other = build_page(small_exploration(), tmp_path / "controller.yaml", Document())
+    turn(page, "damping", 1400.0)
+    assert other.designs["x"][1] == 1250.0
+
+
+def test_text_from_files_is_text() -> None:
+    assert "<script" not in refused_line("<script>")

@@ -1,0 +1,145 @@
+"""What a file gives to explore, and what a saved design must pass."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from autotune.errors import CertificateError, InfeasibleError, UsageError
+from autotune.explore import save as save_module
+from autotune.explore import source as source_module
+from autotune.explore.save import save_controller
+from autotune.explore.source import problem_of, read_exploration
+from autotune.files.controller import read_controller, write_controller
+from autotune.files.controller_record import Controller, ControllerStatus, SoftRequirement
+from autotune.tuning.record import build_domain
+from problems.evaluation import build_scenarios
+from tests.autotune.explore.start import solved_exploration
+from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, FAST_REQUIREMENTS, FURTHER, fast_optimized, write_plant
+
+
+def refuse(*_arguments: object, **_options: object) -> None:
+    raise InfeasibleError("No controller within the bounds meets all requirements.")
+
+
+def test_the_problem_of_a_controller_is_the_one_that_it_was_tuned_for() -> None:
+    done = fast_optimized()
+    problem, asked = problem_of(done.controller, "x"), done.searches["x"].problem
+    assert build_domain(problem) == done.controller.certificate.domain["x"] == build_domain(asked)
+    assert problem.requirements == asked.requirements
+    assert problem.sample_time_s == asked.sample_time_s
+
+
+def test_what_is_uncertain_and_what_is_only_wished_are_kept() -> None:
+    wished = replace(FAST_REQUIREMENTS, gain_margin_db=None, soft_n={"delay_margin_s": 2.0})
+    asked = replace(fast_optimized().searches["x"].problem, uncertain=FURTHER, requirements=wished)
+    controller = fast_optimized().controller
+    hard = {key: value for key, value in controller.certificate.requirements.items() if not key.startswith(("g", "d"))}
+    certificate = replace(
+        controller.certificate,
+        domain={"x": build_domain(asked)},
+        requirements=hard,
+        soft={"x": {"delay_margin_s": SoftRequirement(asked=1e-3, soft_n=2.0, achieved=3e-3)}},
+    )
+    problem = problem_of(replace(controller, certificate=certificate), "x")
+    assert build_domain(problem) == build_domain(asked)
+    assert problem.requirements == wished
+
+
+def test_filters_and_compensation_of_a_controller_are_kept() -> None:
+    controller = fast_optimized().controller
+    filters = replace(controller.filters, velocity_rad_per_s=90.0, acceleration_rad_per_s=150.0)
+    problem = problem_of(replace(controller, filters=filters, compensation_mass_kg=4.0), "x")
+    law = problem.controller([problem.bounds[name][0] for name in problem.variables])
+    assert (law.velocity_filter_rad_per_s, law.acceleration_filter_rad_per_s, law.compensation_mass_kg) == (90, 150, 4)
+
+
+def test_a_controller_starts_where_it_is_and_keeps_its_deadband(tmp_path: Path) -> None:
+    controller = fast_optimized().controller
+    path = tmp_path / "old.yaml"
+    write_controller(path, replace(controller, axes={"x": replace(controller.axes["x"], deadband=3.5)}))
+    found = read_exploration(path)
+    gains = controller.axes["x"]
+    told = (gains.mass, gains.damping, gains.lead_s, gains.feedback_damping_s)
+    assert tuple(found.axes["x"].design.tolist()) == told
+    kept = source_module.keep_deadband(found, controller)
+    assert kept.axes["x"].deadband == 3.5
+    assert found.provenance["options"]["controller"]["path"] == str(path)
+
+
+def test_a_problem_beside_a_controller_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "old.yaml"
+    write_controller(path, fast_optimized().controller)
+    with pytest.raises(UsageError, match="--problem goes with an identified plant"):
+        read_exploration(path, tmp_path / "problem.yaml")
+    path.write_text("neither", encoding="utf-8")
+    with pytest.raises(UsageError, match="neither an identified plant nor a controller"):
+        read_exploration(path)
+
+
+def test_where_nothing_is_feasible_the_page_starts_in_the_middle_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant = write_plant(tmp_path)
+    problem = tmp_path / "problem.yaml"
+    problem.write_text(FAST_PROBLEM_YAML, encoding="utf-8")
+    monkeypatch.setattr(source_module, "solve_design", refuse)
+    start = read_exploration(plant.path, problem).axes["x"]
+    assert "meets all requirements" in start.note
+    for value, (low, high) in zip(start.design, start.problem.bounds.values(), strict=True):
+        assert low <= value <= high
+
+
+def test_plants_that_hold_the_best_design_back_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plant, found = write_plant(tmp_path), fast_optimized().searches["x"]
+    grid = found.problem.scenarios(3, 2)
+    delays = [replace(grid[0], delay_s=delay) for delay in np.linspace(1e-3, 4e-3, 9).tolist()]
+    active = build_scenarios(found.problem, (*grid, *delays))
+    monkeypatch.setattr(source_module, "solve_design", lambda *_, **__: replace(found, active=active))
+    problem = tmp_path / "problem.yaml"
+    problem.write_text(FAST_PROBLEM_YAML, encoding="utf-8")
+    seen = read_exploration(plant.path, problem).axes["x"].scenarios
+    assert set(grid) < set(seen)
+    # More delay leaves less margin, and the longest ones are what counts.
+    assert set(delays[-3:]) <= set(seen)
+    assert len(seen) <= len(grid) + 4
+
+
+def test_what_is_saved_is_an_ordinary_controller(tmp_path: Path) -> None:
+    exploration, path = solved_exploration(), tmp_path / "controller.yaml"
+    start = exploration.axes["x"]
+    design = start.design * np.array([1.0, 0.999, 1.0, 1.0])
+    saved = save_controller(exploration, {"x": design}, path)
+    read = read_controller(path)
+    assert read.checksum.startswith(saved.checksum)
+    assert read.controller.axes["x"].damping == float(f"{design[1]:.6g}")
+    assert read.controller.status is ControllerStatus.VALIDATED
+    told = read.controller.predicted["x"].scenarios
+    assert saved.peak_n["x"] == pytest.approx(max(each.peak_contact_force_n for each in told), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("factors", "told"),
+    [
+        ((1.0, 1.15, 1.0, 1.0), "Axis x: The design misses free_space_admittance"),
+        ((1.0, 0.75, 1.0, 1.0), "Axis x: The design misses modulus_margin"),
+        ((1.0, 3.0, 1.0, 1.0), "Axis x: damping must lie within 900 and 1600"),
+    ],
+)
+def test_a_design_that_does_not_hold_is_not_written(tmp_path: Path, factors: tuple[float, ...], told: str) -> None:
+    exploration, path = solved_exploration(), tmp_path / "controller.yaml"
+    with pytest.raises(InfeasibleError, match=told):
+        save_controller(exploration, {"x": exploration.axes["x"].design * np.array(factors)}, path)
+    assert not path.exists()
+
+
+def test_a_design_that_validation_refuses_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def doubt(*_arguments: object) -> tuple[Controller, object]:
+        raise CertificateError("Axis x, margins: not so.")
+
+    monkeypatch.setattr(save_module, "certify", doubt)
+    exploration, path = solved_exploration(), tmp_path / "controller.yaml"
+    with pytest.raises(CertificateError, match="not so"):
+        save_controller(exploration, {"x": exploration.axes["x"].design}, path)
+    assert not path.exists()
