@@ -15,6 +15,7 @@ from .result import (
     Estimate,
     FitQuality,
     RobotEstimate,
+    Status,
 )
 from .robot import find_bandwidth_hz
 from .verdicts import judged, judged_damping, vector, weak_at_best
@@ -100,9 +101,10 @@ class JointEstimates:
 
     @property
     def environments(self) -> tuple[EnvironmentEstimate, ...]:
-        """Return the surfaces, softest first on each side; their stiffness is weak at best where no command was logged.
+        """Return the surfaces, softest first on each side.
 
-        Without a command the payload's path rests on a pose that is smooth between the ticks by assumption.
+        Their stiffness is weak at best where no command was logged: the payload's path then rests on a pose that is
+        smooth between the ticks by assumption. K_e alone is, too, where K_s is not told.
         """
         return tuple(self._environment(i, surface) for i, surface in enumerate(self.fit.surfaces))
 
@@ -118,6 +120,8 @@ class JointEstimates:
         )
         if self.fit.robot is None:
             stiffness, secant = (weak_at_best(e, "no commanded pose took part") for e in (stiffness, secant))
+        if self.coupling.stiffness_n_per_m.status is Status.UNIDENTIFIABLE:
+            stiffness = weak_at_best(stiffness, "K_s is not told, and K_e is what the secant leaves beside it")
         mass, _ = self.fit.value("mass_kg")
         return EnvironmentEstimate(
             name=self.surface_name(index),

@@ -114,6 +114,14 @@ class Problem:
         return self.contact_noise if segment.is_contact else self.free_noise
 
 
+def stiffest_seen_n_per_m(mass_kg: float, period_s: float) -> float:
+    """Return the K_s at which a payload of this mass swings at half the sampling rate.
+
+    Above it a sample shows the swinging of a softer spring as well (aliasing), so no K_s can be told there.
+    """
+    return float(mass_kg * (np.pi / period_s) ** 2)
+
+
 def sizes_of(values: FloatArray, layout: Layout, period_s: float) -> FloatArray:
     """Return a unit for every parameter: itself where it cannot vanish, else a tenth of what would be critical."""
     out = np.array(values, dtype=np.float64)

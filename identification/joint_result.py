@@ -16,7 +16,7 @@ from .joint_delay import Rival
 from .joint_lag import Lag
 from .joint_model import robot_model
 from .joint_noise import whiteness
-from .joint_problem import Point, Problem, logarithmic, sizes_of
+from .joint_problem import Point, Problem, logarithmic, sizes_of, stiffest_seen_n_per_m
 from .joint_profile import bounded_intervals
 from .joint_segments import Segment, predict_force
 from .joint_solve import Block, information, linearise, minimise
@@ -25,6 +25,8 @@ FloatArray = NDArray[np.float64]
 
 _STEPS = 4
 _LARGEST_STEP = 3.0
+# A K_s beyond this share of the stiffest that a sampling rate can show is not told: swinging at 0.8 of half that rate.
+_FASTEST_SEEN = 0.64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,6 +137,7 @@ def describe(
     sizes = sizes_of(point.values, layout, problem.signals.period_s)
     covariance = spread.covariance * np.outer(sizes, sizes)
     values = point.values.copy()
+    covariance = without_aliases(values, covariance, problem.signals.period_s)
     if layout.robot_order:
         shift = 0.0 if command is None else command.shift_s
         values[layout.robot.stop - 1] = max(values[layout.robot.stop - 1] - shift, 0.0)
@@ -167,6 +170,20 @@ def _spans(problem: Problem, point: Point, blocks: Sequence[Block]) -> tuple[Fit
             )
         )
     return tuple(spans)
+
+
+def without_aliases(values: FloatArray, covariance: FloatArray, period_s: float) -> FloatArray:
+    """Return the covariance (p, p) with a K_s that is known to itself only, where it swings too fast to be sampled.
+
+    Such a spring hardly gives, and what the samples show of it they show of many others: the curvature of one minimum
+    among them says nothing.
+    """
+    if values[0] <= _FASTEST_SEEN * stiffest_seen_n_per_m(float(values[3]), period_s):
+        return covariance
+    out = covariance.copy()
+    out[0, :] = out[:, 0] = 0.0
+    out[0, 0] = values[0] ** 2
+    return out
 
 
 def _surface(

@@ -16,10 +16,13 @@ from identification.errors import EstimateError
 from identification.gravity import collect_static_poses, identify_gravity
 from identification.joint_contacts import find_holds
 from identification.joint_data import JointData, build_joint_data, hold_command, uncovered
+from identification.joint_estimates import JointEstimates
 from identification.joint_fit import identify_joint
 from identification.joint_gain import with_gain_error
-from identification.joint_result import JointFit
+from identification.joint_problem import stiffest_seen_n_per_m
+from identification.joint_result import JointFit, without_aliases
 from identification.recording import PoseSignal, Recording
+from identification.result import Status
 from identification.robot import identify_robot
 from identification.segments import find_motion
 from problems.plant import Environment
@@ -105,6 +108,28 @@ def test_what_remains_is_the_sensors_noise(demo_fit: JointFit) -> None:
     assert min(told.fit_share) > 0.999
     # A contact that took no part is predicted to its noise: 0.14 N of some 15 N.
     assert told.left_out_error[1] == pytest.approx(0.01, abs=0.01)
+
+
+def test_the_stiffest_spring_that_shows_swings_once_in_two_samples() -> None:
+    stiffest = stiffest_seen_n_per_m(3.2, 4e-3)
+    assert 2.0 * np.pi / np.sqrt(stiffest / 3.2) == pytest.approx(2.0 * 4e-3)
+
+
+def test_a_spring_that_swings_faster_than_it_is_sampled_is_not_told_and_nor_is_k_e_alone(demo_fit: JointFit) -> None:
+    values = demo_fit.values.copy()
+    stiffest = stiffest_seen_n_per_m(float(values[3]), 8e-4)
+    assert np.array_equal(without_aliases(values, demo_fit.covariance, 8e-4), demo_fit.covariance)
+    values[0] = 2.0 * stiffest
+    covariance = without_aliases(values, demo_fit.covariance, 8e-4)
+    assert np.array_equal(covariance[1:, 1:], demo_fit.covariance[1:, 1:])
+    assert not np.any(covariance[0, 1:])
+    told = JointEstimates(
+        name="x", fit=dataclasses.replace(demo_fit, values=values, covariance=covariance), period_s=8e-4
+    )
+    assert told.coupling.stiffness_n_per_m.status is Status.UNIDENTIFIABLE
+    (surface,) = told.environments
+    assert surface.stiffness_n_per_m.status is Status.WEAK
+    assert "K_s is not told" in surface.stiffness_n_per_m.note
 
 
 def test_the_covariance_is_a_covariance(demo_fit: JointFit) -> None:

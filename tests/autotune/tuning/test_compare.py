@@ -88,7 +88,7 @@ def bare(**changes: object) -> Controller:
     """Return the controller with changes that its certificate would not allow."""
     whole = fast_optimized().controller
     h = changes.get("sample_time_s", whole.sample_time_s)
-    certificate = replace(whole.certificate, domain={}, margins={}, sample_time_s=h)  # type: ignore[arg-type]  # a float
+    certificate = replace(whole.certificate, domain={}, margins={}, continuous=None, sample_time_s=h)  # type: ignore[arg-type]  # a float
     fields = {"status": ControllerStatus.UNVALIDATED, "predicted": {}, "certificate": certificate, **changes}
     return replace(whole, **fields)  # type: ignore[arg-type]  # fields of the dataclass
 
