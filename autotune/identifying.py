@@ -1,6 +1,6 @@
 """From log files to an identified plant with its provenance."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,6 +23,7 @@ from identification.recording import Recording
 from identification.result import Finding, Identified
 
 _CONTRADICTIONS = frozenset({"given-contradicts", "logs-disagree"})
+_READING_SHARE = 0.25
 _EXPLAINING = frozenset({"clock-offset", "hand-in-contact", "rests-without-spring", "mass-disagreement"})
 
 
@@ -57,6 +58,7 @@ def identify_log(
     given: Mapping[str, Given] | None = None,
     processes: int = 1,
     with_evidence: bool = False,
+    progress: Callable[[float], None] | None = None,
 ) -> IdentifiedLog:
     """Read logs and identify the cell.
 
@@ -65,8 +67,10 @@ def identify_log(
     with each other and with what is `given` from elsewhere. Raises LogError for a log that cannot be used,
     EstimateError when a parameter that a controller needs is missing from all of them or they disagree on one (unless
     `allow_partial`, which keeps the former as unidentifiable and the latter as a widened mean). `with_evidence` keeps
-    the signals, for pictures.
+    the signals, for pictures. `progress` is told the share of the work done since the last call: stage by stage of one
+    recording, else recording by recording.
     """
+    report = progress if progress is not None else _silent
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     told = (Cell() if cell is None else cell.cell).with_topics(
         wrench=topics.wrench, pose=topics.pose, command=topics.command
@@ -80,7 +84,10 @@ def identify_log(
         is_one_of_many=len(runs) > 1,
         with_evidence=with_evidence,
     )
-    done = map_in_processes(work, runs, processes)
+    if len(runs) == 1:
+        done = [work(runs[0], report=report)]
+    else:
+        done = map_in_processes(work, runs, processes, each=lambda: report(1.0 / len(runs)))
     result = combine_identified([run.told for run in done])
     check_names(given or {}, result.axes)
     result = replace(result, findings=(*result.findings, *advise(result)))
@@ -128,12 +135,17 @@ def _identify_run(
     given: Mapping[str, Given],
     is_one_of_many: bool,
     with_evidence: bool,
+    report: Callable[[float], None] | None = None,
 ) -> _Run:
     """Read and identify one recording; where it is one of many, errors bear its name."""
+    report = report if report is not None else _silent
     name = ", ".join(path.name for path in run)
     try:
         recording = read_checked_recording(run, cell, salvage=salvage)
-        found, evidence = identify_with_evidence(recording, build_frames(cell), given)
+        report(_READING_SHARE)
+        found, evidence = identify_with_evidence(
+            recording, build_frames(cell), given, lambda share: report((1.0 - _READING_SHARE) * share)
+        )
     except (EstimateError, LogError) as error:
         if not is_one_of_many or name in str(error):
             raise
@@ -141,6 +153,10 @@ def _identify_run(
     found = replace(found, findings=(*recording.findings, *found.findings))
     kept = None if evidence is None or not with_evidence else replace(evidence, log=name)
     return _Run(told=NamedResult(name=name, result=found), source=_source(recording), evidence=kept)
+
+
+def _silent(_: float) -> None:
+    return None
 
 
 def _source(recording: Recording) -> _Source:

@@ -5,9 +5,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from autotune.files.units import axis_units
+from autotune.numbers import with_deviation
 from identification.result import AxisEstimate, EnvironmentEstimate, Estimate, Identified, VectorEstimate
-
-_MOST_DECIMALS = 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +72,7 @@ def _surface_rows(name: str, surface: EnvironmentEstimate) -> Iterator[Parameter
 
 
 def _row(name: str, estimate: Estimate, unit: str, scale: float = 1.0) -> ParameterRow:
-    value, std = _numbers(estimate.value, estimate.std, scale)
+    value, std = with_deviation(estimate.value, estimate.std, scale)
     if estimate.value is None and estimate.ci95 is not None:
         low, high = estimate.ci95
         value, std = f"{low * scale:.4g} to {high * scale:.4g}", "-"
@@ -90,7 +89,7 @@ def _row(name: str, estimate: Estimate, unit: str, scale: float = 1.0) -> Parame
 
 def _vector_rows(name: str, estimate: VectorEstimate, unit: str, scale: float) -> Iterator[ParameterRow]:
     for i, axis in enumerate("xyz" if estimate.value is None else "xyz"[: len(estimate.value)]):
-        value, std = _numbers(
+        value, std = with_deviation(
             None if estimate.value is None else estimate.value[i],
             None if estimate.std is None else estimate.std[i],
             scale,
@@ -104,15 +103,3 @@ def _vector_rows(name: str, estimate: VectorEstimate, unit: str, scale: float) -
             method=estimate.method,
             note=estimate.note,
         )
-
-
-def _numbers(value: float | None, std: float | None, scale: float) -> tuple[str, str]:
-    """Write a value as far as its deviation tells it, the deviation with two digits; four decimals without one."""
-    if value is None:
-        return "-", "-"
-    if std is None or not std * scale > 0.0:
-        return f"{value * scale:.4f}", "-" if std is None else "0"
-    told = std * scale
-    decimals = min(max(1 - math.floor(math.log10(told)), 0), _MOST_DECIMALS)
-    small = round(told, decimals) == 0.0
-    return f"{value * scale:.{decimals}f}", f"{told:.1e}" if small else f"{told:.{decimals}f}"

@@ -1,6 +1,6 @@
 """From a recording to plant parameters: one driver over the estimators of this floor."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -33,6 +33,8 @@ from .verdicts import missing
 FloatArray = NDArray[np.float64]
 
 _OBLIQUE_SHARE = 0.3
+# Of the work of a log with one axis; measured, and of no other use than to tell how it goes on.
+_WEIGHING_SHARE, _AXES_SHARE = 0.17, 0.77
 _ABOUT = "about the origin of the sensor frame, not the centre of mass"
 
 
@@ -48,22 +50,30 @@ def identify_cell(
     `unidentifiable` and named by a finding of severity `error`. Raises EstimateError when not even gravity can be told
     (nothing else can be without it), LogError when the channels do not fit together.
     """
-    return _identify(recording, frames, given or {})[0]
+    return _identify(recording, frames, given or {}, _silent)[0]
 
 
 def identify_with_evidence(
-    recording: Recording, frames: Frames | None = None, given: Mapping[str, Given] | None = None
+    recording: Recording,
+    frames: Frames | None = None,
+    given: Mapping[str, Given] | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> tuple[Identified, Evidence | None]:
-    """Return what `identify_cell` does, and the signals that it rests on; None where gravity was taken off before."""
-    found, cell, told = _identify(recording, frames, given or {})
+    """Return what `identify_cell` does, and the signals that it rests on; None where gravity was taken off before.
+
+    `progress` is told the share of the work done since the last call.
+    """
+    found, cell, told = _identify(recording, frames, given or {}, progress if progress is not None else _silent)
     return found, None if cell is None else _evidence(cell, told)
 
 
 def _identify(
-    recording: Recording, frames: Frames | None, given: Mapping[str, Given]
+    recording: Recording, frames: Frames | None, given: Mapping[str, Given], report: Callable[[float], None]
 ) -> tuple[Identified, CellSignals | None, Mapping[str, AxisTold]]:
     if recording.wrench.gravity_compensated:
-        return settle_cell(identify_partial(recording, _sample_time(recording)), given), None, {}
+        partial = settle_cell(identify_partial(recording, _sample_time(recording)), given)
+        report(1.0)
+        return partial, None, {}
     if recording.command is not None:
         recording = replace(recording, command=restore_commands(recording.command))
     recording, about_spikes = without_spikes(recording)
@@ -72,7 +82,9 @@ def _identify(
     recording, log, motion = read.recording, read.log, read.motion
     gravity = identify_gravity(read.poses)
     force = gravity.compensated_force_S_n(log)
+    report(_WEIGHING_SHARE / 2.0)
     inertia = identify_inertia(log, motion, read.poses, gravity)
+    report(_WEIGHING_SHARE / 2.0)
     robots = _led_robots(recording, log, force)
     cell = CellSignals(
         recording=recording,
@@ -84,9 +96,10 @@ def _identify(
         robots=robots.robots,
         turns=find_turns(recording, log, motion, gravity),
     )
-    told, about_axes = _identify_axes(cell, inertia)
+    told, about_axes = _identify_axes(cell, inertia, lambda share: report(_AXES_SHARE * share))
     timeline = _timeline(cell, told)
     sensor, about_sensor = describe_sensor(read, gravity, frames)
+    report(1.0 - _WEIGHING_SHARE - _AXES_SHARE)
     found = Identified(
         sample_time_s=_sample_time(recording),
         payload=PayloadEstimate(
@@ -109,6 +122,10 @@ def _identify(
     return settle_cell(found, cell.given), cell, told
 
 
+def _silent(_: float) -> None:
+    return None
+
+
 def _evidence(cell: CellSignals, told: Mapping[str, AxisTold]) -> Evidence:
     """Gather what the pictures of this log show."""
     return Evidence(
@@ -119,7 +136,9 @@ def _evidence(cell: CellSignals, told: Mapping[str, AxisTold]) -> Evidence:
     )
 
 
-def _identify_axes(cell: CellSignals, inertia: InertiaFit) -> tuple[dict[str, AxisTold], list[Finding]]:
+def _identify_axes(
+    cell: CellSignals, inertia: InertiaFit, report: Callable[[float], None]
+) -> tuple[dict[str, AxisTold], list[Finding]]:
     """Estimate every axis along which, or about which, the tool moved."""
     findings: list[Finding] = []
     travel = find_axes(cell.log, cell.motion, cell.force_S_n)
@@ -127,13 +146,18 @@ def _identify_axes(cell: CellSignals, inertia: InertiaFit) -> tuple[dict[str, Ax
         findings.append(_oblique(travel.oblique_share))
     if not travel.axes and not cell.turns:
         findings.append(_no_travel())
-    axes = {axis.name: identify_axis(cell, axis) for axis in travel.axes}
+    share = 1.0 / max(len(travel.axes) + len(cell.turns), 1)
+    axes = {}
+    for axis in travel.axes:
+        axes[axis.name] = identify_axis(cell, axis)
+        report(share)
     for turn in cell.turns:
         turned = identify_turn(cell, turn, inertia)
         if turned is None:
             findings.append(not_told(turn))
         else:
             axes[turn.name] = turned
+        report(share)
     return axes, [*findings, *(finding for axis in axes.values() for finding in axis.findings)]
 
 

@@ -12,6 +12,10 @@ from hypothesis import settings
 # As the command line does: the matrices are small, and threads that wait for each other cost tenfold.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# What is told to the tests is told to a pipe, whatever their user likes to see.
+for _name in ("NO_COLOR", "FORCE_COLOR", "CLICOLOR", "CLICOLOR_FORCE", "COLUMNS"):
+    os.environ.pop(_name, None)
+
 # A test that passed passes again; HYPOTHESIS_PROFILE=random looks for cases that nobody has seen.
 settings.register_profile("same", derandomize=True)
 settings.register_profile("random", derandomize=False)

@@ -76,6 +76,8 @@ def _write(stream: IO[bytes], channels: list[_Channel], progress: Callable[[int]
         if progress is not None and since == 5000:
             progress(since)
             since = 0
+    if progress is not None:
+        progress(since)
     writer.finish()
 
 

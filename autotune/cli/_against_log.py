@@ -4,10 +4,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from ._common import Output
-from ._table import table_lines
+from ._table import print_table
+from ._terminal import tell
 
 if TYPE_CHECKING:
     from autotune.files.controller_record import Controller
@@ -54,12 +53,11 @@ def comparison_tree(found: "LogComparison") -> dict[str, Any]:
 
 def print_comparison(found: "LogComparison") -> None:
     """Print a line per contact, and what holds for all of them."""
-    for line in table_lines([*_rows(found)], left=(0,)):
-        click.echo(line)
+    print_table([*_rows(found)])
     inside = sum(each.is_inside for each in found.contacts)
-    click.echo(f"{inside} of {len(found.contacts)} traces lie inside the predicted band all the time")
+    tell(f"{inside} of {len(found.contacts)} traces lie inside the predicted band all the time")
     if found.passed_over:
-        click.echo(f"{found.passed_over} more contacts passed over: another law drove the command there")
+        tell(f"{found.passed_over} more contacts passed over: another law drove the command there")
 
 
 def _rows(found: "LogComparison") -> Iterator[tuple[str, ...]]:

@@ -12,6 +12,8 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import click
 
+from ._terminal import look_at, printable
+
 _Parameters = ParamSpec("_Parameters")
 _Result = TypeVar("_Result")
 
@@ -61,20 +63,14 @@ class Output:
     def progress(self, description: str, total: float | None) -> Iterator[Callable[[float], None]]:
         """Show a bar while the block runs, on a terminal only; yields `advance(n)`, n in the unit of `total`.
 
-        `total` None shows that work goes on without telling how much is left.
+        With `total` it tells how much time is left, without only how much has gone.
         """
-        if self.quiet or not sys.stderr.isatty():
+        if self.quiet or not look_at(sys.stderr).can_redraw:
             yield _advance_nothing
             return
-        from rich.console import Console
-        from rich.progress import Progress
+        from ._progress import progress_bar
 
-        with Progress(console=Console(file=sys.stderr), transient=True) as bars:
-            bar = bars.add_task(description, total=total)
-
-            def advance(n: float) -> None:
-                bars.advance(bar, n)
-
+        with progress_bar(printable(description), total) as advance:
             yield advance
 
 
@@ -109,7 +105,7 @@ def json_text(tree: Mapping[str, Any]) -> str:
 def say(message: str) -> None:
     """Print a message on standard error; nobody listening there is no error."""
     with contextlib.suppress(BrokenPipeError):
-        click.echo(message, err=True)
+        click.echo(message, err=True, color=True)
 
 
 def discard_output() -> None:

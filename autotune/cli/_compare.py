@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from ._table import table_lines
+from ._terminal import painted, printable
 
 if TYPE_CHECKING:
     from autotune.files.controller import ControllerFile
@@ -51,10 +52,10 @@ def compare_lines(old: "ControllerFile", found: Mapping[str, "SideBySide"]) -> I
     from autotune.files.canonical import short
     from autotune.files.units import axis_units
 
-    yield f"beside {old.path}, checksum {short(old.checksum)}, on the same problem"
+    yield f"beside {printable(str(old.path))}, checksum {short(old.checksum)}, on the same problem"
     for name, both in found.items():
         units = axis_units(name)
-        yield from table_lines([("", "old", "new"), *_rows(both, units)], indent=f"  {name}  ")
+        yield from table_lines([("", "old", "new"), *_rows(both, units)], point=(1, 2), indent=f"  {name}  ")
         for told, standing in (("old", both.old), ("new", both.new)):
             yield f"  {name}  {told}: {_verdict(standing, units)}"
 
@@ -95,7 +96,7 @@ def _verdict(side: "Standing", units: "AxisUnits") -> str:
     if side.unstable_at is not None:
         mass, stiffness = side.unstable_at
         where = f"K_e {stiffness:.4g} {units.stiffness}" if stiffness > 0.0 else "free space"
-        return f"UNSTABLE in {where} with {mass:.4g} {units.mass} (largest |z| {side.spectral_radius:.5f})"
+        return f"{painted('UNSTABLE')} in {where} with {mass:.4g} {units.mass} (largest |z| {side.spectral_radius:.5f})"
     missed = {} if side.performance is None else side.performance.missed
     told = ", ".join(f"{name} ({min(100.0 / value, 99.99):.4g} %)" for name, value in missed.items())
     return f"misses {told} of what is asked" if told else "meets every requirement"

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output
-from ._table import table_lines
+from ._table import print_table
+from ._terminal import tell
 
 if TYPE_CHECKING:
     from autotune.studies.points import Front, Judgement
@@ -118,12 +119,11 @@ class FrontWriter:
     def print(self) -> None:
         """Print the fronts as tables."""
         if self._fronts:
-            for line in front_lines(self._fronts, self.path):
-                click.echo(line)
+            print_fronts(self._fronts, self.path)
 
 
-def front_lines(fronts: Mapping[str, "Front"], path: Path) -> Iterator[str]:
-    """Yield the fronts as tables, a line per controller, and where they were written."""
+def print_fronts(fronts: Mapping[str, "Front"], path: Path) -> None:
+    """Print the fronts as tables, a line per controller, and where they were written."""
     from autotune.files.pareto import objective_unit
     from autotune.files.units import axis_units
 
@@ -132,7 +132,7 @@ def front_lines(fronts: Mapping[str, "Front"], path: Path) -> Iterator[str]:
         told = " and ".join(each.name for each in front.objectives)
         study = front.study
         by = "" if study is None else f"; study {study.name}: {study.feasible} of {study.trials} trials feasible"
-        yield f"axis {axis}: front of {told}, every point in {front.scenario_count} scenarios{by}"
+        tell(f"axis {axis}: front of {told}, every point in {front.scenario_count} scenarios{by}")
         heads = [f"{each.name} [{objective_unit(axis, each)}]" for each in front.objectives]
         gains = [
             f"M_a [{units.mass}]",
@@ -144,11 +144,13 @@ def front_lines(fronts: Mapping[str, "Front"], path: Path) -> Iterator[str]:
             "",
         ]
         rows = [
-            (*_cells(front, point), "<- the controller written" if index == front.chosen else "")
+            (*_cells(front, point), "<- written" if index == front.chosen else "")
             for index, point in enumerate(front.points)
         ]
-        yield from table_lines([(*heads, *gains), *rows], left=(len(heads) + 4, len(heads) + 6), indent="  ")
-    yield f"written: {path}"
+        count = len(heads)
+        numbers = (*range(count + 4), count + 5)
+        print_table([(*heads, *gains), *rows], left=(count + 4, count + 6), point=numbers, indent="  ", stacks=True)
+    tell(f"written: {path}")
 
 
 def _cells(front: "Front", point: "Judgement") -> Iterator[str]:

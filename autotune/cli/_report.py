@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output
+from ._terminal import tell
 
 if TYPE_CHECKING:
     from autotune.reports.page import Page
@@ -55,4 +56,4 @@ def write_report(output: Output, report: Path | None, build: Callable[[], "Page"
 def print_report_path(report: Path | None) -> None:
     """Print where the page is, if there is one."""
     if report is not None:
-        click.echo(f"report: {report}")
+        tell(f"report: {report}")

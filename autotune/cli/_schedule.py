@@ -2,14 +2,15 @@
 
 import functools
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from ._common import Output
-from ._table import table_lines
+from ._table import print_table
+from ._terminal import echo, painted, printable, tell
 
 if TYPE_CHECKING:
     from autotune.tuning.schedule import ScheduleClass
@@ -132,16 +133,15 @@ def _check_alone(tables: Mapping[str, Sequence[Interval]], others: Mapping[str, 
 
 
 def _print(tree: Mapping[str, Any], classes: "Sequence[ScheduleClass]", folder: Path) -> None:
-    for line in schedule_lines(tree):
-        click.echo(line)
+    print_schedule(tree)
     from autotune.files.canonical import short
 
     files = len(classes) + (tree["common"]["file"] is not None)
-    click.echo(f"written: {folder}, {files} controllers and schedule.yaml, checksum {short(tree['checksum'])}")
+    tell(f"written: {folder}, {files} controllers and schedule.yaml, checksum {short(tree['checksum'])}")
 
 
-def schedule_lines(tree: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the table of a schedule, what one controller for all costs, and what the classes cover."""
+def print_schedule(tree: Mapping[str, Any]) -> None:
+    """Print the table of a schedule, what one controller for all costs, and what the classes cover."""
     from autotune.files.canonical import short
     from autotune.files.records import ROTATIONAL_AXES, rename_axis_keys
 
@@ -159,18 +159,19 @@ def schedule_lines(tree: Mapping[str, Any]) -> Iterator[str]:
             rows.append((entry["name"], *ranges, axis, *_numbers(told), short(entry["checksum"])))
             if told["cost_n"] is not None:
                 costs[axis] = max(costs.get(axis, (-float("inf"), 0.0, "")), _cost(told, entry["name"]))
-    yield from table_lines(rows, left=(0, len(scheduled) + 1, len(heads) + 4))
+    first = len(heads)
+    print_table(rows, left=(0, len(scheduled) + 1, first + 4), point=range(first, first + 3), stacks=True)
     common = tree["common"]
     if common["file"] is None:
-        yield f"no controller serves all classes: {common['refusal']}"
+        tell(f"no controller serves all classes: {common['refusal']}")
     for axis, (percent, newton, name) in costs.items():
         unit = "N·m" if axis in ROTATIONAL_AXES else "N"
         most = (
             f"costs up to {percent:.1f} % of peak ({newton:.3g} {unit}), in {name}" if newton > 0.0 else "costs nothing"
         )
-        yield f"axis {axis}: one controller for all, {common['file']}, {most}"
+        tell(f"axis {axis}: one controller for all, {common['file']}, {most}")
     for name in scheduled:
-        yield _coverage(name, tree["covered"][name])
+        tell(_coverage(name, tree["covered"][name]))
 
 
 def _numbers(told: Mapping[str, Any]) -> tuple[str, ...]:
@@ -230,8 +231,9 @@ def _print_validated(tree: Mapping[str, Any]) -> None:
         failed = [check for check in each["checks"] if not check["passed"]]
         told = "; ".join(f"axis {check['axis']}, {check['name']}: {check['message']}" for check in failed)
         verdict = told or f"{len(each['checks'])} checks passed"
-        click.echo(f"{'FAILED' if failed else 'ok':6} {each['file']}: {verdict}")
-    click.echo(f"{tree['path']}: {'valid' if tree['passed'] else 'NOT valid'}, checksum {tree['short_checksum']}")
+        tell(f"{each['file']}: {verdict}", verdict=f"{'FAILED' if failed else 'ok':6} ")
+    verdict = painted("valid" if tree["passed"] else "NOT valid")
+    echo(f"{printable(tree['path'])}: {verdict}, checksum {tree['short_checksum']}")
 
 
 def _told(interval: Sequence[float]) -> str:

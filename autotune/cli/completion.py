@@ -2,12 +2,22 @@
 
 import click
 
+from ._help import GroupedCommand
+
 COMPLETE_VARIABLE = "_AUTOTUNE_COMPLETE"
+_EPILOG = """\b
+Examples:
+  autotune completion bash > ~/.local/share/bash-completion/completions/autotune
+  autotune completion zsh > ~/.zfunc/_autotune
+  autotune completion fish > ~/.config/fish/completions/autotune.fish
+
+\b
+For zsh, ~/.zfunc must be on fpath before compinit: fpath+=~/.zfunc in ~/.zshrc. Files are proposed by kind: yaml
+where a controller or an identified cell is meant, logs where a log is.
+"""
 
 
-@click.command(
-    epilog="Example: autotune completion bash > ~/.local/share/bash-completion/completions/autotune",
-)
+@click.command(cls=GroupedCommand, epilog=_EPILOG)
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 @click.pass_context
 def command(context: click.Context, shell: str) -> None:
@@ -17,6 +27,9 @@ def command(context: click.Context, shell: str) -> None:
     """
     from click.shell_completion import get_completion_class
 
+    from ._files import register
+
+    register()
     complete = get_completion_class(shell)
     if complete is None:
         raise click.UsageError(f"click knows no completion for {shell!r}; choose bash, zsh or fish.")

@@ -6,18 +6,22 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output, output_options
-from ._table import table_lines
+from ._help import GroupedCommand
+from ._table import print_table
+from ._terminal import tell
 
 if TYPE_CHECKING:
     from autotune.demo import Comparison, DemoResult
 
 _EPILOG = """\b
-Example:
-  autotune demo first-try
+Examples:
+  autotune demo
+  autotune demo first-try --seed 7
+  autotune demo --json --quiet
 """
 
 
-@click.command("demo", epilog=_EPILOG)
+@click.command("demo", cls=GroupedCommand, epilog=_EPILOG)
 @click.argument("directory", metavar="[DIR]", type=click.Path(path_type=Path, file_okay=False), default="autotune-demo")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Noise of the log, and search.")
 @output_options
@@ -27,15 +31,10 @@ def command(output: Output, directory: Path, seed: int) -> None:
     DIR (default autotune-demo) then holds the log (MCAP), identified.yaml, controller.yaml and its JSON twin. The
     summary puts what was identified beside the truth of the simulation.
     """
-    from autotune.demo import STEPS, run_demo
+    from autotune.demo import run_demo
 
-    with output.progress("demo", len(STEPS)) as advance:
-
-        def step(name: str) -> None:
-            output.note(f"{name} ...")
-            advance(1)
-
-        found = run_demo(directory, seed=seed, step=step)
+    with output.progress("demo", 1.0) as advance:
+        found = run_demo(directory, seed=seed, step=lambda name: output.note(f"{name} ..."), progress=advance)
     output.result(_tree(found), lambda: _print(found))
 
 
@@ -70,44 +69,50 @@ def _print(found: "DemoResult") -> None:
 
     from ._standing import active_lines
 
-    click.echo("\nIdentified from the log, beside the truth of the simulation")
-    rows = [("parameter", "identified", "± std", "truth", "error", "unit", "verdict")]
-    for line in table_lines([*rows, *map(_comparison, found.comparisons)], left=(0, 5, 6), indent="  "):
-        click.echo(line)
+    _heading("Identified from the log, beside the truth of the simulation")
+    rows: list[tuple[str, ...]] = [("parameter", "identified", "± std", "truth", "error", "unit", "verdict")]
+    rows += map(_comparison, found.comparisons)
+    print_table(rows, left=(0, 5, 6), point=(1, 2, 3), verdict=6, indent="  ")
     controller = found.optimized.controller
     for name, gains in controller.axes.items():
-        click.echo(f"\nController chosen for axis {name}")
-        click.echo(
+        _heading(f"Controller chosen for axis {name}")
+        tell(
             f"  M_a {gains.mass:g} kg, B_a {gains.damping:g} N·s/m, K_l {gains.lead_s:g} s, "
             f"B_fb {gains.feedback_damping_s:g} s"
         )
         worst = max(controller.predicted[name].scenarios, key=lambda s: s.peak_contact_force_n)
-        click.echo(
+        tell(
             f"  worst predicted peak {worst.peak_contact_force_n:.1f} N at the contact, "
             f"{worst.peak_sensor_force_n:.1f} N at the sensor ({worst.name})"
         )
         for line in active_lines(found.optimized, name):
-            click.echo(f"  {line}")
-    click.echo("\nProved and verified, from the written file alone")
+            tell(f"  {line}")
+    _heading("Proved and verified, from the written file alone")
     for check in found.report.checks:
-        click.echo(f"  {check.name}: {check.message}")
-    click.echo(f"\nFiles (checksum of the controller: {short(found.checksum)})")
+        tell(f"{check.name}: {check.message}", indent="  ", verdict=f"{'ok' if check.passed else 'FAILED':6} ")
+    _heading(f"Files (checksum of the controller: {short(found.checksum)})")
     for told, path in (
         ("log", found.files.log),
         ("identified plant", found.files.identified),
         ("controller for the cell", found.files.controller),
         ("its JSON twin", found.files.twin),
     ):
-        click.echo(f"  {told:24}{path}")
+        tell(f"  {told:24}{path}")
+
+
+def _heading(text: str) -> None:
+    tell()
+    tell(text)
 
 
 def _comparison(c: "Comparison") -> tuple[str, ...]:
+    from autotune.numbers import rounded_to, with_deviation
+
     value, std, error = c.estimate.value, c.estimate.std, c.error_share
     return (
         c.name,
-        "-" if value is None else f"{value * c.scale:.3f}",
-        "-" if std is None else f"{std * c.scale:.2g}",
-        f"{c.truth * c.scale:.3f}",
+        *with_deviation(value, std, c.scale),
+        rounded_to((std or 0.0) * c.scale, c.truth * c.scale),
         "-" if error is None else f"{100.0 * error:+.2f} %",
         c.unit,
         c.estimate.status.value,

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from ._common import Output, output_options
+from ._files import SETTINGS, FilePath
+from ._help import GroupedCommand
 
 if TYPE_CHECKING:
     from autotune.explore.source import Exploration
@@ -20,8 +22,8 @@ Examples:
 """
 
 
-@click.command("explore", epilog=_EPILOG)
-@click.argument("source", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False))
+@click.command("explore", cls=GroupedCommand, epilog=_EPILOG)
+@click.argument("source", metavar="FILE", type=FilePath(*SETTINGS))
 @click.option(
     "-o",
     "--output",
@@ -33,7 +35,7 @@ Examples:
 )
 @click.option(
     "--problem",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FilePath(*SETTINGS),
     help="Requirements, bounds and ranges, for an identified plant.",
 )
 @click.option(

@@ -8,7 +8,16 @@ import click
 from autotune.exports.targets import EVERY_TARGET, PEER_TARGETS
 
 from ._common import Output, output_options
+from ._files import SETTINGS, FilePath
+from ._help import GroupedCommand
+from ._terminal import tell
 
+_EPILOG = """\b
+Examples:
+  autotune export controller.yaml --target json -o controller.json
+  autotune export controller.yaml --target c -o cell.c
+  autotune export controller.yaml --target ros2_control --ros2-version jazzy -o admittance.yaml
+"""
 _FOR_PEERS = (
     click.option("--ros2-version", "version", metavar="NAME", help="jazzy (default), kilted, rolling, or as 6.4.0."),
     click.option("--controller-name", metavar="NAME", help="The name of the controller in the parameter file."),
@@ -30,6 +39,14 @@ _FOR_PEERS = (
 )
 
 
+_GROUPS = {
+    "For ros2_control and fzi_cartesian": (
+        *("version", "controller_name", "joints", "base_link", "tip_link", "sensor_name", "sensor_frame"),
+        *("control_frame", "return_stiffness", "filter_coefficient"),
+    ),
+}
+
+
 def _peer_options(command: Any) -> Any:
     for option in reversed(_FOR_PEERS):
         command = option(command)
@@ -38,10 +55,12 @@ def _peer_options(command: Any) -> Any:
 
 @click.command(
     "export",
+    cls=GroupedCommand,
+    groups=_GROUPS,
     short_help="Write a controller in another format.",
-    epilog="Example: autotune export controller.yaml --target json -o controller.json",
+    epilog=_EPILOG,
 )
-@click.argument("controller", type=click.Path(path_type=Path, dir_okay=False))
+@click.argument("controller", type=FilePath(*SETTINGS))
 @click.option(
     "--target",
     type=click.Choice([*EVERY_TARGET, *PEER_TARGETS]),
@@ -83,7 +102,7 @@ def command(output: Output, /, controller: Path, target: str, out: Path, **furth
         raise UsageError(f"The target {target} takes no names, versions or numbers of another controller.")
     checksum = export_controller(controller, target, out)
     result = {"target": target, "path": str(out), "checksum": checksum, "short_checksum": short(checksum)}
-    output.result(result, lambda: click.echo(f"{out}: {target}, checksum {short(checksum)}"))
+    output.result(result, lambda: tell(f"{out}: {target}, checksum {short(checksum)}"))
 
 
 def _export_peer(output: Output, controller: Path, target: str, out: Path, given: dict[str, Any]) -> None:
@@ -100,15 +119,15 @@ def _export_peer(output: Output, controller: Path, target: str, out: Path, given
     head = {"target": target, "path": str(out), "checksum": checksum, "short_checksum": short(checksum)}
 
     def text() -> None:
-        click.echo(f"{out}: {target}, from the file with checksum {short(checksum)}")
+        tell(f"{out}: {target}, from the file with checksum {short(checksum)}")
         for axis in made.axes:
             how = "translated" if axis.tuned_because is None else f"tuned anew, since {axis.tuned_because}"
             numbers = ", ".join(f"{name} {value:g}" for name, value in axis.written.items())
-            click.echo(f"axis {axis.axis}: {numbers} ({how})")
-            click.echo(f"axis {axis.axis}: peak force {axis.price()}")
+            tell(f"axis {axis.axis}: {numbers} ({how})")
+            tell(f"axis {axis.axis}: peak force {axis.price()}")
             for note in axis.notes:
-                click.echo(note)
+                tell(note)
         for line in made.dropped:
-            click.echo(f"dropped: {line}")
+            tell(f"dropped: {line}")
 
     output.result({**head, **made.tree()}, text)

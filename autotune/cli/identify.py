@@ -6,8 +6,11 @@ from typing import TYPE_CHECKING
 import click
 
 from ._common import Output, output_options
+from ._files import LOGS, SETTINGS, FilePath
+from ._help import GroupedCommand
 from ._report import check_report, print_report_path, report_option, write_report
-from ._table import printable, table_lines
+from ._table import print_table
+from ._terminal import tell
 
 if TYPE_CHECKING:
     from autotune.reports.page import Page
@@ -21,10 +24,14 @@ Examples:
   autotune identify part1.bag part2.bag --cell cell.yaml
   autotune identify monday.mcap friday.mcap --given mass_kg=16.2±0.1
 """
+_GROUPS = {
+    "What the log does not say": ("cell_path", "wrench_topic", "pose_topic", "command_topic", "given"),
+    "Where a log or a result is not whole": ("allow_partial", "salvage"),
+}
 
 
-@click.command("identify", epilog=_EPILOG)
-@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.command("identify", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FilePath(*LOGS, dir_okay=True))
 @click.option(
     "-o",
     "--output",
@@ -34,9 +41,7 @@ Examples:
     show_default=True,
     help="The file to write.",
 )
-@click.option(
-    "--cell", "cell_path", type=click.Path(path_type=Path, dir_okay=False), help="What the log cannot say: cell.yaml."
-)
+@click.option("--cell", "cell_path", type=FilePath(*SETTINGS), help="What the log cannot say: cell.yaml.")
 @click.option("--wrench-topic", help="The wrench, if the log has several.")
 @click.option("--pose-topic", help="The measured flange pose, if the log has several.")
 @click.option("--command-topic", help="The commanded flange pose.")
@@ -86,7 +91,7 @@ def command(
     check_report(report, [*sources, out])
     topics = Topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
     cell = None if cell_path is None else read_cell(cell_path)
-    with output.progress(f"identifying {', '.join(log.name for log in logs)}", None):
+    with output.progress(f"identifying {', '.join(log.name for log in logs)}", 1.0) as advance:
         found = identify_log(
             logs,
             topics,
@@ -95,6 +100,7 @@ def command(
             allow_partial=allow_partial,
             given=parse_given(given),
             processes=count_processors(),
+            progress=advance,
             with_evidence=report is not None,
         )
     write_identified(out, found.result, found.provenance)
@@ -123,13 +129,12 @@ def print_identified(result: "Identified", out: Path) -> None:
         ("parameter", "value", "± std", "unit", "verdict"),
         *((row.name, row.value, row.std, row.unit, row.verdict) for row in parameter_rows(result)),
     ]
-    for line in table_lines(rows, left=(0, 3, 4)):
-        click.echo(line)
+    print_table(rows, left=(0, 3, 4), point=(1, 2), verdict=4)
     for timeline in result.timelines:
-        click.echo(printable(_timeline_line(timeline)))
+        tell(_timeline_line(timeline))
     for finding in result.findings:
-        click.echo(printable(f"{finding.severity}: {finding.message} {finding.advice}".rstrip()))
-    click.echo(f"written: {out}")
+        tell(f"{finding.message} {finding.advice}", verdict=f"{finding.severity}: ")
+    tell(f"written: {out}")
 
 
 def _timeline_line(timeline: "Timeline") -> str:

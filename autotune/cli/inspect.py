@@ -9,7 +9,10 @@ import click
 from autotune.errors import UsageError
 
 from ._common import Output, output_options
-from ._table import printable, table_lines
+from ._files import LOGS, SETTINGS, FilePath
+from ._help import GroupedCommand
+from ._table import print_table
+from ._terminal import tell
 
 if TYPE_CHECKING:
     from identification.logs import ChannelSummary, LogSummary
@@ -22,11 +25,9 @@ Examples:
 """
 
 
-@click.command("inspect", epilog=_EPILOG)
-@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option(
-    "--cell", "cell_path", type=click.Path(path_type=Path, dir_okay=False), help="What the log cannot say: cell.yaml."
-)
+@click.command("inspect", cls=GroupedCommand, epilog=_EPILOG)
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FilePath(*LOGS, dir_okay=True))
+@click.option("--cell", "cell_path", type=FilePath(*SETTINGS), help="What the log cannot say: cell.yaml.")
 @click.option(
     "--write-cell",
     "start_path",
@@ -53,7 +54,8 @@ def command(
             raise UsageError("--write-cell begins a cell.yaml where there is none; leave out --cell.")
         check_new(start_path, force=force)
     cell = None if cell_path is None else read_cell(cell_path).cell
-    summary = inspect_log(logs, cell, salvage=salvage)
+    with output.progress(f"reading {', '.join(log.name for log in logs)}", None):
+        summary = inspect_log(logs, cell, salvage=salvage)
     if start_path is not None:
         write_cell_start(start_path, summary, force=force)
         output.note(f"written: {start_path}")
@@ -68,27 +70,28 @@ def summary_tree(summary: "LogSummary") -> dict[str, Any]:
 def print_summary(summary: "LogSummary") -> None:
     """Print a summary: the channels as a table, their roles, then findings, then what is missing."""
     others = f" and {len(summary.sha256s) - 1} more" if len(summary.sha256s) > 1 else ""
-    click.echo(
+    tell(
         f"{summary.path}{others} · {summary.container} · {summary.size_bytes / 1e6:.1f} MB · "
         f"{_duration_s(summary):.1f} s · sha256 {summary.sha256[:12]}…"
     )
-    click.echo()
-    rows = [_HEADINGS, *(_row(channel) for channel in summary.channels)]
-    for line in table_lines(rows, left=_LEFT):
-        click.echo(line)
+    tell()
+    print_table([_HEADINGS, *(_row(channel) for channel in summary.channels)], left=_LEFT, stacks=True)
     chosen = [role for role in summary.roles if role.topic is not None]
     if chosen:
-        click.echo("\nRoles")
+        tell()
+        tell("Roles")
         for role in chosen:
             pair = f", {role.child} in {role.parent}" if role.parent is not None else ""
-            click.echo(f"  {role.entry}: {printable(f'{role.topic}{pair} ({role.reason})')}")
+            tell(f"{role.entry}: {role.topic}{pair} ({role.reason})", indent="  ")
     if summary.findings:
-        click.echo("\nFindings")
+        tell()
+        tell("Findings")
         for finding in summary.findings:
-            click.echo(f"  {finding.severity}: {printable(finding.message)} {printable(finding.advice)}".rstrip())
-    click.echo("\nMissing for identify" if summary.missing else "\nEvery channel that identify needs is there.")
+            tell(f"{finding.message} {finding.advice}", verdict=f"{finding.severity}: ", indent="  ")
+    tell()
+    tell("Missing for identify" if summary.missing else "Every channel that identify needs is there.")
     for sentence in summary.missing:
-        click.echo(f"  - {printable(sentence)}")
+        tell(f"- {sentence}", indent="  ")
 
 
 _HEADINGS = (

@@ -18,6 +18,7 @@ from click.shell_completion import CompletionItem
 
 from autotune import __version__
 from autotune.cli._common import Delivery, discard_output, json_text, say
+from autotune.cli._terminal import painted
 from autotune.cli.completion import COMPLETE_VARIABLE
 from autotune.errors import CertificateError, InfeasibleError, UsageError
 from identification.errors import EstimateError, LogError
@@ -25,6 +26,15 @@ from problems.errors import ParameterError
 
 PROGRAM = "autotune"
 _GARBAGE = 50_000
+_EPILOG = """\b
+Examples:
+  autotune demo
+  autotune identify run7.mcap && autotune optimize identified.yaml
+  autotune validate controller.yaml --identified identified.yaml
+
+\b
+Colour and progress are for terminals; NO_COLOR=1 switches colour off, FORCE_COLOR=1 on.
+"""
 
 
 class ExitCode(IntEnum):
@@ -122,9 +132,9 @@ def build_cli(entries: Mapping[str, CommandEntry] = COMMANDS) -> click.Group:
     group = LazyGroup(
         entries=entries,
         name=PROGRAM,
-        context_settings={"help_option_names": ["-h", "--help"]},
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
         help="From the log of a contact experiment to a validated admittance controller.",
-        epilog="Example: autotune demo",
+        epilog=_EPILOG,
     )
     return click.version_option(__version__, prog_name=PROGRAM, message="%(prog)s %(version)s")(group)
 
@@ -169,6 +179,9 @@ def _run(cli: click.Group, arguments: list[str], delivery: Delivery) -> int:
     if instruction:
         from click.shell_completion import shell_complete
 
+        from autotune.cli._files import register
+
+        register()
         return shell_complete(cli, {}, PROGRAM, COMPLETE_VARIABLE, instruction)
     # Not `cli.main`: it ends the process by itself on a closed pipe, with a code of its own.
     try:
@@ -188,7 +201,8 @@ def _report(error: BaseException, arguments: Sequence[str], delivery: Delivery) 
         say("".join(traceback.format_exception(error)).rstrip())
     message = _one_line(error, code)
     hint = _hint(error, code)
-    say(f"{PROGRAM}: {message}" + (f" {hint}" if hint else ""))
+    name = painted(f"{PROGRAM}:", error=True)
+    say(f"{name} {message}" + (f" {hint}" if hint else ""))
     if _asked("--json", arguments) and not delivery.done:
         tree = {"error": {"kind": type(error).__name__, "message": message, "exit_code": int(code), **_details(error)}}
         with contextlib.suppress(BrokenPipeError):

@@ -6,6 +6,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output, output_options
+from ._files import SETTINGS, FilePath
+from ._help import GroupedCommand
+from ._terminal import tell
 
 if TYPE_CHECKING:
     from problems.map_plants import Where
@@ -32,14 +35,26 @@ _SHOWS = [
     *("stability", "modulus", "gain", "phase", "delay", "disk", "peak-contact", "peak-sensor"),
     *("stable-damping", "stable-lead"),
 ]
+_GROUPS = {
+    "What is drawn": ("x", "y", "show", "where", "search"),
+    "Of which loop": ("axis", "settings", "controller", "approach_force"),
+    "Files": ("out", "data"),
+}
 _RANGE = "NAME=LO:HI[:N][:log|lin]"
 
 
-@click.command("map", epilog=_EPILOG)
-@click.argument("source", type=click.Path(path_type=Path, dir_okay=False))
+@click.command("map", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
+@click.argument("source", type=FilePath(*SETTINGS))
 @click.option("--x", metavar=_RANGE, help="The parameter to the right; N values (120), log from a factor of 10 on.")
 @click.option("--y", metavar=_RANGE, help="The parameter upwards (90 values), or that of which curves are compared.")
-@click.option("--show", type=click.Choice(_SHOWS), default="stability", show_default=True, help="What is computed.")
+@click.option(
+    "--show",
+    type=click.Choice(_SHOWS),
+    default="stability",
+    show_default=True,
+    metavar="WHAT",
+    help=f"What is computed: {', '.join(_SHOWS)}.",
+)
 @click.option(
     "--where",
     type=click.Choice(["contact", "free_space", "both"]),
@@ -57,7 +72,7 @@ _RANGE = "NAME=LO:HI[:N][:log|lin]"
 )
 @click.option(
     "--controller",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FilePath(*SETTINGS),
     help="The controller file whose gains are used (default: those of SOURCE).",
 )
 @click.option("--search", metavar="LO:HI[:N][:log|lin]", help="Where stable-damping or stable-lead looks.")
@@ -127,7 +142,7 @@ def command(
 def print_summary(tree: dict[str, Any]) -> None:
     """Print what was found in a few lines, and where the files are."""
     for line in summary_lines(tree):
-        click.echo(line)
+        tell(line)
 
 
 def summary_lines(tree: dict[str, Any]) -> list[str]:

@@ -1,5 +1,6 @@
 """`autotune optimize`: a validated controller from identified parameters."""
 
+import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,12 +9,16 @@ import click
 
 from ._common import Output, output_options
 from ._compare import compare_lines, compare_tree
+from ._files import SETTINGS, FilePath
+from ._help import GroupedCommand
 from ._pareto import FrontWriter, pareto_options
 from ._proof import proof_options
 from ._report import check_report, print_report_path, report_option, write_report
 from ._schedule import schedule_options
+from ._spark import contact_spark
 from ._standing import active_lines, active_tree
-from ._table import table_lines
+from ._table import print_table
+from ._terminal import echo, look_at, tell
 
 if TYPE_CHECKING:
     from autotune.files.controller import ControllerFile, ScenarioPrediction
@@ -30,9 +35,16 @@ Examples:
   autotune optimize identified.yaml --payload-mass 10,22 --environment-stiffness 2e4:5e5
   autotune optimize identified.yaml --problem problem.yaml --json
   autotune optimize identified.yaml --compare old.yaml --report controller.html
-  autotune optimize identified.yaml --pareto 9
+  autotune optimize identified.yaml --pareto 9 -o best.yaml
   autotune optimize identified.yaml --schedule payload=8:12,16.2,22 --schedule stiffness=2e4:1e5,1e5:5e5 -o cell
 """
+_GROUPS = {
+    "What must all be safe": ("payload_mass", "environment_stiffness", "schedule"),
+    "What is proved": ("slack", "proof_budget"),
+    "A front of peak force against admittance, or of other objectives": (
+        *("pareto", "objectives", "require", "choose", "storage", "study", "trials", "sampler"),
+    ),
+}
 
 
 def _masses(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[float, float] | None:
@@ -67,8 +79,8 @@ def _ordered(low: float, high: float, what: str) -> tuple[float, float]:
     return low, high
 
 
-@click.command("optimize", epilog=_EPILOG)
-@click.argument("identified", type=click.Path(path_type=Path, dir_okay=False))
+@click.command("optimize", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
+@click.argument("identified", type=FilePath(*SETTINGS))
 @click.option(
     "-o",
     "--output",
@@ -77,7 +89,7 @@ def _ordered(low: float, high: float, what: str) -> tuple[float, float]:
     show_default="controller.yaml, or the folder schedule",
     help="The file to write, or with --schedule the folder.",
 )
-@click.option("--problem", type=click.Path(path_type=Path, dir_okay=False), help="Requirements, bounds and ranges.")
+@click.option("--problem", type=FilePath(*SETTINGS), help="Requirements, bounds and ranges.")
 @click.option("--payload-mass", callback=_masses, metavar="KG[,KG]", help="One mass, or a range that must all be safe.")
 @click.option(
     "--environment-stiffness", callback=_stiffness, metavar="LO:HI", help="A range [N/m] that must all be safe."
@@ -85,7 +97,7 @@ def _ordered(low: float, high: float, what: str) -> tuple[float, float]:
 @click.option(
     "--compare",
     "old",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FilePath(*SETTINGS),
     metavar="CONTROLLER",
     help="Put this controller beside the new one on the same problem; the search starts from it too.",
 )
@@ -196,33 +208,43 @@ def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "Con
     controller = found.controller
     for name, gains in controller.axes.items():
         units = axis_units(name)
-        click.echo(
+        tell(
             f"axis {name}: M_a {gains.mass:g} {units.mass}, B_a {gains.damping:g} {units.damping}, "
             f"K_l {gains.lead_s:g} s, B_fb {gains.feedback_damping_s:g} s"
         )
         if found.searches[name].problem.variables != VARIABLES:
             filters, compensation = controller.filters, controller.compensation_mass_kg
-            click.echo(
+            tell(
                 f"  ω_v {filters.velocity_rad_per_s:g} rad/s, ω_a {filters.acceleration_rad_per_s:g} rad/s, "
                 f"P̂ {compensation:g} kg"
             )
-        for line in _peak_lines(controller.predicted[name].scenarios, units):
-            click.echo(line)
+        _print_peaks(controller.predicted[name].scenarios, units)
+        _print_spark(found, name, units)
         for line in active_lines(found, name):
-            click.echo(f"  {line}")
+            tell(f"  {line}")
     for check in found.report.checks:
         axis = f"{check.axis}: " if len(controller.axes) > 1 else ""
-        click.echo(f"  {'ok' if check.passed else 'FAILED':6} {axis}{check.name}: {check.message}")
+        verdict = f"{'ok' if check.passed else 'FAILED':6} "
+        tell(f"{axis}{check.name}: {check.message}", verdict=verdict, indent="  ")
     for claim in controller.certificate.sampled:
-        click.echo(f"  sampled, not proved: {claim.claim}; over {claim.over}")
+        tell(f"  sampled, not proved: {claim.claim}; over {claim.over}")
     if existing is not None:
         for line in compare_lines(existing, found.compared):
-            click.echo(line)
-    click.echo(f"written: {out}, checksum {checksum}")
+            echo(line)
+    tell(f"written: {out}, checksum {checksum}")
 
 
-def _peak_lines(scenarios: "Iterable[ScenarioPrediction]", units: "AxisUnits") -> Iterator[str]:
-    """Yield the table of predicted contacts; lengths in mm along an axis, digits as its unit needs them."""
+def _print_spark(found: "Optimized", name: str, units: "AxisUnits") -> None:
+    """Draw the force of the predicted contact with the highest peak, where somebody sees it."""
+    if not look_at(sys.stdout).has_blocks:
+        return
+    search = found.searches[name]
+    worst = max(found.controller.predicted[name].scenarios, key=lambda each: each.peak_contact_force_n)
+    tell(f"  {contact_spark(search.problem, search.problem.controller(search.design), worst, units)}")
+
+
+def _print_peaks(scenarios: "Iterable[ScenarioPrediction]", units: "AxisUnits") -> None:
+    """Print the table of predicted contacts; lengths in mm along an axis, digits as its unit needs them."""
     straight = units.force == "N"
     scale, stiffness, digits = (1e-3, "N/mm", 1) if straight else (1.0, units.stiffness, 2)
     scenarios = tuple(scenarios)
@@ -250,4 +272,4 @@ def _peak_lines(scenarios: "Iterable[ScenarioPrediction]", units: "AxisUnits") -
         )
         for s, other in zip(scenarios, beyond, strict=True)
     ]
-    yield from table_lines(rows, left=(5,) if told else (), indent="  ")
+    print_table(rows, left=(5,) if told else (), indent="  ")

@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING
 import click
 
 from ._common import Output, output_options
-from ._table import printable, table_lines
+from ._files import SETTINGS, FilePath
+from ._help import GroupedCommand
+from ._table import print_table
+from ._terminal import printable, tell
 
 if TYPE_CHECKING:
     from identification.plan_contacts import ContactPlan
@@ -23,6 +26,12 @@ Examples:
   autotune plan --mass 25 --max-tilt 30 --max-force 60
   autotune plan identified.yaml --poses 0 --max-speed 0.1 --json
 """
+_GROUPS = {
+    "What is guessed without a file": ("mass", "stiffness"),
+    "What the cell allows": (
+        *("max_tilt", "poses", "max_speed", "max_force", "max_stroke", "max_duration", "max_frequency"),
+    ),
+}
 _POSITIVE = click.FloatRange(min=0.0, min_open=True)
 _DOUBTS = frozenset({"mass-disagreement", "logs-disagree", "given-contradicts"})
 # What a wrist carries, and what holds it: outside of this a unit is wrong.
@@ -30,8 +39,8 @@ _MASS = click.FloatRange(min=0.05, max=1000.0)
 _STIFFNESS = click.FloatRange(min=1e3, max=1e8)
 
 
-@click.command("plan", epilog=_EPILOG)
-@click.argument("identified", required=False, type=click.Path(path_type=Path, dir_okay=False))
+@click.command("plan", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
+@click.argument("identified", required=False, type=FilePath(*SETTINGS))
 @click.option(
     "-o",
     "--output",
@@ -143,30 +152,36 @@ def print_plan(plan: "ExperimentPlan", out: Path) -> None:
     """Print the steps in their order, then what each parameter would gain, then what was assumed."""
     from identification.plan_result import LABELS, UNITS
 
-    click.echo(f"axis {plan.axis}, binding uncertainty: {LABELS[plan.binding]}")
+    tell(f"axis {plan.axis}, binding uncertainty: {LABELS[plan.binding]}")
     for number, step in enumerate(plan.steps, start=1):
         wanted = "" if step.is_needed else " (not needed)"
-        click.echo(printable(f"{number}. {step.kind.value}{wanted}: {step.why}"))
+        tell(f"{step.kind.value}{wanted}: {step.why}", verdict=f"{number}. ")
         for line in _settings(step, plan):
-            click.echo(printable(f"   {line}"))
+            tell(f"   {line}")
     rows: list[tuple[str, ...]] = [("parameter", "value", "± now", "± after", "allowed", "unit", "by")]
     rows += [
         _row(entry, LABELS[entry.name], UNITS[entry.name], step.kind.value)
         for step in plan.steps
         for entry in step.predictions
     ]
-    for line in table_lines(rows, left=(0, 5, 6)):
-        click.echo(line)
+    print_table(rows, left=(0, 5, 6), point=(1, 2, 3, 4))
     if plan.values.assumed:
         told = ", ".join(f"{name} {value:.4g}" for name, value in plan.values.assumed.items())
-        click.echo(f"assumed, not measured: {told}")
-    click.echo(f"written: {out}")
+        tell(f"assumed, not measured: {told}")
+    tell(f"written: {out}")
 
 
 def _row(entry: "Prediction", label: str, told_in: tuple[str, float], step: str) -> tuple[str, ...]:
+    from autotune.numbers import rounded_to, with_deviation
+
     unit, scale = told_in
-    now, after = (f"{std * scale:.2g}" if std is not None else "-" for std in (entry.std_now, entry.std_after))
-    return label, f"{entry.value * scale:.4g}", now, after, f"{entry.allowed_std * scale:.2g}", unit, step
+    value, now = with_deviation(entry.value, entry.std_now, scale)
+    after, allowed = (
+        "-" if std is None else rounded_to(std * scale, std * scale) for std in (entry.std_after, entry.allowed_std)
+    )
+    if entry.std_now is None:
+        value = rounded_to(scale * (entry.std_after or entry.allowed_std), scale * entry.value)
+    return label, value, now, after, allowed, unit, step
 
 
 def _settings(step: "Step", plan: "ExperimentPlan") -> list[str]:

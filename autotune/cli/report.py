@@ -6,7 +6,10 @@ from typing import TYPE_CHECKING
 import click
 
 from ._common import Output, output_options
+from ._files import LOGS, SETTINGS, FilePath
+from ._help import GroupedCommand
 from ._report import check_report, write_report
+from ._terminal import tell
 
 if TYPE_CHECKING:
     from autotune.reports.page import Page
@@ -21,12 +24,14 @@ Examples:
 _FILE = click.Path(path_type=Path, dir_okay=False)
 
 
-@click.command("report", epilog=_EPILOG)
-@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.command("report", cls=GroupedCommand, epilog=_EPILOG)
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FilePath(*SETTINGS, *LOGS, dir_okay=True))
 @click.option(
     "-o", "--output", "out", type=_FILE, default=Path("report.html"), show_default=True, help="The page to write."
 )
-@click.option("--compare", "old", type=_FILE, metavar="CONTROLLER", help="Draw this controller beside the others.")
+@click.option(
+    "--compare", "old", type=FilePath(*SETTINGS), metavar="CONTROLLER", help="Draw this controller beside the others."
+)
 @click.option(
     "--samples",
     type=click.IntRange(0),
@@ -46,13 +51,13 @@ def command(output: Output, files: tuple[Path, ...], out: Path, old: Path | None
     from autotune.reports.from_files import report_files
 
     check_report(out, [*files, *([] if old is None else [old])], option="-o")
-    with output.progress("reading and verifying", None) as advance:
+    with output.progress("reading and verifying", 1.0) as advance:
         found = report_files(files, old=old, samples=samples, progress=advance)
 
     def page() -> "Page":
         return found.page
 
     tree = {**write_report(output, out, page), "files": dict(found.kinds)}
-    output.result(tree, lambda: click.echo(f"written: {out}"))
+    output.result(tree, lambda: tell(f"written: {out}"))
     for report in found.reports:
         report.require()

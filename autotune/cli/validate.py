@@ -7,8 +7,11 @@ import click
 
 from ._against_log import compare_logs, comparison_tree, print_comparison
 from ._common import Output, output_options
+from ._files import KEYS, LOGS, SETTINGS, FilePath
+from ._help import GroupedCommand
 from ._report import check_report, print_report_path, report_option, write_report
 from ._schedule import validate_schedule
+from ._terminal import echo, painted, printable, tell
 
 if TYPE_CHECKING:
     from autotune.files.controller import ControllerFile
@@ -27,7 +30,12 @@ Examples:
   autotune validate controller.yaml --public-key pub.pem
   autotune validate schedule/schedule.yaml
 """
-_FILE = click.Path(path_type=Path, dir_okay=False)
+_FILE, _KEY = FilePath(*SETTINGS), FilePath(*KEYS)
+_GROUPS = {
+    "Against a log": ("logs", "cell_path", "command_topic"),
+    "Simulation of the certified set": ("samples", "seed", "noise", "sensor_range", "speed_limit", "late"),
+    "Signature": ("public_key", "sign"),
+}
 
 
 def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[float | None, float | None] | None:
@@ -44,7 +52,7 @@ def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tupl
     return numbers[0], (numbers[1] if len(numbers) == 2 else None)
 
 
-@click.command("validate", epilog=_EPILOG)
+@click.command("validate", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
 @click.argument("controller", type=_FILE)
 @click.option(
     "--identified", type=_FILE, help="Also check that this identified plant lies inside the certified domain."
@@ -52,7 +60,7 @@ def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tupl
 @click.option(
     "--log",
     "logs",
-    type=click.Path(path_type=Path),
+    type=FilePath(*LOGS, dir_okay=True),
     multiple=True,
     help="Also compare every contact in this log, recorded under this controller. Several are parts of one recording.",
 )
@@ -72,8 +80,8 @@ def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tupl
 @click.option("--sensor-range", callback=_pair, help="Where the sensor clips, N[,N·m].  [default: nowhere]")
 @click.option("--speed-limit", callback=_pair, help="Limit on the command, m/s[,rad/s].  [default: 0.25 m/s]")
 @click.option("--late", type=click.FloatRange(0, 1, max_open=True), help="Share of late commands.  [default: 0.01]")
-@click.option("--public-key", type=_FILE, help="Demand the signature CONTROLLER.sig, by the key of this file.")
-@click.option("--sign", type=_FILE, help="Write CONTROLLER.sig with this private key, if everything holds.")
+@click.option("--public-key", type=_KEY, help="Demand the signature CONTROLLER.sig, by the key of this file.")
+@click.option("--sign", type=_KEY, help="Write CONTROLLER.sig with this private key, if everything holds.")
 @report_option
 @output_options
 def command(output: Output, /, controller: Path, identified: Path | None, **options: Any) -> None:
@@ -210,8 +218,8 @@ def _print(
 ) -> None:
     """Print one line per check, the contacts of the log as a table."""
     for check in report.checks:
-        click.echo(f"{'ok' if check.passed else 'FAILED':6} axis {check.axis}, {check.name}: {check.message}")
+        tell(f"axis {check.axis}, {check.name}: {check.message}", verdict=f"{'ok' if check.passed else 'FAILED':6} ")
     if compared is not None:
         print_comparison(compared)
     signed = "" if signed_by is None else f", signed by the key {signed_by}"
-    click.echo(f"{path}: {'valid' if report.passed else 'NOT valid'}, checksum {checksum}{signed}")
+    echo(f"{printable(str(path))}: {painted('valid' if report.passed else 'NOT valid')}, checksum {checksum}{signed}")

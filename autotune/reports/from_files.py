@@ -83,17 +83,19 @@ def report_files(
     given = _match(logs, plants)
     before = None if old is None else read_controller(old)
     report = progress if progress is not None else _silent
-    pages, reports = list[tuple[str, Page]](), list[ValidationReport]()
+    pages, reports, part = list[tuple[str, Page]](), list[ValidationReport](), 1.0 / max(len(shown), 1)
     for path in shown:
         kind = kinds[str(path)]
         if kind == "identified":
             pages.append((path.name, _identified_page(plants[path], given[path])))
         elif kind == "controller":
-            page, verified = _controller_page(read_controller(path), before, samples, report)
+            page, verified = _controller_page(read_controller(path), before, samples, lambda done: report(part * done))
             pages.append((path.name, page))
             reports.append(verified)
         else:
             pages.append((path.name, _table_page(path, kind)))
+        if kind != "controller":
+            report(part)
     if not pages:
         raise UsageError(f"{paths[0]} is a log; give identified.yaml with it, which autotune identify writes.")
     return FilesReport(page=join_pages("Report", pages), kinds=kinds, reports=tuple(reports))
@@ -174,8 +176,13 @@ def _controller_page(
     file: ControllerFile, old: ControllerFile | None, samples: int, report: Progress
 ) -> tuple[Page, ValidationReport]:
     """Return what `optimize` and `validate` would show, from the file alone."""
-    verified = validate_controller(file.controller, report)
-    simulated = run_monte_carlo(file.controller, count=samples, progress=report) if samples and verified.passed else ()
+    part = 0.5 if samples else 1.0
+
+    def advance(done: float) -> None:
+        report(part * done)
+
+    verified = validate_controller(file.controller, advance)
+    simulated = run_monte_carlo(file.controller, count=samples, progress=advance) if samples and verified.passed else ()
     checks = ValidationReport(checks=(*verified.checks, *monte_carlo_checks(simulated)))
     validated = Validated(report=checks, simulated=simulated)
     before = None if old is None else old.controller

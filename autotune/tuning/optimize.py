@@ -24,8 +24,9 @@ from .relax import find_relaxations
 from .search import SearchResult, solve_design
 from .standing import Standing, find_standing, standing_tree
 
-# The second is a share of what comes after the search.
-_SEARCH_SHARE, _PROOF_SHARE = 0.7, 0.33
+# Of the time of a usual run, measured; of no other use than to tell how it goes on. The second is a share of what comes
+# after the search.
+_SEARCH_SHARE, _PROOF_SHARE = 0.4, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +72,7 @@ def optimize(
     payload = runtime_payload(identified.result, carried_mass_kg(identified.result, problems, spec, wishes))
     share = _SEARCH_SHARE / len(problems)
     searches = {
-        name: _search(name, problem, seed, existing, relax, lambda done: report(share * done))
-        for name, problem in problems.items()
+        name: _search(name, problem, seed, existing, relax, report, share) for name, problem in problems.items()
     }
     standings = {name: find_standing(search) for name, search in searches.items()}
     provenance = make_provenance(identified, wishes, seed, problem_path, existing, asked)
@@ -156,17 +156,22 @@ def _search(
     existing: ControllerFile | None,
     relax: bool,
     report: Callable[[float], None],
+    share: float,
 ) -> SearchResult:
+    portion = _Portion(report, share)
     start = None if existing is None else start_design(existing.controller, name, problem)
     try:
-        return solve_design(problem, seed=seed, start=start, progress=report)
+        found = solve_design(problem, seed=seed, start=start, progress=portion)
     except InfeasibleError as error:
         if not relax:
             raise InfeasibleError(f"Axis {name}: {error}") from error
-        eased = find_relaxations(problem, seed=seed)
+        # In the place of what a controller would still have to pass.
+        eased = find_relaxations(problem, seed=seed, progress=_Portion(report, 1.0 - _SEARCH_SHARE))
         told = f" Enough by itself would be: {'; or '.join(map(str, eased))}." if eased else ""
         numbers = tuple((each.name, each.asked, each.possible) for each in eased)
         raise InfeasibleError(f"Axis {name}: {error}{_without_uncertainty(problem, seed)}{told}", numbers) from error
+    portion.finish()
+    return found
 
 
 def _without_uncertainty(problem: DesignProblem, seed: int) -> str:

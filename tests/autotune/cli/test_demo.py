@@ -43,22 +43,32 @@ def test_the_demo_as_users_run_it(run_cli: RunCli, tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def brief(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoResult, list[str]]:
-    """A short program and a small search over files of an earlier run, and the steps that were told."""
+def brief(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoResult, list[str], list[float]]:
+    """A short program and a small search over files of an earlier run, the steps and the shares that were told."""
     folder = tmp_path_factory.mktemp("demo") / "deep"
     folder.mkdir()
     (folder / "controller.yaml").write_text("from an earlier run\n", encoding="utf-8")
-    steps: list[str] = []
+    steps, shares = list[str](), list[float]()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(demo_module, "Program", lambda: SHORT)
         patch.setattr(demo_module, "ProblemSpec", lambda: FAST_SPEC)
         patch.setattr(demo_module, "Wishes", lambda: FAST_WISHES)
-        return run_demo(folder, seed=3, step=steps.append), steps
+        return run_demo(folder, seed=3, step=steps.append, progress=shares.append), steps, shares
 
 
-def test_the_files_of_an_earlier_run_are_replaced(brief: tuple[DemoResult, list[str]]) -> None:
-    found, steps = brief
+def test_how_far_it_is_is_told_in_many_small_parts_that_make_the_whole(
+    brief: tuple[DemoResult, list[str], list[float]],
+) -> None:
+    _, steps, shares = brief
     assert steps == list(STEPS)
+    assert sum(shares) == pytest.approx(1.0, abs=1e-9)
+    assert min(shares) >= 0.0
+    assert max(shares) < 0.4
+    assert len(shares) > 20
+
+
+def test_the_files_of_an_earlier_run_are_replaced(brief: tuple[DemoResult, list[str], list[float]]) -> None:
+    found, _, _ = brief
     assert found.report.passed
     written = read_controller(found.files.controller)
     assert written.checksum == found.checksum == read_controller(found.files.twin).checksum
@@ -70,9 +80,11 @@ def test_the_files_of_an_earlier_run_are_replaced(brief: tuple[DemoResult, list[
 
 
 def test_people_see_a_summary(
-    brief: tuple[DemoResult, list[str]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    brief: tuple[DemoResult, list[str], list[float]],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    found, _ = brief
+    found, _, _ = brief
     monkeypatch.setattr(demo_module, "run_demo", lambda *_args, **_options: found)
     assert main(["demo", "anywhere"]) == 0
     told = capsys.readouterr().out

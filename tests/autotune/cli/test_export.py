@@ -75,7 +75,7 @@ def test_a_wrong_request_is_exit_2(run_cli: RunCli, source: Path, arguments: lis
 def test_the_help_has_an_example(run_cli: RunCli) -> None:
     run = run_cli("export", "--help")
     assert run.returncode == 0
-    assert "Example: autotune export controller.yaml --target json -o controller.json" in run.stdout
+    assert "Examples:\n    autotune export controller.yaml --target json -o controller.json\n" in run.stdout
 
 
 def test_another_controller_is_certified_and_its_price_told(run_cli: RunCli, tmp_path: Path) -> None:

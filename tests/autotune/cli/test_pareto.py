@@ -29,7 +29,7 @@ def test_the_front_is_printed_and_written_beside_the_same_controller(run_cli: Ru
     lines = done.stdout.splitlines()
     head = next(i for i, line in enumerate(lines) if line.startswith("axis x: front of peak_force and admittance"))
     assert "peak_force [N]" in lines[head + 1]
-    assert lines[head + 2].endswith("<- the controller written")
+    assert lines[head + 2].endswith("<- written")
     assert lines[-1] == "written: pareto.yaml"
     assert (tmp_path / "controller.yaml").read_bytes() == alone
     first = (tmp_path / "pareto.yaml").read_bytes()
