@@ -59,8 +59,9 @@ class DemoFiles:
 
 @dataclass(frozen=True, kw_only=True)
 class DemoResult:
-    """What the chain found, step by step."""
+    """What the chain found, step by step; `identified` has the signals of the log, for pictures."""
 
+    identified: IdentifiedLog
     comparisons: tuple[Comparison, ...]
     optimized: Optimized
     report: ValidationReport
@@ -97,7 +98,7 @@ def run_demo(
     each = _SHARES[1] / sum(len(signal.stamp_ns) for signal in logged if signal is not None)
     write_mcap(run.recording, files.log, progress=lambda count: report(each * count))
     begin(STEPS[2])
-    found = identify_log(files.log, Topics(), progress=lambda share: report(_SHARES[2] * share))
+    found = identify_log(files.log, Topics(), progress=lambda share: report(_SHARES[2] * share), with_evidence=True)
     write_identified(files.identified, found.result, found.provenance)
     begin(STEPS[3])
     optimized = optimize(
@@ -115,6 +116,7 @@ def run_demo(
     begin(STEPS[5])
     export_controller(files.controller, "json", files.twin)
     return DemoResult(
+        identified=found,
         comparisons=compare(cell, found),
         optimized=optimized,
         report=checked,

@@ -12,6 +12,7 @@ from ._terminal import tell
 
 if TYPE_CHECKING:
     from autotune.demo import Comparison, DemoResult
+    from autotune.reports.page import Page
 
 _EPILOG = """\b
 Examples:
@@ -28,14 +29,35 @@ Examples:
 def command(output: Output, directory: Path, seed: int) -> None:
     """Write the log of a simulated cell to DIR and run the whole chain on it.
 
-    DIR (default autotune-demo) then holds the log (MCAP), identified.yaml, controller.yaml and its JSON twin. The
-    summary puts what was identified beside the truth of the simulation.
+    DIR (default autotune-demo) then holds the log (MCAP), identified.yaml, controller.yaml and its JSON twin, and
+    report.html with the figures. The summary puts what was identified beside the truth of the simulation.
     """
     from autotune.demo import run_demo
 
+    from ._report import write_report
+
     with output.progress("demo", 1.0) as advance:
         found = run_demo(directory, seed=seed, step=lambda name: output.note(f"{name} ..."), progress=advance)
-    output.result(_tree(found), lambda: _print(found))
+    page = directory / "report.html"
+    told = write_report(output, page, lambda: _page(found))
+    output.result({**_tree(found), **told}, lambda: _print(found, page))
+
+
+def _page(found: "DemoResult") -> "Page":
+    """Return what the log told and what was made of it as one page."""
+    from autotune.reports.identify_page import build_identify_page
+    from autotune.reports.log_summaries import summaries_of
+    from autotune.reports.optimize_page import build_optimize_page
+    from autotune.reports.page import join_pages
+
+    identified, files = found.identified, found.files
+    summaries = summaries_of([files.log], None, salvage=False)
+    steps = {name: search.steps for name, search in found.optimized.searches.items()}
+    parts = (
+        (files.log, build_identify_page(identified.result, identified.provenance, identified.evidence, summaries)),
+        (files.controller, build_optimize_page(found.optimized.controller, found.checksum, steps=steps)),
+    )
+    return join_pages("The demo: from a log to a controller", [(path.name, page) for path, page in parts])
 
 
 def _tree(found: "DemoResult") -> dict[str, Any]:
@@ -64,7 +86,7 @@ def _tree(found: "DemoResult") -> dict[str, Any]:
     }
 
 
-def _print(found: "DemoResult") -> None:
+def _print(found: "DemoResult", page: Path) -> None:
     from autotune.files.canonical import short
 
     from ._standing import active_lines
@@ -96,6 +118,7 @@ def _print(found: "DemoResult") -> None:
         ("identified plant", found.files.identified),
         ("controller for the cell", found.files.controller),
         ("its JSON twin", found.files.twin),
+        ("report with figures", page),
     ):
         tell(f"  {told:24}{path}")
 

@@ -26,6 +26,7 @@ from problems.errors import ParameterError
 from problems.plant import Coupling, Plant
 from problems.requirements import NoiseLimit, PassivityTarget
 from problems.robot import RobotModel
+from problems.uncertainty import SYMBOLS
 
 from .admittance import sampled_admittance
 from .command import passive_band_hz, worst_speed_rms
@@ -260,7 +261,8 @@ def _stability(name: str, proof: StabilityProof, where: str, plants: UncertainPl
 def _continuous(name: str, domain: AxisDomain, law: AdmittanceController, h: float, reach: Reach) -> Check:
     """Prove again how far a modulus holds; more than is claimed may be proved, less may not."""
     units, (low, high) = axis_units(name), reach.environment_stiffness_n_per_m
-    told = f"|1 + L| > {reach.modulus:.4g} and stable at every frequency, over {', '.join(reach.over)}"
+    over = ", ".join(SYMBOLS[each] for each in reach.over)
+    told = f"|1 + L| > {reach.modulus:.4g} and stable at every frequency, over {over}"
     try:
         found = prove_over(domain, law, h, reach.over, reach.modulus, int(reach.work))
     except ParameterError as error:
