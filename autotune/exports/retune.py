@@ -242,5 +242,5 @@ def _told(structure: Structure, judge: QuickJudge, values: Values) -> str:
     numbers = ", ".join(f"{name} {value:.4g}" for name, value in structure.written(values).items())
     if judge.cost(structure.law(values)) >= _UNSTABLE:
         return f"no numbers were found that make a stable loop over the whole domain (the last ones: {numbers})"
-    each = " and ".join(f"{name} by {100.0 * (ratio - 1.0):.3g} %" for name, ratio in judge.missed.items())
+    each = ", ".join(f"{name} by {100.0 * (ratio - 1.0):.3g} %" for name, ratio in judge.missed.items())
     return f"no numbers were found that meet the requirements (the nearest that was found: {numbers}; it misses {each})"
