@@ -381,7 +381,7 @@ def test_the_largest_force_is_found_at_any_stiffness(stiffness: float, mass: flo
 def force_on_grid(
     flow: FloatArray, rows: FloatArray, state: FloatArray, inputs: tuple[float, ...], fraction: float
 ) -> FloatArray:
-    """Return F_e at 400 points for each command of a sample, older one first, by products of one small exponential each."""
+    """Return F_e at 400 points for each command of a sample, the older first, by products of one small exponential."""
     n, out = len(state), []
     parts = ((inputs[0], fraction), (inputs[1], 1.0 - fraction))
     for held, duration in parts if fraction > 0.0 else parts[1:]:
