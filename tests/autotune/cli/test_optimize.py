@@ -186,6 +186,7 @@ def test_what_cannot_be_met_is_exit_5_with_the_reason_and_no_file(
         (["identified.yaml", "--payload-mass", "12,10"], "the lower one first; found 12 and 10"),
         (["identified.yaml", "--payload-mass", "1,2,3"], "give one mass, or two"),
         (["identified.yaml", "--payload-mass", "0"], "above 0"),
+        (["identified.yaml", "--payload-mass", "0,22"], "the sensor carries the gripper: its mass"),
         (["identified.yaml", "--payload-mass", "nan"], "finite"),
         (["identified.yaml", "--environment-stiffness", "1e5"], "give a range as LOW:HIGH"),
         (["identified.yaml", "--environment-stiffness", "2e5:1e5"], "the lower one first"),
