@@ -63,7 +63,16 @@ def find_relaxations(
     asked, report = asked_numbers(problem), progress if progress is not None else _silent
 
     def least(goal: str) -> float | None:
-        return _least_ratio(problem, goal, seed, lambda done: report(done / (len(asked) + 1)))
+        share, told = 1.0 / (len(asked) + 1), 0.0
+
+        def pass_on(done: float) -> None:
+            nonlocal told
+            told += share * done
+            report(share * done)
+
+        ratio = _least_ratio(problem, goal, seed, pass_on)
+        report(max(share - told, 0.0))
+        return ratio
 
     together = least(EVERY_REQUIREMENT)
     found = []
@@ -85,7 +94,8 @@ def tell_relaxations(problem: DesignProblem, found: Sequence[Relaxation]) -> str
     if EVERY_REQUIREMENT in names:
         said = f"No single requirement was found that would be enough to ease; enough would be: {told}."
     else:
-        useless = f" No easing of {' or '.join(others)} alone was found to be enough." if others else ""
+        listed = " or ".join(filter(None, (", ".join(others[:-1]), *others[-1:])))
+        useless = f" No easing of {listed} alone was found to be enough." if others else ""
         said = f"Enough by itself would be: {told}.{useless}"
     return f"{said} Or narrow the ranges of stiffness and payload, or widen the bounds."
 

@@ -69,8 +69,8 @@ def test_the_command_is_relaxed_like_the_loop_and_wishes_are_no_obstacle() -> No
     assert asked_numbers(problem) == {"modulus_margin": 0.5, "passivity": 80.0}
     done: list[float] = []
     found = {each.name: each for each in find_relaxations(problem, progress=done.append)}
-    assert 0.5 < sum(done) <= 1.0 + 1e-9
-    assert max(done) < 0.1
+    assert sum(done) == pytest.approx(1.0)
+    assert len(done) > 20
     possible = found["passivity"].possible
     assert 40.0 < possible < 80.0
     easier = replace(asked, passivity=PassivityTarget(passive_below_hz=possible))
@@ -78,11 +78,11 @@ def test_the_command_is_relaxed_like_the_loop_and_wishes_are_no_obstacle() -> No
 
 
 def test_what_would_be_enough_and_what_would_not_is_told() -> None:
-    problem = design_problem(requirements=replace(FEW, delay_margin_s=1e-3))
+    problem = design_problem(requirements=replace(FEW, delay_margin_s=1e-3, decay_rate_per_s=3.0))
     enough = Relaxation(name="modulus_margin", asked=0.9, possible=0.641)
     rest = "Or narrow the ranges of stiffness and payload, or widen the bounds."
     assert tell_relaxations(problem, [enough]) == (
-        "Enough by itself would be: modulus_margin 0.641 instead of 0.9. No easing of delay_margin_s or "
+        "Enough by itself would be: modulus_margin 0.641 instead of 0.9. No easing of delay_margin_s, decay_rate_per_s or "
         f"free_space_admittance alone was found to be enough. {rest}"
     )
     together = Relaxation(name=EVERY_REQUIREMENT, asked=100.0, possible=77.7)
