@@ -82,8 +82,8 @@ def test_what_would_be_enough_and_what_would_not_is_told() -> None:
     enough = Relaxation(name="modulus_margin", asked=0.9, possible=0.641)
     rest = "Or narrow the ranges of stiffness and payload, or widen the bounds."
     assert tell_relaxations(problem, [enough]) == (
-        "Enough by itself would be: modulus_margin 0.641 instead of 0.9. No easing of delay_margin_s, decay_rate_per_s or "
-        f"free_space_admittance alone was found to be enough. {rest}"
+        "Enough by itself would be: modulus_margin 0.641 instead of 0.9. No easing of delay_margin_s, "
+        f"decay_rate_per_s or free_space_admittance alone was found to be enough. {rest}"
     )
     together = Relaxation(name=EVERY_REQUIREMENT, asked=100.0, possible=77.7)
     assert tell_relaxations(problem, [together]) == (
