@@ -159,9 +159,9 @@ def test_quiet_and_the_ranges_of_the_command_line(run_cli: RunCli, tmp_path: Pat
 @pytest.mark.parametrize(
     ("requirements", "named"),
     [
-        ("modulus_margin: 0.99", "instead of 0.99"),
+        ("modulus_margin: 0.99", "Enough by itself would be: modulus_margin 0."),
         ("free_space_admittance: {min_m_s_per_n: 1e-2, band_hz: [1, 2]}", "instead of 0.01"),
-        ("max_peak_force_n: 31", "instead of 31"),
+        ("max_peak_force_n: 31", "enough would be: all requirements together at "),
     ],
 )
 def test_what_cannot_be_met_is_exit_5_with_the_reason_and_no_file(
@@ -171,7 +171,6 @@ def test_what_cannot_be_met_is_exit_5_with_the_reason_and_no_file(
     (tmp_path / "controller.yaml").write_text("format: autotune/controller\n", encoding="utf-8")
     done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml")
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (5, "", 1)
-    assert "Enough by itself would be: " in done.stderr
     assert named in done.stderr
     assert (tmp_path / "controller.yaml").read_text(encoding="utf-8") == "format: autotune/controller\n"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["controller.yaml", "identified.yaml", "problem.yaml"]
