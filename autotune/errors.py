@@ -11,11 +11,15 @@ class InfeasibleError(AutotuneError):
     """No controller within the bounds meets the requirements.
 
     `relaxations` are the single requirements that would be enough to ease, and by how much: name, asked, possible.
+    `bare` is the message without what some design misses, for where the relaxations are told instead.
     """
 
-    def __init__(self, message: str, relaxations: tuple[tuple[str, float, float], ...] = ()) -> None:
+    def __init__(
+        self, message: str, relaxations: tuple[tuple[str, float, float], ...] = (), *, bare: str | None = None
+    ) -> None:
         super().__init__(message)
         self.relaxations = relaxations
+        self.bare = message.removesuffix(".") if bare is None else bare
 
 
 class CertificateError(AutotuneError):

@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 
 from ._checks import interval, non_negative, positive
 from .contact import Approach
-from .controller import PAPER_VELOCITY_FILTER_RAD_PER_S, SMALLEST_FEEDBACK_DAMPING_S, AdmittanceController
+from .controller import (
+    PAPER_VELOCITY_FILTER_RAD_PER_S,
+    SMALLEST_FEEDBACK_DAMPING_S,
+    AdmittanceController,
+    check_feedback_damping,
+)
 from .errors import ParameterError
 from .plant import Coupling, Environment, Payload, Plant
 from .requirements import AdmittanceTarget, Asked, NoiseLimit, PassivityTarget, Requirements
@@ -95,6 +100,8 @@ class DesignProblem:
         for name in ("mass", "damping", "velocity_filter_rad_per_s", "acceleration_filter_rad_per_s"):
             if name in bounds:
                 positive(f"lower bound of {name}", bounds[name][0])
+        for value in bounds["feedback_damping_s"]:
+            check_feedback_damping(value)
         if "acceleration_filter_rad_per_s" in bounds and bounds.get("compensation_mass_kg", (0.0, 0.0))[1] == 0.0:
             must = "left out unless compensation_mass_kg is free too (the filter is that of the compensation)"
             raise ParameterError("bounds", "acceleration_filter_rad_per_s", must)

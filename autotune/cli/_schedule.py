@@ -45,11 +45,22 @@ def _interval(text: str, kind: str) -> Interval:
     if len(numbers) not in (1, 2):
         raise click.BadParameter(f"{text!r} is no {kind}; give a number, or a range as LOW:HIGH.")
     low, high = numbers[0], numbers[-1]
-    if not 0.0 < low <= high < float("inf"):
-        raise click.BadParameter(
-            f"a {kind} must be finite and above 0, the lower one first; found {low:g} and {high:g}."
+    return check_range(low, high, f"a {kind}", is_mass=kind == "payload")
+
+
+def check_range(low: float, high: float, what: str, *, is_mass: bool) -> Interval:
+    """Return a range of the command line; raises BadParameter unless it is finite, above 0 and in order."""
+    if 0.0 < low <= high < float("inf"):
+        return low, high
+    hint = ""
+    if is_mass and low == 0.0:
+        hint = (
+            " Even empty, the sensor carries the gripper: its mass, as identified from a log without a part, is the "
+            "least; for empty and loaded give it first, for example 2,22 with a gripper of 2 kg."
         )
-    return low, high
+    raise click.BadParameter(
+        f"{what} must be finite and above 0, the lower one first; found {low:g} and {high:g}.{hint}"
+    )
 
 
 def schedule_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -89,7 +100,7 @@ def _tune(
     from autotune.files.problem import ProblemSpec, read_problem
     from autotune.files.schedule import check_schedule_target, write_schedule
     from autotune.processes import count_processors
-    from autotune.tuning.problems import Wishes
+    from autotune.tuning.problems import Wishes, is_identified_mass
     from autotune.tuning.schedule import build_classes, tune_schedule
 
     check_schedule_target(folder)
@@ -109,8 +120,9 @@ def _tune(
             progress=advance,
         )
     tree = write_schedule(folder, schedule)
-    mass = plant.result.payload.mass_kg.value
-    strange = [each.of.name for each in schedule.tuned if each.controller.payload.mass_kg != mass]
+    strange = [
+        each.of.name for each in schedule.tuned if not is_identified_mass(plant.result, each.controller.payload.mass_kg)
+    ]
     if strange:
         output.note(
             f"The runtime will compensate another mass than the identified one, with its centre of mass, in "

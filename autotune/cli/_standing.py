@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from autotune.tuning.standing import Standing
     from problems.design import DesignProblem
 
-# A price below this is none.
-_LEAST_PRICE = 1e-3
+# How many decimals of a price are told: what is none in them is told as nothing.
+_DECIMALS = {"N": 2, "N·m": 4}
 
 
 def active_tree(found: "Optimized") -> dict[str, Any]:
@@ -41,26 +41,31 @@ def active_lines(found: "Optimized", name: str) -> list[str]:
     lines = [_active_line(entry, found.searches[name].problem, units) for entry in standing.active]
     if not standing.active:
         lines.append(f"no requirement is active: the peak is the approach {units.force_name} itself")
-    return [*lines, *_standing_lines(standing, units)]
+    return [*lines, *_standing_lines(standing, units, bool(found.searches[name].problem.requirements.soft_n))]
 
 
 def _active_line(entry: "Active", problem: "DesignProblem", units: "AxisUnits") -> str:
-    saved = f"{entry.price_n:.2f} {units.force}"
+    decimals = _DECIMALS[units.force]
+    saved, is_nothing = f"{entry.price_n:.{decimals}f} {units.force}", entry.price_n < 0.5 * 10.0**-decimals
     side, _, variable = entry.name.partition(" bound of ")
     if variable:
         limit = problem.bounds[variable][0 if side == "lower" else 1]
-        if entry.price_n <= _LEAST_PRICE:
+        if is_nothing:
             return f"the {entry.name}, {limit:g}, is active, and widening it saves nothing"
         return f"the {entry.name}, {limit:g}, is active: 1 % wider saves {saved}; widen it, or accept"
-    if entry.price_n <= _LEAST_PRICE:
+    if is_nothing:
         return f"{entry.name} is active, easing it alone saves nothing"
     if entry.soft:
         return f"{entry.name} is wished, not required: wishing 1 % less saves {saved} of peak and price"
     return f"{entry.name} holds the peak up: easing it by 1 % saves {saved}, asking 1 % more costs as much"
 
 
-def _standing_lines(standing: "Standing", units: "AxisUnits") -> Iterator[str]:
-    """Yield whether the design is feasible, an optimum of its surroundings, and the best that anyone found."""
+def _standing_lines(standing: "Standing", units: "AxisUnits", has_wishes: bool) -> Iterator[str]:
+    """Yield whether the design is feasible, an optimum of its surroundings, and the best that anyone found.
+
+    With wishes, what was minimised is the peak and the prices of what is missed.
+    """
+    what = f"{units.force} of peak and price" if has_wishes else units.force
     near = ""
     if standing.nearest is not None:
         near = f"; nearest to its limit is {standing.nearest}, {100.0 * standing.ratio:.4f} % of it used up"
@@ -72,7 +77,7 @@ def _standing_lines(standing: "Standing", units: "AxisUnits") -> Iterator[str]:
         f"unused slack is worth {slack:.3f} {units.force}"
     )
     yield (
-        f"gap {100.0 * standing.gap:.3f} % to a reference: {standing.reference.least_n:.2f} {units.force} is the least "
+        f"gap {100.0 * standing.gap:.3f} % to a reference: {standing.reference.least_n:.2f} {what} is the least "
         f"that was found {_where_it_was_looked(standing.reference)}"
     )
 

@@ -14,7 +14,7 @@ from ._help import GroupedCommand
 from ._pareto import FrontWriter, pareto_options
 from ._proof import proof_options
 from ._report import check_report, print_report_path, report_option, write_report
-from ._schedule import schedule_options
+from ._schedule import check_range, schedule_options
 from ._spark import contact_spark
 from ._standing import active_lines, active_tree
 from ._table import print_table
@@ -54,7 +54,7 @@ def _masses(_context: click.Context, _option: click.Parameter, text: str | None)
     if len(numbers) > 2:
         raise click.BadParameter("give one mass, or two as LOW,HIGH in kg.")
     low, high = numbers[0], numbers[-1]
-    return _ordered(low, high, "a payload mass")
+    return check_range(low, high, "a payload mass", is_mass=True)
 
 
 def _stiffness(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[float, float] | None:
@@ -63,7 +63,7 @@ def _stiffness(_context: click.Context, _option: click.Parameter, text: str | No
     parts = text.split(":")
     if len(parts) != 2:
         raise click.BadParameter("give a range as LOW:HIGH in N/m, for example 2e4:5e5.")
-    return _ordered(_number(parts[0]), _number(parts[1]), "a stiffness")
+    return check_range(_number(parts[0]), _number(parts[1]), "a stiffness", is_mass=False)
 
 
 def _number(text: str) -> float:
@@ -71,12 +71,6 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         raise click.BadParameter(f"{text!r} is not a number.") from None
-
-
-def _ordered(low: float, high: float, what: str) -> tuple[float, float]:
-    if not 0.0 < low <= high < float("inf"):
-        raise click.BadParameter(f"{what} must be finite and above 0, the lower one first; found {low:g} and {high:g}.")
-    return low, high
 
 
 @click.command("optimize", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
@@ -183,11 +177,12 @@ def _page(found: "Optimized", checksum: str, existing: "ControllerFile | None", 
 def _notes(plant: "IdentifiedFile", found: "Optimized", has_stiffness: bool) -> Iterator[str]:
     """Yield what the user should know beside the result; `has_stiffness`: a range was named on the command line."""
     from autotune.files.records import ROTATIONAL_AXES
+    from autotune.tuning.problems import is_identified_mass
 
     for finding in plant.result.findings:
         if finding.severity != "info":
             yield f"{plant.path}: {finding.severity}: {finding.message}"
-    if found.controller.payload.mass_kg != plant.result.payload.mass_kg.value:
+    if not is_identified_mass(plant.result, found.controller.payload.mass_kg):
         yield (
             f"The runtime will compensate {found.controller.payload.mass_kg:g} kg with the centre of mass of the "
             "identified payload; identify the new payload before it is led by hand."

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from autotune.errors import UsageError
 from problems.contact import Approach
+from problems.controller import check_feedback_damping
 from problems.design import AdmittanceTarget, NoiseLimit, Objective, PassivityTarget, Requirements
 from problems.errors import ParameterError
 from problems.uncertainty import FURTHER_UNCERTAIN, UNCERTAIN
@@ -28,6 +29,8 @@ _KINDS: Mapping[str, Callable[..., Any]] = {
     "command_noise": NoiseLimit,
     "passivity": PassivityTarget,
 }
+_MOST_OF_AN_APPROACH = {"force_n": 1e4, "speed_m_s": 5.0, "torque_n_m": 2e3, "speed_rad_s": 25.0}
+"""What an approach may ask at most; about a turning axis the same at a lever of 0.2 m."""
 _NEVER_FREE: Mapping[str, str] = {
     "collision_threshold_n": "what is minimised and certified is the contact without a collision response, which no "
     "threshold changes. Leave it out.",
@@ -89,6 +92,9 @@ def read_problem(path: Path) -> ProblemSpec:
         document.refuse(("free", name), f"{name} cannot be free: {_NEVER_FREE[name]}")
     for place in _intervals(tree):
         _check_order(document, place)
+    for within in ((), ("rotational",)):
+        _check_feedback_damping(document, within)
+        _check_approach(document, within)
     axis, turned = tree.get("axis"), rename_axis_keys("rx", tree.get("rotational", {}), reading=True)
     try:
         return ProblemSpec(
@@ -146,6 +152,33 @@ def _check_order(document: Document, place: Place) -> None:
         value = value[key]
     if value[0] > value[1]:
         document.refuse(place, f"{spell(place)} must be [low, high], found {value[0]} above {value[1]}.")
+
+
+def _check_feedback_damping(document: Document, within: Place) -> None:
+    """Refuse a bound of B_fb in the paper's printed unit: the least value that works there is none at all."""
+    place = (*within, "bounds", "feedback_damping_s")
+    for value in _entry(document, place) or ():
+        try:
+            check_feedback_damping(value)
+        except ParameterError as error:
+            document.refuse(place, f"{spell(place)} must hold {error.must}, found {value:g}.")
+
+
+def _check_approach(document: Document, within: Place) -> None:
+    """Refuse an approach that no robot of this kind makes: its numbers are in another unit."""
+    for name, value in (_entry(document, (*within, "approach")) or {}).items():
+        if value > _MOST_OF_AN_APPROACH[name]:
+            place = (*within, "approach", name)
+            must = f"at most {_MOST_OF_AN_APPROACH[name]:g}, far above what a robot does at a contact"
+            document.refuse(place, f"{spell(place)} must be {must}, found {value:g}; mind its unit.")
+
+
+def _entry(document: Document, place: Place) -> Any:
+    """Return what stands at a place, None where nothing does."""
+    found: Any = document.tree
+    for key in place:
+        found = found.get(key) if isinstance(found, Mapping) else None
+    return found
 
 
 def _pair(value: list[float]) -> Interval:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from autotune import __version__
-from autotune.errors import InfeasibleError
+from autotune.errors import CertificateError, InfeasibleError
 from autotune.files.controller import ControllerFile
 from autotune.files.controller_record import Controller, Proof, Reach, RuntimePayload
 from autotune.files.identified import IdentifiedFile
@@ -15,18 +15,19 @@ from autotune.files.records import ROTATIONAL_AXES
 from autotune.validation.continuous import ProofWishes, prove_reach
 from autotune.validation.validate import ValidationReport, prove_axis, validate_controller
 from identification.result import Identified
-from problems.design import DesignProblem
+from problems.design import FURTHER_VARIABLES, VARIABLES, DesignProblem
 
 from .compare import SideBySide, check_comparable, compare, start_design
 from .problems import Wishes, build_problems, certified_mass_kg, runtime_mass_kg
 from .record import build_controller, build_domain, runtime_payload
-from .relax import find_relaxations
+from .relax import find_relaxations, tell_relaxations
 from .search import SearchResult, solve_design
 from .standing import Standing, find_standing, standing_tree
 
 # Of the time of a usual run, measured; of no other use than to tell how it goes on. The second is a share of what comes
 # after the search.
 _SEARCH_SHARE, _PROOF_SHARE = 0.4, 0.1
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,11 +112,25 @@ def certify(
     `progress` is told the share of the work done since the last call. Raises CertificateError when a claim cannot be
     proved or verified.
     """
+    for name, search in searches.items():
+        check_within_bounds(search, name)
     proofs, reaches = _prove(searches, proof, progress)
     controller = build_controller(searches, payload, proofs, reaches, provenance)
     checked = validate_controller(controller, lambda done: progress((1.0 - _PROOF_SHARE) * done))
     checked.require()
     return controller, checked
+
+
+def check_within_bounds(search: SearchResult, name: str) -> None:
+    """Raise CertificateError if the controller that a design makes lies outside of the bounds that were asked."""
+    problem, known = search.problem, (*VARIABLES, *FURTHER_VARIABLES)
+    values = dict(zip(known, problem.controller(search.design).numbers(), strict=True))
+    for variable, (low, high) in problem.bounds.items():
+        if not low * (1.0 - _ROUNDING) <= values[variable] <= high * (1.0 + _ROUNDING):
+            raise CertificateError(
+                f"Axis {name}: the design found has {variable} {values[variable]:g}, outside of its bounds {low:g} to "
+                f"{high:g}, so nothing is written."
+            )
 
 
 class _Portion:
@@ -167,9 +182,9 @@ def _search(
             raise InfeasibleError(f"Axis {name}: {error}") from error
         # In the place of what a controller would still have to pass.
         eased = find_relaxations(problem, seed=seed, progress=_Portion(report, 1.0 - _SEARCH_SHARE))
-        told = f" Enough by itself would be: {'; or '.join(map(str, eased))}." if eased else ""
         numbers = tuple((each.name, each.asked, each.possible) for each in eased)
-        raise InfeasibleError(f"Axis {name}: {error}{_without_uncertainty(problem, seed)}{told}", numbers) from error
+        why = f"{error.bare}. {tell_relaxations(problem, eased)}" if eased else str(error)
+        raise InfeasibleError(f"Axis {name}: {why}{_without_uncertainty(problem, seed)}", numbers) from error
     portion.finish()
     return found
 

@@ -25,6 +25,7 @@ Interval = tuple[float, float]
 _STDS = 3.0
 _LEAST_STIFFNESS_SHARE = 0.2
 _LEAST_MASS_SHARE = 0.02
+_SHOWN_DIGITS = 4
 _DEFAULT_APPROACH_N = 30.0
 
 
@@ -131,9 +132,10 @@ def _check_same_payload(identified: Identified, name: str, asked: Interval | Non
 def runtime_mass_kg(identified: Identified, certified: Interval | None) -> float:
     """Return the mass that the runtime's gravity compensation takes: one that the certificate holds for.
 
-    The identified mass where the range holds it, else the one mass that was asked for; `certified` is None where only
-    rotational axes are tuned, whose certificates speak of inertia. Raises UsageError for a range that leaves the
-    identified mass out: nobody could say which weight to compensate.
+    The identified mass where the range holds it; the end of the range that lies within its deviation; else the one
+    mass that was asked for. `certified` is None where only rotational axes are tuned, whose certificates speak of
+    inertia. Raises UsageError for a range that leaves the identified mass out: nobody could say which weight to
+    compensate.
     """
     mass = _value(identified.payload.mass_kg, "payload.mass_kg")
     if certified is None:
@@ -141,12 +143,21 @@ def runtime_mass_kg(identified: Identified, certified: Interval | None) -> float
     low, high = certified
     if low <= mass <= high:
         return mass
-    if low == high:
-        return low
+    nearest = min(max(mass, low), high)
+    if low == high or is_identified_mass(identified, nearest):
+        return nearest
     raise UsageError(
         f"The payload range {low:g} to {high:g} kg leaves out the identified payload of {mass:.4g} kg, so the weight "
-        "compensate is not known; widen the range, or name the one mass that the cell will carry."
+        "to compensate is not known; widen the range, or name the one mass that the cell will carry."
     )
+
+
+def is_identified_mass(identified: Identified, mass_kg: float) -> bool:
+    """Return whether a mass is the identified one as far as that is known: to 3 deviations, or to the digits shown."""
+    estimate = identified.payload.mass_kg
+    mass = _value(estimate, "payload.mass_kg")
+    shown = 0.5 * 10.0 ** (math.floor(math.log10(mass)) - _SHOWN_DIGITS + 1)
+    return abs(mass_kg - mass) <= max(_STDS * (estimate.std or 0.0), shown)
 
 
 def certified_mass_kg(problems: Mapping[str, DesignProblem]) -> Interval | None:

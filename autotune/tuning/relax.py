@@ -1,7 +1,7 @@
 """What would have to be given up: the smallest relaxation, of each requirement alone, that makes a problem feasible."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,8 @@ from .worst import ALONE, WholeSet
 FloatArray = NDArray[np.float64]
 
 _ROUNDS = 6
+# Which requirements can be met without one needs fewer generations than the last newton of a peak.
+_GENERATIONS, _EXPLORED = 30, 0.6
 _DIGITS = 3
 _HAIR = 2e-3
 
@@ -44,6 +46,10 @@ class Relaxation:
         return f"{self.name} {self.possible:g} instead of {self.asked:g}"
 
 
+def _silent(_: float) -> None:
+    return None
+
+
 def find_relaxations(
     problem: DesignProblem, *, seed: int = 0, progress: Callable[[float], None] | None = None
 ) -> tuple[Relaxation, ...]:
@@ -52,21 +58,46 @@ def find_relaxations(
     For each requirement in turn, required/achieved is minimised over the bounds while all others are met, over the
     whole uncertainty as in the search; what is told was reached by a design, exactly evaluated, and is rounded to the
     easier side. Where no single one is enough, all together by one share (`EVERY_REQUIREMENT`, in per cent of what is
-    asked). Empty where nothing is stable.
+    asked). Empty where nothing is stable. `progress` is told the share of the work done since the last call.
     """
-    asked = asked_numbers(problem)
-    together = _least_ratio(problem, EVERY_REQUIREMENT, seed)
+    asked, report = asked_numbers(problem), progress if progress is not None else _silent
+
+    def least(goal: str) -> float | None:
+        share, told = 1.0 / (len(asked) + 1), 0.0
+
+        def pass_on(done: float) -> None:
+            nonlocal told
+            told += share * done
+            report(share * done)
+
+        ratio = _least_ratio(problem, goal, seed, pass_on)
+        report(max(share - told, 0.0))
+        return ratio
+
+    together = least(EVERY_REQUIREMENT)
     found = []
     for name, number in asked.items() if together is not None else ():
-        ratio = _least_ratio(problem, name, seed)
+        ratio = least(name)
         if ratio is not None:
             found.append(Relaxation(name=name, asked=number, possible=_eased(name, number, ratio)))
-        if progress is not None:
-            progress(1.0 / len(asked))
     if together is not None and not found:
         possible = _eased(EVERY_REQUIREMENT, 100.0, together)
         return (Relaxation(name=EVERY_REQUIREMENT, asked=100.0, possible=possible),)
     return tuple(sorted(found, key=lambda each: each.share))
+
+
+def tell_relaxations(problem: DesignProblem, found: Sequence[Relaxation]) -> str:
+    """Say in sentences what would be enough, of which requirements no easing was found to be, and what else helps."""
+    told = "; or ".join(map(str, found))
+    names = {each.name for each in found}
+    others = [name for name in asked_numbers(problem) if name not in names]
+    if EVERY_REQUIREMENT in names:
+        said = f"No single requirement was found that would be enough to ease; enough would be: {told}."
+    else:
+        listed = " or ".join(filter(None, (", ".join(others[:-1]), *others[-1:])))
+        useless = f" No easing of {listed} alone was found to be enough." if others else ""
+        said = f"Enough by itself would be: {told}.{useless}"
+    return f"{said} Or narrow the ranges of stiffness and payload, or widen the bounds."
 
 
 def asked_numbers(problem: DesignProblem) -> dict[str, float]:
@@ -75,14 +106,20 @@ def asked_numbers(problem: DesignProblem) -> dict[str, float]:
     return {name: level(asked) for name, asked in requirements.asked().items() if name not in requirements.soft_n}
 
 
-def _least_ratio(problem: DesignProblem, goal: str, seed: int) -> float | None:
-    """Return the least required/achieved of one requirement over the whole uncertainty; None if others are missed."""
-    search, whole = Search(problem, seed, goal=goal), WholeSet(problem, seed)
+def _least_ratio(
+    problem: DesignProblem, goal: str, seed: int, report: Callable[[float], None] = _silent
+) -> float | None:
+    """Return the least required/achieved of one requirement over the whole uncertainty; None if others are missed.
+
+    `report` is told the share of the work done since the last call.
+    """
+    search, whole = Search(problem, seed, goal=goal, generations=_GENERATIONS), WholeSet(problem, seed)
     active: tuple[Scenario, ...] = problem.scenarios(3, 2)
-    best = None
+    best: float | None = None
     try:
-        unit = search.explore(active, lambda _: None)
+        unit = search.explore(active, lambda done: report(_EXPLORED * done))
         for _ in range(_ROUNDS):
+            report((1.0 - _EXPLORED) / _ROUNDS)
             unit = search.polish(active, unit)
             controller = problem.controller(presentable(problem, search.box.design(unit)))
             promised = 1.0 if search.last is None else _of(goal, search.last.requirements)
@@ -95,8 +132,10 @@ def _least_ratio(problem: DesignProblem, goal: str, seed: int) -> float | None:
             sought = {name: value for name, value in ratios.items() if goal in (name, EVERY_REQUIREMENT)}
             others = {name: value for name, value in ratios.items() if name not in sought}
             if all(value <= 1.0 for value in others.values()):
-                best = min(_of(goal, ratios), np.inf if best is None else best)
-                if _of(goal, ratios) <= promised * (1.0 + _HAIR):
+                before, reached = best, _of(goal, ratios)
+                best = reached if before is None else min(reached, before)
+                # What more scenarios no longer change is not worth another look at the whole uncertainty.
+                if reached <= promised * (1.0 + _HAIR) or (before is not None and reached >= before * (1.0 - _HAIR)):
                     break
             worse = margin_scenarios(problem, others, exact.margins)
             worse = (*worse, *margin_scenarios(problem, sought, exact.margins, level=promised))

@@ -166,13 +166,20 @@ def _silent(_: float) -> None:
 class Search:
     """One run: the box, what was asked (tightened where a grid flattered), and the count of evaluations.
 
-    With a `goal` the required/achieved of that requirement is minimised instead of the peak.
+    With a `goal` the required/achieved of that requirement is minimised instead of the peak. `generations` is the most
+    that the global stage makes.
     """
 
     def __init__(
-        self, problem: DesignProblem, seed: int, start: FloatArray | None = None, *, goal: str | None = None
+        self,
+        problem: DesignProblem,
+        seed: int,
+        start: FloatArray | None = None,
+        *,
+        goal: str | None = None,
+        generations: int = _GENERATIONS,
     ) -> None:
-        self.goal = goal
+        self.goal, self.generations = goal, generations
         self.problem = problem
         self.box = Box(problem)
         self.seed = seed
@@ -196,7 +203,7 @@ class Search:
             self._note_generation(len(active), float(np.min(found)))
             return found
 
-        found = self._evolve(costs, seed=self.seed, start=self.start, each=lambda: report(1.0 / _GENERATIONS))
+        found = self._evolve(costs, seed=self.seed, start=self.start, each=lambda: report(1.0 / self.generations))
         if found.fun >= _MISSED:
             return self._recovered(screen, np.asarray(found.x))
         good = [unit for value, unit in sorted(seen, key=lambda pair: pair[0]) if value < _MISSED]
@@ -240,7 +247,7 @@ class Search:
             costs,
             [(0.0, 1.0)] * len(self.problem.variables),
             popsize=_POPULATION,
-            maxiter=_GENERATIONS,
+            maxiter=self.generations,
             init="sobol",
             x0=start,
             rng=np.random.default_rng(seed),
@@ -297,7 +304,7 @@ class Search:
         """Walk from the closest point into the feasible set, or say why there is no way."""
         candidate = self.local(screen, closest)
         if self._tightened_costs(screen, candidate[None])[0] >= _MISSED:
-            raise InfeasibleError(self._reason(screen.prepared, closest))
+            raise self._refusal(screen.prepared, [closest, candidate])
         return candidate
 
     def _tightened_costs(self, screen: Screen, units: FloatArray) -> FloatArray:
@@ -325,18 +332,21 @@ class Search:
         self.evaluations += found.evaluations
         return found.unit
 
-    def _reason(self, prepared: PreparedScenarios, unit: FloatArray) -> str:
-        """Say why nothing is feasible: the requirement that the closest design misses."""
-        evaluation = prepared.evaluate(self.box.design(unit), peaks_if_missed=True)
+    def _refusal(self, prepared: PreparedScenarios, units: list[FloatArray]) -> InfeasibleError:
+        """Say why nothing is feasible: what the design misses at which the search ended, the better one of these."""
+        found = [prepared.evaluate(self.box.design(unit), peaks_if_missed=True) for unit in units]
+        evaluation = min(found, key=lambda each: (each.violation, each.spectral_radius))
         if not evaluation.is_stable:
-            return (
+            return InfeasibleError(
                 "No controller within the bounds is stable in every scenario (closest: largest |z| = "
                 f"{evaluation.spectral_radius:.4f}); raise the upper bound of the damping or narrow the ranges."
             )
-        return (
-            "No controller within the bounds meets all requirements in every scenario; the closest one misses "
-            f"{_told(evaluation)}. Relax that requirement, narrow the ranges of stiffness and payload, or widen "
-            "the bounds."
+        said = "No controller within the bounds meets all requirements in every scenario"
+        # The screen passes over what a design misses further on, so this one need not be the closest.
+        return InfeasibleError(
+            f"{said}; the search ended at one that misses {_told(evaluation)}. Relax that requirement, narrow the "
+            "ranges of stiffness and payload, or widen the bounds.",
+            bare=said,
         )
 
 

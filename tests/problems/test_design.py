@@ -71,6 +71,8 @@ def test_ranges_that_cannot_be_are_refused_by_name(name: str, value: object) -> 
         ({"damping": (0.0, 5.0)}, "above 0"),
         ({"lead_s": (-0.1, 0.1)}, "not below 0"),
         ({"feedback_damping_s": (0.0, math.nan)}, "finite"),
+        ({"feedback_damping_s": (0.0, 2e-5)}, "0 or at least 0.0001 s"),
+        ({"feedback_damping_s": (2e-5, 0.05)}, "0 or at least 0.0001 s"),
     ],
 )
 def test_bounds_that_cannot_be_are_refused(bounds: dict[str, tuple[float, float]], must: str) -> None:

@@ -159,9 +159,9 @@ def test_quiet_and_the_ranges_of_the_command_line(run_cli: RunCli, tmp_path: Pat
 @pytest.mark.parametrize(
     ("requirements", "named"),
     [
-        ("modulus_margin: 0.99", "modulus_margin (only "),
-        ("free_space_admittance: {min_m_s_per_n: 1e-2, band_hz: [1, 2]}", "free_space_admittance (only "),
-        ("max_peak_force_n: 31", "max_peak_force_n (only "),
+        ("modulus_margin: 0.99", "Enough by itself would be: modulus_margin 0."),
+        ("free_space_admittance: {min_m_s_per_n: 1e-2, band_hz: [1, 2]}", "instead of 0.01"),
+        ("max_peak_force_n: 31", "enough would be: all requirements together at "),
     ],
 )
 def test_what_cannot_be_met_is_exit_5_with_the_reason_and_no_file(
@@ -186,6 +186,7 @@ def test_what_cannot_be_met_is_exit_5_with_the_reason_and_no_file(
         (["identified.yaml", "--payload-mass", "12,10"], "the lower one first; found 12 and 10"),
         (["identified.yaml", "--payload-mass", "1,2,3"], "give one mass, or two"),
         (["identified.yaml", "--payload-mass", "0"], "above 0"),
+        (["identified.yaml", "--payload-mass", "0,22"], "the sensor carries the gripper: its mass"),
         (["identified.yaml", "--payload-mass", "nan"], "finite"),
         (["identified.yaml", "--environment-stiffness", "1e5"], "give a range as LOW:HIGH"),
         (["identified.yaml", "--environment-stiffness", "2e5:1e5"], "the lower one first"),

@@ -32,6 +32,10 @@ def with_active(*active: Active) -> Optimized:
         ),
         (Active(name="gain_margin_db", price_n=0.0), "gain_margin_db is active, easing it alone saves nothing"),
         (
+            Active(name="phase_margin_deg", price_n=0.0049),
+            "phase_margin_deg is active, easing it alone saves nothing",
+        ),
+        (
             Active(name="modulus_margin", price_n=0.5, soft=True),
             "modulus_margin is wished, not required: wishing 1 % less saves 0.50 N of peak and price",
         ),
@@ -39,6 +43,15 @@ def with_active(*active: Active) -> Optimized:
 )
 def test_every_kind_of_limit_has_its_sentence(entry: Active, said: str) -> None:
     assert active_lines(with_active(entry), "x")[0] == said
+
+
+def test_with_wishes_the_gap_is_one_of_peak_and_price() -> None:
+    found = with_active()
+    assert " N is the least that was found" in active_lines(found, "x")[-1]
+    search = found.searches["x"]
+    wished = replace(search.problem, requirements=replace(search.problem.requirements, soft_n={"modulus_margin": 20.0}))
+    lines = active_lines(replace(found, searches={"x": replace(search, problem=wished)}), "x")
+    assert " N of peak and price is the least that was found" in lines[-1]
 
 
 def test_nothing_active_and_nothing_found_elsewhere() -> None:

@@ -299,3 +299,31 @@ def test_a_wish_or_variable_that_cannot_be_is_told_with_its_line(path: Path, tex
     message = refusal(path, text)
     assert message.startswith(f"{path}, line {line}: ")
     assert told in message
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("bounds: {feedback_damping_s: [2e-5, 5e-5]}", "bounds.feedback_damping_s must hold 0 or at least 0.0001 s"),
+        ("bounds: {feedback_damping_s: [0, 7.5e-6]}", "prints B_fb in another unit"),
+        ("bounds: {feedback_damping_s: [2e-5, 0.05]}", "found 2e-05"),
+        (
+            "rotational: {bounds: {feedback_damping_s: [0, 2e-5]}}",
+            "rotational.bounds.feedback_damping_s must hold 0 or",
+        ),
+        ("approach: {speed_m_s: 50}", "approach.speed_m_s must be at most 5, "),
+        ("approach: {force_n: 1.1e4}", "approach.force_n must be at most 10000, "),
+        ("rotational: {approach: {torque_n_m: 2.1e3}}", "rotational.approach.torque_n_m must be at most 2000, "),
+        ("rotational: {approach: {speed_rad_s: 26}}", "found 26; mind its unit"),
+    ],
+)
+def test_numbers_in_another_unit_are_refused_where_they_stand(path: Path, text: str, said: str) -> None:
+    told = refusal(path, "axis: x\n" + text)
+    assert said in told
+    assert "line 2" in told
+
+
+def test_bounds_and_approaches_at_the_limits_are_taken(path: Path) -> None:
+    spec = read(path, "bounds: {feedback_damping_s: [0, 1e-4]}\napproach: {speed_m_s: 5}")
+    assert spec.bounds["feedback_damping_s"] == (0.0, 1e-4)
+    assert spec.approach == Approach(speed_m_s=5.0)

@@ -9,7 +9,7 @@ from autotune.errors import CertificateError
 from autotune.files.controller_record import AdmittanceRequirement, CollisionResponse, ControllerStatus
 from autotune.files.identified import IdentifiedFile
 from autotune.tuning import optimize as optimize_module
-from autotune.tuning.optimize import optimize
+from autotune.tuning.optimize import check_within_bounds, optimize
 from autotune.tuning.record import build_controller as honest
 from autotune.validation.validate import admittance_controller, prove_axis
 from problems.contact import build_sampled_contact, simulate_contact
@@ -83,6 +83,16 @@ def test_the_requirements_and_proofs_are_written_down() -> None:
     claims = [proof.claim for proof in certificate.proved]
     assert [("free space" in c, "contact" in c) for c in claims] == [(True, False), (False, True)]
     assert all(proof.numbers is not None and proof.numbers["smallest_decrease"] > 0.0 for proof in certificate.proved)
+
+
+def test_a_design_outside_of_its_bounds_is_never_written() -> None:
+    search = fast_optimized().searches["x"]
+    check_within_bounds(search, "x")
+    for factor in (0.5, 2.0):
+        narrow = {**search.problem.bounds, "lead_s": (factor * search.design[2], factor * search.design[2])}
+        moved = replace(search, problem=replace(search.problem, bounds=narrow))
+        with pytest.raises(CertificateError, match=r"Axis x: the design found has lead_s .*nothing is written"):
+            check_within_bounds(moved, "x")
 
 
 def test_a_claim_that_cannot_be_proved_stops_everything() -> None:

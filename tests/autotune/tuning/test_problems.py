@@ -8,7 +8,7 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.files.problem import ProblemSpec
-from autotune.tuning.problems import Wishes, build_problems, runtime_mass_kg
+from autotune.tuning.problems import Wishes, build_problems, is_identified_mass, runtime_mass_kg
 from identification.errors import EstimateError
 from identification.result import AxisEstimate, Estimate, Identified, Status
 from problems.contact import Approach
@@ -160,6 +160,18 @@ def test_two_translational_axes_are_two_problems() -> None:
 @pytest.mark.parametrize(("certified", "mass"), [((14.0, 20.0), 16.0), ((22.0, 22.0), 22.0)])
 def test_the_runtime_compensates_a_mass_that_is_certified(certified: tuple[float, float], mass: float) -> None:
     assert runtime_mass_kg(identified_plant(), certified) == mass
+
+
+@pytest.mark.parametrize(("std", "rest"), [(0.1, 0.29), (0.0, 0.004)])
+def test_a_range_that_ends_within_the_deviation_compensates_its_end(std: float, rest: float) -> None:
+    """Also at a deviation of none: 16.004 kg is told as 16."""
+    plant = replace(identified_plant(), payload=replace(identified_plant().payload, mass_kg=known(16.0, std)))
+    assert runtime_mass_kg(plant, (16.0 + rest, 22.0)) == 16.0 + rest
+    assert runtime_mass_kg(plant, (12.0, 16.0 - rest)) == 16.0 - rest
+    assert is_identified_mass(plant, 16.0 + rest)
+    for certified in ((16.0 + 1.5 * rest, 22.0), (12.0, 16.0 - 1.5 * rest)):
+        with pytest.raises(UsageError, match="the weight to compensate is not known"):
+            runtime_mass_kg(plant, certified)
 
 
 def test_a_range_that_leaves_the_identified_payload_out_is_refused() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from autotune.errors import InfeasibleError
-from autotune.tuning.relax import Relaxation, asked_numbers, find_relaxations
+from autotune.tuning.relax import Relaxation, asked_numbers, find_relaxations, tell_relaxations
 from autotune.tuning.search import solve_design
 from problems.design import AdmittanceTarget, DesignProblem, PassivityTarget, Requirements
 from problems.screening import EVERY_REQUIREMENT
@@ -67,8 +67,26 @@ def test_the_command_is_relaxed_like_the_loop_and_wishes_are_no_obstacle() -> No
     asked = replace(FEW, passivity=PassivityTarget(passive_below_hz=80.0), soft_n={"free_space_admittance": 5.0})
     problem = design_problem(requirements=asked)
     assert asked_numbers(problem) == {"modulus_margin": 0.5, "passivity": 80.0}
-    found = {each.name: each for each in find_relaxations(problem)}
+    done: list[float] = []
+    found = {each.name: each for each in find_relaxations(problem, progress=done.append)}
+    assert sum(done) == pytest.approx(1.0)
+    assert len(done) > 20
     possible = found["passivity"].possible
     assert 40.0 < possible < 80.0
     easier = replace(asked, passivity=PassivityTarget(passive_below_hz=possible))
     assert solve_design(design_problem(requirements=easier)).evaluation.is_feasible
+
+
+def test_what_would_be_enough_and_what_would_not_is_told() -> None:
+    problem = design_problem(requirements=replace(FEW, delay_margin_s=1e-3, decay_rate_per_s=3.0))
+    enough = Relaxation(name="modulus_margin", asked=0.9, possible=0.641)
+    rest = "Or narrow the ranges of stiffness and payload, or widen the bounds."
+    assert tell_relaxations(problem, [enough]) == (
+        "Enough by itself would be: modulus_margin 0.641 instead of 0.9. No easing of delay_margin_s, "
+        f"decay_rate_per_s or free_space_admittance alone was found to be enough. {rest}"
+    )
+    together = Relaxation(name=EVERY_REQUIREMENT, asked=100.0, possible=77.7)
+    assert tell_relaxations(problem, [together]) == (
+        "No single requirement was found that would be enough to ease; enough would be: all requirements "
+        f"together at 77.7 % of what is asked. {rest}"
+    )
