@@ -19,8 +19,8 @@ def _axis_checks(found: AxisMonteCarlo) -> Iterator[Check]:
         yield Check(axis=found.axis, name="sampled peaks", passed=False, message=message)
     elif found.is_left_out:
         message = (
-            f"not simulated: {found.refusal}; margins and predicted contacts are verified above, deadband, noise, "
-            "limits and late commands are not"
+            f"not simulated: {found.refusal.removesuffix('.')}; margins and predicted contacts are verified above, "
+            "deadband, noise, limits and late commands are not"
         )
         yield Check(axis=found.axis, name="full simulation", passed=True, message=message, warns=True)
     elif found.contact is None or found.sensor is None:

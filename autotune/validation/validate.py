@@ -283,7 +283,7 @@ def _stability(name: str, proof: StabilityProof, where: str, plants: UncertainPl
 def _continuous(name: str, domain: AxisDomain, law: AdmittanceController, h: float, reach: Reach) -> Check:
     """Prove again how far a modulus holds; more than is claimed may be proved, less may not."""
     units, (low, high) = axis_units(name), reach.environment_stiffness_n_per_m
-    over = ", ".join(SYMBOLS[each] for each in reach.over)
+    over = ", ".join(SYMBOLS.get(each, each) for each in reach.over)
     told = f"|1 + L| > {reach.modulus:.4g} and stable at every frequency, over {over}"
     try:
         found = prove_over(domain, law, h, reach.over, reach.modulus, int(reach.work))

@@ -120,7 +120,7 @@ FALSE_CLAIMS: dict[str, tuple[Change, str, str]] = {
     "proof of more than its work allows": (
         reach(work=1.0),
         "continuous proof",
-        r"payload_mass_kg: claimed for the share 1, proved for 0$",
+        r"over K_e, M_p: claimed for the share 1, proved for 0$",
     ),
     "proof over what is not in the domain": (
         reach(over=("environment_stiffness_n_per_m", "gripper")),
