@@ -14,6 +14,7 @@ from ._checks import non_negative, positive
 from .errors import ParameterError
 from .laws import LinearLaw
 
+_ROUNDING = 1e-9
 VIRTUAL_STEP_S = 0.02
 """The time that forward dynamics advances in every cycle, whatever the cycle's length."""
 VIRTUAL_MASS = 1.0
@@ -56,6 +57,14 @@ class SpringAdmittance:
         """D + J M, what a steady speed costs (N·s/m)."""
         return self.damping + self.joint_damping_per_s * self.mass
 
+    def own_pole(self, sample_time_s: float) -> float:
+        """Return 1 − h (D/M + J), by which the commanded speed goes on without force or spring.
+
+        The continuous law dies out without a change of sign. Below 0 the speed changes sign in every cycle, which
+        force noise excites at half the update rate, and below −1 it grows.
+        """
+        return 1.0 - positive("sample_time_s", sample_time_s) * self.total_damping / self.mass
+
     def law(self, sample_time_s: float) -> LinearLaw:
         """Return the difference equation at h; states f_{k−1}, v_k, p_k."""
         h = positive("sample_time_s", sample_time_s)
@@ -71,7 +80,7 @@ class SpringAdmittance:
     def _matrix(self, h: float, stiffness: float) -> np.ndarray:
         a, gain = self.filter_coefficient, h / self.mass
         force = np.array([1.0 - a, 0.0, 0.0, a, 0.0])
-        speed = gain * force + np.array([0.0, 1.0 - h * self.total_damping / self.mass, 0.0, 0.0, -gain * stiffness])
+        speed = gain * force + np.array([0.0, self.own_pole(h), 0.0, 0.0, -gain * stiffness])
         position = h * speed + np.array([0.0, 0.0, 1.0, 0.0, 0.0])
         return np.array([force, speed, position, position])
 
@@ -81,7 +90,8 @@ class ForwardDynamics:
     """A virtual mass of 1 that is pushed by a PD rule on F^d + F and moves the command ahead of the measured position.
 
     g_k = P e_k + D (e_k − e_{k−1})/T; x^d_k = x_k + T v_k; v_{k+1} = 0.9 (v_k + T g_k/1) with T = 0.02 s in every
-    cycle. The mass of the admittance is not free, and neither speed nor damping know the cycle's length.
+    cycle. The mass of the admittance is not free, and neither speed nor damping know the cycle's length. Its own poles
+    are 0.9 and, of the derivative, 0: they never change sign.
 
     `proportional` P (what a newton pushes with, in newtons), `derivative` D (the same, times s). Raises ParameterError
     for values out of range.
@@ -110,3 +120,12 @@ class ForwardDynamics:
             sample_time_s=positive("sample_time_s", sample_time_s),
             follows_position=True,
         )
+
+
+def alternates(law: LinearLaw) -> bool:
+    """Return whether a pole that the law has by itself, nothing fed back, lies left of the imaginary axis of z.
+
+    Such a part of the command changes sign from cycle to cycle, whatever the plant damps of it.
+    """
+    r = law.state_count
+    return bool(np.any(np.linalg.eigvals(law.matrix[:r, :r]).real < -_ROUNDING)) if r else False

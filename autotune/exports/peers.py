@@ -17,12 +17,13 @@ from autotune.files.controller_record import CollisionResponse, Controller
 from autotune.files.units import axis_units
 from autotune.validation.law import AxisTask, LawCertificate, certify_law
 from autotune.validation.proof import StabilityProof
+from problems.peer_laws import alternates
 
 from . import fzi_cartesian, ros2_control
 from .fzi_cartesian import FziAxis, FziOptions
 from .retune import retune
 from .ros2_control import Ros2Axis, Ros2Options
-from .ros_yaml import Tree, dump_parameters
+from .ros_yaml import Tree, check_joint_count, dump_parameters, joints_told
 from .structure import Values
 
 Options = Ros2Options | FziOptions
@@ -105,11 +106,8 @@ def make_peer(source: ControllerFile, options: Options, progress: Callable[[floa
     """Do what `export_peer` does without writing."""
     controller = source.controller
     axes, common = _axes(controller, options)
-    done: list[PeerAxis] = []
-    for axis in axes:
-        done.append(_certified(axis, common))
-        if progress is not None:
-            progress(1.0 / len(axes))
+    check_joint_count(options.joints, len(axes))
+    done = _all_certified(axes, common, progress)
     written = {each.axis: each.written for each in done}
     dropped = (*_dropped(controller), *(line for axis in axes for line in axis.dropped()))
     if isinstance(options, Ros2Options):
@@ -121,8 +119,8 @@ def make_peer(source: ControllerFile, options: Options, progress: Callable[[floa
         tree, rate = fzi_cartesian.parameter_tree(controller, written, options)
         target, notes = "fzi_cartesian", tuple(fzi_cartesian.notes())
         what = "cartesian_controllers (FZI), cartesian_force_controller, branch ros2"
-    text = _text(source, tree, what, rate, (tuple(done), dropped, notes))
-    return PeerExport(target=target, source=source, axes=tuple(done), dropped=dropped, notes=notes, text=text)
+    text = _text(source, tree, what, rate, (done, dropped, notes))
+    return PeerExport(target=target, source=source, axes=done, dropped=dropped, notes=notes, text=text)
 
 
 def _axes(controller: Controller, options: Options) -> tuple[list[Axis], bool]:
@@ -156,12 +154,33 @@ def _task(controller: Controller, name: str) -> AxisTask:
     )
 
 
+def _all_certified(axes: list[Axis], common: bool, progress: Callable[[float], None] | None) -> tuple[PeerAxis, ...]:
+    """Certify every axis, so that all that fail are told at once; the first of them decides the kind of the error."""
+    done, failed = [], list[CertificateError | InfeasibleError]()
+    for axis in axes:
+        try:
+            done.append(_certified(axis, common))
+        except (CertificateError, InfeasibleError) as error:
+            failed.append(error)
+        if progress is not None:
+            progress(1.0 / len(axes))
+    if len(failed) > 1:
+        raise type(failed[0])(" ".join(str(each) for each in failed)) from failed[0]
+    if failed:
+        raise failed[0]
+    return tuple(done)
+
+
 def _certified(axis: Axis, common: bool) -> PeerAxis:
     """Certify the translated gains of an axis, or tune what the structure can do."""
     task, values = axis.task, axis.translated
-    found, reason = certify_law(task, axis.law(values)), None
-    if not found.holds:
-        reason = found.missed[0]
+    law, reason, found = axis.law(values), None, None
+    if alternates(law):
+        reason = "the law itself would change the sign of its speed in every cycle at this update rate"
+    else:
+        found = certify_law(task, law)
+        reason = None if found.holds else found.missed[0]
+    if found is None or reason is not None:
         try:
             values, found = retune(task, axis)
         except InfeasibleError as error:
@@ -176,7 +195,11 @@ def _certified(axis: Axis, common: bool) -> PeerAxis:
         tuned_because=reason,
         certificate=found,
         peak_before_n=task.promised_n(),
-        notes=(*axis.told(values), *(() if reason is None else _bounds_told(axis, values))),
+        notes=(
+            *axis.told(values),
+            *(() if reason is None else _bounds_told(axis, values)),
+            *joints_told(axis.options.joints, axis.task.axis),
+        ),
     )
 
 

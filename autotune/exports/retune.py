@@ -22,6 +22,7 @@ from problems.laws import LinearLaw
 from problems.margins import frequency_grid, margins_on_grid
 from problems.noise import command_speed_gain
 from problems.passivity import passive_below_hz
+from problems.peer_laws import alternates
 from problems.plant import FREE_SPACE
 from problems.requirements import NoiseLimit, PassivityTarget
 from problems.response import PlantResponse, loop_at, plant_response, rendered_admittance
@@ -44,10 +45,14 @@ _MISSED, _UNSTABLE = 1e9, 1e15
 
 
 class QuickJudge:
-    """The plants of a search, prepared once; `cost` is what a law is to be small in."""
+    """The plants of a search, prepared once; `cost` is what a law is to be small in.
+
+    `missed` tells of the last law that missed something by how much: required/achieved by name.
+    """
 
     def __init__(self, task: AxisTask, scenarios: tuple[Scenario, ...], reserve: float) -> None:
         self.task, self.reserve, h = task, reserve, task.sample_time_s
+        self.missed: dict[str, float] = {}
         nominal = task.domain.nominal_plant()
         contacts = [build_sampled_plant(each.plant(nominal), h) for each in scenarios]
         # What a payload touches does not matter in free space.
@@ -70,6 +75,8 @@ class QuickJudge:
 
     def cost(self, law: LinearLaw) -> float:
         """Return the worst peak contact force [N], or far more for a law that misses something or is unstable."""
+        if alternates(law):
+            return math.inf
         radii = []
         for plant in self.plants:
             radii.append(spectral_radius(build_loop(plant, law)))
@@ -77,12 +84,15 @@ class QuickJudge:
                 return _UNSTABLE * min(radii[-1], 1e3)
         # A spring's return in free space is no decay that is asked for.
         free = len(self.plants) - len(self.pairs)
-        missed = max(self.ratios(law, max(radii[free if law.holds_position else 0 :])).values(), default=0.0)
+        found = self.ratios(law, max(radii[free if law.holds_position else 0 :]))
+        missed = max(found.values(), default=0.0)
         if missed > 1.0:
+            self.missed = {name: ratio for name, ratio in found.items() if ratio > 1.0}
             return _MISSED * min(missed, 1e3)
         approach, limit = self.task.approach(), self.task.asked.get("max_peak_force_n")
         peak = max(simulate_law_contact(pair, law, approach).peak_contact_force_n for pair in self.pairs)
         if isinstance(limit, float) and peak > limit:
+            self.missed = {"max_peak_force_n": peak / limit}
             return _MISSED * peak / limit
         return peak
 
@@ -133,7 +143,7 @@ def retune(task: AxisTask, structure: Structure) -> tuple[Values, LawCertificate
         judge = QuickJudge(task, scenarios, reserve)
         values, cost = _zoom(structure, judge)
         if cost >= _MISSED:
-            raise InfeasibleError(_told(structure, judge, values, cost))
+            raise InfeasibleError(_told(structure, judge, values))
         certificate = certify_law(task, structure.law(values))
         if certificate.holds:
             return values, certificate
@@ -227,16 +237,10 @@ def _unit(structure: Structure) -> tuple[float, ...]:
     return tuple(found)
 
 
-def _told(structure: Structure, judge: QuickJudge, values: Values, cost: float) -> str:
-    """Say how near the nearest came."""
+def _told(structure: Structure, judge: QuickJudge, values: Values) -> str:
+    """Say how near the best that was found came."""
     numbers = ", ".join(f"{name} {value:.4g}" for name, value in structure.written(values).items())
-    if cost >= _UNSTABLE:
-        return f"no numbers make a stable loop over the whole domain (the nearest: {numbers})"
-    ratios = judge.ratios(structure.law(values), 0.0)
-    name = max(ratios, key=lambda each: ratios[each])
-    # Of what the ratios do not hold, the peak force is all that is left.
-    share = ratios[name] if ratios[name] > 1.0 else cost / _MISSED
-    name = name if ratios[name] > 1.0 else "max_peak_force_n"
-    return (
-        f"no numbers meet the requirements (the nearest: {numbers}; {name} is missed by {100.0 * (share - 1.0):.3g} %)"
-    )
+    if judge.cost(structure.law(values)) >= _UNSTABLE:
+        return f"no numbers were found that make a stable loop over the whole domain (the last ones: {numbers})"
+    each = ", ".join(f"{name} by {100.0 * (ratio - 1.0):.3g} %" for name, ratio in judge.missed.items())
+    return f"no numbers were found that meet the requirements (the nearest that was found: {numbers}; it misses {each})"

@@ -62,8 +62,10 @@ KNOWN_KEYS = frozenset(
 )
 """Every parameter that the controller declares in 4.x, 5.x and 6.x (admittance_controller_parameters.yaml)."""
 
-# The masses and dampings that a search may choose, as ratios of the file's own.
-_MASS_RATIO, _DAMPING_RATIO = (0.2, 20.0), (0.1, 30.0)
+# The dampings that a search may choose, as ratios of the file's own, and the longest M/D, of the file's own or of h.
+_DAMPING_RATIO, _LONGEST = (0.1, 30.0), 50.0
+# The least M/(h·D) of a search: numbers with six digits then still have M ≥ h·D.
+_LEAST = 1.0 + 2e-5
 # The inverse of the Jacobian is damped by this; it takes motion away, at 0.0005 less than 1 % beyond singularities.
 _ALPHA = 0.0005
 
@@ -128,7 +130,8 @@ def parse_version(text: str) -> tuple[int, int, int]:
 class Ros2Axis:
     """One axis: mass and damping are free, the latter written as a ratio at a fixed small stiffness.
 
-    With `fixed_mass` the mass is not free (the masses of versions that read them in the base frame must be equal).
+    A search goes by M/D and D, since M ≥ h·D (see `SpringAdmittance.own_pole`) is then a bound of its box. With
+    `fixed_mass` D alone is free (the masses of versions that read them in the base frame must be equal).
     """
 
     task: AxisTask
@@ -138,22 +141,28 @@ class Ros2Axis:
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        """M (kg) and D (N·s/m)."""
-        mass, damping = self.translated
-        low, high = (mass, mass) if self.fixed_mass is not None else (mass * _MASS_RATIO[0], mass * _MASS_RATIO[1])
+        """M/D (s) and D (N·s/m), or D alone."""
+        h, damping = self.task.sample_time_s, self.gains.damping
+        low, high = damping * _DAMPING_RATIO[0], damping * _DAMPING_RATIO[1]
+        if self.fixed_mass is not None:
+            most = self.fixed_mass / (_LEAST * h)
+            return (Variable(name="damping", low=min(low, _DAMPING_RATIO[0] * most), high=min(high, most)),)
+        longest = _LONGEST * max(self.gains.mass / damping, h)
         return (
-            Variable(name="mass", low=low, high=high),
-            Variable(name="damping", low=damping * _DAMPING_RATIO[0], high=damping * _DAMPING_RATIO[1]),
+            Variable(name="mass over damping", low=_LEAST * h, high=longest),
+            Variable(name="damping", low=low, high=high),
         )
 
     @property
     def translated(self) -> Values:
-        """M_a and B_a."""
-        return (self.gains.mass if self.fixed_mass is None else self.fixed_mass, self.gains.damping)
+        """M_a/B_a and B_a, or B_a alone."""
+        damping = self.gains.damping
+        return (damping,) if self.fixed_mass is not None else (self.gains.mass / damping, damping)
 
     def written(self, values: Values) -> Mapping[str, float]:
         """Return mass, damping ratio and stiffness with six digits, as the file holds them."""
-        mass, damping = float(f"{values[0]:.6g}"), values[1]
+        damping = values[-1]
+        mass = float(f"{self.fixed_mass or values[0] * damping:.6g}")
         stiffness = self.options.return_stiffness
         ratio = float(f"{damping / (2.0 * math.sqrt(mass * stiffness)):.6g}")
         return {"mass": mass, "damping_ratio": ratio, "stiffness": stiffness}
@@ -173,13 +182,18 @@ class Ros2Axis:
         return lost_gains(self.task, self.gains)
 
     def told(self, values: Values) -> Iterator[str]:
-        """Say what the return spring does."""
+        """Say what the return spring does, and where the law's own pole is."""
         rule, turns = self.rule(values), self.task.axis in ROTATIONAL_AXES
+        h = self.task.sample_time_s
         travel, force = ("0.1 rad", "N·m") if turns else ("100 mm", "N")
         yield (
             f"axis {self.task.axis}: the spring that the damping needs pulls back to the reference with "
             f"{0.1 * rule.stiffness:.3g} {force} per {travel}, with a time constant of "
             f"{rule.total_damping / rule.stiffness:.3g} s."
+        )
+        yield (
+            f"axis {self.task.axis}: the law's own pole is z = 1 − h·D/M = {rule.own_pole(h):.3g} at this update rate; "
+            "M ≥ h·D keeps it from being negative, where the speed would change sign in every cycle."
         )
 
 
@@ -251,12 +265,23 @@ def parameter_tree(
 
 
 def with_common_masses(axes: Mapping[str, Ros2Axis], version: tuple[int, int, int]) -> dict[str, Ros2Axis]:
-    """Give x, y, z one mass (their largest), and rx, ry, rz too, where the version reads masses in the base frame."""
+    """Give x, y, z one mass, and rx, ry, rz too, where the version reads masses in the base frame.
+
+    It is the largest of theirs, and no less than h·B_a of any. Equal masses are held as well: a search for one axis
+    alone would part them.
+    """
     found = dict(axes)
     if version >= FIRST_WITH_MASS_IN_CONTROL_FRAME:
         return found
     for group in (AXES[:3], AXES[3:]):
-        masses = {axis: axes[axis].gains.mass for axis in group if axis in axes}
-        if len(set(masses.values())) > 1:
-            found |= {axis: replace(axes[axis], fixed_mass=max(masses.values())) for axis in masses}
+        members = {axis: axes[axis] for axis in group if axis in axes}
+        if len(members) > 1:
+            mass = max(_least_mass(each) for each in members.values())
+            found |= {axis: replace(each, fixed_mass=mass) for axis, each in members.items()}
     return found
+
+
+def _least_mass(axis: Ros2Axis) -> float:
+    """Return M_a, or what B_a needs if that is more."""
+    needed = axis.task.sample_time_s * axis.gains.damping
+    return axis.gains.mass if axis.gains.mass >= needed else _LEAST * needed

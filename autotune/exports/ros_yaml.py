@@ -19,6 +19,8 @@ Tree = Mapping[str, "Tree | float | bool | int | str | list[float] | list[bool] 
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
 _WIDTH = 110
+# The ways in which a body can move.
+_DIRECTIONS = 6
 
 
 def check_names(what: str, names: Iterable[str]) -> None:
@@ -30,6 +32,24 @@ def check_names(what: str, names: Iterable[str]) -> None:
         if not _NAME.fullmatch(name):
             must = "a letter or _ first, then letters, digits and _ . / - only"
             raise UsageError(f"{what}: {json.dumps(name, ensure_ascii=False)} is no name ({must}).")
+
+
+def check_joint_count(joints: tuple[str, ...], axes: int) -> None:
+    """Raise UsageError for fewer joints than controlled axes: they cannot move each by itself."""
+    if len(joints) < axes:
+        raise UsageError(
+            f"--joints names {len(joints)} joint{'s' * (len(joints) != 1)} ({', '.join(joints)}) for {axes} controlled "
+            "axes, which need at least as many; name all joints of the robot, from base to tip."
+        )
+
+
+def joints_told(joints: tuple[str, ...], axis: str) -> Iterator[str]:
+    """Warn of a robot with fewer joints than a body has directions."""
+    if len(joints) < _DIRECTIONS:
+        yield (
+            f"axis {axis}: only {len(joints)} joint{'s are' if len(joints) != 1 else ' is'} named (--joints), and a "
+            f"body has {_DIRECTIONS} ways to move; the certificate takes it that they move this axis alone."
+        )
 
 
 def update_rate_hz(sample_time_s: float) -> int:

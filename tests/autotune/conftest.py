@@ -8,9 +8,9 @@ import pytest
 from tests.autotune.browser import chromium
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """A real browser without a window."""
+    """A real browser without a window; no longer than a module, since its event loop runs in this thread."""
     path = chromium()
     from playwright.sync_api import sync_playwright
 

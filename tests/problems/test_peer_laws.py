@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from problems.controller import AdmittanceController
 from problems.errors import ParameterError
 from problems.law_contact import force_per_speed, simulate_law_contact
 from problems.laws import LinearLaw
-from problems.peer_laws import ForwardDynamics, SpringAdmittance
+from problems.peer_laws import ForwardDynamics, SpringAdmittance, alternates
 from problems.plant import FREE_SPACE, Plant, build_plant_matrices
 from problems.sampled import build_loop, build_sampled_plant, hold, spectral_radius
 from tests.problems.axes import PERIOD_S, one_pole, paper_plant
@@ -212,3 +213,28 @@ def test_numbers_out_of_range_are_refused(values: dict[str, float]) -> None:
 def test_gains_out_of_range_are_refused(gains: tuple[float, float]) -> None:
     with pytest.raises(ParameterError):
         ForwardDynamics(proportional=gains[0], derivative=gains[1])
+
+
+@pytest.mark.parametrize("coefficient", [1.0, 0.05])
+@pytest.mark.parametrize(("joint_damping", "damping_ratio"), [(0.0, 936.0), (0.0, 939.0), (30.0, 914.0), (30.0, 917.0)])
+def test_a_negative_own_pole_is_a_speed_that_changes_sign_in_every_cycle(
+    coefficient: float, joint_damping: float, damping_ratio: float
+) -> None:
+    """After a push that ends, played by the peer's own update; h (D/M + J) = 1 lies between each two ratios."""
+    rule = SpringAdmittance(
+        mass=9.0,
+        damping_ratio=damping_ratio,
+        stiffness=4.0,
+        joint_damping_per_s=joint_damping,
+        filter_coefficient=1.0,
+    )
+    update = played_spring_admittance(rule, PERIOD_S)
+    offsets = [update(force, 0.0) for force in (0.0, 50.0, 0.0, 0.0)]
+    pushed, after = np.diff(offsets)[:2]
+    assert after == pytest.approx(rule.own_pole(PERIOD_S) * pushed, rel=1e-9)
+    filtered = replace(rule, filter_coefficient=coefficient).law(PERIOD_S)
+    assert alternates(filtered) == (after < 0.0) == (damping_ratio in (939.0, 917.0))
+
+
+def test_forward_dynamics_has_no_pole_that_changes_sign() -> None:
+    assert not alternates(ForwardDynamics(proportional=0.02, derivative=0.003).law(PERIOD_S))

@@ -1,5 +1,6 @@
 """Exports to other controllers: what is written is what was certified, and one test for each of their traps."""
 
+import itertools
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +25,7 @@ from autotune.validation.law import AxisTask, LawCertificate, certify_law
 from problems.errors import ParameterError
 from problems.law_contact import force_per_speed
 from problems.laws import LinearLaw
-from problems.peer_laws import SpringAdmittance
+from problems.peer_laws import SpringAdmittance, alternates
 from problems.uncertainty import Scenario
 from tests.autotune.exports.peer_cases import CELL, LEAD, PERIOD_S, PLAIN, peer_controller, requirements, task_of
 
@@ -129,10 +130,82 @@ def test_nothing_is_written_where_the_other_controller_cannot_do_it(tmp_path: Pa
     write_controller(source, peer_controller({"x": LEAD}, requirements(9e-4)))
     out.write_text("old", encoding="utf-8")
     with pytest.raises(
-        InfeasibleError, match=r"Axis x: that controller cannot do what was asked\. .*the nearest: mass"
+        InfeasibleError,
+        match=r"Axis x: that controller cannot do what was asked\. .*nearest that was found: mass .* misses \w+ by",
     ):
         export_peer(source, Ros2Options(), out)
     assert out.read_text(encoding="utf-8") == "old"
+
+
+def test_what_an_infeasible_search_misses_is_told_whole_and_nothing_in_its_box_misses_less() -> None:
+    task = task_of(peer_controller({"x": LEAD}, requirements(9e-4)))
+    axis = Ros2Axis(task=task, gains=LEAD, options=Ros2Options())
+    with pytest.raises(InfeasibleError) as caught:
+        retune(task, axis)
+    shares = [float(each) for each in re.findall(r"by (\S+) %", str(caught.value))]
+    # Two requirements that pull against each other are missed alike where the worse of them is least.
+    assert len(shares) == 2
+    assert shares[0] == pytest.approx(shares[1], abs=0.3)
+    judge, rng = QuickJudge(task, retune_module._first_scenarios(task), 0.004), np.random.default_rng(4)
+    numbers = re.search(r"mass (\S+), damping_ratio (\S+),", str(caught.value))
+    assert numbers is not None
+    mass, damping = float(numbers[1]), 2.0 * float(numbers[2]) * np.sqrt(float(numbers[1]))
+    low, high = (np.log([getattr(each, end) for each in axis.variables]) for end in ("low", "high"))
+    near = np.log([mass / damping, damping]) + rng.uniform(-0.1, 0.1, (60, 2))
+    least = min(judge.cost(axis.law(tuple(point))) for point in np.exp(np.clip(near, low, high)))
+    assert least > 1e9 * (1.0 + max(shares) / 100.0 - 0.002)
+
+
+def test_the_law_s_own_speed_is_not_left_to_change_sign_in_every_cycle(tmp_path: Path) -> None:
+    """Much damping beside little mass: the plant loads the loop so that it is stable and has every margin."""
+    steep = replace(LEAD, mass=2.0, damping=4521.44, lead_s=0.03, feedback_damping_s=0.0)
+    asked = {**requirements(2e-4), "modulus_margin": 0.4}
+    made = exported(tmp_path, peer_controller({"x": steep}, asked), Ros2Options())
+    assert made.axes[0].tuned_because is not None
+    assert "sign of its speed" in made.axes[0].tuned_because
+    rule = SpringAdmittance(**made.axes[0].written, joint_damping_per_s=0.0, filter_coefficient=1.0)
+    # The peak wants as little mass as there may be.
+    assert 0.0 <= rule.own_pole(PERIOD_S) < 1e-4
+    assert made.axes[0].certificate.holds
+    assert "M ≥ h·D keeps it from being negative" in re.sub(r"\n#\s*", " ", made.text)
+    # What such a search would find without that floor has all that is asked, and is refused.
+    task = task_of(peer_controller({"x": steep}, asked))
+    ratio = rule.damping / (2.0 * np.sqrt(1.69275))
+    light = replace(rule, mass=1.69275, damping_ratio=float(ratio)).law(PERIOD_S)
+    assert certify_law(task, light).holds
+    stiff = Scenario(environment_stiffness_n_per_m=1.2e5, payload_mass_kg=16.0)
+    assert QuickJudge(task, (stiff,), 0.0).cost(light) == np.inf
+
+
+@pytest.mark.parametrize("coefficient", [1.0, 0.3])
+def test_no_corner_of_a_search_changes_sign_in_every_cycle(coefficient: float) -> None:
+    task = task_of(peer_controller({"x": PLAIN}, EASY))
+    options = Ros2Options(filter_coefficient=coefficient)
+    for axis in (
+        Ros2Axis(task=task, gains=PLAIN, options=options),
+        Ros2Axis(task=task, gains=PLAIN, options=options, fixed_mass=1.7),
+        Ros2Axis(task=task, gains=PLAIN, options=options, fixed_mass=0.01),
+        fzi_cartesian.FziAxis(task, PLAIN, FziOptions()),
+    ):
+        for corner in itertools.product(*((each.low, each.high) for each in axis.variables)):
+            assert not alternates(axis.law(corner))
+
+
+def test_every_axis_that_cannot_be_done_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def impossible(task: AxisTask, _: Ros2Axis) -> None:
+        raise InfeasibleError(f"nothing does for {task.axis}")
+
+    monkeypatch.setattr(peers, "retune", impossible)
+    with pytest.raises(InfeasibleError, match=r"Axis x: .*nothing does for x\. Axis z: .*nothing does for z\."):
+        exported(tmp_path, peer_controller({"x": LEAD, "z": LEAD}), Ros2Options(version="rolling"))
+
+
+def test_fewer_joints_than_axes_are_refused_and_fewer_than_six_are_told(tmp_path: Path) -> None:
+    both = peer_controller({"x": PLAIN, "z": PLAIN}, EASY)
+    with pytest.raises(UsageError, match=r"--joints names 1 joint \(rail\) for 2 controlled axes"):
+        exported(tmp_path, both, Ros2Options(joints=("rail",)))
+    made = exported(tmp_path, peer_controller({"x": PLAIN}, EASY), Ros2Options(joints=("a", "b")))
+    assert "axis x: only 2 joints are named" in made.axes[0].notes[-1]
 
 
 def test_the_same_file_gives_the_same_bytes(tmp_path: Path, plain: PeerExport) -> None:
@@ -216,6 +289,18 @@ def test_masses_are_common_where_they_are_read_in_the_base_frame(tmp_path: Path,
     # What is written was certified with its common mass.
     assert made.axes[0].written["mass"] == (9.0 if common else 8.0)
     assert made.axes[0].tuned_because is None
+
+
+def test_a_common_mass_is_kept_by_a_search_and_is_enough_for_every_damping() -> None:
+    """Equal masses would part if each axis were tuned by itself; the most damped axis needs the most mass."""
+    task = task_of(peer_controller({"x": PLAIN}, EASY))
+    for mass, common in ((PLAIN.mass, PLAIN.mass), (1.0, PERIOD_S * PLAIN.damping)):
+        gains = {"x": replace(PLAIN, mass=mass, damping=500.0), "z": replace(PLAIN, mass=mass)}
+        axes = {name: Ros2Axis(task=task, gains=each, options=Ros2Options()) for name, each in gains.items()}
+        for axis in ros2_control.with_common_masses(axes, (4, 41, 0)).values():
+            assert axis.written(tuple(each.high for each in axis.variables))["mass"] == pytest.approx(common, rel=1e-4)
+            assert not alternates(axis.law(axis.translated))
+        assert ros2_control.with_common_masses(axes, (6, 4, 0)) == axes
 
 
 def test_forward_dynamics_leads_by_its_derivative_and_drops_the_mass(fzi: PeerExport) -> None:

@@ -233,6 +233,7 @@ def test_validation_asks_rotational_axes_for_their_own_requirements(change: dict
             **change,  # type: ignore[arg-type]  # named in the table above
             domain={"ry": controller.certificate.domain["ry"]},
             margins={"ry": controller.certificate.margins["ry"]},
+            continuous={"ry": (controller.certificate.continuous or {})["ry"]},
         ),
     )
     failed = [check for check in validate_controller(only).checks if not check.passed]
