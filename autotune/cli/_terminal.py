@@ -23,7 +23,7 @@ _FIXED = "\N{NO-BREAK SPACE}"
 # Every word that judges, with its colour; errors are in bold as well.
 _WORDS = {
     "green": ("ok", "identified", "valid", "validated"),
-    "yellow": ("weak", "warning"),
+    "yellow": ("weak", "warning", "note"),
     "red": ("unidentifiable", "error", "FAILED", "NOT valid", "UNSTABLE", "autotune"),
     "cyan": ("given", "info"),
 }

@@ -111,7 +111,7 @@ def _print(found: "DemoResult", page: Path) -> None:
             tell(f"  {line}")
     _heading("Proved and verified, from the written file alone")
     for check in found.report.checks:
-        tell(f"{check.name}: {check.message}", indent="  ", verdict=f"{'ok' if check.passed else 'FAILED':6} ")
+        tell(f"{check.name}: {check.message}", indent="  ", verdict=f"{check.verdict:6} ")
     _heading(f"Files (checksum of the controller: {short(found.checksum)})")
     for told, path in (
         ("log", found.files.log),

@@ -177,6 +177,7 @@ def _page(found: "Optimized", checksum: str, existing: "ControllerFile | None", 
 def _notes(plant: "IdentifiedFile", found: "Optimized", has_stiffness: bool) -> Iterator[str]:
     """Yield what the user should know beside the result; `has_stiffness`: a range was named on the command line."""
     from autotune.files.records import ROTATIONAL_AXES
+    from autotune.tuning.doubts import doubtful_ranges
     from autotune.tuning.problems import is_identified_mass
 
     for finding in plant.result.findings:
@@ -187,6 +188,8 @@ def _notes(plant: "IdentifiedFile", found: "Optimized", has_stiffness: bool) -> 
             f"The runtime will compensate {found.controller.payload.mass_kg:g} kg with the centre of mass of the "
             "identified payload; identify the new payload before it is led by hand."
         )
+    for name, search in found.searches.items():
+        yield from doubtful_ranges(search.problem, plant.result.axes[name], name)
     turning = [name for name in found.controller.axes if name in ROTATIONAL_AXES]
     if turning and has_stiffness:
         yield (
@@ -219,7 +222,7 @@ def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "Con
             tell(f"  {line}")
     for check in found.report.checks:
         axis = f"{check.axis}: " if len(controller.axes) > 1 else ""
-        verdict = f"{'ok' if check.passed else 'FAILED':6} "
+        verdict = f"{check.verdict:6} "
         tell(f"{axis}{check.name}: {check.message}", verdict=verdict, indent="  ")
     for claim in controller.certificate.sampled:
         tell(f"  sampled, not proved: {claim.claim}; over {claim.over}")

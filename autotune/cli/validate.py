@@ -210,7 +210,7 @@ def _compared(output: Output, read: "ControllerFile", options: dict[str, Any]) -
 
 def checks_tree(report: "ValidationReport") -> list[dict[str, Any]]:
     """Return the checks as plain data."""
-    return [{"axis": c.axis, "name": c.name, "passed": c.passed, "message": c.message} for c in report.checks]
+    return [vars(check) for check in report.checks]
 
 
 def _print(
@@ -218,7 +218,7 @@ def _print(
 ) -> None:
     """Print one line per check, the contacts of the log as a table."""
     for check in report.checks:
-        tell(f"axis {check.axis}, {check.name}: {check.message}", verdict=f"{'ok' if check.passed else 'FAILED':6} ")
+        tell(f"axis {check.axis}, {check.name}: {check.message}", verdict=f"{check.verdict:6} ")
     if compared is not None:
         print_comparison(compared)
     signed = "" if signed_by is None else f", signed by the key {signed_by}"

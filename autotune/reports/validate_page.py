@@ -78,8 +78,8 @@ def checks_table(report: ValidationReport) -> Table:
     """Return every check with its verdict."""
     rows = []
     for check in report.checks:
-        tone: Tone = "good" if check.passed else "bad"
-        verdict = Cell(text="ok" if check.passed else "FAILED", tone=tone)
+        tone: Tone = ("warn" if check.warns else "good") if check.passed else "bad"
+        verdict = Cell(text=check.verdict, tone=tone)
         rows.append((Cell(text=check.name), Cell(text=check.axis), verdict, Cell(text=check.message)))
     return Table(caption="Checks", columns=("check", "axis", "", "found"), rows=tuple(rows))
 

@@ -4,9 +4,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from numbers import Real
 from types import MappingProxyType
 
-from autotune.errors import CertificateError
+from autotune.errors import CertificateError, UsageError
 from problems.difference import write_blocks
 from problems.errors import ParameterError
 
@@ -52,15 +53,18 @@ class Payload:
     gravity_W_m_s2: Vector = (0.0, 0.0, -STANDARD_GRAVITY_M_S2)
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.mass_kg < math.inf:
-            raise ParameterError("mass_kg", self.mass_kg, "finite and not below 0")
+        if not _is_number(self.mass_kg) or not 0.0 <= self.mass_kg < math.inf:
+            raise ParameterError("mass_kg", self.mass_kg, "a finite number and not below 0")
         object.__setattr__(self, "mass_kg", float(self.mass_kg))
         for name in ("com_S_m", "force_bias_S_n", "torque_bias_S_n_m", "gravity_W_m_s2"):
             object.__setattr__(self, name, _vector(name, getattr(self, name)))
 
 
 def _vector(name: str, values: Sequence[float]) -> Vector:
-    numbers = tuple(float(value) for value in values)
+    try:
+        numbers = tuple(float(value) for value in values)
+    except (TypeError, ValueError):
+        raise ParameterError(name, values, "three finite numbers") from None
     if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
         raise ParameterError(name, values, "three finite numbers")
     return numbers[0], numbers[1], numbers[2]
@@ -128,9 +132,12 @@ class RuntimeController:
         """Raise CertificateError unless the certificate holds for this cell's period and payload.
 
         `payload_inertia_kg_m2` is by axis, for each of rx, ry, rz that is tuned. The mass that is compensated must be
-        that of the cell: what is left of the weight pushes the robot once it is beyond the deadband.
+        that of the cell: what is left of the weight pushes the robot once it is beyond the deadband. Raises UsageError
+        for what is no number and for inertias about another axis.
         """
-        h, inertias = self.sample_time_s, payload_inertia_kg_m2 or MappingProxyType({})
+        h, inertias = self.sample_time_s, _told_inertias(payload_inertia_kg_m2)
+        _check_number("sample_time_s", sample_time_s)
+        _check_number("payload_mass_kg", payload_mass_kg)
         if not abs(sample_time_s - h) <= SAME_SAMPLE_TIME * h:
             raise CertificateError(
                 f"The cell runs every {sample_time_s:g} s, but the controller and its certificate are for {h:g} s; "
@@ -159,6 +166,28 @@ class RuntimeController:
                 f"The gravity compensation is for {self.payload.mass_kg:g} kg and would leave {left:.3g} N of the "
                 f"cell's {mass_kg:g} kg, more than {allowed:.3g} N; give the payload that the cell carries in payload."
             )
+
+
+def _told_inertias(told: Mapping[str, float] | None) -> Mapping[str, float]:
+    """Return the inertias by axis; an unknown name would be an inertia that is checked against nothing."""
+    if told is None:
+        return MappingProxyType({})
+    if not isinstance(told, Mapping):
+        raise UsageError(f"payload_inertia_kg_m2 must hold inertias by axis, as {{'rz': 0.4}}; found {told!r}.")
+    for name, inertia in told.items():
+        if name not in AXES[TRANSLATIONS:]:
+            raise UsageError(f"payload_inertia_kg_m2 is by axis, rx, ry or rz; found {name!r}.")
+        _check_number(f"payload_inertia_kg_m2[{name!r}]", inertia)
+    return told
+
+
+def _check_number(what: str, told: object) -> None:
+    if not _is_number(told):
+        raise UsageError(f"{what} must be a number, found {told!r}.")
+
+
+def _is_number(told: object) -> bool:
+    return isinstance(told, Real) and not isinstance(told, bool)
 
 
 def _check_range(axis: AxisLaw, told: float, what: str, unit: str) -> None:

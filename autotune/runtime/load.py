@@ -33,7 +33,8 @@ def load_controller(
     the cell carries another payload of the certified range. `expected_checksum` (8 or 64 digits) is what was agreed on.
 
     Raises CertificateError: the file is altered, truncated, not validated, not the expected one, or not for this cell.
-    UsageError: it cannot be opened, or the expected checksum is none.
+    UsageError: it cannot be opened, the expected checksum is none, what is told of the cell is no number, or an
+    inertia is about an axis that does not turn.
     """
     controller = read_law(path)
     if expected_checksum is not None:

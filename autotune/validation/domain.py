@@ -1,22 +1,25 @@
 """Check that an identified plant lies inside the domain that a certificate speaks of."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from autotune.files.controller_record import AxisDomain, Controller
+from autotune.files.controller_record import AxisDomain, Controller, RuntimePayload
 from autotune.files.records import ROTATIONAL_AXES
 from autotune.files.units import axis_units
-from identification.result import AxisEstimate, Estimate, Identified, Status
+from identification.result import AxisEstimate, Estimate, Identified, Status, VectorEstimate
 
 from .validate import Check
 
 _STDS = 3.0
 _LEAST_SHARE = 0.01
+# The payload in the file is a copy of what was identified, not another estimate of it.
+_COMPENSATED_STDS, _ROUNDING = 5.0, 1e-6
 
 
 def check_domain(controller: Controller, identified: Identified) -> tuple[Check, ...]:
     """Compare payload, coupling, drag, delay and environments of every tuned axis with the certificate's domain.
 
-    The payload of a rotational axis is the moment of inertia about it.
+    The payload of a rotational axis is the moment of inertia about it. What the runtime compensates, which is of all
+    axes, is compared with the identified payload and told once, of the first axis.
     """
     checks = []
     for name, domain in controller.certificate.domain.items():
@@ -25,7 +28,7 @@ def check_domain(controller: Controller, identified: Identified) -> tuple[Check,
             ["the identified file does not hold this axis"] if axis is None else list(_outside(name, domain, axis))
         )
         if name not in ROTATIONAL_AXES:
-            problems += _interval("payload mass [kg]", identified.payload.mass_kg, domain.payload_mass_kg)
+            problems += _carried_mass(identified.payload.mass_kg, domain.payload_mass_kg)
         checks.append(
             Check(
                 axis=name,
@@ -34,7 +37,48 @@ def check_domain(controller: Controller, identified: Identified) -> tuple[Check,
                 message="; ".join(problems) or "lies inside the certified domain",
             )
         )
-    return tuple(checks)
+    return (*checks, _compensated(next(iter(controller.axes)), controller.payload, identified))
+
+
+def _compensated(name: str, payload: RuntimePayload, identified: Identified) -> Check:
+    """Compare what the gravity compensation takes off the wrench with what was identified, number by number."""
+    sensor, com, mass = identified.sensor, identified.payload.com_m, identified.payload.mass_kg
+    alone = VectorEstimate(
+        value=None if mass.value is None else (mass.value,),
+        std=None if mass.std is None else (mass.std,),
+        status=mass.status,
+    )
+    problems = [
+        *_same_vector("payload.mass_kg", alone, (payload.mass_kg,)),
+        *_same_vector("payload.com_m", com, payload.com_m),
+        *_same_vector("payload.force_bias_n", sensor.force_bias_n, payload.force_bias_n),
+        *_same_vector("payload.torque_bias_n_m", sensor.torque_bias_n_m, payload.torque_bias_n_m),
+    ]
+    message = "; ".join(problems) or "mass, centre of mass and bias that the runtime takes off are those identified"
+    return Check(axis=name, name="gravity compensation", passed=not problems, message=message)
+
+
+def _same_vector(what: str, estimate: VectorEstimate, said: Sequence[float]) -> list[str]:
+    if estimate.value is None:
+        return [f"{what} is not identified"]
+    stds = estimate.std or (0.0,) * len(estimate.value)
+    if all(
+        abs(one - value) <= _COMPENSATED_STDS * std + _ROUNDING * abs(value)
+        for one, value, std in zip(said, estimate.value, stds, strict=True)
+    ):
+        return []
+    return [f"{what} is {_told(said)}, identified as {_told(estimate.value)} with deviations of {_told(stds)}"]
+
+
+def _told(numbers: Sequence[float]) -> str:
+    return ", ".join(f"{number:.6g}" for number in numbers)
+
+
+def _carried_mass(mass: Estimate, interval: tuple[float, float]) -> list[str]:
+    """Compare the identified mass, as well as it is known, with the certified ones."""
+    low, high = interval
+    margin = _STDS * (mass.std or 0.0)
+    return _interval("payload mass [kg]", mass, (low - margin, high + margin), certified=interval)
 
 
 def _outside(name: str, domain: AxisDomain, axis: AxisEstimate) -> Iterator[str]:
@@ -73,11 +117,15 @@ def _outside(name: str, domain: AxisDomain, axis: AxisEstimate) -> Iterator[str]
         yield from _interval("robot bandwidth [Hz]", axis.robot.bandwidth_hz, uncertain["robot_bandwidth_hz"])
 
 
-def _interval(what: str, estimate: Estimate, interval: tuple[float, float]) -> list[str]:
+def _interval(
+    what: str, estimate: Estimate, interval: tuple[float, float], *, certified: tuple[float, float] | None = None
+) -> list[str]:
+    """Say what lies outside of an interval; `certified` is what it is told to be, where it was widened."""
     if estimate.value is None:
         return [f"{what} is not identified"]
     if not interval[0] <= estimate.value <= interval[1]:
-        return [f"{what} is {estimate.value:.6g}, certified for [{interval[0]:.6g}, {interval[1]:.6g}]"]
+        low, high = certified or interval
+        return [f"{what} is {estimate.value:.6g}, certified for [{low:.6g}, {high:.6g}]"]
     return []
 
 

@@ -69,7 +69,8 @@ class ForceBand:
 class AxisMonteCarlo:
     """What came of `count` runs on one axis with `effects`; `unstable` is the first plant whose loop is not stable.
 
-    `refusal` tells what the full simulation cannot do. `band` is for pictures.
+    `refusal` tells what the full simulation cannot do; `is_left_out` where that is so of every plant of the set,
+    none of which has a delay. `band` is for pictures.
     """
 
     axis: str
@@ -81,6 +82,7 @@ class AxisMonteCarlo:
     sensor: SampledPeaks | None = None
     unstable: Scenario | None = None
     refusal: str = ""
+    is_left_out: bool = False
     band: ForceBand | None = field(default=None, compare=False)
 
 
@@ -183,7 +185,7 @@ def _axis_monte_carlo(
         except UnstableLoopError:
             return replace(result, unstable=scenario)
         except ParameterError as error:
-            return replace(result, refusal=str(error))
+            return replace(result, refusal=str(error), is_left_out=_never_delayed(domain))
         rows.append(
             (
                 linear.peak_contact_force_n,
@@ -210,6 +212,14 @@ def _axis_monte_carlo(
         )
     )
     return replace(result, contact=contact, sensor=sensor, band=_band(traces, controller.sample_time_s))
+
+
+def _never_delayed(domain: AxisDomain) -> bool:
+    """Say whether no plant has a delay, and damping in the coupling hands each command on to the force of its tick."""
+    uncertain, damping = domain.uncertain or {}, domain.coupling_damping_n_s_per_m
+    _, longest = uncertain.get("delay_s", (domain.delay_s, domain.delay_s))
+    least, _ = uncertain.get("coupling_damping_n_s_per_m", (damping, damping))
+    return longest == 0.0 and least > 0.0
 
 
 def _band(traces: Sequence[FloatArray], h: float) -> ForceBand:

@@ -1,23 +1,20 @@
 """Verify a controller from its file alone: every claim is made again by code that the optimizer does not use."""
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from autotune.errors import CertificateError
 from autotune.files.controller_record import (
     AdmittanceRequirement,
-    Asked,
     AxisDomain,
     AxisMargins,
     CollisionResponse,
     Controller,
     Proof,
     Reach,
-    Requirement,
-    SoftRequirement,
 )
 from autotune.files.records import ROTATIONAL_AXES
 from autotune.files.units import axis_units
@@ -33,16 +30,18 @@ from .command import passive_band_hz, worst_speed_rms
 from .continuous import prove_over, refuted_inside, told_false
 from .margins import SweptMargins, sweep_margins
 from .peaks import verify_peaks
+from .promises import asked_of, limit_n, soft_told
 from .proof import StabilityProof, UncertainPlant, prove_stability
+from .statements import stability_statement, wrong_statements
 from .whole_set import OtherPlants, build_other_plants
 
 _STIFFNESS_POINTS, _MASS_POINTS = 25, 3
 _NOISE_STIFFNESS_POINTS = 9
-_NO_SPEED = 1e-300
+_MOST_DEADBAND = 0.5  # of the force that drives the approach
 # Two roads to the same margin differ by their frequency grids (measured: 1e-4); what differs by more is another margin.
 _SAME_MARGIN = 0.01
 _SAME_NUMBER = 1e-6
-_CHECKS = 9  # per axis, all passing; that of the payload's mass is none of a rotational axis
+_CHECKS = 10  # per axis, all passing; that of the payload's mass is none of a rotational axis
 _MARGIN_OF = {
     "modulus_margin": "modulus",
     "gain_margin_db": "gain_db",
@@ -53,12 +52,21 @@ _MARGIN_OF = {
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """One thing that was verified on one axis, in words; `passed` is the verdict."""
+    """One thing that was verified on one axis, in words; `passed` is the verdict.
+
+    `warns`: nothing is wrong, but nothing was shown either, or somebody should look at it.
+    """
 
     axis: str
     name: str
     passed: bool
     message: str
+    warns: bool = False
+
+    @property
+    def verdict(self) -> str:
+        """Return the verdict in a word: ok, note or FAILED."""
+        return ("note" if self.warns else "ok") if self.passed else "FAILED"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +95,7 @@ def validate_controller(controller: Controller, progress: Callable[[float], None
     """
     checks: list[Check] = []
     for name in controller.axes:
-        commands = sum(isinstance(each, NoiseLimit | PassivityTarget) for each in _asked(controller, name).values())
+        commands = sum(isinstance(each, NoiseLimit | PassivityTarget) for each in asked_of(controller, name).values())
         proofs = len((controller.certificate.continuous or {}).get(name, ()))
         count = _CHECKS - (name in ROTATIONAL_AXES) + commands + proofs
         for check in _axis_checks(controller, name):
@@ -117,13 +125,14 @@ def _axis_checks(controller: Controller, name: str) -> Iterator[Check]:
     if name not in ROTATIONAL_AXES:
         yield _payload(controller, name, domain)
     yield _delay(controller, name, domain)
-    for proof, where in (
-        (prove_stability(plants.in_free_space(), law, h), "free space"),
-        (prove_stability(plants, law, h), "contact"),
-    ):
-        yield _stability(name, proof, where, plants, nominal=bool(others.plants))
-        if not proof.holds:
+    yield from _deadband(controller, name, domain)
+    proofs: dict[str, StabilityProof] = {}
+    for where, these in _places(plants):
+        proofs[where] = prove_stability(these, law, h)
+        yield _stability(name, proofs[where], where, plants, nominal=bool(others.plants))
+        if not proofs[where].holds:
             return
+    yield _statements(controller, name, proofs)
     for reach in (controller.certificate.continuous or {}).get(name, ()):
         yield _continuous(name, domain, law, h, reach)
     swept = sweep_margins(plants, law, h, stiffness=_STIFFNESS_POINTS, mass=_MASS_POINTS, others=others.plants)
@@ -137,7 +146,7 @@ def _axis_checks(controller: Controller, name: str) -> Iterator[Check]:
         others,
         law,
         h,
-        limit_n=_limit_n(controller, name),
+        limit_n=limit_n(controller, name),
         units=axis_units(name),
     )
     yield Check(axis=name, name="peak force", passed=not missed, message="; ".join(missed) or told)
@@ -192,25 +201,24 @@ def uncertain_plant(domain: AxisDomain) -> UncertainPlant:
 def prove_axis(domain: AxisDomain, law: AdmittanceController, sample_time_s: float, name: str) -> tuple[Proof, ...]:
     """Return what can be proved of one axis, for its certificate; raises CertificateError if stability cannot be."""
     plants = uncertain_plant(domain)
-    low, high = domain.environment_stiffness_n_per_m
-    light, heavy = domain.payload_mass_kg
-    units, proofs = axis_units(name), []
-    others = "" if domain.uncertain is None else ", everything else at its nominal value"
-    for where, these in (("in free space", plants.in_free_space()), ("in contact", plants)):
+    proofs = []
+    for where, these in _places(plants):
         proof = prove_stability(these, law, sample_time_s)
-        check = _stability(name, proof, where, plants)
         if not proof.holds:
-            raise CertificateError(f"Axis {name}: {check.message}")
-        stiffness = f", K_e in [{low:g}, {high:g}] {units.stiffness}" if where == "in contact" else ""
-        proofs.append(
-            Proof(
-                claim=f"axis {name}: the exact sampled loop is stable {where}",
-                method="interval Lyapunov, double precision with a bound on rounding",
-                over=f"every M_p in [{light:g}, {heavy:g}] {units.mass}{stiffness}{others}",
-                numbers={"cells": float(proof.cells), "smallest_decrease": float(proof.slack)},
-            )
-        )
+            raise CertificateError(f"Axis {name}: {_stability(name, proof, where, plants).message}")
+        proofs.append(stability_statement(domain, proof, where, name))
     return tuple(proofs)
+
+
+def _places(plants: UncertainPlant) -> tuple[tuple[str, UncertainPlant], ...]:
+    return ("in free space", plants.in_free_space()), ("in contact", plants)
+
+
+def _statements(controller: Controller, name: str, proofs: Mapping[str, StabilityProof]) -> Check:
+    """Hold the sentences of the certificate against those that the verified domain makes."""
+    wrong = wrong_statements(controller, name, proofs)
+    message = "; ".join(wrong) or "proved and sampled state what the certified domain says"
+    return Check(axis=name, name="statements", passed=not wrong, message=message)
 
 
 def _payload(controller: Controller, name: str, domain: AxisDomain) -> Check:
@@ -241,6 +249,20 @@ def _delay(controller: Controller, name: str, domain: AxisDomain) -> Check:
     )
 
 
+def _deadband(controller: Controller, name: str, domain: AxisDomain) -> Iterator[Check]:
+    """Warn of a deadband that hides most of what drives the approach; the certificate is that of the law without it."""
+    gains, units = controller.axes[name], axis_units(name)
+    speed, resistance = domain.approach_speed_m_s or 0.0, gains.damping + domain.drag_n_s_per_m
+    driving = speed * resistance if domain.approach_force_n is None else domain.approach_force_n
+    if gains.deadband > _MOST_DEADBAND * driving > 0.0:
+        message = (
+            f"{gains.deadband:g} {units.force} are {100.0 * gains.deadband / driving:.0f} % of the {driving:.4g} "
+            f"{units.force} that drive the approach; below it no contact is felt, and margins and predicted peaks are "
+            "those of the law without it"
+        )
+        yield Check(axis=name, name="deadband", passed=True, message=message, warns=True)
+
+
 def _stability(name: str, proof: StabilityProof, where: str, plants: UncertainPlant, *, nominal: bool = False) -> Check:
     low, high = plants.environment_stiffness_n_per_m
     light, heavy = plants.payload_mass_kg
@@ -261,7 +283,7 @@ def _stability(name: str, proof: StabilityProof, where: str, plants: UncertainPl
 def _continuous(name: str, domain: AxisDomain, law: AdmittanceController, h: float, reach: Reach) -> Check:
     """Prove again how far a modulus holds; more than is claimed may be proved, less may not."""
     units, (low, high) = axis_units(name), reach.environment_stiffness_n_per_m
-    over = ", ".join(SYMBOLS[each] for each in reach.over)
+    over = ", ".join(SYMBOLS.get(each, each) for each in reach.over)
     told = f"|1 + L| > {reach.modulus:.4g} and stable at every frequency, over {over}"
     try:
         found = prove_over(domain, law, h, reach.over, reach.modulus, int(reach.work))
@@ -278,13 +300,15 @@ def _continuous(name: str, domain: AxisDomain, law: AdmittanceController, h: flo
         message = told_false(false, units)
     elif not passed:
         message = f"{told}: claimed for the share {reach.share:.4g}, proved for {share:.4g}"
+    elif reach.share <= 0.0:
+        message = f"not proved: nothing could be shown within the budget of {told}"
     elif reach.share < 1.0:
         message = (
             f"{told}: proved up to here, {100.0 * reach.share:.4g} % of the set, K_e up to {high:g} {units.stiffness}"
         )
     else:
         message = f"{told}: proved ({found.cells} cells, {found.arcs} arcs)"
-    return Check(axis=name, name="continuous proof", passed=passed, message=message)
+    return Check(axis=name, name="continuous proof", passed=passed, message=message, warns=reach.share <= 0.0)
 
 
 def _margins(name: str, claimed: AxisMargins, swept: SweptMargins) -> Check:
@@ -306,7 +330,7 @@ def _margins(name: str, claimed: AxisMargins, swept: SweptMargins) -> Check:
 
 def _requirements(controller: Controller, name: str, swept: SweptMargins) -> Check:
     missed, known = [], 0
-    for key, required in _asked(controller, name).items():
+    for key, required in asked_of(controller, name).items():
         if isinstance(required, AdmittanceRequirement | NoiseLimit | PassivityTarget):
             continue
         if key in _MARGIN_OF:
@@ -325,7 +349,7 @@ def _requirements(controller: Controller, name: str, swept: SweptMargins) -> Che
         axis=name,
         name="requirements",
         passed=not missed,
-        message="; ".join(missed) or f"all {known} margins that were asked are met{_soft_told(controller, name)}",
+        message="; ".join(missed) or f"all {known} margins that were asked are met{soft_told(controller, name)}",
     )
 
 
@@ -342,7 +366,7 @@ def _admittance(
         wrong.append(f"the hand {units.force_name} is claimed as {said}, found {hand:.6g}")
     if abs(found / predicted.min_m_s_per_n - 1.0) > _SAME_MARGIN:
         wrong.append(f"|G| is claimed as {predicted.min_m_s_per_n:.6g} {units.admittance}, found {found:.6g}")
-    for required in _asked(controller, name).values():
+    for required in asked_of(controller, name).values():
         if isinstance(required, AdmittanceRequirement):
             # G does not hang on the payload; among the robots the slowest and the fastest stand for all.
             reached = min(
@@ -367,7 +391,7 @@ def _command(
 ) -> Iterator[Check]:
     """Check the command's noise and the passive band, where they were asked."""
     h, units = controller.sample_time_s, axis_units(name)
-    for required in _asked(controller, name).values():
+    for required in asked_of(controller, name).values():
         if isinstance(required, NoiseLimit):
             found = (required.force_noise_rms_n or 0.0) * worst_speed_rms(_noise_plants(plants, others), law, h)
             met = found <= required.max_speed_rms_m_s * (1.0 + 0.1 * _SAME_MARGIN)
@@ -393,35 +417,3 @@ def _noise_plants(plants: UncertainPlant, others: OtherPlants) -> tuple[Plant, .
     stiffnesses = np.clip(np.geomspace(low, high, _NOISE_STIFFNESS_POINTS), low, high)
     grid = dict.fromkeys((float(m), float(k)) for m in masses for k in stiffnesses)
     return tuple(dict.fromkeys((*(plants.at(m, k) for m, k in grid), *others.plants)))
-
-
-def _asked(controller: Controller, name: str) -> Asked:
-    """Return what must hold of one axis: what was asked outright, and of what need not be met what was achieved."""
-    hard, soft = controller.certificate.requirements_of(name) or {}, (controller.certificate.soft or {}).get(name, {})
-    return {**hard, **{key: promise for key, claim in soft.items() if (promise := _promise(claim)) is not None}}
-
-
-def _promise(claim: SoftRequirement) -> Requirement | None:
-    """Return what a soft requirement promises; None where nothing is."""
-    asked, reached = claim.asked, math.inf if claim.achieved is None else claim.achieved
-    if isinstance(asked, NoiseLimit):
-        return replace(asked, max_speed_rms_m_s=max(reached, _NO_SPEED)) if reached < math.inf else None
-    if reached == 0.0:
-        return None
-    if isinstance(asked, AdmittanceRequirement):
-        return replace(asked, min_m_s_per_n=reached)
-    # A port that is passive up to the Nyquist frequency is so just below it.
-    return PassivityTarget(passive_below_hz=reached) if isinstance(asked, PassivityTarget) else reached
-
-
-def _soft_told(controller: Controller, name: str) -> str:
-    soft = (controller.certificate.soft or {}).get(name, {})
-    told = ", ".join(
-        f"{key} {'without limit' if claim.achieved is None else f'{claim.achieved:.4g}'}" for key, claim in soft.items()
-    )
-    return f"; achieved of what was only wished: {told}" if told else ""
-
-
-def _limit_n(controller: Controller, name: str) -> float | None:
-    limit = _asked(controller, name).get("max_peak_force_n")
-    return float(limit) if isinstance(limit, int | float) else None

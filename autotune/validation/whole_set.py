@@ -81,7 +81,12 @@ def told_set(domain: AxisDomain, name: str) -> str:
     of = {"K_s": units.stiffness, "B_s": units.damping, "B_p": units.damping, "B_e": units.damping}
     of |= {"T_d": "s", "f_b": "Hz", "ζ_b": ""}
     ranges = domain.uncertain or {}
-    told = [f"{SYMBOLS[key]} in [{low:g}, {high:g}] {of[SYMBOLS[key]]}".rstrip() for key, (low, high) in ranges.items()]
+    # In an order of its own: that of the file's entries says nothing, and a file may be written again in another.
+    told = [
+        f"{symbol} in [{ranges[key][0]:g}, {ranges[key][1]:g}] {of[symbol]}".rstrip()
+        for key, symbol in SYMBOLS.items()
+        if key in ranges
+    ]
     cut = "" if domain.confidence is None else f", inside the {100.0 * domain.confidence.level:g} % confidence set"
     return f"K_e, M_p and {', '.join(told)}{cut}"
 

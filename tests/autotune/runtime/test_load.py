@@ -148,6 +148,23 @@ def test_a_cell_outside_of_the_certificate_is_refused(tmp_path: Path, change: di
         load_controller(path, **CELL | change)
 
 
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"payload_mass_kg": "16.2"}, r"payload_mass_kg must be a number, found '16\.2'"),
+        ({"payload_mass_kg": True}, "payload_mass_kg must be a number, found True"),
+        ({"sample_time_s": None}, "sample_time_s must be a number, found None"),
+        ({"payload_inertia_kg_m2": {"rz": "16"}}, r"payload_inertia_kg_m2\['rz'\] must be a number, found '16'"),
+        ({"payload_inertia_kg_m2": {"rz": 16.0, "q": 0.4}}, "by axis, rx, ry or rz; found 'q'"),
+        ({"payload_inertia_kg_m2": {"rz": 16.0, "x": 0.4}}, "by axis, rx, ry or rz; found 'x'"),
+        ({"payload_inertia_kg_m2": 0.4}, r"must hold inertias by axis, .*; found 0\.4"),
+    ],
+)
+def test_a_cell_that_is_told_wrongly_is_a_usage_error(tmp_path: Path, change: dict[str, Any], told: str) -> None:
+    with pytest.raises(UsageError, match=told):
+        load_controller(written(tmp_path, make_controller()), **CELL | change)
+
+
 def test_the_ends_of_the_certified_range_are_in_it(tmp_path: Path) -> None:
     path = written(tmp_path, make_controller())
     for mass in (14.0, 18.0):
@@ -180,7 +197,15 @@ def test_an_unvalidated_file_is_refused_whatever_else_it_says(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    "change", [{"mass_kg": -1.0}, {"mass_kg": float("nan")}, {"com_S_m": (0.0, float("inf"), 0.0)}]
+    "change",
+    [
+        {"mass_kg": -1.0},
+        {"mass_kg": float("nan")},
+        {"mass_kg": "16"},
+        {"com_S_m": (0.0, float("inf"), 0.0)},
+        {"com_S_m": (0.0, "up", 0.0)},
+        {"force_bias_S_n": 1.5},
+    ],
 )
 def test_a_payload_that_cannot_be_is_refused(change: dict[str, Any]) -> None:
     with pytest.raises(ParameterError, match=next(iter(change))):

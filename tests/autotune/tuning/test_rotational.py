@@ -199,10 +199,10 @@ def test_the_file_tells_rotational_units_and_survives_validate_export_and_map(tm
 
 def test_an_identified_plant_is_compared_by_its_inertia() -> None:
     controller, plant = both_optimized().controller, two_axes()
-    assert [check.passed for check in check_domain(controller, plant)] == [True, True]
+    assert [check.passed for check in check_domain(controller, plant)] == [True, True, True]
     for inertia, told in ((known(0.7, 0.01), "is 0.7, certified for [0.64, 0.64]"), (None, "is not identified")):
         other = replace(plant, axes={**plant.axes, "ry": replace(plant.axes["ry"], mass_kg=inertia)})
-        straight, about = check_domain(controller, other)
+        straight, about, _ = check_domain(controller, other)
         assert (straight.passed, about.passed, about.message) == (True, False, f"payload inertia [kg·m²] {told}")
 
 

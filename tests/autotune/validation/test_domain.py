@@ -1,16 +1,19 @@
 """Whether an identified plant lies in the domain that a certificate speaks of."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
+from autotune.files.controller_record import Controller
 from autotune.validation.domain import check_domain
+from autotune.validation.validate import Check
 from identification.result import AxisEstimate, Identified
 from tests.autotune.tuning.cases import absent, identified_axis, identified_plant, known, small_controller, with_axis
 
 
 def messages(identified: Identified) -> list[str]:
-    (check,) = check_domain(small_controller(), identified)
+    (check, _) = check_domain(small_controller(), identified)
     assert check.axis == "x"
     assert check.passed == (check.message == "lies inside the certified domain")
     return [] if check.passed else check.message.split("; ")
@@ -55,3 +58,34 @@ def test_another_robot_and_another_coupling_are_told() -> None:
     assert messages(with_axis(slow)) == ["T_d [s] is 0.004, certified for 0.0024"]
     soft = replace(axis, coupling=replace(axis.coupling, stiffness_n_per_m=known(2e5, 500.0)))
     assert messages(with_axis(soft)) == ["K_s [N/m] is 200000, certified for 300000"]
+
+
+def compensated(controller: Controller, identified: Identified) -> Check:
+    *_, check = check_domain(controller, identified)
+    assert check.name == "gravity compensation"
+    return check
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"mass_kg": 16.2}, "payload.mass_kg is 16.2, identified as 16"),
+        ({"com_m": (5.0, 5.0, 5.0)}, "payload.com_m is 5, 5, 5, identified as 0.01, -0.02, 0.15"),
+        ({"force_bias_n": (400.0, -0.25, 3.0)}, "payload.force_bias_n is 400, -0.25, 3, identified as 1.5, -0.25, 3"),
+        ({"torque_bias_n_m": (0.1, 9.0, -0.1)}, "payload.torque_bias_n_m is 0.1, 9, -0.1, identified as 0.1, 0.2"),
+    ],
+)
+def test_a_compensation_that_was_not_identified_is_told(change: dict[str, Any], told: str) -> None:
+    controller = small_controller()
+    assert compensated(controller, identified_plant()).passed
+    check = compensated(replace(controller, payload=replace(controller.payload, **change)), identified_plant())
+    assert not check.passed
+    assert check.message.startswith(told)
+    assert ";" not in check.message
+
+
+@pytest.mark.parametrize(("off", "passed"), [(2.9, True), (3.1, False)])
+def test_the_identified_mass_may_lie_outside_as_far_as_it_is_uncertain(off: float, passed: bool) -> None:
+    plant = identified_plant()
+    near = replace(plant, payload=replace(plant.payload, mass_kg=known(16.0 + 0.02 * off, 0.02)))
+    assert (messages(near) == []) is passed

@@ -26,6 +26,7 @@ EVERY_CHECK = [
     "delay",
     "stability in free space",
     "stability in contact",
+    "statements",
     "continuous proof",
     "margins",
     "requirements",
@@ -119,7 +120,7 @@ FALSE_CLAIMS: dict[str, tuple[Change, str, str]] = {
     "proof of more than its work allows": (
         reach(work=1.0),
         "continuous proof",
-        r"payload_mass_kg: claimed for the share 1, proved for 0$",
+        r"over K_e, M_p: claimed for the share 1, proved for 0$",
     ),
     "proof over what is not in the domain": (
         reach(over=("environment_stiffness_n_per_m", "gripper")),
@@ -238,6 +239,18 @@ def test_a_modest_claim_is_no_false_one() -> None:
     """Margins and delay may be stated lower than they are: what is promised holds."""
     modest = margins(modulus=0.4, phase_deg=20.0, gain_db=5.0, delay_s=1e-3)(small_controller())
     assert validate_controller(replace(modest, delay_samples=4.0)).passed
+
+
+def test_what_is_passed_without_being_shown_is_told_so() -> None:
+    """A budget for nothing proves nothing, and a deadband of nearly F^d hides the contact: neither is wrong."""
+    given_up = reach(share=0.0, work=1.0, environment_stiffness_n_per_m=(1e5, 1e5))(small_controller())
+    driving = small_controller().certificate.domain["x"].approach_force_n or 0.0
+    report = validate_controller(gains(deadband=0.97 * driving)(given_up))
+    assert report.passed
+    noted = {check.name: check.message for check in report.checks if check.verdict == "note"}
+    assert set(noted) == {"continuous proof", "deadband"}
+    assert noted["continuous proof"].startswith("not proved: nothing could be shown within the budget")
+    assert f"97 % of the {driving:g} N that drive the approach" in noted["deadband"]
 
 
 def test_an_axis_without_certificate_is_not_valid() -> None:
