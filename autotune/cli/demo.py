@@ -38,7 +38,7 @@ def command(output: Output, directory: Path, seed: int) -> None:
 
     with output.progress("demo", 1.0) as advance:
         found = run_demo(directory, seed=seed, step=lambda name: output.note(f"{name} ..."), progress=advance)
-    page = directory / "report.html"
+    page = found.files.log.parent / "report.html"
     told = write_report(output, page, lambda: _page(found))
     output.result({**_tree(found), **told}, lambda: _print(found, page))
 

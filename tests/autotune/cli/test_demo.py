@@ -31,7 +31,8 @@ def test_the_demo_as_users_run_it(run_cli: RunCli, tmp_path: Path) -> None:
     assert all(check["passed"] for check in tree["checks"])
     assert tree["active"]["x"]
     names = {"cell.mcap", "identified.yaml", "controller.yaml", "controller.json"}
-    assert {path.name for path in (tmp_path / "out").iterdir()} == names
+    assert {path.name for path in (tmp_path / "out").iterdir()} == names | {"report.html"}
+    assert Path(tree["report"]).name == "report.html"
     assert {Path(path).name for path in tree["files"].values()} == names
     assert tree["controller"] == load_yaml(tmp_path / "out" / "controller.yaml")
     # The truth lies in the domain for which the controller is certified.
@@ -95,6 +96,7 @@ def test_people_see_a_summary(
         "holds the peak up",
         "stability in contact: proved for every M_p",
         str(found.files.log),
+        str(found.files.log.parent / "report.html"),
         found.checksum[:8],
     ):
         assert expected in told

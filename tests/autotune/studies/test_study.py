@@ -14,6 +14,7 @@ import numpy as np
 import optuna
 import pytest
 from optuna.trial import FrozenTrial, TrialState
+from sqlalchemy import create_engine, text
 
 from autotune.errors import InfeasibleError, UsageError
 from autotune.studies.objectives import HandForce, PeakForce
@@ -50,6 +51,27 @@ def wait_for(storage: Storage, count: int, worker: "subprocess.Popen[str]", limi
             return
         time.sleep(0.005)
     raise AssertionError(f"{count} trials took more than {limit_s} s")
+
+
+def beats(url: str) -> set[int]:
+    """Trials that have had a heartbeat; one that dies before its first cannot be told from one that lives."""
+    engine = create_engine(url)
+    with engine.connect() as connection:
+        found = {int(row[0]) for row in connection.execute(text("SELECT trial_id FROM trial_heartbeats"))}
+    engine.dispose()
+    return found
+
+
+def stop_in_trial(url: str, storage: Storage, worker: "subprocess.Popen[str]") -> None:
+    """Stop the worker in the middle of a trial whose heart has beaten."""
+    for _ in range(2000):
+        worker.send_signal(signal.SIGSTOP)
+        running = {t._trial_id for t in trials_of(storage) if t.state is TrialState.RUNNING}
+        if running & beats(url):
+            return
+        worker.send_signal(signal.SIGCONT)
+        time.sleep(0.005)
+    raise AssertionError("no trial was caught")
 
 
 def kill(worker: "subprocess.Popen[str]") -> None:
@@ -161,6 +183,7 @@ def check_kill_and_resume(url: str, tmp_path: Path) -> None:
         storage = open_storage(url, tmp_path / "unused.db", heartbeat_s=1)
         worker = start_worker(url, trials)
         wait_for(storage, 6, worker)
+        stop_in_trial(url, storage, worker)
         kill(worker)
         left = trials_of(storage)
         (lost,) = [t for t in left if t.state is TrialState.RUNNING]
