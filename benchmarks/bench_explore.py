@@ -18,6 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
 from autotune.explore.knobs import nominal_values, scenario_at
 from autotune.explore.source import AxisStart, read_exploration
 from autotune.explore.view import build_window, compute_map, compute_view, prepare_view
