@@ -71,7 +71,7 @@ def build_object_parser(channel: Channel) -> Callable[[bytes], object]:
     if channel.encoding == "json":
         return parse_json
     if channel.encoding == "protobuf":
-        from .protobuf_objects import build_parser  # most logs need no Protobuf: its start is 30 ms
+        from .protobuf_objects import build_parser  # noqa: PLC0415 - most logs need no Protobuf, which takes 30 ms to start
 
         return build_parser(channel)
     if channel.encoding not in ROS_ENCODINGS:
