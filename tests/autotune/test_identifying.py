@@ -33,8 +33,14 @@ def one_orientation(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def in_one_process(two_logs: list[Path]) -> IdentifiedLog:
-    return identify_log(two_logs, Topics(), allow_partial=True)
+def told() -> list[float]:
+    """What was told of the progress, part by part."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def in_one_process(two_logs: list[Path], told: list[float]) -> IdentifiedLog:
+    return identify_log(two_logs, Topics(), allow_partial=True, progress=told.append)
 
 
 def test_recordings_side_by_side_tell_what_they_tell_one_after_the_other(
@@ -42,6 +48,13 @@ def test_recordings_side_by_side_tell_what_they_tell_one_after_the_other(
 ) -> None:
     # The same code on the same numbers: nothing may differ, not by rounding.
     assert identify_log(two_logs, Topics(), allow_partial=True, processes=2) == in_one_process
+
+
+@pytest.mark.usefixtures("in_one_process")
+def test_the_progress_comes_to_the_whole_in_small_parts(told: list[float]) -> None:
+    assert sum(told) == pytest.approx(1.0)
+    assert 0.0 < min(told)
+    assert max(told) < 0.2
 
 
 def test_the_provenance_names_both_recordings(two_logs: list[Path], in_one_process: IdentifiedLog) -> None:
