@@ -9,13 +9,14 @@ from bokeh.document.events import ModelChangedEvent
 from bokeh.events import DocumentReady
 
 from autotune.explore.page import Page, build_page
+from autotune.explore.target import Target
 from autotune.explore.words import refused_line
 from tests.autotune.explore.start import small_exploration
 
 
 @pytest.fixture
 def page(tmp_path: Path) -> Page:
-    return build_page(small_exploration(), tmp_path / "controller.yaml", Document())
+    return build_page(small_exploration(), Target(tmp_path / "controller.yaml"), Document())
 
 
 def turn(page: Page, name: str, value: float) -> None:
@@ -44,7 +45,7 @@ def test_the_map_is_computed_again_only_where_it_is_another_one(page: Page) -> N
     turn(page, "damping", 1310.0)
     assert cells() is not first
     assert np.array_equal(cells(), first)
-    assert page.figures.sources["star"].data["x"] == [1310.0]
+    assert page.figures.sources["own"].data["x"] == [1310.0]
     turn(page, "feedback_damping_s", 0.008)
     assert not np.array_equal(cells(), first)
 
@@ -63,7 +64,7 @@ def test_a_page_that_is_shown_gets_one_message_for_all_that_a_turn_changes(page:
     turn(page, "damping", 1310.0)
     by_hand, (sent,) = seen[:1], seen[1:]
     assert (by_hand[0].model, sent.attr) == (page.sliders["damping"], "content")
-    assert {"data-contact", "data-command", "data-bars", "data-star", "verdict", "facts"} <= set(sent.new)
+    assert {"data-contact", "data-command", "data-bars", "data-own", "verdict", "facts"} <= set(sent.new)
     assert not np.array_equal(sent.new["data-contact"]["data"]["y"], before)
     assert np.array_equal(data(page, "contact"), before)
 
@@ -98,7 +99,7 @@ def test_each_axis_keeps_its_own_design(page: Page) -> None:
 
 
 def test_two_visitors_share_nothing(page: Page, tmp_path: Path) -> None:
-    other = build_page(small_exploration(), tmp_path / "controller.yaml", Document())
+    other = build_page(small_exploration(), Target(tmp_path / "controller.yaml"), Document())
     turn(page, "damping", 1400.0)
     assert other.designs["x"][1] == 1250.0
 

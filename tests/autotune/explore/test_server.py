@@ -6,7 +6,9 @@ from pathlib import Path
 import pytest
 
 from autotune.errors import UsageError
-from autotune.explore.server import LOOPBACK, serve
+from autotune.explore.door import LOOPBACK
+from autotune.explore.server import serve
+from autotune.explore.target import Target
 from tests.autotune.explore.start import small_exploration
 
 
@@ -17,4 +19,4 @@ def test_a_port_that_is_taken_is_named(tmp_path: Path) -> None:
     with socket.create_server((LOOPBACK, 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(UsageError, match=rf"Port {port} cannot be used: .*; name another one with --port\."):
-            serve(small_exploration(), tmp_path / "controller.yaml", port=port, ready=ready)
+            serve(small_exploration(), Target(tmp_path / "controller.yaml"), port=port, ready=ready)
