@@ -2,6 +2,7 @@
 // What the page does by itself, beside what the server sends.
 const explore = (() => {
   const page = () => Bokeh.documents[0];
+  const isDark = matchMedia("(prefers-color-scheme: dark)");
 
   // A slider stands on the logarithm of its number: a screen reader is told the number and its unit, as the title has it.
   function tellSlider(root) {
@@ -34,20 +35,40 @@ const explore = (() => {
     }
   }
 
-  // Canvases know no style sheet: what is no plain text or line of a figure's frame takes its colours here.
+  // Canvases know no style sheet: all that is drawn takes its colours from the page's here.
+  const FRAME = {
+    ink: ["label_text_color"],
+    soft: ["axis_label_text_color", "major_label_text_color", "title_text_color", "axis_line_color",
+      "major_tick_line_color", "minor_tick_line_color"],
+    grid: ["grid_line_color"],
+    line: ["outline_line_color"],
+  };
+  // Lines that are too dark on dark paper.
+  const LIGHTER = { "#0072b2": "#56b4e9", "#b3261e": "#ff8a80" };
+  const drawnIn = new Map();
+
   function dress() {
     const style = getComputedStyle(document.documentElement);
     const colour = name => style.getPropertyValue(`--${name}`).trim();
-    const set = (name, values) => page().get_model_by_name(name).setv(values, { sync: false });
-    set("told", { text_color: colour("ink"), background_fill_color: colour("paper") });
-    set("grounds", { palette: [colour("unstable"), colour("missed")] });
-    for (const place of document.querySelectorAll(".drawn")) set(place.id, { outline_line_color: colour("line") });
+    const set = (model, values) => model.setv(values, { sync: false });
+    for (const model of page().all_models) {
+      for (const [name, keys] of Object.entries(FRAME)) {
+        for (const key of keys) if (key in model && model[key] !== null) set(model, { [key]: colour(name) });
+      }
+      const line = drawnIn.get(model) || ("line_color" in model && model.line_color && model.line_color.value);
+      if (line in LIGHTER) {
+        drawnIn.set(model, line);
+        set(model, { line_color: { value: isDark.matches ? LIGHTER[line] : line } });
+      }
+    }
+    set(page().get_model_by_name("told"), { text_color: colour("ink"), background_fill_color: colour("paper") });
+    set(page().get_model_by_name("grounds"), { palette: [colour("unstable"), colour("missed")] });
   }
 
   function begin() {
     tellSliders();
     dress();
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", dress);
+    isDark.addEventListener("change", dress);
   }
 
   // Nothing is answered any more: no control may look as if it were, and none may differ from what is shown.

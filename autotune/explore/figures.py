@@ -269,7 +269,7 @@ def _line(plot: Any, source: ColumnDataSource, role: str, label: str, *, dashed:
 def _finished(plot: Any) -> Any:
     """Put the legend below the figure, where it hides nothing."""
     plot.legend.update(label_text_font_size="11px", border_line_alpha=0.0, background_fill_alpha=0.0)
-    plot.legend.orientation = "horizontal"
+    plot.legend.update(orientation="horizontal", margin=0, padding=2)
     plot.add_layout(plot.legend[0], "below")
     return plot
 

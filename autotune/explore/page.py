@@ -46,6 +46,8 @@ dt { color: var(--soft); font-size: 0.82rem; } dd { margin: 0; font-size: 1.2rem
 .bk-slider-title, label { color: var(--ink); font-size: 0.85rem; }
 select.bk-input { color: var(--ink); background-color: var(--pale); border-color: var(--line); }
 .bk-btn { color: var(--ink); background: var(--pale); border-color: var(--line); white-space: normal; }
+.bk-btn[disabled], .noUi-target[disabled], select[disabled] { opacity: 0.4; }
+.bk-btn[disabled] { color: var(--ink); background: var(--pale); }
 """
 
 
@@ -115,7 +117,7 @@ class Page:
         self.over.update(options=titles, value=titles[0][0] if titles else "", visible=len(pairs) > 1)
         self.turning = False
         self.figures.plots["map"].visible = bool(pairs)
-        self.saver.tell(words.plain_line(self.start.note))
+        self.saver.note(self.start.note)
         view = compute_view(self._prepare(), self.start.design)
         self.figures.begin(problem, self.axis, view)
         self.window = None

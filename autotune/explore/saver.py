@@ -54,6 +54,11 @@ class Saver:
         self._told, self._of = line, of
         self.follow()
 
+    def note(self, text: str) -> None:
+        """Put a remark on the page, unless it has to tell of a save, which is one of all axes."""
+        if self._of is None:
+            self.tell(words.plain_line(text))
+
     def follow(self) -> None:
         """Say of a line about other designs than the present ones that it is so."""
         of = self._of

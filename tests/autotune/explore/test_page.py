@@ -89,6 +89,51 @@ def test_what_is_turned_between_two_pictures_is_computed_once(page: Page) -> Non
     assert len(page.document.session_callbacks) == before + 1
 
 
+def test_the_cell_of_the_star_says_what_the_page_says(page: Page) -> None:
+    start = small_exploration().axes["x"].design
+    seen = set()
+    for damping, lead in ((1250.0, 0.018), (1180.0, 0.0185), (1400.0, 0.018), (1300.0, 0.013), (1100.0, 0.012)):
+        page.sliders["lead_s"].value = page.knobs["lead_s"].position(lead)
+        turn(page, "damping", damping)
+        said = page.prepared[1].screen.prepared.evaluate(np.array([start[0], damping, lead, start[3]]))
+        cell = {name: float(values[0]) for name, values in page.figures.sources["own"].data.items()}
+        assert (cell["x"], cell["y"], cell["stable"]) == (damping, lead, said.is_stable)
+        assert cell["left"] < damping < cell["right"]
+        assert cell["bottom"] < lead < cell["top"]
+        assert ("Meets every requirement" in page.verdict.text) == said.is_feasible == bool(np.isfinite(cell["peak"]))
+        if said.is_feasible:
+            assert cell["peak"] == said.objective_n
+            low, high = page.figures.colours.low, page.figures.colours.high
+            assert low is not None
+            assert high is not None
+            assert low <= cell["peak"] <= high
+        seen.add(said.is_feasible)
+    assert seen == {True, False}
+
+
+def test_a_map_without_a_feasible_design_has_no_scale(page: Page) -> None:
+    assert page.figures.bar.visible
+    turn(page, "delay_s", page.knobs["delay_s"].high)
+    assert not np.isfinite(page.figures.sources["map"].data["peak"][0]).any()
+    assert not page.figures.bar.visible
+
+
+def test_words_about_an_earlier_design_say_so(page: Page) -> None:
+    page.saver.tell("<p>Validated.</p>", {name: np.array(design) for name, design in page.designs.items()})
+    page.update()
+    assert page.saver.status.text == "<p>Validated.</p>"
+    turn(page, "payload_mass_kg", 20.0)
+    assert page.saver.status.text == "<p>Validated.</p>"
+    turn(page, "damping", 1310.0)
+    assert "Of an earlier design:" in page.saver.status.text
+    page.choice.value = "y"
+    page._go_back()
+    assert "Of an earlier design:" in page.saver.status.text
+    page.choice.value = "x"
+    page._go_back()
+    assert page.saver.status.text == "<p>Validated.</p>"
+
+
 def test_each_axis_keeps_its_own_design(page: Page) -> None:
     turn(page, "damping", 1400.0)
     page.choice.value = "y"
