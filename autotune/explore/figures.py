@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -47,13 +48,33 @@ _UNSTABLE, _MISSED = "#e3b7b2", "#edeae2"
 _CELLS = Viridis256[32:232]
 # More than one number of two digits, so that no tick of less than a decade reads like another one.
 _TICKS = "return Number(tick.toPrecision(3)).toExponential();"
+_DRAWN_FROM = {
+    "contact": ("contact", "sensor", "peak"),
+    "admittance": ("gain",),
+    "nyquist": ("force", "command"),
+    "requirements": ("bars",),
+    "map": ("map", "own"),
+}
 _EMPTY: Mapping[str, list[float]] = {"x": [], "y": []}
 
 
+@dataclass(frozen=True, kw_only=True)
+class DrawnLine:
+    """A line of a figure for its legend: what it shows, its colour, and `kind`, solid or dashed."""
+
+    label: str
+    colour: str
+    kind: str
+
+
 class Figures:
-    """All figures by their key in `plots`, and what they are drawn from."""
+    """All figures by their key in `plots`, and what they are drawn from.
+
+    `lines` are for legends that the page writes: one that the engine draws is drawn again at every turn.
+    """
 
     def __init__(self) -> None:
+        self.lines: dict[str, list[DrawnLine]] = {key: [] for key in KEYS}
         self.sources = {
             name: ColumnDataSource(dict(_EMPTY), name=f"data-{name}")
             for name in ("contact", "sensor", "begun", "peak", "gain", "force", "command", "circle")
@@ -73,22 +94,27 @@ class Figures:
             "requirements": self._requirements(),
             "map": self._map(),
         }
+        # Each tells the figure that it belongs to.
+        for key, names in _DRAWN_FROM.items():
+            for name in names:
+                self.sources[name].tags = [key]
+        self.colours.tags = self.bar.tags = ["map"]
 
     def _contact(self) -> Any:
         plot = _plot("contact", "time after the contact [ms]", "force")
-        _line(plot, self.sources["begun"], "before", "as begun", dashed=True)
-        _line(plot, self.sources["sensor"], "quiet", "at the sensor")
-        _line(plot, self.sources["contact"], "model", "at the contact")
+        self._line(plot, self.sources["begun"], "before", "as begun", dashed=True)
+        self._line(plot, self.sources["sensor"], "quiet", "at the sensor")
+        self._line(plot, self.sources["contact"], "model", "at the contact")
         plot.scatter("x", "y", source=self.sources["peak"], color=COLOURS["model"], size=9, line_color="white")
-        return _finished(plot)
+        return plot
 
     def _admittance(self) -> Any:
         plot = _plot("admittance", "frequency [Hz]", "|G|", x_axis_type="log", y_axis_type="log")
         plot.yaxis.ticker = LogTicker(mantissas=[1, 2, 5])
         plot.yaxis.formatter = CustomJSTickFormatter(code=_TICKS)
-        _line(plot, self.target, "target", "at least", dashed=True)
-        _line(plot, self.sources["gain"], "after", "|G|, free space")
-        return _finished(plot)
+        self._line(plot, self.target, "target", "at least", dashed=True)
+        self._line(plot, self.sources["gain"], "after", "|G|, free space")
+        return plot
 
     def _nyquist(self) -> Any:
         # Circles stay circles: a box without colour is what must be seen; the ranges grow around it to equal scales.
@@ -99,11 +125,11 @@ class Figures:
             each.renderers = [box]
         for tool in plot.select(type=BoxZoomTool):
             tool.match_aspect = True
-        _line(plot, self.sources["circle"], "target", "margin asked", dashed=True)
-        _line(plot, self.sources["force"], "model", "at the force")
-        _line(plot, self.sources["command"], "after", "at the command")
+        self._line(plot, self.sources["circle"], "target", "margin asked", dashed=True)
+        self._line(plot, self.sources["force"], "model", "at the force")
+        self._line(plot, self.sources["command"], "after", "at the command")
         plot.scatter([-1.0], [0.0], marker="cross", size=14, line_width=2, color=COLOURS["bad"])
-        return _finished(plot)
+        return plot
 
     def _requirements(self) -> Any:
         plot = _plot(
@@ -141,6 +167,11 @@ class Figures:
         )
         plot.add_layout(self.bar, "right")
         return plot
+
+    def _line(self, plot: Any, source: ColumnDataSource, role: str, label: str, *, dashed: bool = False) -> None:
+        kind = "dashed" if dashed else "solid"
+        plot.line("x", "y", source=source, color=COLOURS[role], line_width=1.8, line_dash=kind)
+        self.lines[plot.name].append(DrawnLine(label=label, colour=COLOURS[role], kind=kind))
 
     def changing(self) -> list[Model]:
         """Return what changes whenever something is turned."""
@@ -225,7 +256,7 @@ class Figures:
         peak = own.objective_n if own.is_feasible else math.nan
         cell: dict[str, Any] = {"left": x / ratio, "right": x * ratio, "bottom": y - step, "top": y + step}
         cell |= {"x": x, "y": y, "stable": float(own.is_stable), "peak": peak}
-        sender.put(self.sources["own"], data={key: np.array([value]) for key, value in cell.items()})
+        sender.put(self.sources["own"], data={key: [float(value)] for key, value in cell.items()})
         seen = [each for each in (*(self.mapped or ()), peak) if math.isfinite(each)]
         sender.put(self.bar, visible=bool(seen))
         if seen:
@@ -251,26 +282,6 @@ def _plot(key: str, x: str, y: str, **more: Any) -> Any:
     # On a touch screen a finger on a figure scrolls the page, until a tool is chosen.
     plot.toolbar.active_drag = None
     plot.toolbar_location = "above"
-    return plot
-
-
-def _line(plot: Any, source: ColumnDataSource, role: str, label: str, *, dashed: bool = False) -> None:
-    plot.line(
-        "x",
-        "y",
-        source=source,
-        color=COLOURS[role],
-        line_width=1.8,
-        line_dash="dashed" if dashed else "solid",
-        legend_label=label,
-    )
-
-
-def _finished(plot: Any) -> Any:
-    """Put the legend below the figure, where it hides nothing."""
-    plot.legend.update(label_text_font_size="11px", border_line_alpha=0.0, background_fill_alpha=0.0)
-    plot.legend.update(orientation="horizontal", margin=0, padding=2)
-    plot.add_layout(plot.legend[0], "below")
     return plot
 
 

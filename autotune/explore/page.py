@@ -271,7 +271,7 @@ def build_page(exploration: Exploration, target: Target, document: Document) -> 
         keys=KEYS,
         source=exploration.path.name,
     )
-    document.template_variables["script"] = _script()
+    document.template_variables.update(lines=page.figures.lines, script=_script())
     return page
 
 

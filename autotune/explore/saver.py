@@ -71,7 +71,7 @@ class Saver:
     def _asked(self) -> None:
         if not self._is_busy:
             self._is_busy = True
-            self.tell(words.plain_line("Judging the design over the whole set, proving, validating …"))
+            self.tell(words.BUSY)
             self._sender.send()
             # Bokeh awaits what a callback returns; its types do not say so.
             self._document.add_next_tick_callback(self.save)  # type: ignore[arg-type]

@@ -19,6 +19,8 @@ _TITLES = {
     "free_space_admittance": "free-space admittance",
 }
 
+BUSY = '<p class="quiet busy">Judging the design over the whole set, proving, validating …</p>'
+
 
 def requirement_title(name: str) -> str:
     """Return what a requirement is called on the page."""

@@ -22,6 +22,7 @@ from tests.autotune.tuning.cases import small_controller
 
 FIGURES = ("contact", "admittance", "nyquist", "requirements", "map")
 READY = "() => window.Bokeh && Bokeh.documents[0] && Bokeh.documents[0].get_model_by_name('data-map').data.x.length > 0"
+STAR = "x => Math.abs(Bokeh.documents[0].get_model_by_name('data-own').data.x[0] / x - 1) < 1e-3"
 # Pixels to a unit, both ways.
 SCALES = """() => {
   const plot = Bokeh.documents[0].get_model_by_name('nyquist'), { x_range: x, y_range: y } = plot;
@@ -97,6 +98,8 @@ def test_the_hand_is_followed_and_what_holds_is_saved(browser: Any, served: tupl
     turned = handle.get_attribute("aria-valuetext")
     assert turned is not None
     assert float(turned.removesuffix(" N·s/m")) > small_controller().axes["x"].damping
+    # The map lies further down, and follows once the hand rests.
+    page.wait_for_function(STAR, arg=float(turned.removesuffix(" N·s/m")))
     save = page.get_by_role("button", name="Validate and save tried.yaml")
     save.click()
     page.get_by_text("Not written.").wait_for(timeout=60_000)

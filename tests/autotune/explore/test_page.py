@@ -1,5 +1,6 @@
 """The page without a browser: what happens in its document when something is turned."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -95,6 +96,7 @@ def test_the_cell_of_the_star_says_what_the_page_says(page: Page) -> None:
     for damping, lead in ((1250.0, 0.018), (1180.0, 0.0185), (1400.0, 0.018), (1300.0, 0.013), (1100.0, 0.012)):
         page.sliders["lead_s"].value = page.knobs["lead_s"].position(lead)
         turn(page, "damping", damping)
+        assert page.prepared is not None
         said = page.prepared[1].screen.prepared.evaluate(np.array([start[0], damping, lead, start[3]]))
         cell = {name: float(values[0]) for name, values in page.figures.sources["own"].data.items()}
         assert (cell["x"], cell["y"], cell["stable"]) == (damping, lead, said.is_stable)
@@ -147,6 +149,15 @@ def test_two_visitors_share_nothing(page: Page, tmp_path: Path) -> None:
     other = build_page(small_exploration(), Target(tmp_path / "controller.yaml"), Document())
     turn(page, "damping", 1400.0)
     assert other.designs["x"][1] == 1250.0
+
+
+def test_a_page_about_torques_says_so(tmp_path: Path) -> None:
+    axes = small_exploration().axes
+    for names, told in ((["rx"], "Torque over time"), (["x", "rx"], "Force or torque over time")):
+        document = Document()
+        exploration = replace(small_exploration(), axes=dict.fromkeys(names, axes["x"]))
+        build_page(exploration, Target(tmp_path / "controller.yaml"), document)
+        assert document.template_variables["figures"]["contact"][1].startswith(told)
 
 
 def test_text_from_files_is_text() -> None:
