@@ -2,7 +2,7 @@
 // What the page does by itself, beside what the server sends.
 const explore = (() => {
   const page = () => Bokeh.documents[0];
-  const REST_MS = 120;
+  const REST_MS = 300;
   const isDark = matchMedia("(prefers-color-scheme: dark)");
 
   // A slider stands on the logarithm of its number: a screen reader is told the number and its unit, as the title has it.
