@@ -14,6 +14,7 @@ from ._help import GroupedCommand
 from ._pareto import FrontWriter, pareto_options
 from ._proof import proof_options
 from ._report import check_report, print_report_path, report_option, write_report
+from ._response import response_lines
 from ._schedule import check_range, schedule_options
 from ._spark import contact_spark
 from ._standing import active_lines, active_tree
@@ -220,6 +221,8 @@ def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "Con
         _print_spark(found, name, units)
         for line in active_lines(found, name):
             tell(f"  {line}")
+    for line in response_lines(controller):
+        tell(line)
     for check in found.report.checks:
         axis = f"{check.axis}: " if len(controller.axes) > 1 else ""
         verdict = f"{check.verdict:6} "

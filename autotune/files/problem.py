@@ -31,9 +31,9 @@ _KINDS: Mapping[str, Callable[..., Any]] = {
 }
 _MOST_OF_AN_APPROACH = {"force_n": 1e4, "speed_m_s": 5.0, "torque_n_m": 2e3, "speed_rad_s": 25.0}
 """What an approach may ask at most; about a turning axis the same at a lever of 0.2 m."""
+# Among the free variables in the file, but none of the search: it is chosen for the gains that were found.
+_THRESHOLD = "collision_threshold_n"
 _NEVER_FREE: Mapping[str, str] = {
-    "collision_threshold_n": "what is minimised and certified is the contact without a collision response, which no "
-    "threshold changes. Leave it out.",
     "environment_stiffness_n_per_m": "it is a property of the cell, and every stiffness of its range must be safe. To "
     "choose a compliance, give one at a time as environment_stiffness_n_per_m: [K, K] and compare the peaks.",
 }
@@ -62,7 +62,8 @@ class RotationalSpec:
 class ProblemSpec:
     """Everything that `problem.yaml` may say; None or empty where it says nothing and the default holds.
 
-    `free` makes further parameters of the controller variables, with their bounds.
+    `free` makes further parameters of the controller variables, with their bounds; `collision_threshold_n` bounds the
+    threshold of the collision response, which is chosen after the gains (there is none without).
     `uncertain` maps further parameters of the plant to a range, to "identified" (the confidence set of the identified
     file) or to "nominal" (as if it were known).
     """
@@ -77,6 +78,7 @@ class ProblemSpec:
     objective: Objective = "contact_force"
     rotational: RotationalSpec = field(default_factory=RotationalSpec)
     free: Mapping[str, Interval] = field(default_factory=dict)
+    collision_threshold_n: Interval | None = None
 
     def __post_init__(self) -> None:
         for name in ("bounds", "uncertain", "free"):
@@ -102,7 +104,8 @@ def read_problem(path: Path) -> ProblemSpec:
             **_ranges(tree),
             requirements=Requirements(**_requirements(tree.get("requirements", {}))),
             objective=tree.get("objective", "contact_force"),
-            free={name: _pair(value) for name, value in tree.get("free", {}).items()},
+            free={name: _pair(value) for name, value in tree.get("free", {}).items() if name != _THRESHOLD},
+            collision_threshold_n=_optional_pair(tree.get("free", {}).get(_THRESHOLD)),
             rotational=RotationalSpec(**_ranges(turned), requirements=_requirements(turned.get("requirements", {}))),
         )
     except ParameterError as error:

@@ -17,6 +17,7 @@ from .controller_tables import (
     proof_table,
     reach_table,
     requirement_table,
+    response_table,
     worst_table,
 )
 from .map_charts import map_chart
@@ -112,6 +113,8 @@ def design_section(design: AxisDesign, standing: Mapping[str, Any] | None, old: 
     blocks: list[Block] = [requirement_table(design, prices_of(standing)), *contact_charts(design, before)]
     blocks += [stiffness_chart(design, before), admittance_chart(design, before), nyquist_chart(design, before)]
     blocks.append(map_chart(design))
+    responses = response_table(design)
+    blocks += [] if responses is None else [responses]
     return Section(key=f"axis-{design.name}", title=f"Axis {design.name}", blocks=tuple(blocks))
 
 

@@ -23,6 +23,7 @@ from .record import build_controller, build_domain, runtime_payload
 from .relax import find_relaxations, tell_relaxations
 from .search import SearchResult, solve_design
 from .standing import Standing, find_standing, standing_tree
+from .threshold import ThresholdWish, choose_threshold, threshold_wish
 
 # Of the time of a usual run, measured; of no other use than to tell how it goes on. The second is a share of what comes
 # after the search.
@@ -81,7 +82,12 @@ def optimize(
         name: standing_tree(standing, rotational=name in ROTATIONAL_AXES) for name, standing in standings.items()
     }
     controller, checked = certify(
-        searches, payload, provenance, asked, lambda done: report((1.0 - _SEARCH_SHARE) * done)
+        searches,
+        payload,
+        provenance,
+        asked,
+        lambda done: report((1.0 - _SEARCH_SHARE) * done),
+        threshold=threshold_wish(identified.result, spec),
     )
     compared = {} if existing is None else compare(existing.controller, searches)
     return Optimized(
@@ -106,16 +112,20 @@ def certify(
     provenance: Mapping[str, Any],
     proof: ProofWishes,
     progress: Callable[[float], None],
+    threshold: ThresholdWish | None = None,
 ) -> tuple[Controller, ValidationReport]:
     """Prove what can be proved of the designs, write them down, and return the controller once validation passed it.
 
-    `progress` is told the share of the work done since the last call. Raises CertificateError when a claim cannot be
-    proved or verified.
+    `threshold` asks for a collision response, chosen for these designs. `progress` is told the share of the work done
+    since the last call. Raises CertificateError when a claim cannot be proved or verified, and what `choose_threshold`
+    raises.
     """
     for name, search in searches.items():
         check_within_bounds(search, name)
     proofs, reaches = _prove(searches, proof, progress)
     controller = build_controller(searches, payload, proofs, reaches, provenance)
+    if threshold is not None:
+        controller, _ = choose_threshold(controller, searches, threshold)
     checked = validate_controller(controller, lambda done: progress((1.0 - _PROOF_SHARE) * done))
     checked.require()
     return controller, checked

@@ -24,6 +24,7 @@ from problems.margins import UnstableLoopError
 
 from .optimize import optimize
 from .problems import Interval, Wishes, build_problems, certified_mass_kg, runtime_mass_kg
+from .threshold import without_response
 from .worst import WholeSet
 
 _BRANCHES = (InfeasibleError, CertificateError, UsageError, EstimateError)
@@ -191,7 +192,9 @@ def _tune(task: _Task) -> Controller | AutotuneError:
 def _beside(pair: tuple[_Task, Tuned], *, common: str) -> Tuned | AutotuneError:
     """Hold the common controller against one class; search the class again from it where it is gentler there."""
     task, own = pair
-    existing = parse_controller(common, COMMON_FILE)
+    read = parse_controller(common, COMMON_FILE)
+    # What is held against each other are gains, and their contacts without a collision response.
+    existing = replace(read, controller=without_response(read.controller))
     try:
         peaks, missed = _judge(task, existing.controller)
         if missed <= _HAIR and any(peak < own.peaks[axis] for axis, peak in peaks.items()):
