@@ -99,8 +99,9 @@ def choose_threshold(
     """Return the controller with the response "reset", or without one where none lowers the worst peak.
 
     Minimised is the worst peak of the objective's force over the predicted contacts and the scenarios of the search
-    of every tuned x, y, z; of none of these axes may the worst peak rise, at the contact or at the sensor. What was predicted and certified stays as it is,
-    and `predicted.<axis>.with_collision_response` tells the same contacts with the response.
+    of every tuned x, y, z; of none of these axes may the worst peak rise, at the contact or at the sensor. What was
+    predicted and certified stays as it is, and `predicted.<axis>.with_collision_response` tells the same contacts with
+    the response.
 
     Raises InfeasibleError where free motion alone would pass every threshold asked for, UsageError where no axis is a
     straight one or the full simulation cannot do the contact.

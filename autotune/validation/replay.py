@@ -20,6 +20,7 @@ _SHORTEST_AFTER_S = 1.6
 # A part of the motion has gone when it has decayed to exp(-7), a thousandth.
 _DECAY_EXPONENTS = 7.0
 _LONGEST_S = 10.0
+_FAR_SAMPLES = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,10 +49,12 @@ def replay_contact(
 
     At the first tick at which the force opposes the motion by more than `reset_threshold_n` the command and its
     predecessor become the one sent last (the paper's Algorithm 1).
+
     Approach and contact each last as long as the slowest part of their loop needs to decay. The plant advances in
     twentieths of a sample, contact begins and ends on that grid, and the delay is rounded to it.
     """
-    step = _Stepper(plant, sample_time_s)
+    late = round(plant.robot.delay_s / sample_time_s * _SUBSTEPS)
+    step = _Stepper(plant, sample_time_s, late % _SUBSTEPS)
     law = DifferenceEquation(controller, sample_time_s)
     speed = desired_force_n / (controller.damping_n_s_per_m + plant.payload.drag_n_s_per_m)
     approach = settling_samples(plant.in_contact_with(FREE_SPACE), controller, sample_time_s, _SHORTEST_APPROACH_S)
@@ -61,8 +64,7 @@ def replay_contact(
     state = np.zeros(n)
     state[0] = state[n - 2] = start
     law.rest_at(start)
-    late = round(plant.robot.delay_s / sample_time_s * _SUBSTEPS)
-    commands = [start] * (math.ceil(late / _SUBSTEPS) + 1)
+    commands = [start] * (late // _SUBSTEPS + 1)
     sensor = contact = 0.0
     touch: int | None = None
     detection: int | None = None
@@ -77,10 +79,8 @@ def replay_contact(
         if detection is None and -felt * np.sign(position - law.seen) > reset_threshold_n:
             detection = tick
         commands.append(law.step(desired_force_n + felt, position, reset=detection == tick))
-        for sub in range(_SUBSTEPS):
-            # A delay of `late` substeps: how many whole periods ago was the command that acts now?
-            age = -((sub - late) // _SUBSTEPS) if sub < late else 0
-            state = step.advance(state, commands[-1 - age])
+        # A delay of `late` substeps: what acts first is a command one period older than what acts then.
+        state = step.over_sample(state, commands[-2 - late // _SUBSTEPS], commands[-1 - late // _SUBSTEPS])
         commands = commands[-(late // _SUBSTEPS + 3) :]
     return Replay(
         peak_sensor_force_n=sensor,
@@ -97,12 +97,19 @@ def settling_samples(plant: Plant, controller: AdmittanceController, h: float, s
 
 
 class _Stepper:
-    """The plant in contact and in free space, advanced by a twentieth of a sample."""
+    """The plant in contact and in free space, advanced by a twentieth of a sample; `late` of these come a command late.
 
-    def __init__(self, plant: Plant, sample_time_s: float) -> None:
+    A sample throughout which the payload is far from the wall's surface, on either side, is the same in two steps.
+    """
+
+    def __init__(self, plant: Plant, sample_time_s: float, late: int) -> None:
         near = build_plant_matrices(plant, sample_time_s)
         far = build_plant_matrices(plant.in_contact_with(FREE_SPACE), sample_time_s)
         self.near, self.far = hold(near.a, near.b, 1.0 / _SUBSTEPS), hold(far.a, far.b, 1.0 / _SUBSTEPS)
+        self.late = late
+        self.parts = [
+            [hold(side.a, side.b, share / _SUBSTEPS) for share in (late, _SUBSTEPS - late)] for side in (near, far)
+        ]
         self.c_force, self.c_position, self.d_force = near.c_force, near.c_position, near.d_force
         self.stiffness = plant.environment.stiffness_n_per_m
         self.damping = plant.environment.damping_n_s_per_m / sample_time_s
@@ -114,6 +121,22 @@ class _Stepper:
     def touching(self, state: FloatArray) -> bool:
         """Whether the payload presses on the wall."""
         return float(state[-2]) > 0.0 and self.wall_force(state) > 0.0
+
+    def over_sample(self, state: FloatArray, older: float, newer: float) -> FloatArray:
+        """Advance one sample; the older command acts until the newer one arrives."""
+        if self._is_far(state):
+            (phi_0, gamma_0), (phi_1, gamma_1) = self.parts[0 if state[-2] > 0.0 else 1]
+            ahead = np.asarray(phi_1 @ (phi_0 @ state + gamma_0 * older) + gamma_1 * newer)
+            if self._is_far(ahead) and (ahead[-2] > 0.0) == (state[-2] > 0.0):
+                return ahead
+        for sub in range(_SUBSTEPS):
+            state = self.advance(state, older if sub < self.late else newer)
+        return state
+
+    def _is_far(self, state: FloatArray) -> bool:
+        """Say whether no surface is reached within some samples at this speed, which is that per sample."""
+        away = float(state[-2])
+        return abs(away) > _FAR_SAMPLES * abs(float(state[-1])) and (away < 0.0 or self.damping == 0.0)
 
     def advance(self, state: FloatArray, command: float) -> FloatArray:
         """Advance one substep under a held command."""

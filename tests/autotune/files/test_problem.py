@@ -287,7 +287,10 @@ def test_the_schema_knows_every_further_variable() -> None:
         ("requirements:\n  command_noise: {force_noise_rms_n: 1}\n", 2, "max_speed_rms_m_s must be present"),
         ("free:\n  velocity_filter_rad_per_s: [300, 60]\n", 2, "free.velocity_filter_rad_per_s must be [low, high]"),
         ("free:\n  mass: [5, 20]\n", 2, "free.mass must be one of velocity_filter_rad_per_s"),
-        ("free:\n  collision_threshold_n: [50, 100]\n", 2, "collision_threshold_n cannot be free: what is minimised"),
+        ("free:\n  collision_threshold_n: [50, 20]\n", 2, "free.collision_threshold_n must be [low, high]"),
+        ("free:\n  collision_threshold_n: [0, 20]\n", 2, "greater than 0"),
+        ("free:\n  collision_threshold_n: 20\n", 2, "free.collision_threshold_n"),
+        ("free:\n  collision_threshold_n: [10, .inf]\n", 2, "finite"),
         (
             "free:\n  environment_stiffness_n_per_m: [1e4, 1e5]\n",
             2,
