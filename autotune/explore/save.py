@@ -48,7 +48,7 @@ def save_controller(
             raise InfeasibleError(f"Axis {name}: {error}") from error
     told = progress if progress is not None else _silent
     controller, report = certify(
-        searches, exploration.payload, exploration.provenance, ProofWishes(), told, threshold=exploration.threshold
+        searches, exploration.payload, exploration.provenance, ProofWishes(), told, exploration.threshold
     )
     checksum = write_controller(path, keep_deadband(exploration, controller))
     return Saved(

@@ -37,8 +37,8 @@ NOISE_DEVIATIONS = 6.0
 """A threshold lies this many deviations of the noise above free motion: one tick in 1e9 is beyond it."""
 USUAL_NOISE_N = 0.2
 """RMS of a good sensor, taken where none was identified."""
-# Intervals between the thresholds at which a detection moves by a tick; a very fast controller has more.
-_MOST_INTERVALS = 256
+# Intervals between the thresholds at which a detection moves by a tick; only a very fast controller has more.
+_MOST_INTERVALS = 2048
 _SPLIT_DIGITS = range(4, 16)
 
 
@@ -64,7 +64,7 @@ class ThresholdChoice:
 
     `free_motion_n` is the largest force against the motion as the approach begins and goes on in free space,
     `lowest_n` what a threshold must be above; `worst_without_n` and `worst_with_n` are the worst peaks of the
-    objective's force. `limited_by` tells at which end of the range the best one lies, if it does.
+    objective's force. `limited_by` tells which end of the range the best ones reach, if they do.
     """
 
     wish: ThresholdWish
@@ -187,7 +187,8 @@ def _choose(
     lowered = {i: float(np.max(each[:, kind])) for i, each in found.items() if not _rises(each, without)}
     lowered = {i: peak for i, peak in lowered.items() if peak <= enough}
     least = min(lowered.values(), default=math.inf)
-    best = max((i for i, peak in lowered.items() if peak <= (1.0 + SAME_PEAK) * least), default=guess)
+    as_good = [i for i, peak in lowered.items() if peak <= (1.0 + SAME_PEAK) * least] or [guess]
+    best = max(as_good)
     return ThresholdChoice(
         wish=wish,
         free_motion_n=free_n,
@@ -196,7 +197,7 @@ def _choose(
         worst_without_n=float(np.max(without[:, kind])),
         worst_with_n=lowered.get(best, float(np.max(guessed[:, kind]))),
         is_used=bool(lowered),
-        limited_by=_limited_by(best, len(tried), wish, lowest_n),
+        limited_by=_limited_by(as_good, len(tried), wish, lowest_n),
     )
 
 
@@ -233,10 +234,14 @@ def _inside(low: float, high: float) -> float:
     return high
 
 
-def _limited_by(best: int, count: int, wish: ThresholdWish, lowest_n: float) -> str | None:
-    if best == 0:
-        return "free motion" if wish.bounds_n[0] <= lowest_n else "lower bound"
-    return "upper bound" if best == count - 1 else None
+def _limited_by(as_good: Sequence[int], count: int, wish: ThresholdWish, lowest_n: float) -> str | None:
+    """Say at which end of the range the best intervals lie; at both of them nothing is limited."""
+    at_low, at_high = min(as_good) == 0, max(as_good) == count - 1
+    if at_low == at_high:
+        return None
+    if at_high:
+        return "upper bound"
+    return "free motion" if wish.bounds_n[0] <= lowest_n else "lower bound"
 
 
 def _with_response(
