@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from autotune.files.controller_record import Controller
 
+_SHOWN_N = 0.005
 _ENDS = {
     "free motion": "free motion and noise allow no lower one",
     "lower bound": "the lower bound is active",
@@ -28,10 +29,11 @@ def response_lines(controller: "Controller") -> Iterator[str]:
             f"N ({100.0 * (with_it / without - 1.0):+.1f} %){end}"
         )
     else:
+        rises = with_it > without + _SHOWN_N
+        at_best = f"the best, {best:g} N, makes it {with_it:.2f} N" if rises else "at best it stays as it is"
         yield (
             f"collision response: none. No threshold from {max(low, lowest):.4g} to {high:g} N lowers the worst peak "
-            f"{where} of {without:.2f} N by 0.1 % without raising the other one; the best at which it acts there, "
-            f"{best:g} N, makes it {with_it:.2f} N"
+            f"{where} of {without:.2f} N by 0.1 % without raising the other one; {at_best}"
         )
     if low < lowest:
         yield (
