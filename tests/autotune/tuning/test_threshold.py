@@ -23,10 +23,24 @@ from problems.full_simulation import FullRun, simulate_fully
 from problems.uncertainty import Scenario
 from tests.autotune.tuning.cases import fast_optimized, identified_plant
 from tests.autotune.tuning.responding import SPEC, responding
-from tests.autotune.tuning.turning import both_optimized
 
 WIDE = ThresholdWish(bounds_n=(2.0, 40.0), noise_rms_n=0.14)
 NOISE_RUNS = 8
+
+
+def on_axes(*names: str) -> Controller:
+    """Return the controller without a response, the same on each of these axes."""
+    plain = without_response(responding().controller)
+    certificate = replace(
+        plain.certificate,
+        domain=dict.fromkeys(names, plain.certificate.domain["x"]),
+        margins=dict.fromkeys(names, plain.certificate.margins["x"]),
+        continuous=None,
+    )
+    predicted, axes = plain.predicted["x"], plain.axes["x"]
+    return replace(
+        plain, axes=dict.fromkeys(names, axes), predicted=dict.fromkeys(names, predicted), certificate=certificate
+    )
 
 
 def worst_scenario(controller: Controller) -> Scenario:
@@ -156,28 +170,30 @@ def test_bounds_below_free_motion_and_axes_that_only_turn_are_refused() -> None:
         choose_threshold(found.controller, found.searches, replace(WIDE, bounds_n=(2.0, 9.0)))
     with pytest.raises(InfeasibleError, match=r"above 12\.13 N: .* noise is 0\.5 N RMS"):
         choose_threshold(found.controller, found.searches, ThresholdWish(bounds_n=(5.0, 5.0), noise_rms_n=0.5))
-    both = both_optimized()
-    alone = {"ry": both.controller.axes["ry"]}
-    certificate = replace(
-        both.controller.certificate,
-        domain={"ry": both.controller.certificate.domain["ry"]},
-        margins={"ry": both.controller.certificate.margins["ry"]},
-        continuous=None,
-    )
-    turning = replace(
-        both.controller, axes=alone, predicted={"ry": both.controller.predicted["ry"]}, certificate=certificate
-    )
     with pytest.raises(UsageError, match="only axes that turn are tuned"):
-        choose_threshold(turning, both.searches, WIDE)
+        choose_threshold(on_axes("ry"), {"ry": found.searches["x"]}, WIDE)
 
 
 def test_of_several_axes_the_straight_ones_are_watched_together() -> None:
-    both = both_optimized()
-    alone, one = choose_threshold(both.controller, {"x": both.searches["x"]}, WIDE)
-    found, choice = choose_threshold(both.controller, both.searches, WIDE)
-    assert choice == one
-    assert found == alone
-    assert found.predicted["ry"] == both.controller.predicted["ry"]
+    found, search = responding(), responding().searches["x"]
+    alike, choice = choose_threshold(on_axes("x", "y", "ry"), dict.fromkeys(("x", "y", "ry"), search), WIDE)
+    assert choice.tree("sensor_force") == found.controller.provenance["collision"]
+    told = found.controller.predicted["x"].with_collision_response
+    assert [alike.predicted[name].with_collision_response for name in ("x", "y", "ry")] == [told, told, ()]
+
+
+def test_one_axis_is_not_made_worse_for_another_one() -> None:
+    """With much lead a reset raises the peak of y, so there is none, whatever it would save on x."""
+    search, both = responding().searches["x"], on_axes("x", "y")
+    lively = replace(both, axes={"x": both.axes["x"], "y": replace(both.axes["y"], lead_s=0.04)})
+    low = replace(WIDE, bounds_n=(2.0, 22.0))
+    _, choice = choose_threshold(lively, {"x": search, "y": search}, low)
+    contacts, scenario = contacts_of(lively, "y"), worst_scenario(lively)
+    reset, plain = contacts.run(scenario, choice.threshold_n), contacts.run(scenario, None)
+    assert reset.peak_sensor_force_n > plain.peak_sensor_force_n
+    assert not choice.is_used
+    _, alone = choose_threshold(both, {"x": search, "y": search}, replace(low, bounds_n=(20.0, 22.0)))
+    assert alone.is_used
 
 
 def test_a_deadband_hides_what_is_below_it() -> None:
