@@ -5,12 +5,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from autotune import __version__
 from autotune.errors import CertificateError, InfeasibleError
 from autotune.files.controller import ControllerFile
 from autotune.files.controller_record import Controller, Proof, Reach, RuntimePayload
 from autotune.files.identified import IdentifiedFile
-from autotune.files.problem import ProblemSpec
+from autotune.files.problem import ComplianceSpec, ProblemSpec
 from autotune.files.records import ROTATIONAL_AXES
 from autotune.validation.continuous import ProofWishes, prove_reach
 from autotune.validation.validate import ValidationReport, prove_axis, validate_controller
@@ -18,6 +21,14 @@ from identification.result import Identified
 from problems.design import FURTHER_VARIABLES, VARIABLES, DesignProblem
 
 from .compare import SideBySide, check_comparable, compare, start_design
+from .compliance import (
+    Compliance,
+    build_compliance_problems,
+    choose_compliance,
+    compliance_tree,
+    settle_compliance,
+    tell_infeasible,
+)
 from .problems import Wishes, build_problems, certified_mass_kg, runtime_mass_kg
 from .record import build_controller, build_domain, runtime_payload
 from .relax import find_relaxations, tell_relaxations
@@ -27,14 +38,18 @@ from .standing import Standing, find_standing, standing_tree
 # Of the time of a usual run, measured; of no other use than to tell how it goes on. The second is a share of what comes
 # after the search.
 _SEARCH_SHARE, _PROOF_SHARE = 0.4, 0.1
+_COMPLIANCE_SHARE = 0.6
 _ROUNDING = 1e-9
+
+FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Optimized:
     """A controller that passed validation, the searches behind it, how each result stands, and the checks it passed.
 
-    `compared` puts it beside an existing controller, axis by axis, if one was given.
+    `compared` puts it beside an existing controller, axis by axis, if one was given; `compliance` tells which stiffness
+    was chosen for the axis, where the problem left it open.
     """
 
     controller: Controller
@@ -42,6 +57,7 @@ class Optimized:
     standings: Mapping[str, Standing]
     report: ValidationReport
     compared: Mapping[str, SideBySide] = field(default_factory=dict)
+    compliance: Mapping[str, Compliance] = field(default_factory=dict)
 
 
 def optimize(
@@ -54,32 +70,53 @@ def optimize(
     existing: ControllerFile | None = None,
     relax: bool = True,
     proof: ProofWishes | None = None,
+    step: Callable[[str], None] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Optimized:
     """Tune every axis and return a controller that the independent validation has passed.
 
     `proof` tells how closely the modulus is proved. `existing` is a controller to compare with; its gains join the
-    search where they lie inside the bounds. `progress` is told the share of the work done since the last call. Raises
+    search where they lie inside the bounds. A compliance that the problem leaves open is chosen first, and the rest is
+    as if its range had been given. `step` is told what is worked on where there is more than one thing, `progress` the
+    share of the work done since the last call. Raises
     InfeasibleError when nothing meets the requirements (with `relax`, after searching for what would have to be eased:
     several times the work of a search), CertificateError when a claim cannot be proved or verified, EstimateError for
     a missing parameter, UsageError for wishes or an existing controller that do not fit.
     """
     report = progress if progress is not None else _silent
     asked = proof if proof is not None else ProofWishes()
-    problems = build_problems(identified.result, spec, wishes)
+    build = build_problems if spec.compliance is None else build_compliance_problems
+    problems = build(identified.result, spec, wishes)
     if existing is not None:
         check_comparable(existing, problems)
     # Asked before the search, because it may refuse.
     payload = runtime_payload(identified.result, carried_mass_kg(identified.result, problems, spec, wishes))
+    chosen: dict[str, Compliance] = {}
+    if spec.compliance is not None:
+        table = _Portion(report, _COMPLIANCE_SHARE)
+        chosen = _choose(problems, spec.compliance, seed, step or _silent, table)
+        report = _Portion(report, 1.0 - _COMPLIANCE_SHARE)
+        problems = {
+            name: chosen[name].on(each, chosen[name].chosen.stiffness_n_per_m) for name, each in problems.items()
+        }
     share = _SEARCH_SHARE / len(problems)
-    searches = {
-        name: _search(name, problem, seed, existing, relax, report, share) for name, problem in problems.items()
-    }
+    searches = {}
+    for name, problem in problems.items():
+        start = _start(name, problem, existing, chosen.get(name))
+        try:
+            searches[name] = _search(name, problem, seed, start, relax, report, share)
+        except InfeasibleError as error:
+            if name not in chosen:
+                raise
+            raise InfeasibleError(f"{tell_infeasible(chosen[name])}{error}", error.relaxations) from error
+    chosen = {name: settle_compliance(problems[name], each, searches[name], seed) for name, each in chosen.items()}
     standings = {name: find_standing(search) for name, search in searches.items()}
     provenance = make_provenance(identified, wishes, seed, problem_path, existing, asked)
     provenance["optimality"] = {
         name: standing_tree(standing, rotational=name in ROTATIONAL_AXES) for name, standing in standings.items()
     }
+    if chosen:
+        provenance["compliance"] = {name: compliance_tree(compliance) for name, compliance in chosen.items()}
     controller, checked = certify(
         searches, payload, provenance, asked, lambda done: report((1.0 - _SEARCH_SHARE) * done)
     )
@@ -90,6 +127,7 @@ def optimize(
         standings=standings,
         report=checked,
         compared=compared,
+        compliance=chosen,
     )
 
 
@@ -164,17 +202,45 @@ def _prove(
     return proofs, reaches
 
 
+def _choose(
+    problems: Mapping[str, DesignProblem],
+    asked: ComplianceSpec,
+    seed: int,
+    step: Callable[[str], None],
+    portion: _Portion,
+) -> dict[str, Compliance]:
+    """Choose the compliance of the axis, and tell each stiffness as it is worked on."""
+    found = {
+        name: choose_compliance(
+            problem, asked, seed=seed, step=lambda stiffness: step(f"K_e {stiffness:g} N/m"), progress=portion
+        )
+        for name, problem in problems.items()
+    }
+    portion.finish()
+    step("")
+    return found
+
+
+def _start(
+    name: str, problem: DesignProblem, existing: ControllerFile | None, compliance: Compliance | None
+) -> FloatArray | None:
+    """Return the design that joins the search: that of an existing controller, else that of the chosen compliance."""
+    start = None if existing is None else start_design(existing.controller, name, problem)
+    if start is None and compliance is not None and compliance.chosen.found is not None:
+        return compliance.chosen.found.design
+    return start
+
+
 def _search(
     name: str,
     problem: DesignProblem,
     seed: int,
-    existing: ControllerFile | None,
+    start: FloatArray | None,
     relax: bool,
     report: Callable[[float], None],
     share: float,
 ) -> SearchResult:
     portion = _Portion(report, share)
-    start = None if existing is None else start_design(existing.controller, name, problem)
     try:
         found = solve_design(problem, seed=seed, start=start, progress=portion)
     except InfeasibleError as error:
@@ -204,7 +270,7 @@ def _without_uncertainty(problem: DesignProblem, seed: int) -> str:
     )
 
 
-def _silent(_: float) -> None:
+def _silent(_: object) -> None:
     return None
 
 
