@@ -216,8 +216,8 @@ def tell_infeasible(compliance: Compliance) -> str:
     """Say where it was looked, and where the nearest miss is."""
     (low, high), tolerance = compliance.asked.bounds, 100.0 * compliance.asked.tolerance
     return (
-        f"On none of {len(compliance.points)} compliances from {low:g} to {high:g} N/m, each to ± {tolerance:g} %, was a "
-        f"controller found. Nearest to one is {compliance.chosen.stiffness_n_per_m:g} N/m. "
+        f"On none of {len(compliance.points)} compliances from {low:g} to {high:g} N/m, each to ± {tolerance:g} %, "
+        f"was a controller found. Nearest to one is {compliance.chosen.stiffness_n_per_m:g} N/m. "
     )
 
 
