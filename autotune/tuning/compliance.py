@@ -212,12 +212,12 @@ def compliance_tree(compliance: Compliance) -> dict[str, Any]:
     }
 
 
-def tell_infeasible(compliance: Compliance) -> str:
-    """Say where it was looked, and where the nearest miss is."""
+def tell_infeasible(name: str, compliance: Compliance) -> str:
+    """Say where it was looked, and on which stiffness least is missed."""
     (low, high), tolerance = compliance.asked.bounds, 100.0 * compliance.asked.tolerance
     return (
-        f"On none of {len(compliance.points)} compliances from {low:g} to {high:g} N/m, each to ± {tolerance:g} %, "
-        f"was a controller found. Nearest to one is {compliance.chosen.stiffness_n_per_m:g} N/m. "
+        f"Axis {name}: none of {len(compliance.points)} compliances from {low:g} to {high:g} N/m, each built to ± "
+        f"{tolerance:g} %, has a controller; nearest to one is that of {compliance.chosen.stiffness_n_per_m:g} N/m."
     )
 
 

@@ -78,10 +78,11 @@ def optimize(
     `proof` tells how closely the modulus is proved. `existing` is a controller to compare with; its gains join the
     search where they lie inside the bounds. A compliance that the problem leaves open is chosen first, and the rest is
     as if its range had been given. `step` is told what is worked on where there is more than one thing, `progress` the
-    share of the work done since the last call. Raises
-    InfeasibleError when nothing meets the requirements (with `relax`, after searching for what would have to be eased:
-    several times the work of a search), CertificateError when a claim cannot be proved or verified, EstimateError for
-    a missing parameter, UsageError for wishes or an existing controller that do not fit.
+    share of the work done since the last call.
+
+    Raises InfeasibleError when nothing meets the requirements (with `relax`, after searching for what would have to be
+    eased: several times the work of a search), CertificateError when a claim cannot be proved or verified,
+    EstimateError for a missing parameter, UsageError for wishes or an existing controller that do not fit.
     """
     report = progress if progress is not None else _silent
     asked = proof if proof is not None else ProofWishes()
@@ -108,7 +109,8 @@ def optimize(
         except InfeasibleError as error:
             if name not in chosen:
                 raise
-            raise InfeasibleError(f"{tell_infeasible(chosen[name])}{error}", error.relaxations) from error
+            bare = str(error).removeprefix(f"Axis {name}: ")
+            raise InfeasibleError(f"{tell_infeasible(name, chosen[name])} {bare}", error.relaxations) from error
     chosen = {name: settle_compliance(problems[name], each, searches[name], seed) for name, each in chosen.items()}
     standings = {name: find_standing(search) for name, search in searches.items()}
     provenance = make_provenance(identified, wishes, seed, problem_path, existing, asked)
