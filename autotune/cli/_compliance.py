@@ -23,16 +23,21 @@ def print_compliance(name: str, compliance: "Compliance", problem: "DesignProble
         f"{low:g} to {high:g} N/m"
     )
     place = "contact" if problem.objective == "contact_force" else "sensor"
-    heads = ("K_e [N/mm]", f"least worst peak at {place} [N]", "")
-    rows = [(*_numbers(point), _remark(compliance, point)) for point in compliance.points]
-    print_table([heads, *rows], left=(2,), point=(0, 1), indent="  ")
+    # Where there are wishes, it is the peak and their price that is least.
+    prices = ("and price [N]",) if problem.requirements.soft_n else ()
+    heads = ("K_e [N/mm]", f"least worst peak at {place} [N]", *prices, "")
+    rows = [(*_numbers(point, len(prices)), _remark(compliance, point)) for point in compliance.points]
+    last = len(heads) - 1
+    print_table([heads, *rows], left=(last,), point=range(last), indent="  ")
     for line in _lines(compliance, problem):
         tell(f"  {line}")
 
 
-def _numbers(point: "CompliancePoint") -> tuple[str, str]:
-    peak = "-" if point.found is None else f"{point.found.evaluation.peak_n:.2f}"
-    return f"{point.stiffness_n_per_m * 1e-3:.6g}", peak
+def _numbers(point: "CompliancePoint", prices: int) -> tuple[str, ...]:
+    evaluation = None if point.found is None else point.found.evaluation
+    values = () if evaluation is None else (evaluation.peak_n, evaluation.objective_n)
+    told = [f"{value:.2f}" for value in values] or ["-", "-"]
+    return f"{point.stiffness_n_per_m * 1e-3:.6g}", *told[: 1 + prices]
 
 
 def _remark(compliance: "Compliance", point: "CompliancePoint") -> str:
@@ -60,8 +65,9 @@ def _lines(compliance: "Compliance", problem: "DesignProblem") -> Iterator[str]:
         yield f"the {compliance.active_bound} bound of K_e, {bound:g} N/m, is active: widen it, or accept"
     if low < high:
         yield (
-            f"above each stiffness that is told, the next one that was tried lies at most {100.0 * RESOLUTION:g} % "
-            "higher; to take another one, give it as free.environment_stiffness_n_per_m: [K, K]"
+            f"between two rows nothing was tried; above each that is named the next one is at most "
+            f"{100.0 * RESOLUTION:g} % stiffer. To take another one, give it as "
+            "free.environment_stiffness_n_per_m: [K, K]"
         )
     damping = problem.uncertain.get("environment_damping_n_s_per_m", (problem.environment_damping_n_s_per_m,) * 2)
     told = f"{damping[0]:g}" if damping[0] == damping[1] else f"{damping[0]:g} to {damping[1]:g}"

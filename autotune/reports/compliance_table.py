@@ -12,15 +12,19 @@ def compliance_tables(controller: Controller) -> Iterator[Table]:
     """Yield for each axis whose compliance was chosen every stiffness that was tried."""
     found = controller.provenance.get("compliance")
     for name, told in found.items() if isinstance(found, Mapping) else ():
+        wished = any("objective_n" in entry for entry in told["tried"])
+        keys = ("peak_force_n", *(("objective_n",) if wished else ()))
+        heads = ("least worst peak [N]", "and the price of missed wishes [N]")
         yield Table(
             caption=f"Axis {name}: the compliance to build, to ± {100.0 * told['tolerance']:g} %",
-            columns=("K_e [N/mm]", "least worst peak [N]", ""),
-            rows=tuple(_row(told, entry) for entry in told["tried"]),
+            columns=("K_e [N/mm]", *heads[: len(keys)], ""),
+            rows=tuple(_row(told, entry, keys) for entry in told["tried"]),
         )
 
 
-def _row(told: Mapping[str, Any], entry: Mapping[str, Any]) -> tuple[Cell, ...]:
+def _row(told: Mapping[str, Any], entry: Mapping[str, Any], keys: tuple[str, ...]) -> tuple[Cell, ...]:
     stiffness, peak = entry["environment_stiffness_n_per_m"], entry["peak_force_n"]
+    numbers = (entry.get(key) for key in keys)
     remarks = []
     if stiffness == told["chosen_n_per_m"]:
         remarks.append("chosen" if told["active_bound"] is None else f"chosen, at the {told['active_bound']} bound")
@@ -32,6 +36,6 @@ def _row(told: Mapping[str, Any], entry: Mapping[str, Any]) -> tuple[Cell, ...]:
         remarks.append("no controller meets the requirements" if peak is None else "above max_peak_force_n")
     return (
         Cell(text=f"{stiffness * 1e-3:.6g}", is_number=True),
-        Cell(text="-" if peak is None else f"{peak:.2f}", is_number=True),
+        *(Cell(text="-" if number is None else f"{number:.2f}", is_number=True) for number in numbers),
         Cell(text=", ".join(remarks), tone="" if entry["meets_all"] else "bad"),
     )
