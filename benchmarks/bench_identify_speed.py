@@ -4,15 +4,16 @@ Usage: python benchmarks/bench_identify_speed.py [--seconds 75 600] [--logs 4]
 
 The logs hold wrench, measured and commanded pose of the demo cell (poses, hand-led motion, sweep, contacts; the longer
 log has more of each) as zstd-compressed CDR. The time is that of the process from start to end, imports included, with
-the kernels compiled before. The memory is the highest of that process less that of one which imports the same and
-starts numba, code that no log makes larger, beside the arrays of the three channels. No peer identifies a whole cell:
-what rosbags takes for reading the same messages alone stands beside it. At last several logs of 75 s, recorded an hour
-apart: on one processor, and on all.
+the kernels and the modules' byte code compiled before. The memory is the highest of that process less that of one which
+imports the same and starts numba, code that no log makes larger, beside the arrays of the three channels. No peer
+identifies a whole cell: what rosbags takes for reading the same messages alone stands beside it. At last several logs
+of 75 s, recorded an hour apart: on one processor, and on all.
 """
 
 import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # an installation holds byte code
 
 import argparse
 import resource

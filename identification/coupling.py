@@ -17,6 +17,7 @@ _HIGHEST_HZ = 70.0
 _POSE_RATE_SHARE = 0.12
 _SHORTEST_S = 2.0
 _LINEAR_ROUNDS = 6
+_STEPS = 100  # a span with something else in it has no least squares to end at
 _POOR_FIT = 0.15
 _SLOW_HZ = 5.0
 _RESONANCES_HZ = (8.0, 20.0, 50.0)
@@ -59,6 +60,19 @@ def felt_impedance(parameters: FloatArray, s: ComplexArray) -> ComplexArray:
     coupling = damping * s + stiffness
     payload = (mass * s + drag) * s
     return np.asarray(-coupling * payload / (payload + coupling))
+
+
+def impedance_slopes(parameters: FloatArray, s: ComplexArray) -> ComplexArray:
+    """Return the derivatives (4, n) of `felt_impedance` by K_s, B_s, B_p, M_p.
+
+    With c = B_s s + K_s and p = (M s + B_p) s, Z = −c p/(p + c): ∂Z/∂c = −(p/(p + c))², ∂Z/∂p = −(c/(p + c))².
+    """
+    stiffness, damping, drag, mass = parameters
+    coupling = damping * s + stiffness
+    payload = (mass * s + drag) * s
+    by_coupling = -((payload / (payload + coupling)) ** 2)
+    by_payload = -((coupling / (payload + coupling)) ** 2)
+    return np.array([by_coupling, by_coupling * s, by_payload * s, by_payload * s * s])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +145,15 @@ def _fit_coupling(motions: Sequence[FreeMotion], period_s: float, highest: float
             difference = _weights(scaled * size, s, noise) * difference
             return np.concatenate([difference.real, difference.imag])
 
-        found = least_squares(residual, np.clip(start / size, low + 1e-6, 0.5 * high), bounds=(low, high))
+        def slope(scaled: FloatArray) -> FloatArray:
+            impedance, weight = felt_impedance(scaled * size, s), _weights(scaled * size, s, noise)
+            slopes = impedance_slopes(scaled * size, s) * size[:, None]
+            by_weight = -0.5 * weight**3 * noise.position_rms_m**2 * (impedance.conj() * slopes).real
+            rows = by_weight * (force - impedance * position) - weight * slopes * position
+            return np.concatenate([rows.real, rows.imag], axis=1).T
+
+        inside = np.clip(start / size, low + 1e-6, 0.5 * high)
+        found = least_squares(residual, inside, slope, bounds=(low, high), max_nfev=_STEPS)
         return float(found.cost), found.x * size, found.jac / size, found.fun
 
     starts = [_starting_point(s, position, force), *_resonant_starts(s, position, force)]

@@ -15,6 +15,7 @@ _DIAGONAL = np.flatnonzero(_ROW == _COLUMN)
 _LARGEST_LOG = 30.0
 _SMALLEST_SHARE = 1e-4
 _EVALUATIONS = 300
+_AS_GOOD_AS_EQUAL = 1e-4  # half the squared distance, in standard deviations, which no other start could better
 
 
 def inertia_matrix(six: FloatArray) -> FloatArray:
@@ -74,7 +75,11 @@ def nearest_consistent(parameters: FloatArray, covariance: FloatArray) -> tuple[
         return np.asarray(whitening @ _unfold_slope(free))
 
     starts = (parameters, _rounded_off(parameters, covariance))
-    found = [least_squares(misfit, _fold(start), slope, x_scale="jac", max_nfev=_EVALUATIONS) for start in starts]
+    found = []
+    for start in starts:
+        found.append(least_squares(misfit, _fold(start), slope, x_scale="jac", max_nfev=_EVALUATIONS))
+        if found[-1].cost < _AS_GOOD_AS_EQUAL:
+            break
     best = min(found, key=lambda each: float(each.cost))
     return parameters_of(_unfold(best.x)), float(2.0 * best.cost)
 

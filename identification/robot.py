@@ -24,7 +24,7 @@ _BANDWIDTH_STARTS_HZ = (2.0, 8.0)
 _SMALLEST_TRAVEL_M = 5e-4
 _POOR_FIT = 0.1
 _STEPS, _STEPS_NEAR = 60, 12
-_TELLING_S, _TELLING_SHARE = 60.0, 0.125
+_TELLING_S, _TELLING_SHARE = 20.0, 0.125
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,7 +189,7 @@ def _fit(command: FloatArray, position: FloatArray, period_s: float, order: int)
 
 
 def _telling_part(command: FloatArray, period_s: float) -> int | None:
-    """Return how many samples from the start, a minute or more, hold an eighth of the way; None where most are needed.
+    """Return how many samples from the start, 20 s or more, hold an eighth of the way; None where most are needed.
 
     From what they tell the whole of a long log is a few steps away.
     """

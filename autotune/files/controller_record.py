@@ -290,7 +290,8 @@ class Reach:
 
     `over` names what varies in its whole range, the rest is nominal. `modulus` is the swept one less the share `slack`.
     `share` of the set is proved, and all of it for K_e inside `environment_stiffness_n_per_m`; 1 is all of it.
-    `cells` of plants and `arcs` of the unit circle were looked at, of a `work` that ends the attempt.
+    `cells` of plants and `arcs` of the unit circle were looked at in `run_time_s`; `budget_s` ends the attempt. Both
+    are work counted at a fixed speed, not read from a clock: the same input gives the same file.
     """
 
     over: tuple[str, ...]
@@ -301,12 +302,15 @@ class Reach:
     environment_stiffness_n_per_m: Interval
     cells: float
     arcs: float
-    work: float
+    budget_s: float
+    run_time_s: float
 
     def __post_init__(self) -> None:
         _check_interval("environment_stiffness_n_per_m", self.environment_stiffness_n_per_m)
-        if not (0.0 < self.modulus < 1.0 and 0.0 < self.slack < 1.0 and 0.0 <= self.share <= 1.0 and self.work > 0.0):
-            raise ParameterError("modulus", self.modulus, "modulus, slack and share between 0 and 1, work above 0")
+        if not (0.0 < self.modulus < 1.0 and 0.0 < self.slack < 1.0 and 0.0 <= self.share <= 1.0):
+            raise ParameterError("modulus", self.modulus, "modulus, slack and share between 0 and 1")
+        if not (self.budget_s > 0.0 and self.run_time_s >= 0.0):
+            raise ParameterError("budget_s", self.budget_s, "above 0, and no run time below 0")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -271,12 +271,13 @@ def reach_table(design: AxisDesign) -> Table | None:
                 Cell(text=f"{100.0 * reach.share:.4g} %", is_number=True, tone=tone),
                 Cell(text=f"{low:.4g} to {high:.4g} {design.units.stiffness}"),
                 Cell(text=f"{reach.cells:.0f}, {reach.arcs:.0f}", is_number=True),
+                Cell(text=f"{reach.run_time_s:.2f} s", is_number=True),
                 Cell(text=reach.method, tone="quiet"),
             )
         )
     return Table(
         caption=f"Modulus margin of axis {design.name} that is proved at all frequencies, in contact and free space",
-        columns=("over", "modulus", "slack", "of the set", "whole for K_e", "cells, arcs", "by"),
+        columns=("over", "modulus", "slack", "of the set", "whole for K_e", "cells, arcs", "run time", "by"),
         rows=tuple(rows),
     )
 

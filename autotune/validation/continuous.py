@@ -63,9 +63,8 @@ def prove_reach(
         asked.append(((STIFFNESS, MASS, *further), wishes.further_s))
     out = []
     for over, budget_s in asked:
-        work = int(budget_s * WORK_PER_SECOND)
         share = None if progress is None else partial(_passed_on, progress, 1.0 / len(asked))
-        found = prove_over(domain, law, sample_time_s, over, modulus, work, share)
+        found = prove_over(domain, law, sample_time_s, over, modulus, budget_s, share)
         false = refuted_inside(domain, found)
         if false is not None:
             raise CertificateError(f"Axis {name}: {told_false(false, axis_units(name))}")
@@ -80,7 +79,8 @@ def prove_reach(
                 environment_stiffness_n_per_m=(low, high if found.holds else min(max(low, found.up_to(low)), high)),
                 cells=float(found.cells),
                 arcs=float(found.arcs),
-                work=float(work),
+                budget_s=budget_s,
+                run_time_s=found.run_time_s,
             )
         )
     return tuple(out)
@@ -121,6 +121,11 @@ class Joint:
         """Return the number of pairs of cell and arc that were proved."""
         return sum(part.arcs for part in self.parts)
 
+    @property
+    def run_time_s(self) -> float:
+        """Return the work spent in seconds of `WORK_PER_SECOND`, which no clock makes differ from run to run."""
+        return sum(part.work for part in self.parts) / WORK_PER_SECOND
+
     def up_to(self, lowest: float) -> float:
         """Return the K_e up to which everything is proved, free space too; `lowest` where nothing is."""
         open_parts = [part for part in self.parts if not part.holds]
@@ -134,10 +139,10 @@ def prove_over(
     sample_time_s: float,
     over: tuple[str, ...],
     modulus: float,
-    work: int,
+    budget_s: float,
     progress: Progress = None,
 ) -> Joint:
-    """Prove a modulus in contact and in free space over the named parameters, the others nominal; `work` in all.
+    """Prove a modulus in contact and in free space over the named parameters, the others nominal; `budget_s` in all.
 
     Raises ParameterError for parameters that cannot be proved over.
     """
@@ -156,7 +161,7 @@ def prove_over(
             law=law,
             sample_time_s=sample_time_s,
             modulus=modulus,
-            work=work,
+            work=int(budget_s * WORK_PER_SECOND),
             progress=progress,
         )
     )

@@ -286,7 +286,7 @@ def _continuous(name: str, domain: AxisDomain, law: AdmittanceController, h: flo
     over = ", ".join(SYMBOLS.get(each, each) for each in reach.over)
     told = f"|1 + L| > {reach.modulus:.4g} and stable at every frequency, over {over}"
     try:
-        found = prove_over(domain, law, h, reach.over, reach.modulus, int(reach.work))
+        found = prove_over(domain, law, h, reach.over, reach.modulus, reach.budget_s)
     except ParameterError as error:
         return Check(axis=name, name="continuous proof", passed=False, message=str(error))
     false = refuted_inside(domain, found)
@@ -307,7 +307,7 @@ def _continuous(name: str, domain: AxisDomain, law: AdmittanceController, h: flo
             f"{told}: proved up to here, {100.0 * reach.share:.4g} % of the set, K_e up to {high:g} {units.stiffness}"
         )
     else:
-        message = f"{told}: proved ({found.cells} cells, {found.arcs} arcs)"
+        message = f"{told}: proved ({found.cells} cells, {found.arcs} arcs, {found.run_time_s:.1f} s)"
     return Check(axis=name, name="continuous proof", passed=passed, message=message, warns=reach.share <= 0.0)
 
 

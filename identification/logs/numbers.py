@@ -7,8 +7,7 @@ from itertools import groupby
 
 from ..containers.channel import Channel, Held
 from ..errors import LogError
-from ..messages.json_objects import parse_json
-from ..messages.protobuf_objects import build_parser
+from ..messages.objects import build_object_parser
 from ..messages.read import read_series
 from ..messages.series import Wanted
 from ..recording import FloatArray
@@ -103,10 +102,8 @@ def _paths(held: Held) -> tuple[str, ...]:
     try:
         if channel.type_name in _LISTS and channel.encoding in ("cdr", "ros1"):
             return tuple(path for name in _LISTS[channel.type_name] for path in _entries(held, name))
-        if channel.encoding == "json":
-            return tuple(_leaves(parse_json(held.first_message)))
-        if channel.encoding == "protobuf":
-            return tuple(_leaves(build_parser(channel)(held.first_message)))
+        if channel.encoding in ("json", "protobuf"):
+            return tuple(_leaves(build_object_parser(channel)(held.first_message)))
     except LogError:
         return ()
     return ()

@@ -47,16 +47,17 @@ def types_of(channel: Channel) -> Typesdict:
 @cache
 def needed_types(channel: Channel) -> Typesdict:
     """Return the definition of a ROS type and of all types inside it; raise LogError where one is missing."""
-    own, known = types_of(channel), _standard(channel.encoding).fielddefs
+    own = types_of(channel)
     found: Typesdict = {}
     missing = [channel.type_name]
     while missing:
         name = missing.pop()
         if name in found:
             continue
-        if name not in own and name not in known:
+        definition = own.get(name) or _standard(channel.encoding).fielddefs.get(name)
+        if definition is None:
             raise LogError(f"Type {name} of topic {channel.topic} is not defined in the log and is no standard type.")
-        found[name] = own[name] if name in own else known[name]
+        found[name] = definition
         for _, description in found[name][1]:
             missing += _names_in(description)
     return found

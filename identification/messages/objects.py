@@ -14,7 +14,6 @@ from .decode import MessageError, Part
 from .definitions import ROS_ENCODINGS, store_for
 from .json_objects import parse_json
 from .layout import Token, parse_path
-from .protobuf_objects import build_parser
 from .series import Wanted
 
 _SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanos")
@@ -72,6 +71,8 @@ def build_object_parser(channel: Channel) -> Callable[[bytes], object]:
     if channel.encoding == "json":
         return parse_json
     if channel.encoding == "protobuf":
+        from .protobuf_objects import build_parser  # noqa: PLC0415 - most logs need no Protobuf, which takes 30 ms to start
+
         return build_parser(channel)
     if channel.encoding not in ROS_ENCODINGS:
         raise LogError(

@@ -5,7 +5,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lsim
 
-from identification.coupling import FreeMotion, Noise, felt_impedance, identify_coupling, prediction_error
+from identification.coupling import (
+    FreeMotion,
+    Noise,
+    felt_impedance,
+    identify_coupling,
+    impedance_slopes,
+    prediction_error,
+)
 from identification.errors import EstimateError
 from tests.identification.synthetic import Load, felt_force, ramp, sweep, tapered
 
@@ -101,6 +108,16 @@ def test_the_felt_impedance_is_what_the_equations_of_motion_say() -> None:
         equations = np.array([[c, -1.0], [load.mass * at**2 + load.drag * at, 1.0]])
         force = np.linalg.solve(equations, np.array([c, 0.0]))[1]
         assert value == pytest.approx(force, rel=1e-12)
+
+
+def test_the_impedances_slopes_are_its_differences() -> None:
+    parameters, s = np.array([3e5, 40.0, 25.0, 16.0]), 2j * np.pi * np.array([0.3, 5.0, 21.8, 60.0])
+    slopes = impedance_slopes(parameters, s)
+    for index, size in enumerate(parameters):
+        step = 1e-4 * size * np.eye(4)[index]
+        near = felt_impedance(parameters + step, s) - felt_impedance(parameters - step, s)
+        far = felt_impedance(parameters + 2.0 * step, s) - felt_impedance(parameters - 2.0 * step, s)
+        assert slopes[index] == pytest.approx((8.0 * near - far) / (12e-4 * size), rel=1e-8)
 
 
 def test_a_span_with_a_hand_in_it_is_outvoted() -> None:
