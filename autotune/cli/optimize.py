@@ -121,8 +121,7 @@ def command(
     of the exact sampled loop, over the whole range of payload mass and environment stiffness, where stability and the
     modulus are proved, not only swept. Exit code 5: no controller meets the requirements. 6: a claim could not be
     verified, or the file to compare with is altered. Nothing is written then. The controller is the same with and
-    without --pareto. With --schedule the output is a folder. Where problem.yaml makes the surface's stiffness free, the
-    compliance to build is chosen too.
+    without --pareto. With --schedule the output is a folder. A stiffness that problem.yaml makes free is chosen too.
     """
     from autotune.files.atomic import check_target
     from autotune.files.canonical import short
@@ -142,16 +141,9 @@ def command(
     fronts = FrontWriter(pareto, out)
     with output.progress("searching", 1.0) as advance:
         found = optimize(
-            plant,
-            spec,
-            wishes,
-            seed=seed,
-            problem_path=problem,
-            existing=existing,
-            proof=proof,
-            step=lambda told: advance(0.0, f"searching {told}".rstrip()),
-            progress=advance,
-        )
+            plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, proof=proof,
+            step=lambda told: advance(0.0, f"searching {told}".rstrip()), progress=advance,
+        )  # fmt: skip
     fronts.trace(output, found)
     checksum = write_controller(out, found.controller)
     fronts.write(found)

@@ -109,6 +109,10 @@ class Compliance:
         certified = certified_range(stiffness_n_per_m, self.asked.tolerance)
         return replace(problem, environment_stiffness_n_per_m=certified)
 
+    def on_chosen(self, problem: DesignProblem) -> DesignProblem:
+        """Return the problem on the chosen compliance."""
+        return self.on(problem, self.chosen.stiffness_n_per_m)
+
     def with_point(self, point: CompliancePoint) -> "Compliance":
         """Return the same with one more point, or with this one in the place of that of its stiffness."""
         others = [each for each in self.points if each.stiffness_n_per_m != point.stiffness_n_per_m]

@@ -1,6 +1,7 @@
 """From identified parameters to a validated controller: search, prove, write down, verify."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -92,25 +93,16 @@ def optimize(
         check_comparable(existing, problems)
     # Asked before the search, because it may refuse.
     payload = runtime_payload(identified.result, carried_mass_kg(identified.result, problems, spec, wishes))
-    chosen: dict[str, Compliance] = {}
-    if spec.compliance is not None:
-        table = _Portion(report, _COMPLIANCE_SHARE)
-        chosen = _choose(problems, spec.compliance, seed, step or _silent, table)
+    chosen = _choose(problems, spec.compliance, seed, step or _silent, _Portion(report, _COMPLIANCE_SHARE))
+    if chosen:
         report = _Portion(report, 1.0 - _COMPLIANCE_SHARE)
-        problems = {
-            name: chosen[name].on(each, chosen[name].chosen.stiffness_n_per_m) for name, each in problems.items()
-        }
-    share = _SEARCH_SHARE / len(problems)
+        problems = {name: compliance.on_chosen(problems[name]) for name, compliance in chosen.items()}
     searches = {}
     for name, problem in problems.items():
+        portion = _Portion(report, _SEARCH_SHARE / len(problems))
         start = _start(name, problem, existing, chosen.get(name))
-        try:
-            searches[name] = _search(name, problem, seed, start, relax, report, share)
-        except InfeasibleError as error:
-            if name not in chosen:
-                raise
-            bare = str(error).removeprefix(f"Axis {name}: ")
-            raise InfeasibleError(f"{tell_infeasible(name, chosen[name])} {bare}", error.relaxations) from error
+        with _told_where(name, chosen.get(name)):
+            searches[name] = _search(name, problem, seed, start, relax, report, portion)
     chosen = {name: settle_compliance(problems[name], each, searches[name], seed) for name, each in chosen.items()}
     standings = {name: find_standing(search) for name, search in searches.items()}
     provenance = make_provenance(identified, wishes, seed, problem_path, existing, asked)
@@ -206,21 +198,35 @@ def _prove(
 
 def _choose(
     problems: Mapping[str, DesignProblem],
-    asked: ComplianceSpec,
+    asked: ComplianceSpec | None,
     seed: int,
     step: Callable[[str], None],
     portion: _Portion,
 ) -> dict[str, Compliance]:
-    """Choose the compliance of the axis, and tell each stiffness as it is worked on."""
+    """Choose the compliance of the axis, none unless it is asked, and tell each stiffness as it is worked on."""
     found = {
         name: choose_compliance(
             problem, asked, seed=seed, step=lambda stiffness: step(f"K_e {stiffness:g} N/m"), progress=portion
         )
         for name, problem in problems.items()
+        if asked is not None
     }
-    portion.finish()
-    step("")
+    if found:
+        portion.finish()
+        step("")
     return found
+
+
+@contextmanager
+def _told_where(name: str, compliance: Compliance | None) -> Iterator[None]:
+    """Say of a search without a result on which of the compliances it was."""
+    try:
+        yield
+    except InfeasibleError as error:
+        if compliance is None:
+            raise
+        bare = str(error).removeprefix(f"Axis {name}: ")
+        raise InfeasibleError(f"{tell_infeasible(name, compliance)} {bare}", error.relaxations) from error
 
 
 def _start(
@@ -240,9 +246,8 @@ def _search(
     start: FloatArray | None,
     relax: bool,
     report: Callable[[float], None],
-    share: float,
+    portion: _Portion,
 ) -> SearchResult:
-    portion = _Portion(report, share)
     try:
         found = solve_design(problem, seed=seed, start=start, progress=portion)
     except InfeasibleError as error:

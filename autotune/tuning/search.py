@@ -134,10 +134,15 @@ def solve_design(
         if missed <= _HAIR or len(joined) == len(active):
             search.tighten(exact)
         active = joined
-    raise InfeasibleError(
+    raise _unsettled(exact)
+
+
+def _unsettled(last: Evaluation) -> InfeasibleError:
+    """Say what the last design misses of a search that did not come to an end."""
+    return InfeasibleError(
         f"No design was found that holds over the whole uncertainty within {_ROUNDS} rounds of adding the worst case; "
-        f"the last one misses {_told(exact)}. Ask for less, or narrow the ranges.",
-        missed=exact.violation,
+        f"the last one misses {_told(last)}. Ask for less, or narrow the ranges.",
+        missed=last.violation,
     )
 
 
