@@ -74,12 +74,11 @@ def optimize(
     step: Callable[[str], None] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Optimized:
-    """Tune every axis and return a controller that the independent validation has passed.
+    """Tune every axis, on the compliance to build if that is open, and return a controller that validation has passed.
 
     `proof` tells how closely the modulus is proved. `existing` is a controller to compare with; its gains join the
-    search where they lie inside the bounds. A compliance that the problem leaves open is chosen first, and the rest is
-    as if its range had been given. `step` is told what is worked on where there is more than one thing, `progress` the
-    share of the work done since the last call.
+    search where they lie inside the bounds. `step` is told which compliance is worked on, `progress` the share of the
+    work done since the last call.
 
     Raises InfeasibleError when nothing meets the requirements (with `relax`, after searching for what would have to be
     eased: several times the work of a search), CertificateError when a claim cannot be proved or verified,
@@ -109,8 +108,7 @@ def optimize(
     provenance["optimality"] = {
         name: standing_tree(standing, rotational=name in ROTATIONAL_AXES) for name, standing in standings.items()
     }
-    if chosen:
-        provenance["compliance"] = {name: compliance_tree(compliance) for name, compliance in chosen.items()}
+    provenance |= {"compliance": {name: compliance_tree(each) for name, each in chosen.items()}} if chosen else {}
     controller, checked = certify(
         searches, payload, provenance, asked, lambda done: report((1.0 - _SEARCH_SHARE) * done)
     )
