@@ -39,7 +39,7 @@ def test_the_table_the_file_and_the_same_bytes_twice(
     told = json.loads(capsys.readouterr().out)["provenance"]["compliance"]["x"]
     assert told == read_controller("first.yaml").controller.provenance["compliance"]["x"]
     assert [told["chosen_n_per_m"], told["stiffest_that_meets_all_n_per_m"]] == [8e4, 8.6e4]
-    assert main(["validate", "first.yaml", "--identified", "identified.yaml"]) == 6
+    assert main(["validate", "first.yaml", "--identified", "identified.yaml", "--samples", "0"]) == 6
     checks = capsys.readouterr().out.splitlines()
     # Everything holds but for the surface that was there before: it is not the one that was certified.
     failed = [line for line in checks if line.startswith("FAILED")]
