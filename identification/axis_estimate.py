@@ -21,6 +21,7 @@ from .joint_fit import identify_joint
 from .joint_gain import with_gain_error
 from .joint_model import COUPLING_NAMES
 from .joint_result import JointFit
+from .progress import Reach, part_of, unwatched
 from .recording import Recording
 from .result import AxisEstimate, CouplingEstimate, Finding, RobotEstimate
 from .robot import RobotFit, identify_robot
@@ -40,6 +41,7 @@ _MORE_THAN_NOISE = 1.5
 _EXACT_SHARE = 1e-6
 # What a force must exceed to count as a touch.
 _LEFT_AT_REST_N = 2.0
+_STAGES_SHARE = 0.27  # of the time that an axis takes
 _OFF_ADVICE = (
     "First see what is told of the payload's weight: a sensor whose gain or zero changes leaves such a force. Or press "
     "near an orientation in which the poses were held."
@@ -96,8 +98,11 @@ class AxisView:
     weighed: tuple[float, float] | None = None
 
 
-def identify_axis(cell: CellSignals, axis: AxisMotion) -> AxisTold:
-    """Estimate one translational axis; what cannot be told is `unidentifiable`, with a finding of severity `error`."""
+def identify_axis(cell: CellSignals, axis: AxisMotion, reach: Reach = unwatched) -> AxisTold:
+    """Estimate one translational axis; what cannot be told is `unidentifiable`, with a finding of severity `error`.
+
+    `reach` is told the share of the work that is done.
+    """
     holds, findings = _holds(cell, axis)
     view = AxisView(
         recording=cell.recording,
@@ -110,7 +115,7 @@ def identify_axis(cell: CellSignals, axis: AxisMotion) -> AxisTold:
         in_units=partial(with_gain_error, share=cell.gravity.gain_error_share),
         weighed=(cell.gravity.mass_kg, cell.gravity.mass_std_kg),
     )
-    told = fit_axis(cell, view)
+    told = fit_axis(cell, view, reach)
     findings += told.findings
     if told.fit is not None and not told.fit.is_weighed:
         disagreement = _about_masses(axis.name, cell.gravity, told.fit)
@@ -135,11 +140,12 @@ def _doubted(estimate: AxisEstimate) -> AxisEstimate:
     )
 
 
-def fit_axis(cell: CellSignals, view: AxisView) -> AxisTold:
+def fit_axis(cell: CellSignals, view: AxisView, reach: Reach) -> AxisTold:
     """Let the stages find where to start, and the joint fit tell values and uncertainty."""
     axis, findings = view.axis, list[Finding]()
     robot_fit, robot = _robot(cell, view, findings)
     coupling = _coupling(view, cell.motion)
+    reach(_STAGES_SHARE)
     try:
         mass_kg = view.mass_kg if coupling is None or view.mass_kg is not None else coupling.mass_kg
         if mass_kg is None:
@@ -160,7 +166,7 @@ def fit_axis(cell: CellSignals, view: AxisView) -> AxisTold:
             view.recording.pose.stamp_ns,
         )
         data = replace(data, weighed=view.weighed)
-        found = identify_joint(data)
+        found = identify_joint(data, part_of(reach, _STAGES_SHARE, 0.5 if view.priors else 1.0))
         fit = view.in_units(found)
         with_priors = view.in_units(identify_joint(replace(data, priors=view.priors))) if view.priors else None
     except EstimateError as error:

@@ -19,6 +19,7 @@ from .gravity_verdicts import com_estimate, gravity_findings, mass_estimate
 from .inertia import InertiaFit, identify_inertia
 from .lost_commands import restore_commands
 from .partial import identify_partial
+from .progress import Progress, unwatched
 from .recording import Recording
 from .result import Estimate, Finding, Identified, InertiaEstimate, PayloadEstimate, Status
 from .rotation import find_turns
@@ -50,7 +51,7 @@ def identify_cell(
     `unidentifiable` and named by a finding of severity `error`. Raises EstimateError when not even gravity can be told
     (nothing else can be without it), LogError when the channels do not fit together.
     """
-    return _identify(recording, frames, given or {}, _silent)[0]
+    return _identify(recording, frames, given or {}, unwatched)[0]
 
 
 def identify_with_evidence(
@@ -63,7 +64,7 @@ def identify_with_evidence(
 
     `progress` is told the share of the work done since the last call.
     """
-    found, cell, told = _identify(recording, frames, given or {}, progress if progress is not None else _silent)
+    found, cell, told = _identify(recording, frames, given or {}, progress if progress is not None else unwatched)
     return found, None if cell is None else _evidence(cell, told)
 
 
@@ -122,10 +123,6 @@ def _identify(
     return settle_cell(found, cell.given), cell, told
 
 
-def _silent(_: float) -> None:
-    return None
-
-
 def _evidence(cell: CellSignals, told: Mapping[str, AxisTold]) -> Evidence:
     """Gather what the pictures of this log show."""
     return Evidence(
@@ -149,15 +146,17 @@ def _identify_axes(
     share = 1.0 / max(len(travel.axes) + len(cell.turns), 1)
     axes = {}
     for axis in travel.axes:
-        axes[axis.name] = identify_axis(cell, axis)
-        report(share)
+        reach = Progress(report, share)
+        axes[axis.name] = identify_axis(cell, axis, reach)
+        reach(1.0)
     for turn in cell.turns:
-        turned = identify_turn(cell, turn, inertia)
+        reach = Progress(report, share)
+        turned = identify_turn(cell, turn, inertia, reach)
         if turned is None:
             findings.append(not_told(turn))
         else:
             axes[turn.name] = turned
-        report(share)
+        reach(1.0)
     return axes, [*findings, *(finding for axis in axes.values() for finding in axis.findings)]
 
 

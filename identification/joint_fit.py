@@ -20,6 +20,7 @@ from .joint_result import JointFit, describe
 from .joint_segments import Segment, predict_force
 from .joint_solve import linearise, minimise
 from .joint_start import fit_alone, start_coupling, start_surface
+from .progress import Reach, unwatched
 
 FloatArray = NDArray[np.float64]
 
@@ -40,22 +41,24 @@ _RING_STARTS, _AS_WELL = 2, 1.05
 _FEWEST_RINGS = 2
 _MASS = 3
 _OUTLYING, _ENOUGH_TO_TELL = 8.0, 3
+# Shares of the time, as measured: free motion, each contact alone, all of them together, the last rounds.
+_BEGUN, _TOUCHED, _JOINED, _ROUNDED = 0.4, 0.55, 0.72, 0.8
 
 
-def identify_joint(data: JointData) -> JointFit:
+def identify_joint(data: JointData, reach: Reach = unwatched) -> JointFit:
     """Fit force and pose of all usable spans together (MODEL.md, "Continuous blocks", exact under the held command).
 
     The likelihood is that of the pose given the command times that of the force given both: the flange's path is the
     robot's exact answer to the command plus what Wiener's filter keeps of the rest, and what remains of the force is
     whitened by an autoregression, fitted again after every round. Where free motion does not tell the payload, what
-    rings after taps and releases may, with the mass that gravity tells (`JointFit.is_weighed`). Raises EstimateError
-    when no span can be used.
+    rings after taps and releases may, with the mass that gravity tells (`JointFit.is_weighed`). `reach` is told the
+    share of the work that is done. Raises EstimateError when no span can be used.
     """
     try:
-        return _identify(data, _free_motion)
+        return _identify(data, _free_motion, reach)
     except EstimateError:
         try:
-            return replace(_identify(data, _ringing_alone), is_weighed=True)
+            return replace(_identify(data, _ringing_alone, reach), is_weighed=True)
         except EstimateError:
             pass
         raise
@@ -64,7 +67,7 @@ def identify_joint(data: JointData) -> JointFit:
 _Beginning = Callable[[JointData, Problem, FloatArray], tuple[Problem, Point]]
 
 
-def _identify(data: JointData, begin: _Beginning) -> JointFit:
+def _identify(data: JointData, begin: _Beginning, reach: Reach = unwatched) -> JointFit:
     """Fit everything, beginning with the payload alone."""
     start = np.concatenate([data.coupling, _robot_values(data), np.zeros(3)])
     start[3] = max(start[3], _LIGHTEST_SHARE * (data.mass_kg if data.mass_kg is not None else _LIGHT_KG))
@@ -72,13 +75,17 @@ def _identify(data: JointData, begin: _Beginning) -> JointFit:
     problem, point = begin(data, base, start[:-3])
     blurred = data.command is not None and data.command.is_mean
     problem, point, lag = fit_lag(problem, point, data.force_n, data.lag_s, 0.0, blurred=blurred)
+    reach(_BEGUN)
     contacts = _starts(data, problem, np.concatenate([point.values, start[-3:]]))
     alone = [fit_alone(problem, point, contact) for contact in contacts]
+    reach(_TOUCHED)
     problem, point, found = _together(data, problem, point, [c for c in alone if c.is_sound])
+    reach(_JOINED)
     for _ in range(_ROUNDS):
         problem = _recoloured(problem, point)
         point, _ = minimise(problem, point, _STEPS_LATER)
     problem, point, lag = fit_lag(problem, point, data.force_n, data.lag_s, lag.applied_s, blurred=blurred)
+    reach(_ROUNDED)
     problem, point = deepest_surfaces(problem, deepest_stiffness(problem, point))
     problem = _recoloured(problem, point)
     point, rival = either_side(problem, point)

@@ -10,16 +10,18 @@ from .axis_estimate import AxisTold, AxisView, CellSignals, axis_priors, fit_axi
 from .errors import EstimateError
 from .inertia import InertiaFit
 from .joint_contacts import find_holds, hold_threshold_n
+from .progress import Reach, unwatched
 from .result import Finding
 from .rotation import LEVER_M, AxisTurn, Unrolled, rests_after, unroll
 from .rotation_fit import fit_about_axis, inertia_findings, path_of
 
 
-def identify_turn(cell: CellSignals, turn: AxisTurn, inertia: InertiaFit) -> AxisTold | None:
+def identify_turn(cell: CellSignals, turn: AxisTurn, inertia: InertiaFit, reach: Reach = unwatched) -> AxisTold | None:
     """Estimate one rotational axis in N·m/rad, N·m·s/rad and kg·m²; None, with its reason, where it tells nothing.
 
     The turn is seen as motion along a straight path 0.2 m off the centre, for which all thresholds hold; the inertia is
     compared with that of the tensor. What is missing is a warning: a log whose translations are told is a good log.
+    `reach` is told the share of the work that is done.
     """
     try:
         unrolled = unroll(turn, cell.recording, cell.log)
@@ -46,6 +48,7 @@ def identify_turn(cell: CellSignals, turn: AxisTurn, inertia: InertiaFit) -> Axi
             },
             in_units=partial(fit_about_axis, turn=turn),
         ),
+        reach,
     )
     if told.fit is None:
         return None

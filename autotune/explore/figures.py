@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from bokeh.model import Model
 from bokeh.models import (
     ColumnDataSource,
     CustomJSTickFormatter,
@@ -22,6 +23,7 @@ from autotune.reports.palette import COLOURS
 from problems.design import DesignProblem
 
 from .knobs import Knob
+from .parcel import Sender
 from .view import DesignMap, MapWindow, View
 from .words import requirement_title
 
@@ -50,6 +52,9 @@ class Figures:
         cells: dict[str, list[float]] = {"stable": [], "peak": [], "x": [], "y": [], "dw": [], "dh": []}
         self.sources["map"] = ColumnDataSource(cells, name="data-map")
         self.target = ColumnDataSource({"x": [], "y": []}, name="data-target")
+        self.colours = LinearColorMapper(
+            palette="Viridis256", low=0.0, high=1.0, nan_color="rgba(0,0,0,0)", name="colours"
+        )
         self.plots = {
             "contact": self._contact(),
             "admittance": self._admittance(),
@@ -109,7 +114,6 @@ class Figures:
         plot = _plot("map", "", "", x_axis_type="log", height=_MAP_HEIGHT, **ends)
         box: dict[str, Any] = {"x": "x", "y": "y", "dw": "dw", "dh": "dh", "source": self.sources["map"]}
         two = LinearColorMapper(palette=[_UNSTABLE, _MISSED], low=0.0, high=1.0)
-        self.colours = LinearColorMapper(palette="Viridis256", low=0.0, high=1.0, nan_color="rgba(0,0,0,0)")
         plot.image(image="stable", color_mapper=two, **box)
         drawn = plot.image(image="peak", color_mapper=self.colours, **box)
         plot.scatter(
@@ -119,6 +123,10 @@ class Figures:
         self.bar = ColorBar(color_mapper=self.colours, width=10, title="worst peak", background_fill_alpha=0.0)
         plot.add_layout(self.bar, "right")
         return plot
+
+    def changing(self) -> list[Model]:
+        """Return what changes whenever something is turned."""
+        return [*self.sources.values(), self.colours]
 
     def begin(self, problem: DesignProblem, axis: str, begun: View) -> None:
         """Show what does not change while one axis is explored: limits, units, and the design to start from."""
@@ -138,38 +146,43 @@ class Figures:
             self.sources["begun"].data = _over_time(begun.transient.time_s, begun.transient.contact_force_n)
         self.bar.title = f"worst peak [{units.force}]"
 
-    def show(self, view: View) -> None:
+    def show(self, view: View, sender: Sender) -> None:
         """Show one view; an unstable loop has no transient and no requirement."""
+
+        def put(name: str, **data: Any) -> None:
+            sender.put(self.sources[name], data=data)
+
         run = view.transient
         if run is None:
             for name in ("contact", "sensor", "peak"):
-                self.sources[name].data = dict(_EMPTY)
+                put(name, **_EMPTY)
         else:
-            self.sources["contact"].data = _over_time(run.time_s, run.contact_force_n)
-            self.sources["sensor"].data = _over_time(run.time_s, run.sensor_force_n)
-            self.sources["peak"].data = {"x": [1e3 * run.time_of_peak_s], "y": [run.peak_contact_force_n]}
-        self.sources["gain"].data = {"x": view.admittance_hz, "y": view.admittance_m_s_per_n}
+            put("contact", **_over_time(run.time_s, run.contact_force_n))
+            put("sensor", **_over_time(run.time_s, run.sensor_force_n))
+            put("peak", x=[1e3 * run.time_of_peak_s], y=[run.peak_contact_force_n])
+        put("gain", x=view.admittance_hz, y=view.admittance_m_s_per_n)
         for name, loop in (("force", view.at_force), ("command", view.at_command)):
             near = np.abs(loop) < 20.0
-            self.sources[name].data = {"x": loop.real[near], "y": loop.imag[near]}
+            put(name, x=loop.real[near], y=loop.imag[near])
         ratios = view.ratios
         values = np.nan_to_num(np.array(list(ratios.values())), nan=_LONGEST_BAR, posinf=_LONGEST_BAR)
-        self.sources["bars"].data = {
+        bars: dict[str, Any] = {
             "name": [requirement_title(name) for name in ratios],
             "right": np.minimum(values, _LONGEST_BAR),
             "colour": [COLOURS["good" if value <= 1.0 else "bad"] for value in values],
             "told": [f"{value:.3f}" if value < _LONGEST_BAR else f"{value:.3g}" for value in ratios.values()],
         }
+        sender.put(self.sources["bars"], data=bars)
 
-    def show_map(self, found: DesignMap) -> None:
+    def show_map(self, found: DesignMap, sender: Sender) -> None:
         """Show which designs around are stable and feasible."""
         window = found.window
         left, right = _edges(window.x_values(), True)
         bottom, top = _edges(window.y_values(), False)
         if found.is_feasible.any():
             low, high = float(np.nanmin(found.peak_n)), float(np.nanmax(found.peak_n))
-            self.colours.update(low=low, high=high if high > low else low + 1.0)
-        self.sources["map"].data = {
+            sender.put(self.colours, low=low, high=high if high > low else low + 1.0)
+        cells = {
             "stable": [found.is_stable.astype(np.float32)],
             "peak": [found.peak_n.astype(np.float32)],
             "x": [left],
@@ -177,6 +190,7 @@ class Figures:
             "dw": [right - left],
             "dh": [top - bottom],
         }
+        sender.put(self.sources["map"], data=cells)
 
     def show_window(self, window: MapWindow, x: Knob, y: Knob) -> None:
         """Turn the map to a window of two knobs."""
@@ -185,9 +199,9 @@ class Figures:
         plot.x_range.start, plot.x_range.end = _edges(window.x_values(), True)
         plot.y_range.start, plot.y_range.end = _edges(window.y_values(), False)
 
-    def show_star(self, x: float, y: float) -> None:
+    def show_star(self, x: float, y: float, sender: Sender) -> None:
         """Mark the design in the map."""
-        self.sources["star"].data = {"x": [x], "y": [y]}
+        sender.put(self.sources["star"], data={"x": [x], "y": [y]})
 
 
 def _plot(key: str, x: str, y: str, **more: Any) -> Any:

@@ -20,6 +20,7 @@ from problems.errors import AutotuneError
 from . import words
 from .figures import KEYS, Figures
 from .knobs import STEPS, Knob, build_gain_knobs, build_plant_knobs, nominal_values, scenario_at
+from .parcel import Sender
 from .save import save_controller
 from .source import AxisStart, Exploration
 from .view import MapWindow, PreparedView, View, build_window, compute_map, compute_view, map_pairs, prepare_view
@@ -67,6 +68,7 @@ class Page:
         self.asked = self.busy = self.turning = False
         self.resting: Any = None
         self._build_widgets()
+        self.sender = Sender(document, [*self.figures.changing(), self.verdict, self.facts], self.verdict)
         self._show_axis()
 
     @property
@@ -168,17 +170,19 @@ class Page:
         try:
             prepared = self._prepare()
             view = compute_view(prepared, self.designs[self.axis])
-            self.figures.show(view)
+            self.figures.show(view, self.sender)
             self._show_words(view, len(prepared.scenarios))
             self._show_map(prepared)
         except AutotuneError as error:
-            self.verdict.text = words.refused_line(str(error)).replace("Not written.", "No picture.")
+            refused = words.refused_line(str(error)).replace("Not written.", "No picture.")
+            self.sender.put(self.verdict, text=refused)
+        self.sender.send()
 
     def _show_words(self, view: View, count: int) -> None:
         law = self.start.problem.controller(view.design)
         hand = law.damping_n_s_per_m + self._plant()["drag_n_s_per_m"]
-        self.verdict.text = words.verdict(view, count)
-        self.facts.text = words.facts(view, axis_units(self.axis), hand)
+        self.sender.put(self.verdict, text=words.verdict(view, count))
+        self.sender.put(self.facts, text=words.facts(view, axis_units(self.axis), hand))
 
     def _prepare(self) -> PreparedView:
         scenario = scenario_at(self.start.problem, self._plant())
@@ -200,11 +204,11 @@ class Page:
         ):
             self.window = build_window(problem, design, (x, y), columns=_COLUMNS, rows=_ROWS)
             self.figures.show_window(self.window, self.knobs[x], self.knobs[y])
-        self.figures.show_star(values[x], values[y])
+        self.figures.show_star(values[x], values[y], self.sender)
         key = prepared.scenario, self.axis, self.window, tuple(v for name, v in values.items() if name not in {x, y})
         if self.mapped in {(key, _FINER), (key, finer)}:
             return
-        self.figures.show_map(compute_map(prepared, design, self.window.finer(finer)))
+        self.figures.show_map(compute_map(prepared, design, self.window.finer(finer)), self.sender)
         self.mapped = key, finer
         if self.resting is not None:
             self.document.remove_timeout_callback(self.resting)
@@ -214,6 +218,7 @@ class Page:
         self.resting = None
         if not self.asked:
             self._show_map(self._prepare(), _FINER)
+            self.sender.send()
 
     def _axis_chosen(self, _name: str, _old: str, new: str) -> None:
         self.axis = new

@@ -44,6 +44,14 @@ def test_recordings_side_by_side_tell_what_they_tell_one_after_the_other(
     assert identify_log(two_logs, Topics(), allow_partial=True, processes=2) == in_one_process
 
 
+def test_the_progress_comes_to_the_whole_in_small_parts(two_logs: list[Path]) -> None:
+    told: list[float] = []
+    identify_log(two_logs[0], Topics(), allow_partial=True, progress=told.append)
+    assert sum(told) == pytest.approx(1.0)
+    assert min(told) > 0.0
+    assert max(told) < 0.3
+
+
 def test_the_provenance_names_both_recordings(two_logs: list[Path], in_one_process: IdentifiedLog) -> None:
     provenance = in_one_process.provenance
     assert [entry["path"] for entry in provenance["logs"]] == [str(path) for path in two_logs]

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bokeh.document import Document
+from bokeh.document.events import ModelChangedEvent
+from bokeh.events import DocumentReady
 
 from autotune.explore.page import Page, build_page
 from autotune.explore.words import refused_line
@@ -51,6 +53,19 @@ def test_a_finer_map_follows_when_the_hand_rests(page: Page) -> None:
     rows, columns = page.figures.sources["map"].data["peak"][0].shape
     page._rest()
     assert page.figures.sources["map"].data["peak"][0].shape == (2 * rows, 2 * columns)
+
+
+def test_a_page_that_is_shown_gets_one_message_for_all_that_a_turn_changes(page: Page) -> None:
+    page.document.callbacks.trigger_event(DocumentReady())
+    seen: list[ModelChangedEvent] = []
+    page.document.on_change(lambda event: seen.append(event) if isinstance(event, ModelChangedEvent) else None)
+    before = data(page, "contact")
+    turn(page, "damping", 1310.0)
+    by_hand, (sent,) = seen[:1], seen[1:]
+    assert (by_hand[0].model, sent.attr) == (page.sliders["damping"], "content")
+    assert {"data-contact", "data-command", "data-bars", "data-star", "verdict", "facts"} <= set(sent.new)
+    assert not np.array_equal(sent.new["data-contact"]["data"]["y"], before)
+    assert np.array_equal(data(page, "contact"), before)
 
 
 def test_an_unstable_design_shows_no_peak_and_says_so(page: Page) -> None:
