@@ -8,6 +8,7 @@ from autotune.files.units import axis_units
 from autotune.validation.validate import admittance_controller
 
 from .axis_design import AxisDesign, axis_designs
+from .compliance_table import compliance_tables
 from .controller_tables import (
     checksum_fact,
     design_facts,
@@ -120,7 +121,7 @@ def design_section(design: AxisDesign, standing: Mapping[str, Any] | None, old: 
 
 def search_section(controller: Controller, steps: Mapping[str, Sequence["SearchStep"]]) -> Section:
     """Return how the search went, as far as it is known, and how near each axis is to the best."""
-    blocks: list[Block] = []
+    blocks: list[Block] = [*compliance_tables(controller)]
     for name in controller.axes:
         chart, standing = convergence_chart(name, axis_units(name), steps.get(name, ())), standing_of(controller, name)
         blocks += [] if chart is None else [chart]

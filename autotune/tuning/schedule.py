@@ -141,10 +141,16 @@ def tune_schedule(
     common controller turns out to be gentler than a class's own, the class is searched again from it. `progress` is
     told the share of the work done since the last call.
 
-    Raises UsageError for a class whose weight nobody could compensate, InfeasibleError that names all classes without
-    a controller, and what `optimize` raises with the name of the class. That the hull has none is no error.
+    Raises UsageError for a class whose weight nobody could compensate and for a free compliance, InfeasibleError that
+    names all classes without a controller, and what `optimize` raises with the name of the class. That the hull has
+    none is no error.
     """
     report = progress if progress is not None else _silent
+    if spec.compliance is not None:
+        raise UsageError(
+            "free.environment_stiffness_n_per_m in problem.yaml chooses one compliance, and a schedule has many "
+            "controllers; choose it without --schedule, then say its range with stiffness=LOW:HIGH."
+        )
     whole = hull(classes)
 
     def task(of: ScheduleClass) -> _Task:
