@@ -8,7 +8,7 @@ if TYPE_CHECKING:
 
 _SHOWN_N = 0.005
 _ENDS = {
-    "free motion": "free motion and noise allow no lower one",
+    "free motion": "a lower one, which free motion and noise forbid, might save more",
     "lower bound": "the lower bound is active",
     "upper bound": "the upper bound is active",
 }

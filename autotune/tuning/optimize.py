@@ -97,12 +97,7 @@ def optimize(
     if chosen:
         report = _Portion(report, 1.0 - _COMPLIANCE_SHARE)
         problems = {name: compliance.on_chosen(problems[name]) for name, compliance in chosen.items()}
-    searches = {}
-    for name, problem in problems.items():
-        portion = _Portion(report, _SEARCH_SHARE / len(problems))
-        start = _start(name, problem, existing, chosen.get(name))
-        with _told_where(name, chosen.get(name)):
-            searches[name] = _search(name, problem, seed, start, relax, report, portion)
+    searches = _search_all(problems, existing, chosen, seed, relax, report)
     chosen = {name: settle_compliance(problems[name], each, searches[name], seed) for name, each in chosen.items()}
     standings = {name: find_standing(search) for name, search in searches.items()}
     provenance = make_provenance(identified, wishes, seed, problem_path, existing, asked)
@@ -223,6 +218,24 @@ def _choose(
         portion.finish()
         step("")
     return found
+
+
+def _search_all(
+    problems: Mapping[str, DesignProblem],
+    existing: ControllerFile | None,
+    chosen: Mapping[str, Compliance],
+    seed: int,
+    relax: bool,
+    report: Callable[[float], None],
+) -> dict[str, SearchResult]:
+    """Search the design of every axis, from what is known of one."""
+    searches = {}
+    for name, problem in problems.items():
+        portion = _Portion(report, _SEARCH_SHARE / len(problems))
+        start = _start(name, problem, existing, chosen.get(name))
+        with _told_where(name, chosen.get(name)):
+            searches[name] = _search(name, problem, seed, start, relax, report, portion)
+    return searches
 
 
 @contextmanager
