@@ -54,7 +54,9 @@ def save_controller(
             except InfeasibleError as error:
                 raise InfeasibleError(f"Axis {name}: {error}") from error
             progress(0.0)
-        controller, report = certify(searches, exploration.payload, exploration.provenance, ProofWishes(), progress)
+        controller, report = certify(
+            searches, exploration.payload, exploration.provenance, ProofWishes(), progress, exploration.threshold
+        )
         checks = len(report.checks)
         return keep_deadband(exploration, controller)
 
