@@ -177,7 +177,7 @@ class Scale:
 
 @dataclass(frozen=True, kw_only=True)
 class Panel:
-    """A pair of axes and what is drawn in it, in this order; `equal` keeps circles round."""
+    """A pair of axes and what is drawn in it: stretches, then the others in this order; `equal` keeps circles round."""
 
     x: Scale
     y: Scale
@@ -185,6 +185,14 @@ class Panel:
     title: str = ""
     height: float = 1.0
     equal: bool = False
+
+    def stretches(self) -> dict[Role, list[Stretch]]:
+        """Return the stretches by role: a log has dozens, which are drawn in a few strokes."""
+        found: dict[Role, list[Stretch]] = {}
+        for each in self.elements:
+            if isinstance(each, Stretch):
+                found.setdefault(each.role, []).append(each)
+        return found
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,10 +18,11 @@ from bokeh.models import (
     NoOverlap,
     Range1d,
 )
-from bokeh.models.annotations import BoxAnnotation, ColorBar, Span, Title
+from bokeh.models.annotations import ColorBar, Span, Title
 from bokeh.palettes import RdBu11, interp_palette
 from bokeh.plotting import figure
 from bokeh.resources import INLINE
+from numpy.typing import ArrayLike
 
 from .charts import Band, Bars, Chart, Heat, Limit, Line, Panel, Points, Scale, Stretch
 from .decimate import decimate
@@ -95,6 +96,10 @@ def _draw_panel(panel: Panel, is_beside: bool) -> Any:
     _dress(plot, panel)
     if panel.equal:
         _keep_round(plot, panel.x, panel.y)
+    for role, parts in panel.stretches().items():
+        ends = {"low": _short([each.low for each in parts]), "high": _short([each.high for each in parts])}
+        look: dict[str, Any] = {"fill_color": COLOURS[role], "fill_alpha": 0.16, "line_alpha": 0.0}
+        plot.vstrip("low", "high", source=ColumnDataSource(ends), **look)
     for element in panel.elements:
         _draw_element(element, plot)
     return plot
@@ -189,9 +194,8 @@ def _(bars: Bars, plot: Any) -> Any:
 
 
 @_draw_element.register
-def _(stretch: Stretch, plot: Any) -> None:
-    look: dict[str, Any] = {"fill_color": COLOURS[stretch.role], "fill_alpha": 0.16, "line_alpha": 0.0}
-    plot.add_layout(BoxAnnotation(left=stretch.low, right=stretch.high, **look))
+def _(_stretch: Stretch, _plot: Any) -> None:
+    """Draw nothing: the stretches of a panel are its ground."""
 
 
 @_draw_element.register
@@ -283,6 +287,6 @@ def _hover(renderer: Any, tips: list[tuple[str, str]]) -> HoverTool:
     return HoverTool(renderers=[renderer], tooltips=tips, visible=False, mode="mouse")
 
 
-def _short(values: np.ndarray) -> np.ndarray:
+def _short(values: ArrayLike) -> np.ndarray:
     """Return single precision: no screen shows more, and the page is half as long."""
     return np.asarray(values, dtype=np.float32)

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from .charts import Band, Bars, Chart, Element, Heat, Limit, Line, Panel, Points, Scale, Stretch
+from .charts import Band, Bars, Chart, Element, Heat, Limit, Line, Panel, Points, Scale
 from .decimate import decimate
 from .framing import fitted_limits
 from .palette import COLOURS, FURNITURE, ONE_SIDED, TWO_SIDED, named_colours
@@ -177,6 +177,10 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
         place: dict[str, Any] = {"textcoords": "offset points", "xycoords": "axes fraction", "annotation_clip": False}
         weight = "bold" if i else "normal"
         axes.annotate(text, (0.0, 1.0), (0.0, 4.5 + i * _TEXT_LINE_INCHES * _POINTS_PER_INCH), weight=weight, **place)
+    for role, parts in panel.stretches().items():
+        spans = [(each.low, each.high - each.low) for each in parts]
+        look: dict[str, Any] = {"facecolors": COLOURS[role], "alpha": 0.16, "linewidth": 0.0}
+        axes.broken_barh(spans, (0.0, 1.0), transform=axes.get_xaxis_transform(), **look)
     for element in panel.elements:
         _draw_element(axes, element)
     for which, scale in (("x", panel.x), ("y", panel.y)):
@@ -232,8 +236,6 @@ def _draw_element(axes: Axes, element: Element) -> None:
         axes.plot(element.x, element.y, _MARKERS[element.marker], **mark)
     elif isinstance(element, Bars):
         axes.stairs(element.heights, element.edges, fill=True, color=colour, alpha=0.75)
-    elif isinstance(element, Stretch):
-        axes.axvspan(element.low, element.high, color=colour, alpha=0.16, linewidth=0.0)
     elif isinstance(element, Limit):
         across = axes.axhline if element.along == "y" else axes.axvline
         across(element.value, color=colour, linewidth=1.2, linestyle=":")
