@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .aligned import Span
 from .joint_result import FittedSpan
+from .result import Finding
 
 FloatArray = NDArray[np.float64]
 
@@ -33,7 +34,8 @@ class AxisEvidence:
 class Evidence:
     """The wrench's force (n, 3) in the sensor frame S [N], as logged and without weight and bias, and the axes.
 
-    Sample k was taken k `period_s` after the start of the log; what a hole swallowed is NaN.
+    Sample k was taken k `period_s` after the start of the log; what a hole swallowed is NaN. `log` names the recording,
+    `reading` is what was found when it was read.
     """
 
     period_s: float
@@ -41,6 +43,7 @@ class Evidence:
     compensated_S_n: FloatArray
     axes: Mapping[str, AxisEvidence]
     log: str = ""
+    reading: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", MappingProxyType(dict(self.axes)))

@@ -109,7 +109,7 @@ def command(
         from autotune.reports.identify_page import build_identify_page
         from autotune.reports.log_summaries import summaries_of
 
-        summaries = summaries_of(logs, cell, salvage=salvage)
+        summaries = summaries_of(logs, cell, salvage=salvage, evidence=found.evidence)
         return build_identify_page(found.result, found.provenance, found.evidence, summaries)
 
     tree = {**identified_tree(found.result, found.provenance), **write_report(output, report, page)}

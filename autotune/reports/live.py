@@ -101,7 +101,8 @@ def _draw_panel(panel: Panel, is_beside: bool) -> Any:
         look: dict[str, Any] = {"fill_color": COLOURS[role], "fill_alpha": 0.16, "line_alpha": 0.0}
         plot.vstrip("low", "high", source=ColumnDataSource(ends), **look)
     for element in panel.elements:
-        _draw_element(element, plot)
+        if not isinstance(element, Stretch):
+            _draw_element(element, plot)
     return plot
 
 
@@ -191,11 +192,6 @@ def _(bars: Bars, plot: Any) -> Any:
         color=COLOURS[bars.role],
         alpha=0.75,
     )
-
-
-@_draw_element.register
-def _(_stretch: Stretch, _plot: Any) -> None:
-    """Draw nothing: the stretches of a panel are its ground."""
 
 
 @_draw_element.register
