@@ -14,6 +14,7 @@ from identification.result import AxisEstimate, Covariance, NoiseSpectrum
 from identification.timeline_phases import Kind, Timeline
 
 from .charts import Band, Bars, Chart, Element, Heat, Limit, Line, Panel, Points, Role, Scale, Stretch
+from .framing import level_panels
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -104,8 +105,8 @@ def residual_charts(axis: str, units: AxisUnits, told: AxisEvidence, period_s: f
         title="Whether it is noise",
         alternative=f"Histogram, spectrum and autocorrelation of the residual of axis {axis}. Its whitened deviation "
         f"is {float(np.std(white)):.2f}, where 1 is noise alone.",
-        caption="Left: the whitened residual beside a normal distribution. Middle: spectra. Right: autocorrelation of "
-        "the whitened residual; within the band it is chance (95 %).",
+        caption="The whitened residual beside a normal distribution; spectra; autocorrelation of the whitened "
+        "residual, which is chance within the band (95 %).",
         beside=True,
         panels=(
             _histogram(white),
@@ -140,7 +141,10 @@ def _histogram(white: FloatArray) -> Panel:
     return Panel(
         x=Scale(label="residual over its deviation"),
         y=Scale(label="density"),
-        elements=(Bars(edges=edges, heights=heights), Line(x=grid, y=norm.pdf(grid), role="model")),
+        elements=(
+            Bars(edges=edges, heights=heights, label="whitened residual"),
+            Line(x=grid, y=norm.pdf(grid), label="normal distribution", role="model"),
+        ),
     )
 
 
@@ -151,22 +155,18 @@ def _spectra(
     period_s: float,
 ) -> Panel:
     lines: list[Element] = []
-    for spans, what, roles in ((free, "free", ("measured", "residual")), (touching, "contact", ("before", "other"))):
-        for which, (name, role) in enumerate(zip(("force", "residual"), roles, strict=True)):
+    roles: tuple[tuple[Role, Role], ...] = (("measured", "residual"), ("after", "other"))
+    for spans, what, pair in ((free, "free", roles[0]), (touching, "contact", roles[1])):
+        for which, (name, role) in enumerate(zip(("force", "residual"), pair, strict=True)):
             found = _spectrum([span[which] for span in spans], period_s)
             if found is not None:
-                lines.append(Line(x=found[0], y=found[1], label=f"{name}, {what}", role=_role(role)))
+                lines.append(Line(x=found[0], y=found[1], label=f"{name}, {what}", role=role))
     unit = units.force if "·" not in units.force else f"({units.force})"
     return Panel(
         x=Scale(label="frequency [Hz]", spacing="log"),
         y=Scale(label=f"power density [{unit}²/Hz]", spacing="log"),
         elements=tuple(lines),
     )
-
-
-def _role(name: str) -> Role:
-    roles: dict[str, Role] = {"measured": "measured", "residual": "residual", "before": "before", "other": "other"}
-    return roles[name]
 
 
 def _spectrum(signals: Sequence[FloatArray], period_s: float) -> tuple[FloatArray, FloatArray] | None:
@@ -191,8 +191,8 @@ def _autocorrelation(spans: Sequence[FloatArray], period_s: float) -> Panel:
         x=Scale(label="lag [ms]"),
         y=Scale(label="autocorrelation"),
         elements=(
-            Band(x=time, low=-chance, high=chance, role="quiet"),
-            Line(x=time, y=np.array(values), role="residual"),
+            Band(x=time, low=-chance, high=chance, label="chance (95 %)", role="quiet"),
+            Line(x=time, y=np.array(values), label="autocorrelation", role="residual"),
             Limit(value=0.0, role="quiet"),
         ),
     )
@@ -338,19 +338,19 @@ def contact_chart(
                 x=Scale(label="time from the peak [ms]"),
                 y=Scale(label=f"{units.force_name} [{units.force}]"),
                 elements=(
-                    Line(x=time, y=span.measured[begin:stop], role="measured"),
-                    Line(x=time, y=span.predicted[begin:stop], role="model", dashed=True),
+                    Line(x=time, y=span.measured[begin:stop], label="measured", wide=True),
+                    Line(x=time, y=span.predicted[begin:stop], label="model", role="model"),
                 ),
             )
         )
     share = 100.0 * float(np.max(np.abs(worst)))
     return Chart(
         key=f"{axis}-{surface}-contacts",
-        title=f"Contacts with {surface}: measured (dark) and model (dashed)",
+        title=f"Contacts with {surface}, measured and modelled",
         alternative=f"{len(spans)} contacts with {surface}; the model's peak is within {share:.1f} % of the measured.",
         caption=f"The strongest {len(strongest)} of {len(spans)} contacts. In all of them the peak of the model is "
         f"within {share:.1f} % of the measured one.",
-        panels=tuple(panels),
+        panels=level_panels(panels),
         beside=True,
     )
 

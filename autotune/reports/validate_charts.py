@@ -7,6 +7,7 @@ from autotune.validation.against_log import ComparedContact, LogComparison
 from autotune.validation.monte_carlo import BAND, AxisMonteCarlo
 
 from .charts import Band, Chart, Limit, Line, Panel, Scale
+from .framing import level_panels
 
 _MOST_CONTACTS = 3
 
@@ -56,7 +57,7 @@ def measured_chart(found: LogComparison) -> Chart:
         title="Measured contacts beside the prediction",
         alternative=f"Force at the sensor over time after touching, measured and predicted: {told}",
         caption=f"The strongest {len(shown)} contacts. O{told[1:]} Shaded: what the certified set allows.",
-        panels=tuple(_measured_panel(each) for each in shown),
+        panels=level_panels([_measured_panel(each) for each in shown]),
         beside=True,
     )
 
@@ -72,7 +73,7 @@ def _measured_panel(contact: ComparedContact) -> Panel:
         y=Scale(label=f"{units.force_name} at the sensor [{units.force}]"),
         elements=(
             Band(x=time, low=trace.low[used], high=trace.high[used], label="certified", role="target"),
-            Line(x=1e3 * np.asarray(trace.measured_s), y=trace.measured, label="measured", role="measured"),
+            Line(x=1e3 * np.asarray(trace.measured_s), y=trace.measured, label="measured", wide=True),
             Line(x=time, y=trace.predicted[used], label="predicted", role="model", dashed=True),
         ),
     )
