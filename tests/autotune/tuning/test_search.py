@@ -14,7 +14,8 @@ from autotune.errors import InfeasibleError
 from autotune.tuning import joining
 from autotune.tuning import search as search_module
 from autotune.tuning.box import Box
-from autotune.tuning.search import presentable, solve_design
+from autotune.tuning.search import Search, presentable, solve_design
+from benchmarks.tuning_problems import paper_cell
 from problems.contact import Approach
 from problems.design import VARIABLES, AdmittanceTarget, Requirements
 from problems.evaluation import PreparedScenarios, build_scenarios
@@ -231,3 +232,13 @@ def test_a_feasible_problem_is_not_called_infeasible(approach: Approach, limit: 
     found = solve_design(replace(design_problem(requirements=asked), approach=approach))
     assert found.evaluation.is_feasible
     assert found.evaluation.requirements.get("max_peak_force_n", 0.0) <= 1.0
+
+
+def test_a_population_that_ends_beside_the_feasible_set_is_led_into_it() -> None:
+    # The paper's cell over all its surfaces and payloads: with this seed all generations pass beside the set.
+    problem = paper_cell()
+    scenarios, search = problem.scenarios(3, 2), Search(problem, seed=2)
+    design = search.box.design(search.explore(scenarios, lambda _share: None))
+    found = build_scenarios(problem, scenarios).evaluate(design, peaks_if_missed=True)
+    assert found.violation <= 1e-3
+    assert found.is_stable
