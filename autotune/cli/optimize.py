@@ -13,7 +13,7 @@ from ._files import SETTINGS, FilePath
 from ._help import GroupedCommand
 from ._pareto import FrontWriter, pareto_options
 from ._proof import proof_options
-from ._report import check_report, print_report_path, report_option, write_report
+from ._report import check_report, print_report_path, report_option, tells_refusal, write_report
 from ._schedule import check_range, schedule_options
 from ._spark import contact_spark
 from ._standing import active_lines, active_tree
@@ -130,21 +130,23 @@ def command(
     from autotune.tuning.optimize import optimize
     from autotune.tuning.problems import Wishes
 
-    sources = [path for path in (identified, problem) if path is not None]
-    check_target(out, sources)
-    check_report(report, [*sources, out, *([] if old is None else [old])])
-    plant = read_identified(identified)
-    existing = None if old is None else read_controller(old)
-    spec = ProblemSpec() if problem is None else read_problem(problem)
-    wishes = Wishes(payload_mass_kg=payload_mass, environment_stiffness_n_per_m=environment_stiffness)
-    fronts = FrontWriter(pareto, out)
-    with output.progress("searching", 1.0) as advance:
-        found = optimize(
-            plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, proof=proof, progress=advance
-        )
-    fronts.trace(output, found)
-    checksum = write_controller(out, found.controller)
-    fronts.write(found)
+    sources = [path for path in (identified, problem, old) if path is not None]
+    check_target(out, [path for path in sources if path != old])
+    check_report(report, [*sources, out])
+    fronts, seen = FrontWriter(pareto, out), list["IdentifiedFile"]()
+    with tells_refusal(output, report, sources, lambda error: _refused_page(error, seen)):
+        plant = read_identified(identified)
+        seen.append(plant)
+        existing = None if old is None else read_controller(old)
+        spec = ProblemSpec() if problem is None else read_problem(problem)
+        wishes = Wishes(payload_mass_kg=payload_mass, environment_stiffness_n_per_m=environment_stiffness)
+        with output.progress("searching", 1.0) as advance:
+            found = optimize(
+                plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, proof=proof, progress=advance
+            )
+        fronts.trace(output, found)
+        checksum = write_controller(out, found.controller)
+        fronts.write(found)
     for note in _notes(plant, found, environment_stiffness is not None):
         output.note(note)
     tree = {**controller_tree(found.controller), "active": active_tree(found)}
@@ -172,6 +174,12 @@ def _page(found: "Optimized", checksum: str, existing: "ControllerFile | None", 
         old=None if existing is None else existing.controller,
         fronts=fronts.tree.get("axes"),
     )
+
+
+def _refused_page(error: Exception, plants: "list[IdentifiedFile]") -> "Page":
+    from autotune.reports.refused_page import refused_search_page
+
+    return refused_search_page(error, plants[0] if plants else None)
 
 
 def _notes(plant: "IdentifiedFile", found: "Optimized", has_stiffness: bool) -> Iterator[str]:

@@ -26,8 +26,13 @@ from .summary import Candidate, ChannelSummary, LogSummary, RoleSummary
 _TOLD_ELSEWHERE = frozenset({"channel-chosen", "role-open"})
 
 
-def inspect_log(paths: Path | Sequence[Path], cell: Cell | None = None, *, salvage: bool = False) -> LogSummary:
-    """Read whole logs and summarise them; raise LogError if one is damaged or no log."""
+def inspect_log(
+    paths: Path | Sequence[Path], cell: Cell | None = None, *, salvage: bool = False, asks_motion: bool = True
+) -> LogSummary:
+    """Read whole logs and summarise them; raise LogError if one is damaged or no log.
+
+    `asks_motion` also reads them as `identify` does, for what the motion tells of clocks and payload.
+    """
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     told = cell or Cell()
     with open_logs(files, told, salvage=salvage) as logs:
@@ -47,7 +52,7 @@ def inspect_log(paths: Path | Sequence[Path], cell: Cell | None = None, *, salva
         seen = logs.findings()
         span = (logs.start_ns, logs.end_ns)
         container = logs.parts[0].survey.container
-    if Role.WRENCH in choices and Role.POSE in choices:
+    if asks_motion and Role.WRENCH in choices and Role.POSE in choices:
         findings += _read_findings(files, told, findings, salvage=salvage)
     digest = digests(files)
     return LogSummary(
