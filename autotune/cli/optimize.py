@@ -171,7 +171,7 @@ def _page(found: "Optimized", checksum: str, existing: "ControllerFile | None", 
         found.controller,
         checksum,
         steps={name: search.steps for name, search in found.searches.items()},
-        old=None if existing is None else existing.controller,
+        old=existing,
         fronts=fronts.tree.get("axes"),
     )
 
@@ -251,11 +251,13 @@ def _print_spark(found: "Optimized", name: str, units: "AxisUnits") -> None:
 
 def _print_peaks(scenarios: "Iterable[ScenarioPrediction]", units: "AxisUnits") -> None:
     """Print the table of predicted contacts; lengths in mm along an axis, digits as its unit needs them."""
+    from autotune.scenario_text import off_nominal
+
     straight = units.force == "N"
     scale, stiffness, digits = (1e-3, "N/mm", 1) if straight else (1.0, units.stiffness, 2)
     scenarios = tuple(scenarios)
     # The worst contacts of the whole uncertainty differ from the others in what K_e and payload do not tell.
-    beyond = [s.scenario().off_nominal.removeprefix(", ") for s in scenarios]
+    beyond = [off_nominal(s.scenario(), units) for s in scenarios]
     told = any(beyond)
     rows = [
         (
@@ -278,4 +280,4 @@ def _print_peaks(scenarios: "Iterable[ScenarioPrediction]", units: "AxisUnits") 
         )
         for s, other in zip(scenarios, beyond, strict=True)
     ]
-    print_table(rows, left=(5,) if told else (), indent="  ")
+    print_table(rows, left=(5,) if told else (), indent="  ", stacks=True)

@@ -206,13 +206,12 @@ def _controller_page(
     simulated = run_monte_carlo(file.controller, count=samples, progress=advance) if samples and verified.passed else ()
     checks = ValidationReport(checks=(*verified.checks, *monte_carlo_checks(simulated)))
     validated = Validated(report=checks, simulated=simulated)
-    before = None if old is None else old.controller
     if not checks.passed:
         # Of a loop that may be unstable there are no peaks and margins to draw.
         sections = (verdict_section(file.checksum, validated),)
         title = "A controller that does not keep what it promises"
         return Page(title=title, lead=lead(validated), tone="bad", sections=sections), checks
-    page = build_optimize_page(file.controller, file.checksum, old=before)
+    page = build_optimize_page(file.controller, file.checksum, old=old)
     first, *axes, certificate = page.sections
     parts = (first, verdict_section("", validated), *axes, *simulated_section(validated), certificate)
     return replace(page, lead=f"{lead(validated)} {page.lead}", sections=parts), checks

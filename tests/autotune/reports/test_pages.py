@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from autotune.files.controller import controller_tree, short
+from autotune.files.controller import ControllerFile, controller_tree, short
 from autotune.files.schedule import write_schedule
 from autotune.reports.axis_design import axis_designs, contact_of, modulus_of, over_stiffness
 from autotune.reports.charts import Chart, Heat, Line
@@ -39,7 +39,8 @@ def controller_page() -> Page:
     axes = dict(found.controller.axes)
     stiffer = replace(found.controller, axes={"x": replace(axes["x"], damping=1.2 * axes["x"].damping)})
     steps = {name: search.steps for name, search in found.searches.items()}
-    return build_optimize_page(found.controller, CHECKSUM, steps=steps, old=stiffer)
+    before = ControllerFile(controller=stiffer, checksum="fedcba98" * 8, path=Path("old.yaml"), sha256="")
+    return build_optimize_page(found.controller, CHECKSUM, steps=steps, old=before)
 
 
 def charts_of(page: Page) -> dict[str, Chart]:
