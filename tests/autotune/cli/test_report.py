@@ -1,6 +1,7 @@
 """`--report` and `autotune report`, through the real entry point."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -45,8 +46,22 @@ def test_the_page_of_identify_is_that_of_its_file_and_log(
     # The numbers of the file are read to the last bit, so the page is the same to the last byte.
     assert text == (folder / "again.html").read_text(encoding="utf-8")
     check_page(text)
-    for told in ("Health of cell.mcap", 'id="wrench-1"', 'id="x-residual"', 'id="x-white"', 'id="noise"'):
+    for told in (
+        "Health of cell.mcap",
+        'id="wrench-1"',
+        'id="torque-1"',
+        'id="x-residual"',
+        'id="x-white"',
+        'id="noise"',
+    ):
         assert told in text
+    # A picture comes before the long table, what is not known is named, and nothing is said twice.
+    assert text.index("<figure") < text.index("Every parameter with one standard deviation")
+    assert re.search(r"unidentifiable \([^)]*inertia", text)
+    told_once = re.sub(r'="[^"]*"', "", text)
+    assert told_once.count("The clocks of") == 1
+    assert "`" not in re.sub(r"<script.*?</script>", "", told_once, flags=re.DOTALL)
+    assert text.count("Every contact along x") == 2  # the caption, and the name of its region
     other = folder / "other.mcap"
     shutil.copy(good_log, other)
     with other.open("ab") as stream:
