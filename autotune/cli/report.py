@@ -17,6 +17,7 @@ Examples:
   autotune report identified.yaml run7.mcap
   autotune report identified.yaml run7.mcap controller.yaml pareto.yaml -o cell.html
 """
+_SEARCH = b'-convergence"'
 _FILE = click.Path(path_type=Path, dir_okay=False)
 
 
@@ -54,6 +55,9 @@ def command(output: Output, files: tuple[Path, ...], out: Path, old: Path | None
         output.progress("reading and verifying", 1.0) as advance,
     ):
         found = report_files(files, old=old, samples=samples, progress=advance)
+    is_richer = out.is_file() and _SEARCH in out.read_bytes()
     tree = {**write_report(output, out, lambda: found.page), "files": dict(found.kinds)}
     output.result(tree, lambda: tell(f"written: {out}"))
+    if is_richer and _SEARCH not in out.read_bytes():
+        output.note(f"{out} was a page of optimize; how the search converged is in no file, and no longer on it.")
     found.require()
