@@ -1,5 +1,7 @@
 """Errors of the tool itself; the exit code of each branch is chosen in `autotune.cli`."""
 
+import math
+
 from problems.errors import AutotuneError
 
 
@@ -11,14 +13,20 @@ class InfeasibleError(AutotuneError):
     """No controller within the bounds meets the requirements.
 
     `relaxations` are the single requirements that would be enough to ease, and by how much: name, asked, possible.
-    `bare` is the message without what some design misses, for where the relaxations are told instead.
+    `bare` is the message without what some design misses, for where the relaxations are told instead. `missed` is the
+    share of a requirement that the closest design found misses, infinite where nothing was found to be stable.
     """
 
     def __init__(
-        self, message: str, relaxations: tuple[tuple[str, float, float], ...] = (), *, bare: str | None = None
+        self,
+        message: str,
+        relaxations: tuple[tuple[str, float, float], ...] = (),
+        *,
+        bare: str | None = None,
+        missed: float = math.inf,
     ) -> None:
         super().__init__(message)
-        self.relaxations = relaxations
+        self.relaxations, self.missed = relaxations, missed
         self.bare = message.removesuffix(".") if bare is None else bare
 
 

@@ -163,7 +163,7 @@ def _identify_run(
             raise
         raise type(error)(f"{name}: {error}") from error
     found = replace(found, findings=(*recording.findings, *found.findings))
-    kept = None if evidence is None or not with_evidence else replace(evidence, log=name)
+    kept = None if evidence is None or not with_evidence else replace(evidence, log=name, reading=recording.findings)
     return _Run(told=NamedResult(name=name, result=found), source=_source(recording), evidence=kept)
 
 

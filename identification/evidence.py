@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .aligned import Span
 from .joint_result import FittedSpan
+from .result import Finding
 
 FloatArray = NDArray[np.float64]
 
@@ -34,7 +35,7 @@ class Evidence:
     """The wrench in the sensor frame S, as logged and without weight and bias, and the axes.
 
     Force (n, 3) in N, torque (n, 3) about the sensor's origin in N·m. Sample k was taken k `period_s` after the start
-    of the log; what a hole swallowed is NaN.
+    of the log; what a hole swallowed is NaN. `log` names the recording, `reading` is what was found when it was read.
     """
 
     period_s: float
@@ -44,6 +45,7 @@ class Evidence:
     compensated_torque_S_n_m: FloatArray
     axes: Mapping[str, AxisEvidence]
     log: str = ""
+    reading: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", MappingProxyType(dict(self.axes)))

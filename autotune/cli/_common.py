@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
 
 import click
 
@@ -16,6 +16,13 @@ from ._terminal import look_at, printable
 
 _Parameters = ParamSpec("_Parameters")
 _Result = TypeVar("_Result")
+
+
+class Advance(Protocol):
+    """Moves a bar on by n, in the unit of its total; `doing`, if it is told, is what stands beside it from then on."""
+
+    def __call__(self, n: float, doing: str | None = None, /) -> None:
+        """Move on."""
 
 
 @dataclass(kw_only=True)
@@ -66,7 +73,7 @@ class Output:
             say(message)
 
     @contextlib.contextmanager
-    def progress(self, description: str, total: float | None) -> Iterator[Callable[[float], None]]:
+    def progress(self, description: str, total: float | None) -> Iterator[Advance]:
         """Show a bar while the block runs, on a terminal only; yields `advance(n)`, n in the unit of `total`.
 
         With `total` it tells how much time is left, without only how much has gone.
@@ -129,7 +136,7 @@ def _reader_may_leave() -> Iterator[None]:
         discard_output()
 
 
-def _advance_nothing(_n: float) -> None:
+def _advance_nothing(_n: float, _doing: str | None = None, /) -> None:
     """Count progress that nobody watches."""
 
 

@@ -2,14 +2,18 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
 from rich.text import Text
 
-from ._terminal import look_at
+from ._terminal import look_at, printable
+
+if TYPE_CHECKING:
+    from ._common import Advance
 
 
 class TimesColumn(ProgressColumn):
@@ -57,10 +61,11 @@ def clock(seconds: float) -> str:
 
 
 @contextmanager
-def progress_bar(description: str, total: float | None) -> Iterator[Callable[[float], None]]:
+def progress_bar(description: str, total: float | None) -> "Iterator[Advance]":
     """Draw the bar on standard error while the block runs, and wipe it; yields `advance(n)`, n in the unit of `total`.
 
-    `total` None tells the time only. `description` is shown as it is, whatever brackets a file's name may have.
+    `advance(n, doing)` tells something else beside the bar from then on; `total` None tells the time only. What stands
+    beside it is shown as it is, whatever brackets a file's name may have.
     """
     columns: list[ProgressColumn] = [TextColumn("{task.description}", markup=False), BarColumn(bar_width=30)]
     columns += [] if total is None else [TextColumn("{task.percentage:>3.0f} %", markup=False)]
@@ -68,7 +73,9 @@ def progress_bar(description: str, total: float | None) -> Iterator[Callable[[fl
     with Progress(*columns, TimesColumn(), console=console, transient=True, get_time=time.monotonic) as bars:
         bar = bars.add_task(description, total=total)
 
-        def advance(n: float) -> None:
+        def advance(n: float, doing: str | None = None, /) -> None:
+            if doing is not None:
+                bars.update(bar, description=printable(doing))
             bars.advance(bar, n)
 
         yield advance

@@ -51,7 +51,7 @@ def _page(found: "DemoResult") -> "Page":
     from autotune.reports.page import join_pages
 
     identified, files = found.identified, found.files
-    summaries = summaries_of([files.log], None, salvage=False)
+    summaries = summaries_of([files.log], None, salvage=False, evidence=identified.evidence)
     steps = {name: search.steps for name, search in found.optimized.searches.items()}
     parts = (
         (files.log, build_identify_page(identified.result, identified.provenance, identified.evidence, summaries)),

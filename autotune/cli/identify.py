@@ -138,7 +138,7 @@ class _Seen:
 
         if self.found is None:
             raise ValueError("nothing was found yet")
-        summaries = summaries_of(self.logs, self.cell, salvage=self.salvage)
+        summaries = summaries_of(self.logs, self.cell, salvage=self.salvage, evidence=self.found.evidence)
         return build_identify_page(self.found.result, self.found.provenance, self.found.evidence, summaries)
 
     def refused_page(self, error: Exception) -> "Page":

@@ -9,11 +9,13 @@ import click
 
 from ._common import Output, output_options
 from ._compare import compare_lines, compare_tree
+from ._compliance import print_compliance
 from ._files import SETTINGS, FilePath
 from ._help import GroupedCommand
 from ._pareto import FrontWriter, pareto_options
 from ._proof import proof_options
 from ._report import check_report, print_report_path, report_option, tells_refusal, write_report
+from ._response import response_lines
 from ._schedule import check_range, schedule_options
 from ._spark import contact_spark
 from ._standing import active_lines, active_tree
@@ -120,7 +122,7 @@ def command(
     of the exact sampled loop, over the whole range of payload mass and environment stiffness, where stability and the
     modulus are proved, not only swept. Exit code 5: no controller meets the requirements. 6: a claim could not be
     verified, or the file to compare with is altered. Nothing is written then. The controller is the same with and
-    without --pareto. With --schedule the output is a folder.
+    without --pareto. With --schedule the output is a folder. A stiffness that problem.yaml makes free is chosen too.
     """
     from autotune.files.atomic import check_target
     from autotune.files.canonical import short
@@ -142,8 +144,9 @@ def command(
         wishes = Wishes(payload_mass_kg=payload_mass, environment_stiffness_n_per_m=environment_stiffness)
         with output.progress("searching", 1.0) as advance:
             found = optimize(
-                plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, proof=proof, progress=advance
-            )
+                plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, proof=proof,
+                step=lambda told: advance(0.0, f"searching {told}".rstrip()), progress=advance,
+            )  # fmt: skip
         fronts.trace(output, found)
         checksum = write_controller(out, found.controller)
         fronts.write(found)
@@ -212,6 +215,8 @@ def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "Con
     from problems.design import VARIABLES
 
     controller = found.controller
+    for name, compliance in found.compliance.items():
+        print_compliance(name, compliance, found.searches[name].problem)
     for name, gains in controller.axes.items():
         units = axis_units(name)
         tell(
@@ -228,6 +233,8 @@ def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "Con
         _print_spark(found, name, units)
         for line in active_lines(found, name):
             tell(f"  {line}")
+    for line in response_lines(controller):
+        tell(line)
     for check in found.report.checks:
         axis = f"{check.axis}: " if len(controller.axes) > 1 else ""
         verdict = f"{check.verdict:6} "

@@ -47,7 +47,9 @@ def save_controller(
         except InfeasibleError as error:
             raise InfeasibleError(f"Axis {name}: {error}") from error
     told = progress if progress is not None else _silent
-    controller, report = certify(searches, exploration.payload, exploration.provenance, ProofWishes(), told)
+    controller, report = certify(
+        searches, exploration.payload, exploration.provenance, ProofWishes(), told, exploration.threshold
+    )
     checksum = write_controller(path, keep_deadband(exploration, controller))
     return Saved(
         path=path,

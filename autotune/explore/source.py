@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 from autotune import __version__
 from autotune.errors import InfeasibleError, UsageError
 from autotune.files.controller import ControllerFile, read_controller
-from autotune.files.controller_record import AdmittanceRequirement, AxisGains, Controller, RuntimePayload
+from autotune.files.controller_record import (
+    AdmittanceRequirement,
+    AxisGains,
+    CollisionResponse,
+    Controller,
+    RuntimePayload,
+)
 from autotune.files.identified import read_identified
 from autotune.files.problem import ProblemSpec, read_problem
 from autotune.files.records import ROTATIONAL_AXES
@@ -23,6 +29,7 @@ from autotune.tuning.optimize import carried_mass_kg, make_provenance
 from autotune.tuning.problems import Wishes, build_problems
 from autotune.tuning.record import runtime_payload
 from autotune.tuning.search import SearchResult, solve_design
+from autotune.tuning.threshold import ThresholdWish, threshold_wish
 from autotune.validation.continuous import ProofWishes
 from autotune.validation.validate import admittance_controller
 from problems.contact import Approach
@@ -63,7 +70,8 @@ class AxisStart:
 class Exploration:
     """All axes of a file, by name, and what a controller that is saved takes over: `payload`, `provenance`, `gains`.
 
-    `gains` are those of an explored controller, of which the deadband is kept.
+    `gains` are those of an explored controller, of which the deadband is kept; `threshold` asks for a collision
+    response to the gains that are saved.
     """
 
     path: Path
@@ -71,6 +79,7 @@ class Exploration:
     payload: RuntimePayload
     provenance: Mapping[str, Any]
     gains: Mapping[str, AxisGains] = field(default_factory=dict)
+    threshold: ThresholdWish | None = None
 
     def __post_init__(self) -> None:
         for name in ("axes", "provenance", "gains"):
@@ -111,6 +120,7 @@ def _from_identified(path: Path, problem_path: Path | None, progress: Progress) 
         axes={name: _searched(each, lambda done: progress(done / len(problems))) for name, each in problems.items()},
         payload=payload,
         provenance=_by_hand(make_provenance(identified, Wishes(), 0, problem_path, None, ProofWishes())),
+        threshold=threshold_wish(identified.result, spec),
     )
 
 
@@ -149,7 +159,7 @@ def _from_controller(read: ControllerFile) -> Exploration:
             raise UsageError(f"{read.path}: the gains of axis {name} cannot be led from where they are.")
         further = (each.scenario() for each in controller.predicted[name].scenarios if each.further)
         seen = tuple(dict.fromkeys((*problem.scenarios(*_GRID), *further)))
-        axes[name] = AxisStart(problem=problem, design=design, scenarios=seen)
+        axes[name] = AxisStart(problem=problem, design=design, scenarios=seen, note=_dropped(controller))
     before = {"path": str(read.path), "checksum": read.checksum}
     told = {"identified": controller.provenance["identified"]} if "identified" in controller.provenance else {}
     return Exploration(
@@ -159,6 +169,12 @@ def _from_controller(read: ControllerFile) -> Exploration:
         provenance=_by_hand({"tool": f"autotune {__version__}", **told, "options": {"controller": before}}),
         gains=controller.axes,
     )
+
+
+def _dropped(controller: Controller) -> str:
+    if controller.collision.response is CollisionResponse.NONE:
+        return ""
+    return "The collision response of the file was chosen for its gains; what is saved here has none."
 
 
 def problem_of(controller: Controller, name: str) -> DesignProblem:

@@ -154,10 +154,14 @@ class FreeSpaceAdmittance:
 
 @dataclass(frozen=True, kw_only=True)
 class AxisPrediction:
-    """What the model predicts for one axis."""
+    """What the model predicts for one axis; `scenarios` are contacts without a collision response.
+
+    `with_collision_response` holds all of these with it, and the worst one where that is another; empty without one.
+    """
 
     scenarios: tuple[ScenarioPrediction, ...]
     free_space_admittance: FreeSpaceAdmittance
+    with_collision_response: tuple[ScenarioPrediction, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,12 +31,21 @@ _KINDS: Mapping[str, Callable[..., Any]] = {
 }
 _MOST_OF_AN_APPROACH = {"force_n": 1e4, "speed_m_s": 5.0, "torque_n_m": 2e3, "speed_rad_s": 25.0}
 """What an approach may ask at most; about a turning axis the same at a lever of 0.2 m."""
-_NEVER_FREE: Mapping[str, str] = {
-    "collision_threshold_n": "what is minimised and certified is the contact without a collision response, which no "
-    "threshold changes. Leave it out.",
-    "environment_stiffness_n_per_m": "it is a property of the cell, and every stiffness of its range must be safe. To "
-    "choose a compliance, give one at a time as environment_stiffness_n_per_m: [K, K] and compare the peaks.",
-}
+# Among the free variables in the file, but none of the search: the one is chosen for the gains that were found, the
+# other one is the cell's.
+_THRESHOLD = "collision_threshold_n"
+_STIFFNESS = "environment_stiffness_n_per_m"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComplianceSpec:
+    """A compliance to be chosen: the least and the greatest K_e to build, and by which share the built one may be off.
+
+    What is certified of a chosen K_e is K_e (1 ± tolerance).
+    """
+
+    bounds: Interval
+    tolerance: float = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +71,9 @@ class RotationalSpec:
 class ProblemSpec:
     """Everything that `problem.yaml` may say; None or empty where it says nothing and the default holds.
 
-    `free` makes further parameters of the controller variables, with their bounds.
+    `free` makes further parameters of the controller variables, with their bounds; `collision_threshold_n` bounds the
+    threshold of the collision response, which is chosen after the gains (there is none without); `compliance` makes K_e
+    a variable, which is the cell's.
     `uncertain` maps further parameters of the plant to a range, to "identified" (the confidence set of the identified
     file) or to "nominal" (as if it were known).
     """
@@ -77,6 +88,8 @@ class ProblemSpec:
     objective: Objective = "contact_force"
     rotational: RotationalSpec = field(default_factory=RotationalSpec)
     free: Mapping[str, Interval] = field(default_factory=dict)
+    collision_threshold_n: Interval | None = None
+    compliance: ComplianceSpec | None = None
 
     def __post_init__(self) -> None:
         for name in ("bounds", "uncertain", "free"):
@@ -88,13 +101,12 @@ def read_problem(path: Path) -> ProblemSpec:
     document = load_document(path, error=UsageError)
     check_document(document, "problem")
     tree = document.tree
-    for name in _NEVER_FREE.keys() & tree.get("free", {}).keys():
-        document.refuse(("free", name), f"{name} cannot be free: {_NEVER_FREE[name]}")
     for place in _intervals(tree):
         _check_order(document, place)
     for within in ((), ("rotational",)):
         _check_feedback_damping(document, within)
         _check_approach(document, within)
+    free = tree.get("free", {})
     axis, turned = tree.get("axis"), rename_axis_keys("rx", tree.get("rotational", {}), reading=True)
     try:
         return ProblemSpec(
@@ -102,11 +114,26 @@ def read_problem(path: Path) -> ProblemSpec:
             **_ranges(tree),
             requirements=Requirements(**_requirements(tree.get("requirements", {}))),
             objective=tree.get("objective", "contact_force"),
-            free={name: _pair(value) for name, value in tree.get("free", {}).items()},
+            free={name: _pair(value) for name, value in free.items() if name not in (_THRESHOLD, _STIFFNESS)},
+            collision_threshold_n=_optional_pair(free.get(_THRESHOLD)),
+            compliance=_compliance(document),
             rotational=RotationalSpec(**_ranges(turned), requirements=_requirements(turned.get("requirements", {}))),
         )
     except ParameterError as error:
         raise UsageError(f"{path}: {error}") from error
+
+
+def _compliance(document: Document) -> ComplianceSpec | None:
+    """Return what is said of a free K_e; refuse it beside a range of K_e that must be safe anyway."""
+    said = document.tree.get("free", {}).get(_STIFFNESS)
+    if said is None:
+        return None
+    if _STIFFNESS in document.tree:
+        reason = f"{_STIFFNESS} is free, and a range of it is given too; leave one of them out."
+        document.refuse((_STIFFNESS,), reason)
+    if isinstance(said, Mapping):
+        return ComplianceSpec(**{**said, "bounds": _pair(said["bounds"])})
+    return ComplianceSpec(bounds=_pair(said))
 
 
 def _ranges(tree: Mapping[str, Any]) -> dict[str, Any]:
@@ -139,6 +166,8 @@ def _requirements(tree: Mapping[str, Any]) -> dict[str, Any]:
 def _intervals(tree: Mapping[str, Any], within: Place = ()) -> list[Place]:
     """Return where the ranges stand, those of rotational axes included."""
     places: list[Place] = [(part, name) for part in ("bounds", "free") for name in tree.get(part, {})]
+    if isinstance(tree.get("free", {}).get(_STIFFNESS), Mapping):
+        places[places.index(("free", _STIFFNESS))] = ("free", _STIFFNESS, "bounds")
     places += [(name,) for name, value in tree.items() if name in _RANGES and isinstance(value, list)]
     if (tree.get("requirements") or {}).get("free_space_admittance"):
         places.append(("requirements", "free_space_admittance", "band_hz"))

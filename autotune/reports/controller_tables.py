@@ -84,10 +84,40 @@ def gains_table(controller: Controller) -> Table:
     filters = controller.filters
     return Table(
         caption=f"The controller, every {1e3 * controller.sample_time_s:g} ms; filters {filters.velocity_rad_per_s:g} "
-        f"and {filters.acceleration_rad_per_s:g} rad/s, compensated mass {controller.compensation_mass_kg:g} kg",
+        f"and {filters.acceleration_rad_per_s:g} rad/s, compensated mass {controller.compensation_mass_kg:g} kg"
+        f"{_response_told(controller)}",
         columns=("axis", "mass M_a", "damping B_a", "lead K_l", "feedback damping B_fb", "deadband"),
         rows=tuple(rows),
     )
+
+
+def _response_told(controller: Controller) -> str:
+    collision = controller.collision
+    return (
+        ""
+        if collision.threshold_n is None
+        else f", collision response {collision.response} at {collision.threshold_n:g} N"
+    )
+
+
+def response_table(design: AxisDesign) -> Table | None:
+    """Return the predicted contacts with the collision response beside those without; None where there is none."""
+    without = {each.scenario(): each for each in design.predicted.scenarios}
+    rows = []
+    for each in design.predicted.with_collision_response:
+        plain = without.get(each.scenario())
+        peaks = (
+            None if plain is None else plain.peak_contact_force_n,
+            each.peak_contact_force_n,
+            None if plain is None else plain.peak_sensor_force_n,
+            each.peak_sensor_force_n,
+        )
+        texts = ("" if peak is None else f"{peak:.1f} {design.units.force}" for peak in peaks)
+        rows.append((Cell(text=each.name), *(Cell(text=text, is_number=True) for text in texts)))
+    if not rows:
+        return None
+    heads = ("contact", "at the contact", "with the response", "at the sensor", "with the response")
+    return Table(caption="Peaks without and with the collision response", columns=heads, rows=tuple(rows))
 
 
 def prices_of(standing: Mapping[str, Any] | None) -> dict[str, float] | None:

@@ -178,7 +178,7 @@ def _identified_page(plant: IdentifiedFile, logs: tuple[Path, ...]) -> Page:
             processes=count_processors(),
             with_evidence=True,
         ).evidence
-        summaries = summaries_of(logs, cell, salvage=salvage)
+        summaries = summaries_of(logs, cell, salvage=salvage, evidence=evidence)
     return build_identify_page(plant.result, plant.provenance, evidence, summaries)
 
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Sequence
 from functools import singledispatch
 from typing import Any
 
@@ -10,7 +11,7 @@ from bokeh.core.json_encoder import serialize_json
 from bokeh.document import Document
 from bokeh.layouts import gridplot
 from bokeh.models import BasicTicker, ColumnDataSource, HoverTool, LinearColorMapper, Range1d
-from bokeh.models.annotations import BoxAnnotation, ColorBar, Legend, LegendItem, Span
+from bokeh.models.annotations import ColorBar, Legend, LegendItem, Span
 from bokeh.plotting import figure
 from bokeh.resources import INLINE
 
@@ -75,8 +76,9 @@ def _draw_panel(panel: Panel, is_beside: bool) -> Any:
     plot.toolbar.logo = None
     plot.toolbar_location = "above"
     items: list[LegendItem] = []
+    _draw_stretches([element for element in panel.elements if isinstance(element, Stretch)], plot)
     for element in panel.elements:
-        drawn = _draw_element(element, plot)
+        drawn = None if isinstance(element, Stretch) else _draw_element(element, plot)
         if drawn is not None and element.label:
             items.append(LegendItem(label=element.label, renderers=[drawn]))
     if items:
@@ -158,10 +160,16 @@ def _(bars: Bars, plot: Any) -> Any:
     )
 
 
-@_draw_element.register
-def _(stretch: Stretch, plot: Any) -> None:
-    look: dict[str, Any] = {"fill_color": COLOURS[stretch.role], "fill_alpha": 0.16, "line_alpha": 0.0}
-    plot.add_layout(BoxAnnotation(left=stretch.low, right=stretch.high, **look))
+def _draw_stretches(stretches: Sequence[Stretch], plot: Any) -> None:
+    """Draw all stretches of a role as one glyph: a long log has hundreds, and each model of the library costs."""
+    for role in dict.fromkeys(stretch.role for stretch in stretches):
+        mine = [stretch for stretch in stretches if stretch.role == role]
+        ends = {
+            "low": _short(np.array([stretch.low for stretch in mine])),
+            "high": _short(np.array([stretch.high for stretch in mine])),
+        }
+        look: dict[str, Any] = {"fill_color": COLOURS[role], "fill_alpha": 0.16, "line_alpha": 0.0}
+        plot.vstrip("low", "high", source=ColumnDataSource(ends), **look)
 
 
 @_draw_element.register

@@ -5,22 +5,24 @@ from pathlib import Path
 
 from autotune.files.cell import CellFile
 from identification.errors import LogError
+from identification.evidence import Evidence
 from identification.logs import LogSummary, inspect_log
 from identification.logs.cell import Cell
 
 
 def summaries_of(
-    logs: Sequence[Path], cell: CellFile | None, *, salvage: bool, asks_motion: bool = False
+    logs: Sequence[Path], cell: CellFile | None, *, salvage: bool, evidence: Sequence[Evidence] = ()
 ) -> tuple[LogSummary, ...]:
     """Return what `inspect` tells of each log, as far as one alone can be told of.
 
-    What the motion tells of clocks and payload is among the findings of the identification already; `asks_motion`
-    where there is none.
+    `evidence` is what identification left of these logs: those that it read by themselves are not read once more.
     """
     told, found = Cell() if cell is None else cell.cell, []
+    names = [log.name for log in logs]
+    known = {each.log: each.reading for each in evidence if names.count(each.log) == 1}
     for log in logs:
         try:
-            found.append(inspect_log(log, told, salvage=salvage, asks_motion=asks_motion))
+            found.append(inspect_log(log, told, salvage=salvage, reading=known.get(log.name)))
         except LogError:
             # A part of a recording need not hold everything by itself.
             continue

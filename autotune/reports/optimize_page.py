@@ -10,6 +10,7 @@ from autotune.files.units import axis_units
 
 from .axis_design import AxisDesign, axis_designs
 from .compared_tables import compared_blocks, law_before
+from .compliance_table import compliance_tables
 from .controller_tables import (
     checksum_fact,
     design_facts,
@@ -19,6 +20,7 @@ from .controller_tables import (
     proof_table,
     reach_table,
     requirement_table,
+    response_table,
     worst_table,
 )
 from .map_charts import map_chart
@@ -122,12 +124,14 @@ def design_section(
     blocks += contact_charts(design, before)
     blocks += [stiffness_chart(design, before), admittance_chart(design, before), nyquist_chart(design, before)]
     blocks.append(map_chart(design))
+    responses = response_table(design)
+    blocks += [] if responses is None else [responses]
     return Section(key=f"axis-{design.name}", title=f"Axis {design.name}", blocks=tuple(blocks))
 
 
 def search_section(controller: Controller, steps: Mapping[str, Sequence["SearchStep"]]) -> Section:
     """Return how the search went, as far as it is known, and how near each axis is to the best."""
-    blocks: list[Block] = []
+    blocks: list[Block] = [*compliance_tables(controller)]
     for name in controller.axes:
         chart, standing = convergence_chart(name, axis_units(name), steps.get(name, ())), standing_of(controller, name)
         blocks += [] if chart is None else [chart]

@@ -63,7 +63,7 @@ def refused_log_page(
     error: Exception, logs: Sequence[Path], topics: Topics, cell: CellFile | None, *, salvage: bool
 ) -> Page:
     """Return the page of logs of which nothing was identified: their health, and the wrench where it can be read."""
-    summaries = summaries_of(logs, cell, salvage=salvage, asks_motion=True)
+    summaries = summaries_of(logs, cell, salvage=salvage)
     blocks: list[Block] = list(health_blocks(summaries))
     blocks += [Note(text=sentence, kind="missing", tone="bad") for each in summaries for sentence in each.missing]
     read = _readable(logs, topics, cell, salvage=salvage)

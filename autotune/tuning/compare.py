@@ -77,7 +77,10 @@ def check_comparable(old: ControllerFile, problems: Mapping[str, DesignProblem])
             "its numbers make another controller here."
         )
     if controller.collision.response is not CollisionResponse.NONE:
-        raise UsageError(f"{old.path} responds to collisions, which the comparison does not evaluate.")
+        raise UsageError(
+            f"{old.path} responds to collisions, which the comparison does not evaluate; compare with its gains alone, "
+            "optimized without free.collision_threshold_n."
+        )
 
 
 def start_design(controller: Controller, name: str, problem: DesignProblem) -> FloatArray | None:

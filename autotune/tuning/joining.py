@@ -1,6 +1,8 @@
 """Which scenarios join the search: where a design is worse, over the whole uncertainty, than the known ones showed."""
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from operator import attrgetter
 
 import numpy as np
@@ -67,3 +69,13 @@ def margin_scenarios(
         if values and all(each is not None for each in values):
             found.append(margins[int(np.argmax(np.array(values, dtype=np.float64)))].scenario)
     return tuple(found)
+
+
+def moved_scenario(scenario: Scenario, old: DesignProblem, new: DesignProblem) -> Scenario:
+    """Return a scenario at the same share of the new range of K_e, the other parameters as they are."""
+    (low, high), (new_low, new_high) = old.environment_stiffness_n_per_m, new.environment_stiffness_n_per_m
+    stiffness = scenario.environment_stiffness_n_per_m
+    if stiffness >= high:
+        return replace(scenario, environment_stiffness_n_per_m=new_high)
+    moved = new_low * (new_high / new_low) ** (math.log(stiffness / low) / math.log(high / low))
+    return replace(scenario, environment_stiffness_n_per_m=min(max(moved, new_low), new_high))

@@ -1,16 +1,20 @@
 """From identified parameters to a validated controller: search, prove, write down, verify."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from autotune import __version__
 from autotune.errors import CertificateError, InfeasibleError
 from autotune.files.controller import ControllerFile
 from autotune.files.controller_record import Controller, Proof, Reach, RuntimePayload
 from autotune.files.identified import IdentifiedFile
-from autotune.files.problem import ProblemSpec
+from autotune.files.problem import ComplianceSpec, ProblemSpec
 from autotune.files.records import ROTATIONAL_AXES
 from autotune.validation.continuous import ProofWishes, prove_reach
 from autotune.validation.validate import ValidationReport, prove_axis, validate_controller
@@ -18,23 +22,36 @@ from identification.result import Identified
 from problems.design import FURTHER_VARIABLES, VARIABLES, DesignProblem
 
 from .compare import SideBySide, check_comparable, compare, start_design
+from .compliance import (
+    Compliance,
+    build_compliance_problems,
+    choose_compliance,
+    compliance_tree,
+    settle_compliance,
+    tell_infeasible,
+)
 from .problems import Wishes, build_problems, certified_mass_kg, runtime_mass_kg
 from .record import build_controller, build_domain, runtime_payload
 from .relax import find_relaxations, tell_relaxations
 from .search import SearchResult, solve_design
 from .standing import Standing, find_standing, standing_tree
+from .threshold import ThresholdWish, choose_threshold, threshold_wish
 
 # Of the time of a usual run, measured; of no other use than to tell how it goes on. The second is a share of what comes
 # after the search.
 _SEARCH_SHARE, _PROOF_SHARE = 0.4, 0.1
+_COMPLIANCE_SHARE = 0.6
 _ROUNDING = 1e-9
+
+FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Optimized:
     """A controller that passed validation, the searches behind it, how each result stands, and the checks it passed.
 
-    `compared` puts it beside an existing controller, axis by axis, if one was given.
+    `compared` puts it beside an existing controller, axis by axis, if one was given; `compliance` tells which stiffness
+    was chosen for the axis, where the problem left it open.
     """
 
     controller: Controller
@@ -42,6 +59,7 @@ class Optimized:
     standings: Mapping[str, Standing]
     report: ValidationReport
     compared: Mapping[str, SideBySide] = field(default_factory=dict)
+    compliance: Mapping[str, Compliance] = field(default_factory=dict)
 
 
 def optimize(
@@ -54,34 +72,46 @@ def optimize(
     existing: ControllerFile | None = None,
     relax: bool = True,
     proof: ProofWishes | None = None,
+    step: Callable[[str], None] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Optimized:
-    """Tune every axis and return a controller that the independent validation has passed.
+    """Tune every axis, on the compliance to build if that is open, and return a controller that validation has passed.
 
     `proof` tells how closely the modulus is proved. `existing` is a controller to compare with; its gains join the
-    search where they lie inside the bounds. `progress` is told the share of the work done since the last call. Raises
-    InfeasibleError when nothing meets the requirements (with `relax`, after searching for what would have to be eased:
-    several times the work of a search), CertificateError when a claim cannot be proved or verified, EstimateError for
-    a missing parameter, UsageError for wishes or an existing controller that do not fit.
+    search where they lie inside the bounds. `step` is told which compliance is worked on, `progress` the share of the
+    work done since the last call.
+
+    Raises InfeasibleError when nothing meets the requirements (with `relax`, after searching for what would have to be
+    eased: several times the work of a search), CertificateError when a claim cannot be proved or verified,
+    EstimateError for a missing parameter, UsageError for wishes or an existing controller that do not fit.
     """
     report = progress if progress is not None else _silent
     asked = proof if proof is not None else ProofWishes()
-    problems = build_problems(identified.result, spec, wishes)
+    build = build_problems if spec.compliance is None else build_compliance_problems
+    problems = build(identified.result, spec, wishes)
     if existing is not None:
         check_comparable(existing, problems)
     # Asked before the search, because it may refuse.
     payload = runtime_payload(identified.result, carried_mass_kg(identified.result, problems, spec, wishes))
-    share = _SEARCH_SHARE / len(problems)
-    searches = {
-        name: _search(name, problem, seed, existing, relax, report, share) for name, problem in problems.items()
-    }
+    chosen = _choose(problems, spec.compliance, seed, step or _silent, _Portion(report, _COMPLIANCE_SHARE))
+    if chosen:
+        report = _Portion(report, 1.0 - _COMPLIANCE_SHARE)
+        problems = {name: compliance.on_chosen(problems[name]) for name, compliance in chosen.items()}
+    searches = _search_all(problems, existing, chosen, seed, relax, report)
+    chosen = {name: settle_compliance(problems[name], each, searches[name], seed) for name, each in chosen.items()}
     standings = {name: find_standing(search) for name, search in searches.items()}
     provenance = make_provenance(identified, wishes, seed, problem_path, existing, asked)
     provenance["optimality"] = {
         name: standing_tree(standing, rotational=name in ROTATIONAL_AXES) for name, standing in standings.items()
     }
+    provenance |= {"compliance": {name: compliance_tree(each) for name, each in chosen.items()}} if chosen else {}
     controller, checked = certify(
-        searches, payload, provenance, asked, lambda done: report((1.0 - _SEARCH_SHARE) * done)
+        searches,
+        payload,
+        provenance,
+        asked,
+        lambda done: report((1.0 - _SEARCH_SHARE) * done),
+        threshold=threshold_wish(identified.result, spec),
     )
     compared = {} if existing is None else compare(existing.controller, searches)
     return Optimized(
@@ -90,6 +120,7 @@ def optimize(
         standings=standings,
         report=checked,
         compared=compared,
+        compliance=chosen,
     )
 
 
@@ -106,16 +137,20 @@ def certify(
     provenance: Mapping[str, Any],
     proof: ProofWishes,
     progress: Callable[[float], None],
+    threshold: ThresholdWish | None = None,
 ) -> tuple[Controller, ValidationReport]:
     """Prove what can be proved of the designs, write them down, and return the controller once validation passed it.
 
-    `progress` is told the share of the work done since the last call. Raises CertificateError when a claim cannot be
-    proved or verified.
+    `threshold` asks for a collision response, chosen for these designs. `progress` is told the share of the work done
+    since the last call. Raises CertificateError when a claim cannot be proved or verified, and what `choose_threshold`
+    raises.
     """
     for name, search in searches.items():
         check_within_bounds(search, name)
     proofs, reaches = _prove(searches, proof, progress)
     controller = build_controller(searches, payload, proofs, reaches, provenance)
+    if threshold is not None:
+        controller, _ = choose_threshold(controller, searches, threshold)
     checked = validate_controller(controller, lambda done: progress((1.0 - _PROOF_SHARE) * done))
     checked.require()
     return controller, checked
@@ -164,17 +199,76 @@ def _prove(
     return proofs, reaches
 
 
+def _choose(
+    problems: Mapping[str, DesignProblem],
+    asked: ComplianceSpec | None,
+    seed: int,
+    step: Callable[[str], None],
+    portion: _Portion,
+) -> dict[str, Compliance]:
+    """Choose the compliance of the axis, none unless it is asked, and tell each stiffness as it is worked on."""
+    found = {
+        name: choose_compliance(
+            problem, asked, seed=seed, step=lambda stiffness: step(f"K_e {stiffness:g} N/m"), progress=portion
+        )
+        for name, problem in problems.items()
+        if asked is not None
+    }
+    if found:
+        portion.finish()
+        step("")
+    return found
+
+
+def _search_all(
+    problems: Mapping[str, DesignProblem],
+    existing: ControllerFile | None,
+    chosen: Mapping[str, Compliance],
+    seed: int,
+    relax: bool,
+    report: Callable[[float], None],
+) -> dict[str, SearchResult]:
+    """Search the design of every axis, from what is known of one."""
+    searches = {}
+    for name, problem in problems.items():
+        portion = _Portion(report, _SEARCH_SHARE / len(problems))
+        start = _start(name, problem, existing, chosen.get(name))
+        with _told_where(name, chosen.get(name)):
+            searches[name] = _search(name, problem, seed, start, relax, report, portion)
+    return searches
+
+
+@contextmanager
+def _told_where(name: str, compliance: Compliance | None) -> Iterator[None]:
+    """Say of a search without a result on which of the compliances it was."""
+    try:
+        yield
+    except InfeasibleError as error:
+        if compliance is None:
+            raise
+        bare = str(error).removeprefix(f"Axis {name}: ")
+        raise InfeasibleError(f"{tell_infeasible(name, compliance)} {bare}", error.relaxations) from error
+
+
+def _start(
+    name: str, problem: DesignProblem, existing: ControllerFile | None, compliance: Compliance | None
+) -> FloatArray | None:
+    """Return the design that joins the search: that of an existing controller, else that of the chosen compliance."""
+    start = None if existing is None else start_design(existing.controller, name, problem)
+    if start is None and compliance is not None and compliance.chosen.found is not None:
+        return compliance.chosen.found.design
+    return start
+
+
 def _search(
     name: str,
     problem: DesignProblem,
     seed: int,
-    existing: ControllerFile | None,
+    start: FloatArray | None,
     relax: bool,
     report: Callable[[float], None],
-    share: float,
+    portion: _Portion,
 ) -> SearchResult:
-    portion = _Portion(report, share)
-    start = None if existing is None else start_design(existing.controller, name, problem)
     try:
         found = solve_design(problem, seed=seed, start=start, progress=portion)
     except InfeasibleError as error:
@@ -204,7 +298,7 @@ def _without_uncertainty(problem: DesignProblem, seed: int) -> str:
     )
 
 
-def _silent(_: float) -> None:
+def _silent(_: object) -> None:
     return None
 
 

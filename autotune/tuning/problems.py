@@ -42,9 +42,14 @@ def build_problems(identified: Identified, spec: ProblemSpec, wishes: Wishes) ->
 
     The command line wins over `problem.yaml`, and that over the identified value with its uncertainty. The problem of
     a rotational axis is the same in rad, N·m and kg·m², with the axis's moment of inertia as its mass. Raises
-    UsageError for an axis that is not there and for a payload of which nobody says the inertia, EstimateError for a
-    parameter that is missing and was not given.
+    UsageError for an axis that is not there, for a compliance still to be chosen and for a payload of which nobody
+    says the inertia, EstimateError for a parameter that is missing and was not given.
     """
+    if spec.compliance is not None:
+        raise UsageError(
+            "free.environment_stiffness_n_per_m is chosen by optimize for one controller; elsewhere give a range as "
+            "environment_stiffness_n_per_m in problem.yaml."
+        )
     if not identified.axes:
         raise EstimateError("The identified file holds no axis, so there is nothing to tune.")
     names = list(identified.axes) if spec.axes is None else list(spec.axes)

@@ -24,6 +24,7 @@ from problems.margins import UnstableLoopError
 
 from .optimize import optimize
 from .problems import Interval, Wishes, build_problems, certified_mass_kg, runtime_mass_kg
+from .threshold import without_response
 from .worst import WholeSet
 
 _BRANCHES = (InfeasibleError, CertificateError, UsageError, EstimateError)
@@ -140,10 +141,16 @@ def tune_schedule(
     common controller turns out to be gentler than a class's own, the class is searched again from it. `progress` is
     told the share of the work done since the last call.
 
-    Raises UsageError for a class whose weight nobody could compensate, InfeasibleError that names all classes without
-    a controller, and what `optimize` raises with the name of the class. That the hull has none is no error.
+    Raises UsageError for a class whose weight nobody could compensate and for a free compliance, InfeasibleError that
+    names all classes without a controller, and what `optimize` raises with the name of the class. That the hull has
+    none is no error.
     """
     report = progress if progress is not None else _silent
+    if spec.compliance is not None:
+        raise UsageError(
+            "free.environment_stiffness_n_per_m in problem.yaml chooses one compliance, and a schedule has many "
+            "controllers; choose it without --schedule, then say its range with stiffness=LOW:HIGH."
+        )
     whole = hull(classes)
 
     def task(of: ScheduleClass) -> _Task:
@@ -191,7 +198,9 @@ def _tune(task: _Task) -> Controller | AutotuneError:
 def _beside(pair: tuple[_Task, Tuned], *, common: str) -> Tuned | AutotuneError:
     """Hold the common controller against one class; search the class again from it where it is gentler there."""
     task, own = pair
-    existing = parse_controller(common, COMMON_FILE)
+    read = parse_controller(common, COMMON_FILE)
+    # What is held against each other are gains, and their contacts without a collision response.
+    existing = replace(read, controller=without_response(read.controller))
     try:
         peaks, missed = _judge(task, existing.controller)
         if missed <= _HAIR and any(peak < own.peaks[axis] for axis, peak in peaks.items()):

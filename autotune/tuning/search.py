@@ -22,14 +22,14 @@ from problems.uncertainty import Scenario
 
 from .box import Box, bounds_of, linear_variables, spread_out
 from .descent import BACKOFF, descend
-from .joining import scenarios_of, softly_missed_scenarios, worst_scenarios
+from .joining import moved_scenario, scenarios_of, softly_missed_scenarios, worst_scenarios
 from .polish import polish_exactly
 from .worst import DENSE_STIFFNESS, WholeSet
 
 FloatArray = NDArray[np.float64]
 
 _POPULATION = 10
-_GENERATIONS = 60
+_GENERATIONS, _NEARBY_GENERATIONS = 60, 10
 _GATHERED = 0.03
 _ROUNDS = 8
 _POLISH_STARTS, _OTHER_VALLEYS = 3, 6
@@ -81,21 +81,23 @@ def solve_design(
     *,
     seed: int = 0,
     start: FloatArray | None = None,
+    neighbour: SearchResult | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> SearchResult:
     """Find the design of least worst peak force that is stable and meets every requirement in every scenario.
 
     Deterministic for a given seed and `start`, a design (n,) inside the bounds that joins the search. Nothing unstable
     or infeasible is returned: the result is evaluated again, exactly, over a dense grid of the whole uncertainty.
+    `neighbour` is the result for another range of K_e: the search begins at its design and with what was worst there,
+    and looks around less, so that it may take a valley's end for the best that a search from nowhere would leave.
     Raises InfeasibleError with the closest miss when there is none. `progress` is called with the share of the work
     done since the last call.
     """
     report = progress if progress is not None else _silent
-    search = Search(problem, seed, start)
+    search, active = _begun(problem, seed, start, neighbour)
     whole = WholeSet(problem, seed)
     # What was given stands ready if nothing better is found: margins held in reserve could cost a hair otherwise.
     given = None if start is None else (start, *_evaluated_exactly(whole, start))
-    active = problem.scenarios(3, 2)
     unit = search.explore(active, lambda share: report(0.6 * share))
     for round_index in range(_ROUNDS):
         unit = search.polish(active, unit)
@@ -132,10 +134,28 @@ def solve_design(
         if missed <= _HAIR or len(joined) == len(active):
             search.tighten(exact)
         active = joined
-    raise InfeasibleError(
+    raise _unsettled(exact)
+
+
+def _unsettled(last: Evaluation) -> InfeasibleError:
+    """Say what the last design misses of a search that did not come to an end."""
+    return InfeasibleError(
         f"No design was found that holds over the whole uncertainty within {_ROUNDS} rounds of adding the worst case; "
-        f"the last one misses {_told(exact)}. Ask for less, or narrow the ranges."
+        f"the last one misses {_told(last)}. Ask for less, or narrow the ranges.",
+        missed=last.violation,
     )
+
+
+def _begun(
+    problem: DesignProblem, seed: int, start: FloatArray | None, neighbour: SearchResult | None
+) -> "tuple[Search, tuple[Scenario, ...]]":
+    """Return the search and the scenarios that it begins with."""
+    if neighbour is None:
+        return Search(problem, seed, start), problem.scenarios(3, 2)
+    begin = neighbour.design if start is None else start
+    worst = (moved_scenario(each, neighbour.problem, problem) for each in neighbour.active.scenarios)
+    active = tuple(dict.fromkeys((*problem.scenarios(3, 2), *worst)))
+    return Search(problem, seed, begin, generations=_NEARBY_GENERATIONS), active
 
 
 def presentable(problem: DesignProblem, design: FloatArray) -> FloatArray:
@@ -347,6 +367,7 @@ class Search:
             f"{said}; the search ended at one that misses {_told(evaluation)}. Relax that requirement, narrow the "
             "ranges of stiffness and payload, or widen the bounds.",
             bare=said,
+            missed=evaluation.violation,
         )
 
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.files.controller_record import AxisDomain, Controller
+from autotune.errors import UsageError
+from autotune.files.controller_record import AxisDomain, CollisionResponse, Controller
 from identification.errors import LogError
 from identification.frames import Frames
 from identification.recording import Recording
@@ -108,8 +109,13 @@ def compare_with_log(
     """Compare every contact of a log; `progress` is told shares of the work.
 
     Raises LogError for a log without a contact along an axis of the file, or whose command no contact explains by this
-    law; EstimateError for a log without raw wrench or pose.
+    law; EstimateError for a log without raw wrench or pose; UsageError for a file with a collision response.
     """
+    if controller.collision.response is not CollisionResponse.NONE:
+        raise UsageError(
+            "The comparison with a log does not know the collision response, and the file has one: the command jumps "
+            "where it begins. Record the contacts under the same gains without it."
+        )
     found = find_log_contacts(recording, controller, frames)
     if not found.contacts:
         raise LogError(

@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from autotune.files.controller_record import AxisGains, Controller, DeadbandType
+from autotune.files.controller_record import AxisGains, CollisionResponse, Controller, DeadbandType
 from autotune.files.records import ROTATIONAL_AXES
 from problems.errors import ParameterError
-from problems.full_effects import CommandLimits, Deadband, Effects
+from problems.full_effects import Collision, CommandLimits, Deadband, Effects, Response
 from problems.requirements import NoiseLimit
 
 # A good six-axis sensor at rest, N and N·m; taken where neither the file nor the caller says more.
@@ -52,7 +52,7 @@ def axis_effects(controller: Controller, name: str, told: Told, approach_speed: 
 
     The deadband is the file's. The noise is what the caller says, else that of the file's limit on the command's noise,
     else 0.2 N or 0.02 N·m; the sensor clips only where its range is said; the command of x, y, z is limited to 0.25 m/s
-    unless the approach alone is nearly as fast; 1 % of the commands are late.
+    unless the approach alone is nearly as fast; 1 % of the commands are late. A collision response is the file's.
     """
     turns = name in ROTATIONAL_AXES
     speed = told.speed_limit[turns]
@@ -64,7 +64,17 @@ def axis_effects(controller: Controller, name: str, told: Told, approach_speed: 
         force_noise_rms_n=_noise_rms(controller, name, told),
         limits=None if speed is None else CommandLimits(speed_m_s=speed),
         late_share=_USUAL_LATE_SHARE if told.late_share is None else told.late_share,
+        collision=_file_response(controller, name),
     )
+
+
+def _file_response(controller: Controller, name: str) -> Collision | None:
+    """Return the collision response of an axis; the motion of axes that turn is not watched."""
+    collision = controller.collision
+    if collision.threshold_n is None or name in ROTATIONAL_AXES:
+        return None
+    kind: Response = "reset" if collision.response is CollisionResponse.RESET else "stop"
+    return Collision(response=kind, threshold_n=collision.threshold_n)
 
 
 def file_deadband(gains: AxisGains) -> Deadband:

@@ -76,6 +76,7 @@ def _effects_told(found: AxisMonteCarlo) -> str:
         f"clipping at {effects.force_limit_n:g} {units.force}" if effects.force_limit_n is not None else "",
         f"at most {effects.limits.speed_m_s:g} {units.speed}" if effects.limits is not None else "",
         f"{100.0 * effects.late_share:g} % of the commands late",
+        f"the collision response at {effects.collision.threshold_n:g} N" if effects.collision is not None else "",
     ]
     return ", ".join(part for part in told if part)
 
@@ -97,6 +98,7 @@ def _axis_tree(found: AxisMonteCarlo) -> dict[str, object]:
             "sensor_range": effects.force_limit_n,
             "command_speed_limit": None if effects.limits is None else effects.limits.speed_m_s,
             "late_share": effects.late_share,
+            "collision_threshold": None if effects.collision is None else effects.collision.threshold_n,
         },
         "unstable": None if found.unstable is None else found.unstable.name,
         "refusal": found.refusal or None,

@@ -1,5 +1,6 @@
 """Replay the contacts that a certificate predicts, and others of its domain that must not be worse."""
 
+import math
 from collections.abc import Iterator, Sequence
 
 from autotune.files.controller_record import AxisDomain, ScenarioPrediction
@@ -32,10 +33,10 @@ def verify_peaks(
     if not scenarios:
         return "", ["the file predicts no contact"]
     wrong = [f"{case} lies outside of the certified domain" for case in others.outside]
-    replays = _Replays(domain, law, sample_time_s)
+    replays = Replays(domain, law, sample_time_s)
     for scenario in scenarios:
         stiffness, mass = scenario.environment_stiffness_n_per_m, scenario.payload_mass_kg
-        if not _inside(stiffness, domain.environment_stiffness_n_per_m) or not _inside(mass, domain.payload_mass_kg):
+        if not inside(stiffness, domain.environment_stiffness_n_per_m) or not inside(mass, domain.payload_mass_kg):
             wrong.append(f"{scenario.name}: the contact lies outside of the certified domain")
         else:
             wrong += _compared(scenario, replays, units)
@@ -61,11 +62,19 @@ def verify_peaks(
     return f"{count} contacts replayed, largest {replays.largest_n:.1f} {units.force}, as predicted", wrong
 
 
-class _Replays:
-    """Replays of contacts of one domain, and the largest force of them."""
+class Replays:
+    """Replays of contacts of one domain, and the largest force of them; by default without a collision response."""
 
-    def __init__(self, domain: AxisDomain, law: AdmittanceController, sample_time_s: float) -> None:
+    def __init__(
+        self,
+        domain: AxisDomain,
+        law: AdmittanceController,
+        sample_time_s: float,
+        *,
+        reset_threshold_n: float = math.inf,
+    ) -> None:
         self.domain, self.law, self.h = domain, law, sample_time_s
+        self.reset_threshold_n = reset_threshold_n
         self.nominal = domain.nominal_plant()
         self.largest_n = 0.0
 
@@ -83,12 +92,13 @@ class _Replays:
     def play(self, scenario: Scenario) -> Replay:
         """Replay one contact."""
         plant = scenario.plant(self.nominal)
-        seen = replay_contact(plant, self.law, self.h, self.force_n(plant))
+        force, threshold = self.force_n(plant), self.reset_threshold_n
+        seen = replay_contact(plant, self.law, self.h, force, reset_threshold_n=threshold)
         self.largest_n = max(self.largest_n, seen.peak_contact_force_n)
         return seen
 
 
-def _compared(scenario: ScenarioPrediction, replays: _Replays, units: AxisUnits) -> Iterator[str]:
+def _compared(scenario: ScenarioPrediction, replays: Replays, units: AxisUnits) -> Iterator[str]:
     seen = replays.play(scenario.scenario())
     for what, said, found in (
         ("contact", scenario.peak_contact_force_n, seen.peak_contact_force_n),
@@ -101,7 +111,8 @@ def _compared(scenario: ScenarioPrediction, replays: _Replays, units: AxisUnits)
             )
 
 
-def _inside(value: float, interval: tuple[float, float]) -> bool:
+def inside(value: float, interval: tuple[float, float]) -> bool:
+    """Say whether a value lies in an interval as far as a file tells it."""
     return interval[0] * (1.0 - _SAME_NUMBER) <= value <= interval[1] * (1.0 + _SAME_NUMBER)
 
 

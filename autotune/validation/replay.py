@@ -20,14 +20,20 @@ _SHORTEST_AFTER_S = 1.6
 # A part of the motion has gone when it has decayed to exp(-7), a thousandth.
 _DECAY_EXPONENTS = 7.0
 _LONGEST_S = 10.0
+_FAR_SAMPLES = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """Peaks of one replayed contact, at the sensor (pressing positive) and at the surface."""
+    """Peaks of one replayed contact, at the sensor (pressing positive) and at the surface.
+
+    `detected_after_s` counts from the tick that first saw the touch, below 0 for a detection in free motion; None
+    without one.
+    """
 
     peak_sensor_force_n: float
     peak_contact_force_n: float
+    detected_after_s: float | None = None
 
 
 def replay_contact(
@@ -37,13 +43,18 @@ def replay_contact(
     desired_force_n: float,
     *,
     deadband_n: float = 0.0,
+    reset_threshold_n: float = math.inf,
 ) -> Replay:
     """Approach with F^d from rest, touch, and follow until rest; `deadband_n` is a threshold deadband on the force.
+
+    At the first tick at which the force opposes the motion by more than `reset_threshold_n` the command and its
+    predecessor become the one sent last (the paper's Algorithm 1).
 
     Approach and contact each last as long as the slowest part of their loop needs to decay. The plant advances in
     twentieths of a sample, contact begins and ends on that grid, and the delay is rounded to it.
     """
-    step = _Stepper(plant, sample_time_s)
+    late = round(plant.robot.delay_s / sample_time_s * _SUBSTEPS)
+    step = _Stepper(plant, sample_time_s, late % _SUBSTEPS)
     law = DifferenceEquation(controller, sample_time_s)
     speed = desired_force_n / (controller.damping_n_s_per_m + plant.payload.drag_n_s_per_m)
     approach = settling_samples(plant.in_contact_with(FREE_SPACE), controller, sample_time_s, _SHORTEST_APPROACH_S)
@@ -53,24 +64,29 @@ def replay_contact(
     state = np.zeros(n)
     state[0] = state[n - 2] = start
     law.rest_at(start)
-    late = round(plant.robot.delay_s / sample_time_s * _SUBSTEPS)
-    commands = [start] * (math.ceil(late / _SUBSTEPS) + 1)
+    commands = [start] * (late // _SUBSTEPS + 1)
     sensor = contact = 0.0
-    touched = False
-    for _ in range(approach + after):
+    touch: int | None = None
+    detection: int | None = None
+    for tick in range(approach + after):
         force = float(step.c_force @ state + step.d_force * commands[-1 - late // _SUBSTEPS])
-        touched = touched or step.touching(state)
-        if touched:
+        if touch is None and step.touching(state):
+            touch = tick
+        if touch is not None:
             # A payload that has left the wall again still shakes the sensor.
             sensor, contact = max(sensor, -force), max(contact, step.wall_force(state))
-        felt = force if abs(force) > deadband_n else 0.0
-        commands.append(law.step(desired_force_n + felt, float(step.c_position @ state)))
-        for sub in range(_SUBSTEPS):
-            # A delay of `late` substeps: how many whole periods ago was the command that acts now?
-            age = -((sub - late) // _SUBSTEPS) if sub < late else 0
-            state = step.advance(state, commands[-1 - age])
+        felt, position = force if abs(force) > deadband_n else 0.0, float(step.c_position @ state)
+        if detection is None and -felt * np.sign(position - law.seen) > reset_threshold_n:
+            detection = tick
+        commands.append(law.step(desired_force_n + felt, position, reset=detection == tick))
+        # A delay of `late` substeps: what acts first is a command one period older than what acts then.
+        state = step.over_sample(state, commands[-2 - late // _SUBSTEPS], commands[-1 - late // _SUBSTEPS])
         commands = commands[-(late // _SUBSTEPS + 3) :]
-    return Replay(peak_sensor_force_n=sensor, peak_contact_force_n=contact)
+    return Replay(
+        peak_sensor_force_n=sensor,
+        peak_contact_force_n=contact,
+        detected_after_s=None if detection is None or touch is None else (detection - touch) * sample_time_s,
+    )
 
 
 def settling_samples(plant: Plant, controller: AdmittanceController, h: float, shortest_s: float) -> int:
@@ -81,12 +97,19 @@ def settling_samples(plant: Plant, controller: AdmittanceController, h: float, s
 
 
 class _Stepper:
-    """The plant in contact and in free space, advanced by a twentieth of a sample."""
+    """The plant in contact and in free space, advanced by a twentieth of a sample; `late` of these come a command late.
 
-    def __init__(self, plant: Plant, sample_time_s: float) -> None:
+    A sample throughout which the payload is far from the wall's surface, on either side, is the same in two steps.
+    """
+
+    def __init__(self, plant: Plant, sample_time_s: float, late: int) -> None:
         near = build_plant_matrices(plant, sample_time_s)
         far = build_plant_matrices(plant.in_contact_with(FREE_SPACE), sample_time_s)
         self.near, self.far = hold(near.a, near.b, 1.0 / _SUBSTEPS), hold(far.a, far.b, 1.0 / _SUBSTEPS)
+        self.late = late
+        self.parts = [
+            [hold(side.a, side.b, share / _SUBSTEPS) for share in (late, _SUBSTEPS - late)] for side in (near, far)
+        ]
         self.c_force, self.c_position, self.d_force = near.c_force, near.c_position, near.d_force
         self.stiffness = plant.environment.stiffness_n_per_m
         self.damping = plant.environment.damping_n_s_per_m / sample_time_s
@@ -98,6 +121,22 @@ class _Stepper:
     def touching(self, state: FloatArray) -> bool:
         """Whether the payload presses on the wall."""
         return float(state[-2]) > 0.0 and self.wall_force(state) > 0.0
+
+    def over_sample(self, state: FloatArray, older: float, newer: float) -> FloatArray:
+        """Advance one sample; the older command acts until the newer one arrives."""
+        if self._is_far(state):
+            (phi_0, gamma_0), (phi_1, gamma_1) = self.parts[0 if state[-2] > 0.0 else 1]
+            ahead = np.asarray(phi_1 @ (phi_0 @ state + gamma_0 * older) + gamma_1 * newer)
+            if self._is_far(ahead) and (ahead[-2] > 0.0) == (state[-2] > 0.0):
+                return ahead
+        for sub in range(_SUBSTEPS):
+            state = self.advance(state, older if sub < self.late else newer)
+        return state
+
+    def _is_far(self, state: FloatArray) -> bool:
+        """Say whether no surface is reached within some samples at this speed, which is that per sample."""
+        away = float(state[-2])
+        return abs(away) > _FAR_SAMPLES * abs(float(state[-1])) and (away < 0.0 or self.damping == 0.0)
 
     def advance(self, state: FloatArray, command: float) -> FloatArray:
         """Advance one substep under a held command."""
@@ -124,9 +163,10 @@ class DifferenceEquation:
         self.before = self.last = position
         self.force_before = self.force_last = 0.0
         self.seen, self.velocity, self.acceleration = position, 0.0, 0.0
+        self.sent = position
 
-    def step(self, force: float, position: float) -> float:
-        """Return the next command for F^d + F and the measured position."""
+    def step(self, force: float, position: float, *, reset: bool = False) -> float:
+        """Return the next command for F^d + F and the measured position; `reset` repeats the last one, from rest."""
         # dv/dt = ω_v dx/dt − ω_v v and da/dt = ω_a dv/dt − ω_a a, by the trapezoidal rule.
         before, self.velocity = self.velocity, self._filtered(self.velocity, position - self.seen, self.corner)
         self.acceleration = self._filtered(self.acceleration, self.velocity - before, self.second_corner)
@@ -135,9 +175,13 @@ class DifferenceEquation:
         w0, w1, w2 = self.weights
         pushed = self.gain * (w0 * force + w1 * self.force_last + w2 * self.force_before)
         following = (2.0 * self.last - self.old * self.before + pushed) / self.new
-        self.before, self.last = self.last, following
+        if reset:
+            # What the admittance put out is the command without C_fb, which goes on seeing the robot move.
+            following = self.sent + self.feedback * self.velocity
+        self.before, self.last = following if reset else self.last, following
         self.force_before, self.force_last = self.force_last, force
-        return following - self.feedback * self.velocity
+        self.sent = following - self.feedback * self.velocity
+        return self.sent
 
     def _filtered(self, value: float, moved: float, corner: float) -> float:
         half = 0.5 * corner * self.h

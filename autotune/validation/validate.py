@@ -32,6 +32,7 @@ from .margins import SweptMargins, sweep_margins
 from .peaks import verify_peaks
 from .promises import asked_of, limit_n, soft_told
 from .proof import StabilityProof, UncertainPlant, prove_stability
+from .response import has_response, verify_response
 from .statements import stability_statement, wrong_statements
 from .whole_set import OtherPlants, build_other_plants
 
@@ -97,7 +98,7 @@ def validate_controller(controller: Controller, progress: Callable[[float], None
     for name in controller.axes:
         commands = sum(isinstance(each, NoiseLimit | PassivityTarget) for each in asked_of(controller, name).values())
         proofs = len((controller.certificate.continuous or {}).get(name, ()))
-        count = _CHECKS - (name in ROTATIONAL_AXES) + commands + proofs
+        count = _CHECKS - (name in ROTATIONAL_AXES) + commands + proofs + has_response(controller, name)
         for check in _axis_checks(controller, name):
             checks.append(check)
             if progress is not None:
@@ -150,6 +151,9 @@ def _axis_checks(controller: Controller, name: str) -> Iterator[Check]:
         units=axis_units(name),
     )
     yield Check(axis=name, name="peak force", passed=not missed, message="; ".join(missed) or told)
+    told, missed = verify_response(controller, name, domain, law)
+    if told or missed:
+        yield Check(axis=name, name="collision response", passed=not missed, message="; ".join(missed) or told)
 
 
 def _unsupported(controller: Controller, name: str) -> str:
@@ -158,8 +162,8 @@ def _unsupported(controller: Controller, name: str) -> str:
         return "the certificate does not say what was asked of rotational axes (rotational_requirements)"
     if controller.compensation_mass_kg != 0.0 and name in ROTATIONAL_AXES:
         return "compensation_mass_kg is a mass and says nothing of an axis that turns; it must be 0"
-    if controller.collision.response is not CollisionResponse.NONE:
-        return "a collision response cannot be verified by this release; collision.response must be none"
+    if controller.collision.response is CollisionResponse.STOP:
+        return "a full stop on collision cannot be verified by this release; collision.response must be none or reset"
     if controller.certificate.domain[name].environment_mass_kg != 0.0:
         return "an environment with mass cannot be verified by this release; environment_mass_kg must be 0"
     return ""

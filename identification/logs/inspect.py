@@ -27,11 +27,15 @@ _TOLD_ELSEWHERE = frozenset({"channel-chosen", "role-open"})
 
 
 def inspect_log(
-    paths: Path | Sequence[Path], cell: Cell | None = None, *, salvage: bool = False, asks_motion: bool = True
+    paths: Path | Sequence[Path],
+    cell: Cell | None = None,
+    *,
+    salvage: bool = False,
+    reading: Sequence[Finding] | None = None,
 ) -> LogSummary:
     """Read whole logs and summarise them; raise LogError if one is damaged or no log.
 
-    `asks_motion` also reads them as `identify` does, for what the motion tells of clocks and payload.
+    `reading` is what `read_checked_recording` found of the same files, which is read once more where it is not given.
     """
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     told = cell or Cell()
@@ -52,8 +56,10 @@ def inspect_log(
         seen = logs.findings()
         span = (logs.start_ns, logs.end_ns)
         container = logs.parts[0].survey.container
-    if asks_motion and Role.WRENCH in choices and Role.POSE in choices:
-        findings += _read_findings(files, told, findings, salvage=salvage)
+    if Role.WRENCH in choices and Role.POSE in choices:
+        if reading is None:
+            reading = _read_findings(files, told, findings, salvage=salvage)
+        findings += [finding for finding in reading if finding.code not in _TOLD_ELSEWHERE]
     digest = digests(files)
     return LogSummary(
         path=files[0],
@@ -181,17 +187,16 @@ def _declared_findings(logs: OpenedLogs, choices: Mapping[Role, Choice], cell: C
     return found
 
 
-def _read_findings(files: Sequence[Path], cell: Cell, told: Sequence[Finding], *, salvage: bool) -> list[Finding]:
+def _read_findings(files: Sequence[Path], cell: Cell, told: Sequence[Finding], *, salvage: bool) -> Sequence[Finding]:
     """Return what reading for `identify` finds beside what was told: tare, payload, clocks, or why it is refused."""
     try:
-        found = read_checked_recording(files, cell, salvage=salvage).findings
+        return read_checked_recording(files, cell, salvage=salvage).findings
     except EstimateError:
         return []
     except LogError as error:
         if any(finding.severity == "error" and finding.message in str(error) for finding in told):
             return []
         return [Finding(code="unusable", severity="error", message=str(error), advice="")]
-    return [finding for finding in found if finding.code not in _TOLD_ELSEWHERE]
 
 
 def _summary(head: Head, series: Series) -> ChannelSummary:

@@ -14,9 +14,11 @@ from autotune.explore.source import problem_of, read_exploration
 from autotune.files.controller import read_controller, write_controller
 from autotune.files.controller_record import Controller, ControllerStatus, SoftRequirement
 from autotune.tuning.record import build_domain
+from autotune.tuning.threshold import ThresholdWish
 from problems.evaluation import build_scenarios
 from tests.autotune.explore.start import solved_exploration
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, FAST_REQUIREMENTS, FURTHER, fast_optimized, write_plant
+from tests.autotune.tuning.responding import responding
 
 
 def refuse(*_arguments: object, **_options: object) -> None:
@@ -68,6 +70,12 @@ def test_a_controller_starts_where_it_is_and_keeps_its_deadband(tmp_path: Path) 
     assert found.provenance["options"]["controller"]["path"] == str(path)
 
 
+def test_a_collision_response_is_not_kept_and_the_page_says_so(tmp_path: Path) -> None:
+    write_controller(tmp_path / "old.yaml", responding().controller)
+    start = read_exploration(tmp_path / "old.yaml").axes["x"]
+    assert start.note == "The collision response of the file was chosen for its gains; what is saved here has none."
+
+
 def test_a_problem_beside_a_controller_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "old.yaml"
     write_controller(path, fast_optimized().controller)
@@ -107,14 +115,16 @@ def test_plants_that_hold_the_best_design_back_are_looked_at(tmp_path: Path, mon
 
 
 def test_what_is_saved_is_an_ordinary_controller(tmp_path: Path) -> None:
-    exploration, path = solved_exploration(), tmp_path / "controller.yaml"
-    start = exploration.axes["x"]
+    exploration = replace(solved_exploration(), threshold=ThresholdWish(bounds_n=(5.0, 60.0)))
+    path, start = tmp_path / "controller.yaml", exploration.axes["x"]
     design = start.design * np.array([1.0, 0.999, 1.0, 1.0])
     saved = save_controller(exploration, {"x": design}, path)
     read = read_controller(path)
     assert read.checksum.startswith(saved.checksum)
     assert read.controller.axes["x"].damping == float(f"{design[1]:.6g}")
     assert read.controller.status is ControllerStatus.VALIDATED
+    # Its lead is too much for a collision response to lower the peak, which was asked and is told.
+    assert read.controller.provenance["collision"]["response"] == "none"
     told = read.controller.predicted["x"].scenarios
     assert saved.peak_n["x"] == pytest.approx(max(each.peak_contact_force_n for each in told), rel=1e-3)
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from autotune.errors import UsageError
-from autotune.files.problem import ProblemSpec, RotationalSpec, read_problem
+from autotune.files.problem import ComplianceSpec, ProblemSpec, RotationalSpec, read_problem
 from autotune.files.schema import load_schema
 from problems.contact import Approach
 from problems.design import FURTHER_VARIABLES, VARIABLES, AdmittanceTarget, NoiseLimit, PassivityTarget, Requirements
@@ -270,6 +270,21 @@ free:
     assert dict(spec.free) == {"velocity_filter_rad_per_s": (60.0, 300.0), "compensation_mass_kg": (0.0, 16.0)}
 
 
+@pytest.mark.parametrize(
+    ("said", "expected"),
+    [
+        ("[2e4, 5e5]", ComplianceSpec(bounds=(2e4, 5e5), tolerance=0.2)),
+        ("{bounds: [2e4, 5e5]}", ComplianceSpec(bounds=(2e4, 5e5), tolerance=0.2)),
+        ("{bounds: [3e4, 3e4], tolerance: 0}", ComplianceSpec(bounds=(3e4, 3e4), tolerance=0.0)),
+    ],
+)
+def test_a_compliance_is_no_variable_of_the_controller(path: Path, said: str, expected: ComplianceSpec) -> None:
+    spec = read(path, f"free:\n  environment_stiffness_n_per_m: {said}\n  velocity_filter_rad_per_s: [60, 300]\n")
+    assert spec.compliance == expected
+    assert dict(spec.free) == {"velocity_filter_rad_per_s": (60.0, 300.0)}
+    assert spec.environment_stiffness_n_per_m is None
+
+
 def test_the_schema_knows_every_further_variable() -> None:
     known = load_schema("problem")["properties"]["free"]["properties"]
     assert set(FURTHER_VARIABLES) < set(known)
@@ -287,11 +302,27 @@ def test_the_schema_knows_every_further_variable() -> None:
         ("requirements:\n  command_noise: {force_noise_rms_n: 1}\n", 2, "max_speed_rms_m_s must be present"),
         ("free:\n  velocity_filter_rad_per_s: [300, 60]\n", 2, "free.velocity_filter_rad_per_s must be [low, high]"),
         ("free:\n  mass: [5, 20]\n", 2, "free.mass must be one of velocity_filter_rad_per_s"),
-        ("free:\n  collision_threshold_n: [50, 100]\n", 2, "collision_threshold_n cannot be free: what is minimised"),
+        ("free:\n  collision_threshold_n: [50, 20]\n", 2, "free.collision_threshold_n must be [low, high]"),
+        ("free:\n  collision_threshold_n: [0, 20]\n", 2, "greater than 0"),
+        ("free:\n  collision_threshold_n: 20\n", 2, "free.collision_threshold_n"),
+        ("free:\n  collision_threshold_n: [10, .inf]\n", 2, "finite"),
         (
-            "free:\n  environment_stiffness_n_per_m: [1e4, 1e5]\n",
+            "free:\n  environment_stiffness_n_per_m: [1e5, 1e4]\n",
             2,
-            "environment_stiffness_n_per_m cannot be free: it is a property of the cell",
+            "free.environment_stiffness_n_per_m must be [low, high]",
+        ),
+        (
+            "free:\n  environment_stiffness_n_per_m:\n    tolerance: 0.1\n    bounds: [1e5, 1e4]\n",
+            4,
+            "free.environment_stiffness_n_per_m.bounds must be [low, high]",
+        ),
+        ("free:\n  environment_stiffness_n_per_m: {bounds: [1e4, 1e5], tolerance: 1}\n", 2, "tolerance: share"),
+        ("free:\n  environment_stiffness_n_per_m: {tolerance: 0.1}\n", 2, "must be bounds [low, high]"),
+        ("free:\n  environment_stiffness_n_per_m: [0, 1e5]\n", 2, "must be bounds [low, high]"),
+        (
+            "free: {environment_stiffness_n_per_m: [1e4, 1e5]}\nenvironment_stiffness_n_per_m: [2e4, 3e4]\n",
+            2,
+            "environment_stiffness_n_per_m is free, and a range of it is given too",
         ),
     ],
 )

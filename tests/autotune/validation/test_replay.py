@@ -104,3 +104,15 @@ def test_the_robot_alone_steps_like_the_whole_sampled_plant(robot: RobotModel) -
         newer, older = past[sampled.whole_delay], past[sampled.whole_delay + 1]
         state = sampled.phi @ state + sampled.gamma * newer + sampled.gamma_old * older
         assert step(float(command)) == pytest.approx(float(sampled.c_position @ state), abs=1e-10)
+
+
+@pytest.mark.parametrize("delay", [0.4 * PERIOD_S, 2.7 * PERIOD_S, 3.0 * PERIOD_S])
+def test_far_from_the_surface_a_sample_may_be_two_steps(delay: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where the payload bounces several times and the delay ends inside a sample."""
+    plant = paper_plant(stiffness=1.35e6, drag=95.0, coupling=3.7e4, mass=33.5, robot=one_pole(delay))
+    law = admittance(18.7, 2623.0, 0.0219)
+    quick = replay_contact(plant, law, PERIOD_S, 30.0)
+    monkeypatch.setattr("autotune.validation.replay._FAR_SAMPLES", np.inf)
+    slow = replay_contact(plant, law, PERIOD_S, 30.0)
+    assert quick.peak_contact_force_n == pytest.approx(slow.peak_contact_force_n, rel=1e-9)
+    assert quick.peak_sensor_force_n == pytest.approx(slow.peak_sensor_force_n, rel=1e-9)

@@ -1,0 +1,269 @@
+"""The threshold of the collision response: chosen after the gains, in the full simulation of their worst contacts."""
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autotune.errors import InfeasibleError, UsageError
+from autotune.files.controller_record import (
+    AxisPrediction,
+    Collision,
+    CollisionResponse,
+    Controller,
+    ScenarioPrediction,
+)
+from autotune.files.problem import ProblemSpec
+from autotune.files.records import ROTATIONAL_AXES
+from identification.result import Identified
+from problems.design import Objective
+from problems.errors import ParameterError
+from problems.uncertainty import Scenario
+
+from .first_contacts import RespondingContact, build_contact, contacts_of, peaks_of
+from .record import scenario_name
+from .search import SearchResult
+
+FloatArray = NDArray[np.float64]
+Interval = tuple[float, float]
+
+SAME_PEAK = 1e-3
+"""Peaks this close, as a share, are one peak: the higher threshold counts then, for fewer false alarms."""
+NOISE_DEVIATIONS = 6.0
+"""A threshold lies this many deviations of the noise above free motion: one tick in 1e9 is beyond it."""
+USUAL_NOISE_N = 0.2
+"""RMS of a good sensor, taken where none was identified."""
+# Intervals between the thresholds at which a detection moves by a tick; only a very fast controller has more.
+_MOST_INTERVALS = 2048
+_SPLIT_DIGITS = range(4, 16)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThresholdWish:
+    """What is asked: the bounds of the threshold and the RMS of the sensor's noise, N."""
+
+    bounds_n: Interval
+    noise_rms_n: float = USUAL_NOISE_N
+
+
+def threshold_wish(identified: Identified, spec: ProblemSpec) -> ThresholdWish | None:
+    """Return what a problem asks of the collision response, with the identified noise; None where it asks for none."""
+    if spec.collision_threshold_n is None:
+        return None
+    noise = identified.sensor.force_noise_rms_n.value
+    return ThresholdWish(bounds_n=spec.collision_threshold_n, noise_rms_n=USUAL_NOISE_N if noise is None else noise)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThresholdChoice:
+    """The best threshold inside the bounds, and whether it is worth a response (`is_used`).
+
+    `free_motion_n` is the largest force against the motion as the approach begins and goes on in free space,
+    `lowest_n` what a threshold must be above; `worst_without_n` and `worst_with_n` are the worst peaks of the
+    objective's force. `limited_by` tells which end of the range the best ones reach, if they do.
+    """
+
+    wish: ThresholdWish
+    free_motion_n: float
+    lowest_n: float
+    threshold_n: float
+    worst_without_n: float
+    worst_with_n: float
+    is_used: bool
+    limited_by: str | None
+
+    def tree(self, objective: Objective) -> dict[str, Any]:
+        """Return the choice as plain data, for the provenance of a controller."""
+        return {
+            "bounds_n": list(self.wish.bounds_n),
+            "noise_rms_n": self.wish.noise_rms_n,
+            "free_motion_n": self.free_motion_n,
+            "lowest_n": self.lowest_n,
+            "objective": objective,
+            "best_threshold_n": self.threshold_n,
+            "limited_by": self.limited_by,
+            "worst_peak_n": {"without": self.worst_without_n, "with": self.worst_with_n},
+            "response": "reset" if self.is_used else "none",
+        }
+
+
+def choose_threshold(
+    controller: Controller,
+    searches: Mapping[str, SearchResult],
+    wish: ThresholdWish,
+) -> tuple[Controller, ThresholdChoice]:
+    """Return the controller with the response "reset", or without one where none lowers the worst peak.
+
+    Minimised is the worst peak of the objective's force over the predicted contacts and the scenarios of the search
+    of every tuned x, y, z; of none of these axes may the worst peak rise, at the contact or at the sensor. What was
+    predicted and certified stays as it is, and `predicted.<axis>.with_collision_response` tells the same contacts with
+    the response.
+
+    Raises InfeasibleError where free motion alone would pass every threshold asked for, UsageError where no axis is a
+    straight one or the full simulation cannot do the contact.
+    """
+    straight = [name for name in controller.axes if name not in ROTATIONAL_AXES]
+    if not straight:
+        raise UsageError("collision_threshold_n is a force, and only axes that turn are tuned; leave it out of free.")
+    objective = searches[straight[0]].problem.objective
+    simulations = {name: contacts_of(controller, name) for name in straight}
+    scenarios = {name: _scenarios(controller.predicted[name], searches[name]) for name in straight}
+    try:
+        free = max(simulations[name].free_motion_n(scenarios[name]) for name in straight)
+        lowest = _lowest(controller, straight, wish, free)
+        contacts = {name: [build_contact(simulations[name], each) for each in scenarios[name]] for name in straight}
+    except ParameterError as error:
+        raise UsageError(
+            f"free.collision_threshold_n: the contact cannot be simulated with a response: {error}"
+        ) from error
+    choice = _choose(contacts, wish, free, lowest, 0 if objective == "contact_force" else 1)
+    told = {**controller.provenance, "collision": choice.tree(objective)}
+    if not choice.is_used:
+        return replace(controller, provenance=told), choice
+    predicted = {
+        name: _with_response(name, controller.predicted[name], contacts[name], choice.threshold_n)
+        if name in contacts
+        else controller.predicted[name]
+        for name in controller.axes
+    }
+    collision = Collision(response=CollisionResponse.RESET, threshold_n=choice.threshold_n)
+    return replace(controller, collision=collision, predicted=predicted, provenance=told), choice
+
+
+def without_response(controller: Controller) -> Controller:
+    """Return the same gains and certificate without a collision response."""
+    return replace(
+        controller,
+        collision=Collision(response=CollisionResponse.NONE, threshold_n=None),
+        predicted={name: replace(each, with_collision_response=()) for name, each in controller.predicted.items()},
+    )
+
+
+def _scenarios(predicted: AxisPrediction, search: SearchResult) -> tuple[Scenario, ...]:
+    return tuple(dict.fromkeys((*(each.scenario() for each in predicted.scenarios), *search.active.scenarios)))
+
+
+def _lowest(controller: Controller, straight: Sequence[str], wish: ThresholdWish, free_n: float) -> float:
+    """Return what the threshold must be above; refuse bounds that hold nothing of it."""
+    deadband = max(controller.axes[name].deadband for name in straight)
+    lowest = max(free_n + NOISE_DEVIATIONS * wish.noise_rms_n, deadband)
+    low, high = wish.bounds_n
+    if high <= lowest:
+        asked = f"{low:g} N" if low == high else f"{low:g} to {high:g} N"
+        raise InfeasibleError(
+            f"free.collision_threshold_n asks for {asked}, and a threshold must be above {lowest:.4g} N: as the "
+            f"approach begins in free space {free_n:.3g} N stand against the motion, the sensor's noise is "
+            f"{wish.noise_rms_n:.3g} N RMS ({NOISE_DEVIATIONS:g} deviations count) and the deadband hides "
+            f"{deadband:g} N. The response would be spent before the contact; raise the upper bound, or leave the "
+            "entry out."
+        )
+    return lowest
+
+
+def _choose(
+    contacts: Mapping[str, Sequence[RespondingContact]], wish: ThresholdWish, free_n: float, lowest_n: float, kind: int
+) -> ThresholdChoice:
+    """Find the least worst peak of one `kind`, 0 at the contact or 1 at the sensor, and the highest threshold of it.
+
+    The worst peak is constant between the levels at which the detection of some contact moves by a tick.
+    """
+    every = [contact for of_axis in contacts.values() for contact in of_axis]
+    low, high = max(wish.bounds_n[0], math.nextafter(lowest_n, math.inf)), wish.bounds_n[1]
+    tried = [_inside(*each) for each in _intervals(every, low, high)]
+    without = _worst(contacts, None)
+    hardest = max(every, key=lambda each: peaks_of(each.plain)[kind])
+    first = np.array([hardest.peaks(each)[kind] for each in tried])
+    acts = np.array([hardest.run(each) is not hardest.plain for each in tried])
+    guess = int(np.argmin(np.where(acts, first, math.inf) if acts.any() else first))
+    guessed = _worst(contacts, tried[guess])
+    enough = (1.0 - SAME_PEAK) * float(np.max(without[:, kind]))
+    # The worst of all contacts is no lower than that of one: what is beaten there needs no look at the others.
+    limit = enough if _rises(guessed, without) else min(enough, (1.0 + SAME_PEAK) * float(np.max(guessed[:, kind])))
+    found = {i: _worst(contacts, tried[i]) for i in np.flatnonzero(first <= limit).tolist()}
+    lowered = {i: float(np.max(each[:, kind])) for i, each in found.items() if not _rises(each, without)}
+    lowered = {i: peak for i, peak in lowered.items() if peak <= enough}
+    least = min(lowered.values(), default=math.inf)
+    as_good = [i for i, peak in lowered.items() if peak <= (1.0 + SAME_PEAK) * least] or [guess]
+    best = max(as_good)
+    return ThresholdChoice(
+        wish=wish,
+        free_motion_n=free_n,
+        lowest_n=lowest_n,
+        threshold_n=tried[best],
+        worst_without_n=float(np.max(without[:, kind])),
+        worst_with_n=lowered.get(best, float(np.max(guessed[:, kind]))),
+        is_used=bool(lowered),
+        limited_by=_limited_by(as_good, len(tried), wish, lowest_n),
+    )
+
+
+def _worst(contacts: Mapping[str, Sequence[RespondingContact]], threshold_n: float | None) -> FloatArray:
+    """Return the worst peaks of every axis (axes, 2), at the contact and at the sensor; None is no response."""
+    peaks = [
+        [peaks_of(each.plain if threshold_n is None else each.run(threshold_n)) for each in of_axis]
+        for of_axis in contacts.values()
+    ]
+    return np.array([np.max(np.array(of_axis), axis=0) for of_axis in peaks])
+
+
+def _rises(worst: FloatArray, without: FloatArray) -> bool:
+    """Say whether the worst peak of one of the forces on one of the axes is higher than without a response."""
+    return bool(np.any(worst > (1.0 + SAME_PEAK) * without))
+
+
+def _intervals(contacts: Sequence[RespondingContact], low: float, high: float) -> list[Interval]:
+    """Return the intervals over which every contact is the same run, from low to high; the most of them at most."""
+    levels = np.unique(np.concatenate([each.levels for each in contacts]))
+    edges = [low, *levels[(levels > low) & (levels < high)].tolist(), high]
+    pairs = list(itertools.pairwise(edges))
+    kept = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), _MOST_INTERVALS)).round().astype(int))
+    return [pairs[i] for i in kept]
+
+
+def _inside(low: float, high: float) -> float:
+    """Return the middle of an interval with as few digits as lie in it, far from where a detection moves by a tick."""
+    middle = math.sqrt(low * high)
+    for digits in _SPLIT_DIGITS:
+        value = float(f"{middle:.{digits - 1}e}")
+        if low < value < high:
+            return value
+    return high
+
+
+def _limited_by(as_good: Sequence[int], count: int, wish: ThresholdWish, lowest_n: float) -> str | None:
+    """Say at which end of the range the best intervals lie; at both of them nothing is limited."""
+    at_low, at_high = min(as_good) == 0, max(as_good) == count - 1
+    if at_low == at_high:
+        return None
+    if at_high:
+        return "upper bound"
+    return "free motion" if wish.bounds_n[0] <= lowest_n else "lower bound"
+
+
+def _with_response(
+    name: str, predicted: AxisPrediction, contacts: Sequence[RespondingContact], threshold_n: float
+) -> AxisPrediction:
+    """Return the prediction with the same contacts under the response, and the worst of all contacts under it."""
+    known = {each.scenario() for each in predicted.scenarios}
+    runs = {each.scenario: each.run(threshold_n) for each in contacts}
+    worst = {max(runs, key=lambda each: peaks_of(runs[each])[kind]) for kind in (0, 1)}
+    return replace(
+        predicted,
+        with_collision_response=tuple(
+            ScenarioPrediction(
+                name=scenario_name(name, scenario),
+                environment_stiffness_n_per_m=scenario.environment_stiffness_n_per_m,
+                payload_mass_kg=scenario.payload_mass_kg,
+                peak_sensor_force_n=run.peak_sensor_force_n,
+                peak_contact_force_n=run.peak_contact_force_n,
+                time_of_peak_s=run.time_of_peak_s,
+                further=scenario.further() or None,
+            )
+            for scenario, run in runs.items()
+            if scenario in known or scenario in worst
+        ),
+    )
