@@ -101,14 +101,7 @@ def identify_log(
     result = combine_identified([run.told for run in done])
     check_names(given or {}, result.axes)
     result = replace(result, findings=(*result.findings, *advise(result)))
-    options = {
-        "wrench_topic": topics.wrench,
-        "pose_topic": topics.pose,
-        "command_topic": topics.command,
-        "allow_partial": allow_partial,
-        "salvage": salvage,
-        **({"given": {name: [prior.value, prior.std] for name, prior in given.items()}} if given else {}),
-    }
+    options = _options(topics, allow_partial=allow_partial, salvage=salvage, given=given or {})
     found = IdentifiedLog(
         result=result,
         provenance=_provenance([run.source for run in done], cell, options),
@@ -118,6 +111,18 @@ def identify_log(
     if not (allow_partial or defers_refusal):
         found.require()
     return found
+
+
+def _options(topics: Topics, *, allow_partial: bool, salvage: bool, given: Mapping[str, Given]) -> dict[str, object]:
+    """Return what the provenance keeps of how it was asked."""
+    return {
+        "wrench_topic": topics.wrench,
+        "pose_topic": topics.pose,
+        "command_topic": topics.command,
+        "allow_partial": allow_partial,
+        "salvage": salvage,
+        **({"given": {name: [prior.value, prior.std] for name, prior in given.items()}} if given else {}),
+    }
 
 
 @dataclass(frozen=True, kw_only=True)

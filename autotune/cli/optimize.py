@@ -158,13 +158,20 @@ def command(
     if fronts.tree:
         tree["pareto"] = fronts.tree
     tree |= write_report(output, report, lambda: _page(found, checksum, existing, fronts))
+    output.result(tree, lambda: _print_all(found, out, short(checksum), existing, fronts, report))
 
-    def text() -> None:
-        print_optimized(found, out, short(checksum), existing)
-        fronts.print()
-        print_report_path(report)
 
-    output.result(tree, text)
+def _print_all(
+    found: "Optimized",
+    out: Path,
+    checksum: str,
+    existing: "ControllerFile | None",
+    fronts: FrontWriter,
+    report: Path | None,
+) -> None:
+    print_optimized(found, out, checksum, existing)
+    fronts.print()
+    print_report_path(report)
 
 
 def _page(found: "Optimized", checksum: str, existing: "ControllerFile | None", fronts: FrontWriter) -> "Page":
