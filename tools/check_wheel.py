@@ -15,7 +15,7 @@ PACKAGES = ("autotune", "identification", "problems")
 AROUND = ("pyproject.toml", "README.md", "LICENSE")
 TYPED = frozenset(f"{package}/py.typed" for package in PACKAGES)
 SCHEMAS = "autotune/files/schemas/"
-PAGES = ("autotune/reports/page.*", "autotune/explore/*.jinja")
+PAGES = ("autotune/reports/page.*", "autotune/explore/explore.*")
 
 
 def expected_files(root: Path) -> frozenset[str]:

@@ -1,8 +1,12 @@
 """`autotune explore`: turn gains and plant by hand and see what the loop does."""
 
 import contextlib
+import signal
 import sys
+import threading
+from collections.abc import Iterator
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING
 
 import click
@@ -13,6 +17,7 @@ from ._help import GroupedCommand
 
 if TYPE_CHECKING:
     from autotune.explore.source import Exploration
+    from autotune.explore.target import Target
 
 _EPILOG = """\b
 Examples:
@@ -55,30 +60,71 @@ def command(output: Output, source: Path, out: Path, problem: Path | None, port:
     FILE is identified.yaml (the page starts at the best design) or controller.yaml. Contact transient, admittance,
     Nyquist, requirements and the map of feasible designs follow the hand; "save" proves and validates as optimize does
     and writes an ordinary controller.yaml, or says why not. The page needs no network and no other machine reaches it.
-    Ctrl-C ends it, with exit code 0.
+    Ctrl-C ends it, with exit code 0; 130 before the page is there, and during a save, which then writes nothing.
     """
-    from autotune.explore.server import serve
-    from autotune.explore.source import read_exploration
-    from autotune.files.atomic import check_target
+    with _noticed_interrupts() as noticed:
+        from autotune.explore.server import serve
+        from autotune.explore.source import read_exploration
+        from autotune.explore.target import Target
+        from autotune.files.atomic import check_target
 
-    check_target(out, [path for path in (source, problem) if path is not None])
-    with output.progress("searching where to start", 1.0) as advance:
-        exploration = read_exploration(source, problem, advance)
+        check_target(out, [path for path in (source, problem) if path is not None])
+        with output.progress("searching where to start", 1.0) as advance:
+            exploration = read_exploration(source, problem, advance)
+        if noticed:
+            raise KeyboardInterrupt
     wants = sys.stderr.isatty() and not output.as_json if opens is None else opens
+    target, is_there = Target(out), False
 
     def ready(address: str) -> None:
-        _tell(output, exploration, out, address)
+        nonlocal is_there
+        _tell(output, exploration, target, address)
+        is_there = True
         if wants:
             click.launch(address)
 
-    with contextlib.suppress(KeyboardInterrupt):
-        serve(exploration, out, port=port, ready=ready)
+    try:
+        serve(exploration, target, port=port, ready=ready)
+    except KeyboardInterrupt:
+        if not is_there:
+            raise
+    if target.is_cut_short:
+        output.note(f"The save under way was given up: {out} is not written.")
+        raise KeyboardInterrupt
     output.note("Ended.")
 
 
-def _tell(output: Output, exploration: "Exploration", out: Path, address: str) -> None:
+@contextlib.contextmanager
+def _noticed_interrupts() -> Iterator[list[int]]:
+    """Yield the interrupts of the block: one that falls into a finalizer or a callback of C is otherwise lost."""
+    noticed: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield noticed
+        return
+
+    def notice(number: int, frame: FrameType | None) -> None:
+        noticed.append(number)
+        signal.default_int_handler(number, frame)
+
+    before = signal.signal(signal.SIGINT, notice)
+    try:
+        yield noticed
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _tell(output: Output, exploration: "Exploration", target: "Target", address: str) -> None:
     for name, start in exploration.axes.items():
         if start.note:
             output.note(f"axis {name}: {start.note}")
-    tree = {"url": address, "source": str(exploration.path), "output": str(out), "axes": list(exploration.axes)}
+    out, standing = target.path, target.standing()
+    if standing:
+        output.note(f"Saving replaces {out}, {standing}.")
+    tree = {
+        "url": address,
+        "source": str(exploration.path),
+        "output": str(out),
+        "replaces": standing or None,
+        "axes": list(exploration.axes),
+    }
     output.result(tree, lambda: click.echo(f"{address}\nCtrl-C ends it."))

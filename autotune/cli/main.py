@@ -197,6 +197,10 @@ def _report(error: BaseException, arguments: Sequence[str], delivery: Delivery) 
         say(error.format_message())
         return ExitCode.USAGE
     code = exit_code_of(error)
+    if code is ExitCode.INTERRUPTED:
+        # An interrupt inside of code that is run from text, such as that of a new dataclass, leaves a mark by which the
+        # interpreter ends with the signal instead of our code; the next text that is run takes it away.
+        exec("")
     if _asked("--debug", arguments):
         say("".join(traceback.format_exception(error)).rstrip())
     message = _one_line(error, code)

@@ -1,20 +1,26 @@
 """The figures of the page: drawn once, then fed with a new view whenever something is turned."""
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from bokeh.model import Model
 from bokeh.models import (
+    BoxZoomTool,
     ColumnDataSource,
     CustomJSTickFormatter,
+    DataRange1d,
     FactorRange,
     HoverTool,
     LinearColorMapper,
     LogTicker,
 )
 from bokeh.models.annotations import ColorBar, Span
+from bokeh.palettes import Viridis256
 from bokeh.plotting import figure
+from bokeh.transform import transform
 from numpy.typing import NDArray
 
 from autotune.files.units import axis_units
@@ -35,26 +41,52 @@ _HEIGHT, _MAP_HEIGHT = 300, 380
 _TOOLS = "pan,wheel_zoom,box_zoom,reset"
 # What misses a limit by more than this is drawn as if it missed by that much.
 _LONGEST_BAR = 2.0
-_NYQUIST_X, _NYQUIST_Y = (-2.2, 1.0), (-1.7, 1.5)
-_UNSTABLE, _MISSED = "#d9b3b0", "#e8e4d8"
+_NYQUIST_HEIGHT = 360
+_NYQUIST = {"left": [-2.2], "right": [1.0], "bottom": [-1.6], "top": [1.2]}
+# On light paper; the page has others on dark paper. Neither meets a colour of the cells, which leave out both ends.
+_UNSTABLE, _MISSED = "#e3b7b2", "#edeae2"
+_CELLS = Viridis256[32:232]
+# More than one number of two digits, so that no tick of less than a decade reads like another one.
+_TICKS = "return Number(tick.toPrecision(3)).toExponential();"
+_DRAWN_FROM = {
+    "contact": ("contact", "sensor", "peak"),
+    "admittance": ("gain",),
+    "nyquist": ("force", "command"),
+    "requirements": ("bars",),
+    "map": ("map", "own"),
+}
 _EMPTY: Mapping[str, list[float]] = {"x": [], "y": []}
 
 
+@dataclass(frozen=True, kw_only=True)
+class DrawnLine:
+    """A line of a figure for its legend: what it shows, its colour, and `kind`, solid or dashed."""
+
+    label: str
+    colour: str
+    kind: str
+
+
 class Figures:
-    """All figures by their key in `plots`, and what they are drawn from."""
+    """All figures by their key in `plots`, and what they are drawn from.
+
+    `lines` are for legends that the page writes: one that the engine draws is drawn again at every turn.
+    """
 
     def __init__(self) -> None:
+        self.lines: dict[str, list[DrawnLine]] = {key: [] for key in KEYS}
         self.sources = {
             name: ColumnDataSource(dict(_EMPTY), name=f"data-{name}")
-            for name in ("contact", "sensor", "begun", "peak", "gain", "force", "command", "circle", "star")
+            for name in ("contact", "sensor", "begun", "peak", "gain", "force", "command", "circle")
         }
         self.sources["bars"] = ColumnDataSource({"name": [], "right": [], "colour": [], "told": []}, name="data-bars")
         cells: dict[str, list[float]] = {"stable": [], "peak": [], "x": [], "y": [], "dw": [], "dh": []}
         self.sources["map"] = ColumnDataSource(cells, name="data-map")
+        own: dict[str, list[float]] = {"x": [], "y": [], "left": [], "right": [], "bottom": [], "top": []}
+        self.sources["own"] = ColumnDataSource({**own, "stable": [], "peak": []}, name="data-own")
         self.target = ColumnDataSource({"x": [], "y": []}, name="data-target")
-        self.colours = LinearColorMapper(
-            palette="Viridis256", low=0.0, high=1.0, nan_color="rgba(0,0,0,0)", name="colours"
-        )
+        self.colours = LinearColorMapper(palette=_CELLS, low=0.0, high=1.0, nan_color="rgba(0,0,0,0)", name="colours")
+        self.mapped: tuple[float, float] | None = None
         self.plots = {
             "contact": self._contact(),
             "admittance": self._admittance(),
@@ -62,37 +94,42 @@ class Figures:
             "requirements": self._requirements(),
             "map": self._map(),
         }
+        # Each tells the figure that it belongs to.
+        for key, names in _DRAWN_FROM.items():
+            for name in names:
+                self.sources[name].tags = [key]
+        self.colours.tags = self.bar.tags = ["map"]
 
     def _contact(self) -> Any:
         plot = _plot("contact", "time after the contact [ms]", "force")
-        _line(plot, self.sources["begun"], "before", "as begun", dashed=True)
-        _line(plot, self.sources["sensor"], "quiet", "at the sensor")
-        _line(plot, self.sources["contact"], "model", "at the contact")
+        self._line(plot, self.sources["begun"], "before", "as begun", dashed=True)
+        self._line(plot, self.sources["sensor"], "quiet", "at the sensor")
+        self._line(plot, self.sources["contact"], "model", "at the contact")
         plot.scatter("x", "y", source=self.sources["peak"], color=COLOURS["model"], size=9, line_color="white")
-        return _finished(plot)
+        return plot
 
     def _admittance(self) -> Any:
         plot = _plot("admittance", "frequency [Hz]", "|G|", x_axis_type="log", y_axis_type="log")
         plot.yaxis.ticker = LogTicker(mantissas=[1, 2, 5])
-        plot.yaxis.formatter = CustomJSTickFormatter(code="return tick.toExponential(0);")
-        _line(plot, self.target, "target", "at least", dashed=True)
-        _line(plot, self.sources["gain"], "after", "|G|, free space")
-        return _finished(plot)
+        plot.yaxis.formatter = CustomJSTickFormatter(code=_TICKS)
+        self._line(plot, self.target, "target", "at least", dashed=True)
+        self._line(plot, self.sources["gain"], "after", "|G|, free space")
+        return plot
 
     def _nyquist(self) -> Any:
-        plot = _plot(
-            "nyquist",
-            "real",
-            "imaginary",
-            x_range=_NYQUIST_X,
-            y_range=_NYQUIST_Y,
-            aspect_ratio=1.0,
-        )
-        _line(plot, self.sources["circle"], "target", "margin asked", dashed=True)
-        _line(plot, self.sources["force"], "model", "at the force")
-        _line(plot, self.sources["command"], "after", "at the command")
+        # Circles stay circles: a box without colour is what must be seen; the ranges grow around it to equal scales.
+        ends: dict[str, Any] = {"x_range": DataRange1d(range_padding=0.0), "y_range": DataRange1d(range_padding=0.0)}
+        plot = _plot("nyquist", "real", "imaginary", height=_NYQUIST_HEIGHT, match_aspect=True, **ends)
+        box = plot.quad(**_NYQUIST, fill_alpha=0.0, line_alpha=0.0)
+        for each in ends.values():
+            each.renderers = [box]
+        for tool in plot.select(type=BoxZoomTool):
+            tool.match_aspect = True
+        self._line(plot, self.sources["circle"], "target", "margin asked", dashed=True)
+        self._line(plot, self.sources["force"], "model", "at the force")
+        self._line(plot, self.sources["command"], "after", "at the command")
         plot.scatter([-1.0], [0.0], marker="cross", size=14, line_width=2, color=COLOURS["bad"])
-        return _finished(plot)
+        return plot
 
     def _requirements(self) -> Any:
         plot = _plot(
@@ -104,29 +141,41 @@ class Figures:
         )
         bars = self.sources["bars"]
         plot.hbar(y="name", right="right", height=0.6, color="colour", source=bars)
-        place: dict[str, Any] = {"x_offset": 5, "text_font_size": "12px", "text_baseline": "middle"}
-        plot.text(x="right", y="name", text="told", source=bars, **place)
-        plot.add_layout(Span(location=1.0, dimension="height", line_color=COLOURS["target"], line_width=2))
+        limit = Span(location=1.0, dimension="height", line_color=COLOURS["target"], line_width=2, level="glyph")
+        plot.add_layout(limit)
+        # The numbers lie above the line, on a ground of their own.
+        place: dict[str, Any] = {"x_offset": 4, "padding": 1, "text_font_size": "12px", "text_baseline": "middle"}
+        told = plot.text(x="right", y="name", text="told", source=bars, level="overlay", **place)
+        told.glyph.update(name="told", background_fill_color="white")
         return plot
 
     def _map(self) -> Any:
         ends: dict[str, Any] = {"x_range": (1.0, 2.0), "y_range": (0.0, 1.0)}
         plot = _plot("map", "", "", x_axis_type="log", height=_MAP_HEIGHT, **ends)
         box: dict[str, Any] = {"x": "x", "y": "y", "dw": "dw", "dh": "dh", "source": self.sources["map"]}
-        two = LinearColorMapper(palette=[_UNSTABLE, _MISSED], low=0.0, high=1.0)
+        two = LinearColorMapper(palette=[_UNSTABLE, _MISSED], low=0.0, high=1.0, name="grounds")
         plot.image(image="stable", color_mapper=two, **box)
         drawn = plot.image(image="peak", color_mapper=self.colours, **box)
-        plot.scatter(
-            "x", "y", source=self.sources["star"], marker="star", size=17, color=COLOURS["model"], line_color="white"
-        )
+        edges: dict[str, Any] = {key: key for key in ("left", "right", "bottom", "top")}
+        own, colour = self.sources["own"], COLOURS["model"]
+        for field, mapper in (("stable", two), ("peak", self.colours)):
+            plot.quad(source=own, fill_color=transform(field, mapper), line_color=colour, **edges)
+        plot.scatter("x", "y", source=own, marker="star", size=17, color=colour, line_color="white")
         plot.add_tools(HoverTool(renderers=[drawn], tooltips=[("worst peak", "@peak{0.0}")], visible=False))
-        self.bar = ColorBar(color_mapper=self.colours, width=10, title="worst peak", background_fill_alpha=0.0)
+        self.bar = ColorBar(
+            color_mapper=self.colours, width=10, title="worst peak", background_fill_alpha=0.0, name="bar"
+        )
         plot.add_layout(self.bar, "right")
         return plot
 
+    def _line(self, plot: Any, source: ColumnDataSource, role: str, label: str, *, dashed: bool = False) -> None:
+        kind = "dashed" if dashed else "solid"
+        plot.line("x", "y", source=source, color=COLOURS[role], line_width=1.8, line_dash=kind)
+        self.lines[plot.name].append(DrawnLine(label=label, colour=COLOURS[role], kind=kind))
+
     def changing(self) -> list[Model]:
         """Return what changes whenever something is turned."""
-        return [*self.sources.values(), self.colours]
+        return [*self.sources.values(), self.colours, self.bar]
 
     def begin(self, problem: DesignProblem, axis: str, begun: View) -> None:
         """Show what does not change while one axis is explored: limits, units, and the design to start from."""
@@ -179,9 +228,9 @@ class Figures:
         window = found.window
         left, right = _edges(window.x_values(), True)
         bottom, top = _edges(window.y_values(), False)
-        if found.is_feasible.any():
-            low, high = float(np.nanmin(found.peak_n)), float(np.nanmax(found.peak_n))
-            sender.put(self.colours, low=low, high=high if high > low else low + 1.0)
+        self.mapped = (
+            (float(np.nanmin(found.peak_n)), float(np.nanmax(found.peak_n))) if found.is_feasible.any() else None
+        )
         cells = {
             "stable": [found.is_stable.astype(np.float32)],
             "peak": [found.peak_n.astype(np.float32)],
@@ -199,9 +248,20 @@ class Figures:
         plot.x_range.start, plot.x_range.end = _edges(window.x_values(), True)
         plot.y_range.start, plot.y_range.end = _edges(window.y_values(), False)
 
-    def show_star(self, x: float, y: float, sender: Sender) -> None:
-        """Mark the design in the map."""
-        sender.put(self.sources["star"], data={"x": [x], "y": [y]})
+    def show_own(self, view: View, place: tuple[float, float], window: MapWindow, sender: Sender) -> None:
+        """Mark the design at `place`, in a cell of its own that is judged there; the colours reach its peak too."""
+        x, y = place
+        ratio, step = np.exp(0.5 * _step(np.log(window.x_values()))), 0.5 * _step(window.y_values())
+        own = view.evaluation
+        peak = own.objective_n if own.is_feasible else math.nan
+        cell: dict[str, Any] = {"left": x / ratio, "right": x * ratio, "bottom": y - step, "top": y + step}
+        cell |= {"x": x, "y": y, "stable": float(own.is_stable), "peak": peak}
+        sender.put(self.sources["own"], data={key: [float(value)] for key, value in cell.items()})
+        seen = [each for each in (*(self.mapped or ()), peak) if math.isfinite(each)]
+        sender.put(self.bar, visible=bool(seen))
+        if seen:
+            low, high = min(seen), max(seen)
+            sender.put(self.colours, low=low, high=high if high > low else low + 1.0)
 
 
 def _plot(key: str, x: str, y: str, **more: Any) -> Any:
@@ -225,26 +285,6 @@ def _plot(key: str, x: str, y: str, **more: Any) -> Any:
     return plot
 
 
-def _line(plot: Any, source: ColumnDataSource, role: str, label: str, *, dashed: bool = False) -> None:
-    plot.line(
-        "x",
-        "y",
-        source=source,
-        color=COLOURS[role],
-        line_width=1.8,
-        line_dash="dashed" if dashed else "solid",
-        legend_label=label,
-    )
-
-
-def _finished(plot: Any) -> Any:
-    """Put the legend below the figure, where it hides nothing."""
-    plot.legend.update(label_text_font_size="11px", border_line_alpha=0.0, background_fill_alpha=0.0)
-    plot.legend.orientation = "horizontal"
-    plot.add_layout(plot.legend[0], "below")
-    return plot
-
-
 def _over_time(time_s: FloatArray, force_n: FloatArray) -> dict[str, Any]:
     x, y = decimate(1e3 * time_s, force_n, _MOST_POINTS)
     return {"x": x, "y": y}
@@ -253,6 +293,10 @@ def _over_time(time_s: FloatArray, force_n: FloatArray) -> dict[str, Any]:
 def _edges(middles: FloatArray, by_ratios: bool) -> tuple[float, float]:
     """Return where the first cell begins and the last one ends."""
     on = np.log(middles) if by_ratios else middles
-    half = 0.5 * (on[1] - on[0])
+    half = 0.5 * _step(on)
     ends = on[0] - half, on[-1] + half
     return (float(np.exp(ends[0])), float(np.exp(ends[1]))) if by_ratios else (float(ends[0]), float(ends[1]))
+
+
+def _step(middles: FloatArray) -> float:
+    return float(middles[1] - middles[0])

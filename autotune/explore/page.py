@@ -1,19 +1,17 @@
 """The page: sliders, figures, and what happens when something is turned."""
 
-import asyncio
 from functools import lru_cache
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from bokeh.document import Document
-from bokeh.models import CustomJSTickFormatter, InlineStyleSheet
+from bokeh.events import ConnectionLost, DocumentReady
+from bokeh.models import CustomJS, CustomJSTickFormatter, InlineStyleSheet
 from bokeh.models.widgets import Button, Div, Select, Slider
 from jinja2 import Environment, StrictUndefined, Template
 from numpy.typing import NDArray
 
-from autotune.files.records import ROTATIONAL_AXES
 from autotune.files.units import axis_units
 from problems.errors import AutotuneError
 
@@ -21,8 +19,9 @@ from . import words
 from .figures import KEYS, Figures
 from .knobs import STEPS, Knob, build_gain_knobs, build_plant_knobs, nominal_values, scenario_at
 from .parcel import Sender
-from .save import save_controller
+from .saver import Saver
 from .source import AxisStart, Exploration
+from .target import Target
 from .view import MapWindow, PreparedView, View, build_window, compute_map, compute_view, map_pairs, prepare_view
 
 FloatArray = NDArray[np.float64]
@@ -34,29 +33,32 @@ _LOGARITHMIC = "return String(Number((10 ** tick).toPrecision(4)));"
 _PLAIN = "return String(Number(tick.toPrecision(4)));"
 _MAP_TOLD = (
     "Coloured by its worst peak: a design that meets every requirement on all plants. The plain ground misses one, the "
-    "reddish is unstable. The star is the present design."
+    "reddish is unstable. Each cell is judged at its middle; the framed one around the star is the present design."
 )
 _STYLE = """
 :host { color: inherit; font: inherit; }
-p { margin: 0.2rem 0; } .good { color: var(--good); } .warn { color: var(--warn); } .bad { color: var(--bad); }
-.quiet { color: var(--soft); }
+p { margin: 0.2rem 0; overflow-wrap: anywhere; }
+.good { color: var(--good); } .warn { color: var(--warn); } .bad { color: var(--bad); }
+.quiet, .earlier p { color: var(--soft); }
 dl { display: flex; flex-wrap: wrap; gap: 0.5rem 1.6rem; margin: 0; }
 dt { color: var(--soft); font-size: 0.82rem; } dd { margin: 0; font-size: 1.2rem; font-variant-numeric: tabular-nums; }
 .bk-slider-title { white-space: normal; }
 .bk-slider-title, label { color: var(--ink); font-size: 0.85rem; }
 select.bk-input { color: var(--ink); background-color: var(--pale); border-color: var(--line); }
 .bk-btn { color: var(--ink); background: var(--pale); border-color: var(--line); white-space: normal; }
+.bk-btn[disabled], .noUi-target[disabled], select[disabled] { opacity: 0.4; }
+.bk-btn[disabled] { color: var(--ink); background: var(--pale); }
 """
 
 
 class Page:
     """One visitor's page: the designs of all axes, and the axis that is shown.
 
-    The designs live as long as the page. `out` is the one file that it can write.
+    The designs live as long as the page. `target` is the one file that it can write.
     """
 
-    def __init__(self, exploration: Exploration, out: Path, document: Document) -> None:
-        self.exploration, self.out, self.document = exploration, out, document
+    def __init__(self, exploration: Exploration, target: Target, document: Document) -> None:
+        self.exploration, self.document = exploration, document
         self.axis = next(iter(exploration.axes))
         self.designs = {name: np.array(start.design) for name, start in exploration.axes.items()}
         self.plants = {name: nominal_values(start.problem) for name, start in exploration.axes.items()}
@@ -65,10 +67,14 @@ class Page:
         self.window: MapWindow | None = None
         self.prepared: tuple[object, PreparedView] | None = None
         self.mapped: object = None
-        self.asked = self.busy = self.turning = False
+        self.asked = self.turning = False
         self.resting: Any = None
-        self._build_widgets()
-        self.sender = Sender(document, [*self.figures.changing(), self.verdict, self.facts], self.verdict)
+        look: dict[str, Any] = {"sizing_mode": "stretch_width", "stylesheets": [InlineStyleSheet(css=_STYLE)]}
+        self._build_widgets(look)
+        self.saver = Saver(exploration, target, document, self.designs, look)
+        changing = [self.verdict, self.facts, self.saver.status, self.saver.held]
+        self.sender = Sender(document, [*self.figures.changing(), *changing], self.verdict)
+        self.saver.connect(self.sender)
         self._show_axis()
 
     @property
@@ -76,31 +82,29 @@ class Page:
         """The axis that is shown, as it began."""
         return self.exploration.axes[self.axis]
 
-    def _build_widgets(self) -> None:
-        wide: dict[str, Any] = {"sizing_mode": "stretch_width", "stylesheets": [InlineStyleSheet(css=_STYLE)]}
+    def _build_widgets(self, look: dict[str, Any]) -> None:
         names = {
             knob.name: knob
             for axis, start in self.exploration.axes.items()
             for knob in (*build_gain_knobs(start.problem, axis), *build_plant_knobs(start.problem, axis))
         }
-        self.sliders = {name: Slider(start=0.0, end=1.0, value=0.0, step=0.01, name=name, **wide) for name in names}
+        self.sliders = {name: Slider(start=0.0, end=1.0, value=0.0, step=0.01, name=name, **look) for name in names}
         for slider in self.sliders.values():
             slider.on_change("value", self._turned)
-        self.verdict, self.facts, self.status = (Div(name=key, **wide) for key in ("verdict", "facts", "status"))
-        self.save = Button(label=f"Validate and save {self.out.name}", name="save", button_type="default", **wide)
-        self.back = Button(label="Back to the start", name="back", button_type="default", **wide)
+        self.verdict, self.facts = (Div(name=key, **look) for key in ("verdict", "facts"))
+        self.back = Button(label="Back to the start", name="back", button_type="default", **look)
         axes: Any = list(self.exploration.axes)
-        self.choice = Select(title="Axis", name="axis", value=self.axis, options=axes, **wide)
-        self.over = Select(title="Map over", name="over", **wide)
-        self.save.on_click(self._save_asked)
+        self.choice = Select(title="Axis", name="axis", value=self.axis, options=axes, **look)
+        self.over = Select(title="Map over", name="over", **look)
         self.back.on_click(self._go_back)
         self.choice.on_change("value", self._axis_chosen)
         self.over.on_change("value", self._map_chosen)
 
     def roots(self) -> list[Any]:
         """Return everything that the page places by its name."""
-        widgets = [self.verdict, self.facts, self.status, self.save, self.back, self.choice, self.over]
-        return [*widgets, *self.sliders.values(), *self.figures.plots.values()]
+        saving = [self.saver.status, self.saver.button, self.saver.held]
+        widgets = [self.verdict, self.facts, self.back, self.choice, self.over]
+        return [*saving, *widgets, *self.sliders.values(), *self.figures.plots.values()]
 
     def _show_axis(self) -> None:
         problem = self.start.problem
@@ -113,7 +117,7 @@ class Page:
         self.over.update(options=titles, value=titles[0][0] if titles else "", visible=len(pairs) > 1)
         self.turning = False
         self.figures.plots["map"].visible = bool(pairs)
-        self.status.text = words.plain_line(self.start.note)
+        self.saver.note(self.start.note)
         view = compute_view(self._prepare(), self.start.design)
         self.figures.begin(problem, self.axis, view)
         self.window = None
@@ -173,16 +177,21 @@ class Page:
             self.figures.show(view, self.sender)
             self._show_words(view, len(prepared.scenarios))
             self._show_map(prepared)
+            self._show_own(view)
+            self.view = view
         except AutotuneError as error:
             refused = words.refused_line(str(error)).replace("Not written.", "No picture.")
             self.sender.put(self.verdict, text=refused)
+        self.saver.follow()
         self.sender.send()
 
     def _show_words(self, view: View, count: int) -> None:
         law = self.start.problem.controller(view.design)
         hand = law.damping_n_s_per_m + self._plant()["drag_n_s_per_m"]
         self.sender.put(self.verdict, text=words.verdict(view, count))
-        self.sender.put(self.facts, text=words.facts(view, axis_units(self.axis), hand))
+        # Where the sliders stood, for a page whose server ends before it answers the next turn.
+        stood = {name: slider.value for name, slider in self.sliders.items() if slider.visible}
+        self.sender.put(self.facts, text=words.facts(view, axis_units(self.axis), hand), tags=[stood])
 
     def _prepare(self) -> PreparedView:
         scenario = scenario_at(self.start.problem, self._plant())
@@ -204,7 +213,6 @@ class Page:
         ):
             self.window = build_window(problem, design, (x, y), columns=_COLUMNS, rows=_ROWS)
             self.figures.show_window(self.window, self.knobs[x], self.knobs[y])
-        self.figures.show_star(values[x], values[y], self.sender)
         key = prepared.scenario, self.axis, self.window, tuple(v for name, v in values.items() if name not in {x, y})
         if self.mapped in {(key, _FINER), (key, finer)}:
             return
@@ -214,10 +222,19 @@ class Page:
             self.document.remove_timeout_callback(self.resting)
         self.resting = None if finer > 1 else self.document.add_timeout_callback(self._rest, _RESTS_MS)
 
+    def _show_own(self, view: View) -> None:
+        """Show what the design itself is, on the plants of the map: a cell is judged elsewhere than at the star."""
+        if self.window is not None:
+            x, y = (
+                float(view.design[self.start.problem.variables.index(name)]) for name in (self.window.x, self.window.y)
+            )
+            self.figures.show_own(view, (x, y), self.window, self.sender)
+
     def _rest(self) -> None:
         self.resting = None
         if not self.asked:
             self._show_map(self._prepare(), _FINER)
+            self._show_own(self.view)
             self.sender.send()
 
     def _axis_chosen(self, _name: str, _old: str, new: str) -> None:
@@ -234,49 +251,48 @@ class Page:
         self._set_sliders()
         self.update()
 
-    def _save_asked(self) -> None:
-        if not self.busy:
-            self.busy = True
-            self.status.text = words.plain_line("Judging the design over the whole set, proving, validating …")
-            # Bokeh awaits what a callback returns; its types do not say so.
-            self.document.add_next_tick_callback(self._save)  # type: ignore[arg-type]
 
-    async def _save(self) -> None:
-        """Save beside the event loop, so that the connection stays alive; the page waits for the answer."""
-        try:
-            designs = {name: np.array(design) for name, design in self.designs.items()}
-            saved = await asyncio.to_thread(save_controller, self.exploration, designs, self.out)
-            first = "N·m" if set(self.designs) <= ROTATIONAL_AXES else "N"
-            self.status.text = words.saved_line(saved, first)
-        except AutotuneError as error:
-            self.status.text = words.refused_line(str(error))
-        finally:
-            self.busy = False
-
-
-def build_page(exploration: Exploration, out: Path, document: Document) -> Page:
-    """Fill a document with the page of an exploration; `out` is the file that it may write."""
-    page = Page(exploration, out, document)
+def build_page(exploration: Exploration, target: Target, document: Document) -> Page:
+    """Fill a document with the page of an exploration; `target` is the file that it may write."""
+    page = Page(exploration, target, document)
     for root in page.roots():
         document.add_root(root)
     gains = [name for name in page.sliders if name not in page.plants[page.axis]]
     document.title = f"autotune explore {exploration.path.name}"
+    # A page whose server has gone says so and stops; a new server would know nothing of its designs.
+    document.config.update(reconnect_session=False, notify_connection_status=False)
+    document.js_on_event(DocumentReady, CustomJS(code="explore.begin()"))
+    document.js_on_event(ConnectionLost, CustomJS(code="explore.end()"))
     document.template = _template()
     document.template_variables.update(
-        gains=gains, plant=list(page.plants[page.axis]), figures=_told(), keys=KEYS, source=exploration.path.name
+        gains=gains,
+        plant=list(page.plants[page.axis]),
+        figures=_told(exploration),
+        keys=KEYS,
+        source=exploration.path.name,
     )
+    document.template_variables.update(lines=page.figures.lines, script=_script())
     return page
 
 
-def _told() -> dict[str, tuple[str, str]]:
+def _told(exploration: Exploration) -> dict[str, tuple[str, str]]:
     """Return, for each figure, its heading and what there is to see, for whoever cannot see it."""
+    kinds = dict.fromkeys(axis_units(name).force_name for name in exploration.axes)
     return {
-        "contact": ("Contact transient", "Force over time after the payload touches the surface."),
+        "contact": (
+            "Contact transient",
+            f"{' or '.join(kinds).capitalize()} over time after the payload touches the surface.",
+        ),
         "admittance": ("Free-space admittance", "Magnitude of G over frequency, with the least that is asked."),
         "nyquist": ("Nyquist", "Both open loops around −1, with the circle that the modulus margin asks for."),
         "requirements": ("Requirements", "Required over achieved of each requirement; up to 1 is met."),
         "map": ("Feasible designs", _MAP_TOLD),
     }
+
+
+@lru_cache(maxsize=1)
+def _script() -> str:
+    return (files("autotune.explore") / "explore.js").read_text("utf-8")
 
 
 @lru_cache(maxsize=1)

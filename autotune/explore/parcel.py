@@ -14,13 +14,6 @@ from bokeh.events import DocumentReady
 from bokeh.model import DataModel, Model
 from bokeh.models import CustomJS
 
-# Not told to the server, where it comes from.
-_HAND_ON = """
-for (const [name, values] of Object.entries(cb_obj.content)) {
-  cb_obj.document.get_model_by_name(name).setv(values, {sync: false})
-}
-"""
-
 Changes = dict[str, dict[str, Any]]
 
 
@@ -42,7 +35,7 @@ class Sender:
         self._models = {str(model.name): model for model in models}
         self._changes: Changes = {}
         self._parcel = Parcel(name="parcel")
-        self._parcel.js_on_change("content", CustomJS(code=_HAND_ON))
+        self._parcel.js_on_change("content", CustomJS(code="explore.handOn(cb_obj.content)"))
         self._is_shown = False
         carrier.tags = [self._parcel]
         document.on_event(DocumentReady, self._begin)

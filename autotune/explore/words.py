@@ -2,6 +2,7 @@
 
 import math
 from html import escape
+from pathlib import Path
 
 from autotune.files.units import AxisUnits
 
@@ -17,6 +18,8 @@ _TITLES = {
     "max_peak_force_n": "peak force",
     "free_space_admittance": "free-space admittance",
 }
+
+BUSY = '<p class="quiet busy">Judging the design over the whole set, proving, validating …</p>'
 
 
 def requirement_title(name: str) -> str:
@@ -67,10 +70,22 @@ def _number(value: float | None, unit: str) -> str:
 def saved_line(saved: Saved, force: str) -> str:
     """Say what was written."""
     peaks = ", ".join(f"{name} {value:.4g} {force}" for name, value in saved.peak_n.items())
+    replaced = f", in place of {saved.replaced}" if saved.replaced else ""
     return _line(
         "good",
-        f"Validated ({saved.checks} checks) and written: {saved.path}, checksum {saved.checksum}. Worst peak: {peaks}.",
+        f"Validated ({saved.checks} checks) and written: {saved.path}, checksum {saved.checksum}{replaced}. "
+        f"Worst peak: {peaks}.",
     )
+
+
+def held_line(path: Path, standing: str) -> str:
+    """Say what saving to `path` replaces; `standing` is what stands there, "" for nothing."""
+    return plain_line(f"Replaces {path}, {standing}." if standing else f"Writes {path}, which does not exist yet.")
+
+
+def earlier_line(line: str) -> str:
+    """Return a line with the remark that it is about another design than the present one."""
+    return f'<div class="earlier">{plain_line("Of an earlier design:")}{line}</div>'
 
 
 def refused_line(reason: str) -> str:

@@ -1,5 +1,6 @@
 """What a figure shows, told once: a picture that stands alone and one that can be zoomed are both drawn from it."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -19,7 +20,10 @@ def _column(values: ArrayLike) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
-    """A curve through (x, y), each (n,); NaN breaks it. `label` names it in the legend, empty for none."""
+    """A curve through (x, y), each (n,); NaN breaks it. `label` names it in the legend, empty for none.
+
+    A `wide` one is seen on both sides of a curve that lies on it, as what was before always is.
+    """
 
     x: FloatArray
     y: FloatArray
@@ -27,12 +31,18 @@ class Line:
     role: Role = "measured"
     dashed: bool = False
     steps: bool = False
+    wide: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "x", _column(self.x))
         object.__setattr__(self, "y", _column(self.y))
         if len(self.x) != len(self.y):
             raise ValueError(f"a curve needs as many y as x, found {len(self.y)} and {len(self.x)}")
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether another curve may lie on it and must not hide it."""
+        return self.wide or self.role == "before"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,6 +141,27 @@ class Heat:
         if values.shape != (len(self.y), len(self.x)):
             raise ValueError(f"a grid of {len(self.y)} rows and {len(self.x)} columns cannot hold {values.shape}")
 
+    @property
+    def is_two_sided(self) -> bool:
+        """Whether colours tell the sign, around a neutral middle."""
+        return self.limits is not None and self.limits[0] == -self.limits[1]
+
+    def span(self) -> tuple[float, float]:
+        """Return the numbers at the two ends of the colours."""
+        return self.limits or (float(np.nanmin(self.values)), float(np.nanmax(self.values)))
+
+    def writings(self) -> Iterator[tuple[float, float, str, bool]]:
+        """Yield x, y, number and whether its colour is dark, for each cell that has its number written in it."""
+        if not self.written:
+            return
+        most = max(abs(end) for end in self.span())
+        for y, row in zip(self.y, self.values, strict=True):
+            for x, value in zip(self.x, row, strict=True):
+                if np.isfinite(value):
+                    rounded = f"{abs(value):.2f}".removeprefix("0")
+                    sign = "−" if value < 0.0 and float(rounded) != 0.0 else ""
+                    yield float(x), float(y), "0" if float(rounded) == 0.0 else sign + rounded, abs(value) > 0.6 * most
+
 
 Element = Line | Band | Points | Bars | Stretch | Limit | Heat
 
@@ -146,7 +177,7 @@ class Scale:
 
 @dataclass(frozen=True, kw_only=True)
 class Panel:
-    """A pair of axes and what is drawn in it, in this order; `equal` keeps circles round."""
+    """A pair of axes and what is drawn in it: stretches, then the others in this order; `equal` keeps circles round."""
 
     x: Scale
     y: Scale
@@ -154,6 +185,14 @@ class Panel:
     title: str = ""
     height: float = 1.0
     equal: bool = False
+
+    def stretches(self) -> dict[Role, list[Stretch]]:
+        """Return the stretches by role: a log has dozens, which are drawn in a few strokes."""
+        found: dict[Role, list[Stretch]] = {}
+        for each in self.elements:
+            if isinstance(each, Stretch):
+                found.setdefault(each.role, []).append(each)
+        return found
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -95,8 +95,8 @@ def _panel(seen: ContactSeen, y: Scale, period_s: float) -> Panel:
         x=Scale(label="time from the peak [ms]"),
         y=y,
         elements=(
-            Line(x=time, y=span.measured[begin:stop], label="measured", role="measured"),
-            Line(x=time, y=span.predicted[begin:stop], label="model", role="model", dashed=True),
+            Line(x=time, y=span.measured[begin:stop], label="measured", wide=True),
+            Line(x=time, y=span.predicted[begin:stop], label="model", role="model"),
         ),
     )
 

@@ -62,8 +62,8 @@ def residual_charts(axis: str, units: AxisUnits, told: AxisEvidence, period_s: f
         title="Whether it is noise",
         alternative=f"Histogram, spectrum and autocorrelation of the residual of axis {axis}. Its whitened deviation "
         f"is {float(np.std(white)):.2f}, where 1 is noise alone.",
-        caption="Left: the whitened residual beside a normal distribution. Middle: spectra. Right: autocorrelation of "
-        "the whitened residual; within the band it is chance (95 %).",
+        caption="The whitened residual beside a normal distribution; spectra; autocorrelation of the whitened "
+        "residual, which is chance within the band (95 %).",
         beside=True,
         panels=(
             _histogram(white),
@@ -100,7 +100,10 @@ def _histogram(white: FloatArray) -> Panel:
     return Panel(
         x=Scale(label="residual over its deviation"),
         y=Scale(label="density"),
-        elements=(Bars(edges=edges, heights=heights), Line(x=grid, y=norm.pdf(grid), role="model")),
+        elements=(
+            Bars(edges=edges, heights=heights, label="whitened residual"),
+            Line(x=grid, y=norm.pdf(grid), label="normal distribution", role="model"),
+        ),
     )
 
 
@@ -111,22 +114,18 @@ def _spectra(
     period_s: float,
 ) -> Panel:
     lines: list[Element] = []
-    for spans, what, roles in ((free, "free", ("measured", "residual")), (touching, "contact", ("before", "other"))):
-        for which, (name, role) in enumerate(zip(("force", "residual"), roles, strict=True)):
+    roles: tuple[tuple[Role, Role], ...] = (("measured", "residual"), ("after", "other"))
+    for spans, what, pair in ((free, "free", roles[0]), (touching, "contact", roles[1])):
+        for which, (name, role) in enumerate(zip(("force", "residual"), pair, strict=True)):
             found = _spectrum([span[which] for span in spans], period_s)
             if found is not None:
-                lines.append(Line(x=found[0], y=found[1], label=f"{name}, {what}", role=_role(role)))
+                lines.append(Line(x=found[0], y=found[1], label=f"{name}, {what}", role=role))
     unit = units.force if "·" not in units.force else f"({units.force})"
     return Panel(
         x=Scale(label="frequency [Hz]", spacing="log"),
         y=Scale(label=f"power density [{unit}²/Hz]", spacing="log"),
         elements=tuple(lines),
     )
-
-
-def _role(name: str) -> Role:
-    roles: dict[str, Role] = {"measured": "measured", "residual": "residual", "before": "before", "other": "other"}
-    return roles[name]
 
 
 def _spectrum(signals: Sequence[FloatArray], period_s: float) -> tuple[FloatArray, FloatArray] | None:
@@ -151,8 +150,8 @@ def _autocorrelation(spans: Sequence[FloatArray], period_s: float) -> Panel:
         x=Scale(label="lag [ms]"),
         y=Scale(label="autocorrelation"),
         elements=(
-            Band(x=time, low=-chance, high=chance, role="quiet"),
-            Line(x=time, y=np.array(values), role="residual"),
+            Band(x=time, low=-chance, high=chance, label="chance (95 %)", role="quiet"),
+            Line(x=time, y=np.array(values), label="autocorrelation", role="residual"),
             Limit(value=0.0, role="quiet"),
         ),
     )

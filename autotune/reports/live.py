@@ -2,22 +2,31 @@
 
 import json
 import re
-from collections.abc import Sequence
 from functools import singledispatch
 from typing import Any
 
 import numpy as np
 from bokeh.core.json_encoder import serialize_json
 from bokeh.document import Document
-from bokeh.layouts import gridplot
-from bokeh.models import BasicTicker, ColumnDataSource, HoverTool, LinearColorMapper, Range1d
-from bokeh.models.annotations import ColorBar, Legend, LegendItem, Span
+from bokeh.models import (
+    BasicTicker,
+    ColumnDataSource,
+    CustomJSTickFormatter,
+    DataRange1d,
+    HoverTool,
+    LinearColorMapper,
+    NoOverlap,
+    Range1d,
+)
+from bokeh.models.annotations import ColorBar, Span, Title
+from bokeh.palettes import RdBu11, interp_palette
 from bokeh.plotting import figure
 from bokeh.resources import INLINE
+from numpy.typing import ArrayLike
 
-from .charts import Band, Bars, Chart, Heat, Limit, Line, Panel, Points, Stretch
+from .charts import Band, Bars, Chart, Heat, Limit, Line, Panel, Points, Scale, Stretch
 from .decimate import decimate
-from .palette import COLOURS
+from .palette import COLOURS, FURNITURE
 
 _PANEL_PIXELS, _BESIDE_PIXELS = 210, 240
 _MOST_POINTS = 2800
@@ -25,6 +34,14 @@ _TOOLS = "xpan,xwheel_zoom,box_zoom,reset"
 _ROUND_TOOLS = "pan,wheel_zoom,box_zoom,reset"
 _MARKERS = {"dot": "circle", "star": "star", "diamond": "diamond"}
 _MODEL_ID = re.compile(r'"p\d{4,}"')
+_SHADES = 256
+# Panels below each other have the same left edge, whatever their numbers are.
+_LEFT_PIXELS = {True: 40, False: 62}
+# The engine's own logarithmic numbers are powers with raised digits, or have seventeen places.
+_PLAIN = """
+const value = Number(tick.toPrecision(3));
+return value >= 1e-3 && value < 1e5 ? String(value) : value.toExponential().replace("e+", "e");
+"""
 
 
 def engine() -> str:
@@ -33,70 +50,87 @@ def engine() -> str:
 
 
 def draw_live(chart: Chart) -> dict[str, Any]:
-    """Return what the engine needs to draw the chart: its document and the id of its root.
+    """Return what the engine needs to draw the chart: its document and the ids of its roots, one for each panel.
 
     The same chart gives the same text: the ids that the library counts up are counted anew for each chart.
     """
-    plots = [_draw_panel(panel, len(chart.panels) > 1 and chart.beside) for panel in chart.panels]
+    plots = [_draw_panel(panel, chart.beside) for panel in chart.panels]
     if chart.linked:
         for plot in plots[1:]:
             plot.x_range = plots[0].x_range
-    rows = [plots] if chart.beside else [[plot] for plot in plots]
     document = Document()
-    document.add_root(gridplot(rows, sizing_mode="stretch_width", merge_tools=False, toolbar_location=None))
+    for plot in plots:
+        document.add_root(plot)
     told = serialize_json(document.to_json(deferred=False))
     found = dict.fromkeys(_MODEL_ID.findall(told))
     names = {old: f'"{chart.key}-{i}"' for i, old in enumerate(found)}
     renamed = json.loads(_MODEL_ID.sub(lambda match: names[match.group()], told))
-    return {"document": renamed, "root": renamed["roots"][0]["id"]}
+    return {"document": renamed, "roots": [root["id"] for root in renamed["roots"]]}
 
 
 def _draw_panel(panel: Panel, is_beside: bool) -> Any:
     height = int((_BESIDE_PIXELS if is_beside else _PANEL_PIXELS) * panel.height)
     ranges: dict[str, Any] = {}
-    if panel.x.limits is not None:
-        ranges["x_range"] = Range1d(start=panel.x.limits[0], end=panel.x.limits[1])
-    if panel.y.limits is not None:
-        ranges["y_range"] = Range1d(start=panel.y.limits[0], end=panel.y.limits[1])
+    if not panel.equal:
+        for name, scale in (("x_range", panel.x), ("y_range", panel.y)):
+            if scale.limits is not None:
+                ranges[name] = Range1d(start=scale.limits[0], end=scale.limits[1])
     plot = figure(
         frame_height=height,
+        min_border_left=_LEFT_PIXELS[is_beside],
+        min_border_right=12,
         sizing_mode="stretch_width",
         title=panel.title or None,
         x_axis_type=panel.x.spacing,
         y_axis_type=panel.y.spacing,
         x_axis_label=panel.x.label,
-        y_axis_label=panel.y.label,
         tools=_ROUND_TOOLS if panel.equal else _TOOLS,
         match_aspect=panel.equal,
         background_fill_alpha=0.0,
         border_fill_alpha=0.0,
-        outline_line_color="#7a7f85",
+        outline_line_color=FURNITURE["frame"],
         **ranges,
     )
     plot.toolbar.logo = None
     plot.toolbar_location = "above"
-    items: list[LegendItem] = []
-    _draw_stretches([element for element in panel.elements if isinstance(element, Stretch)], plot)
+    _dress(plot, panel)
+    if panel.equal:
+        _keep_round(plot, panel.x, panel.y)
+    for role, parts in panel.stretches().items():
+        ends = {"low": _short([each.low for each in parts]), "high": _short([each.high for each in parts])}
+        look: dict[str, Any] = {"fill_color": COLOURS[role], "fill_alpha": 0.16, "line_alpha": 0.0}
+        plot.vstrip("low", "high", source=ColumnDataSource(ends), **look)
     for element in panel.elements:
-        drawn = None if isinstance(element, Stretch) else _draw_element(element, plot)
-        if drawn is not None and element.label:
-            items.append(LegendItem(label=element.label, renderers=[drawn]))
-    if items:
-        plot.add_layout(
-            Legend(
-                items=items,
-                orientation="horizontal",
-                spacing=12,
-                location="left",
-                label_text_font_size="11px",
-                click_policy="hide",
-                border_line_alpha=0.0,
-                background_fill_alpha=0.0,
-                margin=0,
-            ),
-            "below",
-        )
+        if not isinstance(element, Stretch):
+            _draw_element(element, plot)
     return plot
+
+
+def _dress(plot: Any, panel: Panel) -> None:
+    """Give what is not data the colours that the page knows how to turn for dark paper."""
+    ink, frame = FURNITURE["ink"], FURNITURE["frame"]
+    text: dict[str, Any] = {"text_color": ink, "text_font_size": "12px", "text_font": "sans-serif"}
+    if panel.title:
+        plot.title.update(**text)
+    plot.add_layout(Title(text=panel.y.label, text_font_style="normal", **text), "above")
+    for axis, scale in ((plot.xaxis[0], panel.x), (plot.yaxis[0], panel.y)):
+        axis.axis_label_text_font_style = "normal"
+        axis.axis_label_text_color = axis.major_label_text_color = ink
+        axis.axis_line_color = axis.major_tick_line_color = axis.minor_tick_line_color = frame
+        if scale.spacing == "log":
+            axis.formatter = CustomJSTickFormatter(code=_PLAIN)
+            axis.major_label_policy = NoOverlap(min_distance=6)
+    for grid in plot.grid:
+        grid.grid_line_color = FURNITURE["grid"]
+
+
+def _keep_round(plot: Any, x: Scale, y: Scale) -> None:
+    """Fit the panel to its limits and not to its curves, with the same length per unit in both directions."""
+    if x.limits is None or y.limits is None:
+        return
+    corners = ColumnDataSource({"x": list(x.limits), "y": list(y.limits)})
+    frame = plot.scatter("x", "y", source=corners, alpha=0.0)
+    plot.x_range, plot.y_range = DataRange1d(renderers=[frame]), DataRange1d(renderers=[frame])
 
 
 @singledispatch
@@ -111,7 +145,7 @@ def _(line: Line, plot: Any) -> Any:
     source = ColumnDataSource({"x": _short(x), "y": _short(y)})
     look: dict[str, Any] = {
         "color": COLOURS[line.role],
-        "line_width": 1.4,
+        "line_width": 3.4 if line.is_wide else 1.5,
         "line_dash": "dashed" if line.dashed else "solid",
     }
     if line.steps:
@@ -140,7 +174,7 @@ def _(points: Points, plot: Any) -> Any:
         "y",
         source=ColumnDataSource(columns),
         color=COLOURS[points.role],
-        line_color="white",
+        line_color=FURNITURE["paper"],
         size=13 if points.marker == "star" else 8,
         marker=_MARKERS[points.marker],
     )
@@ -160,18 +194,6 @@ def _(bars: Bars, plot: Any) -> Any:
     )
 
 
-def _draw_stretches(stretches: Sequence[Stretch], plot: Any) -> None:
-    """Draw all stretches of a role as one glyph: a long log has hundreds, and each model of the library costs."""
-    for role in dict.fromkeys(stretch.role for stretch in stretches):
-        mine = [stretch for stretch in stretches if stretch.role == role]
-        ends = {
-            "low": _short(np.array([stretch.low for stretch in mine])),
-            "high": _short(np.array([stretch.high for stretch in mine])),
-        }
-        look: dict[str, Any] = {"fill_color": COLOURS[role], "fill_alpha": 0.16, "line_alpha": 0.0}
-        plot.vstrip("low", "high", source=ColumnDataSource(ends), **look)
-
-
 @_draw_element.register
 def _(limit: Limit, plot: Any) -> None:
     look: dict[str, Any] = {"line_color": COLOURS[limit.role], "line_dash": "dotted", "line_width": 1.5}
@@ -180,9 +202,15 @@ def _(limit: Limit, plot: Any) -> None:
 
 @_draw_element.register
 def _draw_heat(heat: Heat, plot: Any) -> None:
-    low, high = heat.limits or (float(np.nanmin(heat.values)), float(np.nanmax(heat.values)))
-    palette = "RdBu11" if heat.limits is not None and low == -high else "Viridis256"
+    low, high = heat.span()
+    palette = interp_palette(RdBu11, _SHADES) if heat.is_two_sided else "Viridis256"
     mapper = LinearColorMapper(palette=palette, low=low, high=high, nan_color="rgba(0,0,0,0)")
+    plot.background_fill_color, plot.background_fill_alpha = FURNITURE["hole"], 1.0
+    for grid in plot.grid:
+        grid.visible = False
+    for side in (plot.x_range, plot.y_range):
+        if isinstance(side, DataRange1d):
+            side.range_padding = 0.0
     left, right = _cells(heat.x, plot.x_scale.__class__.__name__ == "LogScale")
     bottom, top = _cells(heat.y, plot.y_scale.__class__.__name__ == "LogScale")
     columns, rows = len(heat.x), len(heat.y)
@@ -201,7 +229,8 @@ def _draw_heat(heat: Heat, plot: Any) -> None:
         "bottom",
         "top",
         source=source,
-        line_color=None,
+        # A line of the same colour, so that no ground is seen between cells.
+        line_color={"field": "value", "transform": mapper},
         fill_color={"field": "value", "transform": mapper},
     )
     tips = [(heat.label, "@value{0.0000}")]
@@ -213,10 +242,28 @@ def _draw_heat(heat: Heat, plot: Any) -> None:
         plot.xaxis[0].major_label_orientation = 1.0
         plot.y_range.flipped = True
     plot.add_tools(_hover(drawn, tips))
-    plot.add_layout(
-        ColorBar(color_mapper=mapper, ticker=BasicTicker(), title=heat.label, width=12, background_fill_alpha=0.0),
-        "right",
+    _write_numbers(plot, heat)
+    text: dict[str, Any] = {"text_color": FURNITURE["ink"], "text_font_size": "12px", "text_font": "sans-serif"}
+    bar = ColorBar(
+        color_mapper=mapper,
+        ticker=BasicTicker(),
+        width=12,
+        padding=6,
+        background_fill_alpha=0.0,
+        major_label_text_color=FURNITURE["ink"],
     )
+    plot.add_layout(bar, "right")
+    plot.add_layout(Title(text=heat.label, text_font_style="normal", align="center", **text), "right")
+
+
+def _write_numbers(plot: Any, heat: Heat) -> None:
+    for on_dark, colour in ((False, "#222222"), (True, "#ffffff")):
+        found = [each for each in heat.writings() if each[3] == on_dark]
+        if found:
+            x, y, texts, _ = zip(*found, strict=True)
+            source = ColumnDataSource({"x": x, "y": y, "text": texts})
+            look: dict[str, Any] = {"text_align": "center", "text_baseline": "middle", "text_font_size": "9px"}
+            plot.text("x", "y", text="text", source=source, text_color=colour, **look)
 
 
 def _name(axis: Any, places: np.ndarray, names: tuple[str, ...]) -> None:
@@ -236,6 +283,6 @@ def _hover(renderer: Any, tips: list[tuple[str, str]]) -> HoverTool:
     return HoverTool(renderers=[renderer], tooltips=tips, visible=False, mode="mouse")
 
 
-def _short(values: np.ndarray) -> np.ndarray:
+def _short(values: ArrayLike) -> np.ndarray:
     """Return single precision: no screen shows more, and the page is half as long."""
     return np.asarray(values, dtype=np.float32)

@@ -69,7 +69,7 @@ def map_chart(design: AxisDesign) -> Chart:
         f"stable) and over mass and feedback damping ({shares[1]:.0f} % stable), with the design marked at "
         f"{design.margins.modulus:.3f}.",
         caption=f"Colour: the smallest modulus margin over {len(plants)} plants, the ends of the domain and its worst "
-        "case, free space included. Blank: unstable. Star: the design. Dashed: where the margin is what was asked.",
+        "case, free space included. Grey: unstable.",
         panels=panels,
         beside=True,
     )
@@ -112,9 +112,9 @@ def _panel(
     if design.modulus_asked is not None:
         edge = _crossings(grid, design.modulus_asked)
         if len(edge[0]):
-            elements.append(Line(x=edge[0], y=edge[1], label="as asked", role="bad", dashed=True))
+            elements.append(Line(x=edge[0], y=edge[1], label="margin as asked", role="bad", dashed=True))
     star = np.array([point[0]]), np.array([point[1]])
-    elements.append(Points(x=star[0], y=star[1], role="bad", marker="star", names=("the design",)))
+    elements.append(Points(x=star[0], y=star[1], label="the design", role="bad", marker="star", names=("the design",)))
     sides = []
     for axis in (x, y):
         told = find_parameter(axis.name)

@@ -24,7 +24,9 @@ _PANELS = 3
 _WORST = "the worst where everything uncertain varies"
 _SHORTEST_S, _LONGEST_S = 0.15, 2.0
 _SETTLED = 0.03
-_LOOP_POINTS, _BOX = 700, 2.2
+_LOOP_POINTS = 700
+# What the picture shows of the plane of L, and how far its curves are carried, so that they end at the frame.
+_RE, _IM, _FAR = (-2.3, 1.1), (-1.8, 1.1), 30.0
 _STIFFNESS_POINTS, _BEYOND = 40, 3.0
 
 
@@ -188,8 +190,8 @@ def nyquist_chart(design: AxisDesign, old: AdmittanceController | None) -> Chart
     panels = tuple(
         Panel(
             title=f"cut at the {where}",
-            x=Scale(label="Re L"),
-            y=Scale(label="Im L"),
+            x=Scale(label="Re L", limits=_RE),
+            y=Scale(label="Im L", limits=_IM),
             elements=(*_disk(asked, radius), *(_locus(name, role, pair[k]) for name, role, pair in curves)),
             height=1.45,
             equal=True,
@@ -202,8 +204,8 @@ def nyquist_chart(design: AxisDesign, old: AdmittanceController | None) -> Chart
         title="How far from instability: Nyquist",
         alternative=f"The open loop, cut at the force and at the command, around the point −1. Over the whole domain "
         f"it stays {radius:.3f} away from it.{told}",
-        caption=f"Positive frequencies; a curve that ends goes on further out, where it is far from −1. Over the whole "
-        f"domain L stays {radius:.3f} away from −1 (modulus margin)."
+        caption="Positive frequencies; at low ones the curves go on beyond the frame. "
+        f"Over the whole domain L stays {radius:.3f} away from −1 (modulus margin)."
         + ("" if asked is None else f" The dashed circle is what was asked, {asked:g}."),
         panels=panels,
         beside=True,
@@ -212,7 +214,7 @@ def nyquist_chart(design: AxisDesign, old: AdmittanceController | None) -> Chart
 
 def _disk(asked: float | None, reached: float) -> Iterator[Element]:
     turn = np.linspace(0.0, 2.0 * np.pi, 121)
-    for radius, role, name in ((asked, "target", "asked"), (reached, "bad", "reached")):
+    for radius, role, name in ((reached, "bad", "reached"), (asked, "target", "asked")):
         if radius is not None:
             shade: Role = "target" if role == "target" else "bad"
             x, y = -1.0 + radius * np.cos(turn), radius * np.sin(turn)
@@ -221,7 +223,7 @@ def _disk(asked: float | None, reached: float) -> Iterator[Element]:
 
 
 def _locus(name: str, role: Role, loop: ComplexArray) -> Line:
-    inside = (np.abs(loop.real + 0.5) <= _BOX) & (np.abs(loop.imag) <= _BOX)
+    inside = np.abs(loop) <= _FAR
     shown = np.where(inside, loop, np.nan + 0j)
     imaginary = np.where(inside, shown.imag, np.nan)
     return Line(x=shown.real, y=imaginary, label=name, role=role, dashed=role == "before")

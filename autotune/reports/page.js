@@ -15,31 +15,43 @@
     document.head.append(script);
     window.Bokeh.set_log_level("error");
   };
+  const isDark = window.matchMedia("(prefers-color-scheme: dark)");
+  const onDark = JSON.parse(document.getElementById("dark-colours").textContent);
   const draw = async (key) => {
     engine ??= start();
     await engine;
-    const told = JSON.parse(await read(`${key}-data`));
-    const place = { docid: key, roots: { [told.root]: `${key}-live` }, root_ids: [told.root] };
-    await window.Bokeh.embed.embed_items({ [key]: told.document }, [place]);
+    const text = await read(`${key}-data`);
+    const told = JSON.parse(isDark.matches ? text.replace(/#[0-9a-f]{6}/g, (colour) => onDark[colour] ?? colour) : text);
+    const roots = Object.fromEntries(told.roots.map((root, panel) => [root, `${key}-live-${panel}`]));
+    await window.Bokeh.embed.embed_items({ [key]: told.document }, [{ docid: key, roots, root_ids: told.roots }]);
   };
   for (const button of document.querySelectorAll("button.zoom")) {
     const key = button.dataset.chart;
     const figure = document.getElementById(key);
-    const live = document.getElementById(`${key}-live`);
-    const still = figure.querySelector(".frame");
+    const live = figure.querySelector(".live");
+    const still = figure.querySelector(".still");
     let drawn;
-    button.hidden = false;
-    button.addEventListener("click", async () => {
-      const shows = live.hidden;
-      live.hidden = !shows;
-      still.hidden = shows;
-      button.setAttribute("aria-pressed", String(shows));
-      button.textContent = shows ? "Back to the picture" : "Zoom and read values";
-      if (shows && drawn === undefined) {
+    const show = async () => {
+      if (!live.hidden && drawn === undefined) {
         drawn = draw(key);
         await drawn;
         figure.dataset.drawn = "true";
       }
+    };
+    button.hidden = false;
+    button.addEventListener("click", () => {
+      live.hidden = !live.hidden;
+      still.hidden = !live.hidden;
+      button.setAttribute("aria-pressed", String(!live.hidden));
+      show();
+    });
+    // The engine paints in fixed colours: on other paper it paints anew.
+    isDark.addEventListener("change", () => {
+      drawn = undefined;
+      for (const place of live.querySelectorAll(".plot")) {
+        place.replaceChildren();
+      }
+      show();
     });
   }
 })();

@@ -7,13 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import files
-from typing import Literal
-from urllib.parse import quote
+from typing import Any, Literal
 
 from jinja2 import Environment, StrictUndefined, Template
 from markupsafe import Markup
 
 from .charts import Chart
+from .legends import build_legend
+from .palette import colour_variables, dark_colours
 
 Tone = Literal["", "good", "warn", "bad", "quiet"]
 _GRAVITY: tuple[Tone, ...] = ("", "quiet", "good", "warn", "bad")
@@ -39,6 +40,14 @@ class Table:
     def __post_init__(self) -> None:
         if any(len(row) != len(self.columns) for row in self.rows):
             raise ValueError(f"a table of {len(self.columns)} columns needs as many cells in every row")
+
+    def heads(self) -> tuple[Cell, ...]:
+        """Return the columns' names, each to the side to which its entries are set."""
+        entries = [[row[i] for row in self.rows if row[i].text] for i in range(len(self.columns))]
+        return tuple(
+            Cell(text=name, is_number=bool(cells) and all(cell.is_number for cell in cells))
+            for name, cells in zip(self.columns, entries, strict=True)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,8 +78,8 @@ class Facts:
     facts: tuple[Fact, ...]
 
 
-# What may stand as it is in an address within double quotes; escaping it would double the page.
-_PLAIN_IN_ATTRIBUTE = " <>/:;=,.()'!*+-_~{}[]|@$?"
+# Letters of a drawing, 8 pt in its own measure, are nine tenths of the text around it.
+_REM_PER_POINT = 0.9 / 8.0
 
 Block = Chart | Table | Note | Facts
 
@@ -135,14 +144,14 @@ def render_page(page: Page, progress: Callable[[float], None] | None = None) -> 
     keys = [chart.key for chart in charts] + [section.key for section in page.sections]
     if len(set(keys)) < len(keys):
         raise ValueError(f"keys of sections and figures must differ: {sorted(keys)}")
-    pictures, live = {}, {}
+    stills, live = {}, {}
     for chart in charts:
-        pictures[chart.key] = _picture(chart)
+        stills[chart.key] = _stills(chart)
         if chart.live:
             live[chart.key] = _live(chart)
         if progress is not None:
             progress(1.0 / len(charts))
-    return _template().render(page=page, pictures=pictures, live=live, engine=_engine() if live else "")
+    return _template().render(page=page, stills=stills, live=live, engine=_engine() if live else "")
 
 
 def kind_of(block: Block) -> str:
@@ -150,12 +159,15 @@ def kind_of(block: Block) -> str:
     return type(block).__name__.lower()
 
 
-def _picture(chart: Chart) -> Markup:
+def _stills(chart: Chart) -> tuple[dict[str, Any], ...]:
     # matplotlib and Bokeh take a second to import; what only reads or checks a page does without.
-    from .static import draw_svg  # noqa: PLC0415
+    from .static import draw_stills  # noqa: PLC0415
 
-    text = draw_svg(chart).decode("utf-8").replace("\n", " ")
-    return Markup("data:image/svg+xml," + quote(text, safe=_PLAIN_IN_ATTRIBUTE))
+    drawn = draw_stills(chart)
+    return tuple(
+        {"svg": Markup(each.svg), "width_rem": each.width_pt * _REM_PER_POINT, "is_wide": each.is_wide}
+        for each in drawn
+    )
 
 
 def _live(chart: Chart) -> str:
@@ -180,6 +192,11 @@ def _template() -> Template:
     folder = files("autotune.reports")
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters["kind"] = kind_of
-    environment.globals["style"] = Markup((folder / "page.css").read_text("utf-8"))
+    environment.filters["legend"] = build_legend
+    style = (folder / "page.css").read_text("utf-8")
+    for mark, dark in (("--draw: light;", False), ("--draw: dark;", True)):
+        style = style.replace(mark, colour_variables(dark=dark))
+    environment.globals["style"] = Markup(style)
+    environment.globals["dark_colours"] = dark_colours()
     environment.globals["script"] = Markup((folder / "page.js").read_text("utf-8"))
     return environment.from_string((folder / "page.html.jinja").read_text("utf-8"))

@@ -9,6 +9,7 @@ from autotune.validation.against_log import ComparedContact, LogComparison
 from autotune.validation.monte_carlo import BAND, AxisMonteCarlo
 
 from .charts import Band, Chart, Limit, Line, Panel, Scale
+from .framing import level_panels
 
 _PANELS = 3
 # What is beyond is in the table.
@@ -57,6 +58,7 @@ def measured_charts(found: LogComparison) -> Iterator[Chart]:
         f"{inside} lie inside the band all the time."
     )
     which = "" if len(shown) == len(found.contacts) else f" The strongest {len(shown)} are drawn; the table has all."
+    panels = level_panels([_measured_panel(each) for each in shown])
     for number, start in enumerate(range(0, len(shown), _PANELS), 1):
         is_last = start + _PANELS >= len(shown)
         yield Chart(
@@ -64,7 +66,7 @@ def measured_charts(found: LogComparison) -> Iterator[Chart]:
             title="Measured contacts beside the prediction" + (f" ({number})" if len(shown) > _PANELS else ""),
             alternative=f"Force at the sensor over time after touching, measured and predicted: {told}",
             caption=f"O{told[1:]} Shaded: what the certified set allows.{which}" if is_last else "",
-            panels=tuple(_measured_panel(each) for each in shown[start : start + _PANELS]),
+            panels=panels[start : start + _PANELS],
             beside=True,
         )
 
@@ -80,7 +82,7 @@ def _measured_panel(contact: ComparedContact) -> Panel:
         y=Scale(label=f"{units.force_name} at the sensor [{units.force}]"),
         elements=(
             Band(x=time, low=trace.low[used], high=trace.high[used], label="certified", role="target"),
-            Line(x=1e3 * np.asarray(trace.measured_s), y=trace.measured, label="measured", role="measured"),
+            Line(x=1e3 * np.asarray(trace.measured_s), y=trace.measured, label="measured", wide=True),
             Line(x=time, y=trace.predicted[used], label="predicted", role="model", dashed=True),
         ),
     )

@@ -1,6 +1,6 @@
 """Search the controller: a seeded global stage, a local polish, and worst-case scenario exchange."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -225,7 +225,7 @@ class Search:
 
         found = self._evolve(costs, seed=self.seed, start=self.start, each=lambda: report(1.0 / self.generations))
         if found.fun >= _MISSED:
-            return self._recovered(screen, np.asarray(found.x))
+            return self._recover(screen, self._closest(seen))
         good = [unit for value, unit in sorted(seen, key=lambda pair: pair[0]) if value < _MISSED]
         # The best, and the best of other valleys: the generations leave a valley that starts higher, but may end lower.
         self.elite = spread_out(good, _NEAR, _POLISH_STARTS) + spread_out(good, _FAR, _OTHER_VALLEYS)[1:]
@@ -304,7 +304,7 @@ class Search:
         # The next round starts where this one ended, in the best few valleys.
         self.elite = spread_out([candidates[i] for i in order if costs[i] < _MISSED], _NEAR, _POLISH_STARTS)
         if np.min(costs) >= _MISSED:
-            best = self._recover(screen, best)
+            best = self._recover(screen, [best])
         if self.goal is not None:
             return np.asarray(best)
         design = polish_exactly(screen, self.box.design(best), backoff=self.backoff, reserve=_RESERVE)
@@ -313,19 +313,32 @@ class Search:
         self.last = screen.prepared.evaluate(self.box.design(best), peaks_if_missed=True)
         return np.asarray(best)
 
-    def _recover(self, screen: Screen, start: FloatArray) -> FloatArray:
-        """Search globally again when the added scenarios left no start feasible."""
-        found = self._evolve(
-            lambda units: self._tightened_costs(screen, units.T), seed=self.seed + 1, start=start, each=lambda: None
-        )
-        return self._recovered(screen, np.asarray(found.x))
+    def _closest(self, seen: Iterable[tuple[float, FloatArray]]) -> list[FloatArray]:
+        """Return the points that miss least, of those that lie apart."""
+        return spread_out((unit for _, unit in sorted(seen, key=lambda pair: pair[0])), _FAR, _OTHER_VALLEYS)
 
-    def _recovered(self, screen: Screen, closest: FloatArray) -> FloatArray:
-        """Walk from the closest point into the feasible set, or say why there is no way."""
-        candidate = self.local(screen, closest)
-        if self._tightened_costs(screen, candidate[None])[0] >= _MISSED:
-            raise self._refusal(screen.prepared, [closest, candidate])
-        return candidate
+    def _recover(self, screen: Screen, closest: list[FloatArray]) -> FloatArray:
+        """Walk from points that miss something into the feasible set; search globally once more, or say why not.
+
+        A population may end beside the set, or in a valley that has none of it: neither tells that there is none.
+        """
+        ends = [self.local(screen, start) for start in closest]
+        costs = self._tightened_costs(screen, np.array(ends))
+        if np.min(costs) < _MISSED:
+            return ends[int(np.argmin(costs))]
+        seen: list[tuple[float, FloatArray]] = []
+
+        def noted(units: FloatArray) -> FloatArray:
+            found = self._tightened_costs(screen, units.T)
+            seen.extend(zip(found.tolist(), units.T.copy(), strict=True))
+            return found
+
+        found = self._evolve(noted, seed=self.seed + 1, start=ends[int(np.argmin(costs))], each=lambda: None)
+        more = [np.asarray(found.x), *(self.local(screen, start) for start in self._closest(seen))]
+        costs = self._tightened_costs(screen, np.array(more))
+        if np.min(costs) >= _MISSED:
+            raise self._refusal(screen.prepared, [*closest, *ends, *more])
+        return more[int(np.argmin(costs))]
 
     def _tightened_costs(self, screen: Screen, units: FloatArray) -> FloatArray:
         return self._costs(screen, units, peaks_if_missed=True, tightened=True)

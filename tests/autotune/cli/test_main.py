@@ -356,3 +356,18 @@ def _tiny_script(folder: Path) -> str:
     path = folder / "tiny_cli.py"
     path.write_text(TINY, encoding="utf-8")
     return str(path)
+
+
+def test_an_interrupt_inside_of_code_from_text_ends_with_our_code() -> None:
+    lines = (
+        "import sys, types, click",
+        "from autotune.cli.main import CommandEntry, main",
+        "command = click.Command('tiny', callback=lambda: exec('raise KeyboardInterrupt'))",
+        "sys.modules['tiny'] = types.SimpleNamespace(command=command)",
+        "code = main(['tiny'], entries={'tiny': CommandEntry(module='tiny', help='Interrupt.')})",
+        "sys.exit(code)",
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (130, "autotune: Interrupted.\n")

@@ -12,13 +12,22 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
+from bokeh.core.types import ID
+from bokeh.util.token import generate_jwt_token
 
+from autotune.files.canonical import short
 from autotune.files.controller import read_controller, write_controller
 from tests.autotune.browser import PAINTED, Visit
 from tests.autotune.tuning.cases import small_controller
 
 FIGURES = ("contact", "admittance", "nyquist", "requirements", "map")
 READY = "() => window.Bokeh && Bokeh.documents[0] && Bokeh.documents[0].get_model_by_name('data-map').data.x.length > 0"
+STAR = "x => Math.abs(Bokeh.documents[0].get_model_by_name('data-own').data.x[0] / x - 1) < 1e-3"
+# Pixels to a unit, both ways.
+SCALES = """() => {
+  const plot = Bokeh.documents[0].get_model_by_name('nyquist'), { x_range: x, y_range: y } = plot;
+  return [plot.inner_width / (x.end - x.start), plot.inner_height / (y.end - y.start)];
+}"""
 CONTACT = "() => Array.from(Bokeh.documents[0].get_model_by_name('data-contact').data.y)"
 
 
@@ -64,6 +73,11 @@ def test_every_figure_is_drawn_and_nothing_overflows(
     visit = visit_of(browser, url, width, scheme)
     for key in FIGURES:
         visit.page.wait_for_function(f"() => ({PAINTED})('{key}') > 0.005", timeout=30_000)
+    across, up = visit.page.evaluate(SCALES)
+    # A frame is a whole number of pixels wide.
+    assert across == pytest.approx(up, rel=0.02)
+    ink = "getComputedStyle(document.documentElement).getPropertyValue('--ink').trim()"
+    assert visit.page.evaluate(f"{ink} === Bokeh.documents[0].get_model_by_name('told').text_color.value")
     visit.check()
     visit.page.close()
 
@@ -73,23 +87,55 @@ def test_the_hand_is_followed_and_what_holds_is_saved(browser: Any, served: tupl
     visit = visit_of(browser, url, 1280, "light")
     page = visit.page
     before = page.evaluate(CONTACT)
-    # The second handle is that of the damping; an arrow key turns it by a few per cent.
-    handle = page.get_by_role("slider").nth(1)
+    # A key turns the damping by a few per cent.
+    handle = page.get_by_role("slider", name="B_a admittance damping")
+    assert handle.get_attribute("aria-valuetext") == f"{small_controller().axes['x'].damping:.4g} N·s/m"
     handle.focus()
     for _ in range(4):
         handle.press("PageUp")
     page.wait_for_function(f"before => JSON.stringify(({CONTACT})()) !== JSON.stringify(before)", arg=before)
     page.get_by_text("misses free-space admittance").wait_for()
+    turned = handle.get_attribute("aria-valuetext")
+    assert turned is not None
+    assert float(turned.removesuffix(" N·s/m")) > small_controller().axes["x"].damping
+    # The map lies further down, and follows once the hand rests.
+    page.wait_for_function(STAR, arg=float(turned.removesuffix(" N·s/m")))
     save = page.get_by_role("button", name="Validate and save tried.yaml")
     save.click()
     page.get_by_text("Not written.").wait_for(timeout=60_000)
     assert not out.exists()
+    page.get_by_text("Writes tried.yaml, which does not exist yet.").wait_for()
     page.get_by_role("button", name="Back to the start").click()
     page.wait_for_function(f"before => JSON.stringify(({CONTACT})()) === JSON.stringify(before)", arg=before)
+    page.get_by_text("Of an earlier design:").wait_for()
     save.click()
     page.get_by_text("Validated (").wait_for(timeout=120_000)
-    assert read_controller(out).controller.axes == small_controller().axes
+    read = read_controller(out)
+    assert read.controller.axes == small_controller().axes
+    page.get_by_text(f"Replaces tried.yaml, the controller of checksum {short(read.checksum)}.").wait_for()
     assert visit.complaints == []
+
+
+def test_a_server_that_has_gone_is_told_and_nothing_can_be_turned(browser: Any, served: tuple[str, Path]) -> None:
+    url, _ = served
+    page, kept = browser.new_page(), []
+    page.route_web_socket("**/ws", lambda socket: kept.append((socket, socket.connect_to_server())))
+    page.goto(url)
+    page.wait_for_function(READY, timeout=60_000)
+    handle, banner = page.get_by_role("slider", name="B_a admittance damping"), page.get_by_role("alert")
+    assert not banner.is_visible()
+    before = handle.get_attribute("aria-valuetext")
+    # Turned, and not answered any more.
+    page.evaluate("Bokeh.documents[0].get_model_by_name('damping').setv({value: 3.3}, {sync: false})")
+    for socket, _server in kept:
+        socket.close()
+    banner.wait_for(timeout=20_000)
+    assert banner.inner_text() == "The server has ended; what you see is of the last design."
+    assert handle.get_attribute("aria-valuetext") == before
+    handle.press("PageUp")
+    assert handle.get_attribute("aria-valuetext") == before
+    assert page.get_by_role("button", name="Validate and save tried.yaml").is_disabled()
+    page.close()
 
 
 def test_only_who_knows_the_address_and_comes_from_it_is_served(served: tuple[str, Path]) -> None:
@@ -111,5 +157,20 @@ def test_only_who_knows_the_address_and_comes_from_it_is_served(served: tuple[st
 
     assert status(address.path, {}) == 200
     assert [status(path, {}) for path in ("/", "/guess/", "/static/js/bokeh.min.js")] == [404, 404, 404]
+    called = [f"{name}:{address.port}" for name in ("127.0.0.1", "localhost", "evil.example")] + ["127.0.0.1"]
+    assert [status(address.path, {"Host": host}) for host in called] == [200, 200, 403, 403]
     upgraded = f"{address.path}ws"
-    assert status(upgraded, {**upgrade, "Origin": "http://elsewhere.example"}) == 403
+
+    def opens(name: str, origin: str, *offered: str) -> bool:
+        host = f"{name}:{address.port}"
+        given = {"Host": host, "Origin": f"http://{origin or host}", "Sec-WebSocket-Protocol": ", ".join(offered)}
+        found = status(upgraded, {**upgrade, **given})
+        assert found in {101, 403}
+        return found == 101
+
+    # Such a token is in the page; one that is made up is refused without a word on the terminal.
+    token, old = (generate_jwt_token(ID("id"), expiration=seconds) for seconds in (60, -60))
+    assert [opens(name, "", "bokeh", token) for name in ("127.0.0.1", "localhost", "evil.example")] == [1, 1, 0]
+    assert not opens("127.0.0.1", "elsewhere.example", "bokeh", token)
+    for offered in ((), ("bokeh",), ("other", token), ("bokeh", old), ("bokeh", "nonsense")):
+        assert not opens("127.0.0.1", "", *offered)

@@ -1,5 +1,6 @@
 """The page without a browser: what happens in its document when something is turned."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +10,14 @@ from bokeh.document.events import ModelChangedEvent
 from bokeh.events import DocumentReady
 
 from autotune.explore.page import Page, build_page
+from autotune.explore.target import Target
 from autotune.explore.words import refused_line
 from tests.autotune.explore.start import small_exploration
 
 
 @pytest.fixture
 def page(tmp_path: Path) -> Page:
-    return build_page(small_exploration(), tmp_path / "controller.yaml", Document())
+    return build_page(small_exploration(), Target(tmp_path / "controller.yaml"), Document())
 
 
 def turn(page: Page, name: str, value: float) -> None:
@@ -44,7 +46,7 @@ def test_the_map_is_computed_again_only_where_it_is_another_one(page: Page) -> N
     turn(page, "damping", 1310.0)
     assert cells() is not first
     assert np.array_equal(cells(), first)
-    assert page.figures.sources["star"].data["x"] == [1310.0]
+    assert page.figures.sources["own"].data["x"] == [1310.0]
     turn(page, "feedback_damping_s", 0.008)
     assert not np.array_equal(cells(), first)
 
@@ -63,7 +65,7 @@ def test_a_page_that_is_shown_gets_one_message_for_all_that_a_turn_changes(page:
     turn(page, "damping", 1310.0)
     by_hand, (sent,) = seen[:1], seen[1:]
     assert (by_hand[0].model, sent.attr) == (page.sliders["damping"], "content")
-    assert {"data-contact", "data-command", "data-bars", "data-star", "verdict", "facts"} <= set(sent.new)
+    assert {"data-contact", "data-command", "data-bars", "data-own", "verdict", "facts"} <= set(sent.new)
     assert not np.array_equal(sent.new["data-contact"]["data"]["y"], before)
     assert np.array_equal(data(page, "contact"), before)
 
@@ -88,6 +90,52 @@ def test_what_is_turned_between_two_pictures_is_computed_once(page: Page) -> Non
     assert len(page.document.session_callbacks) == before + 1
 
 
+def test_the_cell_of_the_star_says_what_the_page_says(page: Page) -> None:
+    start = small_exploration().axes["x"].design
+    seen = set()
+    for damping, lead in ((1250.0, 0.018), (1180.0, 0.0185), (1400.0, 0.018), (1300.0, 0.013), (1100.0, 0.012)):
+        page.sliders["lead_s"].value = page.knobs["lead_s"].position(lead)
+        turn(page, "damping", damping)
+        assert page.prepared is not None
+        said = page.prepared[1].screen.prepared.evaluate(np.array([start[0], damping, lead, start[3]]))
+        cell = {name: float(values[0]) for name, values in page.figures.sources["own"].data.items()}
+        assert (cell["x"], cell["y"], cell["stable"]) == (damping, lead, said.is_stable)
+        assert cell["left"] < damping < cell["right"]
+        assert cell["bottom"] < lead < cell["top"]
+        assert ("Meets every requirement" in page.verdict.text) == said.is_feasible == bool(np.isfinite(cell["peak"]))
+        if said.is_feasible:
+            assert cell["peak"] == said.objective_n
+            low, high = page.figures.colours.low, page.figures.colours.high
+            assert low is not None
+            assert high is not None
+            assert low <= cell["peak"] <= high
+        seen.add(said.is_feasible)
+    assert seen == {True, False}
+
+
+def test_a_map_without_a_feasible_design_has_no_scale(page: Page) -> None:
+    assert page.figures.bar.visible
+    turn(page, "delay_s", page.knobs["delay_s"].high)
+    assert not np.isfinite(page.figures.sources["map"].data["peak"][0]).any()
+    assert not page.figures.bar.visible
+
+
+def test_words_about_an_earlier_design_say_so(page: Page) -> None:
+    page.saver.tell("<p>Validated.</p>", {name: np.array(design) for name, design in page.designs.items()})
+    page.update()
+    assert page.saver.status.text == "<p>Validated.</p>"
+    turn(page, "payload_mass_kg", 20.0)
+    assert page.saver.status.text == "<p>Validated.</p>"
+    turn(page, "damping", 1310.0)
+    assert "Of an earlier design:" in page.saver.status.text
+    page.choice.value = "y"
+    page._go_back()
+    assert "Of an earlier design:" in page.saver.status.text
+    page.choice.value = "x"
+    page._go_back()
+    assert page.saver.status.text == "<p>Validated.</p>"
+
+
 def test_each_axis_keeps_its_own_design(page: Page) -> None:
     turn(page, "damping", 1400.0)
     page.choice.value = "y"
@@ -98,9 +146,18 @@ def test_each_axis_keeps_its_own_design(page: Page) -> None:
 
 
 def test_two_visitors_share_nothing(page: Page, tmp_path: Path) -> None:
-    other = build_page(small_exploration(), tmp_path / "controller.yaml", Document())
+    other = build_page(small_exploration(), Target(tmp_path / "controller.yaml"), Document())
     turn(page, "damping", 1400.0)
     assert other.designs["x"][1] == 1250.0
+
+
+def test_a_page_about_torques_says_so(tmp_path: Path) -> None:
+    axes = small_exploration().axes
+    for names, told in ((["rx"], "Torque over time"), (["x", "rx"], "Force or torque over time")):
+        document = Document()
+        exploration = replace(small_exploration(), axes=dict.fromkeys(names, axes["x"]))
+        build_page(exploration, Target(tmp_path / "controller.yaml"), document)
+        assert document.template_variables["figures"]["contact"][1].startswith(told)
 
 
 def test_text_from_files_is_text() -> None:

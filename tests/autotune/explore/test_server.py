@@ -1,13 +1,21 @@
 """The server without a visitor."""
 
+import os
+import signal
 import socket
+import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from autotune.errors import UsageError
-from autotune.explore.server import LOOPBACK, serve
+from autotune.explore.door import LOOPBACK
+from autotune.explore.server import serve
+from autotune.explore.target import SaveInterruptedError, Target
+from autotune.files.controller_record import Controller
 from tests.autotune.explore.start import small_exploration
+from tests.autotune.tuning.cases import small_controller
 
 
 def test_a_port_that_is_taken_is_named(tmp_path: Path) -> None:
@@ -17,4 +25,35 @@ def test_a_port_that_is_taken_is_named(tmp_path: Path) -> None:
     with socket.create_server((LOOPBACK, 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(UsageError, match=rf"Port {port} cannot be used: .*; name another one with --port\."):
-            serve(small_exploration(), tmp_path / "controller.yaml", port=port, ready=ready)
+            serve(small_exploration(), Target(tmp_path / "controller.yaml"), port=port, ready=ready)
+
+
+def test_an_interrupt_gives_up_a_save_and_does_not_wait_for_it(tmp_path: Path) -> None:
+    target = Target(tmp_path / "controller.yaml")
+    target.path.write_text("as it was", encoding="utf-8")
+    begun, released, raised = threading.Event(), threading.Event(), []
+
+    def make(_progress: Callable[[float], None]) -> Controller:
+        begun.set()
+        assert released.wait(60.0)
+        return small_controller()
+
+    def save() -> None:
+        with pytest.raises(SaveInterruptedError) as caught:
+            target.save(make)
+        raised.append(caught.value)
+
+    saving = threading.Thread(target=save)
+
+    def ready(_address: str) -> None:
+        saving.start()
+        assert begun.wait(60.0)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    serve(small_exploration(), target, port=0, ready=ready)
+    assert saving.is_alive()
+    assert target.is_cut_short
+    released.set()
+    saving.join(60.0)
+    assert len(raised) == 1
+    assert target.path.read_text(encoding="utf-8") == "as it was"

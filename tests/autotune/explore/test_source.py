@@ -11,6 +11,7 @@ from autotune.explore import save as save_module
 from autotune.explore import source as source_module
 from autotune.explore.save import save_controller
 from autotune.explore.source import problem_of, read_exploration
+from autotune.explore.target import Target
 from autotune.files.controller import read_controller, write_controller
 from autotune.files.controller_record import Controller, ControllerStatus, SoftRequirement
 from autotune.tuning.record import build_domain
@@ -118,7 +119,7 @@ def test_what_is_saved_is_an_ordinary_controller(tmp_path: Path) -> None:
     exploration = replace(solved_exploration(), threshold=ThresholdWish(bounds_n=(5.0, 60.0)))
     path, start = tmp_path / "controller.yaml", exploration.axes["x"]
     design = start.design * np.array([1.0, 0.999, 1.0, 1.0])
-    saved = save_controller(exploration, {"x": design}, path)
+    saved = save_controller(exploration, {"x": design}, Target(path))
     read = read_controller(path)
     assert read.checksum.startswith(saved.checksum)
     assert read.controller.axes["x"].damping == float(f"{design[1]:.6g}")
@@ -140,7 +141,7 @@ def test_what_is_saved_is_an_ordinary_controller(tmp_path: Path) -> None:
 def test_a_design_that_does_not_hold_is_not_written(tmp_path: Path, factors: tuple[float, ...], told: str) -> None:
     exploration, path = solved_exploration(), tmp_path / "controller.yaml"
     with pytest.raises(InfeasibleError, match=told):
-        save_controller(exploration, {"x": exploration.axes["x"].design * np.array(factors)}, path)
+        save_controller(exploration, {"x": exploration.axes["x"].design * np.array(factors)}, Target(path))
     assert not path.exists()
 
 
@@ -151,5 +152,5 @@ def test_a_design_that_validation_refuses_is_not_written(tmp_path: Path, monkeyp
     monkeypatch.setattr(save_module, "certify", doubt)
     exploration, path = solved_exploration(), tmp_path / "controller.yaml"
     with pytest.raises(CertificateError, match="not so"):
-        save_controller(exploration, {"x": exploration.axes["x"].design}, path)
+        save_controller(exploration, {"x": exploration.axes["x"].design}, Target(path))
     assert not path.exists()

@@ -10,8 +10,11 @@ from hypothesis import strategies as st
 
 from autotune.reports.charts import Band, Bars, Chart, Heat, Limit, Line, Panel, Points, Scale, Stretch
 from autotune.reports.decimate import decimate
+from autotune.reports.framing import fitted_limits, level_panels
+from autotune.reports.legends import build_legend
 from autotune.reports.live import draw_live
-from autotune.reports.static import draw_svg
+from autotune.reports.palette import colour_variables, dark_colours
+from autotune.reports.static import draw_stills
 
 
 @pytest.mark.parametrize(
@@ -89,20 +92,99 @@ def everything() -> Chart:
 
 def test_both_pictures_are_the_same_each_time_and_say_the_numbers_in_full() -> None:
     chart = everything()
-    drawn = draw_svg(chart)
-    assert drawn == draw_svg(chart)
+    stills = draw_stills(chart)
+    assert stills == draw_stills(chart)
+    assert len(stills) == len(chart.panels)
+    drawn = "".join(still.svg for still in stills)
     # Coordinates are shortened; what people read is not: ticks 0.001 and 0.002 must not both be 0.00.
-    assert b"0.001" in drawn
-    assert b"0.002" in drawn
+    assert ">0.001<" in drawn
+    assert ">0.002<" in drawn
     told = [json.dumps(draw_live(chart), sort_keys=True) for _ in range(2)]
     assert told[0] == told[1]
-    assert all(label in told[0] for label in ("line", "band", "points", "margin"))
+    assert all(label in told[0] for label in ("line", "points", "margin"))
+    # The legend stands beside both pictures.
+    assert [each.label for each in build_legend(chart).panels[0]] == ["line", "band", "points", "stretch", "limit"]
+    # No colour of a drawing is fixed but those of a map, which stay on any paper.
+    assert not [colour for colour in dark_colours() if colour in drawn]
 
 
 def test_a_logarithmic_side_within_a_decade_has_numbers() -> None:
     line = Line(x=np.array([2e-4, 8e-4]), y=np.array([3e-4, 7e-4]))
     sides = Scale(label="f", spacing="log"), Scale(label="G", spacing="log")
-    drawn = draw_svg(
-        Chart(key="g", title="G", alternative="A line.", panels=(Panel(x=sides[0], y=sides[1], elements=(line,)),))
+    chart = Chart(key="g", title="G", alternative="A line.", panels=(Panel(x=sides[0], y=sides[1], elements=(line,)),))
+    (still,) = draw_stills(chart)
+    assert still.svg.count(">5e-4<") == 2
+
+
+def luminance(colour: str) -> float:
+    """The relative luminance of the accessibility guidelines (WCAG 2.2)."""
+    shares = [int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]
+    red, green, blue = (each / 12.92 if each <= 0.04045 else ((each + 0.055) / 1.055) ** 2.4 for each in shares)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_every_colour_stands_out_from_its_paper(dark: bool) -> None:
+    told = dict(each.split(": ") for each in colour_variables(dark=dark).rstrip(";").split("; "))
+    paper = luminance(told.pop("--draw-paper"))
+    assert (paper < 0.1) == dark
+    for name, colour in told.items():
+        low, high = sorted((luminance(colour), paper))
+        contrast = (high + 0.05) / (low + 0.05)
+        # Text as the guidelines ask for; strokes that carry data; the grid is meant to stay behind.
+        least = 7.0 if name == "--draw-ink" else 1.2 if name == "--draw-grid" else 1.6
+        assert contrast > least, (name, contrast)
+
+
+def test_a_legend_is_told_once_and_panel_by_panel_only_where_panels_share_nothing() -> None:
+    x = np.array([0.0, 1.0])
+    side = Scale(label="s")
+
+    def panel(*names: str) -> Panel:
+        return Panel(x=side, y=side, elements=tuple(Line(x=x, y=x, label=name) for name in names))
+
+    def legend(*panels: Panel, beside: bool) -> tuple[list[str], list[list[str]]]:
+        found = build_legend(Chart(key="k", title="t", alternative="a", panels=panels, beside=beside))
+        return [each.label for each in found.whole], [[each.label for each in part] for part in found.panels]
+
+    assert legend(panel("a", "b", "a"), panel("a"), beside=True) == (["a", "b"], [[], []])
+    assert legend(panel("a"), panel("b"), beside=True) == ([], [["a"], ["b"]])
+    # Below each other the panels are one drawing.
+    assert legend(panel("a"), panel("b"), beside=False) == (["a", "b"], [[], []])
+
+
+@given(
+    x=st.tuples(st.floats(-5.0, 5.0), st.floats(0.1, 9.0)),
+    y=st.tuples(st.floats(-5.0, 5.0), st.floats(0.1, 9.0)),
+    shape=st.floats(0.3, 3.0),
+)
+def test_fitted_limits_keep_circles_round_and_lose_nothing(
+    x: tuple[float, float], y: tuple[float, float], shape: float
+) -> None:
+    wanted = (x[0], x[0] + x[1]), (y[0], y[0] + y[1])
+    found = fitted_limits(*wanted, shape)
+    lengths = [high - low for low, high in found]
+    assert lengths[0] / lengths[1] == pytest.approx(shape)
+    for (low, high), (least, most) in zip(found, wanted, strict=True):
+        assert low <= least + 1e-9
+        assert high >= most - 1e-9
+
+
+def test_panels_beside_each_other_have_one_scale_that_holds_them_all() -> None:
+    x, side = np.array([0.0, 1.0]), Scale(label="force [N]")
+    curves = (np.array([0.0, -70.0]), np.array([3.0, np.nan]))
+    levelled = level_panels([Panel(x=side, y=side, elements=(Line(x=x, y=y),)) for y in curves])
+    first, second = (panel.y.limits for panel in levelled)
+    assert first == second
+    assert first is not None
+    assert first[0] < -70.0
+    assert first[1] > 3.0
+
+
+def test_the_numbers_in_a_table_of_names_have_no_sign_where_they_are_nothing() -> None:
+    names = (("a", "b"), ("c",))
+    values = np.array([[-0.001, -0.7]])
+    heat = Heat(
+        x=np.arange(2.0), y=np.zeros(1), values=values, label="r", limits=(-1.0, 1.0), names=names, written=True
     )
-    assert drawn.count(b"5e-4") == 2
+    assert list(heat.writings()) == [(0.0, 0.0, "0", False), (1.0, 0.0, "−.70", True)]

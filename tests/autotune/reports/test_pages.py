@@ -65,7 +65,8 @@ def test_the_page_of_a_search_keeps_the_law_and_carries_every_figure_twice() -> 
     assert short(CHECKSUM) in text
     for key in charts_of(page):
         told = json.loads(unpacked(text, f"{key}-data"))
-        assert told["root"] == told["document"]["roots"][0]["id"]
+        assert told["roots"] == [root["id"] for root in told["document"]["roots"]]
+        assert all(text.count(f'id="{key}-live-{i}"') == 1 for i in range(len(told["roots"])))
     assert "Bokeh" in unpacked(text, "engine")
 
 

@@ -1,0 +1,135 @@
+"use strict";
+// What the page does by itself, beside what the server sends.
+const explore = (() => {
+  const page = () => Bokeh.documents[0];
+  const REST_MS = 300;
+  const isDark = matchMedia("(prefers-color-scheme: dark)");
+
+  // A slider stands on the logarithm of its number: a screen reader is told the number and its unit, as the title has it.
+  function tellSlider(root) {
+    const title = root.querySelector(".bk-slider-title");
+    const handle = root.querySelector("[role=slider]");
+    const value = title && title.querySelector(".bk-slider-value");
+    if (!handle || !value) return;
+    const name = title.firstChild.textContent.replace(/:\s*$/, "");
+    const unit = (name.match(/\[(.*)\]$/) || ["", ""])[1];
+    const told = { "aria-label": name.replace(/\s*\[.*\]$/, ""), "aria-valuetext": `${value.textContent} ${unit}`.trim() };
+    for (const [key, text] of Object.entries(told)) {
+      if (handle.getAttribute(key) !== text) handle.setAttribute(key, text);
+    }
+  }
+
+  function tellSliders() {
+    const roots = [];
+    const walk = node => {
+      if (node.shadowRoot) {
+        if (node.shadowRoot.querySelector("[role=slider]")) roots.push(node.shadowRoot);
+        [...node.shadowRoot.children].forEach(walk);
+      }
+      [...node.children].forEach(walk);
+    };
+    walk(document.querySelector(".hand"));
+    for (const root of roots) {
+      const watched = { subtree: true, childList: true, attributeFilter: ["aria-valuetext"] };
+      new MutationObserver(() => tellSlider(root)).observe(root, watched);
+      tellSlider(root);
+    }
+  }
+
+  // Canvases know no style sheet: all that is drawn takes its colours from the page's here.
+  const FRAME = {
+    soft: ["axis_label_text_color", "major_label_text_color", "title_text_color", "axis_line_color",
+      "major_tick_line_color", "minor_tick_line_color"],
+    grid: ["grid_line_color"],
+    line: ["outline_line_color"],
+  };
+  // Lines that are too dark on dark paper.
+  const LIGHTER = { "#0072b2": "#56b4e9", "#b3261e": "#ff8a80" };
+  const drawnIn = new Map();
+
+  function dress() {
+    const style = getComputedStyle(document.documentElement);
+    const colour = name => style.getPropertyValue(`--${name}`).trim();
+    const set = (model, values) => model.setv(values, { sync: false });
+    for (const model of page().all_models) {
+      for (const [name, keys] of Object.entries(FRAME)) {
+        for (const key of keys) if (key in model && model[key] !== null) set(model, { [key]: colour(name) });
+      }
+      const line = drawnIn.get(model) || ("line_color" in model && model.line_color && model.line_color.value);
+      if (line in LIGHTER) {
+        drawnIn.set(model, line);
+        set(model, { line_color: { value: isDark.matches ? LIGHTER[line] : line } });
+      }
+    }
+    for (const item of document.querySelectorAll("li[style]")) {
+      item.dataset.line ||= item.style.getPropertyValue("--line-colour").trim();
+      const line = item.dataset.line;
+      item.style.setProperty("--line-colour", (isDark.matches && LIGHTER[line]) || line);
+    }
+    set(page().get_model_by_name("told"), { text_color: colour("ink"), background_fill_color: colour("paper") });
+    set(page().get_model_by_name("grounds"), { palette: [colour("unstable"), colour("missed")] });
+  }
+
+  // What is in view is drawn first; the rest once the hand rests, or when it comes into view.
+  const inView = new Set();
+  const waiting = new Map();
+  let rest = null;
+
+  // Not told to the server, where it comes from.
+  const give = (name, values) => page().get_model_by_name(name).setv(values, { sync: false });
+
+  function giveWaiting(key) {
+    for (const [name, [place, values]] of [...waiting]) {
+      if (key !== undefined && place !== key) continue;
+      waiting.delete(name);
+      give(name, values);
+    }
+  }
+
+  function handOn(content) {
+    for (const [name, values] of Object.entries(content)) {
+      const [place] = page().get_model_by_name(name).tags;
+      if (typeof place !== "string" || inView.has(place)) give(name, values);
+      else waiting.set(name, [place, { ...(waiting.get(name) || [place, {}])[1], ...values }]);
+    }
+    clearTimeout(rest);
+    rest = setTimeout(giveWaiting, REST_MS);
+  }
+
+  function watchView() {
+    const watcher = new IntersectionObserver(seen => {
+      for (const { target, isIntersecting } of seen) {
+        if (isIntersecting) {
+          inView.add(target.id);
+          giveWaiting(target.id);
+        } else inView.delete(target.id);
+      }
+    });
+    document.querySelectorAll(".drawn").forEach(place => watcher.observe(place));
+  }
+
+  function begin() {
+    tellSliders();
+    watchView();
+    dress();
+    isDark.addEventListener("change", dress);
+  }
+
+  // Nothing is answered any more: no control may look as if it were, and none may differ from what is shown.
+  function end() {
+    giveWaiting();
+    const answered = page().get_model_by_name("facts").tags[0] || {};
+    for (const model of page().all_models) {
+      if (model.name in answered) model.setv({ value: answered[model.name] }, { sync: false });
+      if ("disabled" in model && ("value" in model || "label" in model)) model.setv({ disabled: true }, { sync: false });
+    }
+    const status = page().get_model_by_name("status");
+    if (status.text.includes("busy")) {
+      const text = '<p class="bad">The server ended before it told of the save: look whether the file is written.</p>';
+      status.setv({ text }, { sync: false });
+    }
+    document.getElementById("ended").hidden = false;
+  }
+
+  return { begin, end, handOn };
+})();

@@ -1,0 +1,78 @@
+"""How `autotune explore` ends."""
+
+import signal
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from autotune.cli.main import main
+from autotune.explore import server, source
+from autotune.explore.target import Target
+from autotune.files.controller import write_controller
+from tests.autotune.tuning.cases import small_controller
+
+Ready = Callable[[str], None]
+
+
+@pytest.fixture
+def arguments(tmp_path: Path) -> list[str]:
+    write_controller(tmp_path / "old.yaml", small_controller())
+    return ["explore", str(tmp_path / "old.yaml"), "-o", str(tmp_path / "tried.yaml"), "--no-open"]
+
+
+@pytest.mark.parametrize(
+    ("is_there", "is_cut_short", "code", "told"),
+    [(True, False, 0, "Ended."), (False, False, 130, "Interrupted."), (True, True, 130, "is not written.")],
+)
+def test_an_interrupt_is_good_only_where_nothing_was_under_way(
+    arguments: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    is_there: bool,
+    is_cut_short: bool,
+    code: int,
+    told: str,
+) -> None:
+    def serve(_exploration: object, target: Target, *, port: int, ready: Ready) -> None:
+        assert port == 0
+        if is_there:
+            ready("address")
+        target.is_cut_short = is_cut_short
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(server, "serve", serve)
+    assert main(arguments) == code
+    assert told in capsys.readouterr().err
+
+
+def test_an_interrupt_that_something_swallows_is_not_lost(
+    arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    read = source.read_exploration
+
+    def swallowing(*given: Any) -> Any:
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        return read(*given)
+
+    monkeypatch.setattr(source, "read_exploration", swallowing)
+    monkeypatch.setattr(server, "serve", lambda *_, **__: pytest.fail("served"))
+    assert main(arguments) == 130
+    assert capsys.readouterr().err == "autotune: Interrupted.\n"
+
+
+def test_what_a_save_would_replace_is_told(
+    arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_controller(arguments[3], small_controller())
+
+    def serve(_exploration: object, target: Target, *, port: int, ready: Ready) -> None:
+        del target, port
+        ready("address")
+
+    monkeypatch.setattr(server, "serve", serve)
+    assert main(arguments) == 0
+    assert f"Saving replaces {arguments[3]}, the controller of checksum " in capsys.readouterr().err
