@@ -24,6 +24,7 @@ from identification.result import Finding, Identified
 
 _CONTRADICTIONS = frozenset({"given-contradicts", "logs-disagree"})
 _READING_SHARE = 0.25
+_ALL_THE_SAME = " With --allow-partial what was found is written all the same."
 _EXPLAINING = frozenset({"clock-offset", "hand-in-contact", "rests-without-spring", "mass-disagreement"})
 
 
@@ -40,12 +41,19 @@ class Topics:
 class IdentifiedLog:
     """An identified plant and where it comes from (the `provenance` of `identified.yaml`).
 
-    `evidence` has the signals of each recording, where it was asked for, in the order of `result.timelines`.
+    `evidence` has the signals of each recording, where it was asked for, in the order of `result.timelines`; `names`
+    are those of the logs.
     """
 
     result: Identified
     provenance: Mapping[str, Any]
     evidence: tuple[Evidence, ...] = ()
+    names: tuple[str, ...] = ()
+
+    def require(self) -> None:
+        """Raise EstimateError where a parameter that a controller needs is missing, or logs disagree on one."""
+        if any(finding.severity == "error" for finding in self.result.findings):
+            raise EstimateError(_refusal(self.names, self.result.findings))
 
 
 def identify_log(
@@ -55,6 +63,7 @@ def identify_log(
     cell: CellFile | None = None,
     salvage: bool = False,
     allow_partial: bool = False,
+    defers_refusal: bool = False,
     given: Mapping[str, Given] | None = None,
     processes: int = 1,
     with_evidence: bool = False,
@@ -66,9 +75,10 @@ def identify_log(
     of them at a time (`map_in_processes` tells what a script must do for more than one). What they tell is combined
     with each other and with what is `given` from elsewhere. Raises LogError for a log that cannot be used,
     EstimateError when a parameter that a controller needs is missing from all of them or they disagree on one (unless
-    `allow_partial`, which keeps the former as unidentifiable and the latter as a widened mean). `with_evidence` keeps
-    the signals, for pictures. `progress` is told the share of the work done since the last call: stage by stage of one
-    recording, else recording by recording.
+    `allow_partial`, which keeps the former as unidentifiable and the latter as a widened mean). `defers_refusal` leaves
+    that last refusal to whoever asks the result to `require`. `with_evidence` keeps the signals, for pictures.
+    `progress` is told the share of the work done since the last call: stage by stage of one recording, else recording
+    by recording.
     """
     report = progress if progress is not None else _silent
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
@@ -91,9 +101,21 @@ def identify_log(
     result = combine_identified([run.told for run in done])
     check_names(given or {}, result.axes)
     result = replace(result, findings=(*result.findings, *advise(result)))
-    if not allow_partial and any(finding.severity == "error" for finding in result.findings):
-        raise EstimateError(_refusal(files, result.findings))
-    options = {
+    options = _options(topics, allow_partial=allow_partial, salvage=salvage, given=given or {})
+    found = IdentifiedLog(
+        result=result,
+        provenance=_provenance([run.source for run in done], cell, options),
+        evidence=tuple(run.evidence for run in done if run.evidence is not None),
+        names=tuple(path.name for path in files),
+    )
+    if not (allow_partial or defers_refusal):
+        found.require()
+    return found
+
+
+def _options(topics: Topics, *, allow_partial: bool, salvage: bool, given: Mapping[str, Given]) -> dict[str, object]:
+    """Return what the provenance keeps of how it was asked."""
+    return {
         "wrench_topic": topics.wrench,
         "pose_topic": topics.pose,
         "command_topic": topics.command,
@@ -101,11 +123,6 @@ def identify_log(
         "salvage": salvage,
         **({"given": {name: [prior.value, prior.std] for name, prior in given.items()}} if given else {}),
     }
-    return IdentifiedLog(
-        result=result,
-        provenance=_provenance([run.source for run in done], cell, options),
-        evidence=tuple(run.evidence for run in done if run.evidence is not None),
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,7 +192,7 @@ def _source(recording: Recording) -> _Source:
     )
 
 
-def _refusal(files: Sequence[Path], findings: Sequence[Finding]) -> str:
+def _refusal(names: Sequence[str], findings: Sequence[Finding]) -> str:
     """Return one sentence: a contradiction first, since what is missing may follow from it; then what explains it."""
     missing = [finding for finding in findings if finding.severity == "error"]
     missing = sorted(missing, key=lambda finding: finding.code not in _CONTRADICTIONS)
@@ -185,8 +202,7 @@ def _refusal(files: Sequence[Path], findings: Sequence[Finding]) -> str:
     others = (f" Also: {' '.join(alike)}" if alike else "") + (f" (And {', '.join(rest)}.)" if rest else "")
     noticed = [finding.message for finding in findings if finding.code in _EXPLAINING and finding.severity != "info"]
     others += f" Noticed: {' '.join(noticed)}" if noticed else ""
-    names = ", ".join(path.name for path in files)
-    return f"{names}: {first.message} {first.advice}".rstrip() + others
+    return f"{', '.join(names)}: {first.message} {first.advice}".rstrip() + others + _ALL_THE_SAME
 
 
 def _provenance(sources: Sequence[_Source], cell: CellFile | None, options: Mapping[str, Any]) -> dict[str, Any]:

@@ -33,9 +33,9 @@ def parameter_rows(result: Identified) -> Iterator[ParameterRow]:
     yield _row("force noise", result.sensor.force_noise_rms_n, "N rms")
     yield _row("gravity residual", result.sensor.gravity_residual_rms_n, "N rms")
     if result.sensor.mounting_rad is not None:
-        yield from _vector_rows("sensor turned about", result.sensor.mounting_rad, "deg", 180.0 / math.pi)
+        yield from _vector_rows("sensor turned about", result.sensor.mounting_rad, "°", 180.0 / math.pi)
     if result.sensor.base_tilt_rad is not None:
-        yield from _vector_rows("base tilted about", result.sensor.base_tilt_rad, "deg", 180.0 / math.pi)
+        yield from _vector_rows("base tilted about", result.sensor.base_tilt_rad, "°", 180.0 / math.pi)
     yield _row("control period", result.sample_time_s, "ms", 1e3)
     for name, axis in result.axes.items():
         yield from axis_rows(name, axis)

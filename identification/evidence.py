@@ -32,15 +32,17 @@ class AxisEvidence:
 
 @dataclass(frozen=True, kw_only=True)
 class Evidence:
-    """The wrench's force (n, 3) in the sensor frame S [N], as logged and without weight and bias, and the axes.
+    """The wrench in the sensor frame S, as logged and without weight and bias, and the axes.
 
-    Sample k was taken k `period_s` after the start of the log; what a hole swallowed is NaN. `log` names the recording,
-    `reading` is what was found when it was read.
+    Force (n, 3) in N, torque (n, 3) about the sensor's origin in N·m. Sample k was taken k `period_s` after the start
+    of the log; what a hole swallowed is NaN. `log` names the recording, `reading` is what was found when it was read.
     """
 
     period_s: float
     raw_S_n: FloatArray
     compensated_S_n: FloatArray
+    raw_torque_S_n_m: FloatArray
+    compensated_torque_S_n_m: FloatArray
     axes: Mapping[str, AxisEvidence]
     log: str = ""
     reading: tuple[Finding, ...] = ()

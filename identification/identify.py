@@ -129,6 +129,8 @@ def _evidence(cell: CellSignals, told: Mapping[str, AxisTold]) -> Evidence:
         period_s=cell.log.period_s,
         raw_S_n=cell.log.force_S_n,
         compensated_S_n=cell.force_S_n,
+        raw_torque_S_n_m=cell.log.torque_S_n_m,
+        compensated_torque_S_n_m=cell.gravity.compensated_torque_S_n_m(cell.log),
         axes={name: axis_evidence(axis) for name, axis in told.items()},
     )
 

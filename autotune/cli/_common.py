@@ -27,9 +27,15 @@ class Advance(Protocol):
 
 @dataclass(kw_only=True)
 class Delivery:
-    """Whether standard output already holds its one JSON object, so that an error does not add a second."""
+    """What the error report of a run must know of it.
+
+    `done` is whether standard output already holds its one JSON object, so that an error does not add a second;
+    `remark` is said behind the message of an error, and `report` is the page that tells more.
+    """
 
     done: bool = False
+    remark: str = ""
+    report: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,10 +1,14 @@
 """The option `--report` of the commands that have something to show, and what carries it out."""
 
-from collections.abc import Callable, Iterable
+import contextlib
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from autotune.errors import CertificateError, InfeasibleError, UsageError
+from identification.errors import EstimateError, LogError
 
 from ._common import Output
 from ._terminal import tell
@@ -13,6 +17,8 @@ if TYPE_CHECKING:
     from autotune.reports.page import Page
 
 _SUFFIXES = (".html", ".htm")
+# What was read and found wanting; of anything else, a wrong name or an interruption, there is nothing to show.
+_REFUSALS = (LogError, EstimateError, InfeasibleError, CertificateError)
 
 
 def report_option(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -32,7 +38,6 @@ def check_report(report: Path | None, others: Iterable[Path], *, option: str = "
     """
     if report is None:
         return
-    from autotune.errors import UsageError
     from autotune.files.atomic import check_target
 
     if report.suffix.lower() not in _SUFFIXES:
@@ -51,6 +56,48 @@ def write_report(output: Output, report: Path | None, build: Callable[[], "Page"
         text = render_page(build(), advance)
     write_atomic(report, text)
     return {"report": str(report)}
+
+
+@contextlib.contextmanager
+def tells_refusal(
+    output: Output, report: Path | None, sources: Iterable[Path], build: Callable[[Exception], "Page"]
+) -> Iterator[None]:
+    """Let the page say so where the block is refused, so that no older page stands for it; the error goes on.
+
+    `build` makes the page of an error, of what could be seen all the same. Where nothing could be (a file that is not
+    there, a wrong option, an interruption) an older page stays as it is, and the message of the error says so.
+    """
+    try:
+        yield
+    except BaseException as error:
+        if report is not None:
+            is_there = all(path.exists() for path in sources)
+            if isinstance(error, _REFUSALS) and is_there:
+                _write_refusal(output, report, error, build)
+            elif report.is_file():
+                output.delivery.remark = _stays(report)
+        raise
+
+
+def _write_refusal(output: Output, report: Path, error: Exception, build: Callable[[Exception], "Page"]) -> None:
+    from autotune.files.atomic import write_atomic
+    from autotune.reports.page import render_page
+    from autotune.reports.refused_page import NOT_SHOWN, refuse
+
+    try:
+        text = render_page(build(error))
+    except Exception:  # noqa: BLE001 - what more there is to tell of a refusal must not take its place
+        text = render_page(refuse(NOT_SHOWN, error))
+    try:
+        write_atomic(report, text)
+    except UsageError:
+        output.delivery.remark = _stays(report) if report.is_file() else ""
+    else:
+        output.delivery.remark, output.delivery.report = f"The page {report} says so.", str(report)
+
+
+def _stays(report: Path) -> str:
+    return f"{report} is the page of an earlier run and stays as it is."
 
 
 def print_report_path(report: Path | None) -> None:

@@ -135,7 +135,8 @@ def _check_alone(tables: Mapping[str, Sequence[Interval]], others: Mapping[str, 
     """Refuse options that speak of one controller, or of what the table says."""
     for name, option in (("old", "compare"), ("pareto", "pareto"), ("report", "report")):
         if others[name] is not None:
-            raise click.UsageError(f"--{option} is about one controller, and --schedule tunes many.")
+            instead = "; for the page of all: autotune report FOLDER/schedule.yaml" if name == "report" else ""
+            raise click.UsageError(f"--{option} is about one controller, and --schedule tunes many{instead}.")
     if others["proof"] is not None:
         raise click.UsageError("--slack and --proof-budget are about one controller, and --schedule tunes many.")
     for kind in tables:

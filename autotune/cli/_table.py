@@ -26,8 +26,9 @@ def table_lines(
     """Yield one line per row, columns aligned: those in `left` to the left, in `point` at the decimal point.
 
     The others are aligned to the right. The words of the column `verdict` are coloured where that is wanted. For lines
-    of at most `columns`, the last column is folded if it is one of text, and else, with `stacks`, every row told as a
-    block of lines under the headings of the first row; what cannot be made to fit stays as it is.
+    of at most `columns`, the last column is folded if it is one of text; with `stacks` it goes below its row where
+    there is no room beside it, and else every row is told as a block of lines under the headings of the first row.
+    What cannot be made to fit stays as it is.
     """
     cells = [[printable(text) for text in row] for row in rows]
     aligned = _aligned(cells, left, point)
@@ -37,6 +38,9 @@ def table_lines(
         room = columns - (width - max(display_width(row[last]) for row in aligned))
         if last in left and room >= _NARROWEST_TEXT:
             yield from _last_folded(aligned, room, indent)
+            return
+        if stacks and last in left and room >= -len(_GAP):
+            yield from _last_below(aligned, columns, indent)
             return
         if stacks:
             yield from _stacked(cells, indent, named=0 not in left)
@@ -101,6 +105,14 @@ def _last_folded(aligned: Sequence[Sequence[str]], room: int, indent: str) -> It
         folded = textwrap.wrap(row[-1], room, break_long_words=False, break_on_hyphens=False) or [""]
         yield (head + folded[0]).rstrip()
         yield from (" " * display_width(head) + text for text in folded[1:])
+
+
+def _last_below(aligned: Sequence[Sequence[str]], columns: int, indent: str) -> Iterator[str]:
+    under = indent + 2 * _GAP
+    for row in aligned:
+        yield (indent + _GAP.join(row[:-1])).rstrip()
+        folded = textwrap.wrap(row[-1], columns - len(under), break_long_words=False, break_on_hyphens=False)
+        yield from (under + text for text in folded)
 
 
 def _stacked(cells: Sequence[Sequence[str]], indent: str, *, named: bool) -> Iterator[str]:

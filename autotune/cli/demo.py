@@ -88,6 +88,8 @@ def _tree(found: "DemoResult") -> dict[str, Any]:
 
 def _print(found: "DemoResult", page: Path) -> None:
     from autotune.files.canonical import short
+    from autotune.files.units import axis_units
+    from autotune.scenario_text import scenario_text
 
     from ._standing import active_lines
 
@@ -105,7 +107,7 @@ def _print(found: "DemoResult", page: Path) -> None:
         worst = max(controller.predicted[name].scenarios, key=lambda s: s.peak_contact_force_n)
         tell(
             f"  worst predicted peak {worst.peak_contact_force_n:.1f} N at the contact, "
-            f"{worst.peak_sensor_force_n:.1f} N at the sensor ({worst.name})"
+            f"{worst.peak_sensor_force_n:.1f} N at the sensor ({scenario_text(worst.scenario(), axis_units(name))})"
         )
         for line in active_lines(found.optimized, name):
             tell(f"  {line}")

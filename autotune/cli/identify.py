@@ -1,5 +1,6 @@
 """`autotune identify`: plant parameters from a log."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,11 +9,13 @@ import click
 from ._common import Output, output_options
 from ._files import LOGS, SETTINGS, FilePath
 from ._help import GroupedCommand
-from ._report import check_report, print_report_path, report_option, write_report
+from ._report import check_report, print_report_path, report_option, tells_refusal, write_report
 from ._table import print_table
 from ._terminal import tell
 
 if TYPE_CHECKING:
+    from autotune.files.cell import CellFile
+    from autotune.identifying import IdentifiedLog, Topics
     from autotune.reports.page import Page
     from identification.result import Identified
     from identification.timeline_phases import Timeline
@@ -90,35 +93,61 @@ def command(
     check_target(out, sources)
     check_report(report, [*sources, out])
     topics = Topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
-    cell = None if cell_path is None else read_cell(cell_path)
-    with output.progress(f"identifying {', '.join(log.name for log in logs)}", 1.0) as advance:
-        found = identify_log(
-            logs,
-            topics,
-            cell=cell,
-            salvage=salvage,
-            allow_partial=allow_partial,
-            given=parse_given(given),
-            processes=count_processors(),
-            progress=advance,
-            with_evidence=report is not None,
-        )
-    write_identified(out, found.result, found.provenance)
-
-    def page() -> "Page":
-        from autotune.reports.identify_page import build_identify_page
-        from autotune.reports.log_summaries import summaries_of
-
-        summaries = summaries_of(logs, cell, salvage=salvage, evidence=found.evidence)
-        return build_identify_page(found.result, found.provenance, found.evidence, summaries)
-
-    tree = {**identified_tree(found.result, found.provenance), **write_report(output, report, page)}
+    seen = _Seen(logs=logs, topics=topics, salvage=salvage)
+    with tells_refusal(output, report, sources, seen.refused_page):
+        seen.cell = None if cell_path is None else read_cell(cell_path)
+        with output.progress(f"identifying {', '.join(log.name for log in logs)}", 1.0) as advance:
+            found = seen.found = identify_log(
+                logs,
+                topics,
+                cell=seen.cell,
+                salvage=salvage,
+                allow_partial=allow_partial,
+                defers_refusal=True,
+                given=parse_given(given),
+                processes=count_processors(),
+                progress=advance,
+                with_evidence=report is not None,
+            )
+        if not allow_partial:
+            found.require()
+        write_identified(out, found.result, found.provenance)
+    tree = {**identified_tree(found.result, found.provenance), **write_report(output, report, seen.page)}
 
     def text() -> None:
         print_identified(found.result, out)
         print_report_path(report)
 
     output.result(tree, text)
+
+
+@dataclass(kw_only=True)
+class _Seen:
+    """What the page of a run shows, also of one that is refused midway."""
+
+    logs: tuple[Path, ...]
+    topics: "Topics"
+    salvage: bool
+    cell: "CellFile | None" = None
+    found: "IdentifiedLog | None" = None
+
+    def page(self) -> "Page":
+        """Build the page of what was found."""
+        from autotune.reports.identify_page import build_identify_page
+        from autotune.reports.log_summaries import summaries_of
+
+        if self.found is None:
+            raise ValueError("nothing was found yet")
+        summaries = summaries_of(self.logs, self.cell, salvage=self.salvage, evidence=self.found.evidence)
+        return build_identify_page(self.found.result, self.found.provenance, self.found.evidence, summaries)
+
+    def refused_page(self, error: Exception) -> "Page":
+        """Build the page of what was refused."""
+        from autotune.reports.refused_page import refused_estimate_page, refused_log_page
+
+        if self.found is None:
+            return refused_log_page(error, self.logs, self.topics, self.cell, salvage=self.salvage)
+        return refused_estimate_page(error, self.page())
 
 
 def print_identified(result: "Identified", out: Path) -> None:

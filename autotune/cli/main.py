@@ -206,9 +206,13 @@ def _report(error: BaseException, arguments: Sequence[str], delivery: Delivery) 
     message = _one_line(error, code)
     hint = _hint(error, code)
     name = painted(f"{PROGRAM}:", error=True)
-    say(f"{name} {message}" + (f" {hint}" if hint else ""))
+    ended = f"{message.rstrip('.')}." if delivery.remark else message
+    say(" ".join(part for part in (name, ended, hint, delivery.remark) if part))
     if _asked("--json", arguments) and not delivery.done:
-        tree = {"error": {"kind": type(error).__name__, "message": message, "exit_code": int(code), **_details(error)}}
+        tree: dict[str, Any] = {
+            "error": {"kind": type(error).__name__, "message": message, "exit_code": int(code), **_details(error)}
+        }
+        tree |= {"report": delivery.report} if delivery.report else {}
         with contextlib.suppress(BrokenPipeError):
             click.echo(json_text(tree))
             sys.stdout.flush()

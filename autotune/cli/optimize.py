@@ -14,7 +14,7 @@ from ._files import SETTINGS, FilePath
 from ._help import GroupedCommand
 from ._pareto import FrontWriter, pareto_options
 from ._proof import proof_options
-from ._report import check_report, print_report_path, report_option, write_report
+from ._report import check_report, print_report_path, report_option, tells_refusal, write_report
 from ._response import response_lines
 from ._schedule import check_range, schedule_options
 from ._spark import contact_spark
@@ -132,22 +132,24 @@ def command(
     from autotune.tuning.optimize import optimize
     from autotune.tuning.problems import Wishes
 
-    sources = [path for path in (identified, problem) if path is not None]
-    check_target(out, sources)
-    check_report(report, [*sources, out, *([] if old is None else [old])])
-    plant = read_identified(identified)
-    existing = None if old is None else read_controller(old)
-    spec = ProblemSpec() if problem is None else read_problem(problem)
-    wishes = Wishes(payload_mass_kg=payload_mass, environment_stiffness_n_per_m=environment_stiffness)
-    fronts = FrontWriter(pareto, out)
-    with output.progress("searching", 1.0) as advance:
-        found = optimize(
-            plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, proof=proof,
-            step=lambda told: advance(0.0, f"searching {told}".rstrip()), progress=advance,
-        )  # fmt: skip
-    fronts.trace(output, found)
-    checksum = write_controller(out, found.controller)
-    fronts.write(found)
+    sources = [path for path in (identified, problem, old) if path is not None]
+    check_target(out, [path for path in sources if path != old])
+    check_report(report, [*sources, out])
+    fronts, seen = FrontWriter(pareto, out), list["IdentifiedFile"]()
+    with tells_refusal(output, report, sources, lambda error: _refused_page(error, seen)):
+        plant = read_identified(identified)
+        seen.append(plant)
+        existing = None if old is None else read_controller(old)
+        spec = ProblemSpec() if problem is None else read_problem(problem)
+        wishes = Wishes(payload_mass_kg=payload_mass, environment_stiffness_n_per_m=environment_stiffness)
+        with output.progress("searching", 1.0) as advance:
+            found = optimize(
+                plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, proof=proof,
+                step=lambda told: advance(0.0, f"searching {told}".rstrip()), progress=advance,
+            )  # fmt: skip
+        fronts.trace(output, found)
+        checksum = write_controller(out, found.controller)
+        fronts.write(found)
     for note in _notes(plant, found, environment_stiffness is not None):
         output.note(note)
     tree = {**controller_tree(found.controller), "active": active_tree(found)}
@@ -156,13 +158,20 @@ def command(
     if fronts.tree:
         tree["pareto"] = fronts.tree
     tree |= write_report(output, report, lambda: _page(found, checksum, existing, fronts))
+    output.result(tree, lambda: _print_all(found, out, short(checksum), existing, fronts, report))
 
-    def text() -> None:
-        print_optimized(found, out, short(checksum), existing)
-        fronts.print()
-        print_report_path(report)
 
-    output.result(tree, text)
+def _print_all(
+    found: "Optimized",
+    out: Path,
+    checksum: str,
+    existing: "ControllerFile | None",
+    fronts: FrontWriter,
+    report: Path | None,
+) -> None:
+    print_optimized(found, out, checksum, existing)
+    fronts.print()
+    print_report_path(report)
 
 
 def _page(found: "Optimized", checksum: str, existing: "ControllerFile | None", fronts: FrontWriter) -> "Page":
@@ -172,9 +181,15 @@ def _page(found: "Optimized", checksum: str, existing: "ControllerFile | None", 
         found.controller,
         checksum,
         steps={name: search.steps for name, search in found.searches.items()},
-        old=None if existing is None else existing.controller,
+        old=existing,
         fronts=fronts.tree.get("axes"),
     )
+
+
+def _refused_page(error: Exception, plants: "list[IdentifiedFile]") -> "Page":
+    from autotune.reports.refused_page import refused_search_page
+
+    return refused_search_page(error, plants[0] if plants else None)
 
 
 def _notes(plant: "IdentifiedFile", found: "Optimized", has_stiffness: bool) -> Iterator[str]:
@@ -250,11 +265,13 @@ def _print_spark(found: "Optimized", name: str, units: "AxisUnits") -> None:
 
 def _print_peaks(scenarios: "Iterable[ScenarioPrediction]", units: "AxisUnits") -> None:
     """Print the table of predicted contacts; lengths in mm along an axis, digits as its unit needs them."""
+    from autotune.scenario_text import off_nominal
+
     straight = units.force == "N"
     scale, stiffness, digits = (1e-3, "N/mm", 1) if straight else (1.0, units.stiffness, 2)
     scenarios = tuple(scenarios)
     # The worst contacts of the whole uncertainty differ from the others in what K_e and payload do not tell.
-    beyond = [s.scenario().off_nominal.removeprefix(", ") for s in scenarios]
+    beyond = [off_nominal(s.scenario(), units) for s in scenarios]
     told = any(beyond)
     rows = [
         (
@@ -277,4 +294,4 @@ def _print_peaks(scenarios: "Iterable[ScenarioPrediction]", units: "AxisUnits") 
         )
         for s, other in zip(scenarios, beyond, strict=True)
     ]
-    print_table(rows, left=(5,) if told else (), indent="  ")
+    print_table(rows, left=(5,) if told else (), indent="  ", stacks=True)

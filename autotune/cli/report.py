@@ -1,18 +1,14 @@
 """`autotune report`: one page with figures from files that are already written."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from ._common import Output, output_options
 from ._files import LOGS, SETTINGS, FilePath
 from ._help import GroupedCommand
-from ._report import check_report, write_report
+from ._report import check_report, tells_refusal, write_report
 from ._terminal import tell
-
-if TYPE_CHECKING:
-    from autotune.reports.page import Page
 
 _EPILOG = """\b
 Examples:
@@ -21,6 +17,7 @@ Examples:
   autotune report identified.yaml run7.mcap
   autotune report identified.yaml run7.mcap controller.yaml pareto.yaml -o cell.html
 """
+_SEARCH = b'-convergence"'
 _FILE = click.Path(path_type=Path, dir_okay=False)
 
 
@@ -49,15 +46,18 @@ def command(output: Output, files: tuple[Path, ...], out: Path, old: Path | None
     page then says.
     """
     from autotune.reports.from_files import report_files
+    from autotune.reports.refused_page import NOT_SHOWN, refuse
 
-    check_report(out, [*files, *([] if old is None else [old])], option="-o")
-    with output.progress("reading and verifying", 1.0) as advance:
+    sources = [*files, *([] if old is None else [old])]
+    check_report(out, sources, option="-o")
+    with (
+        tells_refusal(output, out, sources, lambda error: refuse(NOT_SHOWN, error)),
+        output.progress("reading and verifying", 1.0) as advance,
+    ):
         found = report_files(files, old=old, samples=samples, progress=advance)
-
-    def page() -> "Page":
-        return found.page
-
-    tree = {**write_report(output, out, page), "files": dict(found.kinds)}
+    is_richer = out.is_file() and _SEARCH in out.read_bytes()
+    tree = {**write_report(output, out, lambda: found.page), "files": dict(found.kinds)}
     output.result(tree, lambda: tell(f"written: {out}"))
-    for report in found.reports:
-        report.require()
+    if is_richer and _SEARCH not in out.read_bytes():
+        output.note(f"{out} was a page of optimize; how the search converged is in no file, and no longer on it.")
+    found.require()

@@ -1,5 +1,6 @@
 """`autotune validate`: verify a controller file from the file alone."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +10,7 @@ from ._against_log import compare_logs, comparison_tree, print_comparison
 from ._common import Output, output_options
 from ._files import KEYS, LOGS, SETTINGS, FilePath
 from ._help import GroupedCommand
-from ._report import check_report, print_report_path, report_option, write_report
+from ._report import check_report, print_report_path, report_option, tells_refusal, write_report
 from ._schedule import validate_schedule
 from ._terminal import echo, painted, printable, tell
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from autotune.reports.page import Page
     from autotune.validation.against_log import LogComparison
     from autotune.validation.disturbances import Told
+    from autotune.validation.monte_carlo import AxisMonteCarlo
     from autotune.validation.validate import ValidationReport
 
 _EPILOG = """\b
@@ -96,6 +98,10 @@ def command(output: Output, /, controller: Path, identified: Path | None, **opti
 
     if is_schedule(controller):
         given = [name for name in ("logs", "public_key", "sign", "report") if options[name]]
+        if given == ["report"]:
+            raise click.UsageError(
+                f"--report is for one controller file; the page of all: autotune report {controller}."
+            )
         if given:
             raise click.UsageError(f"--{given[0].replace('_', '-').removesuffix('s')} is for one controller file.")
         validate_schedule(output, controller, identified)
@@ -112,57 +118,88 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
     from autotune.validation.monte_carlo_report import monte_carlo_checks, monte_carlo_tree
     from autotune.validation.validate import ValidationReport, validate_controller
 
-    check_report(options["report"], [path, *options["logs"], *([] if identified_path is None else [identified_path])])
-    private, public = _keys(path, options)
-    read = read_controller(path)
-    signed_by = None if public is None else _signed_by(read, public)
-    identified = None if identified_path is None else read_identified(identified_path)
-    told, samples = _told(options, identified), options["samples"]
-    with output.progress(f"validating {path.name}", 2.0 if samples else 1.0) as advance:
-        report = validate_controller(read.controller, advance)
-        # Behind a claim that does not hold there is nothing to simulate: an unstable loop has no peaks.
-        simulated = (
-            run_monte_carlo(read.controller, count=samples, seed=options["seed"], told=told, progress=advance)
-            if samples and report.passed
-            else ()
-        )
-    checks = [*report.checks, *monte_carlo_checks(simulated)]
-    checks += [] if identified is None else check_domain(read.controller, identified.result)
-    compared = _compared(output, read, options) if all(check.passed for check in checks) else None
-    if compared is not None:
-        from autotune.validation.against_log import log_checks
+    sources = [path, *options["logs"], *([] if identified_path is None else [identified_path])]
+    check_report(options["report"], sources)
+    seen = _Seen(path=path)
+    with tells_refusal(output, options["report"], sources, seen.refused_page):
+        private, public = _keys(path, options)
+        read = read_controller(path)
+        seen.signed_by = None if public is None else _signed_by(read, public)
+        identified = None if identified_path is None else read_identified(identified_path)
+        told, samples = _told(options, identified), options["samples"]
+        with output.progress(f"validating {path.name}", 2.0 if samples else 1.0) as advance:
+            report = validate_controller(read.controller, advance)
+            # Behind a claim that does not hold there is nothing to simulate: an unstable loop has no peaks.
+            simulated = (
+                run_monte_carlo(read.controller, count=samples, seed=options["seed"], told=told, progress=advance)
+                if samples and report.passed
+                else ()
+            )
+        checks = [*report.checks, *monte_carlo_checks(simulated)]
+        checks += [] if identified is None else check_domain(read.controller, identified.result)
+        seen.read, seen.simulated, seen.report = read, tuple(simulated), ValidationReport(checks=tuple(checks))
+        compared = seen.compared = _compared(output, read, options) if seen.report.passed else None
+        if compared is not None:
+            from autotune.validation.against_log import log_checks
 
-        checks += log_checks(compared)
-    report = ValidationReport(checks=tuple(checks))
-    if private is not None and report.passed:
-        from autotune.files.signature import sign_file
+            seen.report = ValidationReport(checks=(*checks, *log_checks(compared)))
+        if private is not None and seen.report.passed:
+            from autotune.files.signature import sign_file
 
-        signed_by = sign_file(path, private, read.sha256)
+            seen.signed_by = sign_file(path, private, read.sha256)
     tree = {
         "path": str(path),
         "checksum": read.checksum,
         "short_checksum": short(read.checksum),
-        "passed": report.passed,
-        "signed_by": signed_by,
-        "checks": checks_tree(report),
+        "passed": seen.report.passed,
+        "signed_by": seen.signed_by,
+        "checks": checks_tree(seen.report),
         "monte_carlo": monte_carlo_tree(simulated),
         "log": None if compared is None else comparison_tree(compared),
     }
+    tree |= write_report(output, options["report"], seen.page)
+    output.result(tree, lambda: seen.print(options["report"]))
+    seen.report.require()
 
-    def page() -> "Page":
+
+@dataclass(kw_only=True)
+class _Seen:
+    """What a run shows, on its page also where it is refused midway; `report` is None until the checks are done."""
+
+    path: Path
+    read: "ControllerFile | None" = None
+    report: "ValidationReport | None" = None
+    simulated: "tuple[AxisMonteCarlo, ...]" = ()
+    compared: "LogComparison | None" = None
+    signed_by: str | None = None
+
+    def page(self) -> "Page":
+        """Build the page of what was verified."""
         from autotune.reports.validate_page import Validated, build_validate_page
 
-        validated = Validated(report=report, simulated=tuple(simulated), compared=compared, signed_by=signed_by)
-        return build_validate_page(read.controller, read.checksum, validated)
+        if self.read is None or self.report is None:
+            raise ValueError("nothing was verified yet")
+        validated = Validated(
+            report=self.report, simulated=self.simulated, compared=self.compared, signed_by=self.signed_by
+        )
+        return build_validate_page(self.read.controller, self.read.checksum, validated)
 
-    tree |= write_report(output, options["report"], page)
+    def refused_page(self, error: Exception) -> "Page":
+        """Build the page of what was refused: the file, or after it was verified the log."""
+        from autotune.reports.refused_page import NOT_COMPARED, refuse, refused_controller_page
 
-    def text() -> None:
-        _print(report, path, short(read.checksum), compared, signed_by)
-        print_report_path(options["report"])
+        if self.report is None:
+            return refused_controller_page(error, self.path)
+        return refuse(NOT_COMPARED, error, self.page())
 
-    output.result(tree, text)
-    report.require()
+    def print(self, page: Path | None) -> None:
+        """Print what was verified, and where the page is."""
+        from autotune.files.canonical import short
+
+        if self.read is None or self.report is None:
+            raise ValueError("nothing was verified yet")
+        _print(self.report, self.path, short(self.read.checksum), self.compared, self.signed_by)
+        print_report_path(page)
 
 
 def _keys(path: Path, options: dict[str, Any]) -> tuple[Any, Any]:

@@ -13,6 +13,7 @@ from autotune.files.controller_record import (
     SoftRequirement,
 )
 from autotune.files.units import AxisUnits, axis_units
+from autotune.scenario_text import scenario_text, stiffness_text, value_text
 from problems.requirements import NoiseLimit, PassivityTarget
 from problems.uncertainty import SYMBOLS
 
@@ -200,16 +201,17 @@ def domain_table(design: AxisDesign) -> Table:
     """Return the plants that the certificate speaks of."""
     domain, units = design.domain, design.units
     uncertain: Mapping[str, tuple[float, float]] = domain.uncertain or {}
+    stiffness, scale = ("N/mm", 1e-3) if units.stiffness == "N/m" else (units.stiffness, 1.0)
     entries: list[tuple[str, str, float | tuple[float, float], str]] = [
-        ("environment stiffness", "K_e", domain.environment_stiffness_n_per_m, units.stiffness),
+        ("environment stiffness", "K_e", domain.environment_stiffness_n_per_m, stiffness),
         (f"payload {units.mass_name}", "M_p", domain.payload_mass_kg, units.mass),
-        ("coupling stiffness", "K_s", domain.coupling_stiffness_n_per_m, units.stiffness),
+        ("coupling stiffness", "K_s", domain.coupling_stiffness_n_per_m, stiffness),
         ("coupling damping", "B_s", domain.coupling_damping_n_s_per_m, units.damping),
         ("drag", "B_p", domain.drag_n_s_per_m, units.damping),
         ("environment damping", "B_e", domain.environment_damping_n_s_per_m, units.damping),
-        ("delay", "T_d", domain.delay_s, "s"),
+        ("delay", "T_d", domain.delay_s, "ms"),
     ]
-    spans = {SYMBOLS[name]: span for name, span in uncertain.items()}
+    spans, scales = {SYMBOLS[name]: span for name, span in uncertain.items()}, {"ms": 1e3, stiffness: scale}
     for name, symbol, title, unit in (
         ("robot_bandwidth_hz", "f_b", "robot bandwidth", "Hz"),
         ("robot_damping_ratio", "ζ_b", "robot damping ratio", ""),
@@ -217,7 +219,7 @@ def domain_table(design: AxisDesign) -> Table:
         if name in uncertain:
             entries.append((title, symbol, uncertain[name], unit))
     rows = [
-        (Cell(text=title), Cell(text=symbol), *_span(spans.get(symbol, value)), Cell(text=unit))
+        (Cell(text=title), Cell(text=symbol), *_span(spans.get(symbol, value), scales.get(unit, 1.0)), Cell(text=unit))
         for title, symbol, value, unit in entries
     ]
     approach = (
@@ -235,8 +237,8 @@ def domain_table(design: AxisDesign) -> Table:
     )
 
 
-def _span(value: float | tuple[float, float]) -> tuple[Cell, Cell]:
-    low, high = value if isinstance(value, tuple) else (value, value)
+def _span(value: float | tuple[float, float], scale: float) -> tuple[Cell, Cell]:
+    low, high = (scale * end for end in (value if isinstance(value, tuple) else (value, value)))
     end = "" if low == high else f"{high:.6g}"
     return Cell(text=f"{low:.6g}", is_number=True), Cell(text=end, is_number=True)
 
@@ -255,23 +257,8 @@ def worst_table(design: AxisDesign) -> Table:
         )
     worst = max(design.predicted.scenarios, key=lambda each: each.peak_contact_force_n)
     peak = Cell(text=f"{worst.peak_contact_force_n:.4g} {design.units.force}", is_number=True)
-    rows.append((Cell(text="peak at the contact"), peak, Cell(text=worst.name)))
+    rows.append((Cell(text="peak at the contact"), peak, Cell(text=scenario_text(worst.scenario(), design.units))))
     return Table(caption=f"Worst cases of axis {design.name}", columns=("", "value", "at"), rows=tuple(rows))
-
-
-def symbol_units(units: AxisUnits) -> dict[str, str]:
-    """Return the unit of each symbol of what may be uncertain."""
-    stiffness, damping = units.stiffness, units.damping
-    return {
-        "K_e": stiffness,
-        "M_p": units.mass,
-        "K_s": stiffness,
-        "B_s": damping,
-        "B_p": damping,
-        "B_e": damping,
-        "T_d": "s",
-        "f_b": "Hz",
-    }
 
 
 def _case(case: Mapping[str, Any], units: AxisUnits) -> str:
@@ -280,8 +267,7 @@ def _case(case: Mapping[str, Any], units: AxisUnits) -> str:
         if name == "environment_stiffness_n_per_m" and value == 0.0:
             told.insert(0, "free space")
         elif isinstance(value, int | float):
-            unit = symbol_units(units).get(SYMBOLS.get(name, ""), "")
-            told.append(f"{SYMBOLS.get(name, name)} {value:.4g} {unit}".strip())
+            told.append(value_text(name, value, units) if name in SYMBOLS else f"{name} {value:.4g}")
     return ", ".join(told)
 
 
@@ -299,7 +285,7 @@ def reach_table(design: AxisDesign) -> Table | None:
                 Cell(text=f"{reach.modulus:.4g}", is_number=True),
                 Cell(text=f"{100.0 * reach.slack:.3g} %", is_number=True),
                 Cell(text=f"{100.0 * reach.share:.4g} %", is_number=True, tone=tone),
-                Cell(text=f"{low:.4g} to {high:.4g} {design.units.stiffness}"),
+                Cell(text=f"{stiffness_text(low, design.units)} to {stiffness_text(high, design.units)}"),
                 Cell(text=f"{reach.cells:.0f}, {reach.arcs:.0f}", is_number=True),
                 Cell(text=f"{reach.run_time_s:.2f} s", is_number=True),
                 Cell(text=reach.method, tone="quiet"),

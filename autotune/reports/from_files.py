@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from autotune.errors import UsageError
+from autotune.errors import CertificateError, UsageError
 from autotune.files.cell import CellFile, read_cell
 from autotune.files.controller import ControllerFile, read_controller
 from autotune.files.identified import IdentifiedFile, read_identified
@@ -28,6 +28,7 @@ from .identify_page import build_identify_page
 from .log_summaries import summaries_of
 from .optimize_page import build_front_page, build_optimize_page
 from .page import Page, join_pages
+from .refused_page import refused_controller_page
 from .schedule_page import build_schedule_page
 from .validate_page import Validated, lead, simulated_section, verdict_section
 
@@ -41,11 +42,22 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, kw_only=True)
 class FilesReport:
-    """A page of several files; `kinds` tells by path what each is, `reports` what was verified of the controllers."""
+    """A page of several files; `kinds` tells by path what each is, `reports` what was verified of the controllers.
+
+    `refusals` are the errors of files that were altered, each of which the page tells.
+    """
 
     page: Page
     kinds: Mapping[str, str]
     reports: tuple[ValidationReport, ...]
+    refusals: tuple[CertificateError, ...] = ()
+
+    def require(self) -> None:
+        """Raise CertificateError where a file is altered, or a claim does not hold."""
+        for refusal in self.refusals:
+            raise refusal
+        for report in self.reports:
+            report.require()
 
 
 def file_kind(path: Path) -> str:
@@ -70,7 +82,8 @@ def report_files(
 
     A controller is verified again, with `samples` simulated contacts; `old` is another one that is drawn beside it.
     `progress` is told the share of the work done since the last call. Raises UsageError for a file that cannot be
-    shown, LogError for a log that is not the one that was identified, CertificateError for an altered controller.
+    shown, LogError for a log that is not the one that was identified, CertificateError for an altered `old`; that one
+    of `paths` is altered stands in its part of the page.
     """
     kinds = {str(path): file_kind(path) for path in paths}
     shown = [path for path in paths if kinds[str(path)] != _LOG]
@@ -84,21 +97,29 @@ def report_files(
     before = None if old is None else read_controller(old)
     report = progress if progress is not None else _silent
     pages, reports, part = list[tuple[str, Page]](), list[ValidationReport](), 1.0 / max(len(shown), 1)
+    refusals: list[CertificateError] = []
     for path in shown:
         kind = kinds[str(path)]
-        if kind == "identified":
-            pages.append((path.name, _identified_page(plants[path], given[path])))
-        elif kind == "controller":
-            page, verified = _controller_page(read_controller(path), before, samples, lambda done: report(part * done))
-            pages.append((path.name, page))
-            reports.append(verified)
-        else:
-            pages.append((path.name, _table_page(path, kind)))
+        try:
+            if kind == "identified":
+                page = _identified_page(plants[path], given[path])
+            elif kind == "controller":
+                read = read_controller(path)
+                page, verified = _controller_page(read, before, samples, lambda done: report(part * done))
+                reports.append(verified)
+            else:
+                page = _table_page(path, kind)
+        except CertificateError as refusal:
+            page = refused_controller_page(refusal, path)
+            refusals.append(refusal)
+        pages.append((path.name, page))
         if kind != "controller":
             report(part)
     if not pages:
-        raise UsageError(f"{paths[0]} is a log; give identified.yaml with it, which autotune identify writes.")
-    return FilesReport(page=join_pages("Report", pages), kinds=kinds, reports=tuple(reports))
+        raise UsageError(
+            f"{paths[0]} is no file that autotune wrote; if it is a log, give the identified.yaml that came from it."
+        )
+    return FilesReport(page=join_pages("Report", pages), kinds=kinds, reports=tuple(reports), refusals=tuple(refusals))
 
 
 def _silent(_: float) -> None:
@@ -185,13 +206,12 @@ def _controller_page(
     simulated = run_monte_carlo(file.controller, count=samples, progress=advance) if samples and verified.passed else ()
     checks = ValidationReport(checks=(*verified.checks, *monte_carlo_checks(simulated)))
     validated = Validated(report=checks, simulated=simulated)
-    before = None if old is None else old.controller
     if not checks.passed:
         # Of a loop that may be unstable there are no peaks and margins to draw.
         sections = (verdict_section(file.checksum, validated),)
         title = "A controller that does not keep what it promises"
         return Page(title=title, lead=lead(validated), tone="bad", sections=sections), checks
-    page = build_optimize_page(file.controller, file.checksum, old=before)
+    page = build_optimize_page(file.controller, file.checksum, old=old)
     first, *axes, certificate = page.sections
     parts = (first, verdict_section("", validated), *axes, *simulated_section(validated), certificate)
     return replace(page, lead=f"{lead(validated)} {page.lead}", sections=parts), checks

@@ -8,13 +8,11 @@ from scipy.signal import csd, welch
 from scipy.stats import norm
 
 from autotune.files.units import AxisUnits
-from identification.evidence import AxisEvidence, Evidence
+from identification.evidence import AxisEvidence
 from identification.joint_result import FittedSpan
-from identification.result import AxisEstimate, Covariance, NoiseSpectrum
-from identification.timeline_phases import Kind, Timeline
+from identification.result import AxisEstimate, Covariance
 
-from .charts import Band, Bars, Chart, Element, Heat, Limit, Line, Panel, Points, Role, Scale, Stretch
-from .framing import level_panels
+from .charts import Band, Bars, Chart, Element, Heat, Limit, Line, Panel, Points, Role, Scale
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -24,77 +22,36 @@ _WINDOW_S = 2.0
 _COHERENT = 0.9
 _MOST_LAGS = 60
 _CHANCE_95 = 1.96
-_MOST_CONTACTS = 3
-_BEFORE_S, _AFTER_S = 0.05, 0.6
-_ROLES: dict[Kind, Role] = {
-    Kind.TURNING: "other",
-    Kind.FREE_MOTION: "good",
-    Kind.COMMANDED_MOTION: "after",
-    Kind.HAND_LED_MOTION: "residual",
-    Kind.CONTACT: "bad",
-    Kind.UNKNOWN: "before",
-}
-
-
-def wrench_chart(evidence: Evidence, timeline: Timeline | None, key: str) -> Chart:
-    """Draw the three forces of the sensor, as logged and without weight and bias, over the phases of the log."""
-    time = evidence.period_s * np.arange(len(evidence.raw_S_n))
-    shades = () if timeline is None else tuple(_shades(timeline))
-    panels = tuple(
-        Panel(
-            x=Scale(label=_TIME),
-            y=Scale(label=f"F{name} [N]"),
-            elements=(
-                *shades,
-                Line(x=time, y=evidence.raw_S_n[:, i], label="as logged", role="before"),
-                Line(x=time, y=evidence.compensated_S_n[:, i], label="without weight and bias", role="measured"),
-            ),
-        )
-        for i, name in enumerate("xyz")
-    )
-    left = evidence.compensated_S_n[np.isfinite(evidence.compensated_S_n).all(axis=1)]
-    largest = float(np.max(np.linalg.norm(left, axis=1), initial=0.0))
-    return Chart(
-        key=key,
-        title="Force of the sensor, and what happened when",
-        alternative=f"Three curves over {time[-1]:.0f} s, Fx, Fy, Fz in the sensor frame, as logged and without weight "
-        f"and bias; without them the force reaches {largest:.1f} N. {_told(timeline)}",
-        caption="Shaded: the phases that were found. What is not shaded is rest.",
-        panels=panels,
-        linked=True,
-    )
-
-
-def _shades(timeline: Timeline) -> Iterator[Stretch]:
-    for phase in timeline.phases:
-        if phase.kind in _ROLES:
-            label = phase.kind.value.replace("-", " ")
-            yield Stretch(low=phase.start_s, high=phase.stop_s, label=label, role=_ROLES[phase.kind])
-
-
-def _told(timeline: Timeline | None) -> str:
-    if timeline is None:
-        return ""
-    contacts = [p.contact for p in timeline.phases if p.contact is not None]
-    kinds = ", ".join(dict.fromkeys(p.kind.value.replace("-", " ") for p in timeline.phases))
-    return f"Phases: {kinds}; {len(contacts)} contacts."
+_ROBOT_NAMES = {"omega": "robot ω", "zeta": "robot ζ"}
 
 
 def residual_charts(axis: str, units: AxisUnits, told: AxisEvidence, period_s: float) -> Iterator[Chart]:
-    """Draw what the fit leaves: over time, as a histogram, as a spectrum and as an autocorrelation."""
+    """Draw the signal that was fitted and what the fit leaves: over time, as histogram, spectrum, autocorrelation."""
     if not told.spans:
         return
-    time, left = _over_time(told.spans, period_s)
+    time, measured, model = _over_time(told.spans, period_s)
+    left = measured - model
     free, touching = (_joined(told.spans, period_s, contact=kind) for kind in (False, True))
     rms = float(np.sqrt(np.nanmean(left**2)))
     yield Chart(
         key=f"{axis}-residual",
-        title="What the model leaves of the force",
-        alternative=f"The residual of axis {axis} over the spans that were fitted, RMS {rms:.3g} {units.force}.",
+        title=f"The {units.force_name} that was fitted, and what the model leaves of it",
+        alternative=f"The {units.force_name} of axis {axis} over the spans that were fitted, measured and modelled, up "
+        f"to {float(np.nanmax(np.abs(measured))):.3g} {units.force}, and the residual, RMS {rms:.3g} {units.force}.",
+        linked=True,
         panels=(
             Panel(
                 x=Scale(label=_TIME),
+                y=Scale(label=f"{units.force_name} [{units.force}]"),
+                elements=(
+                    Line(x=time, y=measured, label="measured", role="measured"),
+                    Line(x=time, y=model, label="model", role="model", dashed=True),
+                ),
+            ),
+            Panel(
+                x=Scale(label=_TIME),
                 y=Scale(label=f"residual [{units.force}]"),
+                height=0.7,
                 elements=(Line(x=time, y=left, label="residual", role="residual"),),
             ),
         ),
@@ -116,13 +73,15 @@ def residual_charts(axis: str, units: AxisUnits, told: AxisEvidence, period_s: f
     )
 
 
-def _over_time(spans: Sequence[FittedSpan], period_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return times and residuals with a NaN between spans."""
-    times, values = [], []
+def _over_time(spans: Sequence[FittedSpan], period_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return times, what was measured and what the model says, with a NaN between spans."""
+    times, measured, model = [], [], []
+    gap = np.array([np.nan])
     for span in sorted(spans, key=lambda s: s.start):
         times += [period_s * (span.start + np.arange(len(span.measured) + 1))]
-        values += [span.measured - span.predicted, np.array([np.nan])]
-    return np.concatenate(times), np.concatenate(values)
+        measured += [span.measured, gap]
+        model += [span.predicted, gap]
+    return np.concatenate(times), np.concatenate(measured), np.concatenate(model)
 
 
 def _joined(spans: Sequence[FittedSpan], period_s: float, *, contact: bool) -> list[tuple[FloatArray, FloatArray]]:
@@ -317,63 +276,26 @@ def _near(values: FloatArray, at: FloatArray, model: FloatArray, frequency: Floa
     return values + 360.0 * turns
 
 
-def contact_chart(
-    axis: str, units: AxisUnits, surface: str, index: int, told: AxisEvidence, period_s: float
-) -> Chart | None:
-    """Draw the contacts of one surface, measured against the model: the strongest, from the touch on."""
-    spans = [span for span in told.spans if span.surface == index]
-    if not spans:
-        return None
-    strongest = sorted(spans, key=lambda span: -float(np.max(np.abs(span.measured))))[:_MOST_CONTACTS]
-    worst = [_peak_error(span) for span in spans]
-    panels = []
-    for span in strongest:
-        place = int(np.argmax(np.abs(span.measured)))
-        begin = max(0, place - round((_BEFORE_S + 0.15) / period_s))
-        stop = min(len(span.measured), place + round(_AFTER_S / period_s))
-        time = 1e3 * period_s * (np.arange(begin, stop) - place)
-        panels.append(
-            Panel(
-                title=f"at {period_s * (span.start + place):.1f} s",
-                x=Scale(label="time from the peak [ms]"),
-                y=Scale(label=f"{units.force_name} [{units.force}]"),
-                elements=(
-                    Line(x=time, y=span.measured[begin:stop], label="measured", wide=True),
-                    Line(x=time, y=span.predicted[begin:stop], label="model", role="model"),
-                ),
-            )
-        )
-    share = 100.0 * float(np.max(np.abs(worst)))
-    return Chart(
-        key=f"{axis}-{surface}-contacts",
-        title=f"Contacts with {surface}, measured and modelled",
-        alternative=f"{len(spans)} contacts with {surface}; the model's peak is within {share:.1f} % of the measured.",
-        caption=f"The strongest {len(strongest)} of {len(spans)} contacts. In all of them the peak of the model is "
-        f"within {share:.1f} % of the measured one.",
-        panels=level_panels(panels),
-        beside=True,
-    )
-
-
-def _peak_error(span: FittedSpan) -> float:
-    measured = float(np.max(np.abs(span.measured)))
-    return float(np.max(np.abs(span.predicted))) / measured - 1.0
-
-
 def correlation_chart(axis: str, covariance: Covariance) -> Chart:
     """Draw how the errors of the parameters go together."""
     matrix = np.array(covariance.matrix)
     std = np.sqrt(np.diag(matrix))
-    correlation = matrix / np.outer(std, std)
+    # To the digits that are written; adding nothing makes 0 of what would be written as -0.
+    correlation = np.round(matrix / np.outer(std, std), 2) + 0.0
     off = correlation - np.eye(len(std))
     i, j = np.unravel_index(int(np.argmax(np.abs(off))), off.shape)
     places = np.arange(len(std), dtype=np.float64)
-    names = covariance.names
+    names = tuple(_ROBOT_NAMES.get(name, name) for name in covariance.names)
     return Chart(
         key=f"{axis}-correlation",
         title="How the errors go together",
         alternative=f"Correlation of the errors of {len(names)} parameters; the largest is {off[i, j]:+.2f}, between "
         f"{names[i]} and {names[j]}.",
+        caption="Robot ω and ζ: natural frequency and damping ratio of the model whose bandwidth is in the table."
+        if "omega" in covariance.names and "zeta" in covariance.names
+        else "Robot ω: the pole of the model whose bandwidth is in the table."
+        if "omega" in covariance.names
+        else "",
         panels=(
             Panel(
                 x=Scale(label=""),
@@ -390,23 +312,6 @@ def correlation_chart(axis: str, covariance: Covariance) -> Chart:
                         written=len(names) <= 20,
                     ),
                 ),
-            ),
-        ),
-    )
-
-
-def noise_chart(noise: NoiseSpectrum) -> Chart:
-    """Draw the sensor's noise at rest."""
-    return Chart(
-        key="noise",
-        title="Noise of the sensor at rest",
-        alternative=f"Power density of the force's noise from {noise.frequency_hz[0]:.2g} to "
-        f"{noise.frequency_hz[-1]:.3g} Hz, the mean of three axes.",
-        panels=(
-            Panel(
-                x=Scale(label="frequency [Hz]", spacing="log"),
-                y=Scale(label="force [N²/Hz]", spacing="log"),
-                elements=(Line(x=np.array(noise.frequency_hz), y=np.array(noise.force_n2_per_hz), role="measured"),),
             ),
         ),
     )

@@ -1,6 +1,7 @@
 """The report of an identification: how healthy the log is, what was found, and how well the model explains it."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from autotune.files.units import axis_units
@@ -9,15 +10,11 @@ from identification.evidence import AxisEvidence, Evidence
 from identification.logs.summary import ChannelSummary, LogSummary
 from identification.result import AxisEstimate, Finding, FitQuality, Identified
 
-from .identify_charts import (
-    contact_chart,
-    correlation_chart,
-    noise_chart,
-    residual_charts,
-    response_charts,
-    wrench_chart,
-)
+from .charts import Chart
+from .contact_evidence import contact_charts, contact_table, contacts_seen
+from .identify_charts import correlation_chart, residual_charts, response_charts
 from .page import Block, Cell, Fact, Facts, Note, Page, Section, Table, Tone
+from .sensor_charts import noise_chart, wrench_charts
 
 _TONES: Mapping[str, Tone] = {
     "identified": "good",
@@ -29,6 +26,8 @@ _TONES: Mapping[str, Tone] = {
     "info": "quiet",
 }
 _ORDER = ("error", "warning", "info")
+# Findings that say what to record for a parameter that is weak or missing.
+_LACKING = frozenset({"unidentifiable", "bounded", "weak", "inertia-not-excited"})
 
 
 def build_identify_page(
@@ -43,11 +42,12 @@ def build_identify_page(
     alone) the figures are those that the parameters tell. `summaries` are the logs as `inspect` tells them.
     """
     rows = list(parameter_rows(result))
+    log = _log_section(result, evidence, summaries) if evidence or summaries or result.timelines else None
     axes = [_axis_section(result, name, axis, evidence) for name, axis in result.axes.items()]
-    sections = [_summary_section(result, rows)]
-    if evidence or summaries or result.timelines:
-        sections.append(_log_section(result, evidence, summaries))
-    sections += [*axes, _sensor_section(result)]
+    picture, rest = _taken_out([*axes, *([] if log is None else [log])])
+    below = rest if log is None else [rest[-1], *rest[:-1]]
+    parameters = Section(key="parameters", title="Parameters", blocks=(_parameter_table(rows),))
+    sections = (_summary_section(result, rows, picture), parameters, *below, _sensor_section(result))
     return Page(
         title="What the log tells of the cell",
         lead=_lead(result, rows),
@@ -57,11 +57,26 @@ def build_identify_page(
     )
 
 
+def _taken_out(sections: Sequence[Section]) -> tuple[Chart | None, list[Section]]:
+    """Return the figure that stands for the page, and the sections without it.
+
+    It is one of contacts, measured and modelled; where there is none, the first of the first section that has one.
+    """
+    charts = [block for section in sections for block in section.blocks if isinstance(block, Chart)]
+    contacts = [chart for chart in charts if chart.key.endswith("-contacts")]
+    picture = next(iter([*contacts, *charts]), None)
+    kept = [replace(each, blocks=tuple(b for b in each.blocks if b is not picture)) for each in sections]
+    return picture, kept
+
+
 def _lead(result: Identified, rows: Sequence[ParameterRow]) -> str:
-    counts = {
-        word: sum(row.verdict == word for row in rows) for word in ("identified", "given", "weak", "unidentifiable")
-    }
-    told = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
+    verdicts = ("identified", "given", "weak", "unidentifiable")
+    named = {word: [row.name for row in rows if row.verdict == word] for word in verdicts}
+    told = ", ".join(
+        f"{len(names)} {word}" + (f" ({', '.join(names)})" if word in {"weak", "unidentifiable"} else "")
+        for word, names in named.items()
+        if names
+    )
     axes = ", ".join(result.axes) or "none"
     return f"Axes: {axes}. Parameters: {told}."
 
@@ -73,7 +88,7 @@ def _worst_tone(result: Identified, rows: Sequence[ParameterRow]) -> Tone:
     return "warn" if doubtful or any(finding.severity == "warning" for finding in result.findings) else "good"
 
 
-def _summary_section(result: Identified, rows: Sequence[ParameterRow]) -> Section:
+def _summary_section(result: Identified, rows: Sequence[ParameterRow], picture: Chart | None) -> Section:
     facts = [
         Fact(
             label=row.name,
@@ -84,11 +99,9 @@ def _summary_section(result: Identified, rows: Sequence[ParameterRow]) -> Sectio
         for row in rows
         if row.name == "payload mass" or row.name.endswith(("coupling K_s", ": K_e", "delay T_d", "robot bandwidth"))
     ]
-    return Section(
-        key="result",
-        title="Result",
-        blocks=(Facts(facts=tuple(facts)), _parameter_table(rows), *_notes(result.findings)),
-    )
+    figure = () if picture is None else (picture,)
+    grave = [each for each in result.findings if each.severity != "info" or each.code in _LACKING]
+    return Section(key="result", title="Result", blocks=(Facts(facts=tuple(facts)), *_notes(grave), *figure))
 
 
 def _detail(row: ParameterRow) -> str:
@@ -106,7 +119,7 @@ def _parameter_table(rows: Sequence[ParameterRow]) -> Table:
                 Cell(text=row.std, is_number=True),
                 Cell(text=row.unit),
                 Cell(text=row.verdict, tone=_TONES.get(row.verdict, "")),
-                Cell(text="; ".join(part for part in (row.method, row.note) if part), tone="quiet"),
+                Cell(text="; ".join(_plain(part) for part in (row.method, row.note) if part), tone="quiet"),
             )
             for row in rows
         ),
@@ -114,18 +127,32 @@ def _parameter_table(rows: Sequence[ParameterRow]) -> Table:
 
 
 def _notes(findings: Sequence[Finding]) -> Iterator[Note]:
-    """Yield the findings, the gravest first."""
-    for finding in sorted(findings, key=lambda each: _ORDER.index(each.severity)):
-        yield Note(text=finding.message, advice=finding.advice, kind=finding.severity, tone=_TONES[finding.severity])
+    """Yield the findings, the gravest first; of these, what to do for a parameter that is not known."""
+    for finding in sorted(findings, key=lambda each: (_ORDER.index(each.severity), each.code not in _LACKING)):
+        lacks = finding.severity == "info" and finding.code in _LACKING
+        kind, tone = ("advice", _TONES["warning"]) if lacks else (finding.severity, _TONES[finding.severity])
+        yield Note(text=_plain(finding.message), advice=_plain(finding.advice), kind=kind, tone=tone)
+
+
+def _plain(text: str) -> str:
+    """Return text without the marks of the terminal around names."""
+    return text.replace("`", "")
+
+
+def health_blocks(summaries: Sequence[LogSummary], told: Sequence[Finding] = ()) -> Iterator[Block]:
+    """Yield the health of each log, and what was noticed in it; `told` are findings that need not be told again."""
+    seen = {finding.code for finding in told}
+    for summary in summaries:
+        yield _health_table(summary)
+        yield from _notes([finding for finding in summary.findings if finding.code not in seen])
 
 
 def _log_section(result: Identified, evidence: Sequence[Evidence], summaries: Sequence[LogSummary]) -> Section:
-    blocks: list[Block] = [_health_table(summary) for summary in summaries]
-    for summary in summaries:
-        blocks += list(_notes(summary.findings))
+    blocks = list(health_blocks(summaries, result.findings))
+    blocks += _notes([each for each in result.findings if each.severity == "info" and each.code not in _LACKING])
     for i, each in enumerate(evidence):
         timeline = result.timelines[i] if i < len(result.timelines) else None
-        blocks.append(wrench_chart(each, timeline, f"wrench-{i + 1}"))
+        blocks += wrench_charts(each, timeline, f"{i + 1}")
     blocks += [_phase_table(result)] if any(timeline.phases for timeline in result.timelines) else []
     return Section(key="log", title="The log", blocks=tuple(blocks))
 
@@ -166,7 +193,7 @@ def _number(value: float | None, scale: float, digits: int) -> str:
 
 
 def _phase_table(result: Identified) -> Table:
-    rows = []
+    rows, many = [], len(result.timelines) > 1
     for timeline in result.timelines:
         spent: dict[str, tuple[int, float]] = {}
         for phase in timeline.phases:
@@ -174,14 +201,15 @@ def _phase_table(result: Identified) -> Table:
             spent[phase.kind.value] = count + 1, seconds + phase.stop_s - phase.start_s
         rows += [
             (
-                Cell(text=timeline.log or "log"),
+                *((Cell(text=timeline.log),) if many else ()),
                 Cell(text=kind.replace("-", " ")),
                 Cell(text=str(count), is_number=True),
                 Cell(text=f"{seconds:.1f}", is_number=True),
             )
             for kind, (count, seconds) in spent.items()
         ]
-    return Table(caption="Phases of the log", columns=("log", "phase", "times", "seconds"), rows=tuple(rows))
+    columns = (*(("log",) if many else ()), "phase", "times", "seconds")
+    return Table(caption="Phases of the log", columns=columns, rows=tuple(rows))
 
 
 def _axis_section(result: Identified, name: str, axis: AxisEstimate, evidence: Sequence[Evidence]) -> Section:
@@ -191,20 +219,22 @@ def _axis_section(result: Identified, name: str, axis: AxisEstimate, evidence: S
     # Of several logs the one that told most is shown; all are in the table above.
     period_s, told = max(seen, key=lambda pair: sum(len(span.measured) for span in pair[1].spans), default=(0.0, None))
     period = period_s or result.sample_time_s.value or 1e-3
-    blocks += list(response_charts(name, units, axis, told, period))
+    blocks += response_charts(name, units, axis, told, period)
     if told is not None:
-        blocks += list(_contact_charts(name, axis, told, period))
-        blocks += list(residual_charts(name, units, told, period))
+        blocks += _contact_blocks(name, axis, told, period)
+        blocks += residual_charts(name, units, told, period)
     if axis.covariance is not None:
         blocks.append(correlation_chart(name, axis.covariance))
     return Section(key=f"axis-{name}", title=f"Axis {name}", blocks=tuple(blocks))
 
 
-def _contact_charts(name: str, axis: AxisEstimate, told: AxisEvidence, period_s: float) -> Iterator[Block]:
-    for index, surface in enumerate(axis.environments):
-        chart = contact_chart(name, axis_units(name), surface.name, index, told, period_s)
-        if chart is not None:
-            yield chart
+def _contact_blocks(name: str, axis: AxisEstimate, told: AxisEvidence, period_s: float) -> Iterator[Block]:
+    units = axis_units(name)
+    seen = [(surface.name, contacts_seen(told, i)) for i, surface in enumerate(axis.environments)]
+    for surface, contacts in seen:
+        yield from contact_charts(name, units, surface, contacts, period_s)
+    if any(contacts for _, contacts in seen):
+        yield contact_table(name, units, seen, period_s)
 
 
 def _fit_table(fits: Sequence[FitQuality]) -> Table:
@@ -215,14 +245,14 @@ def _fit_table(fits: Sequence[FitQuality]) -> Table:
         caption="How well the model explains each log",
         columns=(
             "log",
-            "spans",
-            "explained",
-            "residual / noise",
-            "left-out spans missed by",
+            "free spans",
+            "free: explained",
+            "free: residual / noise",
+            "free: left-out span missed by",
             "contacts",
-            "explained",
-            "residual / noise",
-            "left-out contacts missed by",
+            "contacts: explained",
+            "contacts: residual / noise",
+            "contacts: left-out one missed by",
         ),
         rows=tuple(
             (

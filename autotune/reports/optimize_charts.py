@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from autotune.files.controller_record import AdmittanceRequirement, ScenarioPrediction
 from autotune.files.units import AxisUnits
+from autotune.scenario_text import off_nominal, stiffness_text
 from problems.contact import ContactTransient
 from problems.controller import AdmittanceController
 from problems.margins import frequency_grid
@@ -20,6 +21,7 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _PANELS = 3
+_WORST = "the worst where everything uncertain varies"
 _SHORTEST_S, _LONGEST_S = 0.15, 2.0
 _SETTLED = 0.03
 _LOOP_POINTS = 700
@@ -33,7 +35,7 @@ def contact_charts(design: AxisDesign, old: AdmittanceController | None) -> Iter
     scenarios = design.predicted.scenarios
     groups: dict[str, list[ScenarioPrediction]] = {}
     for each in scenarios:
-        told = "elsewhere in the set" if each.further else f"payload {_mass(design, each.payload_mass_kg)}"
+        told = _WORST if each.further else f"payload {_mass(design, each.payload_mass_kg)}"
         groups.setdefault(told, []).append(each)
     for index, (told, group) in enumerate(groups.items()):
         chart = _contact_chart(design, old, f"{design.name}-contact-{index + 1}", told, _spread(group))
@@ -69,15 +71,18 @@ def _contact_chart(
     panels = tuple(
         Panel(
             title=f"K_e {stiffness_text(each.environment_stiffness_n_per_m, units)}"
-            + (f", {_mass(design, each.payload_mass_kg)}" if each.further else ""),
+            + (f", {_mass(design, each.payload_mass_kg)} ({index})" if each.further else ""),
             x=Scale(label="time after touching [ms]", limits=(0.0, 1e3 * duration)),
             y=Scale(label=f"{units.force_name} [{units.force}]", limits=(0.0, highest)),
             elements=tuple(_contact_lines(run, duration, alone=old is None)),
         )
-        for each, run in zip(shown, runs, strict=True)
+        for index, (each, run) in enumerate(zip(shown, runs, strict=True), 1)
+    )
+    others = "; ".join(
+        f"({index}) {off_nominal(each.scenario(), units)}" for index, each in enumerate(shown, 1) if each.further
     )
     worst = max(shown, key=lambda each: each.peak_contact_force_n)
-    beside = "" if old is None else " Grey: the controller before, on the same plants."
+    beside = "" if old is None else " Grey: the controller before, at the surface, on the same plants."
     lost = sum(run.get("before", run["after"]) is None for run in runs)
     return Chart(
         key=key,
@@ -86,7 +91,8 @@ def _contact_chart(
         f"is {worst.peak_contact_force_n:.4g} {units.force} at the surface, {1e3 * worst.time_of_peak_s:.0f} ms after "
         f"touching {stiffness_text(worst.environment_stiffness_n_per_m, units)}.{_before_told(runs, units)}",
         caption=f"Blue: at the surface; dashed: at the sensor.{beside}"
-        + (f" In {lost} of these the controller before is unstable and not drawn." if lost else ""),
+        + (f" In {lost} of these the controller before is unstable and not drawn." if lost else "")
+        + (f" Other than nominal: {others}." if others else ""),
         panels=panels,
         beside=True,
     )
@@ -119,11 +125,6 @@ def _duration(run: ContactTransient) -> float:
     moving = np.flatnonzero(np.abs(force - force[-1]) > _SETTLED * run.peak_contact_force_n)
     last = float(run.time_s[moving[-1]]) if len(moving) else 0.0
     return min(max(1.15 * last, _SHORTEST_S), _LONGEST_S, max(float(run.time_s[-1]), _SHORTEST_S))
-
-
-def stiffness_text(value: float, units: AxisUnits) -> str:
-    """Return a stiffness as data sheets tell it: N/mm along an axis."""
-    return f"{1e-3 * value:.4g} N/mm" if units.stiffness == "N/m" else f"{value:.4g} {units.stiffness}"
 
 
 def admittance_chart(design: AxisDesign, old: AdmittanceController | None) -> Chart:
@@ -224,7 +225,8 @@ def _disk(asked: float | None, reached: float) -> Iterator[Element]:
 def _locus(name: str, role: Role, loop: ComplexArray) -> Line:
     inside = np.abs(loop) <= _FAR
     shown = np.where(inside, loop, np.nan + 0j)
-    return Line(x=shown.real, y=np.where(inside, shown.imag, np.nan), label=name, role=role)
+    imaginary = np.where(inside, shown.imag, np.nan)
+    return Line(x=shown.real, y=imaginary, label=name, role=role, dashed=role == "before")
 
 
 def stiffness_chart(design: AxisDesign, old: AdmittanceController | None) -> Chart:
@@ -240,7 +242,9 @@ def stiffness_chart(design: AxisDesign, old: AdmittanceController | None) -> Cha
     x = Scale(label=f"environment stiffness K_e [{unit}]", spacing="log")
     asked = design.modulus_asked
     limits = () if asked is None else (Limit(value=asked, label="asked", role="bad"),)
-    cases: list[tuple[str, Role, OverStiffness]] = [("before", "before", each) for each in before]
+    cases: list[tuple[str, Role, OverStiffness]] = [
+        (f"before, {_mass(design, each.payload_mass_kg)}", "before", each) for each in before
+    ]
     cases += [(_mass(design, each.payload_mass_kg), roles[i], each) for i, each in enumerate(now)]
     predicted = design.predicted.scenarios
     dots = Points(
@@ -289,7 +293,7 @@ def _highest(*cases: Sequence[OverStiffness]) -> float:
 
 def _curves(cases: Sequence[tuple[str, Role, OverStiffness]], scale: float, what: str) -> Iterator[Line]:
     for name, role, each in cases:
-        yield Line(x=scale * each.stiffness, y=getattr(each, what), label=name, role=role)
+        yield Line(x=scale * each.stiffness, y=getattr(each, what), label=name, role=role, dashed=role == "before")
 
 
 def _told_inside(now: Sequence[OverStiffness], low: float, high: float, units: AxisUnits) -> str:

@@ -3,11 +3,13 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from autotune.files.canonical import short
+from autotune.files.controller import ControllerFile
 from autotune.files.controller_record import Controller
 from autotune.files.units import axis_units
-from autotune.validation.validate import admittance_controller
 
 from .axis_design import AxisDesign, axis_designs
+from .compared_tables import compared_blocks, law_before
 from .compliance_table import compliance_tables
 from .controller_tables import (
     checksum_fact,
@@ -23,7 +25,7 @@ from .controller_tables import (
 )
 from .map_charts import map_chart
 from .optimize_charts import admittance_chart, contact_charts, nyquist_chart, stiffness_chart
-from .page import Block, Cell, Facts, Note, Page, Section, Table, Tone
+from .page import Block, Cell, Fact, Facts, Note, Page, Section, Table, Tone
 from .search_charts import convergence_chart, front_chart
 
 if TYPE_CHECKING:
@@ -37,7 +39,7 @@ def build_optimize_page(
     checksum: str,
     *,
     steps: Mapping[str, Sequence["SearchStep"]] | None = None,
-    old: Controller | None = None,
+    old: ControllerFile | None = None,
     fronts: Mapping[str, Any] | None = None,
 ) -> Page:
     """Build the report of a controller from its file alone, or with what only the search knows.
@@ -51,13 +53,13 @@ def build_optimize_page(
             key="result",
             title="Result",
             blocks=(
-                Facts(facts=(checksum_fact(checksum),)),
+                Facts(facts=(checksum_fact(checksum), *_before_fact(old))),
                 design_facts(designs),
                 gains_table(controller),
                 *active_notes(controller),
             ),
         ),
-        *(design_section(design, standing_of(controller, design.name), old) for design in designs),
+        *(design_section(design, standing_of(controller, design.name), old, checksum) for design in designs),
         *([] if fronts is None else [front_section(fronts)]),
         search_section(controller, steps or {}),
         certificate_section(controller, designs),
@@ -78,6 +80,11 @@ def _lead(controller: Controller, designs: Sequence[AxisDesign]) -> str:
         for each in designs
     )
     return f"{controller.status.value.capitalize()}; {told}." if told else f"{controller.status.value.capitalize()}."
+
+
+def _before_fact(old: ControllerFile | None) -> Iterator[Fact]:
+    if old is not None:
+        yield Fact(label="before, in grey", value=old.path.name, detail=f"checksum {short(old.checksum)}")
 
 
 def _tone(controller: Controller) -> Tone:
@@ -108,10 +115,13 @@ def standing_of(controller: Controller, name: str) -> Mapping[str, Any] | None:
     return found if isinstance(found, Mapping) else None
 
 
-def design_section(design: AxisDesign, standing: Mapping[str, Any] | None, old: Controller | None) -> Section:
-    """Return requirements and figures of one axis."""
-    before = None if old is None or design.name not in old.axes else admittance_controller(old, design.name)
-    blocks: list[Block] = [requirement_table(design, prices_of(standing)), *contact_charts(design, before)]
+def design_section(
+    design: AxisDesign, standing: Mapping[str, Any] | None, old: ControllerFile | None, checksum: str
+) -> Section:
+    """Return requirements, comparison and figures of one axis."""
+    before = law_before(old, design.name)
+    blocks: list[Block] = [requirement_table(design, prices_of(standing)), *compared_blocks(design, old, checksum)]
+    blocks += contact_charts(design, before)
     blocks += [stiffness_chart(design, before), admittance_chart(design, before), nyquist_chart(design, before)]
     blocks.append(map_chart(design))
     responses = response_table(design)

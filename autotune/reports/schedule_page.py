@@ -1,13 +1,16 @@
 """The report of a schedule: a controller per class of payload and surface, and what one for all would cost."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
 
 from autotune.files.canonical import short
 from autotune.files.records import rename_axis_keys
 from autotune.files.schedule import ScheduleFile
 from autotune.files.units import axis_units
 
+from .charts import Chart, Panel, Points, Role, Scale
 from .controller_tables import checksum_fact
 from .page import Cell, Facts, Note, Page, Section, Table
 
@@ -23,13 +26,54 @@ def build_schedule_page(file: ScheduleFile) -> Page:
         if common["file"] is None
         else ()
     )
-    blocks = (Facts(facts=(checksum_fact(file.checksum),)), _table(tree), *notes)
+    blocks = (Facts(facts=(checksum_fact(file.checksum),)), *_charts(tree), _table(tree), *notes)
     return Page(
         title="A controller for every class",
         lead=f"{len(tree['classes'])} classes, each with a validated controller of its own.",
         sections=(Section(key="classes", title="Classes", blocks=blocks),),
         tone="good",
         footer=str(tree["provenance"].get("tool", "")),
+    )
+
+
+def _charts(tree: Mapping[str, Any]) -> Iterator[Chart]:
+    """Yield per axis the peak of every class with its own controller, and with one for all where there is one."""
+    classes, names = tree["classes"], list(dict.fromkeys(axis for each in tree["classes"] for axis in each["axes"]))
+    for axis in names:
+        units = axis_units(axis)
+        seen = [
+            (number, each["name"], rename_axis_keys(axis, each["axes"][axis], reading=True))
+            for number, each in enumerate(classes, 1)
+            if axis in each["axes"]
+        ]
+        points = [
+            _peaks("with its own controller", "after", "dot", [(i, n, told["peak_force_n"]) for i, n, told in seen])
+        ]
+        common = [
+            (i, n, told["peak_with_common_n"]) for i, n, told in seen if told.get("peak_with_common_n") is not None
+        ]
+        points += [_peaks("with one for all", "before", "diamond", common)] if common else []
+        lowest, highest = (pick(told["peak_force_n"] for _, _, told in seen) for pick in (min, max))
+        yield Chart(
+            key=f"{axis}-classes",
+            title=f"Peak {units.force_name} of every class, axis {axis}",
+            alternative=f"The largest predicted peak in each of {len(seen)} classes, with its own controller from "
+            f"{lowest:.4g} to {highest:.4g} {units.force}, and with one controller for all where there is one.",
+            caption="; ".join(f"{number}: {name}" for number, name, _ in seen),
+            panels=(
+                Panel(
+                    x=Scale(label="class, in the order of the table", limits=(0.5, len(classes) + 0.5)),
+                    y=Scale(label=f"peak [{units.force}]"),
+                    elements=tuple(points),
+                ),
+            ),
+        )
+
+
+def _peaks(label: str, role: Role, marker: Literal["dot", "diamond"], seen: Sequence[tuple[int, str, float]]) -> Points:
+    numbers, names, peaks = zip(*seen, strict=True)
+    return Points(
+        x=np.array(numbers, dtype=np.float64), y=np.array(peaks), label=label, role=role, names=names, marker=marker
     )
 
 

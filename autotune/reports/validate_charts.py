@@ -1,5 +1,7 @@
 """The figures of a validation: contacts of many plants beside what is promised, and of a log beside the prediction."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from autotune.files.units import axis_units
@@ -9,7 +11,9 @@ from autotune.validation.monte_carlo import BAND, AxisMonteCarlo
 from .charts import Band, Chart, Limit, Line, Panel, Scale
 from .framing import level_panels
 
-_MOST_CONTACTS = 3
+_PANELS = 3
+# What is beyond is in the table.
+_MOST_CONTACTS = 12
 
 
 def band_chart(found: AxisMonteCarlo) -> Chart | None:
@@ -43,23 +47,28 @@ def band_chart(found: AxisMonteCarlo) -> Chart | None:
     )
 
 
-def measured_chart(found: LogComparison) -> Chart:
-    """Draw the strongest contacts of a log beside the prediction and what the certified set allows."""
-    shown = sorted(found.contacts, key=lambda each: -each.measured_peak_n)[:_MOST_CONTACTS]
+def measured_charts(found: LogComparison) -> Iterator[Chart]:
+    """Draw the contacts of a log beside the prediction and what the certified set allows, in the order of time."""
+    strongest = sorted(found.contacts, key=lambda each: -each.measured_peak_n)[:_MOST_CONTACTS]
+    shown = sorted(strongest, key=lambda each: each.onset_s)
     errors = [100.0 * abs(each.peak_error_n) / each.measured_peak_n for each in found.contacts]
     inside = sum(each.is_inside for each in found.contacts)
     told = (
         f"of {len(found.contacts)} contacts the predicted peak is within {max(errors):.1f} % of the measured one; "
         f"{inside} lie inside the band all the time."
     )
-    return Chart(
-        key="measured",
-        title="Measured contacts beside the prediction",
-        alternative=f"Force at the sensor over time after touching, measured and predicted: {told}",
-        caption=f"The strongest {len(shown)} contacts. O{told[1:]} Shaded: what the certified set allows.",
-        panels=level_panels([_measured_panel(each) for each in shown]),
-        beside=True,
-    )
+    which = "" if len(shown) == len(found.contacts) else f" The strongest {len(shown)} are drawn; the table has all."
+    panels = level_panels([_measured_panel(each) for each in shown])
+    for number, start in enumerate(range(0, len(shown), _PANELS), 1):
+        is_last = start + _PANELS >= len(shown)
+        yield Chart(
+            key="measured" + (f"-{number}" if number > 1 else ""),
+            title="Measured contacts beside the prediction" + (f" ({number})" if len(shown) > _PANELS else ""),
+            alternative=f"Force at the sensor over time after touching, measured and predicted: {told}",
+            caption=f"O{told[1:]} Shaded: what the certified set allows.{which}" if is_last else "",
+            panels=panels[start : start + _PANELS],
+            beside=True,
+        )
 
 
 def _measured_panel(contact: ComparedContact) -> Panel:

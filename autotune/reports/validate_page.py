@@ -14,7 +14,7 @@ from .controller_tables import checksum_fact, design_facts
 from .optimize_charts import contact_charts, stiffness_chart
 from .optimize_page import certificate_section, footer
 from .page import Block, Cell, Fact, Facts, Page, Section, Table, Tone
-from .validate_charts import band_chart, measured_chart
+from .validate_charts import band_chart, measured_charts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +116,7 @@ def measured_section(validated: Validated) -> Iterator[Section]:
         ),
         rows=tuple(rows),
     )
-    yield Section(key="measured-contacts", title="Measured contacts", blocks=(measured_chart(found), table))
+    yield Section(key="measured-contacts", title="Measured contacts", blocks=(*measured_charts(found), table))
 
 
 def simulated_section(validated: Validated) -> Iterator[Section]:

@@ -45,6 +45,11 @@ def _linear_check(found: AxisMonteCarlo, both: Sequence[tuple[str, SampledPeaks]
     return Check(axis=found.axis, name="sampled peaks", passed=not above, message=message)
 
 
+def _change(of: SampledPeaks) -> float:
+    """Return what the disturbances add, to the digit that is told; adding nothing makes 0 of -0."""
+    return round(of.observed.largest - of.linear.largest, 1) + 0.0
+
+
 def _full_check(found: AxisMonteCarlo, both: Sequence[tuple[str, SampledPeaks]]) -> Check:
     """Hold the peaks with disturbances against what these explain."""
     units = axis_units(found.axis)
@@ -56,8 +61,7 @@ def _full_check(found: AxisMonteCarlo, both: Sequence[tuple[str, SampledPeaks]])
         if of.observed.largest > of.limit
     ]
     told = ", ".join(
-        f"{of.observed.largest:.1f} {units.force} at the {what} ({of.observed.largest - of.linear.largest:+.1f}; at "
-        f"most {of.limit:.1f})"
+        f"{of.observed.largest:.1f} {units.force} at the {what} ({_change(of):+.1f}; at most {of.limit:.1f})"
         for what, of in both
     )
     message = "; ".join(above) or f"with {_effects_told(found)} largest {told}"

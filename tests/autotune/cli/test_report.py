@@ -1,14 +1,21 @@
 """`--report` and `autotune report`, through the real entry point."""
 
 import json
+import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from autotune.cli.main import main
+from autotune.errors import InfeasibleError, UsageError
+from autotune.files.canonical import checksum
 from autotune.files.controller import read_controller, write_controller
 from autotune.files.schedule import FORMAT
+from autotune.files.yaml12 import parse_document
+from autotune.reports.page import Table
+from autotune.reports.refused_page import refused_search_page
 from tests.autotune.reports.page_law import check_page
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, small_controller, write_plant
 from tests.autotune.validation.test_validate import FALSE_CLAIMS
@@ -39,8 +46,22 @@ def test_the_page_of_identify_is_that_of_its_file_and_log(
     # The numbers of the file are read to the last bit, so the page is the same to the last byte.
     assert text == (folder / "again.html").read_text(encoding="utf-8")
     check_page(text)
-    for told in ("Health of cell.mcap", 'id="wrench-1"', 'id="x-residual"', 'id="x-white"', 'id="noise"'):
+    for told in (
+        "Health of cell.mcap",
+        'id="wrench-1"',
+        'id="torque-1"',
+        'id="x-residual"',
+        'id="x-white"',
+        'id="noise"',
+    ):
         assert told in text
+    # A picture comes before the long table, what is not known is named, and nothing is said twice.
+    assert text.index("<figure") < text.index("Every parameter with one standard deviation")
+    assert re.search(r"unidentifiable \([^)]*inertia", text)
+    told_once = re.sub(r'="[^"]*"', "", text)
+    assert told_once.count("The clocks of") == 1
+    assert "`" not in re.sub(r"<script.*?</script>", "", told_once, flags=re.DOTALL)
+    assert text.count("Every contact along x") == 2  # the caption, and the name of its region
     other = folder / "other.mcap"
     shutil.copy(good_log, other)
     with other.open("ab") as stream:
@@ -115,9 +136,89 @@ def test_files_that_have_no_report_are_refused_in_a_sentence(folder: Path, capsy
     (folder / "plan.yaml").write_text("format: autotune/plan\nversion: 1\n", encoding="utf-8")
     (folder / "notes.txt").write_text("nothing", encoding="utf-8")
     (folder / "schedule.yaml").write_text(f"format: {FORMAT}\nversion: 1\n", encoding="utf-8")
-    assert "altered.yaml" in refused(capsys, ["report", "altered.yaml"], 6)
     assert "plan.yaml is of the format autotune/plan" in refused(capsys, ["report", "plan.yaml"], 2)
-    assert "notes.txt is a log; give identified.yaml with it" in refused(capsys, ["report", "notes.txt"], 2)
+    assert "notes.txt is no file that autotune wrote; if it is a log, give the identified.yaml" in refused(
+        capsys, ["report", "notes.txt"], 2
+    )
     assert "none.yaml cannot be read" in refused(capsys, ["report", "none.yaml"], 2)
-    assert "schedule.yaml" in refused(capsys, ["report", "schedule.yaml"], 6)
     assert not (folder / "report.html").exists()
+    assert "schedule.yaml" in refused(capsys, ["report", "schedule.yaml", "altered.yaml"], 6)
+    # Each has its part on a page of its own kind, which says it.
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    assert text.count("<dd>NOT valid") == 2
+    stated = str(read_tree(altered)["checksum"])
+    assert stated in text
+    assert checksum(read_tree(altered)) in text
+    assert "controller.html is the page of an earlier run and stays as it is." in refused_beside_a_page(folder, capsys)
+
+
+def read_tree(text: str) -> dict[str, Any]:
+    return parse_document(text.encode(), Path("altered.yaml"), error=UsageError, exact=False).tree
+
+
+def refused_beside_a_page(folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    page = folder / "controller.html"
+    shutil.copy(folder / "report.html", page)
+    before = page.read_bytes()
+    told = refused(capsys, ["validate", "none.yaml", "--report", "controller.html"], 2)
+    assert page.read_bytes() == before
+    return told
+
+
+def test_an_altered_controller_takes_the_place_of_the_page_that_called_it_valid(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_controller("controller.yaml", small_controller())
+    assert main(["validate", "controller.yaml", "--samples", "0", "--report", "r.html", "--quiet"]) == 0
+    valid = (folder / "r.html").read_text(encoding="utf-8")
+    assert "Valid: all" in valid
+    text = (folder / "controller.yaml").read_text(encoding="utf-8")
+    (folder / "controller.yaml").write_text(text.replace("damping: ", "damping: 1", 1), encoding="utf-8")
+    told = refused(capsys, ["validate", "controller.yaml", "--report", "r.html"], 6)
+    assert told.endswith("The page r.html says so.\n")
+    now = (folder / "r.html").read_text(encoding="utf-8")
+    check_page(now, has_pictures=False)
+    assert "Valid: all" not in now
+    assert '<div class="bad large"><dt>outcome</dt><dd>NOT valid' in now
+    assert main(["validate", "controller.yaml", "--report", "r.html", "--json"]) == 6
+    assert json.loads(capsys.readouterr().out)["report"] == "r.html"
+
+
+@pytest.mark.parametrize(
+    ("log", "code", "shown"),
+    [
+        ("no_contact", 4, ("NOT identified", 'id="wrench-1"', "Phases of the log", "--allow-partial")),
+        ("one_pose", 4, ("NOT identified", 'id="wrench-1"', "Health of one_pose.mcap")),
+        ("no_command", 4, ("NOT identified", 'id="wrench-1"', "Health of no_command.mcap")),
+        ("truncated", 3, ("NOT identified", "truncated.mcap")),
+    ],
+)
+def test_a_refused_log_has_a_page_of_what_can_be_seen(
+    folder: Path, unusable_logs: Path, capsys: pytest.CaptureFixture[str], log: str, code: int, shown: tuple[str, ...]
+) -> None:
+    told = refused(capsys, ["identify", str(unusable_logs / f"{log}.mcap"), "--report", "r.html"], code)
+    assert told.endswith("The page r.html says so.\n")
+    text = (folder / "r.html").read_text(encoding="utf-8")
+    check_page(text, has_pictures=log != "truncated")
+    for each in shown:
+        assert each in text, each
+    assert not (folder / "identified.yaml").exists()
+
+
+def test_a_search_without_a_controller_has_a_page_of_what_could_be_eased(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    error = InfeasibleError("Axis x: none.", (("modulus_margin", 0.9, 0.5),))
+    page = refused_search_page(error, None)
+    table = next(block for block in page.sections[0].blocks if isinstance(block, Table))
+    assert [cell.text for cell in table.rows[0]] == ["modulus_margin", "0.9", "0.5"]
+    write_plant(folder)
+    write_controller("old.yaml", small_controller())
+    text = (folder / "old.yaml").read_text(encoding="utf-8")
+    (folder / "old.yaml").write_text(text.replace("damping: ", "damping: 1", 1), encoding="utf-8")
+    told = refused(capsys, ["optimize", "identified.yaml", "--compare", "old.yaml", "--report", "r.html"], 6)
+    assert told.endswith("The page r.html says so.\n")
+    shown = (folder / "r.html").read_text(encoding="utf-8")
+    assert "NO controller" in shown
+    assert "identified.yaml" in shown
+    assert not (folder / "controller.yaml").exists()

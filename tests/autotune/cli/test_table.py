@@ -13,6 +13,8 @@ ROWS = [
     ("peak", "67.5 to 68.6", "", "N", ""),
 ]
 
+OTHERWISE = "K_s 310.2 N/mm, B_s 150.2 N·s/m, B_p 329.8 N·s/m, T_d 2.403 ms, f_b 3.182 Hz"
+
 
 def test_numbers_stand_with_their_points_in_one_place_and_units_in_one_column() -> None:
     heading, *lines = table_lines(ROWS, left=(0, 3, 4), point=(1, 2))
@@ -70,3 +72,16 @@ def test_folding_loses_no_word(columns: int | None) -> None:
         "info: 5 rests did not fit the payload's weight, 99.9995 % of it used up, /a/very/long/topic/name/indeed/it/is"
     )
     assert " ".join(" ".join(told_lines(text, columns=columns)).split()) == text
+
+
+def test_a_last_column_without_room_beside_goes_below_its_row_or_becomes_part_of_a_block() -> None:
+    rows = [("K_e [N/mm]", "peak [N]", "otherwise"), ("95.9", "52.1", "nominal"), ("144.0", "56.4", OTHERWISE)]
+    below = list(table_lines(rows, left=(2,), indent="  ", columns=40, stacks=True))
+    assert all(display_width(line) <= 40 for line in below)
+    assert below[:4] == ["  K_e [N/mm]  peak [N]", "      otherwise", "        95.9      52.1", "      nominal"]
+    assert " ".join(line.strip() for line in below[5:]) == OTHERWISE
+    block = list(table_lines(rows, left=(2,), indent="  ", columns=20, stacks=True))
+    assert "    peak [N]   56.4" in block
+    beside = list(table_lines(rows, left=(2,), indent="  ", columns=60, stacks=True))
+    assert all(display_width(line) <= 60 for line in beside)
+    assert beside[0] == "  K_e [N/mm]  peak [N]  otherwise"

@@ -9,14 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from autotune.files.controller import controller_tree, short
+from autotune.files.controller import ControllerFile, controller_tree, short
 from autotune.files.schedule import write_schedule
 from autotune.reports.axis_design import axis_designs, contact_of, modulus_of, over_stiffness
-from autotune.reports.charts import Chart, Heat, Line
+from autotune.reports.charts import Chart, Heat, Line, Points
+from autotune.reports.compared_tables import compared_blocks
 from autotune.reports.from_files import report_files
 from autotune.reports.optimize_charts import nyquist_chart
 from autotune.reports.optimize_page import build_front_page, build_optimize_page
-from autotune.reports.page import Page, Section, Table, join_pages, render_page
+from autotune.reports.page import Facts, Note, Page, Section, Table, join_pages, render_page
 from autotune.reports.validate_page import Validated, build_validate_page
 from autotune.tuning.compare import compare
 from autotune.validation.against_log import LogComparison
@@ -39,7 +40,8 @@ def controller_page() -> Page:
     axes = dict(found.controller.axes)
     stiffer = replace(found.controller, axes={"x": replace(axes["x"], damping=1.2 * axes["x"].damping)})
     steps = {name: search.steps for name, search in found.searches.items()}
-    return build_optimize_page(found.controller, CHECKSUM, steps=steps, old=stiffer)
+    before = ControllerFile(controller=stiffer, checksum="fedcba98" * 8, path=Path("old.yaml"), sha256="")
+    return build_optimize_page(found.controller, CHECKSUM, steps=steps, old=before)
 
 
 def charts_of(page: Page) -> dict[str, Chart]:
@@ -84,6 +86,42 @@ def test_contacts_before_and_after_reach_the_peaks_that_the_file_and_the_compari
     assert old is not None
     before = max(float(np.max(lines_of(charts["x-contact-1"], i)["before"].y)) for i in range(len(panels)))
     assert before == pytest.approx(old.peak_contact_force_n, rel=5e-3)
+
+
+def test_the_comparison_tells_whose_curves_are_drawn_and_what_the_certificate_says_of_its_own() -> None:
+    blocks = [each for section in controller_page().sections for each in section.blocks if isinstance(each, Table)]
+    (compared,) = (each for each in blocks if "before is old.yaml" in each.caption)
+    rows = {row[0].text: [cell.text for cell in row[1:]] for row in compared.rows}
+    controller = fast_optimized().controller
+    (design,) = axis_designs(controller)
+    assert rows["checksum"] == ["fedcba98", short(CHECKSUM)]
+    assert float(rows["B_a [N·s/m]"][0]) == pytest.approx(1.2 * float(rows["B_a [N·s/m]"][1]), rel=1e-5)
+    # What is found anew on the ends and the worst cases is what the certificate claims; the peak is the file's.
+    margins = controller.certificate.margins["x"]
+    assert float(rows["modulus margin"][-1]) == pytest.approx(margins.modulus, rel=1e-3)
+    assert float(rows["delay margin [ms]"][-1]) == pytest.approx(1e3 * (margins.delay_s or 0.0), rel=1e-3)
+    peak = max(each.peak_contact_force_n for each in design.predicted.scenarios)
+    assert float(rows["largest peak at the contact [N]"][-1]) == pytest.approx(peak, rel=1e-3)
+    facts = next(each for each in controller_page().sections[0].blocks if isinstance(each, Facts))
+    assert ("old.yaml", "checksum fedcba98") in [(fact.value, fact.detail) for fact in facts.facts]
+
+
+def test_a_comparison_says_that_gains_are_the_same_or_that_a_loop_is_unstable() -> None:
+    controller = small_controller()
+    (design,) = axis_designs(controller)
+    same = ControllerFile(controller=controller, checksum=CHECKSUM, path=Path("same.yaml"), sha256="")
+    note, table = compared_blocks(design, same, CHECKSUM)
+    assert isinstance(note, Note)
+    assert "has the same gains" in note.text
+    assert isinstance(table, Table)
+    assert all(row[1].text == row[2].text for row in table.rows)
+    wild = replace(controller, axes={"x": replace(controller.axes["x"], damping=50.0)})
+    (table,) = compared_blocks(design, replace(same, controller=wild), CHECKSUM)
+    assert isinstance(table, Table)
+    assert [row[1].text for row in table.rows[5:]] == ["unstable"] * 7
+    (note,) = compared_blocks(replace(design, name="y"), same, CHECKSUM)
+    assert isinstance(note, Note)
+    assert "has no axis y" in note.text
 
 
 def test_margins_maps_and_loops_meet_the_certificate() -> None:
@@ -151,9 +189,10 @@ def test_the_page_of_a_validation_has_checks_band_and_measured_contacts() -> Non
     assert np.all(np.diff(band.band.levels, axis=0) >= 0.0)
     assert np.max(band.band.levels) == pytest.approx(band.contact.observed.largest, rel=0.01)
     assert "x-band" in charts
-    measured = lines_of(charts["measured"], 0)
+    drawn = [lines_of(chart, i) for key, chart in charts.items() if "measured" in key for i in range(len(chart.panels))]
+    assert len(drawn) == len(own().contacts)
     strongest = max(each.measured_peak_n for each in own().contacts)
-    assert np.max(measured["measured"].y) == pytest.approx(strongest)
+    assert max(np.max(lines["measured"].y) for lines in drawn) == pytest.approx(strongest)
     assert "key 7" in render_page(page)
 
 
@@ -206,7 +245,12 @@ def test_a_schedule_is_a_table_of_its_classes_in_the_units_of_each_axis(tmp_path
     assert len(rows) == 4
     assert rows[0].startswith("m14-18 | x | 14 to 18 | 93.1 N | 102.4 N | +9.31 N | ")
     assert rows[3].startswith("m18 | rz | 18 | 93.1 N·m | 93.1 N·m | +0 N·m | ")
-    assert render_page(page) == render_page(page)
+    # The figure shows the numbers of the table.
+    own, common = (each for each in charts_of(page)["x-classes"].panels[0].elements if isinstance(each, Points))
+    assert (own.names[0], own.y[0], common.y[0]) == ("m14-18", pytest.approx(93.1), pytest.approx(102.4, abs=0.05))
+    text = render_page(page)
+    check_page(text)
+    assert text == render_page(page)
 
 
 def test_a_log_without_contacts_is_left_out() -> None:
