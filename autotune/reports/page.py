@@ -5,12 +5,14 @@ import gzip
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.resources import files
 from typing import Any, Literal
 
 from jinja2 import Environment, StrictUndefined, Template
 from markupsafe import Markup
+
+from autotune.processes import map_in_processes
 
 from .charts import Chart
 from .legends import build_legend
@@ -133,30 +135,52 @@ def _renamed(section: Section, mark: str) -> Section:
     return replace(section, key=f"{mark}-{section.key}", blocks=blocks)
 
 
-def render_page(page: Page, progress: Callable[[float], None] | None = None) -> str:
+def render_page(page: Page, progress: Callable[[float], None] | None = None, *, processes: int = 1) -> str:
     """Return the page as one HTML text that refers to nothing outside of itself.
 
     Every figure is a picture that stands alone, with its text alternative; those that can be zoomed carry what the
-    engine needs, which draws them when asked. `progress` is told the share of the figures drawn since the last call.
-    The same page gives the same text.
+    engine needs, which draws them when asked. Pictures and engine are two libraries' work, done side by side by two
+    `processes`. `progress` is told the share of the figures drawn since the last call. The same page gives the same
+    text.
     """
     charts = [block for section in page.sections for block in section.blocks if isinstance(block, Chart)]
     keys = [chart.key for chart in charts] + [section.key for section in page.sections]
     if len(set(keys)) < len(keys):
         raise ValueError(f"keys of sections and figures must differ: {sorted(keys)}")
-    stills, live = {}, {}
-    for chart in charts:
-        stills[chart.key] = _stills(chart)
-        if chart.live:
-            live[chart.key] = _live(chart)
-        if progress is not None:
-            progress(1.0 / len(charts))
-    return _template().render(page=page, stills=stills, live=live, engine=_engine() if live else "")
+    tasks = [_Drawing(charts=tuple(charts), is_live=False)]
+    if any(chart.live for chart in charts):
+        tasks.append(_Drawing(charts=tuple(chart for chart in charts if chart.live), is_live=True))
+    done = None if progress is None else partial(progress, 1.0 / len(tasks))
+    drawn = map_in_processes(_draw, tasks, processes, each=done)
+    live = drawn[1] if len(drawn) > 1 else _Drawn(figures={})
+    return _template().render(page=page, stills=drawn[0].figures, live=live.figures, engine=live.engine)
 
 
 def kind_of(block: Block) -> str:
     """Return by which part of the template a block is written."""
     return type(block).__name__.lower()
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Drawing:
+    """Charts to be drawn by one of the two libraries."""
+
+    charts: tuple[Chart, ...]
+    is_live: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Drawn:
+    """What the page carries of every chart, by its key, and the engine that draws the live ones."""
+
+    figures: dict[str, Any]
+    engine: str = ""
+
+
+def _draw(drawing: _Drawing) -> _Drawn:
+    if drawing.is_live:
+        return _Drawn(figures={chart.key: _live(chart) for chart in drawing.charts}, engine=_engine())
+    return _Drawn(figures={chart.key: _stills(chart) for chart in drawing.charts})
 
 
 def _stills(chart: Chart) -> tuple[dict[str, Any], ...]:
