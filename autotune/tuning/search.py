@@ -41,6 +41,7 @@ _HAIR = 2e-3
 # Costs of designs that miss something lie above every force, those of unstable ones above these.
 _UNSTABLE = 1e15
 _MISSED = 1e12
+_FAR_OFF = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -318,14 +319,17 @@ class Search:
         return spread_out((unit for _, unit in sorted(seen, key=lambda pair: pair[0])), _FAR, _OTHER_VALLEYS)
 
     def _recover(self, screen: Screen, closest: list[FloatArray]) -> FloatArray:
-        """Walk from points that miss something into the feasible set; search globally once more, or say why not.
+        """Walk from points that miss something into the feasible set, or say why there is no way.
 
-        A population may end beside the set, or in a valley that has none of it: neither tells that there is none.
+        A population may end beside the set, or in a valley that has none of it: neither tells that there is none. Where
+        little is missed, another one is asked before anything is refused.
         """
         ends = [self.local(screen, start) for start in closest]
         costs = self._tightened_costs(screen, np.array(ends))
         if np.min(costs) < _MISSED:
             return ends[int(np.argmin(costs))]
+        if np.min(costs) > (1.0 + _FAR_OFF) * _MISSED:
+            raise self._refusal(screen.prepared, [*closest, *ends])
         seen: list[tuple[float, FloatArray]] = []
 
         def noted(units: FloatArray) -> FloatArray:
