@@ -68,14 +68,12 @@ def fit_alone(problem: Problem, point: Point, contact: ContactStart) -> FoundCon
     layout = single.layout
     heavier = [np.array([0.0, 0.0, share * point.values[3]]) for share in _MASS_STARTS]
     starts = [(contact.surface + mass, contact.nuisance) for mass in heavier] + [contact.softer]
-    fits = [
-        minimise(
-            single,
-            Point(values=np.concatenate([point.values, surface]), nuisances=(nuisance,)),
-            _STEPS_ALONE,
-        )
-        for surface, nuisance in starts
-    ]
+    fits: list[tuple[Point, float]] = []
+    for surface, nuisance in starts:
+        start = Point(values=np.concatenate([point.values, surface]), nuisances=(nuisance,))
+        fits.append(minimise(single, start, _STEPS_ALONE))
+        if fits[-1][1] <= _most_of_noise(len(contact.segment)):
+            break  # nothing is left that another start could explain
     # The onset's sample makes a descent creep: the best goes on until it stands.
     best, _ = minimise(single, min(fits, key=lambda fit: fit[1])[0], _STEPS_POLISH)
     block = linearise(single, best)[0]
@@ -95,6 +93,11 @@ def fit_alone(problem: Problem, point: Point, contact: ContactStart) -> FoundCon
         secant_std_n_per_m=secant**2 / k_e * float(np.sqrt(max(spread[0, 0], 0.0))),
         misfit_share=float(np.sqrt(float(block.residual @ block.residual) / max(float(whitened @ whitened), 1e-300))),
     )
+
+
+def _most_of_noise(samples: int) -> float:
+    """Return the largest sum of squares that whitened noise alone leaves."""
+    return samples + _CHANCES * float(np.sqrt(2.0 * samples))
 
 
 def start_surface(
@@ -125,7 +128,7 @@ def start_surface(
 
     best = min((fitted(p) for p in proposals), key=lambda fit: fit[1])
     samples = sum(len(s) for s in group.segments)
-    if best[1] > samples + _CHANCES * np.sqrt(2.0 * samples):
+    if best[1] > _most_of_noise(samples):
         # More is left than noise: a bounce that the fit has not found, which another mass may bring.
         k_e = float(best[0].values[group.layout.surface(0).start])
         damping = 2.0 * _START_DAMPING_RATIO * np.sqrt(k_e * mass)
