@@ -23,6 +23,7 @@ _STEPS_HELD, _STEPS_ALONE, _STEPS_POLISH, _STEPS_GROUP = 2, 10, 30, 6
 _MASS_STARTS = (0.0, 0.1, 0.4)
 _MORE_MASSES = (0.05, 0.2, 0.4, 0.7)
 _CHANCES = 4.0
+_HOPELESS = 100.0
 _ALIKE = 1.1
 
 
@@ -47,7 +48,8 @@ def start_coupling(
         starts.append(start)
     held = replace(alone, fixed=(0, *robot))
     first = [minimise(held, Point(values=s, nuisances=(np.zeros(3),)), _STEPS_HELD) for s in starts]
-    promising = sorted(first, key=lambda fit: fit[1])[:2]
+    nearest, *others = sorted(first, key=lambda fit: fit[1])
+    promising = [nearest, *(fit for fit in others[:1] if fit[1] < _HOPELESS * nearest[1])]
     best, left = min((minimise(alone, fit[0], _STEPS_ALONE) for fit in promising), key=lambda fit: fit[1])
     return best.values, left
 
