@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.floating[Any]]
 
+MOST_POINTS = 2800
+"""Of a curve, as many as any drawing of it holds."""
+
 
 def decimate(x: FloatArray, y: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
     """Return at most `most` points of a curve over rising x (n,), with the smallest and largest y of every stretch.

@@ -25,11 +25,10 @@ from bokeh.resources import INLINE
 from numpy.typing import ArrayLike
 
 from .charts import Band, Bars, Chart, Heat, Limit, Line, Panel, Points, Scale, Stretch
-from .decimate import decimate
+from .decimate import MOST_POINTS, decimate
 from .palette import COLOURS, FURNITURE
 
 _PANEL_PIXELS, _BESIDE_PIXELS = 210, 240
-_MOST_POINTS = 2800
 _TOOLS = "xpan,xwheel_zoom,box_zoom,reset"
 _ROUND_TOOLS = "pan,wheel_zoom,box_zoom,reset"
 _MARKERS = {"dot": "circle", "star": "star", "diamond": "diamond"}
@@ -141,7 +140,7 @@ def _draw_element(element: object, plot: Any) -> Any:
 
 @_draw_element.register
 def _(line: Line, plot: Any) -> Any:
-    x, y = decimate(line.x, line.y, _MOST_POINTS)
+    x, y = decimate(line.x, line.y, MOST_POINTS)
     source = ColumnDataSource({"x": _short(x), "y": _short(y)})
     look: dict[str, Any] = {
         "color": COLOURS[line.role],

@@ -14,7 +14,8 @@ from markupsafe import Markup
 
 from autotune.processes import map_in_processes
 
-from .charts import Chart
+from .charts import Chart, Element, Line
+from .decimate import MOST_POINTS, decimate
 from .legends import build_legend
 from .palette import colour_variables, dark_colours
 
@@ -147,6 +148,7 @@ def render_page(page: Page, progress: Callable[[float], None] | None = None, *, 
     keys = [chart.key for chart in charts] + [section.key for section in page.sections]
     if len(set(keys)) < len(keys):
         raise ValueError(f"keys of sections and figures must differ: {sorted(keys)}")
+    charts = [_thinned(chart) for chart in charts]
     tasks = [_Drawing(charts=tuple(charts), is_live=False)]
     if any(chart.live for chart in charts):
         tasks.append(_Drawing(charts=tuple(chart for chart in charts if chart.live), is_live=True))
@@ -159,6 +161,21 @@ def render_page(page: Page, progress: Callable[[float], None] | None = None, *, 
 def kind_of(block: Block) -> str:
     """Return by which part of the template a block is written."""
     return type(block).__name__.lower()
+
+
+def _thinned(chart: Chart) -> Chart:
+    """Return the chart with no more points than are drawn: those of a long log are not passed around."""
+    panels = tuple(
+        replace(panel, elements=tuple(_thinned_element(each) for each in panel.elements)) for panel in chart.panels
+    )
+    return replace(chart, panels=panels)
+
+
+def _thinned_element(element: Element) -> Element:
+    if not isinstance(element, Line):
+        return element
+    x, y = decimate(element.x, element.y, MOST_POINTS)
+    return replace(element, x=x, y=y)
 
 
 @dataclass(frozen=True, kw_only=True)
