@@ -4,6 +4,7 @@ Usage: python tools/make_screenshots.py [FOLDER]     (docs/pictures by default; 
 """
 
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -61,9 +62,11 @@ def shoot_explore(browser: Any, controller: Path, folder: Path) -> None:
         "--no-open",
         "--json",
         "-o",
-        str(controller.with_name("own.yaml")),
+        "own.yaml",
     ]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=ROOT) as server:
+    # Beside the controller, so that the picture shows no path of this machine.
+    beside: dict[str, Any] = {"cwd": controller.parent, "env": {**os.environ, "PYTHONPATH": str(ROOT)}}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, **beside) as server:
         told = ""
         while not told.endswith("}\n"):
             line = "" if server.stdout is None else server.stdout.readline()
