@@ -2,8 +2,10 @@
 
 from collections.abc import Iterator
 
-from identification.result import AxisEstimate, Estimate
+from identification.result import AxisEstimate
 from problems.design import DesignProblem
+
+from .uncertain import plant_estimates
 
 # Three happen by chance in some of many parameters, five in none.
 _MOST_STDS = 5.0
@@ -12,7 +14,7 @@ _MOST_STDS = 5.0
 def doubtful_ranges(problem: DesignProblem, axis: AxisEstimate, name: str) -> Iterator[str]:
     """Yield a sentence for each range of problem.yaml that leaves out what was identified by many deviations."""
     of_confidence = () if problem.ellipsoid is None else problem.ellipsoid.names
-    for key, estimate in _estimates(axis).items():
+    for key, estimate in plant_estimates(axis).items():
         if key not in problem.uncertain or key in of_confidence or estimate.value is None or not estimate.std:
             continue
         low, high = problem.uncertain[key]
@@ -23,13 +25,3 @@ def doubtful_ranges(problem: DesignProblem, axis: AxisEstimate, name: str) -> It
                 f"axis {name}: {key} in problem.yaml, {told}, lies {off:.0f} deviations off what was identified, "
                 f"{estimate.value:.4g} ± {estimate.std:.2g}; the controller is certified for what problem.yaml says."
             )
-
-
-def _estimates(axis: AxisEstimate) -> dict[str, Estimate]:
-    return {
-        "coupling_stiffness_n_per_m": axis.coupling.stiffness_n_per_m,
-        "coupling_damping_n_s_per_m": axis.coupling.damping_n_s_per_m,
-        "drag_n_s_per_m": axis.drag_n_s_per_m,
-        "delay_s": axis.robot.delay_s,
-        "robot_bandwidth_hz": axis.robot.bandwidth_hz,
-    }

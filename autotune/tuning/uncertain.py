@@ -115,7 +115,8 @@ def _ellipsoid(
             )
     nominal = problem.nominal()
     # What was corrected by hand is known to whoever did it, and the log's covariance does not speak of it.
-    estimates = _estimates(axis)
+    # The damping ratio is told together with the bandwidth.
+    estimates = {**plant_estimates(axis), "robot_damping_ratio": axis.robot.bandwidth_hz}
     chosen = [
         key
         for i, key in enumerate(told)
@@ -140,14 +141,14 @@ def _is_given(estimate: Estimate | None) -> bool:
     return estimate is not None and estimate.status is Status.GIVEN
 
 
-def _estimates(axis: AxisEstimate) -> dict[str, Estimate]:
+def plant_estimates(axis: AxisEstimate) -> dict[str, Estimate]:
+    """Return what was identified of the plant's further parameters, by their names in `problem.yaml`."""
     return {
         "coupling_stiffness_n_per_m": axis.coupling.stiffness_n_per_m,
         "coupling_damping_n_s_per_m": axis.coupling.damping_n_s_per_m,
         "drag_n_s_per_m": axis.drag_n_s_per_m,
         "delay_s": axis.robot.delay_s,
         "robot_bandwidth_hz": axis.robot.bandwidth_hz,
-        "robot_damping_ratio": axis.robot.bandwidth_hz,
     }
 
 
