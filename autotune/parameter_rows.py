@@ -6,7 +6,14 @@ from dataclasses import dataclass
 
 from autotune.files.units import axis_units
 from autotune.numbers import with_deviation
-from identification.result import AxisEstimate, EnvironmentEstimate, Estimate, Identified, VectorEstimate
+from identification.result import (
+    AxisEstimate,
+    EnvironmentEstimate,
+    Estimate,
+    Identified,
+    VectorEstimate,
+    WrenchFilterEstimate,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +39,8 @@ def parameter_rows(result: Identified) -> Iterator[ParameterRow]:
     yield from _vector_rows("force bias", result.sensor.force_bias_n, "N", 1.0)
     yield _row("force noise", result.sensor.force_noise_rms_n, "N rms")
     yield _row("gravity residual", result.sensor.gravity_residual_rms_n, "N rms")
+    if result.sensor.wrench_filter is not None:
+        yield from _filter_rows(result.sensor.wrench_filter)
     if result.sensor.mounting_rad is not None:
         yield from _vector_rows("sensor turned about", result.sensor.mounting_rad, "°", 180.0 / math.pi)
     if result.sensor.base_tilt_rad is not None:
@@ -69,6 +78,13 @@ def _surface_rows(name: str, surface: EnvironmentEstimate) -> Iterator[Parameter
     if lowest is not None and highest is not None:
         peaks = f"{highest:.1f}" if lowest == highest else f"{lowest:.1f} to {highest:.1f}"
         yield ParameterRow(name=f"{told}: peak", value=peaks, unit=units.force)
+
+
+def _filter_rows(wrench_filter: WrenchFilterEstimate) -> Iterator[ParameterRow]:
+    if wrench_filter.corner_hz is not None:
+        yield _row("wrench filter corner", wrench_filter.corner_hz, "Hz")
+    if wrench_filter.delay_s is not None:
+        yield _row("wrench delay", wrench_filter.delay_s, "ms", 1e3)
 
 
 def _row(name: str, estimate: Estimate, unit: str, scale: float = 1.0) -> ParameterRow:

@@ -24,6 +24,7 @@ from .result import (
     SensorEstimate,
     Status,
     VectorEstimate,
+    WrenchFilterEstimate,
 )
 from .verdicts import IDENTIFIED_SHARE, weak_at_best
 
@@ -309,7 +310,39 @@ def _sensor(merge: _Merge, sensors: Sequence[SensorEstimate]) -> SensorEstimate:
         mounting_rad=_optional(merge, "mounting of the sensor [rad]", [s.mounting_rad for s in sensors]),
         base_tilt_rad=_optional(merge, "tilt of the base [rad]", [s.base_tilt_rad for s in sensors]),
         noise=_noisiest(sensors),
+        wrench_filter=_wrench_filter(merge, [s.wrench_filter for s in sensors]),
     )
+
+
+def _wrench_filter(merge: _Merge, filters: Sequence[WrenchFilterEstimate | None]) -> WrenchFilterEstimate | None:
+    """Average filters of one kind; where logs show different kinds, the latest wrench counts."""
+    told = [(name, f) for name, f in zip(merge.names, filters, strict=True) if f is not None]
+    if not told:
+        return None
+    corners = [None if f is None else f.corner_hz for f in filters]
+    delays = [None if f is None else f.delay_s for f in filters]
+    if not any(delays):
+        return WrenchFilterEstimate(corner_hz=merge.scalars("wrench filter's corner [Hz]", corners))
+    if not any(corners):
+        return WrenchFilterEstimate(delay_s=merge.scalars("delay of the wrench [s]", delays))
+    late = ", ".join(f"{1e3 * _lateness_s(f):.3g} ms late ({name})" for name, f in told)
+    merge.findings.append(
+        Finding(
+            code="logs-disagree",
+            severity="error",
+            message=f"The logs disagree on whether the wrench is filtered or delayed: {late}.",
+            advice="Identify logs of different sensors, or of different filters in one, each on its own.",
+        )
+    )
+    return max((f for _, f in told), key=_lateness_s)
+
+
+def _lateness_s(wrench_filter: WrenchFilterEstimate) -> float:
+    """Return how late a slow change of the force arrives: 1/(2π corner) of a filter, or the delay."""
+    corner, delay = wrench_filter.corner_hz, wrench_filter.delay_s
+    if corner is not None and corner.value is not None:
+        return float(1.0 / (2.0 * np.pi * corner.value))
+    return 0.0 if delay is None or delay.value is None else delay.value
 
 
 def _noisiest(sensors: Sequence[SensorEstimate]) -> NoiseSpectrum | None:

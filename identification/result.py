@@ -178,11 +178,32 @@ class NoiseSpectrum:
 
 
 @dataclass(frozen=True, kw_only=True)
+class WrenchFilterEstimate:
+    """How the wrench is late in the sensor or its driver: a first-order low-pass or a pure delay, one of the two.
+
+    `corner_hz` [Hz] is the corner of F_m = F / (s / (2π corner) + 1), `delay_s` [s] the delay of F_m(t) = F(t - delay).
+    Raises ParameterError unless exactly one is there, a corner above 0 or a delay of at least 0.
+    """
+
+    corner_hz: Estimate | None = None
+    delay_s: Estimate | None = None
+
+    def __post_init__(self) -> None:
+        if (self.corner_hz is None) == (self.delay_s is None):
+            raise ParameterError("corner_hz", "both" if self.corner_hz else "neither", "there, or delay_s, not both")
+        if self.corner_hz is not None and self.corner_hz.value is not None and not self.corner_hz.value > 0.0:
+            raise ParameterError("corner_hz.value", self.corner_hz.value, "greater than 0")
+        if self.delay_s is not None and self.delay_s.value is not None and not self.delay_s.value >= 0.0:
+            raise ParameterError("delay_s.value", self.delay_s.value, "at least 0")
+
+
+@dataclass(frozen=True, kw_only=True)
 class SensorEstimate:
-    """The six-axis sensor at rest.
+    """The six-axis sensor: what it shows at rest, and how late it is.
 
     `mounting_rad` (3) is the rotation vector of the real sensor axes as seen from the assumed ones, `base_tilt_rad` (2)
-    that of the vertical about x and y of the base; `torque_noise_rms_n_m` (3) per axis.
+    that of the vertical about x and y of the base; `torque_noise_rms_n_m` (3) per axis. `wrench_filter` is None where
+    the wrench is as late as pose and command.
     """
 
     force_bias_n: VectorEstimate
@@ -194,6 +215,7 @@ class SensorEstimate:
     mounting_rad: VectorEstimate | None = None
     base_tilt_rad: VectorEstimate | None = None
     noise: NoiseSpectrum | None = None
+    wrench_filter: WrenchFilterEstimate | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,6 +22,7 @@ from identification.result import (
     SensorEstimate,
     Status,
     VectorEstimate,
+    WrenchFilterEstimate,
 )
 from identification.timeline_phases import Kind, Phase, Timeline
 from tests.problems.axes import LAW
@@ -202,3 +203,36 @@ def test_each_log_keeps_its_time_line_under_its_name() -> None:
     phase = Phase(kind=Kind.REST, start_s=0.0, stop_s=1.0)
     parts = [replace(told(), timelines=(Timeline(phases=(phase,)),)) for _ in range(2)]
     assert [line.log for line in combined(*parts).timelines] == ["log0", "log1"]
+
+
+def filtered(late: WrenchFilterEstimate | None) -> Identified:
+    result = told()
+    return replace(result, sensor=replace(result.sensor, wrench_filter=late))
+
+
+def test_filters_of_one_kind_are_averaged_and_a_log_that_shows_none_has_no_say() -> None:
+    parts = [
+        NamedResult(name=name, result=filtered(late))
+        for name, late in (
+            ("a", WrenchFilterEstimate(corner_hz=known(50.0, 1.0))),
+            ("b", None),
+            ("c", WrenchFilterEstimate(corner_hz=known(51.0, 1.0))),
+        )
+    ]
+    merged = combine_identified(parts)
+    assert merged.sensor.wrench_filter is not None
+    assert merged.sensor.wrench_filter.corner_hz is not None
+    assert merged.sensor.wrench_filter.corner_hz.value == pytest.approx(50.5)
+    assert not [f for f in merged.findings if f.severity == "error"]
+    assert combine_identified([parts[1], parts[1]]).sensor.wrench_filter is None
+
+
+def test_a_filter_and_a_delay_disagree_and_the_later_one_counts() -> None:
+    corner = WrenchFilterEstimate(corner_hz=known(50.0, 1.0))  # 3.18 ms late
+    delay = WrenchFilterEstimate(delay_s=known(1e-3, 1e-5))
+    merged = combine_identified(
+        [NamedResult(name="a", result=filtered(delay)), NamedResult(name="b", result=filtered(corner))]
+    )
+    assert merged.sensor.wrench_filter == corner
+    finding = next(f for f in merged.findings if f.severity == "error")
+    assert "1 ms late (a), 3.18 ms late (b)" in finding.message

@@ -36,6 +36,7 @@ from identification.result import (
     SensorEstimate,
     Status,
     VectorEstimate,
+    WrenchFilterEstimate,
 )
 from identification.timeline_phases import ContactPhase, Kind, Phase, Timeline
 
@@ -263,6 +264,7 @@ def identified_results() -> st.SearchStrategy[Identified]:
         force_noise_rms_n=free,
         gravity_residual_rms_n=free,
         deadband_n=free,
+        wrench_filter=st.none() | wrench_filters(),
     )
     finding = st.builds(
         Finding,
@@ -279,6 +281,13 @@ def identified_results() -> st.SearchStrategy[Identified]:
         sensor=sensor,
         findings=st.lists(finding, max_size=2).map(tuple),
         timelines=st.lists(timelines(), max_size=2).map(tuple),
+    )
+
+
+def wrench_filters() -> st.SearchStrategy[WrenchFilterEstimate]:
+    delays = estimates(positive=True) | st.just(Estimate(value=0.0, std=1e-5, status=Status.IDENTIFIED))
+    return st.builds(WrenchFilterEstimate, corner_hz=estimates(positive=True)) | st.builds(
+        WrenchFilterEstimate, delay_s=delays
     )
 
 

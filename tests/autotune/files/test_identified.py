@@ -55,6 +55,26 @@ def test_a_rotational_axis_tells_its_units() -> None:
 
 
 @pytest.mark.parametrize(
+    ("entry", "reason"),
+    [
+        ("{}", "corner_hz or delay_s, one of the two"),
+        (
+            "{corner_hz: {value: 50.0, std: 1.0, status: identified}, delay_s: {value: 0.0, std: 0.0, status: given}}",
+            "corner_hz or delay_s, one of the two",
+        ),
+        ("{corner_hz: {value: 0.0, std: 1.0, status: identified}}", "corner_hz.value must be greater than 0"),
+        ("{delay_s: {value: -1e-3, std: 1e-5, status: identified}}", "delay_s.value must be at least 0"),
+    ],
+)
+def test_a_wrench_filter_is_a_corner_or_a_delay(tmp_path: Path, entry: str, reason: str) -> None:
+    path = tmp_path / "identified.yaml"
+    text = dump_yaml(identified_tree(make_identified(), {}))
+    path.write_text(text.replace("sensor:\n", f"sensor:\n  wrench_filter: {entry}\n", 1), encoding="utf-8")
+    with pytest.raises(UsageError, match=rf"sensor\.wrench_filter.*{reason}"):
+        read_identified(path)
+
+
+@pytest.mark.parametrize(
     ("names", "values", "matrix", "must"),
     [
         (("K_s", "K_s"), (1.0, 1.0), ((1.0, 0.0), (0.0, 1.0)), "different names"),
