@@ -1,11 +1,16 @@
 """The one place where numba is named: typed, cached on disk, no fast-math (results must not depend on the machine)."""
 
+import atexit
 import hashlib
+import shutil
+import tempfile
+import warnings
 from collections.abc import Callable, Iterator
 from types import CodeType, FunctionType
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core import config
 from numba.extending import register_jitable
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -75,10 +80,33 @@ def inlined(function: _Function) -> _Function:
 
 def _compile(function: _Function, **options: bool) -> _Function:
     njit: Any = numba.njit
-    dispatcher = njit(cache=True, error_model="numpy", **options)(function)
+    if config.DISABLE_JIT:
+        # Plain Python, to be followed by a debugger; whoever asks for the straight version finds it all the same.
+        function.py_func = function  # type: ignore[attr-defined]
+        return function
+    try:
+        dispatcher = njit(cache=True, error_model="numpy", **options)(function)
+    except RuntimeError:
+        if config.CACHE_DIR:
+            raise
+        _use_temporary_cache()
+        dispatcher = njit(cache=True, error_model="numpy", **options)(function)
     index = dispatcher._cache._cache_file  # noqa: SLF001 - numba offers no other way to name what a kernel depends on
     index._source_stamp = _Stamp(index._source_stamp, function)  # noqa: SLF001
     return cast(_Function, dispatcher)
+
+
+def _use_temporary_cache() -> None:
+    """Compile into a folder that ends with this process: neither the package's own nor the user's can be written."""
+    folder = tempfile.mkdtemp(prefix="autotune-kernels-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    config.CACHE_DIR = folder
+    warnings.warn(
+        "Compiled kernels can be kept in no folder: neither beside the package nor in the user's cache may be written. "
+        "They are compiled for this run only; set NUMBA_CACHE_DIR to a folder that may be written.",
+        RuntimeWarning,
+        stacklevel=2,
+    )
 
 
 def equation(function: _Function) -> _Function:

@@ -2,8 +2,10 @@
 
 import importlib
 import inspect
+import os
 import pkgutil
 import shutil
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -136,6 +138,40 @@ def test_the_stamp_stays_with_what_is_not(package: Package, name: str, old: str,
     before = package.stamp()
     package.change(name, old, new)
     assert package.stamp() == before
+
+
+def run_kernel(package: Package, *lines: str, **environment: str) -> "subprocess.CompletedProcess[str]":
+    """Import the kernel in a process of its own and run `lines` with it."""
+    given = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+    return subprocess.run(
+        [sys.executable, "-c", "\n".join([f"from {PACKAGE}.kernel import kernel", *lines])],
+        env={**given, "PYTHONPATH": str(package.folder.parent), **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+
+
+def test_where_no_folder_can_be_written_kernels_are_compiled_for_the_run_and_that_is_said_once(
+    package: Package, tmp_path: Path
+) -> None:
+    # Root may write everywhere, so the folders are made impossible: a file stands where each would be.
+    (package.folder / "__pycache__").write_text("", encoding="utf-8")
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    blocked = str(tmp_path / "file" / "cache")
+    run = run_kernel(package, "print(kernel(1.5))", XDG_CACHE_HOME=blocked, HOME=blocked, TMPDIR=str(temporary))
+    assert (run.returncode, run.stdout.strip()) == (0, str(2.0 * 1.5 + 3.0 + 1.0 + 15.0)), run.stderr
+    assert run.stderr.count("compiled for this run only") == 1
+    assert list(temporary.iterdir()) == []
+
+
+def test_without_a_compiler_a_kernel_is_its_python(package: Package) -> None:
+    lines = ("print(kernel(1.5))", "print(kernel.py_func(1.5), type(kernel).__name__)")
+    run = run_kernel(package, *lines, NUMBA_DISABLE_JIT="1")
+    assert run.stdout.split() == ["22.0", "22.0", "function"], run.stderr
 
 
 def test_the_stamp_is_the_same_for_the_same_files(package: Package) -> None:
