@@ -10,10 +10,13 @@ from types import CodeType, FunctionType
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core import config
+from numba.core import config as numba_config
 from numba.extending import register_jitable
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+
+# Its settings are made when it is imported, and no type checker sees them.
+_config: Any = numba_config
 
 
 class _Stamp:
@@ -80,14 +83,14 @@ def inlined(function: _Function) -> _Function:
 
 def _compile(function: _Function, **options: bool) -> _Function:
     njit: Any = numba.njit
-    if config.DISABLE_JIT:
+    if _config.DISABLE_JIT:
         # Plain Python, to be followed by a debugger; whoever asks for the straight version finds it all the same.
         function.py_func = function  # type: ignore[attr-defined]
         return function
     try:
         dispatcher = njit(cache=True, error_model="numpy", **options)(function)
     except RuntimeError:
-        if config.CACHE_DIR:
+        if _config.CACHE_DIR:
             raise
         _use_temporary_cache()
         dispatcher = njit(cache=True, error_model="numpy", **options)(function)
@@ -100,7 +103,7 @@ def _use_temporary_cache() -> None:
     """Compile into a folder that ends with this process: neither the package's own nor the user's can be written."""
     folder = tempfile.mkdtemp(prefix="autotune-kernels-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    config.CACHE_DIR = folder
+    _config.CACHE_DIR = folder
     warnings.warn(
         "Compiled kernels can be kept in no folder: neither beside the package nor in the user's cache may be written. "
         "They are compiled for this run only; set NUMBA_CACHE_DIR to a folder that may be written.",
