@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ._checks import finite, positive
 from .contact_events import LOOKS_PER_RADIAN, MOST_LOOKS
-from .contact_kernel import Contact, run_contact
+from .contact_kernel import Contact, Start, run_contact
 from .contact_start import contact_forces, steady_start
 from .controller import AdmittanceController, controller_blocks
 from .errors import ParameterError
@@ -181,6 +181,31 @@ def simulate_contact(
     return transient_from(pair, controller, approach, samples=samples)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ContactStart:
+    """The moment of contact as the kernels take it: controller blocks, states, and the forces from then on.
+
+    `forces` are F^d and the outside force on the payload after the impact, which happens at `speed_m_s`.
+    """
+
+    blocks: FloatArray
+    start: Start
+    forces: tuple[float, float]
+    speed_m_s: float
+
+
+def begin_contact(pair: SampledContact, controller: AdmittanceController, approach: Approach) -> ContactStart:
+    """Return the state of the loop at the end of a steady approach, see `contact_start.steady_start`."""
+    free, h = pair.free, pair.free.sample_time_s
+    blocks = controller_blocks(controller, h)
+    # B_a + B_p, but for the ripple of F between the ticks, which the controller does not see.
+    resistance = controller.damping_n_s_per_m - float(pair.ramp[0, -1]) * h
+    speed, push, desired_force, push_after = contact_forces(approach.numbers(), resistance)
+    force = controller.damping_n_s_per_m * speed
+    start = steady_start(pair.ramp, free.c_position, blocks, free.chain_length, h, speed, push, force)
+    return ContactStart(blocks=blocks, start=start, forces=(desired_force, push_after), speed_m_s=speed)
+
+
 def longest_run(sample_time_s: float) -> int:
     """Return after how many samples a transient that does not settle is ended."""
     return math.ceil(LONGEST_TRANSIENT_S / sample_time_s)
@@ -190,31 +215,17 @@ def transient_from(
     pair: SampledContact, controller: AdmittanceController, approach: Approach, *, samples: int | None = None
 ) -> ContactTransient:
     """Simulate the impact of a loop that the caller has found stable, see `simulate_contact`."""
-    free, h = pair.free, pair.free.sample_time_s
-    blocks = controller_blocks(controller, h)
-    # B_a + B_p, but for the ripple of F between the ticks, which the controller does not see.
-    resistance = controller.damping_n_s_per_m - float(pair.ramp[0, -1]) * h
-    speed, push, desired_force, push_after = contact_forces(approach.numbers(), resistance)
-    start = steady_start(
-        pair.ramp,
-        free.c_position,
-        blocks,
-        free.chain_length,
-        h,
-        speed,
-        push,
-        controller.damping_n_s_per_m * speed,
-    )
+    h = pair.free.sample_time_s
+    begun = begin_contact(pair, controller, approach)
     longest = samples if samples is not None else longest_run(h)
     traces, found = (np.empty(longest), np.empty(longest)), np.zeros(5)
-    forces = (desired_force, push_after)
-    count = run_contact(pair.arguments, blocks, start, forces, traces, found, samples is None)
+    count = run_contact(pair.arguments, begun.blocks, begun.start, begun.forces, traces, found, samples is None)
     return ContactTransient(
         time_s=np.asarray(np.arange(count) * h, dtype=np.float64),
         sensor_force_n=-traces[0][:count],
         contact_force_n=traces[1][:count].copy(),
-        contact_speed_m_s=speed,
-        driving_force_n=desired_force + push_after,
+        contact_speed_m_s=begun.speed_m_s,
+        driving_force_n=sum(begun.forces),
         peak_sensor_force_n=float(found[0]),
         time_of_sensor_peak_s=float(found[1] * h),
         peak_contact_force_n=float(found[2]),

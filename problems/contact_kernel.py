@@ -31,7 +31,8 @@ Delay = tuple[int, int, float]
 Contact = tuple[Motion, Outputs, Delay, Wall]
 # Plant state, past commands (a ring of 2^k places, newest first), controller states.
 Start = tuple[FloatArray, FloatArray, FloatArray]
-# The same with position and speed of the environment; `flags` beside it are (head of the ring, touching).
+# The same with position and speed of the environment; `flags` beside it are (head of the ring, touching, samples in
+# which the contact began or ended).
 Moment = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 Traces = tuple[FloatArray, FloatArray]
 
@@ -59,11 +60,11 @@ def run_contact(
     `forces` are F^d and the outside force on the payload after the impact. `traces` get F and F_e at every tick;
     `found` the peaks.
     """
-    now, flags = _first_moment(start, plant[3], found)
+    now, flags = first_moment(start, plant[3], found)
     total, crest = len(traces[0]), np.full((2, len(now[0]) + 3), -1.0)
     done, look = 0, min(_FIRST_LOOK, total) if until_settled else total
     while True:
-        done = _walk(plant, blocks, now, flags, forces, (done, look, total), traces, found, crest)
+        done = walk(plant, blocks, now, flags, forces, (done, look, total), traces, found, crest)
         if done == total or _settled(traces[0], done, forces, flags[1] == 1, plant[3][0] > 0.0, found[0]):
             break
         look = min(total, done + done // 3)
@@ -76,11 +77,11 @@ def run_contact(
 
 
 @compiled
-def _first_moment(start: Start, wall: Wall, found: FloatArray) -> tuple[Moment, NDArray[np.int64]]:
+def first_moment(start: Start, wall: Wall, found: FloatArray) -> tuple[Moment, NDArray[np.int64]]:
     """Copy the start, with the environment at rest beside it, and let the impact happen."""
     state, surface_state = start[0].copy(), np.zeros(2)
     found[4] = change_touch(state, surface_state, wall, False)
-    return (state, start[1].copy(), start[2].copy(), surface_state), np.array([0, 1])
+    return (state, start[1].copy(), start[2].copy(), surface_state), np.array([0, 1, 0])
 
 
 @compiled
@@ -91,7 +92,7 @@ def _is_plain(plant: Contact) -> bool:
 
 
 @compiled
-def _walk(
+def walk(
     plant: Contact,
     blocks: FloatArray,
     now: Moment,
@@ -173,6 +174,7 @@ def _step(
         )
         _note(found, k, (largest, moment))
         found[4], flags[1] = max(found[4], impulse), 1 if touching else 0
+        flags[2] += 1
     if delay[1] > 0:
         flags[0] = (flags[0] - 1) & (len(past) - 1)
         past[flags[0]] = command
@@ -290,11 +292,11 @@ def _refine_peak(
         if crest[tick & 1, -1] != tick or crest[1 - tick & 1, -1] != tick - 1:
             if at >= tick:
                 ignored, at = np.zeros(5), 0
-                now, flags = _first_moment(start, plant[3], ignored)
-            _walk(plant, blocks, now, flags, forces, (at, tick - 1, tick - 1), traces, ignored, crest)
+                now, flags = first_moment(start, plant[3], ignored)
+            walk(plant, blocks, now, flags, forces, (at, tick - 1, tick - 1), traces, ignored, crest)
             # With nothing before them to be compared with, both ticks are kept.
             ignored[2], at = -1.0, tick + 1
-            _walk(plant, blocks, now, flags, forces, (tick - 1, at, at), traces, ignored, crest)
+            walk(plant, blocks, now, flags, forces, (tick - 1, at, at), traces, ignored, crest)
         _search_around(plant, tick, forces[1], crest, found)
 
 
