@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from autotune.errors import InfeasibleError, UsageError
-from autotune.files.problem import ComplianceSpec, Interval, ProblemSpec
+from autotune.files.problem import ComplianceSpec, Interval, ProblemSpec, Uncertain
 from autotune.files.records import ROTATIONAL_AXES
 from identification.result import Identified
 from problems.design import DesignProblem
@@ -151,7 +151,9 @@ def build_compliance_problems(identified: Identified, spec: ProblemSpec, wishes:
 def at_stiffness(spec: ProblemSpec, stiffness_n_per_m: float) -> ProblemSpec:
     """Return the ordinary problem with K_e (1 ± tolerance) as the range that must be safe."""
     certified = certified_range(stiffness_n_per_m, _asked(spec).tolerance)
-    return replace(spec, compliance=None, environment_stiffness_n_per_m=certified)
+    # What is built takes the place of the identified surface, whose damping says nothing of it.
+    uncertain: Uncertain = {"environment_damping_n_s_per_m": "nominal", **spec.uncertain}
+    return replace(spec, compliance=None, environment_stiffness_n_per_m=certified, uncertain=uncertain)
 
 
 def certified_range(stiffness_n_per_m: float, tolerance: float) -> Interval:

@@ -1,6 +1,7 @@
 """What of the plant is uncertain beyond K_e and M_p: ranges that were said, and the confidence set of the identified.
 
-Where nothing is said, K_s, B_s, B_p, T_d and the robot's bandwidth take the joint confidence set of `identified.yaml`.
+Where nothing is said, K_s, B_s, B_p, T_d and the robot's bandwidth take the joint confidence set of `identified.yaml`,
+and B_e takes everything from none to the upper end of what was identified.
 """
 
 import math
@@ -22,7 +23,6 @@ from problems.uncertainty import Ellipsoid
 FloatArray = NDArray[np.float64]
 
 LEVEL = 0.95
-# The environment's damping is taken as none unless it is asked for: less damping is the harder case.
 _BY_DEFAULT = (
     "coupling_stiffness_n_per_m",
     "coupling_damping_n_s_per_m",
@@ -40,6 +40,9 @@ _SYMBOLS = {
     "robot_damping_ratio": "zeta",
 }
 _POSITIVE = ("coupling_stiffness_n_per_m", "robot_bandwidth_hz", "robot_damping_ratio")
+_WALL_DAMPING = "environment_damping_n_s_per_m"
+# Standard deviations to the upper end of a damping that has no covariance: one side of 95 % and more.
+_REACH = 2.0
 # However little the log tells, a stiffness stays positive.
 _LEAST_SHARE = 1e-3
 _DIGITS = 5
@@ -58,9 +61,12 @@ def with_uncertainty(problem: DesignProblem, axis: AxisEstimate, name: str, said
     asked = [key for key in _SYMBOLS if origins.get(key) == "identified"]
     by_default = [key for key in _BY_DEFAULT if key not in said] if axis.covariance is not None else []
     ellipsoid = _ellipsoid(problem, axis, name, asked, by_default)
-    if origins.get("environment_damping_n_s_per_m") == "identified":
-        ranges["environment_damping_n_s_per_m"] = _environment_damping(axis, name)
+    if origins.get(_WALL_DAMPING) == "identified":
+        ranges[_WALL_DAMPING] = _environment_damping(axis, name)
         problem = _moved(problem, ranges)
+    if _WALL_DAMPING not in said and (largest := _largest_environment_damping(axis)) > 0.0:
+        # Less damping is mostly the harder case, but not always; another surface than those of the log may have none.
+        ranges[_WALL_DAMPING] = (0.0, largest)
     if ellipsoid is not None:
         ranges |= {key: _readable(key, ellipsoid, i) for i, key in enumerate(ellipsoid.names)}
     return replace(problem, uncertain=ranges, ellipsoid=ellipsoid)
@@ -182,22 +188,49 @@ def _environment_damping(axis: AxisEstimate, name: str) -> Interval:
     for surface in axis.environments:
         symbol = f"{surface.name}.B_e"
         if axis.covariance is None or symbol not in axis.covariance.names:
-            key = "environment_damping_n_s_per_m"
+            key = ROTATIONAL_KEYS[_WALL_DAMPING] if name in ROTATIONAL_AXES else _WALL_DAMPING
             raise EstimateError(
-                f"problem.yaml takes {ROTATIONAL_KEYS[key] if name in ROTATIONAL_AXES else key} from the identified "
+                f"problem.yaml takes {key} from the identified "
                 f"file, and axes.{name}.covariance tells nothing of {symbol}; give a range [low, high]."
             )
-        place = axis.covariance.names.index(symbol)
-        alone = Ellipsoid(
-            names=("environment_damping_n_s_per_m",),
-            centre=(max(axis.covariance.values[place], 0.0),),
-            covariance=((axis.covariance.matrix[place][place],),),
-            level=LEVEL,
-        )
-        found.append(_readable("environment_damping_n_s_per_m", alone, 0))
+        found.append(_within(axis.covariance, symbol))
     if not found:
         raise EstimateError(f"Axis {name} has no identified environment, so there is no damping of it to take.")
     return min(low for low, _ in found), max(high for _, high in found)
+
+
+def _within(covariance: Covariance, symbol: str) -> Interval:
+    """Return the confidence range of one surface's B_e."""
+    place = covariance.names.index(symbol)
+    alone = Ellipsoid(
+        names=(_WALL_DAMPING,),
+        centre=(max(covariance.values[place], 0.0),),
+        covariance=((covariance.matrix[place][place],),),
+        level=LEVEL,
+    )
+    return _readable(_WALL_DAMPING, alone, 0)
+
+
+def _largest_environment_damping(axis: AxisEstimate) -> float:
+    """Return the upper end of B_e over all surfaces, 0 where none is known.
+
+    As for the rest of the plant, an identified value speaks of its deviation by the axis's covariance.
+    """
+    ends = [0.0]
+    for surface in axis.environments:
+        estimate, symbol = surface.damping_n_s_per_m, f"{surface.name}.B_e"
+        if estimate.status is Status.UNIDENTIFIABLE or (axis.covariance is None and not _is_given(estimate)):
+            continue
+        if estimate.ci95 is not None:
+            ends.append(_digits(max(estimate.ci95[1], 0.0), down=False))
+        if estimate.value is None:
+            continue
+        ends.append(_digits(max(estimate.value + _REACH * (estimate.std or 0.0), 0.0), down=False))
+        if axis.covariance is not None and symbol in axis.covariance.names and not _is_given(estimate):
+            place = axis.covariance.names.index(symbol)
+            if axis.covariance.matrix[place][place] > 0.0:
+                ends.append(_within(axis.covariance, symbol)[1])
+    return max(ends)
 
 
 def _readable(key: str, ellipsoid: Ellipsoid, place: int) -> Interval:

@@ -17,7 +17,7 @@ from problems.contact import Approach
 from problems.design import DesignProblem
 from problems.robot import RobotModel
 from problems.robot_variation import bandwidth_share
-from tests.autotune.tuning.cases import design_problem, identified_axis, known, with_axis
+from tests.autotune.tuning.cases import absent, design_problem, identified_axis, known, with_axis
 
 NAMES = ("K_s", "B_s", "B_p", "M_p", "omega", "T_d", "x1.K_e", "x1.B_e", "x1.M_e")
 VALUES = (3e5, 150.0, 330.0, 16.0, 20.0, 2.4e-3, 1.1e5, 20.0, 0.0)
@@ -34,8 +34,11 @@ AXIS = replace(identified_axis(), covariance=COVARIANCE)
 REACH = math.sqrt(11.0705)
 
 
-def built(uncertain: Uncertain, axis: AxisEstimate = AXIS) -> DesignProblem:
-    return build_problems(with_axis(axis), ProblemSpec(uncertain=uncertain), Wishes())["x"]
+def built(
+    uncertain: Uncertain, axis: AxisEstimate = AXIS, stiffness: tuple[float, float] | None = None
+) -> DesignProblem:
+    spec = ProblemSpec(uncertain=uncertain, environment_stiffness_n_per_m=stiffness)
+    return build_problems(with_axis(axis), spec, Wishes())["x"]
 
 
 def test_by_default_the_joint_confidence_set_must_be_safe() -> None:
@@ -51,7 +54,7 @@ def test_by_default_the_joint_confidence_set_must_be_safe() -> None:
         "delay_s": (2.4e-3, 1e-5),
         "robot_bandwidth_hz": (20.0 / (2.0 * np.pi), 0.06 / (2.0 * np.pi)),
     }
-    assert set(found.uncertain) == set(expected)
+    assert set(found.uncertain) == {*expected, "environment_damping_n_s_per_m"}
     for name, (value, std) in expected.items():
         low, high = found.uncertain[name]
         # Five digits, outwards.
@@ -85,8 +88,28 @@ def test_a_nominal_value_outside_of_a_range_moves_to_its_end() -> None:
     assert slow.robot.delay_s == 3e-3
 
 
-def test_the_surfaces_damping_is_taken_only_when_it_is_asked_for() -> None:
-    assert "environment_damping_n_s_per_m" not in built({}).uncertain
+def test_everything_from_no_damping_of_the_surface_to_its_identified_upper_end_must_be_safe() -> None:
+    """The nominal plant keeps none of it: another surface than those of the log may have none."""
+    found = built({})
+    assert found.environment_damping_n_s_per_m == 0.0
+    low, high = found.uncertain["environment_damping_n_s_per_m"]
+    assert low == 0.0
+    # 20 ± 10 N·s/m: two deviations, which hold the 1.96 of 95 %; five digits, outwards.
+    assert 39.6 <= high <= 40.01
+    # Of two surfaces the larger end; one that the log says nothing of adds nothing.
+    surface = AXIS.environments[0]
+    silent = replace(surface, name="x2", damping_n_s_per_m=absent())
+    firm = replace(surface, name="x3", damping_n_s_per_m=replace(known(90.0), status=Status.GIVEN))
+    weak = replace(
+        surface, name="x4", damping_n_s_per_m=Estimate(value=None, std=None, status=Status.WEAK, ci95=(0.0, 300.0))
+    )
+    for surfaces, end in (((silent,), None), ((surface, silent), high), ((firm, surface), 90.0), ((weak, firm), 300.0)):
+        ranges = built({}, replace(AXIS, environments=surfaces), stiffness=(1e5, 1.2e5)).uncertain
+        assert ranges.get("environment_damping_n_s_per_m", (0.0, None))[1] == end
+
+
+def test_what_the_user_says_of_the_surfaces_damping_wins() -> None:
+    assert "environment_damping_n_s_per_m" not in built({"environment_damping_n_s_per_m": "nominal"}).uncertain
     found = built({"environment_damping_n_s_per_m": "identified"})
     # One parameter: 1.96 standard deviations.
     assert found.uncertain["environment_damping_n_s_per_m"] == pytest.approx((0.40036, 39.59964), rel=1e-4)
