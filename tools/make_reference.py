@@ -28,7 +28,13 @@ UNITS = (
     ("_n_m", "N·m"), ("_kg", "kg"), ("_hz", "Hz"), ("_db", "dB"), ("_deg", "°"), ("_rad", "rad"), ("_percent", "%"),
     ("_n", "N"), ("_m", "m"), ("_s", "s"),
 )  # fmt: skip
-TWO_UNITS = {"mass": "kg, kg·m²", "damping": "N·s/m, N·m·s/rad", "deadband": "N, N·m"}
+TWO_UNITS = {
+    "mass": "kg, kg·m²",
+    "damping": "N·s/m, N·m·s/rad",
+    "deadband": "N, N·m",
+    "speed": "m/s, rad/s",
+    "acceleration": "m/s², rad/s²",
+}
 TYPES = {
     "array": "list", "boolean": "true or false", "integer": "whole number", "null": "null", "number": "number",
     "object": "mapping", "string": "text",

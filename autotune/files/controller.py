@@ -29,6 +29,7 @@ from .controller_record import (
     ScenarioPrediction,
     SoftRequirement,
 )
+from .limits import AxisLimits, Limits, ResidualPeaks
 from .records import EntryError, read_record, record_tree, rename_axis_keys
 from .schema import VERSION, check_document, check_format, check_tree
 from .yaml12 import Document, dump_yaml, load_document, parse_document
@@ -122,6 +123,7 @@ __all__ = [
     "AdmittanceRequirement",
     "AxisDomain",
     "AxisGains",
+    "AxisLimits",
     "AxisMargins",
     "AxisPrediction",
     "Certificate",
@@ -134,8 +136,10 @@ __all__ = [
     "DeadbandType",
     "Filters",
     "FreeSpaceAdmittance",
+    "Limits",
     "Proof",
     "Reach",
+    "ResidualPeaks",
     "RuntimePayload",
     "ScenarioPrediction",
     "SoftRequirement",

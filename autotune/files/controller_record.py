@@ -15,6 +15,7 @@ from problems.requirements import NoiseLimit, PassivityTarget
 from problems.robot import RobotModel
 from problems.uncertainty import Ellipsoid, Scenario, Uncertainty
 
+from .limits import Limits, ResidualPeaks
 from .records import ROTATIONAL_AXES
 
 Vector = tuple[float, float, float]
@@ -157,11 +158,13 @@ class AxisPrediction:
     """What the model predicts for one axis; `scenarios` are contacts without a collision response.
 
     `with_collision_response` holds all of these with it, and the worst one where that is another; empty without one.
+    `with_residual_weight` holds the worst peaks of all under the residual that the start check of the runtime allows.
     """
 
     scenarios: tuple[ScenarioPrediction, ...]
     free_space_admittance: FreeSpaceAdmittance
     with_collision_response: tuple[ScenarioPrediction, ...] = ()
+    with_residual_weight: ResidualPeaks | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -385,8 +388,10 @@ class Certificate:
 class Controller:
     """A tuned controller, what it is predicted to do, and what its certificate says.
 
-    Raises ParameterError when the certificate is for another sample time, or when a validated controller has an axis
-    without domain, margins or prediction, or proves nothing.
+    `limits` is what the runtime enforces; None in files of an earlier release, for which the runtime has defaults.
+
+    Raises ParameterError when the certificate is for another sample time, the limits are for other axes, or when a
+    validated controller has an axis without domain, margins or prediction, or proves nothing.
     """
 
     status: ControllerStatus
@@ -401,9 +406,12 @@ class Controller:
     predicted: Mapping[str, AxisPrediction]
     certificate: Certificate
     provenance: Mapping[str, Any]
+    limits: Limits | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, "axes", "predicted", "provenance")
+        if self.limits is not None and set(self.limits.axes) != set(self.axes):
+            raise ParameterError("limits.axes", sorted(self.limits.axes), f"the tuned axes, {', '.join(self.axes)}")
         if self.certificate.sample_time_s != self.sample_time_s:
             must = f"the sample_time_s of the controller, {self.sample_time_s!r}"
             raise ParameterError("certificate.sample_time_s", self.certificate.sample_time_s, must)

@@ -14,6 +14,7 @@ from problems.errors import ParameterError
 from problems.uncertainty import FURTHER_UNCERTAIN, UNCERTAIN
 
 from .canonical import Place, spell
+from .limits import LimitsSpec
 from .records import ROTATIONAL_KEYS, rename_axis_keys
 from .schema import check_document
 from .yaml12 import Document, load_document
@@ -75,7 +76,7 @@ class ProblemSpec:
     threshold of the collision response, which is chosen after the gains (there is none without); `compliance` makes K_e
     a variable, which is the cell's.
     `uncertain` maps further parameters of the plant to a range, to "identified" (the confidence set of the identified
-    file) or to "nominal" (as if it were known).
+    file) or to "nominal" (as if it were known). `limits` are those that the runtime enforces.
     """
 
     axes: tuple[str, ...] | None = None
@@ -90,6 +91,7 @@ class ProblemSpec:
     free: Mapping[str, Interval] = field(default_factory=dict)
     collision_threshold_n: Interval | None = None
     compliance: ComplianceSpec | None = None
+    limits: LimitsSpec = field(default_factory=LimitsSpec)
 
     def __post_init__(self) -> None:
         for name in ("bounds", "uncertain", "free"):
@@ -117,10 +119,16 @@ def read_problem(path: Path) -> ProblemSpec:
             free={name: _pair(value) for name, value in free.items() if name not in (_THRESHOLD, _STIFFNESS)},
             collision_threshold_n=_optional_pair(free.get(_THRESHOLD)),
             compliance=_compliance(document),
+            limits=_limits(tree.get("limits", {})),
             rotational=RotationalSpec(**_ranges(turned), requirements=_requirements(turned.get("requirements", {}))),
         )
     except ParameterError as error:
         raise UsageError(f"{path}: {error}") from error
+
+
+def _limits(said: Mapping[str, Any]) -> LimitsSpec:
+    """Return what is said of the limits; what is not is chosen with the controller."""
+    return LimitsSpec(values={name: value for name, value in said.items() if name != "axes"}, axes=said.get("axes", {}))
 
 
 def _compliance(document: Document) -> ComplianceSpec | None:

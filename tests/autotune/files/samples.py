@@ -8,6 +8,7 @@ from autotune.files.controller import (
     AdmittanceRequirement,
     AxisDomain,
     AxisGains,
+    AxisLimits,
     AxisMargins,
     AxisPrediction,
     Certificate,
@@ -18,6 +19,7 @@ from autotune.files.controller import (
     DeadbandType,
     Filters,
     FreeSpaceAdmittance,
+    Limits,
     Proof,
     RuntimePayload,
     ScenarioPrediction,
@@ -133,6 +135,22 @@ def make_controller(axes: tuple[str, ...] = ("x", "rz")) -> Controller:
     )
 
 
+def make_limits(axes: tuple[str, ...] = ("x", "rz")) -> Limits:
+    return Limits(
+        force_n=500.0,
+        torque_n_m=50.0,
+        axes=dict.fromkeys(axes, AxisLimits(speed=0.25, acceleration=60.0)),
+        pose_speed_m_s=1.0,
+        pose_speed_rad_s=5.0,
+        stale_wrench_s=0.02,
+        stale_pose_s=0.1,
+        rest_samples=125,
+        rest_force_n=1.5,
+        rest_torque_n_m=0.5,
+        reasons={"force_n": "the sensor's range: ±500 N"},
+    )
+
+
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 POSITIVE = st.floats(min_value=0, exclude_min=True, allow_infinity=False)
 NOT_NEGATIVE = st.floats(min_value=0, allow_infinity=False)
@@ -194,6 +212,7 @@ def controllers(draw: st.DrawFn) -> Controller:
         axes={axis: draw(gains) for axis in axes},
         certificate=certificate,
         provenance=draw(TREES),
+        limits=draw(st.sampled_from((None, make_limits(tuple(axes))))),
     )
 
 

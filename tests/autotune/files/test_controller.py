@@ -23,7 +23,7 @@ from autotune.files.controller import (
 from autotune.files.dump import dump_json
 from autotune.files.yaml12 import dump_yaml, load_yaml
 from problems.errors import ParameterError
-from tests.autotune.files.samples import DOMAIN, GAINS, MARGINS, controllers, make_controller
+from tests.autotune.files.samples import DOMAIN, GAINS, MARGINS, controllers, make_controller, make_limits
 
 
 def sealed(tree: dict[str, Any]) -> str:
@@ -196,3 +196,27 @@ def test_a_number_that_is_not_finite_is_not_written(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match=r"certificate\.margins\.x\.modulus must be finite"):
         write_controller(tmp_path / "controller.yaml", replace(base, certificate=certificate))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_limits_are_of_the_tuned_axes() -> None:
+    with pytest.raises(ParameterError, match=r"limits\.axes.*the tuned axes, x, rz"):
+        replace(make_controller(), limits=make_limits(("x",)))
+
+
+@pytest.mark.parametrize(
+    "change", [{"force_n": 0.0}, {"stale_pose_s": math.inf}, {"rest_samples": 0}, {"rest_samples": 1.5}]
+)
+def test_a_limit_is_a_positive_number(change: dict[str, float]) -> None:
+    with pytest.raises(ParameterError, match=next(iter(change))):
+        replace(make_limits(), **change)  # type: ignore[arg-type]  # one of the numbers
+
+
+@pytest.mark.parametrize(
+    ("where", "value"),
+    [("force_n", 1e300), ("force_n", 0), ("rest_samples", 1.5), ("stale_wrench_s", 1e3), ("unknown", 1.0)],
+)
+def test_a_file_with_limits_that_no_cell_has_is_refused(where: str, value: float) -> None:
+    tree = controller_tree(replace(make_controller(), limits=make_limits()))
+    tree["limits"][where] = value
+    with pytest.raises(CertificateError, match=rf"limits\.{where} must be"):
+        parse_controller(sealed(tree), "c.yaml")

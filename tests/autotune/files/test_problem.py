@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from autotune.errors import UsageError
+from autotune.files.limits import LimitsSpec
 from autotune.files.problem import ComplianceSpec, ProblemSpec, RotationalSpec, read_problem
 from autotune.files.schema import load_schema
 from problems.contact import Approach
@@ -358,3 +359,14 @@ def test_bounds_and_approaches_at_the_limits_are_taken(path: Path) -> None:
     spec = read(path, "bounds: {feedback_damping_s: [0, 1e-4]}\napproach: {speed_m_s: 5}")
     assert spec.bounds["feedback_damping_s"] == (0.0, 1e-4)
     assert spec.approach == Approach(speed_m_s=5.0)
+
+
+def test_limits_are_said_by_name_and_by_axis(path: Path) -> None:
+    spec = read(path, "limits: {force_n: 660, rest_samples: 250, axes: {x: {speed: 0.1}}}\n")
+    assert spec.limits == LimitsSpec(values={"force_n": 660.0, "rest_samples": 250}, axes={"x": {"speed": 0.1}})
+    assert read(path, "axis: x\n").limits == LimitsSpec()
+
+
+@pytest.mark.parametrize("said", ["{force_n: 0}", "{rest_samples: 0.5}", "{speed: 1}", "{axes: {x: {}}}"])
+def test_a_limit_that_cannot_be_is_refused_with_its_line(path: Path, said: str) -> None:
+    assert "line 1: limits." in refusal(path, f"limits: {said}\n")

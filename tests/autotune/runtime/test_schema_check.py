@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -10,7 +11,7 @@ from jsonschema import Draft202012Validator
 from autotune.files.controller import controller_tree
 from autotune.files.schema import explain, load_schema
 from autotune.runtime.schema_check import KEYWORDS, breaches
-from tests.autotune.files.samples import make_controller
+from tests.autotune.files.samples import make_controller, make_limits
 
 SCHEMA = load_schema("controller")
 ORACLE = Draft202012Validator(SCHEMA)
@@ -62,7 +63,7 @@ def test_every_word_of_the_schema_is_understood() -> None:
 
 @pytest.mark.parametrize("part", list(SCHEMA["properties"]))
 def test_both_say_the_same_of_every_damage(part: str) -> None:
-    tree = controller_tree(make_controller())
+    tree = controller_tree(replace(make_controller(), limits=make_limits()))
     assert told(tree) == (set(), set())
     for turn, at in enumerate(places(tree[part], (part,))):
         # The oracle takes milliseconds for a file: in the large parts every entry meets some of the values in turn.
