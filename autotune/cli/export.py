@@ -76,7 +76,8 @@ def _peer_options(command: Any) -> Any:
     type=click.Path(path_type=Path, dir_okay=False),
     required=True,
     metavar="OUT",
-    help="The file to write (of c: NAME.c, with NAME.h beside it); it is replaced only once the new one is whole.",
+    help="The file to write (of c: NAME.c, with NAME.h beside it). An earlier export to the same target is replaced, "
+    "once the new one is whole; any other file is left alone.",
 )
 @_peer_options
 @output_options
@@ -91,6 +92,7 @@ def command(output: Output, /, controller: Path, target: str, out: Path, **furth
     the price in peak force is told. If nothing meets the requirements, nothing is written (exit code 5).
     """
     from autotune.errors import UsageError
+    from autotune.exports.replace import standing
     from autotune.exports.targets import export_controller
     from autotune.files.canonical import short
 
@@ -100,26 +102,41 @@ def command(output: Output, /, controller: Path, target: str, out: Path, **furth
         return
     if given:
         raise UsageError(f"The target {target} takes no names, versions or numbers of another controller.")
+    earlier = standing(out, target)
     checksum = export_controller(controller, target, out)
     result = {"target": target, "path": str(out), "checksum": checksum, "short_checksum": short(checksum)}
-    output.result(result, lambda: tell(f"{out}: {target}, checksum {short(checksum)}"))
+
+    def text() -> None:
+        tell(f"{out}: {target}, checksum {short(checksum)}")
+        _tell_replaced(earlier, target)
+
+    output.result({**result, "replaced": bool(earlier)}, text)
+
+
+def _tell_replaced(earlier: tuple[Path, ...], target: str) -> None:
+    for path in earlier:
+        tell(f"{path}: an earlier export --target {target} was replaced")
 
 
 def _export_peer(output: Output, controller: Path, target: str, out: Path, given: dict[str, Any]) -> None:
     """Certify, write and tell what was kept, what was dropped and what it costs."""
     from autotune.exports.peers import export_peer, peer_options
+    from autotune.exports.replace import standing
     from autotune.files.canonical import short
 
     if "joints" in given:
         given["joints"] = tuple(name.strip() for name in given["joints"].split(","))
     options = peer_options(target, given)
+    earlier = standing(out, target)
     with output.progress("certifying", 1.0) as advance:
         made = export_peer(controller, options, out, advance)
     checksum = made.source.checksum
-    head = {"target": target, "path": str(out), "checksum": checksum, "short_checksum": short(checksum)}
+    head: dict[str, Any] = {"target": target, "path": str(out), "checksum": checksum, "short_checksum": short(checksum)}
+    head["replaced"] = bool(earlier)
 
     def text() -> None:
         tell(f"{out}: {target}, from the file with checksum {short(checksum)}")
+        _tell_replaced(earlier, target)
         for axis in made.axes:
             how = "translated" if axis.tuned_because is None else f"tuned anew, since {axis.tuned_because}"
             numbers = ", ".join(f"{name} {value:g}" for name, value in axis.written.items())

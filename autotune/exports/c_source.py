@@ -10,7 +10,7 @@ from typing import Any
 
 from autotune import __version__
 from autotune.errors import UsageError
-from autotune.files.atomic import check_target, write_atomic
+from autotune.files.atomic import write_atomic
 from autotune.files.canonical import short
 from autotune.files.controller import read_controller
 from autotune.runtime.frames import LARGEST_SKEW, LARGEST_WAY, SMALLEST_TRACE
@@ -19,6 +19,7 @@ from autotune.runtime.load import read_law
 
 from .c_header import HEADER
 from .c_text import SOURCE_CODE, SOURCE_DATA
+from .replace import check_replaceable
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
 _RESPONSES = (CollisionResponse.NONE, CollisionResponse.RESET, CollisionResponse.STOP)
@@ -45,8 +46,7 @@ def export_c(path: Path | str, out: Path | str) -> str:
     if source.suffix != ".c" or not _NAME.fullmatch(source.stem):
         raise UsageError(f"{out} must be a name for C functions followed by .c, such as cell.c; name another file.")
     verified = read_controller(path)
-    for target in (header, source):
-        check_target(target, [path])
+    check_replaceable(out, "c", path)
     text = render_c(read_law(path), source.stem, verified.controller.provenance)
     write_atomic(header, text.header)
     write_atomic(source, text.source)

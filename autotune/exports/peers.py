@@ -21,6 +21,7 @@ from problems.peer_laws import alternates
 
 from . import fzi_cartesian, ros2_control
 from .fzi_cartesian import FziAxis, FziOptions
+from .replace import check_replaceable
 from .retune import retune
 from .ros2_control import Ros2Axis, Ros2Options
 from .ros_yaml import Tree, check_joint_count, dump_parameters, joints_told
@@ -94,9 +95,11 @@ def export_peer(
 
     `progress` is told the share of the work done since the last call. Raises CertificateError for a file that is
     altered or says what cannot be certified, InfeasibleError where the other controller can do nothing that meets the
-    file's requirements, UsageError for a file that cannot be read or written and a rate that cannot be told.
+    file's requirements, UsageError for a file that cannot be read or written, an `out` that is not of the same export
+    and a rate that cannot be told.
     """
     source = read_controller(path)
+    check_replaceable(out, target_of(options), path)
     made = make_peer(source, options, progress)
     write_atomic(out, made.text)
     return made
@@ -293,6 +296,11 @@ def peer_options(target: str, given: Mapping[str, Any]) -> Options:
         names = ", ".join(f"--{_spelt(name)}" for name in unknown)
         raise UsageError(f"{names} says nothing to the target {target}.")
     return kind(**given)
+
+
+def target_of(options: Options) -> str:
+    """Return the name of the target that options are for."""
+    return next(name for name, kind in PEERS.items() if isinstance(options, kind))
 
 
 def _spelt(name: str) -> str:

@@ -14,11 +14,13 @@ if TYPE_CHECKING:
 
 
 def render_cell(controller: "Controller") -> str:
-    """Return the canonical `controller.yaml`, which the cell reads, checksum included."""
+    """Return the canonical `controller.yaml`, which the cell reads, checksum included, below a line that names it."""
     from autotune.files.controller import controller_tree  # noqa: PLC0415
     from autotune.files.yaml12 import dump_yaml  # noqa: PLC0415
 
-    return dump_yaml(controller_tree(controller))
+    from .replace import CELL_MARK  # noqa: PLC0415
+
+    return CELL_MARK + dump_yaml(controller_tree(controller))
 
 
 def render_json(controller: "Controller") -> str:
@@ -41,11 +43,13 @@ def export_controller(path: Path | str, target: str, out: Path | str) -> str:
 
     The text is read back and must tell the same controller before `out` is touched; for C see `c_source.export_c`.
 
-    Raises UsageError for an unknown target or a file that cannot be opened or written, CertificateError for a file
-    that is altered, not validated or not read back the same.
+    Raises UsageError for an unknown target, a file that cannot be opened or written, or an `out` that is not of the
+    same export; CertificateError for a file that is altered, not validated or not read back the same.
     """
     from autotune.files.atomic import write_atomic  # noqa: PLC0415
     from autotune.files.controller import parse_controller, read_controller, short  # noqa: PLC0415
+
+    from .replace import check_replaceable  # noqa: PLC0415
 
     if target == "c":
         from .c_source import export_c  # noqa: PLC0415
@@ -54,6 +58,7 @@ def export_controller(path: Path | str, target: str, out: Path | str) -> str:
     if target not in TARGETS:
         raise UsageError(f"There is no export target {target}; targets: {', '.join(EVERY_TARGET)}.")
     source = read_controller(path)
+    check_replaceable(out, target, path)
     text = TARGETS[target](source.controller)
     twin = parse_controller(text, out)
     if twin.checksum != source.checksum or twin.controller != source.controller:

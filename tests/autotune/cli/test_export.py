@@ -40,7 +40,7 @@ def test_json_is_one_object_and_quiet_is_silent(run_cli: RunCli, source: Path) -
     digest = read_controller(source).checksum
     told = run_cli("export", source, "--target", "json", "-o", "out", "--json")
     expected = {"target": "json", "path": "out", "checksum": digest, "short_checksum": digest[:8]}
-    assert json.loads(told.stdout) == expected
+    assert json.loads(told.stdout) == {**expected, "replaced": False}
     quiet = run_cli("export", source, "--target", "json", "-o", "out", "--quiet")
     assert (quiet.returncode, quiet.stdout, quiet.stderr) == (0, "", "")
 
@@ -70,6 +70,23 @@ def test_a_wrong_request_is_exit_2(run_cli: RunCli, source: Path, arguments: lis
     assert run.returncode == 2
     assert told in run.stderr
     assert [path.name for path in source.parent.iterdir()] == ["controller.yaml"]
+
+
+@pytest.mark.parametrize("target", ["cell", "json", "c"])
+def test_an_earlier_export_is_replaced_and_told_and_another_file_is_exit_2(
+    run_cli: RunCli, source: Path, target: str
+) -> None:
+    arguments = ("export", source, "--target", target, "-o", "out.c")
+    assert run_cli(*arguments).returncode == 0
+    again = run_cli(*arguments)
+    assert again.returncode == 0
+    assert f"out.c: an earlier export --target {target} was replaced\n" in again.stdout
+    assert json.loads(run_cli(*arguments, "--json").stdout)["replaced"] is True
+    source.with_name("out.c").write_text("notes\n", encoding="utf-8")
+    refused = run_cli(*arguments)
+    assert (refused.returncode, refused.stdout, refused.stderr.count("\n")) == (2, "", 1)
+    assert "out.c exists and was not made by export" in refused.stderr
+    assert source.with_name("out.c").read_text(encoding="utf-8") == "notes\n"
 
 
 def test_the_help_has_an_example(run_cli: RunCli) -> None:

@@ -163,7 +163,7 @@ def test_a_file_of_somebody_else_is_not_replaced(tmp_path: Path) -> None:
     source = tmp_path / "controller.yaml"
     write_controller(source, make_controller())
     (tmp_path / "cell.h").write_text("int mine;\n", encoding="utf-8")
-    with pytest.raises(UsageError, match=r"cell\.h exists and is no file of this tool"):
+    with pytest.raises(UsageError, match=r"cell\.h exists and was not made by export --target c"):
         export_controller(source, "c", tmp_path / "cell.c")
     assert not (tmp_path / "cell.c").exists()
 

@@ -128,13 +128,14 @@ def test_the_search_leaves_nothing_better_in_its_box() -> None:
 def test_nothing_is_written_where_the_other_controller_cannot_do_it(tmp_path: Path) -> None:
     source, out = tmp_path / "controller.yaml", tmp_path / "out.yaml"
     write_controller(source, peer_controller({"x": LEAD}, requirements(9e-4)))
-    out.write_text("old", encoding="utf-8")
+    earlier = "# Written by autotune 0.0 for ros2_controllers admittance_controller.\n"
+    out.write_text(earlier, encoding="utf-8")
     with pytest.raises(
         InfeasibleError,
         match=r"Axis x: that controller cannot do what was asked\. .*nearest that was found: mass .* misses \w+ by",
     ):
         export_peer(source, Ros2Options(), out)
-    assert out.read_text(encoding="utf-8") == "old"
+    assert out.read_text(encoding="utf-8") == earlier
 
 
 def test_what_an_infeasible_search_misses_is_told_whole_and_nothing_in_its_box_misses_less() -> None:

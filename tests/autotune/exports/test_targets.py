@@ -7,6 +7,7 @@ from jsonschema import Draft202012Validator
 
 from autotune.errors import CertificateError, UsageError
 from autotune.exports import targets
+from autotune.exports.replace import CELL_MARK
 from autotune.exports.targets import TARGETS, export_controller
 from autotune.files.controller import Controller, ControllerStatus, checksum, read_controller, write_controller
 from autotune.files.schema import load_schema
@@ -30,8 +31,9 @@ def test_an_export_reads_back_as_the_same_controller(source: Path, target: str) 
     assert back.checksum == digest == read_controller(source).checksum
 
 
-def test_the_cell_file_is_the_canonical_one_whatever_the_layout_was(source: Path) -> None:
-    canonical = source.read_bytes()
+def test_the_cell_file_is_the_canonical_one_below_its_mark_whatever_the_layout_was(source: Path) -> None:
+    """The mark tells an export, which may be replaced, from a file that a search wrote."""
+    canonical = CELL_MARK.encode() + source.read_bytes()
     source.write_text(json.dumps(load_yaml(source)) + "\n", encoding="utf-8")
     export_controller(source, "cell", source.with_name("out"))
     assert source.with_name("out").read_bytes() == canonical
