@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .axes import AXIS_NAMES
-from .plan_sweep import SweepLimits, careful_force_n, fastest_sweep
+from .plan_sweep import SweepLimits, fastest_sweep
 from .plan_values import values_of
 from .result import AxisEstimate, EnvironmentEstimate, Estimate, Finding, Identified, Status, VectorEstimate
 
@@ -159,9 +159,7 @@ def _sweep(result: Identified, name: str) -> str:
 
 def _speed(result: Identified, name: str, highest_hz: float) -> str:
     _, values = values_of(result, name)
-    shaping = (values.damping_n_s_per_m.std, values.drag_n_s_per_m.std)
-    limits = SweepLimits(max_force_n=careful_force_n(SweepLimits.max_force_n, shaping))
-    sweep, _, _ = fastest_sweep(values, limits, _SWEEP_FROM_HZ, highest_hz, _SWEEP_S)
+    sweep = fastest_sweep(values, SweepLimits(), _SWEEP_FROM_HZ, highest_hz, _SWEEP_S).sweep
     travel_m = sweep.flange_speed_m_s / (2.0 * np.pi * _SWEEP_FROM_HZ)
     return f" the flange at {1e3 * sweep.flange_speed_m_s:.2g} mm/s throughout ({1e3 * travel_m:.2g} mm at 0.5 Hz),"
 

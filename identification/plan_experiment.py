@@ -15,6 +15,7 @@ _COM_M = 2e-3
 _DAMPING_FLOOR = 0.1
 _DELAY_SAMPLES = 0.2
 _AIM = 0.5
+_AIM_SHARE = 0.9  # of the force limit, for a repeated sweep
 
 _STEP_OF = {
     "mass_kg": "poses",
@@ -59,12 +60,13 @@ def plan_experiment(axis: str, values: PlanValues, limits: Limits) -> Experiment
     poses = _poses(values, limits, allowed, after)
     speeds = SweepLimits(
         max_speed_m_s=limits.max_speed_m_s,
-        max_force_n=_force_limit(limits, after, "damping_n_s_per_m", "drag_n_s_per_m"),
+        max_force_n=limits.max_force_n,
         max_stroke_m=limits.max_stroke_m,
         max_duration_s=limits.max_duration_s,
         max_frequency_hz=limits.max_frequency_hz,
     )
-    sweep = plan_sweep(values, speeds, {name: allowed[name] for name in _named("sweep")})
+    aim = _AIM_SHARE * _force_limit(limits, after, "damping_n_s_per_m", "drag_n_s_per_m")
+    sweep = plan_sweep(values, speeds, {name: allowed[name] for name in _named("sweep")}, aim_force_n=aim)
     _improve(after, sweep.std)
     taps = _taps(values, limits, allowed, after)
     gentle = _force_limit(limits, now, "environment_stiffness_n_per_m")

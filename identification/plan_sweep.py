@@ -1,7 +1,7 @@
 """Which sweep tells coupling, payload and robot best: predicted deviations from the Fisher information."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -12,6 +12,7 @@ from problems.robot import RobotModel
 from .coupling import felt_impedance
 from .joint_covariance import SHARPEST_DELAY_SAMPLES
 from .plan_values import Known, PlanValues
+from .plan_worst import WorstCase, worst_case
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -29,6 +30,10 @@ _MODEL_SHARE = 0.3  # of the misfit
 _MODEL_DAMPING_SHARE = 0.1  # of the misfit, times the critical damping
 _INDEPENDENT_MISFITS = 40.0
 _GUESSED_SHARE = 0.5
+_RESERVE = 0.9  # of the force limit: what starting, stopping and the noise add
+_FADE_S = 0.25
+_WORTH_REPEATING = 1.5
+_NOISE_PEAKS = 4.0  # deviations that the largest of some thousand samples reaches
 _SINGULAR = 1e13
 _STEP = 1e-5
 
@@ -63,9 +68,24 @@ class Sweep:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SweepPlan:
-    """The sweep and the deviations (keyed as `PlanValues`) after it; `peak_force_n` is its largest force amplitude.
+class Repeat:
+    """The same sweep once more, all amplitudes times `aim_force_n` over the peak force that the first one showed.
 
+    Peak and amplitude are proportional, whatever the cell is. The factor is at most `largest_factor`, where speed or
+    stroke end; `expected_factor` is that of the values of the plan.
+    """
+
+    aim_force_n: float
+    largest_factor: float
+    expected_factor: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepPlan:
+    """The sweep to begin with, and the deviations (keyed as `PlanValues`) after it or, where there is one, its repeat.
+
+    `peak_force_n` is its largest force amplitude with the plan's values, `worst_peak_force_n` that of the plausible
+    cell `worst`; above `abort_force_n` at the sensor it is to be stopped. Its amplitude rises and falls over `fade_s`.
     `bound_by` tells which limit keeps the speed down. `robot_limit_hz`: above it the robot passes less than a twentieth
     of the command.
     """
@@ -73,14 +93,42 @@ class SweepPlan:
     sweep: Sweep
     std: dict[str, float]
     peak_force_n: float
+    worst: WorstCase
+    abort_force_n: float
+    fade_s: float
     bound_by: str
     robot_limit_hz: float
+    repeat: Repeat | None = None
+
+    @property
+    def worst_peak_force_n(self) -> float:
+        """The largest force amplitude of the first sweep on a cell within what is known."""
+        return self.worst.force_per_speed_n_s_per_m * self.sweep.flange_speed_m_s
+
+    @property
+    def last_sweep(self) -> Sweep:
+        """The repeat with its expected factor, or the only sweep."""
+        return self.sweep if self.repeat is None else _louder(self.sweep, self.repeat.expected_factor)
 
 
-def plan_sweep(values: PlanValues, limits: SweepLimits, allowed: dict[str, float]) -> SweepPlan:
-    """Search band and speed for the smallest worst std/allowed, and the shortest length that brings it to a half.
+@dataclass(frozen=True, kw_only=True)
+class FastestSweep:
+    """The sweep over a band that is as fast as the limits let the worst plausible cell be driven."""
 
-    Where nothing does, the longest that is allowed. `allowed` is keyed as `PlanValues`; only its entries count.
+    sweep: Sweep
+    worst: WorstCase
+    bound_by: str
+    largest_factor: float  # to the next limit, were the force none
+
+
+def plan_sweep(
+    values: PlanValues, limits: SweepLimits, allowed: dict[str, float], *, aim_force_n: float | None = None
+) -> SweepPlan:
+    """Search the band for the smallest worst std/allowed, and the shortest length that brings it to a half.
+
+    Where nothing does, the longest that is allowed. `allowed` is keyed as `PlanValues`; only its entries count. The
+    first sweep keeps the force limit on the worst plausible cell; where the cell is likely to bear more, it is repeated
+    up to `aim_force_n`, by default the limit's half.
     """
     robot_limit = robot_limit_hz(values.robot)
     highest = min(_HIGHEST_HZ, robot_limit, 1.0 / (_SAMPLES_PER_CYCLE * values.sample_time_s.value))
@@ -88,13 +136,15 @@ def plan_sweep(values: PlanValues, limits: SweepLimits, allowed: dict[str, float
     lowest = [start for start in _STARTS_HZ if start < 0.4 * highest] or [0.1 * highest]
     ends = np.geomspace(0.25 * highest, highest, _ENDS)
     lengths = [length for length in _DURATIONS_S if length < limits.max_duration_s] + [limits.max_duration_s]
+    aim = _GUESSED_SHARE * limits.max_force_n if aim_force_n is None else aim_force_n
 
     def worst(plan: SweepPlan) -> float:
         return max(plan.std[name] / limit for name, limit in allowed.items())
 
     bands = [(low, float(high)) for low, high in product(lowest, ends) if high > 2.0 * low]
+    fastest = [fastest_sweep(values, limits, low, high, lengths[0]) for low, high in bands]
     for length in lengths:
-        plans = [_predicted(values, limits, low, high, length, robot_limit) for low, high in bands]
+        plans = [_predicted(values, limits, found, length, robot_limit, aim) for found in fastest]
         best = min(plans, key=worst)
         if worst(best) <= _AIM:
             break
@@ -165,16 +215,31 @@ def _delay_size(robot: RobotModel) -> float:
 
 
 def _predicted(
-    values: PlanValues, limits: SweepLimits, low: float, high: float, length: float, robot_limit: float
+    values: PlanValues, limits: SweepLimits, found: FastestSweep, length: float, robot_limit: float, aim_n: float
 ) -> SweepPlan:
-    sweep, force_n, bound_by = fastest_sweep(values, limits, low, high, length)
+    sweep = replace(found.sweep, duration_s=length)
+    peak = _force_per_speed(values, sweep) * sweep.flange_speed_m_s
+    factor = min(found.largest_factor, aim_n / (peak + _NOISE_PEAKS * values.force_noise_rms_n.value))
+    repeat = (
+        Repeat(aim_force_n=aim_n, largest_factor=found.largest_factor, expected_factor=factor)
+        if factor >= _WORTH_REPEATING
+        else None
+    )
     return SweepPlan(
         sweep=sweep,
-        std=_std_after(values, sweep),
-        peak_force_n=force_n,
-        bound_by=bound_by,
+        std=_std_after(values, sweep if repeat is None else _louder(sweep, factor)),
+        peak_force_n=peak,
+        worst=found.worst,
+        abort_force_n=_RESERVE * limits.max_force_n,
+        fade_s=_FADE_S,
+        bound_by=found.bound_by,
         robot_limit_hz=robot_limit,
+        repeat=repeat,
     )
+
+
+def _louder(sweep: Sweep, factor: float) -> Sweep:
+    return replace(sweep, flange_speed_m_s=factor * sweep.flange_speed_m_s)
 
 
 def careful_force_n(max_force_n: float, stds: Iterable[float | None]) -> float:
@@ -184,22 +249,28 @@ def careful_force_n(max_force_n: float, stds: Iterable[float | None]) -> float:
 
 def fastest_sweep(
     values: PlanValues, limits: SweepLimits, low_hz: float, high_hz: float, duration_s: float
-) -> tuple[Sweep, float, str]:
-    """Return the sweep over a band with the highest flange speed within the limits.
-
-    Beside it the largest amplitude of the force [N] and the name of the limit that keeps the speed down.
-    """
+) -> FastestSweep:
+    """Return the sweep over a band with the highest flange speed that keeps the limits on the worst plausible cell."""
     frequency = np.geomspace(low_hz, high_hz, _POINTS)
-    s = _s(frequency)
-    force_per_speed = float(np.max(np.abs(felt_impedance(values.theta, s) / s)))
+    worst = worst_case(values, low_hz, high_hz)
     speeds = {
         "max-speed": limits.max_speed_m_s * float(np.min(_passed(values.robot, frequency))),
-        "max-force": limits.max_force_n / force_per_speed,
+        "max-force": _RESERVE * limits.max_force_n / worst.force_per_speed_n_s_per_m,
         "max-stroke": limits.max_stroke_m * 2.0 * np.pi * low_hz,
     }
     bound_by = min(speeds, key=lambda name: speeds[name])
-    sweep = Sweep(low_hz=low_hz, high_hz=high_hz, flange_speed_m_s=speeds[bound_by], duration_s=duration_s)
-    return sweep, force_per_speed * sweep.flange_speed_m_s, bound_by
+    return FastestSweep(
+        sweep=Sweep(low_hz=low_hz, high_hz=high_hz, flange_speed_m_s=speeds[bound_by], duration_s=duration_s),
+        worst=worst,
+        bound_by=bound_by,
+        largest_factor=min(speeds["max-speed"], speeds["max-stroke"]) / speeds[bound_by],
+    )
+
+
+def _force_per_speed(values: PlanValues, sweep: Sweep) -> float:
+    """Return the largest force amplitude per flange speed [N/(m/s)] with the plan's values."""
+    s = _s(sweep.frequency_hz())
+    return float(np.max(np.abs(felt_impedance(values.theta, s) / s)))
 
 
 def _std_after(values: PlanValues, sweep: Sweep) -> dict[str, float]:

@@ -99,6 +99,7 @@ class PlanValues:
         return float(np.sqrt(self.stiffness_n_per_m.value / self.mass_kg.value) / (2.0 * np.pi))
 
 
+_STRAIGHT = ("x", "y", "z")
 _MAY_VANISH = {
     "misfit_share",
     "com_m",
@@ -157,9 +158,16 @@ def values_of(result: Identified, axis: str | None = None) -> tuple[str, PlanVal
 
 
 def _choose(result: Identified, axis: str | None) -> str:
-    found = [name for name in result.axes if name in ("x", "y", "z")]
+    found = [name for name in result.axes if name in _STRAIGHT]
     if axis is not None:
         return axis
+    if result.axes and not found:
+        raise ParameterError(
+            "axis",
+            ", ".join(result.axes),
+            "x, y or z: a recording about a turning axis is not planned. Name a straight axis (--axis) to plan one "
+            "from usual values, or record the turning axis as docs/recording.md says",
+        )
     if len(found) > 1:
         raise ParameterError("axis", ", ".join(found), "named (--axis), since the file holds several")
     return found[0] if found else "x"

@@ -213,12 +213,24 @@ def _sweep(found: "SweepPlan", plan: "ExperimentPlan") -> list[str]:
     sweep = found.sweep
     speed = 1e3 * sweep.command_speed_m_s(plan.values.robot)
     amplitude = speed / (2.0 * math.pi * sweep.frequency_hz())
-    return [
+    worst, repeat = found.worst, found.repeat
+    peak, mass, stiffness = found.worst_peak_force_n, worst.mass_kg, 1e-3 * worst.stiffness_n_per_m
+    lines = [
         f"{sweep.low_hz:.2g} to {sweep.high_hz:.3g} Hz in {sweep.duration_s:g} s (logarithmic), in free space, command",
         f"logged; its amplitude {amplitude[0]:.2g} to {amplitude[-1]:.2g} mm, {speed[0]:.3g} to {speed[-1]:.3g} mm/s,",
-        f"so that the flange keeps {1e3 * sweep.flange_speed_m_s:.3g} mm/s; up to {found.peak_force_n:.0f} N",
+        f"so that the flange keeps {1e3 * sweep.flange_speed_m_s:.3g} mm/s; it rises and falls over {found.fade_s:g} s",
+        f"peak force {found.peak_force_n:.2g} N expected, {peak:.3g} N at worst: at {worst.frequency_hz:.3g} Hz,",
+        f"{mass:.4g} kg on K_s of {stiffness:.4g} N/mm with {100.0 * worst.damping_ratio:.2g} % of critical damping,",
+        f"robot of {worst.bandwidth_hz:.3g} Hz; stop it above {found.abort_force_n:.3g} N (sensor, gravity taken off)",
         f"{found.bound_by} holds the amplitude down; the robot passes little above {found.robot_limit_hz:.0f} Hz",
     ]
+    if repeat is not None:
+        largest, expected = f"{repeat.largest_factor:.3g}", f"{repeat.expected_factor:.2g}"
+        lines += [
+            f"then once more with all amplitudes times {repeat.aim_force_n:.3g} N / (largest force that the first",
+            f"showed), at most times {largest}; expected is {expected}, which the table counts on",
+        ]
+    return lines
 
 
 def _taps(taps: "TapPlan") -> list[str]:

@@ -116,7 +116,18 @@ def _sweep(plan: SweepPlan, robot: RobotModel) -> dict[str, Any]:
             }
             for i in points
         ],
+        "fade_s": plan.fade_s,
         "peak_force_n": plan.peak_force_n,
+        "worst_case": {
+            "peak_force_n": plan.worst_peak_force_n,
+            "frequency_hz": plan.worst.frequency_hz,
+            "stiffness_n_per_m": plan.worst.stiffness_n_per_m,
+            "mass_kg": plan.worst.mass_kg,
+            "damping_ratio": plan.worst.damping_ratio,
+            "bandwidth_hz": plan.worst.bandwidth_hz,
+        },
+        "abort_force_n": plan.abort_force_n,
+        "repeat": None if plan.repeat is None else record_tree(plan.repeat),
         "bound_by": plan.bound_by,
         "robot_limit_hz": plan.robot_limit_hz,
     }

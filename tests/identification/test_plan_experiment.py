@@ -85,7 +85,7 @@ def test_the_planned_recording_gives_the_predicted_deviations() -> None:
         jogging_s=0.0,
         sweep_s=sweep.sweep.duration_s,
         sweep_hz=(sweep.sweep.low_hz, sweep.sweep.high_hz),
-        sweep_speed_m_s=sweep.sweep.flange_speed_m_s,
+        sweep_speed_m_s=sweep.last_sweep.flange_speed_m_s,
         contact_count=contacts.count,
         contact_force_n=contacts.hold_force_n,
     )
@@ -180,18 +180,42 @@ def test_a_sweep_that_cannot_reach_the_payloads_swing_is_helped_by_taps() -> Non
 
 
 @pytest.mark.parametrize(
-    ("limit", "bound_by"), [({"max_speed_m_s": 0.01}, "max-speed"), ({"max_force_n": 5.0}, "max-force")]
+    ("limit", "bound_by"),
+    [
+        ({"max_speed_m_s": 1e-3}, "max-speed"),
+        ({"max_force_n": 5.0}, "max-force"),
+        ({"max_stroke_m": 2e-6}, "max-stroke"),
+    ],
 )
 def test_no_sweep_passes_a_limit(limit: dict[str, float], bound_by: str) -> None:
-    limits = Limits(**limit, max_stroke_m=0.004)  # type: ignore[arg-type]  # all of them floats
+    limits = Limits(**{"max_stroke_m": 0.004, **limit})  # type: ignore[arg-type]  # all of them floats
     found = settings_of(plan_experiment("x", usual_values(), limits), StepKind.SWEEP)
     assert isinstance(found, SweepPlan)
     assert found.bound_by == bound_by
     robot = usual_values().robot
-    speed, frequency = found.sweep.command_speed_m_s(robot), found.sweep.frequency_hz()
+    largest = 1.0 if found.repeat is None else found.repeat.largest_factor
+    speed, frequency = largest * found.sweep.command_speed_m_s(robot), found.sweep.frequency_hz()
     assert np.max(speed) <= limits.max_speed_m_s * (1.0 + 1e-9)
-    assert found.peak_force_n <= limits.max_force_n * (1.0 + 1e-9)
-    assert found.sweep.flange_speed_m_s / (2.0 * np.pi * frequency[0]) <= 0.004 * (1.0 + 1e-9)
+    assert found.peak_force_n <= found.worst_peak_force_n <= found.abort_force_n * (1.0 + 1e-9)
+    assert found.abort_force_n < limits.max_force_n
+    stroke = largest * found.sweep.flange_speed_m_s / (2.0 * np.pi * frequency[0])
+    assert stroke <= limits.max_stroke_m * (1.0 + 1e-9)
+
+
+def test_what_is_known_of_the_coupling_makes_the_first_sweep_louder_and_spares_the_repeat() -> None:
+    """A coupling within 3 % and a robot within 1 % leave no surprise: the limit itself holds the speed down."""
+    usual = usual_values()
+    sharp = {name: replace(usual.known()[name], std=0.03 * usual.known()[name].value) for name in allowed_std(usual)}
+    sharp["bandwidth_hz"] = replace(usual.bandwidth_hz, std=0.01 * usual.bandwidth_hz.value)
+    told = with_known(usual, sharp)
+    first, later = (settings_of(plan_experiment("x", v, Limits()), StepKind.SWEEP) for v in (usual, told))
+    assert isinstance(first, SweepPlan)
+    assert isinstance(later, SweepPlan)
+    assert first.repeat is not None
+    assert later.repeat is None
+    assert later.sweep.flange_speed_m_s > 5.0 * first.sweep.flange_speed_m_s
+    assert later.worst.damping_ratio > 0.05
+    assert later.worst_peak_force_n <= 90.0 * (1.0 + 1e-9)
 
 
 @pytest.mark.parametrize("stiffness", [2e4, 1e5, 4e5])

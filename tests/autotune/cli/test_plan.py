@@ -119,6 +119,7 @@ def test_without_a_file_a_first_recording_is_planned_from_guesses(
         (["missing.yaml"], 2, "missing.yaml"),
         (["identified.yaml", "--mass", "3"], 2, "--mass and --stiffness"),
         (["two.yaml"], 2, "--axis"),
+        (["turning.yaml"], 2, "a recording about a turning axis is not planned"),
         (["--max-force", "0"], 2, "--max-force"),
         (["-o", "nowhere/plan.yaml"], 2, "does not exist"),
     ],
@@ -128,6 +129,7 @@ def test_what_cannot_be_planned_is_one_line_with_its_code(
 ) -> None:
     found = one_axis()
     write_identified("identified.yaml", found, {})
+    write_identified("turning.yaml", replace(found, axes={"rz": found.axes["x"]}), {})
     write_identified("two.yaml", replace(found, axes={"x": found.axes["x"], "y": found.axes["x"]}), {})
     assert main(["plan", *arguments]) == code
     out, err = capsys.readouterr()
