@@ -39,6 +39,8 @@ def parameter_rows(result: Identified) -> Iterator[ParameterRow]:
     yield from _vector_rows("force bias", result.sensor.force_bias_n, "N", 1.0)
     yield _row("force noise", result.sensor.force_noise_rms_n, "N rms")
     yield _row("gravity residual", result.sensor.gravity_residual_rms_n, "N rms")
+    if result.sensor.position_noise_rms_m is not None:
+        yield _row("pose noise", result.sensor.position_noise_rms_m, "µm rms", 1e6)
     if result.sensor.wrench_filter is not None:
         yield from _filter_rows(result.sensor.wrench_filter)
     if result.sensor.mounting_rad is not None:

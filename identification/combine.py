@@ -311,6 +311,7 @@ def _sensor(merge: _Merge, sensors: Sequence[SensorEstimate]) -> SensorEstimate:
         base_tilt_rad=_optional(merge, "tilt of the base [rad]", [s.base_tilt_rad for s in sensors]),
         noise=_noisiest(sensors),
         wrench_filter=_wrench_filter(merge, [s.wrench_filter for s in sensors]),
+        position_noise_rms_m=_largest_told([s.position_noise_rms_m for s in sensors]),
     )
 
 
@@ -362,6 +363,12 @@ def _optional(merge: _Merge, what: str, estimates: Sequence[VectorEstimate | Non
 def _largest(estimates: Sequence[Estimate]) -> Estimate:
     """Return the worst of noises and residuals: what any of the logs shows is there."""
     return max(estimates, key=lambda e: np.inf if e.value is None else e.value)
+
+
+def _largest_told(estimates: Sequence[Estimate | None]) -> Estimate | None:
+    """Return the worst of those that have a value, None where none has."""
+    told = [estimate for estimate in estimates if estimate is not None and estimate.value is not None]
+    return max(told, key=lambda e: 0.0 if e.value is None else e.value, default=None)
 
 
 def _sample_time(parts: Sequence[NamedResult]) -> Estimate:

@@ -195,12 +195,17 @@ def _with_sensor(values: PlanValues, sensor: SensorEstimate) -> PlanValues:
     if told is not None and told.value is not None and max(told.value) > 0.0:
         torque = Known(value=float(max(told.value)), std=0.0, is_assumed=False)
     residual = _known(sensor.gravity_residual_rms_n, values.pose_force_std_n)
+    told_position = sensor.position_noise_rms_m
+    position = (
+        values.position_noise_rms_m if told_position is None else _known(told_position, values.position_noise_rms_m)
+    )
     # The file tells no residual of the torque: it is taken to exceed its noise as that of the force does.
     share = min(torque.value / noise.value, _LEVER_M)
     return replace(
         values,
         force_noise_rms_n=noise,
         torque_noise_rms_n_m=torque,
+        position_noise_rms_m=position,
         pose_force_std_n=residual,
         pose_torque_std_n_m=Known(value=residual.value * share, is_assumed=residual.is_assumed or torque.is_assumed),
     )

@@ -203,7 +203,8 @@ class SensorEstimate:
 
     `mounting_rad` (3) is the rotation vector of the real sensor axes as seen from the assumed ones, `base_tilt_rad` (2)
     that of the vertical about x and y of the base; `torque_noise_rms_n_m` (3) per axis. `wrench_filter` is None where
-    the wrench is as late as pose and command.
+    the wrench is as late as pose and command. `position_noise_rms_m` is that of one sample and coordinate of the
+    measured pose at rest, None where nothing showed.
     """
 
     force_bias_n: VectorEstimate
@@ -216,6 +217,7 @@ class SensorEstimate:
     base_tilt_rad: VectorEstimate | None = None
     noise: NoiseSpectrum | None = None
     wrench_filter: WrenchFilterEstimate | None = None
+    position_noise_rms_m: Estimate | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

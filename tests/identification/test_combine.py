@@ -236,3 +236,14 @@ def test_a_filter_and_a_delay_disagree_and_the_later_one_counts() -> None:
     assert merged.sensor.wrench_filter == corner
     finding = next(f for f in merged.findings if f.severity == "error")
     assert "1 ms late (a), 3.18 ms late (b)" in finding.message
+
+
+def test_the_noisiest_pose_counts_and_a_log_that_is_silent_of_it_does_not() -> None:
+    def with_noise(value: Estimate | None) -> Identified:
+        found = told()
+        return replace(found, sensor=replace(found.sensor, position_noise_rms_m=value))
+
+    noises = (None, known(2e-6, 1e-8), known(2e-5, 1e-7), UNTOLD)
+    parts = [NamedResult(name=str(i), result=with_noise(noise)) for i, noise in enumerate(noises)]
+    assert combine_identified(parts).sensor.position_noise_rms_m == known(2e-5, 1e-7)
+    assert combine_identified([parts[0], parts[0]]).sensor.position_noise_rms_m is None

@@ -306,6 +306,21 @@ def test_an_identified_file_gives_its_values_and_usual_ones_where_it_is_silent()
         values_of(replace(found, axes={"x": axis, "y": axis}))
 
 
+def test_the_noise_of_the_pose_that_was_measured_is_planned_with() -> None:
+    """A delay is told by the pose: at four times the noise of the usual one a sweep tells it less well."""
+    found = make_identified()
+    noisy = Estimate(value=2e-5, std=1e-7, status=Status.IDENTIFIED)
+    told = replace(found, sensor=replace(found.sensor, position_noise_rms_m=noisy))
+    (_, before), (_, values) = values_of(found), values_of(told)
+    assert before.position_noise_rms_m == Known(value=5e-6)
+    assert values.position_noise_rms_m == Known(value=2e-5, std=1e-7, is_assumed=False)
+    sweep = Sweep(low_hz=1.0, high_hz=35.0, flange_speed_m_s=0.01, duration_s=8.0)
+    quiet, loud = (np.linalg.inv(sweep_information(v, sweep)) for v in (before, values))
+    assert loud[-1, -1] > quiet[-1, -1]
+    # What the force tells of the robot does not hear the pose: not 16 times the variance, but much of it.
+    assert loud[-1, -1] > 2.0 * quiet[-1, -1]
+
+
 @pytest.mark.parametrize(
     "wrong", [{"pose_count": 3}, {"max_tilt_deg": 0.0}, {"max_force_n": float("nan")}, {"max_speed_m_s": -1.0}]
 )

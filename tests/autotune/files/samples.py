@@ -284,6 +284,7 @@ def identified_results() -> st.SearchStrategy[Identified]:
         gravity_residual_rms_n=free,
         deadband_n=free,
         wrench_filter=st.none() | wrench_filters(),
+        position_noise_rms_m=st.none() | estimates(positive=True),
     )
     finding = st.builds(
         Finding,
