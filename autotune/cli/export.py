@@ -19,7 +19,12 @@ Examples:
   autotune export controller.yaml --target ros2_control --ros2-version jazzy -o admittance.yaml
 """
 _FOR_PEERS = (
-    click.option("--ros2-version", "version", metavar="NAME", help="jazzy (default), kilted, rolling, or as 6.4.0."),
+    click.option(
+        "--ros2-version",
+        "version",
+        metavar="NAME",
+        help="humble, jazzy (default), kilted, lyrical, rolling, or as 6.4.0.",
+    ),
     click.option("--controller-name", metavar="NAME", help="The name of the controller in the parameter file."),
     click.option("--joints", metavar="NAME,…", help="The robot's joints, from base to tip (joint_1 to joint_6)."),
     click.option("--base-link", metavar="NAME", help="The robot's base (base_link)."),
@@ -31,7 +36,7 @@ _FOR_PEERS = (
         "--return-stiffness",
         type=float,
         metavar="N/M",
-        help="ros2_control: the spring without which there is no damping there (1).",
+        help="ros2_control: the spring without which there is no damping there (so weak that it takes 10 h).",
     ),
     click.option(
         "--filter-coefficient", type=float, metavar="A", help="ros2_control: the force filter, 1 being none (1)."
@@ -146,5 +151,7 @@ def _export_peer(output: Output, controller: Path, target: str, out: Path, given
                 tell(note)
         for line in made.dropped:
             tell(f"dropped: {line}")
+        for line in made.notes:
+            tell(f"note: {line}")
 
     output.result({**head, **made.tree()}, text)

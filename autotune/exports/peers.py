@@ -19,7 +19,7 @@ from autotune.validation.law import AxisTask, LawCertificate, certify_law
 from autotune.validation.proof import StabilityProof
 from problems.peer_laws import alternates
 
-from . import fzi_cartesian, ros2_control
+from . import fzi_cartesian, ros2_control, ros2_notes
 from .fzi_cartesian import FziAxis, FziOptions
 from .replace import check_replaceable
 from .retune import retune
@@ -116,7 +116,7 @@ def make_peer(source: ControllerFile, options: Options, progress: Callable[[floa
     if isinstance(options, Ros2Options):
         tree, rate = ros2_control.parameter_tree(controller, written, options)
         version = ros2_control.parse_version(options.version)
-        target, notes = "ros2_control", tuple(ros2_control.frame_notes(version, options))
+        target, notes = "ros2_control", tuple(ros2_notes.notes(controller.payload, written, options))
         what = f"ros2_controllers admittance_controller {'.'.join(map(str, version))} ({options.version})"
     else:
         tree, rate = fzi_cartesian.parameter_tree(controller, written, options)

@@ -1,7 +1,7 @@
 """The admittance controller of ros2_controllers: what it can be, and its parameter file.
 
-Its rule is `problems.peer_laws.SpringAdmittance`. Read in the package's sources and changelogs from 4.0.0 (2023-11) to
-4.41.0 (Jazzy), 5.11.0 (Kilted) and 6.4.0 (Rolling); docs/targets.md tells what was read where.
+Its rule is `problems.peer_laws.SpringAdmittance` on every axis, those that were tuned and those that must not move.
+docs/targets.md says which versions were read, and what in which file.
 """
 
 import math
@@ -13,6 +13,7 @@ from types import MappingProxyType
 from autotune.errors import UsageError
 from autotune.files.controller_record import AxisGains, Controller
 from autotune.files.records import ROTATIONAL_AXES
+from autotune.files.units import axis_units
 from autotune.validation.law import AxisTask
 from problems.laws import LinearLaw
 from problems.peer_laws import SpringAdmittance
@@ -23,14 +24,22 @@ from .structure import Values, Variable, lost_gains
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 STANDARD_GRAVITY = 9.80665
 RELEASES: Mapping[str, tuple[int, int, int]] = MappingProxyType(
-    {"jazzy": (4, 41, 0), "kilted": (5, 11, 0), "rolling": (6, 4, 0)}
+    {
+        "humble": (2, 54, 0),
+        "jazzy": (4, 41, 0),
+        "kilted": (5, 11, 0),
+        "lyrical": (6, 9, 0),
+        "rolling": (6, 4, 0),
+    }
 )
-"""The releases that are known by name, with the newest version of the package that was read for each."""
-OLDEST, NEXT_UNKNOWN = (4, 0, 0), (7, 0, 0)
-FIRST_WITH_WRENCH_REFERENCE = (4, 18, 0)
+"""The releases that are known by name, with the newest version of the package that is known of each."""
+KNOWN_RANGES = (((2, 54, 0), (3, 0, 0)), ((4, 0, 0), (7, 0, 0)))
+"""The versions that run this rule: from, and before."""
 FIRST_WITH_MASS_IN_CONTROL_FRAME = (6, 4, 0)
-DEFAULT_JOINT_DAMPING_PER_S = 5.0
-DEFAULT_FILTER_COEFFICIENT = 0.05
+JOINT_DAMPING_PER_S = 5.0
+"""What takes 5 times the joints' speed off their acceleration: the controller's default, written as it is."""
+RETURN_TIME_S = 36e3
+"""The time constant of the return spring where none is given: a minute takes back 0.17 % of the way."""
 
 KNOWN_KEYS = frozenset(
     {
@@ -66,6 +75,9 @@ KNOWN_KEYS = frozenset(
 _DAMPING_RATIO, _LONGEST = (0.1, 30.0), 50.0
 # The least M/(h·D) of a search: numbers with six digits then still have M ≥ h·D.
 _LEAST = 1.0 + 2e-5
+# The least share of the damping that is the axis' own, beside that of the joints: D ≥ 0.1 (D + J M).
+_OWN_SHARE = 0.1
+_LONGEST_S = (1.0 - _OWN_SHARE) / JOINT_DAMPING_PER_S
 # The inverse of the Jacobian is damped by this; it takes motion away, at 0.0005 less than 1 % beyond singularities.
 _ALPHA = 0.0005
 
@@ -74,7 +86,8 @@ _ALPHA = 0.0005
 class Ros2Options:
     """What the file needs beyond the controller: version, names, and the numbers that the user may choose.
 
-    `return_stiffness` (N/m; N·m/rad about rx, ry, rz) is the spring without which there is no damping.
+    `return_stiffness` (N/m; N·m/rad about rx, ry, rz) is the spring without which there is no damping; without one
+    it is the damping over `RETURN_TIME_S`.
     Raises UsageError for a version or a name that is none, and numbers out of range.
     """
 
@@ -86,7 +99,7 @@ class Ros2Options:
     sensor_name: str = "ft_sensor"
     sensor_frame: str = "ft_frame"
     control_frame: str | None = None
-    return_stiffness: float = 1.0
+    return_stiffness: float | None = None
     filter_coefficient: float = 1.0
 
     def __post_init__(self) -> None:
@@ -101,7 +114,7 @@ class Ros2Options:
             ("--control-frame", self.control_frame or self.sensor_frame),
         ):
             check_names(what, (name,))
-        if not 0.0 < self.return_stiffness < math.inf:
+        if self.return_stiffness is not None and not 0.0 < self.return_stiffness < math.inf:
             raise UsageError(
                 f"--return-stiffness must be above 0, found {self.return_stiffness:g}: the damping of that controller "
                 "is 2ζ√(M·S), so a stiffness S of 0 leaves none."
@@ -118,20 +131,21 @@ def parse_version(text: str) -> tuple[int, int, int]:
         return RELEASES[text]
     found = re.fullmatch(r"(\d+)\.(\d+)\.(\d+)", text)
     version = tuple(int(each) for each in found.groups()) if found else (0, 0, 0)
-    if not OLDEST <= version < NEXT_UNKNOWN:
+    if not any(first <= version < after for first, after in KNOWN_RANGES):
         raise UsageError(
-            f"--ros2-version must be {', '.join(RELEASES)} or a version of ros2_controllers from 4.0.0 to 6.x, "
-            f"found {text}."
+            f"--ros2-version must be {', '.join(RELEASES)} or a version of ros2_controllers of 2.x from 2.54.0 on or "
+            f"from 4.0.0 to 6.x, found {text}."
         )
     return version[0], version[1], version[2]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ros2Axis:
-    """One axis: mass and damping are free, the latter written as a ratio at a fixed small stiffness.
+    """One axis: mass and damping are free, the latter written as a ratio at a small stiffness.
 
-    A search goes by M/D and D, since M ≥ h·D (see `SpringAdmittance.own_pole`) is then a bound of its box. With
-    `fixed_mass` D alone is free (the masses of versions that read them in the base frame must be equal).
+    The damping B = D + J M is that of the axis and the joints together. A search goes by M/B and B, since M ≥ h·B (see
+    `SpringAdmittance.own_pole`) and D ≥ 0.1 B are then bounds of its box. With `fixed_mass` B alone is free (the masses
+    of versions that read them in the base frame must be equal).
     """
 
     task: AxisTask
@@ -141,13 +155,14 @@ class Ros2Axis:
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        """M/D (s) and D (N·s/m), or D alone."""
+        """M/B (s) and B (N·s/m), or B alone."""
         h, damping = self.task.sample_time_s, self.gains.damping
         low, high = damping * _DAMPING_RATIO[0], damping * _DAMPING_RATIO[1]
         if self.fixed_mass is not None:
-            most = self.fixed_mass / (_LEAST * h)
-            return (Variable(name="damping", low=min(low, _DAMPING_RATIO[0] * most), high=min(high, most)),)
-        longest = _LONGEST * max(self.gains.mass / damping, h)
+            least, most = self.fixed_mass / _LONGEST_S, self.fixed_mass / (_LEAST * h)
+            low = max(least, min(low, _DAMPING_RATIO[0] * most))
+            return (Variable(name="damping", low=low, high=max(low, min(high, most))),)
+        longest = min(_LONGEST * max(self.gains.mass / damping, h), _LONGEST_S)
         return (
             Variable(name="mass over damping", low=_LEAST * h, high=longest),
             Variable(name="damping", low=low, high=high),
@@ -155,22 +170,26 @@ class Ros2Axis:
 
     @property
     def translated(self) -> Values:
-        """M_a/B_a and B_a, or B_a alone."""
-        damping = self.gains.damping
-        return (damping,) if self.fixed_mass is not None else (self.gains.mass / damping, damping)
+        """M_a/B_a and B_a, or B_a alone; more than B_a where the joints alone would take most of it."""
+        mass = self.gains.mass if self.fixed_mass is None else self.fixed_mass
+        damping = max(self.gains.damping, mass / _LONGEST_S)
+        return (damping,) if self.fixed_mass is not None else (mass / damping, damping)
 
     def written(self, values: Values) -> Mapping[str, float]:
         """Return mass, damping ratio and stiffness with six digits, as the file holds them."""
-        damping = values[-1]
+        damping, given = values[-1], self.options.return_stiffness
         mass = float(f"{self.fixed_mass or values[0] * damping:.6g}")
-        stiffness = self.options.return_stiffness
-        ratio = float(f"{damping / (2.0 * math.sqrt(mass * stiffness)):.6g}")
+        stiffness = float(f"{damping / RETURN_TIME_S:.6g}") if given is None else given
+        own = damping - JOINT_DAMPING_PER_S * mass
+        ratio = float(f"{own / (2.0 * math.sqrt(mass * stiffness)):.6g}")
         return {"mass": mass, "damping_ratio": ratio, "stiffness": stiffness}
 
     def rule(self, values: Values) -> SpringAdmittance:
         """Return the rule that runs with the numbers as they are written."""
         return SpringAdmittance(
-            **self.written(values), joint_damping_per_s=0.0, filter_coefficient=self.options.filter_coefficient
+            **self.written(values),
+            joint_damping_per_s=JOINT_DAMPING_PER_S,
+            filter_coefficient=self.options.filter_coefficient,
         )
 
     def law(self, values: Values) -> LinearLaw:
@@ -184,32 +203,38 @@ class Ros2Axis:
     def told(self, values: Values) -> Iterator[str]:
         """Say what the return spring does, and where the law's own pole is."""
         rule, turns = self.rule(values), self.task.axis in ROTATIONAL_AXES
-        h = self.task.sample_time_s
+        h, units = self.task.sample_time_s, axis_units(self.task.axis)
         travel, force = ("0.1 rad", "N·m") if turns else ("100 mm", "N")
+        returns_s = rule.total_damping / rule.stiffness
         yield (
             f"axis {self.task.axis}: the spring that the damping needs pulls back to the reference with "
-            f"{0.1 * rule.stiffness:.3g} {force} per {travel}, with a time constant of "
-            f"{rule.total_damping / rule.stiffness:.3g} s."
+            f"{0.1 * rule.stiffness:.3g} {force} per {travel}, with a time constant of {returns_s:.3g} s: what was "
+            f"pushed away comes back by {100.0 * -math.expm1(-60.0 / returns_s):.2g} % in a minute."
         )
         yield (
-            f"axis {self.task.axis}: the law's own pole is z = 1 − h·D/M = {rule.own_pole(h):.3g} at this update rate; "
-            "M ≥ h·D keeps it from being negative, where the speed would change sign in every cycle."
+            f"axis {self.task.axis}: of the damping {rule.total_damping:.6g} {units.damping}, joint_damping makes "
+            f"{JOINT_DAMPING_PER_S:g} 1/s times the mass, {JOINT_DAMPING_PER_S * rule.mass:.4g}; the law's own pole is "
+            f"z = 1 − h·(D/M + J) = {rule.own_pole(h):.3g} at this update rate; M ≥ h·(D + J·M) keeps it from being "
+            "negative, where the speed would change sign in every cycle."
         )
 
 
-def frame_notes(version: tuple[int, int, int], options: Ros2Options) -> Iterator[str]:
-    """Say what differs between versions and what the controller does not do."""
-    if version < FIRST_WITH_MASS_IN_CONTROL_FRAME:
-        yield (
-            "admittance.mass is read in the frame of kinematics.base before 6.4.0 (and in the control frame from then "
-            "on); x, y, z have one mass here, and so have rx, ry, rz, which holds in any frame."
-        )
-    if version < FIRST_WITH_WRENCH_REFERENCE:
-        yield "Before 4.18.0 there is no desired force (~/wrench_reference); the reference alone moves to a contact."
-    yield (
-        "joint_damping is 0 here; its default of 5 would add 5 times the mass to every damping. filter_coefficient is "
-        f"{options.filter_coefficient:g} per cycle; its default of 0.05 would be a low-pass far below the loop."
-    )
+def damped_rows(values: Mapping[str, Mapping[str, float]]) -> dict[str, Mapping[str, float]]:
+    """Return mass, damping ratio and stiffness of all six axes, from those of the tuned ones as written.
+
+    An axis that was not tuned is not selected, so no force moves it. But the rule integrates the joints' speed, and as
+    the arm turns that becomes speed along every axis, which damping must take away. It gets D/M and S/M of the tuned
+    axis that is damped most (by ζ unchanged and S in proportion to M), and the mass of the others of its kind, or 1.
+    """
+    most = max(values.values(), key=lambda each: each["damping_ratio"] * math.sqrt(each["stiffness"] / each["mass"]))
+    rows = dict[str, Mapping[str, float]]()
+    for axis in AXES:
+        kind = AXES[3:] if axis in ROTATIONAL_AXES else AXES[:3]
+        mass = max((values[each]["mass"] for each in kind if each in values), default=1.0)
+        stiffness = float(f"{most['stiffness'] * mass / most['mass']:.6g}")
+        still = {"mass": mass, "damping_ratio": most["damping_ratio"], "stiffness": stiffness}
+        rows[axis] = values.get(axis, still)
+    return rows
 
 
 def parameter_tree(
@@ -218,14 +243,7 @@ def parameter_tree(
     """Return the whole file as a tree, and the update rate [Hz] that it holds for; `values` by axis, as written."""
     rate = update_rate_hz(controller.sample_time_s)
     payload, frame = controller.payload, options.sensor_frame
-    # An axis that is not selected must not move: no stiffness, and the mass of the others of its kind.
-    groups = {axis: AXES[3:] if axis in ROTATIONAL_AXES else AXES[:3] for axis in AXES}
-    masses = {
-        axis: max((values[each]["mass"] for each in group if each in values), default=1.0)
-        for axis, group in groups.items()
-    }
-    none: Mapping[str, float] = {"damping_ratio": 0.0, "stiffness": 0.0}
-    rows = {axis: values.get(axis, {**none, "mass": masses[axis]}) for axis in AXES}
+    rows = damped_rows(values)
     parameters: Tree = {
         "joints": list(options.joints),
         "command_interfaces": ["position"],
@@ -254,7 +272,7 @@ def parameter_tree(
             "mass": [rows[axis]["mass"] for axis in AXES],
             "damping_ratio": [rows[axis]["damping_ratio"] for axis in AXES],
             "stiffness": [rows[axis]["stiffness"] for axis in AXES],
-            "joint_damping": 0.0,
+            "joint_damping": JOINT_DAMPING_PER_S,
         },
         "enable_parameter_update_without_reactivation": False,
     }

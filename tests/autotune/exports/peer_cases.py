@@ -2,8 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+from ruamel.yaml import YAML
+
+from autotune.exports.fzi_cartesian import FziOptions
+from autotune.exports.peers import PeerExport, make_peer
+from autotune.exports.ros2_control import Ros2Options
+from autotune.files.controller import read_controller, write_controller
 from autotune.files.controller_record import (
     AdmittanceRequirement,
     AxisDomain,
@@ -76,6 +83,31 @@ def peer_controller(
         ),
         **parts,
     )
+
+
+EASY = requirements(2.5e-4)
+"""Requirements that a plain law meets."""
+
+
+def exported(folder: Path, controller: Controller, options: Ros2Options | FziOptions) -> PeerExport:
+    write_controller(folder / "controller.yaml", controller)
+    return make_peer(read_controller(folder / "controller.yaml"), options)
+
+
+def load_as_ros(text: str) -> dict[str, Any]:
+    """Read a text as the readers of ROS do: plain YAML 1.1, in which 1e-05 is text and 5 an integer."""
+    reader = YAML(typ="safe", pure=True)
+    reader.version = (1, 1)
+    found: dict[str, Any] = reader.load(text)
+    return found
+
+
+def parameters(made: PeerExport) -> dict[str, Any]:
+    """Return the parameters of the one controller in the text."""
+    tree = load_as_ros(made.text)
+    (name,) = set(tree) - {"controller_manager"}
+    found: dict[str, Any] = tree[name]["ros__parameters"]
+    return found
 
 
 def predicted(gains: AxisGains, domain: AxisDomain) -> AxisPrediction:

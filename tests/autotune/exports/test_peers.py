@@ -8,49 +8,34 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ruamel.yaml import YAML
 
 from autotune.errors import CertificateError, InfeasibleError, UsageError
 from autotune.exports import fzi_cartesian, peers, ros2_control
 from autotune.exports import retune as retune_module
 from autotune.exports.fzi_cartesian import FziOptions
-from autotune.exports.peers import PEERS, PeerExport, export_peer, make_peer, peer_options
+from autotune.exports.peers import PEERS, PeerExport, export_peer, peer_options
 from autotune.exports.retune import QuickJudge, retune
-from autotune.exports.ros2_control import Ros2Axis, Ros2Options
-from autotune.exports.ros_yaml import check_keys
+from autotune.exports.ros2_control import JOINT_DAMPING_PER_S, Ros2Axis, Ros2Options
 from autotune.exports.targets import PEER_TARGETS
-from autotune.files.controller import read_controller, write_controller
-from autotune.files.controller_record import AxisGains, Controller
+from autotune.files.controller import write_controller
+from autotune.files.controller_record import AxisGains
 from autotune.validation.law import AxisTask, LawCertificate, certify_law
-from problems.errors import ParameterError
-from problems.law_contact import force_per_speed
 from problems.laws import LinearLaw
 from problems.peer_laws import SpringAdmittance, alternates
 from problems.uncertainty import Scenario
-from tests.autotune.exports.peer_cases import CELL, LEAD, PERIOD_S, PLAIN, peer_controller, requirements, task_of
-
-EASY = requirements(2.5e-4)
-
-
-def exported(folder: Path, controller: Controller, options: Ros2Options | FziOptions) -> PeerExport:
-    write_controller(folder / "controller.yaml", controller)
-    return make_peer(read_controller(folder / "controller.yaml"), options)
-
-
-def load_as_ros(text: str) -> dict[str, Any]:
-    """Read a text as the readers of ROS do: plain YAML 1.1, in which 1e-05 is text and 5 an integer."""
-    reader = YAML(typ="safe", pure=True)
-    reader.version = (1, 1)
-    found: dict[str, Any] = reader.load(text)
-    return found
-
-
-def parameters(made: PeerExport) -> dict[str, Any]:
-    """Return the parameters of the one controller in the text."""
-    tree = load_as_ros(made.text)
-    (name,) = set(tree) - {"controller_manager"}
-    found: dict[str, Any] = tree[name]["ros__parameters"]
-    return found
+from tests.autotune.exports.peer_cases import (
+    CELL,
+    EASY,
+    LEAD,
+    PERIOD_S,
+    PLAIN,
+    exported,
+    load_as_ros,
+    parameters,
+    peer_controller,
+    requirements,
+    task_of,
+)
 
 
 @pytest.fixture(scope="module")
@@ -73,8 +58,9 @@ def test_gains_that_the_other_controller_can_express_are_translated(plain: PeerE
     assert axis.tuned_because is None
     rule = parameters(plain)["admittance"]
     assert rule["mass"][0] == PLAIN.mass
-    # 2 ζ √(M S) is the damping, to the six digits that are written.
+    # 2 ζ √(M S) and what the joints take are the damping, to the six digits that are written.
     damping = 2.0 * rule["damping_ratio"][0] * np.sqrt(rule["mass"][0] * rule["stiffness"][0])
+    damping += rule["joint_damping"] * rule["mass"][0]
     assert damping == pytest.approx(PLAIN.damping, rel=1e-5)
     # The same law but for Euler's rule and a weak spring: nearly the same peak.
     assert axis.peak_n == pytest.approx(axis.peak_before_n, rel=0.03)
@@ -148,9 +134,10 @@ def test_what_an_infeasible_search_misses_is_told_whole_and_nothing_in_its_box_m
     assert len(shares) == 2
     assert shares[0] == pytest.approx(shares[1], abs=0.3)
     judge, rng = QuickJudge(task, retune_module._first_scenarios(task), 0.004), np.random.default_rng(4)
-    numbers = re.search(r"mass (\S+), damping_ratio (\S+),", str(caught.value))
+    numbers = re.search(r"mass (\S+), damping_ratio (\S+), stiffness (\S+);", str(caught.value))
     assert numbers is not None
-    mass, damping = float(numbers[1]), 2.0 * float(numbers[2]) * np.sqrt(float(numbers[1]))
+    mass, ratio, stiffness = (float(each) for each in numbers.groups())
+    damping = 2.0 * ratio * np.sqrt(mass * stiffness) + JOINT_DAMPING_PER_S * mass
     low, high = (np.log([getattr(each, end) for each in axis.variables]) for end in ("low", "high"))
     near = np.log([mass / damping, damping]) + rng.uniform(-0.1, 0.1, (60, 2))
     least = min(judge.cost(axis.law(tuple(point))) for point in np.exp(np.clip(near, low, high)))
@@ -164,14 +151,14 @@ def test_the_law_s_own_speed_is_not_left_to_change_sign_in_every_cycle(tmp_path:
     made = exported(tmp_path, peer_controller({"x": steep}, asked), Ros2Options())
     assert made.axes[0].tuned_because is not None
     assert "sign of its speed" in made.axes[0].tuned_because
-    rule = SpringAdmittance(**made.axes[0].written, joint_damping_per_s=0.0, filter_coefficient=1.0)
+    rule = SpringAdmittance(**made.axes[0].written, joint_damping_per_s=JOINT_DAMPING_PER_S, filter_coefficient=1.0)
     # The peak wants as little mass as there may be.
     assert 0.0 <= rule.own_pole(PERIOD_S) < 1e-4
     assert made.axes[0].certificate.holds
-    assert "M ≥ h·D keeps it from being negative" in re.sub(r"\n#\s*", " ", made.text)
+    assert "M ≥ h·(D + J·M) keeps it from being negative" in re.sub(r"\n#\s*", " ", made.text)
     # What such a search would find without that floor has all that is asked, and is refused.
     task = task_of(peer_controller({"x": steep}, asked))
-    ratio = rule.damping / (2.0 * np.sqrt(1.69275))
+    ratio = rule.damping / (2.0 * np.sqrt(1.69275 * rule.stiffness))
     light = replace(rule, mass=1.69275, damping_ratio=float(ratio)).law(PERIOD_S)
     assert certify_law(task, light).holds
     stiff = Scenario(environment_stiffness_n_per_m=1.2e5, payload_mass_kg=16.0)
@@ -252,86 +239,6 @@ def test_the_header_names_source_version_rate_and_what_was_dropped(tuned: PeerEx
     assert load_as_ros(tuned.text)["controller_manager"]["ros__parameters"]["update_rate"] == 1250
 
 
-def test_hidden_damping_and_filter_are_switched_off_and_the_weight_is_in_newtons(plain: PeerExport) -> None:
-    found = parameters(plain)
-    assert found["admittance"]["joint_damping"] == 0.0
-    assert found["ft_sensor"]["filter_coefficient"] == 1.0
-    assert found["gravity_compensation"]["CoG"] == {"pos": [0.01, -0.02, 0.1], "force": 156.9064}
-    assert found["enable_parameter_update_without_reactivation"] is False
-
-
-def test_the_return_spring_is_told_and_axes_that_were_not_tuned_stay(plain: PeerExport) -> None:
-    found = parameters(plain)["admittance"]
-    assert found["selected_axes"] == [True, False, False, False, False, False]
-    assert found["stiffness"] == [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-    assert found["mass"][:3] == [PLAIN.mass] * 3
-    assert "0.1 N per 100 mm, with a time constant of 3e+03 s" in re.sub(r"\n#\s*", " ", plain.text)
-    assert plain.axes[0].certificate.spring_share is not None
-
-
-def test_a_strong_filter_is_certified_as_it_is() -> None:
-    """The default coefficient delays the force so much that the translated gains no longer hold."""
-    task = task_of(peer_controller({"x": PLAIN}, EASY))
-    filtered = Ros2Axis(task=task, gains=PLAIN, options=Ros2Options(filter_coefficient=0.05))
-    open_ = Ros2Axis(task=task, gains=PLAIN, options=Ros2Options())
-    late, plain = (certify_law(task, axis.law(axis.translated)) for axis in (filtered, open_))
-    assert plain.margins is not None
-    assert late.margins is None or late.margins.values["modulus"] < 0.95 * plain.margins.values["modulus"]
-
-
-@pytest.mark.parametrize(
-    ("version", "common"), [("6.3.0", True), ("6.4.0", False), ("jazzy", True), ("rolling", False)]
-)
-def test_masses_are_common_where_they_are_read_in_the_base_frame(tmp_path: Path, version: str, common: bool) -> None:
-    axes = {"x": PLAIN, "z": replace(PLAIN, mass=9.0)}
-    made = exported(tmp_path, peer_controller(axes, EASY), Ros2Options(version=version))
-    assert parameters(made)["admittance"]["mass"][:3] == ([9.0, 9.0, 9.0] if common else [8.0, 9.0, 9.0])
-    assert ("in the frame of kinematics.base" in re.sub(r"\n#\s*", " ", made.text)) == common
-    # What is written was certified with its common mass.
-    assert made.axes[0].written["mass"] == (9.0 if common else 8.0)
-    assert made.axes[0].tuned_because is None
-
-
-def test_a_common_mass_is_kept_by_a_search_and_is_enough_for_every_damping() -> None:
-    """Equal masses would part if each axis were tuned by itself; the most damped axis needs the most mass."""
-    task = task_of(peer_controller({"x": PLAIN}, EASY))
-    for mass, common in ((PLAIN.mass, PLAIN.mass), (1.0, PERIOD_S * PLAIN.damping)):
-        gains = {"x": replace(PLAIN, mass=mass, damping=500.0), "z": replace(PLAIN, mass=mass)}
-        axes = {name: Ros2Axis(task=task, gains=each, options=Ros2Options()) for name, each in gains.items()}
-        for axis in ros2_control.with_common_masses(axes, (4, 41, 0)).values():
-            assert axis.written(tuple(each.high for each in axis.variables))["mass"] == pytest.approx(common, rel=1e-4)
-            assert not alternates(axis.law(axis.translated))
-        assert ros2_control.with_common_masses(axes, (6, 4, 0)) == axes
-
-
-def test_forward_dynamics_leads_by_its_derivative_and_drops_the_mass(fzi: PeerExport) -> None:
-    (axis,) = fzi.axes
-    gains = parameters(fzi)["pd_gains"]
-    assert gains["trans_z"] == {"p": axis.written["p"], "d": axis.written["d"]}
-    assert gains["trans_x"] == gains["rot_z"] == {"p": 0.0, "d": 0.0}
-    assert "axis z: mass M_a = 8 kg (it is not free)" in fzi.dropped
-    assert not any("lead" in line for line in fzi.dropped)
-    assert axis.certificate.holds
-    assert axis.certificate.admittance is not None
-    # The speed per force is that of the file where the gains were translated, and as certified in any case.
-    told = re.search(r"rendered damping (\d+\.?\d*)", axis.notes[0])
-    assert told is not None
-    hand = axis.certificate.admittance.hand_force_n_per_m_s
-    assert float(told[1]) == pytest.approx(hand - CELL.drag_n_s_per_m, rel=1e-3)
-
-
-def test_a_translated_gain_of_forward_dynamics_moves_as_fast_as_the_file_s_damping() -> None:
-    task = task_of(peer_controller({"x": PLAIN}, EASY))
-    axis = fzi_cartesian.FziAxis(task, PLAIN, FziOptions())
-    found = force_per_speed(axis.pair, axis.law(axis.translated))
-    assert found == pytest.approx(PLAIN.damping + CELL.drag_n_s_per_m, rel=1e-4)
-
-
-def test_a_misspelt_key_does_not_get_out() -> None:
-    with pytest.raises(ParameterError, match=r"pd_gains\.trans_x\.D"):
-        check_keys({"pd_gains": {"trans_x": {"p": 1.0, "D": 0.0}}}, fzi_cartesian.KNOWN_KEYS)
-
-
 def test_a_rotational_axis_has_its_own_units_and_places(tmp_path: Path) -> None:
     turning = replace(CELL, drag_n_s_per_m=13.2, payload_mass_kg=(0.64, 0.64), coupling_damping_n_s_per_m=6.0)
     turning = replace(
@@ -355,7 +262,9 @@ def test_a_rotational_axis_has_its_own_units_and_places(tmp_path: Path) -> None:
         ({"return_stiffness": 0.0}, "2ζ√"),
         ({"filter_coefficient": 0.0}, "above 0"),
         ({"version": "7.0.0"}, "4.0.0 to 6.x"),
-        ({"version": "iron"}, "jazzy, kilted, rolling"),
+        ({"version": "iron"}, "humble, jazzy, kilted, lyrical, rolling"),
+        ({"version": "2.53.0"}, "2.x from 2.54.0 on"),
+        ({"version": "3.9.0"}, "from 4.0.0 to 6.x"),
         ({"joints": ("a", "a")}, "each once"),
         ({"base_link": "base link"}, "is no name"),
     ],
