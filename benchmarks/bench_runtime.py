@@ -17,13 +17,38 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from autotune.exports.c_source import render_c
-from autotune.runtime import AXES, START, AxisLaw, CollisionResponse, Payload, RuntimeController, step
+from autotune.runtime import (
+    AXES,
+    START,
+    AxisLaw,
+    AxisLimits,
+    CollisionResponse,
+    Limits,
+    Payload,
+    RuntimeController,
+    State,
+    step,
+)
 from benchmarks.timing import best
 
 PERIOD_S = 8e-4
 STEPS = 2000
 C_STEPS = 1_000_000
 PROCESSES = 7
+
+# The readings of the loop are those of no cell: only what moves nothing at the start is kept short.
+LIMITS = Limits(
+    force_n=1e3,
+    torque_n_m=1e3,
+    axes=dict.fromkeys(AXES, AxisLimits(speed=1e3, acceleration=1e6)),
+    pose_speed_m_s=10.0,
+    pose_speed_rad_s=10.0,
+    stale_wrench_s=0.02,
+    stale_pose_s=0.1,
+    rest_samples=1,
+    rest_force_n=1e3,
+    rest_torque_n_m=1e3,
+)
 
 LOOP = """
 #include "cell.h"
@@ -41,6 +66,7 @@ int main(int count, char **words)
     for (k = 0; k < 2; ++k) {
         int i;
         for (i = 0; i < 6; ++i) readings[k].wrench_S[i] = k ? 30.0 : -20.0;
+        readings[k].has_tick = 1;
         readings[k].R_WS[0] = readings[k].R_WS[4] = readings[k].R_WS[8] = 1.0;
     }
     readings[1].R_WS[1] = -s;
@@ -49,6 +75,7 @@ int main(int count, char **words)
     cell_start(&state);
     clock_gettime(CLOCK_MONOTONIC, &begin);
     for (k = 0; k < steps; ++k) {
+        readings[k & 1].tick = (uint32_t)k;
         if (cell_step(&state, &cell_file_payload, &readings[k & 1], &command)) return 1;
         sum += command.increment_S[0];
     }
@@ -101,6 +128,7 @@ def example() -> RuntimeController:
         response=CollisionResponse.RESET,
         threshold_n=150.0,
         payload=payload,
+        limits=LIMITS,
     )
 
 
@@ -111,10 +139,14 @@ def _python_s(controller: RuntimeController) -> float:
     )
 
     def run() -> None:
-        state = START
-        for _ in range(STEPS // 2):
-            state, _ = step(controller, state, wrench_S=(-20.0,) * 6, position_W_m=(0.0, 0.0, 0.0), R_WS=level)
-            state, _ = step(controller, state, wrench_S=(30.0,) * 6, position_W_m=(1e-4, 0.0, 0.0), R_WS=turned)
+        state: State = START
+        for k in range(0, STEPS, 2):
+            state, _ = step(controller, state, wrench_S=(-20.0,) * 6, position_W_m=(0.0, 0.0, 0.0), R_WS=level, tick=k)
+            state, command = step(
+                controller, state, wrench_S=(30.0,) * 6, position_W_m=(1e-4, 0.0, 0.0), R_WS=turned, tick=k + 1
+            )
+        if command.fault:
+            raise RuntimeError(command.fault.name)
 
     return best(run, 5) / STEPS
 

@@ -13,8 +13,19 @@ from autotune.errors import UsageError
 from autotune.files.atomic import write_atomic
 from autotune.files.canonical import short
 from autotune.files.controller import read_controller
+from autotune.runtime.controller import SAME_SAMPLE_TIME, RuntimeController
 from autotune.runtime.frames import LARGEST_SKEW, LARGEST_WAY, SMALLEST_TRACE
-from autotune.runtime.law import SAME_SAMPLE_TIME, AxisLaw, CollisionResponse, RuntimeController
+from autotune.runtime.guard import (
+    ACROSS,
+    LEAST_SHARE,
+    MEAN_PERIODS,
+    MOST_HELD,
+    MOST_PERIODS,
+    UNFELT_WAY,
+    UNSEEN_WAY,
+    WEIGHT_WAY,
+)
+from autotune.runtime.law import AxisLaw, CollisionResponse
 from autotune.runtime.load import read_law
 
 from .c_header import HEADER
@@ -55,7 +66,7 @@ def export_c(path: Path | str, out: Path | str) -> str:
 
 def render_c(controller: RuntimeController, name: str, provenance: Mapping[str, Any]) -> CSource:
     """Return header and source whose functions begin with `name`; every number is the exact double, in hexadecimal."""
-    payload, threshold = controller.payload, controller.threshold_n
+    payload, threshold, guard = controller.payload, controller.threshold_n, controller.guard
     words = {
         "prefix": name,
         "PREFIX": name.upper(),
@@ -65,7 +76,7 @@ def render_c(controller: RuntimeController, name: str, provenance: Mapping[str, 
         "head": short(controller.checksum),
         "tuned": len(controller.axes),
         "response": _RESPONSES.index(controller.response),
-        "laws": ",\n".join(map(_law, controller.axes)),
+        "laws": ",\n".join(map(_law, controller.axes, guard.speeds, guard.changes)),
         "threshold": _number(0.0 if controller.response is CollisionResponse.NONE else threshold),
         "sample_time": _number(controller.sample_time_s),
         "mass": _number(payload.mass_kg),
@@ -77,9 +88,38 @@ def render_c(controller: RuntimeController, name: str, provenance: Mapping[str, 
         "way": _number(LARGEST_WAY),
         "trace": _number(SMALLEST_TRACE),
         "same": _number(SAME_SAMPLE_TIME),
+        **_limits(controller),
     }
     header, source = _fill(HEADER, words), _fill(SOURCE_DATA + SOURCE_CODE, words)
     return CSource(header=header, source=source)
+
+
+def _limits(controller: RuntimeController) -> dict[str, object]:
+    guard, limits = controller.guard, controller.limits
+    numbers = {
+        "force": limits.force_n,
+        "torque": limits.torque_n_m,
+        "way_m": guard.way_m,
+        "way_rad": guard.way_rad,
+        "rest_force": guard.rest_force,
+        "rest_torque": guard.rest_torque,
+        "least_weight": guard.least_weight,
+        "mean_periods": MEAN_PERIODS,
+        "least_share": LEAST_SHARE,
+        "across": ACROSS,
+        "weight_way": WEIGHT_WAY,
+        "unfelt": UNFELT_WAY,
+        "unseen": UNSEEN_WAY,
+    }
+    return {
+        **{name: _number(value) for name, value in numbers.items()},
+        "wrench_periods": guard.wrench_periods,
+        "pose_periods": guard.pose_periods,
+        "weight_periods": guard.weight_periods,
+        "rest_samples": limits.rest_samples,
+        "most_held": MOST_HELD,
+        "most_periods": MOST_PERIODS,
+    }
 
 
 def _fill(text: str, words: Mapping[str, object]) -> str:
@@ -107,9 +147,9 @@ def _mapping(value: Any) -> dict[str, Any]:
     return dict(value)
 
 
-def _law(axis: AxisLaw) -> str:
+def _law(axis: AxisLaw, speed: float, change: float) -> str:
     rows = ",\n".join(f"            {{{_numbers(axis.blocks[row, i] for i in range(3))}}}" for row in range(6))
-    numbers = _numbers((axis.deadband, *axis.payload_range))
+    numbers = _numbers((axis.deadband, *axis.payload_range, speed, change))
     start = f"    {{{axis.index}, {int(axis.is_subtractive)}, {numbers}, /* {axis.name} */"
     return f"{start}\n        {{\n{rows}\n        }}}}"
 

@@ -21,6 +21,8 @@ typedef struct {
     double deadband;
     double low;
     double high;
+    double speed;  /* largest, and its largest change in a period */
+    double change;
     double b[6][3];
 } law_of_axis;
 
@@ -28,6 +30,17 @@ static const law_of_axis laws[TUNED] = {
 $laws
 };
 static const double threshold_n = $threshold;
+
+/* The limits in periods: ways per period (m, rad), numbers of periods, squares of magnitudes. */
+static const double force_n = $force;
+static const double torque_n_m = $torque;
+static const double way_m = $way_m;
+static const double way_rad = $way_rad;
+static const double rest_force = $rest_force;
+static const double rest_torque = $rest_torque;
+static const double least_weight = $least_weight;
+enum { WRENCH_PERIODS = $wrench_periods, POSE_PERIODS = $pose_periods, WEIGHT_PERIODS = $weight_periods };
+enum { REST_SAMPLES = $rest_samples, MOST_HELD = $most_held, MOST_PERIODS = $most_periods };
 
 const char $prefix_checksum[65] = "$checksum";
 const double $prefix_sample_time_s = $sample_time;
@@ -115,7 +128,8 @@ static void external_wrench(const $prefix_payload *p, const double raw[6], const
 }
 
 /* The way from one pose to the next in the axes of S, the angle by the series of arcsin; 0 where it is too long. */
-static int way_between(const double start[3], const double A[9], const double end[3], const double B[9], double out[6])
+static int way_between(const double start[3], const double A[9], const double end[3], const double B[9],
+    double largest_m, double largest_rad, double out[6])
 {
     double u[3][3], v[3][3], path[3], x, y, z, q, trace, per_sine;
     int i;
@@ -133,6 +147,7 @@ static int way_between(const double start[3], const double A[9], const double en
     out[3] = x * per_sine;
     out[4] = y * per_sine;
     out[5] = z * per_sine;
+    if (dot(out, out) > largest_m * largest_m || dot(out + 3, out + 3) > largest_rad * largest_rad) return 0;
     return 1;
 }
 
@@ -183,8 +198,10 @@ static int held($prefix_state *state, $prefix_command *command, int fault)
 {
     int i;
     for (i = 0; i < 6; ++i) command->increment_S[i] = command->twist_S[i] = command->wrench_S[i] = 0.0;
+    command->missing_mass_kg = state->missing_kg;
     command->phase = state->phase;
     command->fault = state->fault = fault;
+    command->is_started = 0;
     return fault;
 }
 
@@ -196,8 +213,132 @@ static void keep_pose($prefix_state *state, const $prefix_reading *reading)
     state->has_pose = 1;
 }
 
-/* Step the tuned axes from `state` into `next`, whose wrench and way are given. */
-static void step_axes(const $prefix_state *state, const double desired[6], const double wrench[6], const double way[6],
+static int are_equal(const double *a, const double *b, int count)
+{
+    int i;
+    for (i = 0; i < count; ++i) {
+        if (a[i] < b[i] || a[i] > b[i]) return 0;
+    }
+    return 1;
+}
+
+static int one_more(int count)
+{
+    return count < MOST_PERIODS ? count + 1 : count;
+}
+
+static int all_below(const double *a, int count, double limit)
+{
+    int i;
+    for (i = 0; i < count; ++i) {
+        if (!(magnitude(a[i]) < limit)) return 0;
+    }
+    return 1;
+}
+
+/* What is wrong with a reading by itself, and with its count. */
+static int unsound(const $prefix_state *state, const $prefix_reading *reading)
+{
+    if (state->has_tick) {
+        uint32_t further = reading->has_tick ? reading->tick - state->tick : 2u;
+        if (further == 0u || further >= 0x80000000u) return ${PREFIX}_REPEATED_TICK;
+        if (further > 1u) return ${PREFIX}_MISSED_TICK;
+    }
+    if (!(are_finite(reading->wrench_S, 6) && are_finite(reading->desired_S, 6) && are_finite(reading->position_W_m, 3)
+            && are_finite(reading->R_WS, 9))) {
+        return ${PREFIX}_NOT_FINITE;
+    }
+    if (!is_rotation(reading->R_WS)) return ${PREFIX}_NOT_A_ROTATION;
+    if (!all_below(reading->wrench_S, 3, force_n)) return ${PREFIX}_FORCE_RANGE;
+    if (!all_below(reading->wrench_S + 3, 3, torque_n_m)) return ${PREFIX}_TORQUE_RANGE;
+    return ${PREFIX}_NO_FAULT;
+}
+
+/* Keep a sound reading: what did not change counts on, what did begins again. */
+static void see($prefix_state *next, const $prefix_reading *reading)
+{
+    int i, still = next->has_pose && are_equal(next->position_W_m, reading->position_W_m, 3)
+        && are_equal(next->R_WS, reading->R_WS, 9);
+    int same = next->has_pose && are_equal(next->wrench, reading->wrench_S, 6);
+    next->wrench_same = same ? one_more(next->wrench_same) : 0;
+    next->wrench_way = same ? next->wrench_way : 0.0;
+    next->pose_same = still ? one_more(next->pose_same) : 0;
+    next->pose_way = still ? next->pose_way : 0.0;
+    next->tick = reading->tick;
+    next->has_tick = reading->has_tick != 0;
+    for (i = 0; i < 6; ++i) next->wrench[i] = reading->wrench_S[i];
+    keep_pose(next, reading);
+}
+
+/* Count what was sent since a reading changed. */
+static void send($prefix_state *next, const double increment[6])
+{
+    double way = 0.0;
+    int i;
+    for (i = 0; i < 6; ++i) way += magnitude(increment[i]);
+    next->wrench_way = next->wrench_way + way;
+    next->pose_way = next->pose_way + way;
+}
+
+/* F g / g^2, the mass whose weight the compensation leaves of the wrench; 0 without gravity. */
+static double missing_mass(const $prefix_payload *p, double square, const double force[3], const double R[9])
+{
+    double down[3];
+    if (!(square > 0.0)) return 0.0;
+    into_sensor(R, p->gravity_W_m_s2, down);
+    return dot(force, down) / square;
+}
+
+/* Take one of the first readings; 1 where their mean is no rest. */
+static int rest($prefix_state *next, const $prefix_payload *p, const double wrench[6])
+{
+    double mean[6];
+    int i;
+    next->resting = next->resting + 1;
+    for (i = 0; i < 6; ++i) next->sums[i] = next->sums[i] + wrench[i];
+    if (next->resting < REST_SAMPLES) return 0;
+    for (i = 0; i < 6; ++i) mean[i] = next->sums[i] / (double)next->resting;
+    next->missing_kg = missing_mass(p, dot(p->gravity_W_m_s2, p->gravity_W_m_s2), mean, next->R_WS);
+    return dot(mean, mean) > rest_force || dot(mean + 3, mean + 3) > rest_torque;
+}
+
+/* 1 where a constant weight that is not compensated moves the command: the payload is another one. */
+static int weigh($prefix_state *next, const $prefix_payload *p, const double force[6], const double increment[6])
+{
+    double square = dot(p->gravity_W_m_s2, p->gravity_W_m_s2), now = missing_mass(p, square, force, next->R_WS);
+    double mean = next->missing_kg + (now - next->missing_kg) / $mean_periods;
+    double along = mean * mean * square, moved = mean - next->weight_kg;
+    double across = dot(force, force) - now * now * square, least = $least_share * p->mass_kg;
+    next->missing_kg = mean;
+    if (!(moved * moved * square <= rest_force && across <= $across * along + rest_force && along >= least_weight
+            && mean * mean >= least * least)) {
+        next->weight_kg = mean;
+        next->weight_since = 0;
+        next->weight_work = 0.0;
+        return 0;
+    }
+    next->weight_since = one_more(next->weight_since);
+    next->weight_work = next->weight_work + dot(force, increment);
+    return next->weight_since >= WEIGHT_PERIODS && next->weight_work > 0.0
+        && next->weight_work * next->weight_work >= $weight_way * $weight_way * along;
+}
+
+/* Which limit of the command a twist breaks. */
+static int too_fast(const double twist[6], const double before[6])
+{
+    int k;
+    for (k = 0; k < TUNED; ++k) {
+        if (magnitude(twist[laws[k].index]) > laws[k].speed) return ${PREFIX}_SPEED;
+    }
+    for (k = 0; k < TUNED; ++k) {
+        int i = laws[k].index;
+        if (magnitude(twist[i] - before[i]) > laws[k].change) return ${PREFIX}_ACCELERATION;
+    }
+    return ${PREFIX}_NO_FAULT;
+}
+
+/* Step the tuned axes from `state` into `next`, whose wrench and way are given; 1 where the command rests. */
+static int step_axes(const $prefix_state *state, const double desired[6], const double wrench[6], const double way[6],
     $prefix_state *next)
 {
     double added[TUNED];
@@ -225,6 +366,7 @@ static void step_axes(const $prefix_state *state, const double desired[6], const
         go_on(laws[k].b, state->command[i] - added[k], u, x, next->control[i]);
         next->command[i] = state->command[i];
     }
+    return resting;
 }
 
 int $prefix_check(const $prefix_payload *payload, double sample_time_s, const double inertia_kg_m2[3])
@@ -245,7 +387,8 @@ int $prefix_check(const $prefix_payload *payload, double sample_time_s, const do
 
 void $prefix_start($prefix_state *state)
 {
-    static const $prefix_state beginning = {{{0.0}}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, 0, 0, 0};
+    static const $prefix_state beginning = {{{0.0}}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, 0.0, 0.0,
+        0.0, 0.0, 0.0, 0, 0, 0, 0, 0, 0, 0, 0, 0};
     *state = beginning;
 }
 
@@ -258,31 +401,53 @@ int $prefix_step($prefix_state *state, const $prefix_payload *payload, const $pr
     $prefix_command *command)
 {
     $prefix_state next = *state;
-    double way[6];
-    int i;
+    double way[6], periods;
+    int i, fault, resting;
     if (state->fault != ${PREFIX}_NO_FAULT) return held(state, command, state->fault);
-    if (!(are_finite(reading->wrench_S, 6) && are_finite(reading->desired_S, 6) && are_finite(reading->position_W_m, 3)
-            && are_finite(reading->R_WS, 9))) {
-        return held(state, command, ${PREFIX}_NOT_FINITE);
-    }
-    if (!is_rotation(reading->R_WS)) return held(state, command, ${PREFIX}_NOT_A_ROTATION);
-    keep_pose(&next, reading);
+    fault = unsound(state, reading);
+    if (fault != ${PREFIX}_NO_FAULT) return held(state, command, fault);
+    see(&next, reading);
+    periods = (double)(state->pose_same + 1 < MOST_HELD ? state->pose_same + 1 : MOST_HELD);
     if (!way_between(state->has_pose ? state->position_W_m : next.position_W_m,
-            state->has_pose ? state->R_WS : next.R_WS, next.position_W_m, next.R_WS, way)) {
+            state->has_pose ? state->R_WS : next.R_WS, next.position_W_m, next.R_WS, way_m * periods, way_rad * periods,
+            way)) {
         return held(state, command, ${PREFIX}_JUMP);
     }
     external_wrench(payload, reading->wrench_S, reading->R_WS, command->wrench_S);
-    step_axes(state, reading->desired_S, command->wrench_S, way, &next);
+    if (!are_finite(command->wrench_S, 6)) return held(state, command, ${PREFIX}_NOT_FINITE);
+    command->phase = next.phase;
+    command->fault = ${PREFIX}_NO_FAULT;
+    if (state->resting < REST_SAMPLES) {
+        fault = rest(&next, payload, command->wrench_S);
+        *state = next;
+        if (fault) return held(state, command, ${PREFIX}_RESIDUAL_WRENCH);
+        for (i = 0; i < 6; ++i) command->increment_S[i] = command->twist_S[i] = 0.0;
+        command->missing_mass_kg = next.missing_kg;
+        command->is_started = 0;
+        return ${PREFIX}_NO_FAULT;
+    }
+    if (next.wrench_same >= WRENCH_PERIODS && next.wrench_way > $unfelt) {
+        return held(state, command, ${PREFIX}_STALE_WRENCH);
+    }
+    if (next.pose_same >= POSE_PERIODS && next.pose_way > $unseen) return held(state, command, ${PREFIX}_STALE_POSE);
+    resting = step_axes(state, reading->desired_S, command->wrench_S, way, &next);
     for (i = 0; i < 6; ++i) {
         command->increment_S[i] = next.command[i] - state->command[i];
-        command->twist_S[i] = command->increment_S[i] / $prefix_sample_time_s;
-        if (!(is_finite(command->wrench_S[i]) && is_finite(command->increment_S[i])
-                && are_finite(next.control[i], 4))) {
+        next.twist[i] = command->twist_S[i] = command->increment_S[i] / $prefix_sample_time_s;
+        if (!(is_finite(next.twist[i]) && are_finite(next.control[i], 4))) {
             return held(state, command, ${PREFIX}_NOT_FINITE);
         }
     }
+    fault = resting ? ${PREFIX}_NO_FAULT : too_fast(next.twist, state->twist);
+    if (fault != ${PREFIX}_NO_FAULT) return held(state, command, fault);
+    if (weigh(&next, payload, command->wrench_S, command->increment_S)) {
+        state->missing_kg = next.missing_kg;
+        return held(state, command, ${PREFIX}_OTHER_PAYLOAD);
+    }
+    send(&next, command->increment_S);
     command->phase = next.phase;
-    command->fault = ${PREFIX}_NO_FAULT;
+    command->missing_mass_kg = next.missing_kg;
+    command->is_started = 1;
     *state = next;
     return ${PREFIX}_NO_FAULT;
 }

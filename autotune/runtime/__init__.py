@@ -1,6 +1,9 @@
 """The cell's side: load a controller file and step its six axes. Needs the YAML parser, and no other library."""
 
-from .law import AXES, AxisLaw, CollisionResponse, Payload, RuntimeController
+from autotune.files.limits import AxisLimits, Limits
+
+from .controller import RuntimeController
+from .law import AXES, AxisLaw, CollisionResponse, Payload
 from .load import load_controller
 from .step import START, Command, Fault, Phase, State, rearm, step
 
@@ -8,9 +11,11 @@ __all__ = [
     "AXES",
     "START",
     "AxisLaw",
+    "AxisLimits",
     "CollisionResponse",
     "Command",
     "Fault",
+    "Limits",
     "Payload",
     "Phase",
     "RuntimeController",

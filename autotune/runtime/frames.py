@@ -15,7 +15,7 @@ Place = tuple[Entry, Nine]
 
 # How far an orientation may be from a rotation: a thousandth of the weight is below every deadband.
 LARGEST_SKEW = 1e-3
-# Farther in one period than any robot goes, m and rad: the pose jumped, or is another one's.
+# Farther between two readings than any robot goes, m and rad, whatever the limits; the series below ends there.
 LARGEST_WAY = 0.1
 # cos of an angle somewhat above LARGEST_WAY, times 2, plus 1: the trace of such a rotation.
 SMALLEST_TRACE = 2.98
@@ -40,7 +40,7 @@ def external_wrench(payload: Payload, wrench: Six, R: Nine) -> Six:
 
     F = F_raw − b_F − m R_WSᵀ g, τ = τ_raw − b_τ − c × m R_WSᵀ g. Like F_raw it is the payload's force on the flange.
     """
-    weight = _into_sensor(R, payload.gravity_W_m_s2)
+    weight = into_sensor(R, payload.gravity_W_m_s2)
     weight = (payload.mass_kg * weight[0], payload.mass_kg * weight[1], payload.mass_kg * weight[2])
     moment, force, torque = _cross(payload.com_S_m, weight), payload.force_bias_S_n, payload.torque_bias_S_n_m
     return (
@@ -53,14 +53,15 @@ def external_wrench(payload: Payload, wrench: Six, R: Nine) -> Six:
     )
 
 
-def way_between(before: Place, now: Place) -> Six | None:
+def way_between(before: Place, now: Place, largest_m: float = 1.0, largest_rad: float = 1.0) -> Six | None:
     """Return the way from one place to the next (6,): m and the rotation vector in rad, both in the axes of S.
 
-    None where it is longer than `LARGEST_WAY`. The angle θ comes from the sines in R_beforeᵀ R_now by the series of
-    arcsin, whose first term left out is 2e-13 rad at the largest way.
+    None where it is longer than `largest_m` or `largest_rad`, or it or its sine than `LARGEST_WAY`. The angle θ comes
+    from the sines in R_beforeᵀ R_now by the series of arcsin, whose first term left out is 2e-13 rad at the largest
+    way.
     """
     (start, A), (end, B) = before, now
-    path = _into_sensor(B, (end[0] - start[0], end[1] - start[1], end[2] - start[2]))
+    path = into_sensor(B, (end[0] - start[0], end[1] - start[1], end[2] - start[2]))
     u, v = (
         ((A[0], A[3], A[6]), (A[1], A[4], A[7]), (A[2], A[5], A[8])),
         ((B[0], B[3], B[6]), (B[1], B[4], B[7]), (B[2], B[5], B[8])),
@@ -74,10 +75,14 @@ def way_between(before: Place, now: Place) -> Six | None:
     if far or q > LARGEST_WAY * LARGEST_WAY or trace < SMALLEST_TRACE:
         return None
     per_sine = 1.0 + q * (1.0 / 6.0 + q * (3.0 / 40.0 + q * (5.0 / 112.0 + q * (35.0 / 1152.0))))
-    return path[0], path[1], path[2], x * per_sine, y * per_sine, z * per_sine
+    x, y, z = x * per_sine, y * per_sine, z * per_sine
+    if _dot(path, path) > largest_m * largest_m or x * x + y * y + z * z > largest_rad * largest_rad:
+        return None
+    return path[0], path[1], path[2], x, y, z
 
 
-def _into_sensor(R: Nine, vector: Entry) -> Entry:
+def into_sensor(R: Nine, vector: Entry) -> Entry:
+    """Return R_WSᵀ v, a vector of W in the axes of S."""
     x, y, z = vector
     return R[0] * x + R[3] * y + R[6] * z, R[1] * x + R[4] * y + R[7] * z, R[2] * x + R[5] * y + R[8] * z
 

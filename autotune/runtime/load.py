@@ -7,11 +7,14 @@ from typing import Any
 
 from autotune.errors import CertificateError, UsageError
 from autotune.files.canonical import checksum, short
+from autotune.files.limits import AxisLimits, Limits
 from autotune.files.schema import check_format, explain, load_schema, refuse_first
 from autotune.files.yaml12 import Document, load_document
 from problems.errors import ParameterError
 
-from .law import AXES, AxisLaw, CollisionResponse, Payload, RuntimeController
+from .controller import RuntimeController
+from .default_limits import default_limits
+from .law import AXES, AxisLaw, CollisionResponse, Payload
 from .schema_check import breaches
 
 _SHORT, _LONG = 8, 64
@@ -27,6 +30,8 @@ def load_controller(
     expected_checksum: str | None = None,
 ) -> RuntimeController:
     """Return the controller of a file, verified and found right for this cell.
+
+    A file of an earlier release, without `limits`, gets those of `default_limits`.
 
     `sample_time_s` is the period of the cell's loop, `payload_mass_kg` what it carries; `payload_inertia_kg_m2` by
     axis what it weighs about each of rx, ry, rz that is tuned. `payload` replaces the file's gravity compensation when
@@ -79,6 +84,8 @@ def _check_claims(document: Document) -> None:
     if certificate["sample_time_s"] != tree["sample_time_s"]:
         told = f"{certificate['sample_time_s']:g} s, but the controller runs every {tree['sample_time_s']:g} s."
         document.refuse(("certificate", "sample_time_s"), f"the certificate is for {told}")
+    if "limits" in tree and set(tree["limits"]["axes"]) != set(tree["axes"]):
+        document.refuse(("limits", "axes"), f"limits.axes must hold the tuned axes, {', '.join(tree['axes'])}.")
     for axis in tree["axes"]:
         if axis not in certificate["domain"]:
             document.refuse(("certificate", "domain"), f"the certificate does not speak of axis {axis}.")
@@ -102,7 +109,13 @@ def _law(tree: Mapping[str, Any]) -> RuntimeController:
             force_bias_S_n=payload["force_bias_n"],
             torque_bias_S_n_m=payload["torque_bias_n_m"],
         ),
+        limits=_limits(tree["limits"]) if "limits" in tree else default_limits(tree),
     )
+
+
+def _limits(tree: Mapping[str, Any]) -> Limits:
+    axes = {name: AxisLimits(**each) for name, each in tree["axes"].items()}
+    return Limits(**{**tree, "axes": axes})
 
 
 def _axis(tree: Mapping[str, Any], name: str) -> AxisLaw:

@@ -1,21 +1,23 @@
 """One period of the six-axis controller: from the raw wrench and the measured pose to how the command goes on."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
 from problems.difference import controller_step, measured_motion, opposes, resume, through_deadband
-from problems.errors import ParameterError
 
+from .arguments import TICKS, each_of, place_of, six, tick_of
+from .controller import RuntimeController
 from .frames import Nine, Place, Six, external_wrench, is_rotation, way_between
-from .law import AxisLaw, CollisionResponse, RuntimeController
+from .guard import MOST_HELD, UNFELT_WAY, UNSEEN_WAY, Guard, Watch, rest, see, send, weigh
+from .law import AxisLaw, CollisionResponse
 
 NOTHING: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class Fault(IntEnum):
-    """Why the command is held. A fault lasts until the controller is started again from `START`."""
+    """Why the command is held. A fault lasts until the controller is started again from `START`, at rest."""
 
     NONE = 0
     NOT_FINITE = 1
@@ -23,7 +25,27 @@ class Fault(IntEnum):
     NOT_A_ROTATION = 2
     """R_WS is no rotation."""
     JUMP = 3
-    """The pose went farther in one period than a robot goes."""
+    """The measured pose went faster than `limits.pose_speed_m_s` or `limits.pose_speed_rad_s`."""
+    FORCE_RANGE = 4
+    """A component of the raw force reached `limits.force_n`."""
+    TORQUE_RANGE = 5
+    """A component of the raw torque reached `limits.torque_n_m`."""
+    SPEED = 6
+    """The command of an axis would be faster than `limits.axes.<axis>.speed`."""
+    ACCELERATION = 7
+    """The speed of the command of an axis would change faster than `limits.axes.<axis>.acceleration`."""
+    STALE_WRENCH = 8
+    """The wrench did not change for `limits.stale_wrench_s` while the command moved."""
+    STALE_POSE = 9
+    """The pose did not change for `limits.stale_pose_s` while the command moved."""
+    RESIDUAL_WRENCH = 10
+    """At the start the compensation left more than `limits.rest_force_n` or `limits.rest_torque_n_m`."""
+    OTHER_PAYLOAD = 11
+    """A constant weight that is not compensated moves the command: the payload is gone, or is another one."""
+    MISSED_TICK = 12
+    """The caller's count went on by more than one period, or is not given any more."""
+    REPEATED_TICK = 13
+    """The caller's count did not go on."""
 
 
 class Phase(IntEnum):
@@ -44,23 +66,31 @@ class AxisState(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the controller keeps from one period to the next; x and x^d count from the pose at the start."""
+    """What the controller keeps from one period to the next; x and x^d count from the pose at the start.
+
+    `twist` is the command's last speed, `tick` the caller's last count, None without one.
+    """
 
     place: Place | None = None
     axes: tuple[AxisState, ...] = (AxisState(),) * 6
     phase: Phase = Phase.WATCHING
     fault: Fault = Fault.NONE
+    twist: Six = NOTHING
+    watch: Watch = Watch()
+    tick: int | None = None
 
 
 START = State()
-"""Before the first period; the robot should stand, since its motion is told by the poses from here on."""
+"""Before the first period: the robot stands, and nothing touches it; its motion is that of the poses from here on."""
 
 
 class Command(NamedTuple):
     """How the commanded pose goes on, (6,) each: x y z, then rx ry rz, in the axes of S as measured.
 
     `increment_S` is x^d_k − x^d_{k−1} in m and rad, `twist_S` the same per second. Axes that the file does not tune
-    stand still. `wrench_S` is the measured wrench without weight and bias, before the deadband.
+    stand still. `wrench_S` is the measured wrench without weight and bias, before the deadband. `is_started` is False
+    while the first readings are held against rest, and nothing moves. `missing_mass_kg` is what the compensation leaves
+    along gravity as a mass: of the mean of these readings, later of the last ones. Positive: the cell carries more.
     """
 
     increment_S: Six
@@ -68,6 +98,8 @@ class Command(NamedTuple):
     wrench_S: Six
     phase: Phase
     fault: Fault
+    is_started: bool
+    missing_mass_kg: float
 
 
 class _Tick(NamedTuple):
@@ -87,33 +119,56 @@ def step(
     position_W_m: Sequence[float],
     R_WS: Sequence[Sequence[float]],
     desired_S: Sequence[float] = NOTHING,
+    tick: int | None = None,
 ) -> tuple[State, Command]:
     """Return the state after this period and the command in it; call it once per `sample_time_s`.
 
     `wrench_S` (6,) is the raw F/T sensor, N and N·m: what the payload puts on the flange, in the sensor's axes about
     its origin. `position_W_m` (3,) and `R_WS` (3, 3), v_W = R_WS v_S, are the measured pose of the sensor frame.
-    `desired_S` (6,) is F^d, positive presses along the axis. Per axis, with F out of gravity compensation and deadband,
-    u = F^d + F + P̂ O_a x and x^d = A(1 + C_ff) u − C_fb x in their Tustin form (MODEL.md, "Continuous blocks"); x is
-    how far the sensor frame went along, or turned about, its own axis since the start.
+    `desired_S` (6,) is F^d, positive presses along the axis. `tick` is the caller's count of the periods, one more in
+    each (a counter of 32 bits may begin again at 0); without it periods that are left out are not noticed. Per axis,
+    with F out of gravity compensation and deadband, u = F^d + F + P̂ O_a x and x^d = A(1 + C_ff) u − C_fb x in their
+    Tustin form (MODEL.md, "Continuous blocks"); x is how far the sensor frame went along, or turned about, its own axis
+    since the start.
 
-    After a collision, the first F that opposes the motion of x, y or z beyond the threshold, all axes hold their
-    command for one period and go on from rest ("reset"), or hold it until `rearm` ("stop"). A reading that is not
-    finite, no pose or a jump holds the command of all axes from then on, see `Fault`.
+    The first `limits.rest_samples` readings move nothing: their mean must be that of a robot at rest which nothing
+    touches. After a collision, the first F that opposes the motion of x, y or z beyond the threshold, all axes hold
+    their command for one period and go on from rest ("reset"), or hold it until `rearm` ("stop"). What is not within
+    `controller.limits`, not finite or no pose holds the command of all axes from then on, see `Fault`.
 
     Raises ParameterError: an argument has another shape, or holds something that is no number.
     """
-    wrench, desired = _six("wrench_S", wrench_S), _six("desired_S", desired_S)
-    place = _place(position_W_m, R_WS)
+    wrench, desired = six("wrench_S", wrench_S), six("desired_S", desired_S)
+    place, count = place_of(position_W_m, R_WS), tick_of(tick)
     if state.fault is not Fault.NONE:
         return _held(state, state.fault)
-    if not all(map(math.isfinite, (*wrench, *desired, *place[0], *place[1]))):
-        return _held(state, Fault.NOT_FINITE)
-    if not is_rotation(place[1]):
-        return _held(state, Fault.NOT_A_ROTATION)
-    way = way_between(state.place or place, place)
+    fault = _unsound(controller, state, wrench, desired, place, count)
+    way = None if fault is not Fault.NONE else _way(controller, state, place)
     if way is None:
-        return _held(state, Fault.JUMP)
+        return _held(state, fault or Fault.JUMP)
+    seen = state._replace(place=place, tick=count, watch=see(state.watch, wrench, state.place, place))
     external = external_wrench(controller.payload, wrench, place[1])
+    if not all(map(math.isfinite, external)):
+        return _held(state, Fault.NOT_FINITE)
+    if seen.watch.resting < controller.limits.rest_samples:
+        return _at_rest(controller, seen, external, place[1])
+    fault = _stale(controller.guard, seen.watch)
+    if fault is not Fault.NONE:
+        return _held(seen, fault)
+    return _moved(controller, seen, desired, external, way)
+
+
+def _at_rest(controller: RuntimeController, state: State, external: Six, R: Nine) -> tuple[State, Command]:
+    """Return what follows one of the first readings, which move nothing."""
+    watch, is_loaded = rest(controller.guard, controller.payload, state.watch, external, R)
+    state = state._replace(watch=watch)
+    if is_loaded:
+        return _held(state, Fault.RESIDUAL_WRENCH)
+    return state, Command(NOTHING, NOTHING, external, state.phase, Fault.NONE, False, watch.missing_kg)
+
+
+def _moved(controller: RuntimeController, state: State, desired: Six, external: Six, way: Six) -> tuple[State, Command]:
+    """Return what follows a sound reading: the law of every axis, and the command unless a limit forbids it."""
     ticks = [
         _tick(axis, state.axes[axis.index], desired[axis.index], external[axis.index], way[axis.index])
         for axis in controller.axes
@@ -122,12 +177,72 @@ def step(
     axes = list(state.axes)
     for axis, tick in zip(controller.axes, ticks, strict=True):
         axes[axis.index] = _rest(axis, state.axes[axis.index], tick) if resting else tick.following
-    following = State(place, tuple(axes), phase, Fault.NONE)
-    increment = _differences(following, state)
-    if not all(map(math.isfinite, (*external, *increment, *(each for axis in axes for each in axis.control)))):
+    increment = _differences(axes, state.axes)
+    twist = each_of(value / controller.sample_time_s for value in increment)
+    if not all(map(math.isfinite, (*twist, *(each for axis in axes for each in axis.control)))):
         return _held(state, Fault.NOT_FINITE)
-    twist = _each(value / controller.sample_time_s for value in increment)
-    return following, Command(increment, twist, external, phase, Fault.NONE)
+    fault = Fault.NONE if resting else _too_fast(controller, twist, state.twist)
+    watch, is_other = state.watch, False
+    if fault is Fault.NONE and state.place is not None:
+        watch, is_other = weigh(controller.guard, controller.payload, watch, external, state.place[1], increment)
+    state = state._replace(watch=watch)
+    if fault is not Fault.NONE or is_other:
+        return _held(state, fault or Fault.OTHER_PAYLOAD)
+    following = state._replace(axes=tuple(axes), phase=phase, twist=twist, watch=send(watch, increment))
+    return following, Command(increment, twist, external, phase, Fault.NONE, True, watch.missing_kg)
+
+
+def _unsound(
+    controller: RuntimeController, state: State, wrench: Six, desired: Six, place: Place, count: int | None
+) -> Fault:
+    """Return what is wrong with a reading by itself, and with its count."""
+    fault = _out_of_step(state.tick, count)
+    if fault is not Fault.NONE:
+        return fault
+    if not all(map(math.isfinite, (*wrench, *desired, *place[0], *place[1]))):
+        return Fault.NOT_FINITE
+    if not is_rotation(place[1]):
+        return Fault.NOT_A_ROTATION
+    if not all(abs(each) < controller.limits.force_n for each in wrench[:3]):
+        return Fault.FORCE_RANGE
+    within = all(abs(each) < controller.limits.torque_n_m for each in wrench[3:])
+    return Fault.NONE if within else Fault.TORQUE_RANGE
+
+
+def _out_of_step(before: int | None, count: int | None) -> Fault:
+    """Return what is wrong with the caller's count; None is no count."""
+    if before is None:
+        return Fault.NONE
+    further = 2 if count is None else (count - before) % TICKS
+    if further == 1:
+        return Fault.NONE
+    return Fault.MISSED_TICK if 1 < further < TICKS // 2 else Fault.REPEATED_TICK
+
+
+def _way(controller: RuntimeController, state: State, place: Place) -> Six | None:
+    """Return how far the pose went since the last reading, None for farther than it can in the time since it moved."""
+    periods = float(min(state.watch.pose_same + 1, MOST_HELD))
+    guard = controller.guard
+    return way_between(state.place or place, place, guard.way_m * periods, guard.way_rad * periods)
+
+
+def _stale(guard: Guard, watch: Watch) -> Fault:
+    """Return which reading stands still though the command moves."""
+    if watch.wrench_same >= guard.wrench_periods and watch.wrench_way > UNFELT_WAY:
+        return Fault.STALE_WRENCH
+    if watch.pose_same >= guard.pose_periods and watch.pose_way > UNSEEN_WAY:
+        return Fault.STALE_POSE
+    return Fault.NONE
+
+
+def _too_fast(controller: RuntimeController, twist: Six, before: Six) -> Fault:
+    """Return which limit of the command a twist breaks."""
+    guard, places = controller.guard, [axis.index for axis in controller.axes]
+    if any(abs(twist[i]) > speed for i, speed in zip(places, guard.speeds, strict=True)):
+        return Fault.SPEED
+    if any(abs(twist[i] - before[i]) > change for i, change in zip(places, guard.changes, strict=True)):
+        return Fault.ACCELERATION
+    return Fault.NONE
 
 
 def rearm(state: State) -> State:
@@ -166,38 +281,9 @@ def _rest(axis: AxisLaw, before: AxisState, tick: _Tick) -> AxisState:
 
 
 def _held(state: State, fault: Fault) -> tuple[State, Command]:
-    return state._replace(fault=fault), Command(NOTHING, NOTHING, NOTHING, state.phase, fault)
+    held = Command(NOTHING, NOTHING, NOTHING, state.phase, fault, False, state.watch.missing_kg)
+    return state._replace(fault=fault), held
 
 
-def _differences(now: State, before: State) -> Six:
-    return _each(new.command - old.command for new, old in zip(now.axes, before.axes, strict=True))
-
-
-def _each(values: Iterable[float]) -> Six:
-    x, y, z, rx, ry, rz = values
-    return x, y, z, rx, ry, rz
-
-
-def _six(name: str, values: Sequence[float]) -> Six:
-    numbers = _floats(name, values)
-    if len(numbers) != 6:
-        raise ParameterError(name, values, "6 numbers")
-    return _each(numbers)
-
-
-def _place(position: Sequence[float], rows: Sequence[Sequence[float]]) -> Place:
-    p = _floats("position_W_m", position)
-    nine = [value for row in rows for value in _floats("R_WS", row)]
-    if len(p) != 3:
-        raise ParameterError("position_W_m", position, "3 numbers")
-    if len(rows) != 3 or len(nine) != 9:
-        raise ParameterError("R_WS", rows, "3 rows of 3 numbers")
-    R: Nine = (nine[0], nine[1], nine[2], nine[3], nine[4], nine[5], nine[6], nine[7], nine[8])
-    return (p[0], p[1], p[2]), R
-
-
-def _floats(name: str, values: Sequence[float]) -> list[float]:
-    try:
-        return [float(value) for value in values]
-    except (TypeError, ValueError) as reason:
-        raise ParameterError(name, values, "numbers only") from reason
+def _differences(now: Sequence[AxisState], before: Sequence[AxisState]) -> Six:
+    return each_of(new.command - old.command for new, old in zip(now, before, strict=True))

@@ -2,7 +2,7 @@
 
 import ctypes
 import subprocess
-from ctypes import CDLL, POINTER, Structure, byref, c_double, c_int
+from ctypes import CDLL, POINTER, Structure, byref, c_double, c_int, c_uint32
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from autotune.exports.c_source import CSource
 from tests.autotune.runtime.cases import Reading
 
-FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", "-ffp-contract=off")
+FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic", "-O2", "-ffp-contract=off")
 
 
 class CPayload(Structure):
@@ -30,6 +30,8 @@ class CReading(Structure):
         ("position_W_m", c_double * 3),
         ("R_WS", c_double * 9),
         ("desired_S", c_double * 6),
+        ("tick", c_uint32),
+        ("has_tick", c_int),
     )
 
 
@@ -38,8 +40,10 @@ class CCommand(Structure):
         ("increment_S", c_double * 6),
         ("twist_S", c_double * 6),
         ("wrench_S", c_double * 6),
+        ("missing_mass_kg", c_double),
         ("phase", c_int),
         ("fault", c_int),
+        ("is_started", c_int),
     )
 
 
@@ -51,9 +55,23 @@ class CState(Structure):
         ("command", c_double * 6),
         ("position_W_m", c_double * 3),
         ("R_WS", c_double * 9),
+        ("twist", c_double * 6),
+        ("wrench", c_double * 6),
+        ("sums", c_double * 6),
+        ("wrench_way", c_double),
+        ("pose_way", c_double),
+        ("missing_kg", c_double),
+        ("weight_kg", c_double),
+        ("weight_work", c_double),
+        ("wrench_same", c_int),
+        ("pose_same", c_int),
+        ("resting", c_int),
+        ("weight_since", c_int),
         ("has_pose", c_int),
         ("phase", c_int),
         ("fault", c_int),
+        ("has_tick", c_int),
+        ("tick", c_uint32),
     )
 
 
@@ -78,8 +96,10 @@ class Twin:
     def function(self, what: str) -> "ctypes._NamedFuncPointer":
         return self.library[f"{self.name}_{what}"]
 
-    def start(self) -> None:
+    def start(self, *, at_rest: bool = True) -> None:
+        """Begin; `at_rest` as if the first readings had been found at rest."""
         self.function("start")(byref(self.state))
+        self.state.resting = 10**6 if at_rest else 0
 
     def rearm(self) -> None:
         self.function("rearm")(byref(self.state))
@@ -91,6 +111,7 @@ class Twin:
     def step(self, reading: Reading) -> CCommand:
         command, values = CCommand(), (reading.wrench_S, reading.position_W_m, reading.R_WS.ravel(), reading.desired_S)
         given = CReading(*(tuple(map(float, value)) for value in values))
+        given.tick, given.has_tick = (0, 0) if reading.tick is None else (reading.tick % 2**32, 1)
         told = self._step(byref(self.state), byref(self.payload), byref(given), byref(command))
         assert told == command.fault
         return command
@@ -98,4 +119,5 @@ class Twin:
 
 def numbers(command: CCommand) -> NDArray[np.float64]:
     """Everything in a command as one row."""
-    return np.array([*command.increment_S, *command.twist_S, *command.wrench_S, command.phase, command.fault])
+    told = (command.missing_mass_kg, command.is_started, command.phase, command.fault)
+    return np.array([*command.increment_S, *command.twist_S, *command.wrench_S, *told])

@@ -12,12 +12,13 @@ from autotune.errors import CertificateError, UsageError
 from autotune.exports.c_source import CSource, render_c
 from autotune.exports.targets import export_controller
 from autotune.files.controller import ControllerStatus, write_controller
-from autotune.runtime import AXES, START, CollisionResponse, Command, RuntimeController, rearm, step
+from autotune.runtime import AXES, CollisionResponse, Command, RuntimeController, rearm, step
 from autotune.runtime.load import read_law
 from tests.autotune.exports.c_twin import CPayload, Twin, compile_c, numbers
 from tests.autotune.files.samples import make_controller
 from tests.autotune.runtime.cases import (
     PERIOD_S,
+    STARTED,
     Reading,
     make_axis,
     make_runtime,
@@ -36,12 +37,13 @@ def twin_of(controller: RuntimeController, folder: Path, name: str = "cell") -> 
 
 
 def row(command: Command) -> NDArray[np.float64]:
-    return np.array([*command.increment_S, *command.twist_S, *command.wrench_S, command.phase, command.fault])
+    told = (command.missing_mass_kg, command.is_started, command.phase, command.fault)
+    return np.array([*command.increment_S, *command.twist_S, *command.wrench_S, *told])
 
 
 def both(controller: RuntimeController, twin: Twin, readings: Sequence[Reading]) -> tuple[NDArray[np.float64], ...]:
     """Step Python and C through the same readings, both rearmed every 500 periods."""
-    state, rows, twins = START, [], []
+    state, rows, twins = STARTED, [], []
     for k, reading in enumerate(readings):
         if k % 500 == 499:
             state = rearm(state)
@@ -71,7 +73,7 @@ def test_c_is_the_python_step_over_long_random_sequences(response: CollisionResp
 def test_c_is_the_python_step_in_contact_with_the_cell_in_the_loop(response: CollisionResponse, tmp_path: Path) -> None:
     threshold = np.inf if response is CollisionResponse.NONE else 50.0
     controller = make_runtime(*map(make_axis, AXES), response=response, threshold_n=threshold)
-    twin, state, readings, commands = twin_of(controller, tmp_path), START, [], []
+    twin, state, readings, commands = twin_of(controller, tmp_path), STARTED, [], []
 
     def by_python(reading: Reading) -> NDArray[np.float64]:
         nonlocal state

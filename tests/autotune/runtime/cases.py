@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from autotune.cell.axis import _advance
-from autotune.runtime import AXES, AxisLaw, CollisionResponse, Payload, RuntimeController
+from autotune.runtime import AXES, START, AxisLaw, AxisLimits, CollisionResponse, Limits, Payload, RuntimeController
 from problems.contact import build_sampled_contact
 from problems.contact_events import contact_force
 from problems.plant import Coupling, Environment, Plant
@@ -27,6 +27,23 @@ WALL = Plant(
     coupling=Coupling(stiffness_n_per_m=3e5, damping_n_s_per_m=120.0),
     payload=PlantPayload(mass_kg=16.0, drag_n_s_per_m=630.0),
     environment=Environment(stiffness_n_per_m=1e5),
+)
+
+
+# As if the first readings had been found at rest: the law moves from the first one on.
+STARTED = START._replace(watch=START.watch._replace(resting=10**6))
+# Those of no cell: what is fed to the law alone may be anything.
+WIDE = Limits(
+    force_n=1.7e308,
+    torque_n_m=1.7e308,
+    axes=dict.fromkeys(AXES, AxisLimits(speed=1e300, acceleration=1e300)),
+    pose_speed_m_s=0.1 / PERIOD_S,
+    pose_speed_rad_s=0.1 / PERIOD_S,
+    stale_wrench_s=1e5,
+    stale_pose_s=1e5,
+    rest_samples=1,
+    rest_force_n=1e150,
+    rest_torque_n_m=1e150,
 )
 
 
@@ -54,6 +71,7 @@ def make_runtime(
     response: CollisionResponse = CollisionResponse.NONE,
     threshold_n: float = np.inf,
     payload: Payload = PAYLOAD,
+    limits: Limits = WIDE,
 ) -> RuntimeController:
     return RuntimeController(
         checksum="ab" * 32,
@@ -62,10 +80,11 @@ def make_runtime(
         response=response,
         threshold_n=threshold_n,
         payload=payload,
+        limits=limits,
     )
 
 
-def random_runtime(rng: np.random.Generator, response: CollisionResponse) -> RuntimeController:
+def random_runtime(rng: np.random.Generator, response: CollisionResponse, limits: Limits = WIDE) -> RuntimeController:
     """Any gains on any axes: the step does not ask whether a loop is stable."""
     names = [name for name in AXES if rng.random() < 0.7] or ["z"]
     turns = any(name.startswith("r") for name in names)
@@ -87,7 +106,7 @@ def random_runtime(rng: np.random.Generator, response: CollisionResponse) -> Run
         for name in names
     )
     threshold = np.inf if response is CollisionResponse.NONE else 40.0
-    return make_runtime(*axes, response=response, threshold_n=threshold)
+    return make_runtime(*axes, response=response, threshold_n=threshold, limits=limits)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,13 +117,15 @@ class Reading:
     position_W_m: FloatArray
     R_WS: FloatArray
     desired_S: FloatArray
+    tick: int | None = None
 
-    def arguments(self) -> dict[str, list[float] | list[list[float]]]:
+    def arguments(self) -> dict[str, list[float] | list[list[float]] | int | None]:
         return {
             "wrench_S": self.wrench_S.tolist(),
             "position_W_m": self.position_W_m.tolist(),
             "R_WS": self.R_WS.tolist(),
             "desired_S": self.desired_S.tolist(),
+            "tick": self.tick,
         }
 
 

@@ -20,8 +20,12 @@ def block(repository: Path, language: str) -> str:
     return str(found)
 
 
+RESTING = 125
+"""The first readings, 0.1 s at 0.8 ms, which a file without limits holds against rest."""
+
+
 class StandingCell:
-    """Stands still under a push, for three periods, and then tells a number that is none."""
+    """Rests, stands still under a push for three periods, and then tells a number that is none."""
 
     period_s, payload_mass_kg, payload_inertia_kg_m2 = 8e-4, 16.0, {"rz": 16.0}
 
@@ -33,7 +37,14 @@ class StandingCell:
         return not self.is_stopped
 
     def raw_wrench(self) -> list[float]:
-        return [50.0 if len(self.sent) < 3 else float("nan")] * 6
+        weight = 16.0 * 9.80665
+        resting = [1.5, -0.25, 3.0 - weight, 0.1 + 0.02 * weight, 0.2 + 0.01 * weight, 0.0]
+        if len(self.sent) < RESTING:
+            return resting
+        return [each + 50.0 if len(self.sent) < RESTING + 3 else float("nan") for each in resting]
+
+    def period_count(self) -> int:
+        return len(self.sent)
 
     def position(self) -> list[float]:
         return [0.0, 0.0, 0.0]
@@ -55,8 +66,8 @@ def test_the_python_loop_runs(repository: Path, tmp_path: Path, monkeypatch: pyt
     exec(compile(block(repository, "python"), "runtime.md", "exec"), names)
     cell = StandingCell(short(digest))
     names["run"](cell)
-    assert [twist[0] > 0.0 for twist in cell.sent] == [True, True, True, False]
-    assert cell.sent[3] == (0.0,) * 6
+    assert [twist[0] > 0.0 for twist in cell.sent] == [False] * RESTING + [True, True, True, False]
+    assert cell.sent[0] == cell.sent[-1] == (0.0,) * 6
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")

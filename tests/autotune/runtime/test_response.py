@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from autotune.files.controller import write_controller
-from autotune.runtime import START, RuntimeController, load_controller, step
+from autotune.runtime import RuntimeController, load_controller, step
 from autotune.runtime.step import Phase
-from tests.autotune.runtime.cases import FloatArray, Reading, run_contact
+from tests.autotune.runtime.cases import STARTED, FloatArray, Reading, run_contact
 from tests.autotune.tuning.responding import responding
 
 # As between a predicted contact and its replay: from rest, the touch falls between two ticks.
@@ -47,7 +47,7 @@ class _Driver:
     """Steps the runtime and notes where its response is."""
 
     def __init__(self, controller: RuntimeController) -> None:
-        self.controller, self.state, self.phases = controller, START, list[Phase]()
+        self.controller, self.state, self.phases = controller, STARTED, list[Phase]()
 
     def increment(self, reading: Reading) -> FloatArray:
         self.state, command = step(self.controller, self.state, **reading.arguments())  # type: ignore[arg-type]

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from autotune.files.controller import write_controller
 from autotune.runtime import (
     AXES,
-    START,
     CollisionResponse,
     Command,
     Fault,
@@ -31,6 +30,7 @@ from problems.sampled import build_sampled_plant
 from tests.autotune.runtime.cases import (
     PAYLOAD,
     PERIOD_S,
+    STARTED,
     WALL,
     Contact,
     Reading,
@@ -59,7 +59,7 @@ def law_of(compensation_mass_kg: float = 0.0) -> AdmittanceController:
 
 
 def stepped(controller: RuntimeController, readings: list[Reading]) -> list[Command]:
-    state, commands = START, []
+    state, commands = STARTED, []
     for reading in readings:
         state, command = step(controller, state, **reading.arguments())  # type: ignore[arg-type]  # lists of numbers
         commands.append(command)
@@ -151,7 +151,7 @@ def collide(response: CollisionResponse) -> tuple[RuntimeController, State, list
     controller = make_runtime(make_axis("x"), make_axis("z"), response=response, threshold_n=50.0)
     drive = np.array([0.0, 0.0, 20.0, 0.0, 0.0, 0.0])
     against = np.array([-60.0, 0.0, 20.0, 0.0, 0.0, 0.0])
-    state = START
+    state = STARTED
     for k in range(20):
         state, command = step(controller, state, **along(0, TURNED, 1e-4 * k, PAYLOAD, drive).arguments())  # type: ignore[arg-type]
     assert command.phase is Phase.WATCHING
@@ -189,7 +189,7 @@ def test_a_full_stop_lasts_until_it_is_rearmed() -> None:
 def test_no_number_that_is_not_finite_ever_moves_the_robot(name: str, bad: float) -> None:
     controller = make_runtime(*map(make_axis, AXES))
     pushed = dataclasses.replace(STILL, wrench_S=STILL.wrench_S + 10.0)
-    moving, command = step(controller, START, **pushed.arguments())  # type: ignore[arg-type]
+    moving, command = step(controller, STARTED, **pushed.arguments())  # type: ignore[arg-type]
     assert min(command.increment_S) > 0.0
     for place in range(getattr(pushed, name).size):
         spoiled = getattr(pushed, name).copy()
@@ -222,7 +222,7 @@ def test_finite_numbers_whose_command_is_not_finite_move_nothing_either() -> Non
     ],
 )
 def test_a_pose_that_cannot_be_holds_the_command(change: dict[str, np.ndarray], fault: Fault) -> None:
-    commands = stepped(make_runtime(make_axis("x")), [STILL, dataclasses.replace(STILL, **change)])
+    commands = stepped(make_runtime(make_axis("x")), [STILL, dataclasses.replace(STILL, **change)])  # type: ignore[arg-type]  # arrays
     assert [command.fault for command in commands] == [Fault.NONE, fault]
 
 
@@ -232,7 +232,7 @@ def test_a_pose_that_cannot_be_holds_the_command(change: dict[str, np.ndarray], 
 )
 def test_an_argument_of_another_shape_is_told(change: dict[str, list[float]]) -> None:
     with pytest.raises(ParameterError, match=next(iter(change))):
-        step(make_runtime(make_axis("x")), START, **{**STILL.arguments(), **change})  # type: ignore[arg-type]
+        step(make_runtime(make_axis("x")), STARTED, **{**STILL.arguments(), **change})  # type: ignore[arg-type]
 
 
 def test_the_step_is_a_function_of_its_arguments_alone() -> None:
@@ -243,7 +243,7 @@ def test_the_step_is_a_function_of_its_arguments_alone() -> None:
 
 def met_with(controller: RuntimeController, axis: int, plant: Plant) -> Contact:
     """Press with 30 N on the wall of the simulated cell."""
-    state = START
+    state = STARTED
 
     def increment(reading: Reading) -> np.ndarray:
         nonlocal state
