@@ -90,7 +90,8 @@ def identify_log(
         _identify_run,
         cell=told,
         salvage=salvage,
-        given=dict(given or {}),
+        # Of several recordings each is identified without: what is known from elsewhere counts once.
+        given=dict(given or {}) if len(runs) == 1 else {},
         is_one_of_many=len(runs) > 1,
         with_evidence=with_evidence,
     )
@@ -98,8 +99,8 @@ def identify_log(
         done = [work(runs[0], report=report)]
     else:
         done = map_in_processes(work, runs, processes, each=lambda: report(1.0 / len(runs)))
-    result = combine_identified([run.told for run in done])
-    check_names(given or {}, result.axes)
+    check_names(given or {}, [axis for run in done for axis in run.told.result.axes])
+    result = combine_identified([run.told for run in done], given)
     result = replace(result, findings=(*result.findings, *advise(result)))
     options = _options(topics, allow_partial=allow_partial, salvage=salvage, given=given or {})
     found = IdentifiedLog(
@@ -169,7 +170,8 @@ def _identify_run(
         raise type(error)(f"{name}: {error}") from error
     found = replace(found, findings=(*recording.findings, *found.findings))
     kept = None if evidence is None or not with_evidence else replace(evidence, log=name, reading=recording.findings)
-    return _Run(told=NamedResult(name=name, result=found), source=_source(recording), evidence=kept)
+    told = NamedResult(name=name, result=found, gain_error_share=0.0 if evidence is None else evidence.gain_error_share)
+    return _Run(told=told, source=_source(recording), evidence=kept)
 
 
 def _silent(_: float) -> None:

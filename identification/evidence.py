@@ -36,6 +36,7 @@ class Evidence:
 
     Force (n, 3) in N, torque (n, 3) about the sensor's origin in N·m. Sample k was taken k `period_s` after the start
     of the log; what a hole swallowed is NaN. `log` names the recording, `reading` is what was found when it was read.
+    `gain_error_share` is the share by which the force's scale may be wrong, as the rests show it.
     """
 
     period_s: float
@@ -46,6 +47,7 @@ class Evidence:
     axes: Mapping[str, AxisEvidence]
     log: str = ""
     reading: tuple[Finding, ...] = ()
+    gain_error_share: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", MappingProxyType(dict(self.axes)))

@@ -132,6 +132,7 @@ def _evidence(cell: CellSignals, told: Mapping[str, AxisTold]) -> Evidence:
         raw_torque_S_n_m=cell.log.torque_S_n_m,
         compensated_torque_S_n_m=cell.gravity.compensated_torque_S_n_m(cell.log),
         axes={name: axis_evidence(axis) for name, axis in told.items()},
+        gain_error_share=cell.gravity.gain_error_share,
     )
 
 

@@ -18,15 +18,16 @@ from .result import (
     Status,
 )
 from .robot import find_bandwidth_hz
-from .verdicts import judged, judged_damping, vector, weak_at_best
+from .verdicts import IDENTIFIED_SHARE, judged, judged_damping, vector, weak_at_best
 
 FloatArray = NDArray[np.float64]
 
 # Sizes below which a value does not matter: a tenth of the critical damping, a tenth of the payload.
 _TWO_SIDED = 1.96
-_DAMPING_FLOOR = 0.1
-_MASS_FLOOR = 0.1
-_SYMBOLS = {
+DAMPING_FLOOR = 0.1
+MASS_FLOOR = 0.1
+_DELAY_SAMPLES = 0.2
+SYMBOLS = {
     **dict(zip(COUPLING_NAMES, ("K_s", "B_s", "B_p", "M_p"), strict=True)),
     "robot_frequency_rad_per_s": "omega",
     "robot_damping_ratio": "zeta",
@@ -71,33 +72,11 @@ class JointEstimates:
     @property
     def robot(self) -> RobotEstimate | None:
         """Return r(s) and T_d, None where no command took part."""
-        model, names = self.fit.robot, self.fit.names
-        if model is None:
+        names = self.fit.names
+        if self.fit.robot is None:
             return None
-        first, last = len(COUPLING_NAMES), names.index("delay_s")
-        values, covariance = self.fit.values[first:last], self.fit.covariance[first:last, first:last]
-
-        def described(parameters: FloatArray) -> FloatArray:
-            moved = robot_model(np.append(parameters, model.delay_s))
-            return np.append(moved.denominator, find_bandwidth_hz(moved))
-
-        here = described(values)
-        steps = 1e-6 * values
-        slopes = np.array([(described(values + step) - here) / step.sum() for step in np.diag(steps)]).T
-        std = np.sqrt(np.maximum(np.diag(slopes @ covariance @ slopes.T), 0.0))
-        _, delay_std = self.fit.value("delay_s")
-        return RobotEstimate(
-            numerator=vector(model.numerator, std[-2:-1], method=self.method),
-            denominator=vector(model.denominator, std[:-1], method=self.method),
-            # A delay matters beside the period: to a fifth of a sample it is identified, however short it is.
-            delay_s=judged(
-                model.delay_s,
-                delay_std,
-                method=self.method,
-                identified=np.inf if delay_std < 0.2 * self.period_s else 0.05,
-            ),
-            bandwidth_hz=judged(float(here[-1]), float(std[-1]), method=self.method),
-        )
+        mine = slice(len(COUPLING_NAMES), names.index("delay_s") + 1)
+        return describe_robot(self.fit.values[mine], self.fit.covariance[mine, mine], self.period_s, self.method)
 
     @property
     def environments(self) -> tuple[EnvironmentEstimate, ...]:
@@ -128,7 +107,7 @@ class JointEstimates:
             stiffness_n_per_m=stiffness,
             secant_stiffness_n_per_m=secant,
             damping_n_s_per_m=self._judged_damping(f"{prefix}damping_n_s_per_m", f"{prefix}stiffness_n_per_m"),
-            mass_kg=self._judged(f"{prefix}mass_kg", floor=_MASS_FLOOR * mass),
+            mass_kg=self._judged(f"{prefix}mass_kg", floor=MASS_FLOOR * mass),
             contacts=len(surface.onsets),
             peak_force_n=surface.peak_force_n,
         )
@@ -136,7 +115,7 @@ class JointEstimates:
     @property
     def covariance(self) -> Covariance:
         """Return the covariance under short names."""
-        names = [_SYMBOLS.get(name, name) for name in self.fit.names]
+        names = [SYMBOLS.get(name, name) for name in self.fit.names]
         for index, surface in enumerate(self.fit.surfaces):
             for k in range(len(SURFACE_NAMES)):
                 names[surface.first_parameter + k] = f"{self.surface_name(index)}.{_SURFACE_SYMBOLS[k]}"
@@ -183,8 +162,47 @@ class JointEstimates:
     def _judged_damping(self, name: str, stiffness: str) -> Estimate:
         value, std = self.fit.value(name)
         critical = 2.0 * float(np.sqrt(self.fit.value(stiffness)[0] * self.fit.value("mass_kg")[0]))
-        return judged_damping(value, std, _DAMPING_FLOOR * critical, method=self.method, ci95=self._interval(name))
+        return judged_damping(value, std, DAMPING_FLOOR * critical, method=self.method, ci95=self._interval(name))
 
     def _interval(self, name: str) -> tuple[float, float] | None:
         interval = self.fit.ci95.get(name)
         return interval if interval is not None and bool(np.all(np.isfinite(interval))) else None
+
+
+def describe_robot(values: FloatArray, covariance: FloatArray, period_s: float, method: str) -> RobotEstimate:
+    """Return r(s) and T_d of ω, (ζ,) T_d (p,) with their covariance (p, p), verdicts included."""
+    model, (here, std) = robot_model(values), _poles(values, covariance)
+    delay_std = float(np.sqrt(covariance[-1, -1]))
+    return RobotEstimate(
+        numerator=vector(model.numerator, std[-2:-1], method=method),
+        denominator=vector(model.denominator, std[:-1], method=method),
+        # A delay matters beside the period: to a fifth of a sample it is identified, however short it is.
+        delay_s=judged(
+            model.delay_s,
+            delay_std,
+            method=method,
+            identified=np.inf if delay_std < _DELAY_SAMPLES * period_s else IDENTIFIED_SHARE,
+        ),
+        bandwidth_hz=judged(float(here[-1]), float(std[-1]), method=method),
+    )
+
+
+def robot_bandwidth(values: FloatArray, covariance: FloatArray) -> tuple[float, float]:
+    """Return the bandwidth [Hz] of ω, (ζ,) T_d with its deviation, whatever the verdict on it."""
+    here, std = _poles(values, covariance)
+    return float(here[-1]), float(std[-1])
+
+
+def _poles(values: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the denominator's coefficients and the bandwidth [Hz], and their deviations."""
+    delay_s = float(values[-1])
+
+    def described(parameters: FloatArray) -> FloatArray:
+        moved = robot_model(np.append(parameters, delay_s))
+        return np.append(moved.denominator, find_bandwidth_hz(moved))
+
+    poles = values[:-1]
+    here = described(poles)
+    steps = 1e-6 * poles
+    slopes = np.array([(described(poles + step) - here) / step.sum() for step in np.diag(steps)]).T
+    return here, np.sqrt(np.maximum(np.diag(slopes @ covariance[:-1, :-1] @ slopes.T), 0.0))

@@ -9,9 +9,12 @@ from autotune.cell.phases import Program
 from autotune.cell.simulate import made_later, simulate_cell
 from autotune.cell.truth import Cell
 from autotune.cell.write import write_mcap
+from autotune.files.identified import read_identified, write_identified
 from autotune.identifying import IdentifiedLog, Topics, identify_log
 from identification.errors import EstimateError
+from identification.given import Given
 from tests.autotune.cell.runs import SHORT
+from tests.identification.test_combine import check_one_record
 
 
 def written(path: Path, program: Program, seed: int) -> Path:
@@ -42,6 +45,24 @@ def test_recordings_side_by_side_tell_what_they_tell_one_after_the_other(
 ) -> None:
     # The same code on the same numbers: nothing may differ, not by rounding.
     assert identify_log(two_logs, Topics(), allow_partial=True, processes=2) == in_one_process
+
+
+def test_what_is_written_of_two_recordings_can_be_read_again(in_one_process: IdentifiedLog, tmp_path: Path) -> None:
+    """Reading refuses a table that is not what its covariance says."""
+    check_one_record(in_one_process.result)
+    write_identified(tmp_path / "identified.yaml", in_one_process.result, in_one_process.provenance)
+    assert read_identified(tmp_path / "identified.yaml").result == in_one_process.result
+
+
+def test_what_is_given_counts_once_beside_two_recordings(two_logs: list[Path], in_one_process: IdentifiedLog) -> None:
+    mass = in_one_process.result.payload.mass_kg
+    assert mass.value is not None
+    assert mass.std is not None
+    prior = {"mass_kg": Given(value=mass.value, std=mass.std)}
+    found = identify_log(two_logs, Topics(), allow_partial=True, given=prior).result
+    check_one_record(found)
+    # As sharp as both logs together: 1/√2 of it, whatever each log alone knows.
+    assert found.payload.mass_kg.std == pytest.approx(mass.std / 2.0**0.5, rel=1e-9)
 
 
 def test_the_progress_comes_to_the_whole_in_small_parts(two_logs: list[Path]) -> None:
