@@ -14,7 +14,7 @@ from autotune.identifying import IdentifiedLog, Topics, identify_log
 from identification.errors import EstimateError
 from identification.given import Given
 from tests.autotune.cell.runs import SHORT
-from tests.identification.test_combine import check_one_record
+from tests.identification.test_combine_axis import check_one_record
 
 
 def written(path: Path, program: Program, seed: int) -> Path:
