@@ -96,9 +96,9 @@ def through_coupling(values: PlanValues, stiffness_std_n_per_m: float) -> float:
     return ratio**2 * stiffness_std_n_per_m
 
 
-def _stable_contact(values: PlanValues) -> tuple[SampledContact, AdmittanceController] | None:
-    """Return the pair of plants and a usual controller that is stable there with something to spare."""
-    plant = Plant(
+def plant_of(values: PlanValues) -> Plant:
+    """Return the plant in contact that the values stand for."""
+    return Plant(
         robot=values.robot,
         coupling=Coupling(
             stiffness_n_per_m=values.stiffness_n_per_m.value, damping_n_s_per_m=values.damping_n_s_per_m.value
@@ -109,8 +109,18 @@ def _stable_contact(values: PlanValues) -> tuple[SampledContact, AdmittanceContr
             damping_n_s_per_m=values.environment_damping_n_s_per_m.value,
         ),
     )
+
+
+def stable_controller(values: PlanValues) -> AdmittanceController | None:
+    """Return the usual controller with which contacts are planned, None where none is stable on the surface."""
+    found = _stable_contact(values)
+    return None if found is None else found[1]
+
+
+def _stable_contact(values: PlanValues) -> tuple[SampledContact, AdmittanceController] | None:
+    """Return the pair of plants and a usual controller that is stable there with something to spare."""
     try:
-        pair = build_sampled_contact(build_sampled_plant(plant, values.sample_time_s.value))
+        pair = build_sampled_contact(build_sampled_plant(plant_of(values), values.sample_time_s.value))
     except ParameterError:
         return None  # a contact that swings too fast for this rate
     stable = [controller for controller in _usual_controllers() if _is_stable(pair, controller)]

@@ -4,6 +4,7 @@ import numpy as np
 
 from .errors import EstimateError
 from .plan_contacts import ContactPlan, plan_contacts, through_coupling
+from .plan_effect import PeakEffect, peak_effect
 from .plan_poses import PosePlan, plan_poses, smallest_tilt_deg
 from .plan_result import LABELS, UNITS, ExperimentPlan, Limits, Prediction, Step, StepKind
 from .plan_sweep import SweepLimits, SweepPlan, careful_force_n, plan_sweep
@@ -15,6 +16,8 @@ _COM_M = 2e-3
 _DAMPING_FLOOR = 0.1
 _DELAY_SAMPLES = 0.2
 _AIM = 0.5
+_PEAK_SHARE = 0.01
+_NOTHING = 0.002  # of the peak
 _AIM_SHARE = 0.9  # of the force limit, for a repeated sweep
 
 _STEP_OF = {
@@ -73,18 +76,47 @@ def plan_experiment(axis: str, values: PlanValues, limits: Limits) -> Experiment
     contacts = plan_contacts(values, max_force_n=gentle, allowed=allowed)
     if contacts is not None:
         _improve(after, _with_coupling(values, contacts.std, after["stiffness_n_per_m"]))
+    effect = peak_effect(values)
     predictions = {
-        name: Prediction(
-            name=name,
-            value=values.known()[name].value,
-            allowed_std=allowed[name],
-            std_now=now[name],
-            std_after=after[name] if np.isfinite(after[name] or 0.0) else None,
-        )
+        name: _prediction(name, values, allowed[name], now[name], after[name], effect)
         for name in _STEP_OF
         if limits.pose_count or _STEP_OF[name] != "poses"
     }
-    return _ordered(axis, values, limits, predictions, (poses, sweep, taps, contacts))
+    return _ordered(axis, values, limits, predictions, (poses, sweep, taps, contacts), effect)
+
+
+def _prediction(
+    name: str, values: PlanValues, allowed: float, now: float | None, after: float | None, effect: PeakEffect | None
+) -> Prediction:
+    told = after if np.isfinite(after or 0.0) else None
+    return Prediction(
+        name=name,
+        value=values.known()[name].value,
+        allowed_std=allowed,
+        std_now=now,
+        std_after=told,
+        peak_now_n=None if effect is None else effect.moves_n(name, now),
+        peak_after_n=None if effect is None else effect.moves_n(name, told),
+    )
+
+
+def _rank(entry: Prediction, effect: PeakEffect | None) -> float:
+    """Return how much an entry binds: what is not known at all most, then by newtons of the peak, per 1 % of it.
+
+    Without an effect on the peak it is std over allowed std, and what does not act on the peak comes after all that do.
+    """
+    if entry.std_now is None or effect is None:
+        return entry.urgency
+    if entry.peak_now_n is None:
+        return 0.0
+    return entry.peak_now_n / (_PEAK_SHARE * effect.peak_force_n)
+
+
+def _is_needed(entry: Prediction, effect: PeakEffect | None) -> bool:
+    """Return whether more should be known: std above what is allowed, unless the peak hardly moves with it."""
+    if entry.peak_now_n is not None and effect is not None and entry.peak_now_n < _NOTHING * effect.peak_force_n:
+        return False
+    return entry.urgency > 1.0
 
 
 def _force_limit(limits: Limits, std: dict[str, float | None], *names: str) -> float:
@@ -155,27 +187,30 @@ def _ordered(
     limits: Limits,
     predictions: dict[str, Prediction],
     settings: tuple[PosePlan | None, SweepPlan, TapPlan | None, ContactPlan | None],
+    effect: PeakEffect | None,
 ) -> ExperimentPlan:
     """Put the phases in the order of what they cut; a K_e that waits for K_s asks for the sweep."""
     poses, sweep, taps, contacts = settings
     # M_p from motion is a second opinion: it makes no recording necessary.
     counted = [entry for name, entry in predictions.items() if name != "motion_mass_kg"]
-    binding = max(counted, key=lambda entry: entry.urgency)
+    binding = max(counted, key=lambda entry: _rank(entry, effect))
     waits = coupling_binds(values)
     urgency: dict[str, float] = {}
+    asked: set[str] = set()
     for entry in counted:
         step = "sweep" if waits and entry.name == "environment_stiffness_n_per_m" else _STEP_OF[entry.name]
-        urgency[step] = max(urgency.get(step, 0.0), entry.urgency)
+        urgency[step] = max(urgency.get(step, 0.0), _rank(entry, effect))
+        asked |= {step} if _is_needed(entry, effect) else set()
     plans: dict[str, PosePlan | SweepPlan | ContactPlan | None] = {
         "poses": poses,
         "sweep": sweep,
         "contacts": contacts,
     }
     steps = []
-    for kind in sorted(urgency, key=lambda step: -urgency[step]):
+    for kind in sorted(urgency, key=lambda step: (step not in asked, -urgency[step])):
         mine = tuple(predictions[name] for name in _named(kind))
-        needed = urgency[kind] > 1.0
-        why = _why(kind, mine, needed=needed, waits=waits)
+        needed = kind in asked
+        why = _why(kind, max(mine, key=lambda entry: (_is_needed(entry, effect), _rank(entry, effect))), needed, waits)
         if kind == "contacts" and values.surface:
             why += f"; planned for surface {values.surface}"
         if kind == "contacts" and contacts is None:
@@ -185,7 +220,9 @@ def _ordered(
             stiffness = (predictions["stiffness_n_per_m"],)
             why = _why_taps(values, sweep)
             steps.append(Step(kind=StepKind.TAPS, is_needed=needed, why=why, predictions=stiffness, settings=taps))
-    return ExperimentPlan(axis=axis, binding=binding.name, steps=tuple(steps), values=values, limits=limits)
+    return ExperimentPlan(
+        axis=axis, binding=binding.name, effect=effect, steps=tuple(steps), values=values, limits=limits
+    )
 
 
 def coupling_binds(values: PlanValues) -> bool:
@@ -196,8 +233,7 @@ def coupling_binds(values: PlanValues) -> bool:
     return through_coupling(values, stiffness.std) ** 2 > 0.5 * environment.std**2
 
 
-def _why(kind: str, mine: tuple[Prediction, ...], *, needed: bool, waits: bool) -> str:
-    worst = max(mine, key=lambda entry: entry.urgency)
+def _why(kind: str, worst: Prediction, needed: bool, waits: bool) -> str:
     label = LABELS[worst.name]
     if worst.std_now is None:
         sentence = f"{label} is not known yet"
@@ -206,6 +242,8 @@ def _why(kind: str, mine: tuple[Prediction, ...], *, needed: bool, waits: bool) 
         sentence = (
             f"{label} is known to ± {worst.std_now * scale:.2g} {unit}, {worst.urgency:.2g} times what is allowed"
         )
+        if worst.peak_now_n is not None:
+            sentence += f", which moves the peak by {worst.peak_now_n:.2g} N"
     if waits and kind == "sweep":
         return "most of what is not known of environment K_e comes from coupling K_s, which the sweep tells"
     if waits and kind == "contacts":

@@ -8,6 +8,7 @@ import numpy as np
 from problems.errors import ParameterError
 
 from .plan_contacts import ContactPlan
+from .plan_effect import PeakEffect
 from .plan_poses import FEWEST_POSES, PosePlan
 from .plan_sweep import SweepLimits, SweepPlan
 from .plan_taps import TapPlan
@@ -75,13 +76,19 @@ class Limits:
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction:
-    """One parameter (named as in `PlanValues`): std now and after the whole plan, None where nothing tells it."""
+    """One parameter (named as in `PlanValues`): std now and after the whole plan, None where nothing tells it.
+
+    `peak_now_n`, `peak_after_n` are by how much those deviations move the peak of the reference contact; None for what
+    does not act on it, and where nothing is known.
+    """
 
     name: str
     value: float
     allowed_std: float
     std_now: float | None
     std_after: float | None
+    peak_now_n: float | None = None
+    peak_after_n: float | None = None
 
     @property
     def urgency(self) -> float:
@@ -102,10 +109,15 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True)
 class ExperimentPlan:
-    """What to record, most urgent first; `binding` names the parameter with the largest std over allowed std now."""
+    """What to record, most urgent first; `binding` names the parameter whose deviation moves the peak most now.
+
+    What is not known at all comes before that. `effect` is the reference contact, None where no usual controller is
+    stable on the surface: there the largest std over allowed std binds.
+    """
 
     axis: str
     binding: str
+    effect: PeakEffect | None
     steps: tuple[Step, ...]
     values: PlanValues
     limits: Limits

@@ -152,19 +152,20 @@ def print_plan(plan: "ExperimentPlan", out: Path) -> None:
     """Print the steps in their order, then what each parameter would gain, then what was assumed."""
     from identification.plan_result import LABELS, UNITS
 
-    tell(f"axis {plan.axis}, binding uncertainty: {LABELS[plan.binding]}")
+    tell(f"axis {plan.axis}, binding uncertainty: {LABELS[plan.binding]}{_reference(plan)}")
     for number, step in enumerate(plan.steps, start=1):
         wanted = "" if step.is_needed else " (not needed)"
         tell(f"{step.kind.value}{wanted}: {step.why}", verdict=f"{number}. ")
         for line in _settings(step, plan):
             tell(f"   {line}")
-    rows: list[tuple[str, ...]] = [("parameter", "value", "± now", "± after", "allowed", "unit", "by")]
+    heads = ("parameter", "value", "± now", "± after", "allowed", "unit", "peak ± now", "± after [N]", "by")
+    rows: list[tuple[str, ...]] = [heads]
     rows += [
         _row(entry, LABELS[entry.name], UNITS[entry.name], step.kind.value)
         for step in plan.steps
         for entry in step.predictions
     ]
-    print_table(rows, left=(0, 5, 6), point=(1, 2, 3, 4))
+    print_table(rows, left=(0, 5, 8), point=(1, 2, 3, 4, 6, 7))
     if plan.values.assumed:
         told = ", ".join(f"{name} {value:.4g}" for name, value in plan.values.assumed.items())
         tell(f"assumed, not measured: {told}")
@@ -181,7 +182,21 @@ def _row(entry: "Prediction", label: str, told_in: tuple[str, float], step: str)
     )
     if entry.std_now is None:
         value = rounded_to(scale * (entry.std_after or entry.allowed_std), scale * entry.value)
-    return label, value, now, after, allowed, unit, step
+    peaks = ("-" if n is None else rounded_to(n, n) if n > 0.0 else "0" for n in (entry.peak_now_n, entry.peak_after_n))
+    return label, value, now, after, allowed, unit, *peaks, step
+
+
+def _reference(plan: "ExperimentPlan") -> str:
+    """Say by how much it moves which peak."""
+    effect = plan.effect
+    if effect is None:
+        return ""
+    entry = next(entry for step in plan.steps for entry in step.predictions if entry.name == plan.binding)
+    peak, damping = f"{effect.peak_force_n:.3g} N", f"{effect.controller.damping_n_s_per_m:g} N·s/m"
+    reference = f"the peak of {peak} (a contact with {effect.approach_force_n:g} N, B_a = {damping})"
+    if entry.peak_now_n is None:
+        return f"; the table counts in {reference}"
+    return f", which moves {reference} by {entry.peak_now_n:.2g} N"
 
 
 def _settings(step: "Step", plan: "ExperimentPlan") -> list[str]:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from identification.plan_contacts import ContactPlan
+from identification.plan_effect import PeakEffect
 from identification.plan_poses import PosePlan
 from identification.plan_result import ExperimentPlan, Prediction, Step
 from identification.plan_sweep import SweepPlan
@@ -34,6 +35,7 @@ def plan_tree(plan: ExperimentPlan, provenance: Mapping[str, object]) -> dict[st
         "version": VERSION,
         "axis": plan.axis,
         "binding": plan.binding,
+        "reference": None if plan.effect is None else _reference(plan.effect),
         "steps": [_step(step, plan.values.robot) for step in plan.steps],
         "limits": {name: value for name, value in vars(plan.limits).items() if value is not None},
         "assumed": plain(plan.values.assumed, "assumed"),
@@ -47,6 +49,15 @@ def plan_tree(plan: ExperimentPlan, provenance: Mapping[str, object]) -> dict[st
 def write_plan(path: Path | str, plan: ExperimentPlan, provenance: Mapping[str, object]) -> None:
     """Write `plan.yaml` in one step; raises as `plan_tree` and `write_atomic` do."""
     write_atomic(path, dump_yaml(plan_tree(plan, provenance)))
+
+
+def _reference(effect: PeakEffect) -> dict[str, float]:
+    return {
+        "peak_force_n": effect.peak_force_n,
+        "approach_force_n": effect.approach_force_n,
+        "mass_kg": effect.controller.mass_kg,
+        "damping_n_s_per_m": effect.controller.damping_n_s_per_m,
+    }
 
 
 def _step(step: Step, robot: RobotModel) -> dict[str, Any]:
@@ -66,6 +77,8 @@ def _prediction(entry: Prediction) -> dict[str, Any]:
         "allowed_std": entry.allowed_std,
         "std_now": entry.std_now,
         "std_after": entry.std_after,
+        "peak_now_n": entry.peak_now_n,
+        "peak_after_n": entry.peak_after_n,
     }
 
 

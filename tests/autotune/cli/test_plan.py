@@ -33,12 +33,15 @@ def test_people_see_the_steps_the_gains_and_what_was_assumed(run_cli: RunCli, tm
     assert (done.returncode, done.stderr) == (0, "")
     lines = done.stdout.splitlines()
     # The drag has no value in this file, everything else is given.
-    assert lines[0] == "axis x, binding uncertainty: drag B_p"
+    assert lines[0].startswith("axis x, binding uncertainty: drag B_p; the table counts in the peak of ")
     assert lines[1] == "1. sweep: drag B_p is not known yet"
     assert any("contacts (not needed)" in line for line in lines)
     (drag,) = [line.split() for line in lines if line.startswith("drag B_p  ")]
     assert drag[3] == "-"
     assert float(drag[4]) < float(drag[5])
+    # By how much the peak moves: nobody knows yet, and afterwards by some newtons.
+    assert drag[7] == "-"
+    assert float(drag[8]) > 0.0
     assumed = next(line for line in lines if line.startswith("assumed, not measured: "))
     # All that the file does not tell, and the torque's misfit at rest, which is reckoned from one of those.
     told = {"drag_n_s_per_m", "torque_noise_rms_n_m", "pose_torque_std_n_m", "misfit_share", "position_noise_rms_m"}

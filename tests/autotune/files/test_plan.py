@@ -29,7 +29,10 @@ def test_every_kind_of_step_is_written_and_read_back(slow: ExperimentPlan, tmp_p
     write_plan(path, slow, {"tool": "x"})
     tree = load_document(path, error=UsageError).tree
     assert tree == plan_tree(slow, {"tool": "x"})
-    assert list(tree) == ["format", "version", "axis", "binding", "steps", "limits", "assumed", "provenance"]
+    assert list(tree)[:5] == ["format", "version", "axis", "binding", "reference"]
+    assert list(tree)[5:] == ["steps", "limits", "assumed", "provenance"]
+    assert slow.effect is not None
+    assert tree["reference"]["peak_force_n"] == slow.effect.peak_force_n
     assert (tree["format"], tree["version"], tree["axis"]) == ("autotune/plan", 1, "y")
     assert [step["record"] for step in tree["steps"]] == ["poses", "sweep", "taps", "contacts"]
     assert tree["assumed"]["mass_kg"] == 16.0
