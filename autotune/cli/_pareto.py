@@ -12,10 +12,11 @@ from ._table import print_table
 from ._terminal import tell
 
 if TYPE_CHECKING:
-    from autotune.studies.points import Front, Judgement
+    from autotune.studies.points import Front, Judgement, StudyRecord
     from autotune.studies.trace import FrontRequest
     from autotune.tuning.optimize import Optimized
 
+_USUAL_STEM = "controller"
 _OPTIONS = ("objectives", "require", "choose", "storage", "study", "trials", "sampler")
 
 
@@ -31,7 +32,7 @@ _DECLARED = (
         default=None,
         type=click.IntRange(min=2, max=1000),
         metavar="[POINTS]",
-        help="Write pareto.yaml beside the output as well: a front of peak force against admittance, 7 points.",
+        help="Write pareto.yaml (beside -o fast.yaml: fast.pareto.yaml) too: peak force against admittance, 7 points.",
     ),
     click.option("--objectives", callback=_names, metavar="A,B", help="Objectives of the front; makes it a study."),
     click.option(
@@ -46,7 +47,7 @@ _DECLARED = (
         metavar="A,B",
         help="Leave discretization, compensation, lead or feedback to the study.",
     ),
-    click.option("--storage", metavar="URL", help="The study's storage; pareto.db beside the output by default."),
+    click.option("--storage", metavar="URL", help="The study's storage; by default pareto.db beside pareto.yaml."),
     click.option("--study", metavar="NAME", help="Begin or continue the study of this name."),
     click.option("--trials", type=click.IntRange(min=1), metavar="N", help="Finished trials in all; 200 by default."),
     click.option("--sampler", type=click.Choice(["tpe", "nsga2"]), help="How the study draws; tpe by default."),
@@ -89,15 +90,15 @@ class FrontWriter:
     """
 
     def __init__(self, request: "FrontRequest | None", out: Path) -> None:
-        self.path, self.tree = out.with_name("pareto.yaml"), dict[str, Any]()
+        self.path, self.tree = _beside(out, ".yaml"), dict[str, Any]()
         self._fronts: Mapping[str, Front] = {}
         self._prepared = None
         if request is not None:
+            from autotune.files.atomic import check_target
             from autotune.studies.trace import prepare_fronts
 
-            if out == self.path:
-                raise click.UsageError(f"{out} is where the front goes; write the controller elsewhere with -o.")
-            self._prepared = prepare_fronts(request, out.with_name("pareto.db"))
+            check_target(self.path, [])
+            self._prepared = prepare_fronts(request, _beside(out, ".db"))
 
     def trace(self, output: Output, found: "Optimized") -> None:
         """Trace the front of every axis."""
@@ -108,7 +109,7 @@ class FrontWriter:
                 self._fronts = trace_fronts(self._prepared, found.searches, advance)
 
     def write(self, found: "Optimized") -> None:
-        """Write `pareto.yaml`."""
+        """Write the front."""
         if self._prepared is not None:
             from autotune.files.pareto import pareto_tree, write_pareto
 
@@ -122,6 +123,11 @@ class FrontWriter:
             print_fronts(self._fronts, self.path)
 
 
+def _beside(out: Path, suffix: str) -> Path:
+    """Return where the front of a controller goes: `pareto.yaml`, beside another `fast.yaml` `fast.pareto.yaml`."""
+    return out.with_name(f"pareto{suffix}" if out.stem == _USUAL_STEM else f"{out.stem}.pareto{suffix}")
+
+
 def print_fronts(fronts: Mapping[str, "Front"], path: Path) -> None:
     """Print the fronts as tables, a line per controller, and where they were written."""
     from autotune.files.pareto import objective_unit
@@ -131,7 +137,7 @@ def print_fronts(fronts: Mapping[str, "Front"], path: Path) -> None:
         units = axis_units(axis)
         told = " and ".join(each.name for each in front.objectives)
         study = front.study
-        by = "" if study is None else f"; study {study.name}: {study.feasible} of {study.trials} trials feasible"
+        by = "" if study is None else _share(study)
         tell(f"axis {axis}: front of {told}, every point in {front.scenario_count} scenarios{by}")
         heads = [f"{each.name} [{objective_unit(axis, each)}]" for each in front.objectives]
         gains = [
@@ -151,6 +157,11 @@ def print_fronts(fronts: Mapping[str, "Front"], path: Path) -> None:
         numbers = (*range(count + 4), count + 5)
         print_table([(*heads, *gains), *rows], left=(count + 4, count + 6), point=numbers, indent="  ", stacks=True)
     tell(f"written: {path}")
+
+
+def _share(study: "StudyRecord") -> str:
+    share = 100.0 * study.feasible / study.trials
+    return f"; study {study.name}: {study.feasible} of {study.trials} trials feasible ({share:.2g} %)"
 
 
 def _cells(front: "Front", point: "Judgement") -> Iterator[str]:

@@ -1,22 +1,21 @@
 """Optuna as the study layer: discrete choices, any objectives, many workers on one storage, resumed after a crash.
 
-The only module that imports Optuna, which takes half a second.
+Only this module and the sampler import Optuna, which takes half a second.
 """
 
 import itertools
+import math
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import optuna
 from numpy.typing import NDArray
-from optuna.distributions import BaseDistribution
-from optuna.samplers import BaseSampler, NSGAIISampler, TPESampler
 from optuna.storages import BaseStorage, JournalStorage, RDBStorage, RetryHeartbeatStaleTrialCallback
 from optuna.storages.journal import JournalFileBackend, JournalRedisBackend
 from optuna.trial import FrozenTrial, Trial, TrialState
@@ -36,10 +35,10 @@ from problems.margins import UnstableLoopError
 
 from .plugins import Demand, Limit, Objective
 from .points import Front, Judge, Judgement, StudyRecord, index_of, thinned, undominated
+from .sampler import NumberedSampler, Sampler, is_feasible
 from .structures import STRUCTURES, build_controller
 
 FloatArray = NDArray[np.float64]
-Sampler = Literal["tpe", "nsga2"]
 Storage = BaseStorage
 
 HEARTBEAT_S = 10
@@ -49,7 +48,9 @@ _FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
 # Two workers that meet a new storage both lay its tables; the slower one finds them a moment later.
 _OPENINGS, _OPENING_PAUSE_S = 5, 0.5
 _SQLITE_PATIENCE_S = 60
-_LARGEST_MISS = 1e6
+# Constraints are logarithms of required/achieved: an unstable trial misses more than any stable one.
+_LARGEST_MISS = math.log(1e6)
+_UNSTABLE_MISS = 2.0 * _LARGEST_MISS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,12 +156,14 @@ def run_study(
     start: FloatArray,
     name: str,
     points: int | None = None,
+    seeds: Callable[[], Sequence[FloatArray]] = tuple,
     progress: Callable[[float], None] | None = None,
 ) -> Front:
     """Run the study until it has `plan.trials` finished trials, and return its front, at most `points` of it.
 
-    `start` is the solver's design, tried first, and then in every other structure. A study of this name in the storage
-    is continued, also by several processes at a time. A trial judges its controller over the dense grid; unstable
+    `start` is the solver's design, tried first, and then in every other structure; then come the designs that `seeds`
+    returns, which is asked once in the life of a study. A study of this name in the storage is continued, also by
+    several processes at a time. A trial judges its controller over the dense grid; unstable
     ones are pruned, since no number of them means anything. The front is judged anew and not taken from the storage.
 
     Raises UsageError when the study of this name was made for something else, InfeasibleError when no trial meets
@@ -170,6 +173,7 @@ def run_study(
     judge = Judge(problem, plan.objectives, plan.demands)
     with _quiet(), _told_by_the_storage():
         study = _open_study(problem, plan, storage, start, name)
+        _seed(study, problem, plan, seeds)
         done = len(study.get_trials(deepcopy=False, states=_FINISHED))
         report(min(1.0, done / plan.trials))
         while done < plan.trials:
@@ -210,9 +214,24 @@ def _open_study(
     study.set_user_attr("made_for", mark)
     for values in itertools.product(*(STRUCTURES[choice] for choice in plan.choices)):
         chosen = dict(zip(plan.choices, values, strict=True))
-        design = {variable: float(value) for variable, value in zip(problem.variables, start, strict=True)}
-        study.enqueue_trial({**design, **chosen}, skip_if_exists=True)
+        study.enqueue_trial({**_named(problem, start), **chosen}, skip_if_exists=True)
     return study
+
+
+def _seed(
+    study: optuna.Study, problem: DesignProblem, plan: StudyPlan, seeds: Callable[[], Sequence[FloatArray]]
+) -> None:
+    """Put designs to begin with into the queue, once in the life of a study, in the structure of the solver."""
+    if study.user_attrs.get("seeded"):
+        return
+    usual = {choice: STRUCTURES[choice][0] for choice in plan.choices}
+    for design in seeds():
+        study.enqueue_trial({**_named(problem, design), **usual}, skip_if_exists=True)
+    study.set_user_attr("seeded", value=True)
+
+
+def _named(problem: DesignProblem, design: FloatArray) -> dict[str, float]:
+    return {variable: float(value) for variable, value in zip(problem.variables, design, strict=True)}
 
 
 def fingerprint(problem: DesignProblem, plan: StudyPlan, start: FloatArray) -> str:
@@ -225,6 +244,7 @@ def fingerprint(problem: DesignProblem, plan: StudyPlan, start: FloatArray) -> s
         "demands": [each.name + (f"={each.value!r}" if isinstance(each, Limit) else "") for each in plan.demands],
         "choices": list(plan.choices),
         "sampler": plan.sampler,
+        "constraints": "logarithms",
         "seed": plan.seed,
         "start": [float(value) for value in start],
     }
@@ -240,11 +260,16 @@ def _try(trial: Trial, judge: Judge, plan: StudyPlan) -> tuple[float, ...]:
     try:
         judged = judge.judge(_controller(trial.params, judge.problem, plan))
     except UnstableLoopError as error:
-        _constrain(trial, {"stable": error.spectral_radius - 1.0 or 1.0})
+        beyond = max(error.spectral_radius - 1.0, 0.0)
+        _constrain(trial, {"stable": _UNSTABLE_MISS + min(beyond, _LARGEST_MISS)})
         raise optuna.TrialPruned(str(error)) from error
-    ratios = {name: min(value - 1.0, _LARGEST_MISS) for name, value in judged.requirements.items()}
-    _constrain(trial, {"stable": 0.0, **ratios})
+    _constrain(trial, {"stable": 0.0, **{name: _missed(ratio) for name, ratio in judged.requirements.items()}})
     return tuple(judged.values[each.name] for each in plan.objectives)
+
+
+def _missed(ratio: float) -> float:
+    """Return the logarithm of required/achieved, above 0 exactly where the requirement is missed."""
+    return min(math.log(ratio), _LARGEST_MISS) if ratio > 0.0 else -_LARGEST_MISS
 
 
 def _constrain(trial: Trial, values: Mapping[str, float]) -> None:
@@ -263,11 +288,7 @@ def _controller(params: Mapping[str, Any], problem: DesignProblem, plan: StudyPl
 def _front(
     trials: Sequence[FrozenTrial], judge: Judge, plan: StudyPlan, start: FloatArray, name: str, points: int | None
 ) -> Front:
-    feasible = [
-        trial
-        for trial in trials
-        if trial.state is TrialState.COMPLETE and all(value <= 0.0 for value in trial.constraints.values())
-    ]
+    feasible = [trial for trial in trials if is_feasible(trial)]
     if not feasible:
         raise InfeasibleError(
             f"None of {len(trials)} trials of the study {name} meets every requirement; {_closest(trials)}. Ask for "
@@ -301,51 +322,9 @@ def _closest(trials: Sequence[FrozenTrial]) -> str:
         return "none of them is stable in every scenario"
     closest = min(judged, key=lambda missed: max(missed.values()))
     told = (
-        f"{name} ({100.0 / (1.0 + value):.3g} % of what is asked)" for name, value in closest.items() if value > 0.0
+        f"{name} ({100.0 * math.exp(-value):.3g} % of what is asked)" for name, value in closest.items() if value > 0.0
     )
     return f"the closest one misses {', '.join(told)}"
-
-
-class NumberedSampler(BaseSampler):
-    """A sampler whose random numbers follow from the seed and the trial's number alone.
-
-    A resumed study draws what an uninterrupted one would have drawn, and two workers never draw the same.
-    """
-
-    def __init__(self, kind: Sampler, seed: int) -> None:
-        self._kind, self._seed = kind, seed
-        self._inner = self._build(0)
-
-    def _build(self, number: int) -> BaseSampler:
-        seed = int(np.random.SeedSequence([self._seed, number]).generate_state(1)[0])
-        return NSGAIISampler(seed=seed) if self._kind == "nsga2" else TPESampler(seed=seed)
-
-    def before_trial(self, study: optuna.Study, trial: FrozenTrial) -> None:
-        """Draw anew for this number."""
-        self._inner = self._build(trial.number)
-        self._inner.before_trial(study, trial)
-
-    def infer_relative_search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
-        """Return what the sampler draws together."""
-        return self._inner.infer_relative_search_space(study, trial)
-
-    def sample_relative(
-        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
-    ) -> dict[str, Any]:
-        """Draw that."""
-        return self._inner.sample_relative(study, trial, search_space)
-
-    def sample_independent(
-        self, study: optuna.Study, trial: FrozenTrial, param_name: str, param_distribution: BaseDistribution
-    ) -> Any:
-        """Draw one value by itself."""
-        return self._inner.sample_independent(study, trial, param_name, param_distribution)
-
-    def after_trial(
-        self, study: optuna.Study, trial: FrozenTrial, state: TrialState, values: Sequence[float] | None
-    ) -> None:
-        """Let the sampler note the outcome."""
-        self._inner.after_trial(study, trial, state, values)
 
 
 def _silent(_: float) -> None:

@@ -2,22 +2,31 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from autotune.errors import UsageError
-from autotune.tuning.search import SearchResult
+from autotune.tuning.box import Box
+from autotune.tuning.search import SearchResult, presentable
 
 from .front import trace_front
 from .plugins import Demand, Objective, load_demands, load_objectives
 from .points import Front
-from .structures import check_choices
+from .structures import check_choices, design_of
 
 if TYPE_CHECKING:
     from .study import Storage
 
+FloatArray = NDArray[np.float64]
+
 USUAL = ("peak_force", "admittance")
 DEFAULT_TRIALS = 200
+_SEED_POINTS = 5
+_SEED_SHARE = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,6 +129,13 @@ def _trace(prepared: PreparedFronts, axis: str, search: SearchResult, report: Ca
         seed=request.seed,
     )
     own = fingerprint(search.problem, plan, search.design)[:12]
+    asked = 0.0
+
+    def seeds() -> list[FloatArray]:
+        nonlocal asked
+        asked = _SEED_SHARE
+        return seed_designs(search, seed=request.seed, progress=lambda done: report(_SEED_SHARE * done))
+
     return run_study(
         search.problem,
         plan,
@@ -127,8 +143,20 @@ def _trace(prepared: PreparedFronts, axis: str, search: SearchResult, report: Ca
         start=search.design,
         name=f"{own if request.study is None else request.study}.{axis}",
         points=request.points,
-        progress=report,
+        seeds=seeds,
+        progress=lambda done: report((1.0 - asked) * done),
     )
+
+
+def seed_designs(
+    search: SearchResult, *, seed: int = 0, progress: Callable[[float], None] | None = None
+) -> list[FloatArray]:
+    """Return designs for a study to begin with: those of a front by the solver, and one between each two neighbours."""
+    front = trace_front(search, _SEED_POINTS, seed=seed, progress=progress)
+    box = Box(search.problem)
+    units = [box.unit(design_of(search.problem, point.controller)) for point in front.points]
+    between = [0.5 * (one + other) for one, other in pairwise(units)]
+    return [presentable(search.problem, box.design(unit)) for unit in (*units, *between)]
 
 
 def _silent(_: float) -> None:
