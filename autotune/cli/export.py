@@ -1,21 +1,24 @@
 """`autotune export`: a validated controller in the format that another program reads."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from autotune.exports.targets import EVERY_TARGET, PEER_TARGETS
 
 from ._common import Output, output_options
-from ._files import SETTINGS, FilePath
+from ._files import KEYS, SETTINGS, FilePath
 from ._help import GroupedCommand
 from ._terminal import tell
+
+if TYPE_CHECKING:
+    from autotune.exports.trust import Trust
 
 _EPILOG = """\b
 Examples:
   autotune export controller.yaml --target json -o controller.json
-  autotune export controller.yaml --target c -o cell.c
+  autotune export controller.yaml --target c -o cell.c --public-key pub.pem
   autotune export controller.yaml --target ros2_control --ros2-version jazzy -o admittance.yaml
 """
 _FOR_PEERS = (
@@ -84,13 +87,27 @@ def _peer_options(command: Any) -> Any:
     help="The file to write (of c: NAME.c, with NAME.h beside it). An earlier export to the same target is replaced, "
     "once the new one is whole; any other file is left alone.",
 )
+@click.option(
+    "--public-key", type=FilePath(*KEYS), help="Demand the signature CONTROLLER.sig, by the key of this file."
+)
+@click.option("--expected-checksum", metavar="64 DIGITS", help="Demand the file of this whole checksum.")
 @_peer_options
 @output_options
-def command(output: Output, /, controller: Path, target: str, out: Path, **further: Any) -> None:
+def command(
+    output: Output,
+    /,
+    controller: Path,
+    target: str,
+    out: Path,
+    public_key: Path | None,
+    expected_checksum: str | None,
+    **further: Any,
+) -> None:
     """Verify CONTROLLER and write it in the format of another program.
 
-    A file that is altered or not validated is refused (exit code 6). The short checksum is for people to compare with
-    what the cell shows.
+    A file that is altered, not validated, not signed by the key, or whose law is not stable over its domain with the
+    margins that it states is refused (exit code 6). The short checksum is for people to compare with what the cell
+    shows; a program compares all 64 digits.
 
     Controllers of others run other laws. For them the parameters are translated, what they cannot express is dropped,
     and what remains is certified again over the file's domain; if that fails, the best that they can do is tuned, and
@@ -99,16 +116,20 @@ def command(output: Output, /, controller: Path, target: str, out: Path, **furth
     from autotune.errors import UsageError
     from autotune.exports.replace import standing
     from autotune.exports.targets import export_controller
+    from autotune.exports.trust import Trust
     from autotune.files.canonical import short
 
+    trust = Trust(public_key=public_key, expected_checksum=expected_checksum)
     given = {name: value for name, value in further.items() if value is not None}
     if target in PEER_TARGETS:
-        _export_peer(output, controller, target, out, given)
+        _export_peer(output, controller, target, out, given, trust)
         return
     if given:
         raise UsageError(f"The target {target} takes no names, versions or numbers of another controller.")
     earlier = standing(out, target)
-    checksum = export_controller(controller, target, out)
+    with output.progress("verifying", 1.0) as advance:
+        checksum = export_controller(controller, target, out, trust, advance)
+    _note_unverified(output, controller, public_key)
     result = {"target": target, "path": str(out), "checksum": checksum, "short_checksum": short(checksum)}
 
     def text() -> None:
@@ -118,12 +139,22 @@ def command(output: Output, /, controller: Path, target: str, out: Path, **furth
     output.result({**result, "replaced": bool(earlier)}, text)
 
 
+def _note_unverified(output: Output, controller: Path, public_key: Path | None) -> None:
+    """Say that there is a signature which was not looked at."""
+    from autotune.files.signature import unverified_signature
+
+    if public_key is None and (remark := unverified_signature(controller)):
+        output.note(remark)
+
+
 def _tell_replaced(earlier: tuple[Path, ...], target: str) -> None:
     for path in earlier:
         tell(f"{path}: an earlier export --target {target} was replaced")
 
 
-def _export_peer(output: Output, controller: Path, target: str, out: Path, given: dict[str, Any]) -> None:
+def _export_peer(
+    output: Output, controller: Path, target: str, out: Path, given: dict[str, Any], trust: "Trust"
+) -> None:
     """Certify, write and tell what was kept, what was dropped and what it costs."""
     from autotune.exports.peers import export_peer, peer_options
     from autotune.exports.replace import standing
@@ -134,7 +165,8 @@ def _export_peer(output: Output, controller: Path, target: str, out: Path, given
     options = peer_options(target, given)
     earlier = standing(out, target)
     with output.progress("certifying", 1.0) as advance:
-        made = export_peer(controller, options, out, advance)
+        made = export_peer(controller, options, out, advance, trust)
+    _note_unverified(output, controller, trust.public_key)
     checksum = made.source.checksum
     head: dict[str, Any] = {"target": target, "path": str(out), "checksum": checksum, "short_checksum": short(checksum)}
     head["replaced"] = bool(earlier)

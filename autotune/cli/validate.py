@@ -157,6 +157,8 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
         "monte_carlo": monte_carlo_tree(simulated),
         "log": None if compared is None else comparison_tree(compared),
     }
+    if seen.signed_by is None:
+        _note_unverified(output, path)
     tree |= write_report(output, options["report"], seen.page)
     output.result(tree, lambda: seen.print(options["report"]))
     seen.report.require()
@@ -213,6 +215,14 @@ def _keys(path: Path, options: dict[str, Any]) -> tuple[Any, Any]:
         check_target(signature_path(path))
     private = None if options["sign"] is None else read_private_key(options["sign"])
     return private, None if options["public_key"] is None else read_public_key(options["public_key"])
+
+
+def _note_unverified(output: Output, path: Path) -> None:
+    """Say that there is a signature which was not looked at."""
+    from autotune.files.signature import unverified_signature
+
+    if remark := unverified_signature(path):
+        output.note(remark)
 
 
 def _signed_by(read: "ControllerFile", public: Any) -> str:

@@ -5,6 +5,7 @@ HEADER = """\
  *
  * The six-axis admittance controller of a validated controller file
 $about
+ * $signature
  *
  * Compile $prefix.c as C99 and without -ffast-math. No allocation, no library, no global state.
  *
@@ -117,6 +118,8 @@ typedef struct {
 } $prefix_state;
 
 extern const char $prefix_checksum[65];
+/* The fingerprint of the key whose signature of the file was verified at the export, "" where none was asked for. */
+extern const char $prefix_signed_by[17];
 extern const double $prefix_sample_time_s;
 extern const $prefix_payload $prefix_file_payload;
 

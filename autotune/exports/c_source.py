@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from string import Template
@@ -31,6 +31,7 @@ from autotune.runtime.load import read_law
 from .c_header import HEADER
 from .c_text import SOURCE_CODE, SOURCE_DATA
 from .replace import check_replaceable
+from .trust import Trust, check_law
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
 _RESPONSES = (CollisionResponse.NONE, CollisionResponse.RESET, CollisionResponse.STOP)
@@ -44,34 +45,48 @@ class CSource:
     source: str
 
 
-def export_c(path: Path | str, out: Path | str) -> str:
+def export_c(
+    path: Path | str,
+    out: Path | str,
+    trust: Trust,
+    progress: Callable[[float], None] | None = None,
+) -> str:
     """Verify the controller file `path`, write `out`, a `.c`, and the `.h` beside it, and return the checksum.
 
     The name before `.c` is that of the functions. Each file is replaced in one step, the header first; a source beside
     the header of another controller does not compile.
 
-    Raises CertificateError: the file is altered or not validated. UsageError: `out` is no name for C, is not
-    writable, or is the file of somebody else.
+    Raises CertificateError: the file is altered, not validated, not as `trust` asks, or false. UsageError: `out` is no
+    name for C, is not writable, or is the file of somebody else.
     """
     source, header = Path(out), Path(out).with_suffix(".h")
     if source.suffix != ".c" or not _NAME.fullmatch(source.stem):
         raise UsageError(f"{out} must be a name for C functions followed by .c, such as cell.c; name another file.")
     verified = read_controller(path)
     check_replaceable(out, "c", path)
-    text = render_c(read_law(path), source.stem, verified.controller.provenance)
+    signed_by = trust.verify(verified)
+    check_law(verified, progress)
+    text = render_c(read_law(path), source.stem, verified.controller.provenance, signed_by)
     write_atomic(header, text.header)
     write_atomic(source, text.source)
     return verified.checksum
 
 
-def render_c(controller: RuntimeController, name: str, provenance: Mapping[str, Any]) -> CSource:
-    """Return header and source whose functions begin with `name`; every number is the exact double, in hexadecimal."""
+def render_c(
+    controller: RuntimeController, name: str, provenance: Mapping[str, Any], signed_by: str | None = None
+) -> CSource:
+    """Return header and source whose functions begin with `name`; every number is the exact double, in hexadecimal.
+
+    `signed_by` is the fingerprint of the key whose signature of the file was verified, None where none was asked for.
+    """
     payload, threshold, guard = controller.payload, controller.threshold_n, controller.guard
     words = {
         "prefix": name,
         "PREFIX": name.upper(),
         "tool_version": __version__,
         "about": _about(controller, provenance),
+        "signed_by": signed_by or "",
+        "signature": f"signature verified, key {signed_by}" if signed_by else "signature not verified",
         "checksum": controller.checksum,
         "head": short(controller.checksum),
         "tuned": len(controller.axes),

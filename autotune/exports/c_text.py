@@ -43,6 +43,7 @@ enum { WRENCH_PERIODS = $wrench_periods, POSE_PERIODS = $pose_periods, WEIGHT_PE
 enum { REST_SAMPLES = $rest_samples, MOST_HELD = $most_held, MOST_PERIODS = $most_periods };
 
 const char $prefix_checksum[65] = "$checksum";
+const char $prefix_signed_by[17] = "$signed_by";
 const double $prefix_sample_time_s = $sample_time;
 const $prefix_payload $prefix_file_payload = {
     $mass, /* kg */

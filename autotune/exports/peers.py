@@ -26,6 +26,7 @@ from .retune import retune
 from .ros2_control import Ros2Axis, Ros2Options
 from .ros_yaml import Tree, check_joint_count, dump_parameters, joints_told
 from .structure import Values
+from .trust import Trust
 
 Options = Ros2Options | FziOptions
 Axis = Ros2Axis | FziAxis
@@ -89,17 +90,22 @@ class PeerExport:
 
 
 def export_peer(
-    path: Path | str, options: Options, out: Path | str, progress: Callable[[float], None] | None = None
+    path: Path | str,
+    options: Options,
+    out: Path | str,
+    progress: Callable[[float], None] | None = None,
+    trust: Trust | None = None,
 ) -> PeerExport:
     """Write the controller file `path` for another controller and return what was done.
 
-    `progress` is told the share of the work done since the last call. Raises CertificateError for a file that is
-    altered or says what cannot be certified, InfeasibleError where the other controller can do nothing that meets the
-    file's requirements, UsageError for a file that cannot be read or written, an `out` that is not of the same export
-    and a rate that cannot be told.
+    `progress` is told the share of the work done since the last call, `trust` says what is asked of the file. Raises
+    CertificateError for a file that is altered, not as asked, or says what cannot be certified, InfeasibleError where
+    the other controller can do nothing that meets the file's requirements, UsageError for a file that cannot be read
+    or written, an `out` that is not of the same export and a rate that cannot be told.
     """
     source = read_controller(path)
     check_replaceable(out, target_of(options), path)
+    (Trust() if trust is None else trust).verify(source)
     made = make_peer(source, options, progress)
     write_atomic(out, made.text)
     return made

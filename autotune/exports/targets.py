@@ -10,6 +10,8 @@ from autotune.errors import CertificateError, UsageError
 if TYPE_CHECKING:
     from autotune.files.controller import Controller
 
+    from .trust import Trust
+
 # The files are read and written by functions that import what they need, so that the list of targets costs nothing.
 
 
@@ -38,27 +40,39 @@ PEER_TARGETS = ("ros2_control", "fzi_cartesian")
 """Controllers of others, which run another law: `autotune.exports.peers` certifies it before it writes anything."""
 
 
-def export_controller(path: Path | str, target: str, out: Path | str) -> str:
+def export_controller(
+    path: Path | str,
+    target: str,
+    out: Path | str,
+    trust: "Trust | None" = None,
+    progress: Callable[[float], None] | None = None,
+) -> str:
     """Verify the controller file `path`, write it to `out` in the format `target` and return its checksum.
 
     The text is read back and must tell the same controller before `out` is touched; for C see `c_source.export_c`.
+    `trust` says what more is asked of the file than a law that is stable over its domain with the margins stated.
 
     Raises UsageError for an unknown target, a file that cannot be opened or written, or an `out` that is not of the
-    same export; CertificateError for a file that is altered, not validated or not read back the same.
+    same export; CertificateError for a file that is altered, not validated, not as asked, false, or not
+    read back the same.
     """
     from autotune.files.atomic import write_atomic  # noqa: PLC0415
     from autotune.files.controller import parse_controller, read_controller, short  # noqa: PLC0415
 
     from .replace import check_replaceable  # noqa: PLC0415
+    from .trust import Trust, check_law  # noqa: PLC0415
 
+    trust = Trust() if trust is None else trust
     if target == "c":
         from .c_source import export_c  # noqa: PLC0415
 
-        return export_c(path, out)
+        return export_c(path, out, trust, progress)
     if target not in TARGETS:
         raise UsageError(f"There is no export target {target}; targets: {', '.join(EVERY_TARGET)}.")
     source = read_controller(path)
     check_replaceable(out, target, path)
+    trust.verify(source)
+    check_law(source, progress)
     text = TARGETS[target](source.controller)
     twin = parse_controller(text, out)
     if twin.checksum != source.checksum or twin.controller != source.controller:

@@ -3,6 +3,8 @@
 The checksum in a file tells that nothing was changed by accident; a signature tells who vouches for it.
 """
 
+import os
+import stat
 from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
@@ -25,7 +27,12 @@ def signature_path(path: Path) -> Path:
 
 
 def read_private_key(path: Path) -> "Ed25519PrivateKey":
-    """Return an Ed25519 key from a PEM file (PKCS #8) or one of OpenSSH, without password; else raises UsageError."""
+    """Return an Ed25519 key from a PEM file (PKCS #8) or one of OpenSSH, without password; else raises UsageError.
+
+    So it does where the key can be read by others than its owner: whoever read it can sign in the owner's name.
+    """
+    _check_private(path)
+    _check_library()
     from cryptography.hazmat.primitives import serialization  # noqa: PLC0415 - slow to import, and rarely needed
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey  # noqa: PLC0415 - the same
 
@@ -41,6 +48,7 @@ def read_private_key(path: Path) -> "Ed25519PrivateKey":
 
 def read_public_key(path: Path) -> "Ed25519PublicKey":
     """Return an Ed25519 key from a PEM file or one of OpenSSH; else raises UsageError."""
+    _check_library()
     from cryptography.hazmat.primitives import serialization  # noqa: PLC0415 - slow to import, and rarely needed
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey  # noqa: PLC0415 - the same
 
@@ -91,6 +99,38 @@ def check_signature(path: Path, key: "Ed25519PublicKey", digest: str) -> str:
 def fingerprint(key: "Ed25519PublicKey") -> str:
     """Return the first 16 hexadecimal digits of the sha256 of the public key's 32 bytes, for people to compare."""
     return sha256(key.public_bytes_raw()).hexdigest()[:16]
+
+
+def unverified_signature(path: Path) -> str:
+    """Say that a signature stands beside `path` and was not verified; "" where there is none."""
+    beside = signature_path(path)
+    if not beside.is_file():
+        return ""
+    return f"{beside} was not verified, since no key was given; name the key of whoever signs with --public-key."
+
+
+def _check_private(path: Path) -> None:
+    if os.name != "posix":  # elsewhere the mode says nothing of who may read
+        return
+    try:
+        mode = stat.S_IMODE(path.stat().st_mode)
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read: {error.strerror or error}.") from error
+    if mode & (stat.S_IRWXG | stat.S_IRWXO):
+        raise UsageError(
+            f"{path} is a private key that others than its owner have access to (mode {mode:03o}), so nothing is "
+            f"signed with it; make it yours alone (chmod 600 {path}), or make a new key if somebody may have read it."
+        )
+
+
+def _check_library() -> None:
+    try:
+        import cryptography  # noqa: F401, PLC0415 - asked for, and slow to import
+    except ImportError as error:
+        raise UsageError(
+            "A signature is verified with the Python package cryptography, which is not installed here; install it, or "
+            "verify the file on another machine (autotune validate --public-key) and compare the whole checksum."
+        ) from error
 
 
 def _same_bytes(path: Path, digest: str) -> bytes:

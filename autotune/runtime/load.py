@@ -1,12 +1,14 @@
 """Read `controller.yaml` on the cell's computer and refuse it unless it is whole, validated and for this cell."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from autotune.errors import CertificateError, UsageError
-from autotune.files.canonical import checksum, short
+from autotune.files.canonical import checksum as checksum_of
+from autotune.files.canonical import short
 from autotune.files.limits import AxisLimits, Limits
 from autotune.files.schema import check_format, explain, load_schema, refuse_first
 from autotune.files.yaml12 import Document, load_document
@@ -17,7 +19,7 @@ from .default_limits import default_limits
 from .law import AXES, AxisLaw, CollisionResponse, Payload
 from .schema_check import breaches
 
-_SHORT, _LONG = 8, 64
+_CHECKSUM = re.compile(r"[0-9a-fA-F]{64}")
 
 
 def load_controller(
@@ -28,6 +30,7 @@ def load_controller(
     payload_inertia_kg_m2: Mapping[str, float] | None = None,
     payload: Payload | None = None,
     expected_checksum: str | None = None,
+    public_key: Path | str | None = None,
 ) -> RuntimeController:
     """Return the controller of a file, verified and found right for this cell.
 
@@ -35,15 +38,22 @@ def load_controller(
 
     `sample_time_s` is the period of the cell's loop, `payload_mass_kg` what it carries; `payload_inertia_kg_m2` by
     axis what it weighs about each of rx, ry, rz that is tuned. `payload` replaces the file's gravity compensation when
-    the cell carries another payload of the certified range. `expected_checksum` (8 or 64 digits) is what was agreed on.
+    the cell carries another payload of the certified range. `expected_checksum` (64 digits) is what was agreed on.
+    `public_key` is a file with the Ed25519 key (PEM or OpenSSH) that must have signed the file, as `autotune validate
+    --sign` does; only this needs the package cryptography. Without both, whoever can write the file moves the robot.
 
-    Raises CertificateError: the file is altered, truncated, not validated, not the expected one, or not for this cell.
-    UsageError: it cannot be opened, the expected checksum is none, what is told of the cell is no number, or an
-    inertia is about an axis that does not turn.
+    Raises CertificateError: the file is altered, truncated, not validated, not the expected one, not signed by the key,
+    false, or not for this cell. UsageError: it or the key cannot be read, the expected checksum is none, what is told
+    of the cell is no number, or an inertia is about an axis that does not turn.
     """
-    controller = read_law(path)
     if expected_checksum is not None:
-        _check_expected(expected_checksum, controller, path)
+        check_digits(expected_checksum)
+    document = _read_document(path)
+    if public_key is not None:
+        verify_signature(path, public_key, document.sha256)
+    controller = _verified_law(document)
+    if expected_checksum is not None:
+        check_expected(expected_checksum, controller.checksum, path)
     if payload is not None:
         controller = replace(controller, payload=payload)
     try:
@@ -60,10 +70,46 @@ def read_law(path: Path | str) -> RuntimeController:
 
     Raises as `load_controller`.
     """
-    document = load_document(path, error=CertificateError, exact=True)
+    return _verified_law(_read_document(path))
+
+
+def verify_signature(path: Path | str, public_key: Path | str, digest: str) -> str:
+    """Return the fingerprint of the key that signed the bytes of `path`, those of sha256 `digest`.
+
+    Raises CertificateError without such a signature beside the file, UsageError for a key that cannot be read and where
+    the package cryptography is missing.
+    """
+    # The only use of it here, and it comes with a library that a cell need not have.
+    from autotune.files.signature import check_signature, read_public_key  # noqa: PLC0415
+
+    return check_signature(Path(path), read_public_key(Path(public_key)), digest)
+
+
+def check_digits(expected: object) -> None:
+    """Raise UsageError unless `expected` is a whole checksum: the first 8 digits are found again within minutes."""
+    if not isinstance(expected, str) or not _CHECKSUM.fullmatch(expected):
+        raise UsageError(
+            f"The expected checksum must be all 64 hexadecimal digits, found {str(expected)[:80]!r}; the first 8 are "
+            "for people to compare, and a file with the same 8 is made within minutes."
+        )
+
+
+def check_expected(expected: str, checksum: str, path: Path | str) -> None:
+    """Raise CertificateError unless `checksum` is the agreed one of 64 digits, UsageError if that is none."""
+    check_digits(expected)
+    if checksum != expected.lower():
+        found = f"its checksum is {checksum}, not {expected.lower()}"
+        raise CertificateError(f"{path}: it is another file: {found}.")
+
+
+def _read_document(path: Path | str) -> Document:
+    return load_document(path, error=CertificateError, exact=True)
+
+
+def _verified_law(document: Document) -> RuntimeController:
     check_format(document, "controller")
     refuse_first(document, map(explain, breaches(document.tree, load_schema("controller"))))
-    stated, found = document.tree["checksum"], checksum(document.tree)
+    stated, found = document.tree["checksum"], checksum_of(document.tree)
     if stated != found:
         reason = f"the checksum says {short(stated)}, but the content has {short(found)}; the file is altered."
         document.refuse(("checksum",), reason)
@@ -71,7 +117,7 @@ def read_law(path: Path | str) -> RuntimeController:
     try:
         return _law(document.tree)
     except ParameterError as reason:
-        raise CertificateError(f"{path}: {reason}") from reason
+        raise CertificateError(f"{document.path}: {reason}") from reason
 
 
 def _check_claims(document: Document) -> None:
@@ -135,11 +181,3 @@ def _axis(tree: Mapping[str, Any], name: str) -> AxisLaw:
         is_subtractive=gains["deadband_type"] == "subtractive",
         payload_range=(float(low), float(high)),
     )
-
-
-def _check_expected(expected: str, controller: RuntimeController, path: Path | str) -> None:
-    if len(expected) not in (_SHORT, _LONG):
-        raise UsageError(f"A checksum has {_SHORT} or {_LONG} digits, found {expected!r}.")
-    if not controller.checksum.startswith(expected.lower()):
-        found = short(controller.checksum)
-        raise CertificateError(f"{path}: it is another file: its checksum is {found}, not {short(expected)}.")

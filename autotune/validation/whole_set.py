@@ -53,6 +53,13 @@ def build_other_plants(domain: AxisDomain, margins: AxisMargins, predicted: Axis
     )
 
 
+def recorded_plants(domain: AxisDomain, margins: AxisMargins) -> tuple[Plant, ...]:
+    """Return the plants in contact at which the file says that a margin is smallest."""
+    whole, nominal = domain.uncertainty(), domain.nominal_plant()
+    scenarios = dict.fromkeys(_scenario(case, whole) for case in margins.worst.values())
+    return tuple(scenario.plant(nominal) for scenario in scenarios)
+
+
 def sampled_claims(
     domain: AxisDomain, margins: AxisMargins, predicted: AxisPrediction, name: str, reaches: Sequence[Reach] = ()
 ) -> tuple[Proof, ...]:

@@ -4,18 +4,23 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from autotune.cli.main import main
+from autotune.files.canonical import checksum
 from autotune.files.controller import read_controller, short, write_controller
+from autotune.files.signature import fingerprint
+from autotune.files.yaml12 import dump_yaml, load_yaml
 from tests.autotune.exports.peer_cases import PLAIN, peer_controller, requirements
-from tests.autotune.files.samples import make_controller
+from tests.autotune.tuning.cases import small_controller
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
 @pytest.fixture
 def source(tmp_path: Path) -> Path:
-    write_controller(tmp_path / "controller.yaml", make_controller())
+    write_controller(tmp_path / "controller.yaml", small_controller())
     return tmp_path / "controller.yaml"
 
 
@@ -24,7 +29,7 @@ def test_a_controller_is_exported_and_its_short_checksum_told(run_cli: RunCli, s
     run = run_cli("export", source, "--target", target, "-o", "out")
     assert (run.returncode, run.stderr) == (0, "")
     exported = read_controller(source.with_name("out"))
-    assert exported.controller == make_controller()
+    assert exported.controller == small_controller()
     assert run.stdout == f"out: {target}, checksum {short(exported.checksum)}\n"
 
 
@@ -45,7 +50,7 @@ def test_json_is_one_object_and_quiet_is_silent(run_cli: RunCli, source: Path) -
     assert (quiet.returncode, quiet.stdout, quiet.stderr) == (0, "", "")
 
 
-@pytest.mark.parametrize(("old", "new"), [("mass: 12.5", "mass: 12.4"), ("status: validated\n", ""), ("\n", "\n\t")])
+@pytest.mark.parametrize(("old", "new"), [("mass: 6.0", "mass: 6.1"), ("status: validated\n", ""), ("\n", "\n\t")])
 def test_an_altered_file_is_exit_6_with_one_line(run_cli: RunCli, source: Path, old: str, new: str) -> None:
     source.write_text(source.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")
     run = run_cli("export", source, "--target", "cell", "-o", "out")
@@ -151,3 +156,49 @@ def test_an_option_that_does_not_fit_is_exit_2(
     assert main(["export", str(source), "-o", str(out), *arguments]) == 2
     assert told in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_law_that_is_not_stable_is_exit_6_whatever_its_checksum_says(run_cli: RunCli, source: Path) -> None:
+    tree = load_yaml(source)
+    tree["axes"]["x"]["damping"] /= 10.0
+    tree["checksum"] = checksum(tree)
+    source.write_text(dump_yaml(tree), encoding="utf-8")
+    for target in ("json", "cell", "c"):
+        run = run_cli("export", source, "--target", target, "-o", "out.c")
+        assert (run.returncode, run.stdout) == (6, "")
+        assert "controller.yaml is false, so nothing is exported from it: Axis x, stability" in run.stderr
+    assert [path.name for path in source.parent.iterdir()] == ["controller.yaml"]
+
+
+def test_margins_that_are_better_than_those_of_the_law_are_exit_6(run_cli: RunCli, source: Path) -> None:
+    tree = load_yaml(source)
+    tree["certificate"]["margins"]["x"]["modulus"] *= 1.1
+    tree["checksum"] = checksum(tree)
+    source.write_text(dump_yaml(tree), encoding="utf-8")
+    run = run_cli("export", source, "--target", "json", "-o", "out.json")
+    assert (run.returncode, run.stdout) == (6, "")
+    assert "modulus is claimed as" in run.stderr
+
+
+def test_where_a_key_or_a_checksum_is_asked_for_it_is_verified(run_cli: RunCli, source: Path) -> None:
+    key, beside = Ed25519PrivateKey.generate(), source.with_name("controller.yaml.sig")
+    public = key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+    source.with_name("pub.pem").write_bytes(public)
+    arguments = ("export", source, "--target", "c", "-o", "cell.c")
+    for signature in (None, bytes(64)):
+        if signature is not None:
+            beside.write_bytes(signature)
+        assert run_cli(*arguments, "--public-key", "pub.pem").returncode == 6
+    assert not source.with_name("cell.c").exists()
+    unasked = run_cli(*arguments)
+    assert unasked.returncode == 0
+    assert "controller.yaml.sig was not verified, since no key was given" in unasked.stderr
+    assert 'signed_by[17] = "";' in source.with_name("cell.c").read_text(encoding="utf-8")
+    beside.write_bytes(key.sign(source.read_bytes()))
+    assert run_cli(*arguments, "--public-key", "pub.pem").returncode == 0
+    told = fingerprint(key.public_key())
+    assert f'signed_by[17] = "{told}";' in source.with_name("cell.c").read_text(encoding="utf-8")
+    assert f"signature verified, key {told}" in source.with_name("cell.h").read_text(encoding="utf-8")
+    digest = read_controller(source).checksum
+    for expected, code in ((digest, 0), ("0" * 64, 6), (digest[:8], 2)):
+        assert run_cli(*arguments, "--expected-checksum", expected).returncode == code

@@ -169,6 +169,7 @@ def test_a_file_is_signed_once_it_holds_and_the_signature_is_demanded(run_here: 
     key = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
     folder = good.parent
     (folder / "key.pem").write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    (folder / "key.pem").chmod(0o600)
     public = key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
     (folder / "pub.pem").write_bytes(public)
     check = ("validate", "controller.yaml", "--samples", "0", "--public-key", "pub.pem")
@@ -191,6 +192,7 @@ def test_a_file_that_does_not_hold_is_not_signed(run_here: RunCli, tmp_path: Pat
     write_controller(tmp_path / "controller.yaml", FALSE_CLAIMS["delay too small"][0](small_controller()))
     key = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
     (tmp_path / "key.pem").write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    (tmp_path / "key.pem").chmod(0o600)
     assert run_here("validate", "controller.yaml", "--sign", "key.pem").returncode == 6
     assert not (tmp_path / "controller.yaml.sig").exists()
 

@@ -27,6 +27,8 @@ from tests.autotune.runtime.cases import (
     run_contact,
 )
 
+pytestmark = pytest.mark.usefixtures("unchecked_law")
+
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
 
 

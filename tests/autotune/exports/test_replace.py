@@ -15,6 +15,9 @@ from autotune.exports.targets import EVERY_TARGET, PEER_TARGETS, export_controll
 from autotune.files.controller import Controller, read_controller, write_controller
 from tests.autotune.exports.peer_cases import PLAIN, peer_controller, requirements
 from tests.autotune.files.samples import make_controller
+from tests.autotune.tuning.cases import small_controller
+
+pytestmark = pytest.mark.usefixtures("unchecked_law")
 
 TARGETS = (*EVERY_TARGET, *PEER_TARGETS)
 FOREIGN = {
@@ -37,7 +40,7 @@ def texts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """Return what each target writes, of C the source."""
     folder = tmp_path_factory.mktemp("texts")
     path = folder / "controller.yaml"
-    write_controller(path, make_controller())
+    write_controller(path, small_controller())
     for target in EVERY_TARGET:
         export_controller(path, target, folder / f"{target}.c")
     found = {target: (folder / f"{target}.c").read_text(encoding="utf-8") for target in EVERY_TARGET}

@@ -14,6 +14,8 @@ from autotune.files.schema import load_schema
 from autotune.files.yaml12 import load_yaml
 from tests.autotune.files.samples import make_controller
 
+pytestmark = pytest.mark.usefixtures("unchecked_law")
+
 
 @pytest.fixture
 def source(tmp_path: Path) -> Path:

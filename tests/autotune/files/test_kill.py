@@ -14,7 +14,7 @@ from autotune.files.controller import controller_tree, read_controller, write_co
 from autotune.files.dump import dump_json
 from autotune.files.yaml12 import dump_yaml
 from tests.autotune.files.samples import make_controller
-from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
+from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, small_controller, write_plant
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
 
@@ -72,9 +72,10 @@ def test_killed_at_random_moments_the_file_is_always_whole(tmp_path: Path, repos
 @pytest.mark.parametrize(("call", "count"), [("open", 1), ("fsync", 1), ("replace", 1), ("fsync", 2)])
 def test_an_export_killed_at_each_step_of_writing(tmp_path: Path, repository: Path, call: str, count: int) -> None:
     source, out = tmp_path / "controller.yaml", tmp_path / "out.json"
-    write_controller(source, NEW)
+    new_controller = small_controller()
+    write_controller(source, new_controller)
     before = source.read_bytes()
-    old, new = (dump_json(controller_tree(each)) for each in (OLD, NEW))
+    old, new = (dump_json(controller_tree(each)) for each in (OLD, new_controller))
     out.write_text(old, encoding="utf-8")
     arguments = ["export", str(source), "--target", "json", "-o", str(out)]
     done = subprocess.run(
@@ -88,7 +89,7 @@ def test_an_export_killed_at_each_step_of_writing(tmp_path: Path, repository: Pa
     # The folder is flushed after the new name stands: only then is it the new file.
     after_the_step = (call, count) == ("fsync", 2)
     assert out.read_text(encoding="utf-8") == (new if after_the_step else old)
-    assert read_controller(out).controller == (NEW if after_the_step else OLD)
+    assert read_controller(out).controller == (new_controller if after_the_step else OLD)
 
 
 def test_an_optimize_killed_in_the_middle_leaves_the_old_controller(tmp_path: Path, repository: Path) -> None:

@@ -2,6 +2,7 @@
 
 import shutil
 import subprocess
+import sys
 from hashlib import sha256
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from autotune.files.signature import (
     read_public_key,
     sign_file,
     signature_path,
+    unverified_signature,
 )
 
 CONTENT = b"format: autotune/controller\n"
@@ -57,6 +59,7 @@ def digest(path: Path) -> str:
 
 def written(path: Path, data: bytes = CONTENT) -> Path:
     path.write_bytes(data)
+    path.chmod(0o600)
     return path
 
 
@@ -113,6 +116,29 @@ def test_whatever_was_changed_the_signature_is_refused(tmp_path: Path) -> None:
     signature_path(path).unlink()
     with pytest.raises(CertificateError, match=r"must be signed, but .*c\.yaml\.sig cannot be read"):
         check_signature(path, KEY.public_key(), digest(path))
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o620, 0o644, 0o666])
+def test_a_private_key_that_others_have_access_to_signs_nothing(tmp_path: Path, mode: int) -> None:
+    path = pem(KEY, tmp_path / "key.pem")
+    path.chmod(mode)
+    with pytest.raises(UsageError, match=rf"others than its owner have access to \(mode {mode:o}\).*chmod 600"):
+        read_private_key(path)
+    path.chmod(0o400)
+    assert fingerprint(read_private_key(path).public_key()) == fingerprint(KEY.public_key())
+
+
+def test_without_the_library_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cryptography", None)
+    with pytest.raises(UsageError, match="the Python package cryptography, which is not installed here"):
+        read_public_key(written(tmp_path / "key"))
+
+
+def test_a_signature_that_nobody_asked_for_is_not_passed_over(tmp_path: Path) -> None:
+    path = written(tmp_path / "c.yaml")
+    assert unverified_signature(path) == ""
+    written(signature_path(path), bytes(64))
+    assert "c.yaml.sig was not verified, since no key was given" in unverified_signature(path)
 
 
 def test_a_file_that_changed_under_the_reader_is_not_signed(tmp_path: Path) -> None:

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from autotune.errors import CertificateError, UsageError
 from autotune.exports.targets import export_controller
@@ -19,6 +21,7 @@ from autotune.files.controller import (
     write_controller,
 )
 from autotune.files.controller import CollisionResponse as FileResponse
+from autotune.files.signature import signature_path
 from autotune.files.yaml12 import dump_yaml
 from autotune.runtime import CollisionResponse, Payload, load_controller
 from problems.controller import controller_blocks
@@ -64,6 +67,7 @@ def test_a_good_file_says_what_it_says_to_the_rest_of_the_tool(tmp_path: Path) -
         assert (axis.deadband, axis.is_subtractive) == (5.0, False)
 
 
+@pytest.mark.usefixtures("unchecked_law")
 def test_the_json_twin_is_the_same_controller(tmp_path: Path) -> None:
     path = written(tmp_path, make_controller())
     export_controller(path, "json", tmp_path / "controller.json")
@@ -173,15 +177,46 @@ def test_the_ends_of_the_certified_range_are_in_it(tmp_path: Path) -> None:
         assert law.payload == payload
 
 
-def test_the_expected_checksum_is_compared(tmp_path: Path) -> None:
+def test_the_expected_checksum_is_compared_in_all_of_its_digits(tmp_path: Path) -> None:
     path = written(tmp_path, make_controller())
     digest = read_controller(path).checksum
-    for expected in (digest, digest[:8], digest[:8].upper()):
+    for expected in (digest, digest.upper()):
         assert load_controller(path, **CELL, expected_checksum=expected).checksum == digest
-    with pytest.raises(CertificateError, match=f"its checksum is {digest[:8]}, not 00000000"):
+    with pytest.raises(CertificateError, match=f"its checksum is {digest}, not {'0' * 64}"):
         load_controller(path, **CELL, expected_checksum="0" * 64)
-    with pytest.raises(UsageError, match="8 or 64 digits"):
-        load_controller(path, **CELL, expected_checksum="")
+    with pytest.raises(CertificateError, match="another file"):
+        load_controller(path, **CELL, expected_checksum=digest[:8] + "0" * 56)
+    # 32 bits: another file of the same first 8 digits is found within minutes.
+    for short in ("", digest[:8], digest[:63], digest + "0", "g" * 64):
+        with pytest.raises(UsageError, match="must be all 64 hexadecimal digits"):
+            load_controller(path, **CELL, expected_checksum=short)
+
+
+def test_where_a_key_is_given_only_what_it_signed_is_loaded(tmp_path: Path) -> None:
+    path, key, other = written(tmp_path, make_controller()), new_key(tmp_path / "pub.pem"), tmp_path / "other.pem"
+    new_key(other)
+    for signature in (None, bytes(64), b"", key.sign(b"another file")):
+        if signature is not None:
+            signature_path(path).write_bytes(signature)
+        with pytest.raises(CertificateError, match=r"must be signed|is not a signature of"):
+            load_controller(path, **CELL, public_key=tmp_path / "pub.pem")
+    signature_path(path).write_bytes(key.sign(path.read_bytes()))
+    assert load_controller(path, **CELL, public_key=str(tmp_path / "pub.pem")) == load_controller(path, **CELL)
+    with pytest.raises(CertificateError, match="is not a signature of"):
+        load_controller(path, **CELL, public_key=other)
+    with pytest.raises(UsageError, match=r"none\.pem cannot be read"):
+        load_controller(path, **CELL, public_key=tmp_path / "none.pem")
+    # A file with another number and its checksum made anew is whole, but it is not what was signed.
+    resealed(tmp_path, {"delay_samples": 3.5})
+    load_controller(path, **CELL)
+    with pytest.raises(CertificateError, match="is not a signature of"):
+        load_controller(path, **CELL, public_key=tmp_path / "pub.pem")
+
+
+def new_key(public: Path) -> Ed25519PrivateKey:
+    key = Ed25519PrivateKey.generate()
+    public.write_bytes(key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo))
+    return key
 
 
 def test_no_response_has_no_threshold(tmp_path: Path) -> None:
