@@ -8,6 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from autotune.errors import CertificateError
+from autotune.files.canonical import checksum
 from autotune.files.controller import controller_tree, parse_controller
 from autotune.files.yaml12 import dump_yaml
 from tests.autotune.files.samples import make_controller
@@ -93,3 +94,12 @@ def test_no_edit_loads(edit: Edit, count: int) -> None:
         seen[text] += 1
     # Edits are drawn anew, not one over and over.
     assert len(seen) > 0.5 * count
+
+
+@pytest.mark.parametrize("key", ["environment_stiffness_n_per_m", "break_point"])
+def test_text_where_a_margin_is_smallest_is_refused(key: str) -> None:
+    tree = controller_tree(make_controller(("x",)))
+    tree["certificate"]["margins"]["x"]["worst"]["modulus"][key] = "stiff"
+    tree["checksum"] = checksum(tree)
+    with pytest.raises(CertificateError, match=rf"margins\.x\.worst\.modulus\.{key} must be a number, found"):
+        parse_controller(dump_yaml(tree), "c.yaml")
