@@ -1,6 +1,6 @@
 """How often, how fast and how hard to touch, so that the environment is told and no force limit is passed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -13,7 +13,8 @@ from problems.plant import Coupling, Environment, Payload, Plant
 from problems.sampled import build_loop, build_sampled_plant, spectral_radius
 
 from .joint_contacts import hold_threshold_n
-from .plan_values import PlanValues
+from .merging import noise_stds
+from .plan_values import Known, PlanValues
 from .segments import low_pass
 
 FloatArray = NDArray[np.float64]
@@ -187,18 +188,23 @@ def _fit_std(values: PlanValues, contact_force_n: FloatArray, start: int) -> tup
     return from_noise[:2], misfit * np.linalg.norm(estimator, axis=1)[:2]
 
 
+def _apart_from_coupling(values: PlanValues) -> Known:
+    """Return K_e with the deviation that does not come from K_s."""
+    stiffness, coupling = values.environment_stiffness_n_per_m, values.stiffness_n_per_m.std
+    if stiffness.std is None or coupling is None or stiffness.std == 0.0:
+        return stiffness
+    own, _ = noise_stds([stiffness.std], through_coupling(values, coupling))
+    return replace(stiffness, std=float(own[0]))
+
+
 def _repeated(values: PlanValues, touch: _Touch, count: int, controller: AdmittanceController) -> ContactPlan:
     stiffness = values.environment_stiffness_n_per_m
     damping = values.environment_damping_n_s_per_m
     # The secant misses by the misfit's share, which counts the more the stiffer the environment is.
     model = values.misfit_share.value * stiffness.value * (1.0 + stiffness.value / values.stiffness_n_per_m.value)
     told = np.hypot(touch.std / np.sqrt(count), touch.misfit_std)
-    coupling = through_coupling(values, values.stiffness_n_per_m.std or 0.0)
-    prior = stiffness.information(float(np.hypot(model, coupling)))
-    std = [
-        float(np.hypot(1.0 / np.sqrt(1.0 / told[0] ** 2 + prior), model)),
-        float(1.0 / np.sqrt(1.0 / told[1] ** 2 + damping.information())),
-    ]
+    alone = float(np.hypot(told[0], model))
+    std = [_apart_from_coupling(values).std_after(alone, "K_e"), damping.std_after(float(told[1]), "B_e")]
     return ContactPlan(
         count=count,
         speed_m_s=touch.speed_m_s,

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from .gravity import LOCAL_GRAVITY_STD
+from .merging import WEIGHED_MASS
 from .plan_values import PlanValues
 from .static_poses import GRAVITY_B_M_S2, cross_matrix
 
@@ -107,7 +108,7 @@ def pose_information(turns: Rotation, values: PlanValues, hold_s: float) -> Floa
 
 def predicted_std(turns: Rotation, values: PlanValues, hold_s: float = 1.0) -> tuple[float, float]:
     """Return the deviations of mass [kg] and of the worst component of c [m] after these poses and what is known."""
-    information = pose_information(turns, values, hold_s).sum(axis=0) + _prior(values)
+    information = pose_information(turns, values, hold_s).sum(axis=0)
     covariance = np.linalg.pinv(information, rcond=1e-14, hermitian=True)
     tells = np.linalg.cond(information[:4, :4]) < 1e12, np.linalg.cond(information[4:, 4:]) < 1e12
     mass, com = values.mass_kg.value, values.com_m.value
@@ -115,7 +116,8 @@ def predicted_std(turns: Rotation, values: PlanValues, hold_s: float = 1.0) -> t
     moment = float(np.max(np.diag(covariance)[4:7])) if tells[1] else np.inf
     com_std = float(np.hypot(np.sqrt(moment), com * mass_std) / mass)
     # Local gravity scales mass and first moment alike: it stays in the mass and cancels in c.
-    return float(np.hypot(mass_std, LOCAL_GRAVITY_STD * mass)), com_std
+    weighed = float(np.hypot(mass_std, LOCAL_GRAVITY_STD * mass))
+    return values.mass_kg.std_after(weighed, WEIGHED_MASS), values.com_m.std_after(com_std)
 
 
 def naive_turns(count: int, max_tilt_deg: float) -> Rotation:

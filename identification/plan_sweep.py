@@ -11,6 +11,7 @@ from problems.robot import RobotModel
 
 from .coupling import felt_impedance
 from .joint_covariance import SHARPEST_DELAY_SAMPLES
+from .merging import shared_std
 from .plan_values import Known, PlanValues
 from .plan_worst import WorstCase, worst_case
 
@@ -35,6 +36,7 @@ _FADE_S = 0.25
 _WORTH_REPEATING = 1.5
 _NOISE_PEAKS = 4.0  # deviations that the largest of some thousand samples reaches
 _SINGULAR = 1e13
+_SYMBOLS = ("K_s", "B_s", "B_p", "M_p")
 _STEP = 1e-5
 
 
@@ -274,6 +276,7 @@ def _force_per_speed(values: PlanValues, sweep: Sweep) -> float:
 
 
 def _std_after(values: PlanValues, sweep: Sweep) -> dict[str, float]:
+    """Return what is known after the sweep: what it tells by itself, merged with what is known as logs are merged."""
     known: dict[str, Known] = {
         "stiffness_n_per_m": values.stiffness_n_per_m,
         "damping_n_s_per_m": values.damping_n_s_per_m,
@@ -290,18 +293,19 @@ def _std_after(values: PlanValues, sweep: Sweep) -> dict[str, float]:
             for k in range(robot.order + 1)
         ]
     )
-    bandwidth, beside = values.bandwidth_hz, misfit * _MODEL_SHARE * values.bandwidth_hz.value
-    information = sweep_information(values, sweep)
-    prior = [entry.information(part) for entry, part in zip(known.values(), model, strict=True)]
-    information[:4, :4] += np.diag(prior)
-    information[4:, 4:] += np.outer(slope, slope) * bandwidth.information(beside)
-    information[-1, -1] += values.delay_s.information() * _delay_size(robot) ** 2
-    std = standard_deviations(information)
-    found = dict(zip(known, (float(v) for v in np.hypot(std[:4], model)), strict=True))
-    spread = covariance_of(information)[4:, 4:]
-    found["bandwidth_hz"] = float(np.hypot(np.sqrt(slope @ spread @ slope), beside))
+    beside = misfit * _MODEL_SHARE * values.bandwidth_hz.value
+    covariance = covariance_of(sweep_information(values, sweep))
+    std = np.sqrt(np.diag(covariance))
+    shared = [shared_std(symbol, entry.value) for symbol, entry in zip(_SYMBOLS, known.values(), strict=True)]
+    alone = np.hypot(np.hypot(std[:4], model), shared)
+    found = {
+        name: entry.std_after(float(own), symbol)
+        for (name, entry), symbol, own in zip(known.items(), _SYMBOLS, alone, strict=True)
+    }
+    spread = float(np.sqrt(slope @ covariance[4:, 4:] @ slope)) if np.all(np.isfinite(std)) else np.inf
+    found["bandwidth_hz"] = values.bandwidth_hz.std_after(float(np.hypot(spread, beside)))
     sharpest = SHARPEST_DELAY_SAMPLES * values.sample_time_s.value
-    found["delay_s"] = float(np.hypot(std[-1] * _delay_size(robot), sharpest))
+    found["delay_s"] = values.delay_s.std_after(float(np.hypot(std[-1] * _delay_size(robot), sharpest)))
     return found
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from problems.errors import ParameterError
 from problems.robot import RobotModel
 
+from .merging import merged_std, shared_std
 from .result import AxisEstimate, EnvironmentEstimate, Estimate, Identified, SensorEstimate, VectorEstimate
 from .static_poses import GRAVITY_B_M_S2
 
@@ -34,6 +35,16 @@ class Known:
             return 0.0
         floor = _EXACT_SHARE * max(abs(self.value), 1e-9)
         return float(1.0 / max(self.std**2 - beside**2, floor**2))
+
+    def std_after(self, recording_std: float, symbol: str = "") -> float:
+        """Return σ once a recording that by itself tells `recording_std` is merged (`merging.merged_std`).
+
+        `symbol` names the parameter for what all recordings share of it (`merging.shared_std`); infinite where neither
+        tells anything.
+        """
+        if self.std is None or not np.isfinite(recording_std):
+            return recording_std if self.std is None else self.std
+        return merged_std([self.std, recording_std], shared_std(symbol, self.value) if symbol else 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
