@@ -34,6 +34,11 @@ _FOR_PEERS = (
     click.option("--tip-link", metavar="NAME", help="The robot's last link (tool0)."),
     click.option("--sensor-name", metavar="NAME", help="The force sensor in the robot description (ft_sensor)."),
     click.option("--sensor-frame", metavar="NAME", help="The frame of its wrench (ft_frame)."),
+    click.option(
+        "--orientation",
+        metavar="QX,QY,QZ,QW",
+        help="fzi_cartesian: the sensor's orientation in the base where it is used, for gains that are not alike.",
+    ),
     click.option("--control-frame", metavar="NAME", help="The frame of the tuned axes (the sensor's)."),
     click.option(
         "--return-stiffness",
@@ -50,7 +55,7 @@ _FOR_PEERS = (
 _GROUPS = {
     "For ros2_control and fzi_cartesian": (
         *("version", "controller_name", "joints", "base_link", "tip_link", "sensor_name", "sensor_frame"),
-        *("control_frame", "return_stiffness", "filter_coefficient"),
+        *("orientation", "control_frame", "return_stiffness", "filter_coefficient"),
     ),
 }
 
@@ -156,12 +161,15 @@ def _export_peer(
     output: Output, controller: Path, target: str, out: Path, given: dict[str, Any], trust: "Trust"
 ) -> None:
     """Certify, write and tell what was kept, what was dropped and what it costs."""
+    from autotune.exports.fzi_axes import parse_orientation
     from autotune.exports.peers import export_peer, peer_options
     from autotune.exports.replace import standing
     from autotune.files.canonical import short
 
     if "joints" in given:
         given["joints"] = tuple(name.strip() for name in given["joints"].split(","))
+    if "orientation" in given:
+        given["orientation"] = parse_orientation(given["orientation"])
     options = peer_options(target, given)
     earlier = standing(out, target)
     with output.progress("certifying", 1.0) as advance:

@@ -19,7 +19,7 @@ from autotune.validation.law import AxisTask, LawCertificate, certify_law
 from autotune.validation.proof import StabilityProof
 from problems.peer_laws import alternates
 
-from . import fzi_cartesian, ros2_control, ros2_notes
+from . import fzi_axes, fzi_cartesian, ros2_control, ros2_notes
 from .fzi_cartesian import FziAxis, FziOptions
 from .replace import check_replaceable
 from .retune import retune
@@ -125,8 +125,11 @@ def make_peer(source: ControllerFile, options: Options, progress: Callable[[floa
         target, notes = "ros2_control", tuple(ros2_notes.notes(controller.payload, written, options))
         what = f"ros2_controllers admittance_controller {'.'.join(map(str, version))} ({options.version})"
     else:
-        tree, rate = fzi_cartesian.parameter_tree(controller, written, options)
-        target, notes = "fzi_cartesian", tuple(fzi_cartesian.notes())
+        places = fzi_axes.base_axes(written, options.orientation)
+        placed = {places[axis]: gains for axis, gains in written.items()}
+        tree, rate = fzi_cartesian.parameter_tree(controller, placed, options)
+        told = fzi_axes.axes_told(written, options.orientation, options.base_link)
+        target, notes = "fzi_cartesian", (*told, *fzi_cartesian.notes())
         what = "cartesian_controllers (FZI), cartesian_force_controller, branch ros2"
     text = _text(source, tree, what, rate, (done, dropped, notes))
     return PeerExport(target=target, source=source, axes=done, dropped=dropped, notes=notes, text=text)
@@ -136,6 +139,7 @@ def _axes(controller: Controller, options: Options) -> tuple[list[Axis], bool]:
     """Return the axes in the target's structure, and whether their masses had to be made the same."""
     tasks = {name: _task(controller, name) for name in controller.axes}
     if isinstance(options, FziOptions):
+        fzi_axes.check_kinds(tasks, options.orientation)
         return [FziAxis(task, controller.axes[name], options) for name, task in tasks.items()], False
     axes = {name: Ros2Axis(task=task, gains=controller.axes[name], options=options) for name, task in tasks.items()}
     same = ros2_control.with_common_masses(axes, ros2_control.parse_version(options.version))

@@ -119,13 +119,32 @@ def test_the_json_of_another_controller_tells_parameters_and_price(
 ) -> None:
     source, out = tmp_path / "easy.yaml", tmp_path / "out.yaml"
     digest = write_controller(source, peer_controller({"x": PLAIN}, requirements(2.5e-4)))
-    assert main(["export", str(source), "--target", "fzi_cartesian", "-o", str(out), "--json"]) == 0
+    assert (
+        main(["export", str(source), "--target", "fzi_cartesian", "-o", str(out), "--json", "--orientation", "0,0,0,1"])
+        == 0
+    )
     tree = json.loads(capsys.readouterr().out)
     axis = tree["axes"]["x"]
     assert set(axis["parameters"]) == {"p", "d"}
     assert {"tuned", "reason", "peak_contact_force", "peak_contact_force_before", "margins"} <= set(axis)
     assert (tree["checksum"], tree["target"]) == (digest, "fzi_cartesian")
     assert out.exists()
+
+
+def test_gains_along_the_base_ask_for_the_orientation_of_use(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, out = tmp_path / "easy.yaml", tmp_path / "out.yaml"
+    write_controller(source, peer_controller({"x": PLAIN}, requirements(2.5e-4)))
+    asked = ["export", str(source), "--target", "fzi_cartesian", "-o", str(out)]
+    assert main(asked) == 2
+    told = capsys.readouterr()
+    assert (told.out, told.err.count("\n")) == ("", 1)
+    assert "x must move and y, z must not" in told.err
+    assert not out.exists()
+    assert main([*asked, "--orientation", "0,0,-0.70711,0.70711"]) == 0
+    assert "x along its y" in capsys.readouterr().out
+    assert "trans_y:\n        p: 0.00" in out.read_text(encoding="utf-8")
 
 
 def test_what_another_controller_cannot_do_is_exit_5_and_writes_nothing(
@@ -145,6 +164,8 @@ def test_what_another_controller_cannot_do_is_exit_5_and_writes_nothing(
     [
         (["--target", "cell", "--joints", "a"], "takes no names"),
         (["--target", "fzi_cartesian", "--ros2-version", "jazzy"], "--ros2-version says nothing"),
+        (["--target", "fzi_cartesian", "--orientation", "1,0,0"], "must be four numbers QX,QY,QZ,QW"),
+        (["--target", "ros2_control", "--orientation", "0,0,0,1"], "--orientation says nothing"),
         (["--target", "ros2_control", "--ros2-version", "3.1.0"], "4.0.0 to 6.x"),
         (["--target", "ros2_control", "--return-stiffness", "0"], "above 0"),
     ],

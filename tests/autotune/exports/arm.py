@@ -1,7 +1,7 @@
 """Two public controllers in six axes on a real arm, step by step, written from what they compute.
 
-The arm is a UR10e by its Denavit–Hartenberg parameters, and goes in each period to where the last command was. Nothing
-here knows of axes that do not act on each other: turning makes sideways speed, and every link has its mass.
+The arm is a UR10e by its Denavit–Hartenberg parameters. Nothing here knows of axes that do not act on each other:
+turning makes sideways speed, and every link has its mass.
 """
 
 from dataclasses import dataclass
@@ -28,6 +28,9 @@ LINK_INERTIA = 1e-6
 """The inertia (kg·m²) of every link of the virtual robot but the last."""
 # The wrist well bent, so that no singularity is near; the second one turned and further out.
 POSES = (np.array([0.3, -1.2, 1.6, -1.9, -1.4, 0.5]), np.array([-0.6, -1.9, 1.9, -0.9, -1.9, 1.2]))
+
+# Upright with the tool pointing down, as such an arm mostly works: moving along x moves the wrist's links most there.
+UPRIGHT = (np.radians([0.0, -90.0, 90.0, -90.0, -90.0, 0.0]), np.radians([0.0, -120.0, 120.0, -90.0, -90.0, 0.0]))
 
 
 @compiled
@@ -144,20 +147,31 @@ def _inertia(axes: FloatArray, origins: FloatArray, link_mass: float, link_inert
 
 @compiled
 def play_forward_dynamics(
-    dh: FloatArray, start: FloatArray, gains: FloatArray, link_mass: float, wrench: FloatArray, steps: int
+    dh: FloatArray,
+    start: FloatArray,
+    gains: FloatArray,
+    link_mass: float,
+    follows: float,
+    wrench: FloatArray,
+    steps: tuple[int, int],
 ) -> FloatArray:
-    """Return the flange's way (steps, 6) in the base's axes under a wrench there; `gains` are p and d (2, 6)."""
+    """Return the flange's way (steps, 6) in the base's axes under a wrench there, which ends after `steps[0]` of them.
+
+    `gains` are p and d (2, 6); of the way to the command each joint goes the share `follows` in a period.
+    """
     step, kept = 0.02, 0.9
     q, speed, error = start.copy(), np.zeros(6), np.zeros(6)
     _, first, home = chain(dh, start)
-    found = np.empty((steps, 6))
-    for k in range(steps):
+    pushed, total = steps
+    found = np.empty((total, 6))
+    for k in range(total):
         axes, origins, turn = chain(dh, q)
         found[k] = np.concatenate((origins[6] - first[6], rotation_vector(turn @ home.T)))
-        pushed = gains[0] * wrench + gains[1] * (wrench - error) / step
-        error = wrench
+        felt = wrench if k < pushed else np.zeros(6)
+        pull = gains[0] * felt + gains[1] * (felt - error) / step
+        error = felt
         seen = jacobian(axes, origins, origins[6], 6)
-        acceleration = np.linalg.solve(_inertia(axes, origins, link_mass, LINK_INERTIA), seen.T @ pushed)
-        q = q + step * speed
+        acceleration = np.linalg.solve(_inertia(axes, origins, link_mass, LINK_INERTIA), seen.T @ pull)
+        q = q + follows * step * speed
         speed = kept * (speed + step * acceleration)
     return found

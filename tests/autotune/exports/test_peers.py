@@ -37,6 +37,8 @@ from tests.autotune.exports.peer_cases import (
     task_of,
 )
 
+LEVEL = FziOptions(orientation=(0.0, 0.0, 0.0, 1.0))
+
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> PeerExport:
@@ -50,7 +52,7 @@ def tuned(tmp_path_factory: pytest.TempPathFactory) -> PeerExport:
 
 @pytest.fixture(scope="module")
 def fzi(tmp_path_factory: pytest.TempPathFactory) -> PeerExport:
-    return exported(tmp_path_factory.mktemp("fzi"), peer_controller({"z": PLAIN}, EASY), FziOptions())
+    return exported(tmp_path_factory.mktemp("fzi"), peer_controller({"z": PLAIN}, EASY), LEVEL)
 
 
 def test_gains_that_the_other_controller_can_express_are_translated(plain: PeerExport) -> None:

@@ -47,7 +47,7 @@ def texts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     easy = folder / "easy.yaml"
     write_controller(easy, peer_controller({"x": PLAIN}, requirements(2.5e-4)))
     read = read_controller(easy)
-    level = FziOptions()
+    level = FziOptions(orientation=(0.0, 0.0, 0.0, 1.0))
     return found | {"ros2_control": make_peer(read, Ros2Options()).text, "fzi_cartesian": make_peer(read, level).text}
 
 
