@@ -1,6 +1,6 @@
 """From a recording to plant parameters: one driver over the estimators of this floor."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from .admittance_estimates import AdmittanceRobots, identify_admittance_robots, with_compensated_force
 from .aligned import AlignedLog, align, check_regular, find_gaps
-from .axes import find_axes
+from .axes import AXIS_NAMES, find_axes
 from .axis_estimate import AxisTold, CellSignals, axis_evidence, identify_axis
 from .convention_choice import read_by_weight
 from .evidence import Evidence
@@ -17,16 +17,28 @@ from .given import Given, settle_cell
 from .gravity import identify_gravity
 from .gravity_verdicts import com_estimate, gravity_findings, mass_estimate
 from .inertia import InertiaFit, identify_inertia
+from .left_contacts import Accounted, SeenAxis, account_for_contacts
 from .lost_commands import restore_commands
 from .partial import identify_partial
 from .progress import Progress, unwatched
 from .recording import Recording
-from .result import Estimate, Finding, Identified, InertiaEstimate, PayloadEstimate, Status
-from .rotation import find_turns
+from .result import (
+    AxisEstimate,
+    EnvironmentEstimate,
+    Estimate,
+    Finding,
+    Identified,
+    InertiaEstimate,
+    PayloadEstimate,
+    Status,
+)
+from .rotation import LEVER_M, find_turns
 from .segments import find_motion
 from .sensor import describe_sensor
 from .spikes import without_spikes
 from .timeline import build_timeline, tell_surfaces
+from .timeline_contacts import find_contacts
+from .timeline_payload import see_payload
 from .timeline_phases import Timeline
 from .turn_estimate import identify_turn, not_told
 from .verdicts import missing
@@ -98,7 +110,8 @@ def _identify(
         turns=find_turns(recording, log, motion, gravity),
     )
     told, about_axes = _identify_axes(cell, inertia, lambda share: report(_AXES_SHARE * share))
-    timeline = _timeline(cell, told)
+    accounted = _accounted(cell, told)
+    timeline = Timeline(phases=accounted.phases)
     sensor, about_sensor = describe_sensor(read, gravity, frames)
     report(1.0 - _WEIGHING_SHARE - _AXES_SHARE)
     found = Identified(
@@ -106,13 +119,14 @@ def _identify(
         payload=PayloadEstimate(
             mass_kg=mass_estimate(gravity), com_m=com_estimate(gravity), inertia_kg_m2=_inertia(inertia)
         ),
-        axes={name: axis.estimate for name, axis in told.items()},
+        axes={name: _with_surfaces(axis.estimate, accounted.surfaces[name]) for name, axis in told.items()},
         sensor=sensor,
         findings=(
             *about_spikes,
             *read.findings,
             *robots.findings,
             *about_axes,
+            *accounted.findings,
             *_hands(timeline),
             *gravity_findings(gravity),
             *about_sensor,
@@ -163,16 +177,33 @@ def _identify_axes(
     return axes, [*findings, *(finding for axis in axes.values() for finding in axis.findings)]
 
 
-def _timeline(cell: CellSignals, told: Mapping[str, AxisTold]) -> Timeline:
-    """Return what happened when, contacts with the names of their surfaces."""
-    contacts = [axis.contacts for axis in told.values()]
-    command = cell.recording.command
-    phases = build_timeline(cell.log, cell.motion, cell.force_S_n, contacts, command, cell.gravity.mass_kg)
-    for name, axis in told.items():
+def _accounted(cell: CellSignals, told: Mapping[str, AxisTold]) -> Accounted:
+    """Return what happened when, contacts with the names of their surfaces, and the surfaces that no fit told."""
+    contacts, period = [axis.contacts for axis in told.values()], cell.log.period_s
+    payloads = [see_payload(of, period) for of in contacts]
+    pressed = [find_contacts(of, seen, cell.motion, period) for of, seen in zip(contacts, payloads, strict=True)]
+    command, mass = cell.recording.command, cell.gravity.mass_kg
+    phases = build_timeline(cell.log, cell.motion, cell.force_S_n, contacts, command, mass, pressed)
+    axes = []
+    for (name, axis), payload, found in zip(told.items(), payloads, pressed, strict=True):
         surfaces = () if axis.fit is None else axis.fit.surfaces
-        onsets = [[onset * cell.log.period_s for onset in surface.onsets] for surface in surfaces]
-        phases = tell_surfaces(phases, name, onsets)
-    return Timeline(phases=phases)
+        phases = tell_surfaces(phases, name, [[onset * period for onset in surface.onsets] for surface in surfaces])
+        signs = [surface.sign for surface in surfaces]
+        axes.append(
+            SeenAxis(
+                of=axis.contacts,
+                payload=payload,
+                pressed=found,
+                coupling=axis.estimate.coupling.stiffness_n_per_m,
+                surfaces=tuple(zip(signs, axis.estimate.environments, strict=True)),
+                lever_m=1.0 if name in AXIS_NAMES else LEVER_M,
+            )
+        )
+    return account_for_contacts(phases, axes, period)
+
+
+def _with_surfaces(axis: AxisEstimate, added: Sequence[EnvironmentEstimate]) -> AxisEstimate:
+    return replace(axis, environments=(*axis.environments, *added)) if added else axis
 
 
 def _hands(timeline: Timeline) -> list[Finding]:

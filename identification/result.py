@@ -220,14 +220,22 @@ class SensorEstimate:
     position_noise_rms_m: Estimate | None = None
 
 
+CONTACT_UNEXPLAINED = "contact-unexplained"
+"""Code of the finding, of severity `error`, that something was touched whose stiffness is not known."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """Something the user should know; `severity` is `info`, `warning` or `error`."""
+    """Something the user should know; `severity` is `info`, `warning` or `error`.
+
+    `axis` is the axis that it is about where a machine has to know it, else empty.
+    """
 
     code: str
     severity: str
     message: str
     advice: str
+    axis: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from .aligned import AlignedLog, Span, spans_of
 from .recording import PoseSignal
 from .segments import Motion
-from .timeline_contacts import find_contacts
+from .timeline_contacts import Pressed, find_contacts
 from .timeline_law import ContactTimes
 from .timeline_moves import Scene, judge_move, settle_moves
 from .timeline_payload import AxisContacts, see_payload
@@ -30,21 +30,21 @@ def build_timeline(
     axes: Sequence[AxisContacts],
     command: PoseSignal | None,
     mass_kg: float,
+    pressed: Sequence[Pressed] | None = None,
 ) -> tuple[Phase, ...]:
     """Label the whole log, without gaps or overlaps, from 0 to its length.
 
-    `force_S_n` (n, 3) is free of weight and bias, `axes` hold the rests under force of each axis that moved. Contacts
-    are cut out first. Of the motion that is left, `turning` changes the orientation by more than 2 degrees, in a
-    `hand-led-motion` the force does work on the flange, in a `commanded-motion` the flange follows a command that no
-    admittance explains by the force, and `free-motion` is the rest, approaches under a desired force among them.
-    Unknown is what a hole of the log hides, a rest under force whose beginning and end are not shown, and motion
-    against a force that is neither the payload's nor a contact with a hold. A rest in a hand is a rest.
+    `force_S_n` (n, 3) is free of weight and bias, `axes` hold the rests under force of each axis that moved,
+    `pressed` what `find_contacts` found on them, where that is known already. Contacts are cut out first. Of the
+    motion that is left, `turning` changes the orientation by more than 2 degrees, in a `hand-led-motion` the force
+    does work on the flange, in a `commanded-motion` the flange follows a command that no admittance explains by the
+    force, and `free-motion` is the rest, approaches under a desired force among them. Unknown is what a hole of the
+    log hides, a rest under force whose beginning and end are not shown, and motion against a force that is neither
+    the payload's nor a contact with a hold. A rest in a hand is a rest.
     """
     payloads = [see_payload(of, log.period_s) for of in axes]
-    pressed = [
-        (of.axis.name, find_contacts(of, payload, motion, log.period_s))
-        for of, payload in zip(axes, payloads, strict=True)
-    ]
+    if pressed is None:
+        pressed = [find_contacts(of, payload, motion, log.period_s) for of, payload in zip(axes, payloads, strict=True)]
     held = {hold for of in axes for hold in of.holds}
     free = tuple(span for span in motion.still if span not in held)
     scene = Scene(
@@ -56,18 +56,18 @@ def build_timeline(
         command=command,
         mass_kg=mass_kg,
         offset_n=_offset(force_S_n, free),
-        rests=_rests(motion, [contact.span for _, each in pressed for contact in each.contacts]),
+        rests=_rests(motion, [contact.span for each in pressed for contact in each.contacts]),
     )
     # Each sample bears the number of its phase; what comes later goes over what came before.
     number = np.zeros(len(log), dtype=np.int64)
     labels: list[tuple[Kind, str | None, ContactTimes | None]] = [(Kind.UNKNOWN, None, None)]
-    for span in (*free, *(hold for _, each in pressed for hold in each.by_hand)):
+    for span in (*free, *(contact.hold for each in pressed for contact in each.by_hand)):
         number[span.slice] = len(labels)
         labels.append((Kind.REST, None, None))
-    for name, each in pressed:
+    for of, each in zip(axes, pressed, strict=True):
         for contact in each.contacts:
             number[contact.span.slice] = len(labels)
-            labels.append((Kind.CONTACT, name, contact))
+            labels.append((Kind.CONTACT, of.axis.name, contact))
     moves = [judge_move(scene, span, piece) for span in motion.moving for piece in _pieces(span, number)]
     for piece, kind, axis in settle_moves(moves, log.period_s):
         number[piece.slice] = len(labels)

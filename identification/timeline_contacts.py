@@ -30,12 +30,13 @@ class Pressed:
     """Rests under force: `contacts` with a surface, those that are `untold`, and those `by_hand`.
 
     Untold is what the way in or out does not show, or shows as no law of force over depth; by hand is what rests on
-    something that is softer than any surface or drives the payload.
+    something that is softer than any surface or drives the payload. `restless` pressed in motion, without a clear law.
     """
 
     contacts: tuple[ContactTimes, ...]
-    untold: tuple[Span, ...]
-    by_hand: tuple[Span, ...]
+    untold: tuple[ContactTimes, ...]
+    by_hand: tuple[ContactTimes, ...]
+    restless: tuple[ContactTimes, ...] = ()
 
 
 def find_contacts(of: AxisContacts, payload: Payload, motion: Motion, period_s: float) -> Pressed:
@@ -70,11 +71,12 @@ def find_contacts(of: AxisContacts, payload: Payload, motion: Motion, period_s: 
         for contact, law in pairs
         if law is not None and law.is_clear and not _is_hand(law, of)
     ]
-    restless = _restless(of, payload, motion, contacts, noise, period_s)
+    restless, unclear = _restless(of, payload, motion, contacts, noise, period_s)
     return Pressed(
         contacts=tuple(sorted((*contacts, *restless), key=lambda each: each.span.start)),
-        untold=tuple(contact.hold for contact, law in pairs if law is None or not law.is_clear),
-        by_hand=tuple(contact.hold for contact, law in pairs if law is not None and law.is_clear and _is_hand(law, of)),
+        untold=tuple(contact for contact, law in pairs if law is None or not law.is_clear),
+        by_hand=tuple(contact for contact, law in pairs if law is not None and law.is_clear and _is_hand(law, of)),
+        restless=tuple(unclear),
     )
 
 
@@ -90,8 +92,8 @@ def _restless(
     contacts: Sequence[ContactTimes],
     noise: float,
     period_s: float,
-) -> list[ContactTimes]:
-    """Return contacts in motion, without a hold: vibration on the surface, or a bump."""
+) -> tuple[list[ContactTimes], list[ContactTimes]]:
+    """Return contacts in motion, without a hold (vibration on the surface, a bump), and those without a clear law."""
     slow = low_pass(payload.touch_n, period_s, _SLOW_HZ)
     level = max(_RESTLESS_FACTOR * of.smallest_n, _TOUCHED_NOISES * noise)
     taken = np.ones(len(slow), dtype=np.bool_)
@@ -103,24 +105,37 @@ def _restless(
         taken[contact.span.slice] = True
     barriers = (*motion.still, *spans_of(~np.isfinite(slow)))
     found: list[ContactTimes] = []
+    unclear: list[ContactTimes] = []
     for sign in (-1.0, 1.0):
         joined = without_pauses(np.asarray((sign * slow > level) & ~taken), round(_LONGEST_BOUNCE_S / period_s))
         for core in spans_of(without_short(np.asarray(joined & ~taken), round(_SHORTEST_RESTLESS_S / period_s))):
             window = _window(core, barriers, len(slow), period_s, [*contacts, *found])
             touches = np.asarray(sign * payload.touch_n[window.slice] > level)
-            contact = _contact(of, sign, core, window, touches, period_s)
+            contact = _peaked(_contact(of, sign, core, window, touches, period_s), of, sign)
             law = learn_law(contact, of, payload, period_s)
             is_clear = law is not None and law.left_share < _CLEAR_LAW and law.stiffness >= of.softest_n_per_m
-            if is_clear and not np.any(taken[contact.span.slice]):
-                found.append(replace(contact, is_held=False))
+            pressing = sign * payload.touch_n[contact.span.slice]
+            # Before and behind a hard press a filter swings to the other side.
+            if np.any(taken[contact.span.slice]) or float(np.max(-pressing)) > float(np.max(pressing)):
+                continue
+            if is_clear:
+                found.append(contact)
                 taken[contact.span.slice] = True
-    return found
+            else:
+                unclear.append(contact)
+    return found, unclear
+
+
+def _peaked(contact: ContactTimes, of: AxisContacts, sign: float) -> ContactTimes:
+    """Return a contact without a hold with the peak of all of it."""
+    pressing = -sign * of.axis.force_n[contact.span.slice]
+    peak = int(np.argmax(np.nan_to_num(pressing, nan=-np.inf)))
+    return replace(contact, peak=contact.span.start + peak, peak_force_n=float(pressing[peak]), is_held=False)
 
 
 def _scatter(values: FloatArray, spans: Sequence[Span]) -> float:
-    """Return the deviation of values (n,) from the mean of each span."""
-    left = [values[s.slice] - np.mean(values[s.slice]) for s in spans]
-    return float(np.std(np.concatenate(left))) if left else 0.0
+    """Return the deviation of values (n,) in a usual span: who pushes at one rest must not hide a contact."""
+    return float(np.median([np.std(values[s.slice]) for s in spans])) if spans else 0.0
 
 
 def _window(hold: Span, free: Sequence[Span], count: int, period_s: float, found: Sequence[ContactTimes]) -> Span:

@@ -195,7 +195,7 @@ def _refused_page(error: Exception, plants: "list[IdentifiedFile]") -> "Page":
 def _notes(plant: "IdentifiedFile", found: "Optimized", has_stiffness: bool) -> Iterator[str]:
     """Yield what the user should know beside the result; `has_stiffness`: a range was named on the command line."""
     from autotune.files.records import ROTATIONAL_AXES
-    from autotune.tuning.doubts import doubtful_ranges
+    from autotune.tuning.doubts import doubtful_ranges, left_out_contacts
     from autotune.tuning.problems import is_identified_mass
 
     for finding in plant.result.findings:
@@ -208,6 +208,8 @@ def _notes(plant: "IdentifiedFile", found: "Optimized", has_stiffness: bool) -> 
         )
     for name, search in found.searches.items():
         yield from doubtful_ranges(search.problem, plant.result.axes[name], name)
+        if name not in found.compliance:
+            yield from left_out_contacts(search.problem, plant.result, name)
     turning = [name for name in found.controller.axes if name in ROTATIONAL_AXES]
     if turning and has_stiffness:
         yield (

@@ -30,6 +30,7 @@ from .compliance import (
     settle_compliance,
     tell_infeasible,
 )
+from .doubts import left_out_tree
 from .problems import Wishes, build_problems, certified_mass_kg, runtime_mass_kg
 from .record import build_controller, build_domain, runtime_payload
 from .relax import find_relaxations, tell_relaxations
@@ -104,7 +105,7 @@ def optimize(
     provenance["optimality"] = {
         name: standing_tree(standing, rotational=name in ROTATIONAL_AXES) for name, standing in standings.items()
     }
-    provenance |= {"compliance": {name: compliance_tree(each) for name, each in chosen.items()}} if chosen else {}
+    provenance |= _surfaces_tree(problems, identified.result, chosen)
     controller, checked = certify(
         searches,
         payload,
@@ -122,6 +123,15 @@ def optimize(
         compared=compared,
         compliance=chosen,
     )
+
+
+def _surfaces_tree(
+    problems: Mapping[str, DesignProblem], identified: Identified, chosen: Mapping[str, Compliance]
+) -> dict[str, Any]:
+    """Return the compliance that takes the place of the surfaces, else the surfaces that the ranges leave out."""
+    if chosen:
+        return {"compliance": {name: compliance_tree(each) for name, each in chosen.items()}}
+    return dict(left_out_tree(problems, identified))
 
 
 def carried_mass_kg(

@@ -10,7 +10,15 @@ from autotune.errors import UsageError
 from autotune.files.problem import ProblemSpec, RotationalSpec
 from autotune.files.records import ROTATIONAL_AXES, ROTATIONAL_KEYS
 from identification.errors import EstimateError
-from identification.result import AxisEstimate, Estimate, Identified, Status, VectorEstimate
+from identification.result import (
+    CONTACT_UNEXPLAINED,
+    AxisEstimate,
+    Estimate,
+    Finding,
+    Identified,
+    Status,
+    VectorEstimate,
+)
 from problems.contact import Approach
 from problems.design import DesignProblem, Requirements
 from problems.plant import Coupling
@@ -179,7 +187,7 @@ def _build_problem(identified: Identified, name: str, spec: ProblemSpec) -> Desi
             damping_n_s_per_m=_damping(coupling.damping_n_s_per_m, _place(name, "coupling.", "damping_n_s_per_m")),
         ),
         drag_n_s_per_m=_damping(axis.drag_n_s_per_m, _place(name, "", "drag_n_s_per_m")),
-        environment_stiffness_n_per_m=spec.environment_stiffness_n_per_m or _stiffness_range(axis, name),
+        environment_stiffness_n_per_m=spec.environment_stiffness_n_per_m or _stiffness_range(identified, name),
         payload_mass_kg=spec.payload_mass_kg or _mass_range(identified, name),
         sample_time_s=_value(identified.sample_time_s, "sample_time_s"),
         approach=spec.approach or Approach(force_n=_DEFAULT_APPROACH_N),
@@ -230,13 +238,24 @@ def _weighed_range(identified: Identified, name: str) -> Interval:
     return min(low, other[0]), max(high, other[1])
 
 
-def _stiffness_range(axis: AxisEstimate, name: str) -> Interval:
+def unexplained_contacts(identified: Identified, name: str) -> tuple[Finding, ...]:
+    """Return the findings that something was touched along or about an axis whose stiffness is not known."""
+    return tuple(f for f in identified.findings if f.code == CONTACT_UNEXPLAINED and f.axis in ("", name))
+
+
+def _stiffness_range(identified: Identified, name: str) -> Interval:
+    """Return the range of K_e that holds every surface; raises EstimateError where one was touched that is not told."""
+    axis = identified.axes[name]
+    say = (
+        "say rotational.environment_stiffness_n_m_per_rad in problem.yaml"
+        if name in ROTATIONAL_AXES
+        else "say --environment-stiffness LO:HI"
+    )
+    unexplained = unexplained_contacts(identified, name)
+    if unexplained:
+        told = " ".join(finding.message for finding in unexplained)
+        raise EstimateError(f"{told} A default range would leave it out; record that contact again, or {say}.")
     if not axis.environments:
-        say = (
-            "say rotational.environment_stiffness_n_m_per_rad in problem.yaml"
-            if name in ROTATIONAL_AXES
-            else "say --environment-stiffness LO:HI"
-        )
         raise EstimateError(
             f"Axis {name} has no identified environment; record contacts, or {say}. To tune other axes alone, name "
             "them in problem.yaml with axis."
@@ -253,7 +272,10 @@ def _stiffness_range(axis: AxisEstimate, name: str) -> Interval:
 def _range(estimate: Estimate, where: str, least_share: float) -> Interval:
     value = _value(estimate, where)
     half = max(_STDS * (estimate.std or 0.0), least_share * value)
-    return _rounded(max(value - half, 1e-3 * value), math.floor), _rounded(value + half, math.ceil)
+    low, high = max(value - half, 1e-3 * value), value + half
+    if estimate.ci95 is not None and estimate.status is not Status.GIVEN:
+        low, high = max(min(low, estimate.ci95[0]), 1e-3 * value), max(high, estimate.ci95[1])
+    return _rounded(low, math.floor), _rounded(high, math.ceil)
 
 
 def _rounded(value: float, towards: Callable[[float], int]) -> float:

@@ -89,7 +89,8 @@ def driven(stiffness: float, position: FloatArray) -> Press:
     found = solve_ivp(motion, (0.0, time[-1]), [0.0, 0.0], t_eval=time, max_step=H_S, rtol=1e-7, atol=1e-11)
     force = np.array([coupling(t, state) for t, state in zip(time, found.y.T, strict=True)])
     inside = np.flatnonzero(found.y[0] > WALL_M)
-    return Press(position_m=position, force_n=force, first=int(inside[0]), last=int(inside[-1]))
+    first, last = (int(inside[0]), int(inside[-1])) if inside.size else (0, 0)
+    return Press(position_m=position, force_n=force, first=first, last=last)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -10,7 +10,7 @@ from autotune.errors import UsageError
 from autotune.files.problem import ProblemSpec
 from autotune.tuning.problems import Wishes, build_problems, is_identified_mass, runtime_mass_kg
 from identification.errors import EstimateError
-from identification.result import AxisEstimate, Estimate, Identified, Status
+from identification.result import CONTACT_UNEXPLAINED, AxisEstimate, Estimate, Finding, Identified, Status
 from problems.contact import Approach
 from problems.design import DEFAULT_BOUNDS, NoiseLimit, Requirements
 from tests.autotune.tuning.cases import absent, identified_axis, identified_plant, known, known_vector, with_axis
@@ -58,6 +58,29 @@ def test_all_surfaces_are_in_the_range() -> None:
     soft = replace(axis.environments[0], name="x2", stiffness_n_per_m=known(2e4, 10.0))
     problem = build_problems(with_axis(replace(axis, environments=(*axis.environments, soft))), DEFAULT, NOTHING)["x"]
     assert problem.environment_stiffness_n_per_m == (1.6e4, 1.32e5)
+
+
+def test_the_interval_of_a_weak_surface_is_in_the_range() -> None:
+    axis = identified_axis()
+    weak = Estimate(value=2e5, std=1e4, status=Status.WEAK, ci95=(1.5e5, 2.6e5))
+    stiff = replace(axis.environments[0], name="x2", stiffness_n_per_m=weak)
+    plant = with_axis(replace(axis, environments=(*axis.environments, stiff)))
+    assert build_problems(plant, DEFAULT, NOTHING)["x"].environment_stiffness_n_per_m == (8.8e4, 2.6e5)
+
+
+def touched(axis: str) -> Identified:
+    message = f"Axis {axis}: what was touched at 52.7 s (75.7 N) is none of the surfaces."
+    finding = Finding(code=CONTACT_UNEXPLAINED, severity="error", message=message, advice="Press again.", axis=axis)
+    return replace(identified_plant(), findings=(finding,))
+
+
+def test_no_default_range_leaves_out_what_was_touched() -> None:
+    with pytest.raises(EstimateError, match=r"52\.7 s \(75\.7 N\).*or say --environment-stiffness LO:HI"):
+        build_problems(touched("x"), DEFAULT, NOTHING)
+    said = Wishes(environment_stiffness_n_per_m=(2e4, 5e5))
+    assert build_problems(touched("x"), DEFAULT, said)["x"].environment_stiffness_n_per_m == (2e4, 5e5)
+    # What was touched along another axis is that axis's matter.
+    assert build_problems(touched("y"), DEFAULT, NOTHING)["x"].environment_stiffness_n_per_m == (8.8e4, 1.32e5)
 
 
 @pytest.mark.parametrize("value", [0.0123456, 0.8, 16.0, 123456.0, 99.96])
