@@ -46,6 +46,8 @@ _REACH = 2.0
 # However little the log tells, a stiffness stays positive.
 _LEAST_SHARE = 1e-3
 _DIGITS = 5
+# Of a deviation: what was written and read again is the same number.
+_SAME = 0.01
 _STEP = 1e-6
 
 
@@ -59,7 +61,7 @@ def with_uncertainty(problem: DesignProblem, axis: AxisEstimate, name: str, said
     ranges = {key: value for key, value in said.items() if not isinstance(value, str)}
     problem = _moved(problem, ranges)
     asked = [key for key in _SYMBOLS if origins.get(key) == "identified"]
-    by_default = [key for key in _BY_DEFAULT if key not in said] if axis.covariance is not None else []
+    by_default = [key for key in _BY_DEFAULT if key not in said]
     ellipsoid = _ellipsoid(problem, axis, name, asked, by_default)
     if origins.get(_WALL_DAMPING) == "identified":
         ranges[_WALL_DAMPING] = _environment_damping(axis, name)
@@ -105,28 +107,21 @@ def _ellipsoid(
     problem: DesignProblem, axis: AxisEstimate, name: str, asked: list[str], by_default: list[str]
 ) -> Ellipsoid | None:
     """Return the joint confidence set of the parameters, around the problem's nominal values; None without any."""
-    if axis.covariance is None:
-        if asked:
-            raise EstimateError(
-                f"problem.yaml takes {asked[0]} from the identified file, and axes.{name}.covariance is not in it; "
-                "identify the log again with this release, or give a range [low, high]."
-            )
-        return None
-    told, matrix = _transformed(problem, axis.covariance)
+    told, matrix = _known(problem, axis)
     for key in asked:
         if key not in told:
-            raise EstimateError(
-                f"problem.yaml takes {key} from the identified file, and axes.{name}.covariance tells nothing of it; "
-                "give a range [low, high], or {from: nominal}."
+            where = f"axes.{name}.covariance"
+            why = (
+                f"{where} is not in it; identify the log again with this release, or give a range [low, high]."
+                if axis.covariance is None
+                else f"{where} tells nothing of it; give a range [low, high], or {{from: nominal}}."
             )
+            raise EstimateError(f"problem.yaml takes {key} from the identified file, and {why}")
     nominal = problem.nominal()
-    # What was corrected by hand is known to whoever did it, and the log's covariance does not speak of it.
-    # The damping ratio is told together with the bandwidth.
-    estimates = {**plant_estimates(axis), "robot_damping_ratio": axis.robot.bandwidth_hz}
     chosen = [
         key
         for i, key in enumerate(told)
-        if (key in asked or (key in by_default and not _is_given(estimates.get(key))))
+        if (key in asked or key in by_default)
         and key in nominal
         and matrix[i, i] > 0.0
         and not (key in _POSITIVE and nominal[key] <= 0.0)
@@ -143,8 +138,40 @@ def _ellipsoid(
     )
 
 
-def _is_given(estimate: Estimate | None) -> bool:
-    return estimate is not None and estimate.status is Status.GIVEN
+def _known(problem: DesignProblem, axis: AxisEstimate) -> tuple[list[str], FloatArray]:
+    """Return what is told with its covariance: the log's, and of what is given the variance that was given with it.
+
+    A prior that took part in the fit is in the log's covariance. One that did not, or a value that was corrected by
+    hand, is known to whoever gave it, independently of the log; without a deviation it is exact.
+    """
+    told, fitted = ([], np.zeros((0, 0))) if axis.covariance is None else _transformed(problem, axis.covariance)
+    given = {key: e.std or 0.0 for key, e in plant_estimates(axis).items() if _is_given(e)}
+    if given.get("robot_bandwidth_hz") == 0.0:
+        # The damping ratio is told together with the bandwidth.
+        given["robot_damping_ratio"] = 0.0
+    in_fit = {key for key in given if key in told and _is_in_fit(axis, key, given[key])}
+    keys = [key for key in _SYMBOLS if key in told or key in given]
+    matrix = np.zeros((len(keys), len(keys)))
+    theirs = [key for key in told if key not in given or key in in_fit]
+    places, own = [keys.index(key) for key in theirs], [told.index(key) for key in theirs]
+    matrix[np.ix_(places, places)] = fitted[np.ix_(own, own)]
+    for key in given.keys() - in_fit:
+        matrix[keys.index(key), keys.index(key)] = given[key] ** 2
+    return keys, matrix
+
+
+def _is_in_fit(axis: AxisEstimate, key: str, std: float) -> bool:
+    """Whether the covariance has a given value and its deviation: what was given took part in the fit."""
+    covariance, estimate = axis.covariance, plant_estimates(axis).get(key)
+    if covariance is None or estimate is None or estimate.value is None or std == 0.0:
+        return False
+    place = covariance.names.index(_SYMBOLS[key])
+    fitted = math.sqrt(max(covariance.matrix[place][place], 0.0))
+    return abs(covariance.values[place] - estimate.value) <= _SAME * std and abs(fitted - std) <= _SAME * std
+
+
+def _is_given(estimate: Estimate) -> bool:
+    return estimate.status is Status.GIVEN
 
 
 def plant_estimates(axis: AxisEstimate) -> dict[str, Estimate]:

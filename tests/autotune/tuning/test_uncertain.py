@@ -1,5 +1,6 @@
 """The confidence set of the identified file becomes the uncertainty of the design problem, and nothing is guessed."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -12,11 +13,12 @@ from autotune.tuning.problems import Wishes, build_problems
 from autotune.tuning.rotational import through_lever
 from autotune.tuning.uncertain import with_uncertainty
 from identification.errors import EstimateError
-from identification.result import AxisEstimate, Covariance, Estimate, Status
+from identification.result import AxisEstimate, CouplingEstimate, Covariance, Estimate, Status
 from problems.contact import Approach
 from problems.design import DesignProblem
 from problems.robot import RobotModel
 from problems.robot_variation import bandwidth_share
+from problems.uncertainty import Scenario
 from tests.autotune.tuning.cases import absent, design_problem, identified_axis, known, with_axis
 
 NAMES = ("K_s", "B_s", "B_p", "M_p", "omega", "T_d", "x1.K_e", "x1.B_e", "x1.M_e")
@@ -121,6 +123,68 @@ def test_a_value_that_was_corrected_by_hand_is_not_widened_by_the_log() -> None:
     found = built({}, by_hand)
     assert found.drag_n_s_per_m == 500.0
     assert "drag_n_s_per_m" not in found.uncertain
+
+
+def given(estimate: Estimate, std: float, value: float | None = None) -> Estimate:
+    at = estimate.value if value is None else value
+    return replace(estimate, value=at, std=std, status=Status.GIVEN)
+
+
+GIVEN_AXIS = replace(
+    identified_axis(),
+    coupling=CouplingEstimate(
+        stiffness_n_per_m=given(identified_axis().coupling.stiffness_n_per_m, 0.2 * 3e5),
+        damping_n_s_per_m=given(identified_axis().coupling.damping_n_s_per_m, 0.1 * 150.0),
+    ),
+    drag_n_s_per_m=given(identified_axis().drag_n_s_per_m, 0.15 * 330.0),
+)
+
+
+@pytest.mark.parametrize("covariance", [None, COVARIANCE])
+def test_what_is_given_with_a_deviation_is_certified_with_it(covariance: Covariance | None) -> None:
+    """K_s, B_s and B_p to 10 to 20 %: each of the eight corners at one deviation must be safe."""
+    problem = built({}, replace(GIVEN_AXIS, covariance=covariance))
+    whole = problem.uncertainty
+    middle = Scenario(environment_stiffness_n_per_m=1.1e5, payload_mass_kg=16.0)
+    for signs in itertools.product((-1.0, 1.0), repeat=3):
+        corner = replace(
+            middle,
+            coupling_stiffness_n_per_m=3e5 * (1.0 + 0.2 * signs[0]),
+            coupling_damping_n_s_per_m=150.0 * (1.0 + 0.1 * signs[1]),
+            drag_n_s_per_m=330.0 * (1.0 + 0.15 * signs[2]),
+        )
+        assert whole.contains(corner)
+    assert problem.ellipsoid is not None
+    by_name = dict(zip(problem.ellipsoid.names, np.diag(np.array(problem.ellipsoid.covariance)), strict=True))
+    assert by_name["coupling_stiffness_n_per_m"] == pytest.approx((0.2 * 3e5) ** 2)
+    assert by_name["drag_n_s_per_m"] == pytest.approx((0.15 * 330.0) ** 2)
+    # The log's correlations do not speak of what was given.
+    assert problem.ellipsoid.covariance[0][1] == 0.0
+
+
+def test_only_a_deviation_of_0_is_exact() -> None:
+    exact = replace(GIVEN_AXIS, drag_n_s_per_m=given(GIVEN_AXIS.drag_n_s_per_m, 0.0))
+    for uncertain in ({}, {"drag_n_s_per_m": "identified"}):
+        problem = built(uncertain, replace(exact, covariance=COVARIANCE))
+        assert "drag_n_s_per_m" not in problem.uncertain
+        assert "coupling_stiffness_n_per_m" in problem.uncertain
+
+
+@pytest.mark.parametrize("uncertain", [{}, {"coupling_stiffness_n_per_m": "identified"}])
+def test_a_value_corrected_by_hand_brings_its_own_deviation(uncertain: Uncertain) -> None:
+    """Not the old width around the new value: 3e5 ± 900 was identified, 2e5 ± 2e4 is said to be true."""
+    coupling = replace(AXIS.coupling, stiffness_n_per_m=given(AXIS.coupling.stiffness_n_per_m, 2e4, 2e5))
+    found = built(uncertain, replace(AXIS, coupling=coupling))
+    assert found.uncertain["coupling_stiffness_n_per_m"] == pytest.approx(
+        (2e5 - REACH * 2e4, 2e5 + REACH * 2e4), rel=1e-4
+    )
+
+
+def test_a_prior_that_took_part_in_the_fit_keeps_the_correlations_of_the_fit() -> None:
+    coupling = replace(AXIS.coupling, stiffness_n_per_m=given(AXIS.coupling.stiffness_n_per_m, 900.0))
+    found = built({}, replace(AXIS, coupling=coupling))
+    assert found.ellipsoid is not None
+    assert found.ellipsoid.covariance[0][1] == pytest.approx(0.6 * 900.0 * 2.0)
 
 
 @pytest.mark.parametrize(
