@@ -17,6 +17,8 @@ _FEWEST = 50
 # Below a fifth of the peak a payload that rebounds is off the surface, and a deadband weighs most.
 _LOADED_SHARE = 0.2
 _TOUCH_SHARE = 0.05
+# A hold is where the trace stays longest at one depth, to this share of the deepest, for this share of the load.
+_SAME_DEPTH_SHARE = 0.05
 _HOLD_SHARE = 0.2
 _SPIKE_RATIO = 2.0
 _FALLEN_SHARE = 0.5
@@ -38,13 +40,14 @@ class TraceContact:
     """Force over displacement since contact. `secant_n_per_m` k minimises Σ(F − k x)² over the loaded samples.
 
     `secant_std_n_per_m` holds the scatter about it and what the place of the first touch does to it;
-    `hold_secant_n_per_m` is mean force over mean displacement of the last fifth; `fit_error` RMS(F − k x) over RMS(F).
+    `hold_secant_n_per_m` is mean force over mean displacement of the hold, the longest stretch under load at one depth,
+    None without one; `fit_error` RMS(F − k x) over RMS(F).
     """
 
     peak_force_n: float
     secant_n_per_m: float
     secant_std_n_per_m: float
-    hold_secant_n_per_m: float
+    hold_secant_n_per_m: float | None
     touch_m: float
     fit_error: float
     spike: Spike | None
@@ -72,13 +75,12 @@ def identify_trace(displacement_m: FloatArray, pressing_n: FloatArray, period_s:
     farther = x[touch]
     beyond = loaded & (x > farther)
     apart = _through_origin(x[beyond] - farther, force[beyond])[0] - stiffness if np.any(beyond) else np.inf
-    hold = slice(len(x) - max(1, round(_HOLD_SHARE * len(x))), None)
     misfit = force[loaded] - stiffness * x[loaded]
     return TraceContact(
         peak_force_n=peak,
         secant_n_per_m=stiffness,
         secant_std_n_per_m=float(np.hypot(scatter, apart)),
-        hold_secant_n_per_m=float(np.mean(force[hold]) / np.mean(x[hold])),
+        hold_secant_n_per_m=_hold_secant(x, force, loaded),
         touch_m=float(farther),
         fit_error=float(np.sqrt(np.mean(misfit**2) / np.mean(force[loaded] ** 2))),
         spike=_spike(x, force, stiffness, touch, period_s),
@@ -89,7 +91,7 @@ def describe_trace(contact: TraceContact, name: str) -> tuple[EnvironmentEstimat
     """Return what a trace tells of a surface: the secant, never K_e, B_e or M_e alone."""
     secant = contact.secant_n_per_m
     method = "force over robot travel: least squares through the origin over the samples above 20 % of the peak force"
-    hold = f"{contact.hold_secant_n_per_m:.4g} N/m over the last fifth"
+    hold = _told_of_hold(contact)
     blow = contact.spike
     environment = EnvironmentEstimate(
         name=name,
@@ -130,13 +132,34 @@ def _findings(contact: TraceContact, name: str) -> tuple[Finding, ...]:
                 code="secant-only",
                 severity="warning",
                 message=f"Surface {name}: force and displacement leave {100.0 * contact.fit_error:.0f} % of the force "
-                f"unexplained by {contact.secant_n_per_m:.4g} N/m (mean of the last fifth: "
-                f"{contact.hold_secant_n_per_m:.4g} N/m; contact felt at {1e3 * contact.touch_m:.2f} mm): the secant "
+                f"unexplained by {contact.secant_n_per_m:.4g} N/m ({_told_of_hold(contact)}; "
+                f"contact felt at {1e3 * contact.touch_m:.2f} mm): the secant "
                 "depends on load, on swings of the payload and on where the contact begins.",
                 advice="Hold the contact for 1 s after the swings have died out.",
             )
         )
     return tuple(found)
+
+
+def _told_of_hold(contact: TraceContact) -> str:
+    if contact.hold_secant_n_per_m is None:
+        return "the trace has no hold"
+    return f"{contact.hold_secant_n_per_m:.4g} N/m over the hold"
+
+
+def _hold_secant(x: FloatArray, force: FloatArray, loaded: NDArray[np.bool_]) -> float | None:
+    """Return mean force over mean displacement of the longest stretch under load at one depth, None without a hold."""
+    depths = np.sort(x[loaded])
+    width = _SAME_DEPTH_SHARE * float(depths[-1])
+    counts = np.searchsorted(depths, depths + width, side="right") - np.arange(len(depths))
+    low = float(depths[int(np.argmax(counts))])
+    there = loaded & (x >= low) & (x <= low + width)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], there, [False]]).astype(np.int8)))
+    start, stop = max(edges.reshape(-1, 2).tolist(), key=lambda run: run[1] - run[0])
+    if stop - start < _HOLD_SHARE * np.count_nonzero(loaded):
+        return None
+    hold = slice(start, stop)
+    return float(np.mean(force[hold]) / np.mean(x[hold]))
 
 
 def _through_origin(x: FloatArray, force: FloatArray) -> tuple[float, float]:

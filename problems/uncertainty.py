@@ -248,7 +248,9 @@ class Uncertainty:
             return False
         if self.ellipsoid is None:
             return True
-        values = {**dict(zip(self.ellipsoid.names, self.ellipsoid.centre, strict=True)), **scenario.further()}
+        always = {name: float(getattr(scenario, name)) for name in ALWAYS_UNCERTAIN}
+        centre = dict(zip(self.ellipsoid.names, self.ellipsoid.centre, strict=True))
+        values = {**centre, **always, **scenario.further()}
         point = np.array([values[name] for name in self.ellipsoid.names])
         return self.ellipsoid.size(point) <= 1.0 + _ON_THE_EDGE
 

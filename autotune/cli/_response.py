@@ -35,6 +35,11 @@ def response_lines(controller: "Controller") -> Iterator[str]:
             f"collision response: none. No threshold from {max(low, lowest):.4g} to {high:g} N lowers the worst peak "
             f"{where} of {without:.2f} N by 0.1 % without raising the other one; {at_best}"
         )
+    if told.get("noise_is_assumed", False):
+        yield (
+            f"the sensor's noise was not identified: {told['noise_rms_n']:.3g} N RMS was taken; record rests, which "
+            "tell it"
+        )
     if low < lowest:
         yield (
             f"thresholds below {lowest:.4g} N are left out: {told['free_motion_n']:.3g} N stand against the motion as "

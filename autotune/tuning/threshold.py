@@ -35,8 +35,8 @@ SAME_PEAK = 1e-3
 """Peaks this close, as a share, are one peak: the higher threshold counts then, for fewer false alarms."""
 NOISE_DEVIATIONS = 6.0
 """A threshold lies this many deviations of the noise above free motion: one tick in 1e9 is beyond it."""
-USUAL_NOISE_N = 0.2
-"""RMS of a good sensor, taken where none was identified."""
+ASSUMED_NOISE_N = 0.5
+"""RMS that is taken, and named, where none was identified: two to three times that of a good sensor."""
 # Intervals between the thresholds at which a detection moves by a tick; only a very fast controller has more.
 _MOST_INTERVALS = 2048
 _SPLIT_DIGITS = range(4, 16)
@@ -44,18 +44,24 @@ _SPLIT_DIGITS = range(4, 16)
 
 @dataclass(frozen=True, kw_only=True)
 class ThresholdWish:
-    """What is asked: the bounds of the threshold and the RMS of the sensor's noise, N."""
+    """What is asked: the bounds of the threshold, and the RMS of the sensor's noise, N, known or assumed."""
 
     bounds_n: Interval
-    noise_rms_n: float = USUAL_NOISE_N
+    noise_rms_n: float = ASSUMED_NOISE_N
+    is_assumed: bool = False
 
 
 def threshold_wish(identified: Identified, spec: ProblemSpec) -> ThresholdWish | None:
-    """Return what a problem asks of the collision response, with the identified noise; None where it asks for none."""
+    """Return what a problem asks of the collision response, with the identified noise; None where it asks for none.
+
+    Where no noise was identified a conservative one is taken, and the choice says so.
+    """
     if spec.collision_threshold_n is None:
         return None
     noise = identified.sensor.force_noise_rms_n.value
-    return ThresholdWish(bounds_n=spec.collision_threshold_n, noise_rms_n=USUAL_NOISE_N if noise is None else noise)
+    if noise is None:
+        return ThresholdWish(bounds_n=spec.collision_threshold_n, noise_rms_n=ASSUMED_NOISE_N, is_assumed=True)
+    return ThresholdWish(bounds_n=spec.collision_threshold_n, noise_rms_n=noise)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +87,7 @@ class ThresholdChoice:
         return {
             "bounds_n": list(self.wish.bounds_n),
             "noise_rms_n": self.wish.noise_rms_n,
+            **({"noise_is_assumed": True} if self.wish.is_assumed else {}),
             "free_motion_n": self.free_motion_n,
             "lowest_n": self.lowest_n,
             "objective": objective,

@@ -69,6 +69,28 @@ def test_commands_that_only_the_logger_lost_are_restored(recording: Recording) -
     assert restore_commands(command) is command
 
 
+@pytest.mark.parametrize("late", [[0.8], [0.6], [2.5, 1.6, 0.7]], ids=["one", "little", "a queue of three"])
+def test_a_late_command_is_not_a_lost_one(recording: Recording, late: list[float]) -> None:
+    """A message that comes late is there: one more between it and the one before never went to the robot."""
+    command = recording.command
+    assert command is not None
+    stamps = command.stamp_ns.copy()
+    period = int(np.median(np.diff(stamps)))
+    for at in (100, 500, 2000):
+        stamps[at : at + len(late)] += np.round(np.array(late) * period).astype(np.int64)
+    delayed = dataclasses.replace(command, stamp_ns=stamps)
+    assert restore_commands(delayed) is delayed
+    # Beside the late ones a lost one is still missed.
+    kept = np.arange(len(stamps)) != 1000
+    lost = dataclasses.replace(
+        delayed,
+        stamp_ns=stamps[kept],
+        position_m=command.position_m[kept],
+        quaternion_xyzw=command.quaternion_xyzw[kept],
+    )
+    np.testing.assert_array_equal(restore_commands(lost).stamp_ns, stamps)
+
+
 def test_a_hole_of_the_log_is_not_filled(recording: Recording) -> None:
     command = recording.command
     assert command is not None

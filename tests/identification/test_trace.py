@@ -61,6 +61,25 @@ def test_a_blow_is_noticed_and_leaves_the_secant_alone() -> None:
     assert "N·s" in environment.mass_kg.note
 
 
+def test_the_hold_is_where_it_was_held_and_not_the_end_of_the_trace() -> None:
+    """Pressed for 1.5 s and let go for as long: the last fifth is off the surface."""
+    depth = np.concatenate([DEPTH_M, DEPTH_M[::-1][::10], np.zeros(1350)])
+    # Stiffer under way than at rest, by the viscous force of the approach.
+    force = SPRING_N_PER_M * depth + 200.0 * np.gradient(depth, H_S) * (depth > 0.0)
+    contact = identify_trace(depth, np.maximum(force, 0.0), H_S)
+    # Within 5 % of the hold's depth the approach still has up to 5 % of 50 mm/s: 0.4 N of 30 N on average.
+    assert contact.hold_secant_n_per_m == pytest.approx(SPRING_N_PER_M, rel=0.02)
+    environment, _ = describe_trace(contact, "z1")
+    assert "over the hold" in environment.secant_stiffness_n_per_m.note
+
+
+def test_a_trace_that_only_goes_in_and_out_has_no_hold() -> None:
+    depth = 0.01 * (1.0 - np.abs(np.linspace(-1.0, 1.0, 2001)))
+    contact = identify_trace(depth, SPRING_N_PER_M * depth, H_S)
+    assert contact.hold_secant_n_per_m is None
+    assert "no hold" in describe_trace(contact, "z1")[0].secant_stiffness_n_per_m.note
+
+
 def test_where_the_contact_begins_is_part_of_the_deviation() -> None:
     gap = 1e-3
     force = SPRING_N_PER_M * np.maximum(DEPTH_M - gap, 0.0)

@@ -54,6 +54,24 @@ def test_every_point_of_the_cube_becomes_a_point_of_the_set(unit: list[float]) -
     assert BOTH.contains(scenario)
 
 
+def test_an_ellipsoid_of_mass_and_stiffness_cuts_them() -> None:
+    """24 radii away is outside, whatever the box says."""
+    cut = Ellipsoid(
+        names=("payload_mass_kg", "environment_stiffness_n_per_m"),
+        centre=(20.0, 1e5),
+        covariance=((0.01, 0.0), (0.0, 1e6)),
+    )
+    box = {"environment_stiffness_n_per_m": (1e4, 1e6), "payload_mass_kg": (1.0, 40.0)}
+    whole = Uncertainty(ranges=box, ellipsoid=cut)
+    radius = math.sqrt(chi2.ppf(0.95, 2))
+    for radii, is_inside in ((0.0, True), (0.99, True), (1.01, False), (24.0, False)):
+        heavier = Scenario(environment_stiffness_n_per_m=1e5, payload_mass_kg=20.0 + 0.1 * radius * radii)
+        stiffer = Scenario(environment_stiffness_n_per_m=1e5 + 1e3 * radius * radii, payload_mass_kg=20.0)
+        assert whole.contains(heavier) is is_inside
+        assert whole.contains(stiffer) is is_inside
+        assert whole.contains(whole.project(heavier))
+
+
 @LAW
 @given(UNITS)
 def test_a_box_is_the_image_of_the_cube_and_back(unit: list[float]) -> None:

@@ -205,13 +205,14 @@ def test_a_deadband_hides_what_is_below_it() -> None:
     assert choice.threshold_n > 12.0
 
 
-def test_the_noise_is_the_identified_one_or_that_of_a_good_sensor() -> None:
+def test_the_noise_is_the_identified_one_or_a_conservative_one_that_is_named() -> None:
     plant = identified_plant()
     assert threshold_wish(plant, ProblemSpec()) is None
     assert threshold_wish(plant, SPEC) == ThresholdWish(bounds_n=(2.0, 40.0), noise_rms_n=0.14)
     unknown = replace(plant.sensor.force_noise_rms_n, value=None)
     silent = replace(plant, sensor=replace(plant.sensor, force_noise_rms_n=unknown))
-    assert threshold_wish(silent, SPEC) == ThresholdWish(bounds_n=(2.0, 40.0), noise_rms_n=0.2)
+    wish = threshold_wish(silent, SPEC)
+    assert wish == ThresholdWish(bounds_n=(2.0, 40.0), noise_rms_n=0.5, is_assumed=True)
 
 
 def test_a_force_opposes_only_what_moves_against_it() -> None:

@@ -162,12 +162,12 @@ def test_what_is_given_with_a_deviation_is_certified_with_it(covariance: Covaria
     assert problem.ellipsoid.covariance[0][1] == 0.0
 
 
-def test_only_a_deviation_of_0_is_exact() -> None:
+@pytest.mark.parametrize("uncertain", [{}, {"drag_n_s_per_m": "identified"}])
+def test_only_a_deviation_of_0_is_exact(uncertain: Uncertain) -> None:
     exact = replace(GIVEN_AXIS, drag_n_s_per_m=given(GIVEN_AXIS.drag_n_s_per_m, 0.0))
-    for uncertain in ({}, {"drag_n_s_per_m": "identified"}):
-        problem = built(uncertain, replace(exact, covariance=COVARIANCE))
-        assert "drag_n_s_per_m" not in problem.uncertain
-        assert "coupling_stiffness_n_per_m" in problem.uncertain
+    problem = built(uncertain, replace(exact, covariance=COVARIANCE))
+    assert "drag_n_s_per_m" not in problem.uncertain
+    assert "coupling_stiffness_n_per_m" in problem.uncertain
 
 
 @pytest.mark.parametrize("uncertain", [{}, {"coupling_stiffness_n_per_m": "identified"}])
