@@ -230,6 +230,13 @@ def _dropped(controller: Controller) -> Iterator[str]:
         yield f"acceleration compensation of {controller.compensation_mass_kg:g} kg"
     if controller.collision.response is not CollisionResponse.NONE:
         yield f"collision response {controller.collision.response.value} at {controller.collision.threshold_n:g} N"
+    limits = controller.limits
+    if limits is not None:
+        speeds = (f"{axis} {each.speed:g} {axis_units(axis).speed}" for axis, each in limits.axes.items())
+        yield (
+            f"limits ({limits.force_n:g} N, {limits.torque_n_m:g} N·m, commanded {', '.join(speeds)}, stale readings, "
+            "the check at rest): that controller moves on any reading, so limit speed and wrench below and before it"
+        )
     payload = controller.payload
     if any((*payload.force_bias_n, *payload.torque_bias_n_m)):
         bias = ", ".join(f"{each:g}" for each in (*payload.force_bias_n, *payload.torque_bias_n_m))

@@ -19,6 +19,7 @@ from autotune.exports.ros2_control import JOINT_DAMPING_PER_S, Ros2Axis, Ros2Opt
 from autotune.exports.targets import PEER_TARGETS
 from autotune.files.controller import write_controller
 from autotune.files.controller_record import AxisGains
+from autotune.files.limits import AxisLimits, Limits
 from autotune.validation.law import AxisTask, LawCertificate, certify_law
 from problems.laws import LinearLaw
 from problems.peer_laws import SpringAdmittance, alternates
@@ -179,6 +180,26 @@ def test_no_corner_of_a_search_changes_sign_in_every_cycle(coefficient: float) -
     ):
         for corner in itertools.product(*((each.low, each.high) for each in axis.variables)):
             assert not alternates(axis.law(corner))
+
+
+def test_limits_that_the_other_controller_does_not_enforce_are_told(tmp_path: Path) -> None:
+    limits = Limits(
+        force_n=400.0,
+        torque_n_m=30.0,
+        axes={"x": AxisLimits(speed=0.25, acceleration=20.0)},
+        pose_speed_m_s=1.0,
+        pose_speed_rad_s=2.0,
+        stale_wrench_s=0.05,
+        stale_pose_s=0.05,
+        rest_samples=100,
+        rest_force_n=5.0,
+        rest_torque_n_m=1.0,
+    )
+    plain = peer_controller({"x": PLAIN}, EASY)
+    made = exported(tmp_path, replace(plain, limits=limits), Ros2Options())
+    assert any(line.startswith("limits (400 N, 30 N·m, commanded x 0.25 m/s, stale") for line in made.dropped)
+    made = exported(tmp_path, replace(plain, limits=None), Ros2Options())
+    assert not any(line.startswith("limits") for line in made.dropped)
 
 
 def test_every_axis_that_cannot_be_done_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
