@@ -1,8 +1,11 @@
 """`autotune validate --log`: the contacts of a log beside what the controller file predicts of them."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from autotune.files.records import ROTATIONAL_AXES
+from autotune.files.units import axis_units
 
 from ._common import Output
 from ._table import print_table
@@ -10,7 +13,7 @@ from ._terminal import tell
 
 if TYPE_CHECKING:
     from autotune.files.controller_record import Controller
-    from autotune.validation.against_log import LogComparison
+    from autotune.validation.against_log import ComparedContact, LogComparison
 
 
 def compare_logs(
@@ -53,28 +56,38 @@ def comparison_tree(found: "LogComparison") -> dict[str, Any]:
 
 def print_comparison(found: "LogComparison") -> None:
     """Print a line per contact, and what holds for all of them."""
-    print_table([*_rows(found)])
+    for turns in (False, True):
+        mine = [each for each in found.contacts if (each.axis in ROTATIONAL_AXES) == turns]
+        if mine:
+            print_table([*_rows(mine)])
     inside = sum(each.is_inside for each in found.contacts)
     tell(f"{inside} of {len(found.contacts)} traces lie inside the predicted band all the time")
     if found.passed_over:
         tell(f"{found.passed_over} more contacts passed over: another law drove the command there")
 
 
-def _rows(found: "LogComparison") -> Iterator[tuple[str, ...]]:
-    yield ("contact", "speed", "F^d", "K_e", "measured", "predicted", "error", "", "certified set", "inside", "rms")
-    yield ("", "mm/s", "N", "N/mm", "N", "N", "N", "%", "N", "%", "N")
-    for each in found.contacts:
+def _rows(contacts: "Sequence[ComparedContact]") -> Iterator[tuple[str, ...]]:
+    """Yield the rows of contacts that are all along, or all about, an axis."""
+    units = axis_units(contacts[0].axis)
+    # A torque is a force at 0.2 m: it takes a digit more.
+    digits = 1 if units.force == "N" else 2
+    desired = "F^d" if units.force == "N" else "T^d"
+    yield ("contact", "speed", desired, "K_e", "measured", "predicted", "error", "", "certified set", "inside", "rms")
+    force, stiffness_unit = units.force, "N/mm" if units.force == "N" else "N·m/mrad"
+    yield ("", f"m{units.speed}", force, stiffness_unit, force, force, force, "%", force, "%", force)
+    for each in contacts:
         stiffness = each.stiffness_n_per_m
+        low, high = each.band_peaks_n
         yield (
             f"{each.axis} at {each.onset_s:.2f} s",
             f"{1e3 * each.speed_m_s:.1f}",
-            f"{each.desired_force_n:.1f}",
-            "?" if stiffness is None else f"{1e-3 * stiffness:.1f}",
-            f"{each.measured_peak_n:.1f}",
-            f"{each.predicted_peak_n:.1f}",
-            f"{each.peak_error_n:+.1f}",
+            f"{each.desired_force_n:.{digits}f}",
+            "?" if stiffness is None else f"{1e-3 * stiffness:.{digits}f}",
+            f"{each.measured_peak_n:.{digits}f}",
+            f"{each.predicted_peak_n:.{digits}f}",
+            f"{each.peak_error_n:+.{digits}f}",
             f"{100.0 * each.peak_error_n / each.measured_peak_n:+.1f}",
-            "{:.1f} to {:.1f}".format(*each.band_peaks_n),
+            f"{low:.{digits}f} to {high:.{digits}f}",
             f"{100.0 * each.share_inside:.1f}",
-            f"{each.rms_error_n:.2f}",
+            f"{each.rms_error_n:.{digits + 1}f}",
         )

@@ -4,8 +4,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from autotune.files.controller_record import Controller
+from autotune.files.records import ROTATIONAL_AXES
 from autotune.files.units import axis_units
-from autotune.validation.against_log import LogComparison
+from autotune.validation.against_log import ComparedContact, LogComparison
 from autotune.validation.monte_carlo import QUANTILES, AxisMonteCarlo
 from autotune.validation.validate import ValidationReport
 
@@ -89,34 +90,44 @@ def measured_section(validated: Validated) -> Iterator[Section]:
     found = validated.compared
     if found is None or not found.contacts:
         return
+    kinds = ([each for each in found.contacts if (each.axis in ROTATIONAL_AXES) == turns] for turns in (False, True))
+    tables = (_measured_table(contacts) for contacts in kinds if contacts)
+    yield Section(key="measured-contacts", title="Measured contacts", blocks=(*measured_charts(found), *tables))
+
+
+def _measured_table(contacts: Sequence[ComparedContact]) -> Table:
+    """Return the table of contacts that are all along, or all about, an axis."""
+    units = axis_units(contacts[0].axis)
+    turns = contacts[0].axis in ROTATIONAL_AXES
+    digits = 2 if turns else 1
     rows = []
-    for each in found.contacts:
+    for each in contacts:
+        low, high = each.band_peaks_n
         numbers = (
             f"{1e3 * each.speed_m_s:.1f}",
-            "" if each.stiffness_n_per_m is None else f"{1e-3 * each.stiffness_n_per_m:.1f}",
-            f"{each.measured_peak_n:.1f}",
-            f"{each.predicted_peak_n:.1f}",
+            "" if each.stiffness_n_per_m is None else f"{1e-3 * each.stiffness_n_per_m:.{digits}f}",
+            f"{each.measured_peak_n:.{digits}f}",
+            f"{each.predicted_peak_n:.{digits}f}",
             f"{100.0 * each.peak_error_n / each.measured_peak_n:+.1f}",
-            "{:.1f} to {:.1f}".format(*each.band_peaks_n),
+            f"{low:.{digits}f} to {high:.{digits}f}",
             f"{100.0 * each.share_inside:.1f}",
         )
         where = Cell(text=f"{each.axis} at {each.onset_s:.2f} s")
         rows.append((where, *(Cell(text=text, is_number=True) for text in numbers)))
-    table = Table(
-        caption="Contacts of the log",
+    return Table(
+        caption="Turns of the log that ended in contact" if turns else "Contacts of the log",
         columns=(
             "contact",
-            "speed [mm/s]",
-            "K_e [N/mm]",
-            "measured [N]",
-            "predicted [N]",
+            f"speed [m{units.speed}]",
+            f"K_e [{'N·m/mrad' if turns else 'N/mm'}]",
+            f"measured [{units.force}]",
+            f"predicted [{units.force}]",
             "error [%]",
-            "certified set [N]",
+            f"certified set [{units.force}]",
             "inside [%]",
         ),
         rows=tuple(rows),
     )
-    yield Section(key="measured-contacts", title="Measured contacts", blocks=(*measured_charts(found), table))
 
 
 def simulated_section(validated: Validated) -> Iterator[Section]:

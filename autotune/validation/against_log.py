@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from autotune.errors import UsageError
 from autotune.files.controller_record import AxisDomain, CollisionResponse, Controller
+from autotune.files.records import ROTATIONAL_AXES
+from autotune.files.units import axis_units
 from identification.errors import LogError
 from identification.frames import Frames
 from identification.recording import Recording
@@ -120,7 +122,8 @@ def compare_with_log(
     if not found.contacts:
         raise LogError(
             f"The log must hold contacts along {', '.join(controller.axes)} from free motion into a rest, found none; "
-            "record the approach, the touch and a second of holding. (Or coupling and drag of this cell are so far "
+            "record the approach, the touch and a second of holding, of an axis that turns three "
+            "times or more. (Or coupling and drag of this cell are so far "
             "from the file's that its touches do not show.)"
         )
     followed = [_followed(controller, contact, found.period_s) for contact in found.contacts]
@@ -171,7 +174,9 @@ def _compared(controller: Controller, log: ContactLog, contact: LogContact, foll
     simulate = _Simulator(controller, contact, followed)
     stiffness = contact.stiffness_n_per_m
     at = {} if stiffness is None else {"environment_stiffness_n_per_m": stiffness}
-    predicted = simulate.trace(_middle(domain, log.mass_kg, **at))
+    # What turns is an inertia, of which the log's weight says nothing.
+    mass = float(np.mean(domain.payload_mass_kg)) if contact.axis in ROTATIONAL_AXES else log.mass_kg
+    predicted = simulate.trace(_middle(domain, mass, **at))
     band = np.array([simulate.trace(each) for each in _plants(domain)])
     time, measured = _shifted(contact, log.period_s, predicted, simulate.h)
     noise = _NOISE_STDS * contact.noise_rms_n
@@ -191,7 +196,7 @@ def _compared(controller: Controller, log: ContactLog, contact: LogContact, foll
         band_peaks_n=(float(np.min(peaks)), float(np.max(peaks))),
         share_inside=float(np.mean(inside)),
         rms_error_n=float(np.sqrt(np.mean((np.interp(time, simulate.time, predicted) - measured) ** 2))),
-        outside=_outside(domain, stiffness, log),
+        outside=_outside(domain, contact.axis, stiffness, log),
         trace=ContactTrace(
             measured_s=time,
             measured=measured,
@@ -264,12 +269,13 @@ def _spread(values: FloatArray, choose: Callable[[FloatArray, FloatArray], Float
     return choose(choose(padded[:-2], padded[2:]), values)
 
 
-def _outside(domain: AxisDomain, stiffness: float | None, log: ContactLog) -> str:
+def _outside(domain: AxisDomain, axis: str, stiffness: float | None, log: ContactLog) -> str:
+    is_weighed = log.is_weighed and axis not in ROTATIONAL_AXES
     told = [
         f"{what} {value:.4g} {unit} outside of {low:g} to {high:g}"
         for what, value, unit, (low, high) in (
-            ("K_e", stiffness, "N/m", domain.environment_stiffness_n_per_m),
-            ("M_p", log.mass_kg if log.is_weighed else None, "kg", domain.payload_mass_kg),
+            ("K_e", stiffness, axis_units(axis).stiffness, domain.environment_stiffness_n_per_m),
+            ("M_p", log.mass_kg if is_weighed else None, "kg", domain.payload_mass_kg),
         )
         if value is not None and not low * (1.0 - _OUTSIDE) <= value <= high * (1.0 + _OUTSIDE)
     ]
@@ -281,10 +287,12 @@ def log_checks(found: LogComparison) -> tuple[Check, ...]:
     checks = []
     for each in found.contacts:
         limit = each.band_peaks_n[1] * (1.0 + SAME_PEAK)
-        share = 100.0 * each.peak_error_n / each.measured_peak_n
+        share, unit = 100.0 * each.peak_error_n / each.measured_peak_n, axis_units(each.axis).force
+        digits, (low, high) = 2 if each.axis in ROTATIONAL_AXES else 1, each.band_peaks_n
         told = (
-            f"measured {each.measured_peak_n:.1f} N, predicted {each.predicted_peak_n:.1f} N ({each.peak_error_n:+.1f} "
-            f"N, {share:+.1f} %), {each.band_peaks_n[0]:.1f} to {each.band_peaks_n[1]:.1f} N over the certified set"
+            f"measured {each.measured_peak_n:.{digits}f} {unit}, predicted {each.predicted_peak_n:.{digits}f} {unit} "
+            f"({each.peak_error_n:+.{digits}f} {unit}, {share:+.1f} %), {low:.{digits}f} to {high:.{digits}f} {unit} "
+            "over the certified set"
         )
         wrong = each.outside or ("above the certified set" if each.measured_peak_n > limit else "")
         checks.append(

@@ -1,7 +1,7 @@
 """The contacts in a log as validation sees them: through the payload and the coupling of the file, not of a fit."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,10 @@ from identification.axes import AxisMotion, find_axes
 from identification.convention_choice import read_by_weight
 from identification.errors import EstimateError, LogError
 from identification.frames import Frames
-from identification.gravity import GRAVITY_B_M_S2, identify_gravity
+from identification.gravity import GRAVITY_B_M_S2, GravityFit, identify_gravity
 from identification.joint_contacts import find_holds, hold_threshold_n
 from identification.recording import AXES, Recording
+from identification.rotation import LEVER_M, Unrolled, find_turns, rests_after, unroll
 from identification.segments import Motion, Span, find_motion
 from identification.static_poses import collect_static_poses
 from identification.timeline_contacts import find_contacts
@@ -33,7 +34,7 @@ _SAME_GAIN = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class LogContact:
-    """One contact on one axis of S, in samples of the log's clock.
+    """One contact on one axis of S, in samples of the log's clock; about rx, ry, rz in rad and N·m for m and N.
 
     `force_n` (n,) is that of the whole log along the axis, free of weight and bias, `position_m` and `command_m` (n,)
     the flange's; `sign` is +1 where the payload presses towards +axis. `speed_m_s` is that of the approach;
@@ -76,21 +77,23 @@ def find_log_contacts(recording: Recording, controller: Controller, frames: Fram
         )
     log = align(recording)
     motion = find_motion(log)
-    force, mass, recording, log, motion = _weighed(recording, log, motion, controller, frames)
-    travel = find_axes(log, motion, force)
+    weighed = _weighed(recording, log, motion, controller, frames)
+    mass = controller.payload.mass_kg if weighed.gravity is None else weighed.gravity.mass_kg
+    turns = _turns(weighed, controller)
+    turned = {rest for turn in turns for rest in turn.holds}
     contacts = [
         contact
-        for axis in travel.axes
-        if axis.name in controller.axes and axis.name not in ROTATIONAL_AXES
-        for contact in _axis_contacts(
-            axis, controller.certificate.domain[axis.name], mass or controller.payload.mass_kg, recording, log, motion
-        )
+        for axis in find_axes(weighed.log, weighed.motion, weighed.force_S_n).axes
+        if axis.name in controller.axes
+        for contact in _straight_contacts(axis, controller.certificate.domain[axis.name], mass, weighed, turned)
+    ]
+    contacts += [
+        contact
+        for turn in turns
+        for contact in _turned_contacts(turn, controller.certificate.domain[turn.name], weighed)
     ]
     return ContactLog(
-        period_s=log.period_s,
-        mass_kg=mass or controller.payload.mass_kg,
-        is_weighed=mass is not None,
-        contacts=tuple(contacts),
+        period_s=log.period_s, mass_kg=mass, is_weighed=weighed.gravity is not None, contacts=tuple(contacts)
     )
 
 
@@ -112,10 +115,20 @@ def _check_gains(recording: Recording, controller: Controller) -> None:
                 )
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Weighed:
+    """A log as its weight reads it, the force (n, 3) without weight and bias; `gravity` None where the file weighs."""
+
+    recording: Recording
+    log: AlignedLog
+    motion: Motion
+    force_S_n: FloatArray
+    gravity: GravityFit | None
+
+
 def _weighed(
     recording: Recording, log: AlignedLog, motion: Motion, controller: Controller, frames: Frames | None
-) -> tuple[FloatArray, float | None, Recording, AlignedLog, Motion]:
-    """Return the force without weight and bias, the mass if the log tells it, and the log as its weight reads it."""
+) -> _Weighed:
     try:
         identify_gravity(collect_static_poses(log, motion.still))
         read = read_by_weight(recording, log, motion, frames)
@@ -125,8 +138,43 @@ def _weighed(
         weight = payload.mass_kg * log.orientation_BS.inv().apply(GRAVITY_B_M_S2)
         force = np.asarray(log.force_S_n - np.array(payload.force_bias_n) - weight)
         _check_weight(force, motion, controller)
-        return force, None, recording, log, motion
-    return gravity.compensated_force_S_n(read.log), gravity.mass_kg, read.recording, read.log, read.motion
+        return _Weighed(recording=recording, log=log, motion=motion, force_S_n=force, gravity=None)
+    force = gravity.compensated_force_S_n(read.log)
+    return _Weighed(recording=read.recording, log=read.log, motion=read.motion, force_S_n=force, gravity=gravity)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Turn:
+    """A turn as motion along a straight path (`rotation.unroll`), and the rests that it ends in under a torque."""
+
+    name: str
+    unrolled: Unrolled
+    holds: tuple[Span, ...]
+
+
+def _turns(weighed: _Weighed, controller: Controller) -> list[_Turn]:
+    """Return the axes of the file about which the tool turned to and fro.
+
+    Raises LogError where the file turns only and the log does not tell the weight, which makes most of the torque.
+    """
+    names = ROTATIONAL_AXES.intersection(controller.axes)
+    if not names:
+        return []
+    if weighed.gravity is None:
+        if names == set(controller.axes):
+            raise LogError(
+                f"To compare torques about {', '.join(sorted(names))} the log must tell the payload's weight and its "
+                "centre; record 6 to 12 tilted poses with the contacts."
+            )
+        return []
+    found = []
+    least = hold_threshold_n(weighed.gravity.torque_residual_rms_n_m / LEVER_M)
+    for turn in find_turns(weighed.recording, weighed.log, weighed.motion, weighed.gravity):
+        if turn.name in names:
+            unrolled = unroll(turn, weighed.recording, weighed.log)
+            holds = rests_after(unrolled.axis.spans, find_holds(weighed.motion.still, unrolled.axis.force_n, least))
+            found.append(_Turn(name=turn.name, unrolled=unrolled, holds=holds))
+    return found
 
 
 def _check_weight(force_S_n: FloatArray, motion: Motion, controller: Controller) -> None:
@@ -142,21 +190,44 @@ def _check_weight(force_S_n: FloatArray, motion: Motion, controller: Controller)
         )
 
 
-def _axis_contacts(
-    axis: AxisMotion,
-    domain: AxisDomain,
-    mass_kg: float,
-    recording: Recording,
-    log: AlignedLog,
-    motion: Motion,
+def _coupling(domain: AxisDomain, mass: float) -> FloatArray:
+    return np.array([domain.coupling_stiffness_n_per_m, domain.coupling_damping_n_s_per_m, domain.drag_n_s_per_m, mass])
+
+
+def _straight_contacts(
+    axis: AxisMotion, domain: AxisDomain, mass_kg: float, weighed: _Weighed, turned: Collection[Span]
 ) -> Iterator[LogContact]:
-    holds = find_holds(motion.still, axis.force_n, hold_threshold_n(_RESIDUAL_N))
-    coupling = np.array(
-        [domain.coupling_stiffness_n_per_m, domain.coupling_damping_n_s_per_m, domain.drag_n_s_per_m, mass_kg]
-    )
+    """Yield the contacts along an axis; a rest that a turn ended in is pressed sideways, and belongs to the turn."""
+    holds = find_holds(weighed.motion.still, axis.force_n, hold_threshold_n(_RESIDUAL_N))
+    mine = tuple(hold for hold in holds if hold not in turned)
+    command = _command_along(weighed.recording, weighed.log, axis, weighed.log.position_B_m[0])
+    yield from _axis_contacts(axis, mine, _coupling(domain, mass_kg), command, weighed)
+
+
+def _turned_contacts(turn: _Turn, domain: AxisDomain, weighed: _Weighed) -> Iterator[LogContact]:
+    """Yield the contacts at the end of turns: found on the path, told about the axis."""
+    inertia = float(np.mean(domain.payload_mass_kg))
+    path = turn.unrolled
+    command = _command_along(path.recording, path.log, path.axis, np.zeros(3))
+    for found in _axis_contacts(path.axis, turn.holds, _coupling(domain, inertia) / LEVER_M**2, command, weighed):
+        stiffness = found.stiffness_n_per_m
+        yield replace(
+            found,
+            speed_m_s=found.speed_m_s / LEVER_M,
+            stiffness_n_per_m=None if stiffness is None else stiffness * LEVER_M**2,
+            force_n=found.force_n * LEVER_M,
+            position_m=found.position_m / LEVER_M,
+            command_m=found.command_m / LEVER_M,
+            noise_rms_n=found.noise_rms_n * LEVER_M,
+        )
+
+
+def _axis_contacts(
+    axis: AxisMotion, holds: tuple[Span, ...], coupling: FloatArray, command: FloatArray, weighed: _Weighed
+) -> Iterator[LogContact]:
+    log, motion = weighed.log, weighed.motion
     of = AxisContacts(axis=axis, holds=holds, coupling=coupling)
     payload = see_payload(of, log.period_s)
-    command = _command_along(recording, log, axis)
     free = [span for span in motion.still if span not in holds]
     for times in find_contacts(of, payload, motion, log.period_s).contacts:
         if times.onset is None:
@@ -178,12 +249,12 @@ def _axis_contacts(
         )
 
 
-def _command_along(recording: Recording, log: AlignedLog, axis: AxisMotion) -> FloatArray:
+def _command_along(recording: Recording, log: AlignedLog, axis: AxisMotion, origin_B_m: FloatArray) -> FloatArray:
     """Return the commanded position (n,) along the axis on the log's clock, NaN where it is not covered."""
     command = recording.command
     if command is None:
         return np.full(len(log), np.nan)
-    along = (command.position_m - log.position_B_m[0]) @ axis.direction_B
+    along = (command.position_m - origin_B_m) @ axis.direction_B
     time = (command.stamp_ns - log.start_ns) * 1e-9
     return np.asarray(np.interp(log.time_s, time, along, left=np.nan, right=np.nan))
 

@@ -11,13 +11,17 @@ import pytest
 from autotune.cell.phases import Program
 from autotune.cell.simulate import simulate_cell
 from autotune.cell.truth import Cell
+from autotune.cli._against_log import print_comparison
+from autotune.reports.page import Table
+from autotune.reports.validate_page import Validated, measured_section
 from autotune.validation.against_log import LogComparison, compare_with_log, log_checks
-from autotune.validation.validate import admittance_controller
+from autotune.validation.validate import ValidationReport, admittance_controller
 from identification.errors import EstimateError, LogError
 from identification.recording import GainsSignal, Recording
 from problems.plant import Coupling, Environment
 from problems.robot import RobotModel
 from tests.autotune.tuning.cases import small_controller
+from tests.autotune.tuning.turning import SQUARE, both_optimized
 
 PROGRAM = Program(pose_count=5, pose_hold_s=0.6, pose_move_s=0.6, jogging_s=0.0, sweep_s=0.0, contact_count=2)
 
@@ -113,6 +117,63 @@ def test_a_log_without_tilted_poses_is_weighed_by_the_file() -> None:
     payload = replace(controller.payload, force_bias_n=cell.force_bias_S_n, com_m=cell.com_S_m)
     found = compare_with_log(replace(controller, payload=payload), recorded(bare))
     assert (found.is_weighed, found.mass_kg, found.inside_share) == (False, 16.0, 1.0)
+
+
+@cache
+def turned(**changes: Any) -> LogComparison:
+    """A cell that turns about ry inside the domain of the controller of both axes, which runs there."""
+    controller = both_optimized().controller
+    usual: dict[str, Any] = {
+        "payload_mass_kg": 16.0,
+        "inertia_S_kg_m2": (0.55, 16.0 * SQUARE, 0.21),
+        "coupling": Coupling(stiffness_n_per_m=3e5 * SQUARE, damping_n_s_per_m=150.0 * SQUARE),
+        "drag_n_s_per_m": 330.0 * SQUARE,
+        "environment": Environment(stiffness_n_per_m=1.1e5 * SQUARE),
+        "robot": RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=2.4e-3),
+        "controller": admittance_controller(controller, "ry"),
+        "deadband_n": controller.axes["ry"].deadband,
+    }
+    program = Program.turning(
+        pose_count=5, pose_hold_s=0.6, pose_move_s=0.6, jogging_s=0.0, sweep_s=0.0, contact_count=3
+    )
+    cell = Cell.turning("ry", **{**usual, **changes})
+    return compare_with_log(controller, simulate_cell(cell, program, seed=6).recording)
+
+
+def test_contacts_at_the_end_of_a_turn_are_predicted_in_torque_and_angle() -> None:
+    found = turned()
+    assert [each.axis for each in found.contacts] == ["ry", "ry", "ry"]
+    assert found.passed_over == 0
+    for each, check in zip(found.contacts, log_checks(found), strict=True):
+        # T^d of the program behind a threshold deadband, which passes it whole.
+        assert each.desired_force_n == pytest.approx(5.5, abs=0.05)
+        assert each.speed_m_s == pytest.approx(5.5 / (both_optimized().controller.axes["ry"].damping + 13.2), rel=0.05)
+        assert each.stiffness_n_per_m == pytest.approx(1.1e5 * SQUARE, rel=0.02)
+        # The weight turns with what turns, which no model holds: 1 % of 8.6 N·m, and five deviations of the noise.
+        assert abs(each.peak_error_n) < 0.15
+        assert each.share_inside > 0.95
+        assert each.outside == ""
+        assert check.passed
+        assert " N·m (" in check.message
+
+
+def test_a_turn_into_a_wall_that_is_too_stiff_is_outside() -> None:
+    found = turned(environment=Environment(stiffness_n_per_m=3e5 * SQUARE))
+    for each, check in zip(found.contacts, log_checks(found), strict=True):
+        assert re.fullmatch(r"K_e 1\.\d+e\+04 N·m/rad outside of 4000 to 4800", each.outside)
+        assert not check.passed
+
+
+def test_turning_and_straight_contacts_have_a_table_each(capsys: pytest.CaptureFixture[str]) -> None:
+    both = replace(own(), contacts=(*own().contacts, *turned().contacts))
+    print_comparison(both)
+    told = capsys.readouterr().out
+    assert told.count("certified set") == 2
+    assert "N·m/mrad" in told
+    assert "N/mm" in told
+    (section,) = measured_section(Validated(report=ValidationReport(checks=()), compared=both))
+    tables = [block for block in section.blocks if isinstance(block, Table)]
+    assert [table.columns[3] for table in tables] == ["measured [N]", "measured [N·m]"]
 
 
 def test_a_log_that_tells_nothing_is_refused() -> None:
