@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from problems.controller import AdmittanceController
+
 from .errors import EstimateError
 from .plan_contacts import ContactPlan, plan_contacts, through_coupling
 from .plan_effect import PeakEffect, peak_effect
@@ -16,6 +18,7 @@ _COM_M = 2e-3
 _DAMPING_FLOOR = 0.1
 _DELAY_SAMPLES = 0.2
 _AIM = 0.5
+_UNTOLD = 20.0  # times what is allowed: a deviation as large as the value
 _PEAK_SHARE = 0.01
 _NOTHING = 0.002  # of the peak
 _AIM_SHARE = 0.9  # of the force limit, for a repeated sweep
@@ -52,8 +55,13 @@ def allowed_std(values: PlanValues) -> dict[str, float]:
     return allowed
 
 
-def plan_experiment(axis: str, values: PlanValues, limits: Limits) -> ExperimentPlan:
+def plan_experiment(
+    axis: str, values: PlanValues, limits: Limits, controller: AdmittanceController | None = None
+) -> ExperimentPlan:
     """Plan the next recording on one axis within `limits`.
+
+    What binds is counted in newtons of the peak with `controller`, or with a usual one where none is given or it is not
+    stable on the surface.
 
     Raises EstimateError when poses are needed and no orientations within the limit on the tilt tell mass and centre.
     """
@@ -76,7 +84,7 @@ def plan_experiment(axis: str, values: PlanValues, limits: Limits) -> Experiment
     contacts = plan_contacts(values, max_force_n=gentle, allowed=allowed)
     if contacts is not None:
         _improve(after, _with_coupling(values, contacts.std, after["stiffness_n_per_m"]))
-    effect = peak_effect(values)
+    effect = (None if controller is None else peak_effect(values, controller)) or peak_effect(values)
     predictions = {
         name: _prediction(name, values, allowed[name], now[name], after[name], effect)
         for name in _STEP_OF
@@ -88,7 +96,7 @@ def plan_experiment(axis: str, values: PlanValues, limits: Limits) -> Experiment
 def _prediction(
     name: str, values: PlanValues, allowed: float, now: float | None, after: float | None, effect: PeakEffect | None
 ) -> Prediction:
-    told = after if np.isfinite(after or 0.0) else None
+    told = None if after is None or after > _UNTOLD * allowed else after
     return Prediction(
         name=name,
         value=values.known()[name].value,

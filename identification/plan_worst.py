@@ -1,5 +1,6 @@
 """The largest force that a sweep can make on a cell of which little is known yet."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -23,6 +24,7 @@ _DEVIATIONS = 3.0
 _STIFFNESS_FACTOR = 2.5
 _ROBOT_FACTOR = 4.0  # a bandwidth of 13 Hz
 _USUAL_MASS_FACTOR, _GUESSED_MASS_FACTOR = 1.5, 1.1
+_DRAG_FACTOR = 3.0
 _SMALLEST_SHARE = 0.1
 
 
@@ -46,14 +48,15 @@ def worst_case(values: PlanValues, low_hz: float, high_hz: float) -> WorstCase:
     """Return the cell within what is known that feels most force between two frequencies.
 
     K_s, M_p and the robot's bandwidth run over three standard deviations, or over factors of 2.5, 1.1 (1.5 where nobody
-    guessed a mass) and 4 where nothing was measured; the damping is the least of three deviations, at least 1 % of the
-    critical one. The force is that of a sine that lasts: a sweep passes through a resonance and stays below.
+    guessed a mass) and 4 where nothing was measured. The damping is the least of three deviations, at least 1 % of the
+    critical one; beside resonances more drag makes more force, so that the most (a factor of 3) counts too, and the
+    plan's own values. The force is that of a sine that lasts: a sweep passes through a resonance and stays below.
     """
     frequency = np.geomspace(low_hz, high_hz, _POINTS)
     factor = _robot_factor(values.bandwidth_hz)
     best: WorstCase | None = None
-    for stiffness, mass in product(_stiffnesses(values.stiffness_n_per_m), _masses(values.mass_kg)):
-        theta = _least_damped(values, stiffness, mass)
+    for theta in _cells(values):
+        stiffness, mass = float(theta[0]), float(theta[3])
         own = np.sqrt(stiffness / mass) / (2.0 * np.pi)
         # The grid is coarser than the resonance of the least damped cell is wide.
         at = np.append(frequency, np.clip(own, low_hz, high_hz))
@@ -66,14 +69,24 @@ def worst_case(values: PlanValues, low_hz: float, high_hz: float) -> WorstCase:
                 best = WorstCase(
                     force_per_speed_n_s_per_m=float(force[i]),
                     frequency_hz=float(at[i]),
-                    stiffness_n_per_m=float(stiffness),
-                    mass_kg=float(mass),
+                    stiffness_n_per_m=stiffness,
+                    mass_kg=mass,
                     damping_ratio=float((theta[1] + theta[2]) / (2.0 * np.sqrt(stiffness * mass))),
                     bandwidth_hz=float(values.bandwidth_hz.value * speedup),
                 )
     if best is None:
         raise AssertionError("unreachable: there is always a stiffness and a mass")
     return best
+
+
+def _cells(values: PlanValues) -> Iterator[FloatArray]:
+    """Yield K_s, B_s, B_p, M_p (4,) of the plan's own values and of the ends of what is plausible."""
+    yield values.theta
+    drag = values.drag_n_s_per_m
+    most = drag.value * _DRAG_FACTOR if drag.std is None else drag.value + _DEVIATIONS * drag.std
+    for stiffness, mass in product(_stiffnesses(values.stiffness_n_per_m), _masses(values.mass_kg)):
+        yield _least_damped(values, stiffness, mass)
+        yield np.array([stiffness, values.damping_n_s_per_m.value, most, mass])
 
 
 def _stiffnesses(known: Known) -> FloatArray:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from identification.plan_sweep import SweepPlan
     from identification.plan_taps import TapPlan
     from identification.plan_values import PlanValues
+    from problems.controller import AdmittanceController
 
 _EPILOG = """\b
 Examples:
@@ -32,6 +33,7 @@ _GROUPS = {
         *("max_tilt", "poses", "max_speed", "max_force", "max_stroke", "max_duration", "max_frequency"),
     ),
 }
+_NOISES = 4.0
 _POSITIVE = click.FloatRange(min=0.0, min_open=True)
 _DOUBTS = frozenset({"mass-disagreement", "logs-disagree", "given-contradicts"})
 # What a wrist carries, and what holds it: outside of this a unit is wrong.
@@ -51,6 +53,12 @@ _STIFFNESS = click.FloatRange(min=1e3, max=1e8)
     help="The file to write.",
 )
 @click.option("--axis", type=click.Choice(["x", "y", "z"]), help="The axis of sweep and contacts.")
+@click.option(
+    "--controller",
+    "present",
+    type=FilePath(*SETTINGS),
+    help="Count what binds in newtons of the peak with this controller.yaml; default: a usual controller.",
+)
 @click.option("--mass", type=_MASS, metavar="KG", help="A guess of the payload's mass, where no file tells it.")
 @click.option("--stiffness", type=_STIFFNESS, metavar="N/M", help="A guess of K_s, where no file tells it.")
 @click.option("--max-tilt", type=_POSITIVE, default=60.0, show_default=True, metavar="DEG", help="Largest tilt.")
@@ -84,6 +92,7 @@ def command(
     identified: Path | None,
     out: Path,
     axis: str | None,
+    present: Path | None,
     mass: float | None,
     stiffness: float | None,
     max_tilt: float,
@@ -108,7 +117,7 @@ def command(
     from identification.plan_result import Limits
     from identification.plan_values import usual_values
 
-    check_target(out, [] if identified is None else [identified])
+    check_target(out, [path for path in (identified, present) if path is not None])
     if 0 < poses < FEWEST_POSES:
         raise UsageError(
             f"--poses must be 0 (none) or at least {FEWEST_POSES}, which tell mass and centre; found {poses}."
@@ -129,8 +138,11 @@ def command(
         raise UsageError("--mass and --stiffness are guesses for a first recording; leave them out beside a file.")
     else:
         name, values = _from_file(output, identified, axis, provenance)
+    law = None if present is None else _law(present, name, provenance)
     with output.progress("planning", None):
-        plan = plan_experiment(name, values, limits)
+        plan = plan_experiment(name, values, limits, law)
+    if law is not None and (plan.effect is None or plan.effect.controller != law):
+        output.note(f"{present} is not stable on the surface that is assumed; what binds is counted without it.")
     write_plan(out, plan, provenance)
     output.result(plan_tree(plan, provenance), lambda: print_plan(plan, out))
 
@@ -145,7 +157,26 @@ def _from_file(output: Output, path: Path, axis: str | None, provenance: dict[st
     for finding in source.result.findings:
         if finding.code in _DOUBTS:
             output.note(f"{path.name} says: {printable(finding.message)} The plan takes the values as they are.")
+    if axis is not None and axis not in source.result.axes:
+        others = ", ".join(source.result.axes) or "none"
+        output.note(
+            f"{path.name} holds no axis {axis} (its axes: {others}): robot, coupling and surface are usual values, as "
+            "in a first recording."
+        )
     return values_of(source.result, axis)
+
+
+def _law(path: Path, axis: str, provenance: dict[str, object]) -> "AdmittanceController":
+    """Return the law of one axis of a controller file, and note the file in `provenance`."""
+    from autotune.errors import UsageError
+    from autotune.files.controller import read_controller
+    from autotune.validation.validate import admittance_controller
+
+    source = read_controller(path)
+    if axis not in source.controller.axes:
+        raise UsageError(f"{path} has no axis {axis}; its axes: {', '.join(source.controller.axes)}.")
+    provenance["controller"] = {"path": str(path), "checksum": source.checksum}
+    return admittance_controller(source.controller, axis)
 
 
 def print_plan(plan: "ExperimentPlan", out: Path) -> None:
@@ -153,6 +184,8 @@ def print_plan(plan: "ExperimentPlan", out: Path) -> None:
     from identification.plan_result import LABELS, UNITS
 
     tell(f"axis {plan.axis}, binding uncertainty: {LABELS[plan.binding]}{_reference(plan)}")
+    if not any(step.is_needed for step in plan.steps):
+        tell("everything is known well enough; what follows would make it sharper, and is not needed")
     for number, step in enumerate(plan.steps, start=1):
         wanted = "" if step.is_needed else " (not needed)"
         tell(f"{step.kind.value}{wanted}: {step.why}", verdict=f"{number}. ")
@@ -240,11 +273,14 @@ def _sweep(found: "SweepPlan", plan: "ExperimentPlan") -> list[str]:
         f"{found.bound_by} holds the amplitude down; the robot passes little above {found.robot_limit_hz:.0f} Hz",
     ]
     if repeat is not None:
-        largest, expected = f"{repeat.largest_factor:.3g}", f"{repeat.expected_factor:.2g}"
+        noise = plan.values.force_noise_rms_n.value
+        largest, expected = f"{repeat.largest_factor:.0f}", f"{repeat.expected_factor:.2g}"
         lines += [
             f"then once more with all amplitudes times {repeat.aim_force_n:.3g} N / (largest force that the first",
             f"showed), at most times {largest}; expected is {expected}, which the table counts on",
         ]
+        if found.peak_force_n < _NOISES * noise:
+            lines.append(f"the first one hardly exceeds the sensor's noise of {noise:.2g} N: repeat it more than once")
     return lines
 
 

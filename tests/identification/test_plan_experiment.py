@@ -202,6 +202,17 @@ def test_no_sweep_passes_a_limit(limit: dict[str, float], bound_by: str) -> None
     assert stroke <= limits.max_stroke_m * (1.0 + 1e-9)
 
 
+@pytest.mark.parametrize(("mass", "stiffness"), [(0.05, 1e8), (1000.0, 1e3), (16.0, 3e5)])
+@pytest.mark.parametrize("highest", [2.0, 60.0])
+def test_the_worst_case_is_never_less_than_what_is_expected(mass: float, stiffness: float, highest: float) -> None:
+    """Also where no resonance lies in the band, and the drag makes the force."""
+    values = usual_values(mass_kg=mass, stiffness_n_per_m=stiffness)
+    found = settings_of(plan_experiment("x", values, Limits(max_frequency_hz=highest, pose_count=0)), StepKind.SWEEP)
+    assert isinstance(found, SweepPlan)
+    assert found.peak_force_n <= found.worst_peak_force_n * (1.0 + 1e-12)
+    assert found.worst_peak_force_n <= found.abort_force_n * (1.0 + 1e-9)
+
+
 def test_what_is_known_of_the_coupling_makes_the_first_sweep_louder_and_spares_the_repeat() -> None:
     """A coupling within 3 % and a robot within 1 % leave no surprise: the limit itself holds the speed down."""
     usual = usual_values()

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from autotune.cli.main import main
+from autotune.files.controller import write_controller
 from autotune.files.identified import write_identified
 from identification.result import Estimate, Finding, Identified, Status
-from tests.autotune.files.samples import make_identified
+from tests.autotune.files.samples import make_controller, make_identified
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -110,6 +111,48 @@ def test_without_a_file_a_first_recording_is_planned_from_guesses(
     assert sweep["peak_force_n"] <= 60.0
     assert "identified" not in tree["provenance"]
     assert (folder / "plan.yaml").is_file()
+
+
+@pytest.mark.usefixtures("folder")
+def test_an_axis_that_the_file_does_not_hold_is_planned_from_usual_values_and_says_so(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    write_identified("identified.yaml", one_axis(), {})
+    assert main(["plan", "identified.yaml", "--axis", "y", "--poses", "0"]) == 0
+    out, err = capsys.readouterr()
+    assert "identified.yaml holds no axis y (its axes: x): robot, coupling and surface are usual values" in err
+    assert "stiffness_n_per_m 3e+05" in out.splitlines()[-2]
+
+
+@pytest.mark.usefixtures("folder")
+def test_what_binds_is_counted_with_the_controller_that_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    write_identified("identified.yaml", one_axis(), {})
+    sample = make_controller(("x",))
+    gains = replace(sample.axes["x"], mass=12.0, damping=3000.0, lead_s=0.01, feedback_damping_s=0.0)
+    write_controller("controller.yaml", replace(sample, axes={"x": gains}))
+    arguments = ["plan", "identified.yaml", "--controller", "controller.yaml", "--poses", "0"]
+    assert main([*arguments, "--json"]) == 0
+    out, err = capsys.readouterr()
+    tree = json.loads(out)
+    assert err == ""
+    assert (tree["reference"]["mass_kg"], tree["reference"]["damping_n_s_per_m"]) == (12.0, 3000.0)
+    assert len(tree["provenance"]["controller"]["checksum"]) == 64
+    # Another one that is not stable on this surface is said to be none, and a usual one counts.
+    write_controller("controller.yaml", replace(sample, axes={"x": replace(gains, mass=1.0, damping=10.0)}))
+    assert main([*arguments, "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert "controller.yaml is not stable on the surface that is assumed" in err
+    assert json.loads(out)["reference"]["mass_kg"] == 10.0
+    assert main([*arguments, "--axis", "y"]) == 2
+    assert "controller.yaml has no axis y; its axes: x." in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_first_sweep_below_the_noise_is_said_to_be_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "--max-force", "5", "--poses", "0"]) == 0
+    assert "hardly exceeds the sensor's noise of 0.2 N: repeat it more than once" in capsys.readouterr().out
+    assert main(["plan", "--max-force", "200", "--poses", "0"]) == 0
+    assert "hardly exceeds" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
