@@ -103,7 +103,7 @@ def test_no_path_of_one_machine_is_in_the_project(repository: Path) -> None:
         ("control", {"problems/exchange.py"}),
         ("cryptography", {"autotune/files/signature.py"}),
         ("flint", {"autotune/certificate/balls.py"}),
-        ("optuna", {"autotune/studies/study.py"}),
+        ("optuna", {"autotune/studies/sampler.py", "autotune/studies/study.py"}),
         ("sqlalchemy", {"autotune/studies/study.py"}),
     ],
 )
@@ -117,3 +117,14 @@ def test_a_heavy_library_has_one_door(repository: Path, library: str, only: set[
             if library in {name.split(".")[0] for name in names}:
                 found.add(path.relative_to(repository).as_posix())
     assert found == only
+
+
+def test_the_sampler_of_a_study_is_behind_the_studys_door(repository: Path) -> None:
+    """It imports Optuna too: whoever imports it pays for that, so that only the study does."""
+    importing = {
+        path.relative_to(repository).as_posix()
+        for path in _modules(repository, PACKAGES)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[-1] == "sampler"
+    }
+    assert importing == {"autotune/studies/study.py"}
