@@ -26,10 +26,10 @@ STANDARD_GRAVITY = 9.80665
 RELEASES: Mapping[str, tuple[int, int, int]] = MappingProxyType(
     {
         "humble": (2, 54, 0),
-        "jazzy": (4, 41, 0),
+        "jazzy": (4, 42, 0),
         "kilted": (5, 11, 0),
         "lyrical": (6, 9, 0),
-        "rolling": (6, 4, 0),
+        "rolling": (6, 9, 0),
     }
 )
 """The releases that are known by name, with the newest version of the package that is known of each."""

@@ -250,7 +250,7 @@ def _leaves(tree: dict[str, Any], within: str = "") -> list[tuple[str, Any]]:
 def test_the_header_names_source_version_rate_and_what_was_dropped(tuned: PeerExport) -> None:
     told = re.sub(r"\n#\s*", " ", tuned.text)
     for part in (
-        "ros2_controllers admittance_controller 4.41.0 (jazzy)",
+        "ros2_controllers admittance_controller 4.42.0 (jazzy)",
         tuned.source.checksum,
         "an update rate of 1250 Hz",
         "Dropped: axis x: lead K_l = 0.0209 s.",
