@@ -31,7 +31,7 @@ from .controller import THETA, AdmittanceController
 from .errors import ParameterError
 from .margins import PreparedMargins, check_finite, find_margins, loop_polynomials, prepare_margins
 from .polynomials import DOUBTFUL
-from .sampled import SampledPlant, build_loop, spectral_radius
+from .sampled import SampledPlant, build_loop, check_wrench_delay, spectral_radius
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -75,6 +75,7 @@ class Batch:
         peaks: bool = True,
     ) -> BatchResult:
         """Evaluate every controller in every scenario; without `margins` or `peaks` those stay NaN."""
+        _check_wrench_delays([pair.free for pair in self.pairs], controllers)
         parameters, theta, ideal = controller_numbers(controllers)
         h = self.pairs[0].contact.sample_time_s
         out = np.full((len(parameters), len(self.pairs), COLUMNS), np.nan)
@@ -158,11 +159,19 @@ def are_stable(plants: Sequence[SampledPlant], controllers: Sequence[AdmittanceC
     Routh's test in w; where rounding could decide it, the eigenvalues of the exact loop do.
     """
     check_alike(plants)
+    _check_wrench_delays(plants, controllers)
     parameters, theta, ideal = controller_numbers(controllers)
     verdicts = judge_stability(stack_loops(plants), parameters, plants[0].sample_time_s, theta, ideal)
     for i, j in np.argwhere(verdicts == DOUBTFUL):
         verdicts[i, j] = int(spectral_radius(build_loop(plants[j], controllers[i])) < 1.0)
     return np.asarray(verdicts == 1)
+
+
+def _check_wrench_delays(plants: Sequence[SampledPlant], controllers: Sequence[AdmittanceController]) -> None:
+    """Refuse controllers that read the position where a wrench is late."""
+    late = [plant.plant for plant in plants if plant.plant.wrench_filter.delay_s > 0.0]
+    for controller in controllers if late else ():
+        check_wrench_delay(late[0], controller)
 
 
 def _decided(pair: SampledContact, controller: AdmittanceController, approach: Approach) -> FloatArray:
@@ -205,7 +214,7 @@ def check_alike(plants: Sequence[SampledPlant]) -> None:
     """Raise ParameterError unless the plants share robot order and sample time, and are finite."""
     kinds = {(plant.state_count, plant.sample_time_s) for plant in plants}
     if len(kinds) != 1:
-        raise ParameterError("plants", kinds, "at least one, all of one robot order and sample time")
+        raise ParameterError("plants", kinds, "at least one, all of one robot order, wrench filter or none, and sample time")
     for plant in plants:
         check_finite(plant)
 

@@ -20,9 +20,9 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlantBlocks:
-    """R, C_s, P, E and Ē of MODEL.md, "Continuous blocks", shapes as `frequency_rad_per_s`.
+    """R, C_s, P, E and Ē of MODEL.md, "Continuous blocks", and the wrench's filter, shapes as `frequency_rad_per_s`.
 
-    `robot` R [1/s] from command to velocity, `coupling` C_s [N·s/m], `payload` P [m/(N·s)], `environment` E [N·s/m]
+    `wrench` F_m/F [-] lies between the coupling force and the controller, `robot` R [1/s] from command to velocity, `coupling` C_s [N·s/m], `payload` P [m/(N·s)], `environment` E [N·s/m]
     (0 in free space), `felt_impedance` Ē [N·s/m], with which the flange feels F = −Ē V.
     """
 
@@ -32,6 +32,7 @@ class PlantBlocks:
     payload: ComplexArray
     environment: ComplexArray
     felt_impedance: ComplexArray
+    wrench: ComplexArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,7 +54,7 @@ class ContinuousLoop:
     """The blocks and what they make together; 1 + L and 1 + L_x are what must stay away from zero.
 
     `rendered_admittance` G = V/F [m/(N·s)] in free space, `at_force` L = G Ē, `at_command` L_x, `closed_loop`
-    F/F^d = −L/(1 + L), `sensitivity` S = 1/(1 + L).
+    F_m/F^d = −L/(1 + L), `sensitivity` S = 1/(1 + L).
     """
 
     plant: PlantBlocks
@@ -87,6 +88,7 @@ def plant_blocks(
         payload=payload,
         environment=environment,
         felt_impedance=coupling * touched / (touched + payload * coupling),
+        wrench=plant.wrench_filter.response(omega),
     )
 
 
@@ -120,6 +122,8 @@ def continuous_loop(
     _, s = _laplace(frequency_rad_per_s)
     forward = law.admittance * (1.0 + law.lead) * blocks.robot
     damped = blocks.robot * law.feedback / s - forward * controller.compensation_mass_kg * law.acceleration / s
+    # With a filter of the wrench only what comes from the force passes it; without one this is 1.
+    forward = forward * blocks.wrench
     admittance = forward / (1.0 + damped)
     at_force = admittance * blocks.felt_impedance
     sensitivity = 1.0 / (1.0 + at_force)

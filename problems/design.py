@@ -17,7 +17,7 @@ from .controller import (
     check_feedback_damping,
 )
 from .errors import ParameterError
-from .plant import Coupling, Environment, Payload, Plant
+from .plant import NO_FILTER, Coupling, Environment, Payload, Plant, WrenchFilter
 from .requirements import AdmittanceTarget, Asked, NoiseLimit, PassivityTarget, Requirements
 from .robot import RobotModel
 from .robot_variation import bandwidth_hz, damping_ratio, has_damping_ratio
@@ -75,6 +75,7 @@ class DesignProblem:
     velocity_filter_rad_per_s: float = PAPER_VELOCITY_FILTER_RAD_PER_S
     uncertain: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     ellipsoid: Ellipsoid | None = None
+    wrench_filter: WrenchFilter = NO_FILTER
     uncertainty: Uncertainty = field(init=False)
 
     def __post_init__(self) -> None:
@@ -137,6 +138,15 @@ class DesignProblem:
         object.__setattr__(self, "uncertainty", uncertainty)
         further = {name: pair for name, pair in uncertainty.ranges.items() if name in FURTHER_UNCERTAIN}
         object.__setattr__(self, "uncertain", MappingProxyType(further))
+        self._check_wrench_delay()
+
+    def _check_wrench_delay(self) -> None:
+        """Refuse variables that let the law read the position beside a wrench that comes a delay late."""
+        late = max(self.wrench_filter.delay_s, self.uncertain.get("wrench_delay_s", (0.0, 0.0))[1])
+        for name in ("feedback_damping_s", "compensation_mass_kg"):
+            if late > 0.0 and self.bounds.get(name, (0.0, 0.0))[1] > 0.0:
+                must = "(0, 0) where the wrench comes with a pure delay (position and wrench are of different moments)"
+                raise ParameterError(f"bounds of {name}", self.bounds[name], must)
 
     def nominal(self) -> dict[str, float]:
         """Return the nominal values of what may be uncertain beyond K_e and M_p, as far as the robot has them."""
@@ -148,6 +158,11 @@ class DesignProblem:
             "delay_s": self.robot.delay_s,
             "robot_bandwidth_hz": bandwidth_hz(self.robot),
         }
+        wrench = {
+            "wrench_time_constant_s": self.wrench_filter.time_constant_s,
+            "wrench_delay_s": self.wrench_filter.delay_s,
+        }
+        values |= {name: value for name, value in wrench.items() if value > 0.0 or name in self.uncertain}
         return {**values, "robot_damping_ratio": damping_ratio(self.robot)} if has_damping_ratio(self.robot) else values
 
     def plant(self, scenario: Scenario) -> Plant:
@@ -164,6 +179,7 @@ class DesignProblem:
                 stiffness_n_per_m=self.environment_stiffness_n_per_m[0],
                 damping_n_s_per_m=self.environment_damping_n_s_per_m,
             ),
+            wrench_filter=self.wrench_filter,
         )
 
     def scenarios(self, stiffness_count: int, mass_count: int) -> tuple[Scenario, ...]:

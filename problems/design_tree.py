@@ -7,7 +7,7 @@ from typing import Any
 from .contact import Approach
 from .design import DesignProblem
 from .errors import ParameterError
-from .plant import Coupling
+from .plant import Coupling, WrenchFilter
 from .requirements import REQUIREMENTS, AdmittanceTarget, NoiseLimit, PassivityTarget, Requirements
 from .robot import RobotModel
 from .uncertainty import Ellipsoid
@@ -33,6 +33,7 @@ def problem_to_dict(problem: DesignProblem) -> dict[str, Any]:
             "delay_s": robot.delay_s,
         },
         "coupling": asdict(problem.coupling),
+        "wrench_filter": asdict(problem.wrench_filter),
         **{name: getattr(problem, name) for name in _PLAIN},
         **{name: list(getattr(problem, name)) for name in _INTERVALS},
         **{name: {key: list(pair) for key, pair in getattr(problem, name).items()} for name in _MAPPINGS},
@@ -59,7 +60,7 @@ def problem_from_dict(tree: Mapping[str, Any]) -> DesignProblem:
 
 def _problem(tree: Mapping[str, Any]) -> DesignProblem:
     ellipsoid = tree["ellipsoid"]
-    known = {"robot", "coupling", "approach", "requirements", "ellipsoid", *_PLAIN, *_INTERVALS, *_MAPPINGS}
+    known = {"robot", "coupling", "wrench_filter", "approach", "requirements", "ellipsoid", *_PLAIN, *_INTERVALS, *_MAPPINGS}
     unknown = sorted(set(tree) - known)
     if unknown:
         raise ParameterError("design problem", unknown[0], f"made of {', '.join(sorted(known))}")
@@ -69,6 +70,7 @@ def _problem(tree: Mapping[str, Any]) -> DesignProblem:
     return DesignProblem(
         robot=RobotModel(**tree["robot"]),
         coupling=Coupling(**tree["coupling"]),
+        wrench_filter=WrenchFilter(**tree.get("wrench_filter", {})),
         **entries,
         approach=Approach(**tree["approach"]),
         requirements=_requirements(tree["requirements"]),

@@ -15,7 +15,7 @@ from .noise import command_speed_gain
 from .passivity import PreparedPort, prepare_port
 from .plant import Plant
 from .requirements import PassivityTarget, Requirements
-from .response import PlantResponse, free_space_admittance, plant_response, rendered_admittance
+from .response import PlantResponse, free_space_admittance, join_wrench, plant_response, rendered_admittance
 from .robot import RobotModel
 from .sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
 from .uncertainty import Scenario
@@ -285,8 +285,8 @@ def build_scenarios(problem: DesignProblem, scenarios: Sequence[Scenario]) -> Pr
 
 
 def _ports(free: Sequence[SampledPlant]) -> tuple[PreparedPort, ...]:
-    """Prepare the port of every different robot: it does not feel the payload."""
-    return tuple(prepare_port(plant) for plant in {plant.plant.robot: plant for plant in free}.values())
+    """Prepare the port of every different robot and wrench filter: it does not feel the payload."""
+    return tuple(prepare_port(plant) for plant in {plant.plant.port: plant for plant in free}.values())
 
 
 def _target_response(problem: DesignProblem, free: Sequence[SampledPlant]) -> PlantResponse | None:
@@ -294,8 +294,8 @@ def _target_response(problem: DesignProblem, free: Sequence[SampledPlant]) -> Pl
     target = problem.requirements.free_space_admittance
     if target is None:
         return None
-    robots = {plant.plant.robot: plant for plant in free}
-    found = [plant_response(plant, band_frequencies(robot, target.band_hz)) for robot, plant in robots.items()]
+    ports = {plant.plant.port: plant for plant in free}
+    found = [plant_response(plant, band_frequencies(robot, target.band_hz)) for (robot, _), plant in ports.items()]
     if len(found) == 1:
         return found[0]
     return PlantResponse(
@@ -303,6 +303,7 @@ def _target_response(problem: DesignProblem, free: Sequence[SampledPlant]) -> Pl
         z=np.concatenate([each.z for each in found]),
         force=np.concatenate([each.force for each in found]),
         position=np.concatenate([each.position for each in found]),
+        wrench=join_wrench(found),
     )
 
 

@@ -21,7 +21,7 @@ class ControlObjects:
     """Continuous blocks and the exact sampled loop (MODEL.md, "Continuous blocks" and "What runs in the cell").
 
     Continuous `TransferFunction`s: `robot` r(s), whose delay is told apart as `delay_s`; `coupling` C_s, `payload` P,
-    `environment` E, `forward` A(1 + C_ff), `feedback` C_fb, `acceleration` O_a, whether P̂ uses it or not. C_s, E and
+    `environment` E, `wrench` from F to F_m, whose delay is `wrench_delay_s`, `forward` A(1 + C_ff), `feedback` C_fb, `acceleration` O_a, whether P̂ uses it or not. C_s, E and
     an ideal O_a have more zeros than poles.
 
     Discrete `StateSpace`s at h: `at_force` L and `at_command` L_x, both closed by negative feedback (1 + L), and
@@ -39,6 +39,8 @@ class ControlObjects:
     coupling: Any
     payload: Any
     environment: Any
+    wrench: Any
+    wrench_delay_s: float
     forward: Any
     feedback: Any
     acceleration: Any
@@ -60,6 +62,8 @@ def as_control(sampled: SampledPlant, controller: AdmittanceController) -> Contr
         ),
         payload=_block("payload", [1.0], [plant.payload.mass_kg, plant.payload.drag_n_s_per_m], "force", "v_p"),
         environment=_environment(plant.environment),
+        wrench=_block("wrench", [1.0], [plant.wrench_filter.time_constant_s, 1.0], "F", "F_m"),
+        wrench_delay_s=plant.wrench_filter.delay_s,
         forward=_block(
             "forward", [controller.lead_s, 1.0], [controller.mass_kg, controller.damping_n_s_per_m, 0.0], "e", "x_a"
         ),

@@ -144,7 +144,7 @@ def _check_plant(plant: Plant, h: float) -> None:
         raise ParameterError(
             "environment.mass_kg", plant.environment.mass_kg, "0 (the full simulation knows massless environments only)"
         )
-    if plant.robot.delay_s == 0.0 and build_plant_matrices(plant, h).d_force != 0.0:
+    if plant.loop_delay_s == 0.0 and build_plant_matrices(plant, h).d_force != 0.0:
         raise ParameterError(
             "robot.delay_s", 0.0, "above 0 (with damping in the coupling F would hang on the command of the same tick)"
         )

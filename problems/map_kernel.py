@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from .compiled import compiled
 from .margin_kernel import EVERY_MARGIN, MODULUS_ALONE, Grid, find_loop_margins
-from .plant import write_plant
+from .plant import PLANT_PARAMETERS, write_plant
 from .polynomials import CONTROLLER_POWERS, controller_polynomials, plant_polynomials
 from .sampled import exponential, squarings_for
 
@@ -24,11 +24,11 @@ def polynomials_of_plants(
     """Write the polynomials of many plants into `out` (p, 3, L), see `plant_polynomials`.
 
     `robots` are numerators (p, n) and denominators (p, n + 1) as `RobotModel.ascending` gives them, `parameters`
-    (p, 7) as `Plant.parameters`, `delays` whole samples (p,) and fractions (p,). The same steps as in
-    `build_sampled_plant`, without what stability does not need. NaN for a plant whose motion overflows.
+    (p, 7), or (p, 8) of a filtered wrench, as `Plant.parameters`, `delays` whole samples (p,) and fractions (p,). The
+    same steps as in `build_sampled_plant`, without what stability does not need. NaN for a plant whose motion overflows.
     """
     numerators, denominators = robots
-    n = denominators.shape[1] + 1
+    n = denominators.shape[1] + 1 + parameters.shape[1] - PLANT_PARAMETERS
     for k in range(len(parameters)):
         whole, fraction = delays[0][k], delays[1][k]
         a, b, outputs = np.zeros((n, n)), np.zeros(n), np.zeros((2, n + 2))

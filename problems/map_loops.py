@@ -10,7 +10,7 @@ from .batch_kernel import Loops, judge_stability
 from .errors import ParameterError
 from .map_designs import Designs
 from .map_kernel import polynomials_of_plants
-from .plant import Plant
+from .plant import PLANT_PARAMETERS, Plant
 from .polynomials import DOUBTFUL, STABLE, UNSTABLE
 from .sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius, split_delay
 
@@ -64,11 +64,11 @@ def build_plant_loops(plants: Sequence[Plant], sample_time_s: float) -> PlantLoo
     for plant in plants:
         check_delay(plant, sample_time_s)
     robots = [plant.robot.ascending() for plant in plants]
-    delays = [split_delay(plant.robot.delay_s, sample_time_s) for plant in plants]
+    delays = [split_delay(plant.loop_delay_s, sample_time_s) for plant in plants]
     whole, fraction = np.array([each[0] for each in delays], dtype=np.int64), np.array([each[1] for each in delays])
     parameters = np.array([plant.parameters() for plant in plants])
     numerators, denominators = np.array([each[0] for each in robots]), np.array([each[1] for each in robots])
-    sizes = denominators.shape[1] + 2 + whole + (fraction > 0.0)
+    sizes = denominators.shape[1] + 2 + parameters.shape[1] - PLANT_PARAMETERS + whole + (fraction > 0.0)
     polynomials = np.zeros((len(plants), 3, int(np.max(sizes))))
     polynomials_of_plants((numerators, denominators), parameters, (whole, fraction), sample_time_s, polynomials)
     bad = np.flatnonzero(~np.all(np.isfinite(polynomials), axis=(1, 2)))
@@ -81,6 +81,6 @@ def build_plant_loops(plants: Sequence[Plant], sample_time_s: float) -> PlantLoo
 
 def check_delay(plant: Plant, sample_time_s: float) -> None:
     """Raise ParameterError for a delay of so many samples that a map of such loops would not end."""
-    if plant.robot.delay_s > MOST_DELAY_SAMPLES * sample_time_s:
+    if plant.loop_delay_s > MOST_DELAY_SAMPLES * sample_time_s:
         must = f"at most {MOST_DELAY_SAMPLES} samples of {sample_time_s:g} s"
-        raise ParameterError("delay_s", plant.robot.delay_s, must)
+        raise ParameterError("delay_s", plant.loop_delay_s, must)

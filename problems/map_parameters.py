@@ -189,6 +189,7 @@ def plant_at(plant: Plant, values: Mapping[str, float]) -> Plant:
             damping_n_s_per_m=values.get("environment_damping", environment.damping_n_s_per_m),
             mass_kg=values.get("environment_mass", environment.mass_kg),
         ),
+        wrench_filter=plant.wrench_filter,
     )
 
 

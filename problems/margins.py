@@ -23,7 +23,7 @@ from .margin_kernel import (
 )
 from .polynomials import CONTROLLER_POWERS, controller_polynomials, plant_polynomials
 from .response import plant_response
-from .sampled import SampledPlant, build_loop, spectral_radius
+from .sampled import SampledPlant, build_loop, check_wrench_delay, spectral_radius
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -140,6 +140,7 @@ class PreparedMargins:
 
         Raises ParameterError when the loop's response is not finite.
         """
+        check_wrench_delay(self.sampled.plant, controller)
         factors, found = np.zeros((3, CONTROLLER_POWERS)), np.empty(MARGINS)
         degree = controller_polynomials(controller.parameters(), controller.is_ideal, factors)
         sampling = (self.sampled.sample_time_s, controller.theta)

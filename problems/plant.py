@@ -3,7 +3,8 @@
 Rotational axes use the same equations: read m as rad, N as N·m and kg as kg·m² in every name below.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from .compiled import equation
 from .robot import RobotModel
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +66,44 @@ class Environment:
         return self.stiffness_n_per_m > 0.0
 
 
+# Of the plant without a filter of the wrench, in the order of `Plant.parameters`.
+PLANT_PARAMETERS = 7
 FREE_SPACE = Environment(stiffness_n_per_m=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrenchFilter:
+    """What lies between the coupling force F and the force F_m that the controller reads.
+
+    τ dF_m/dt = F − F_m with `time_constant_s` τ (a first-order filter in the sensor or its driver; 0 is none), then a
+    delay by `delay_s` θ: F_m(s) = e^(−sθ)/(1 + τ s) F(s).
+    """
+
+    time_constant_s: float = 0.0
+    delay_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        name = "wrench_filter.time_constant_s"
+        object.__setattr__(self, "time_constant_s", non_negative(name, self.time_constant_s))
+        object.__setattr__(self, "delay_s", non_negative("wrench_filter.delay_s", self.delay_s))
+
+    @classmethod
+    def from_corner(cls, corner_hz: float) -> "WrenchFilter":
+        """Return the first-order filter with this corner, τ = 1/(2π f)."""
+        return cls(time_constant_s=1.0 / (2.0 * math.pi * positive("wrench_filter.corner_hz", corner_hz)))
+
+    @property
+    def is_none(self) -> bool:
+        """Whether the controller reads F itself."""
+        return self.time_constant_s == 0.0 and self.delay_s == 0.0
+
+    def response(self, frequency_rad_per_s: FloatArray) -> ComplexArray:
+        """Return F_m/F at the frequencies (n,)."""
+        s = 1j * np.asarray(frequency_rad_per_s, dtype=np.float64)
+        return np.asarray(np.exp(-s * self.delay_s) / (1.0 + self.time_constant_s * s), dtype=np.complex128)
+
+
+NO_FILTER = WrenchFilter()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,13 +114,25 @@ class Plant:
     coupling: Coupling
     payload: Payload
     environment: Environment = FREE_SPACE
+    wrench_filter: WrenchFilter = field(default=NO_FILTER)
 
     def in_contact_with(self, environment: Environment) -> "Plant":
         """Return the same plant with another environment."""
-        return Plant(robot=self.robot, coupling=self.coupling, payload=self.payload, environment=environment)
+        return replace(self, environment=environment)
+
+    @property
+    def loop_delay_s(self) -> float:
+        """T_d and the wrench's delay θ together: how late a command answers to what was measured for it."""
+        return self.robot.delay_s + self.wrench_filter.delay_s
+
+    @property
+    def port(self) -> tuple[RobotModel, WrenchFilter]:
+        """What the rendered admittance depends on besides the controller."""
+        return self.robot, self.wrench_filter
 
     def parameters(self) -> FloatArray:
-        """Return (K_s, B_s, M_p, B_p, K_e, B_e, M_e), the order that the equations take."""
+        """Return (K_s, B_s, M_p, B_p, K_e, B_e, M_e), then τ if the wrench is filtered: what the equations take."""
+        time_constant = self.wrench_filter.time_constant_s
         return np.array(
             [
                 self.coupling.stiffness_n_per_m,
@@ -91,6 +142,7 @@ class Plant:
                 self.environment.stiffness_n_per_m,
                 self.environment.damping_n_s_per_m,
                 self.environment.mass_kg,
+                *([time_constant] if time_constant > 0.0 else []),
             ]
         )
 
@@ -100,8 +152,9 @@ class PlantMatrices:
     """ds/dτ = A s + B x^d + p f in the dimensionless time τ = t/`time_scale_s`; rows below act on s, x^d and f.
 
     The state is (robot chain, x_p, `time_scale_s`·v_p): one size for every entry, so that exponentials are exact to
-    rounding. f is an outside force on the payload (a hand), positive towards +x. x = c_x s; F = c_F s + d_F x^d;
-    F_e = c_e s + d_e x^d + p_e f while the payload stays on the environment.
+    rounding; before x_p stands F_m in metres of the coupling where the wrench is filtered (x_p is always the last but
+    one). f is an outside force on the payload (a hand), positive towards +x. x = c_x s; the force that is measured,
+    F (or F_m), = c_F s + d_F x^d; F_e = c_e s + d_e x^d + p_e f while the payload stays on the environment.
     """
 
     a: FloatArray
@@ -133,10 +186,12 @@ def write_plant(
     """Fill zeroed arrays with the equations of motion of one axis, delay left out; `direct` gets (d_F, d_e, p_e).
 
     x = r(s) x^d; F = K_s (x_p − x) + B_s (v_p − v); F_e = M_e dv_p/dt + B_e v_p + K_e x_p, the wall at x_p = 0;
-    M_p dv_p/dt = −F − B_p v_p − F_e + f (MODEL.md, "Continuous blocks", with its signs). `numerator` (n,) and
-    `denominator` (n + 1,) hold ascending powers of s, the latter monic; `parameters` as in `Plant.parameters`.
+    M_p dv_p/dt = −F − B_p v_p − F_e + f (MODEL.md, "Continuous blocks", with its signs). With an eighth parameter τ the
+    measured force is that behind the filter, τ dF_m/dt = F − F_m, one state more. `numerator` (n,) and `denominator`
+    (n + 1,) hold ascending powers of s, the latter monic; `parameters` as in `Plant.parameters`.
     """
-    n = denominator.shape[0] - 1
+    n, filtered = denominator.shape[0] - 1, parameters.shape[0] > PLANT_PARAMETERS
+    p = n + 1 if filtered else n
     k_s, b_s, m_p, b_p = parameters[0], parameters[1] / t, parameters[2], parameters[3] / t
     k_e, b_e, m_e = parameters[4], parameters[5] / t, parameters[6] / (t * t)
     # Controllable form of r(s) in p = s t: state i is t^i times the i-th derivative of one position-like signal.
@@ -154,35 +209,47 @@ def write_plant(
         if i > 0:
             velocity = velocity + c_position[i - 1]
         c_force[i] = -k_s * c_position[i] - b_s * velocity
-    c_force[n] = k_s
-    c_force[n + 1] = b_s
+    c_force[p] = k_s
+    c_force[p + 1] = b_s
     direct[0] = -b_s * last * b[n - 1]
 
     scale = t * t / (m_p + parameters[6])
-    a[n, n + 1] = 1.0
-    for i in range(n + 2):
-        a[n + 1, i] = -scale * c_force[i]
-    a[n + 1, n] = a[n + 1, n] - scale * k_e
-    a[n + 1, n + 1] = a[n + 1, n + 1] - scale * (b_p + b_e)
-    b[n + 1] = -scale * direct[0]
-    push[n + 1] = scale
+    a[p, p + 1] = 1.0
+    for i in range(p + 2):
+        a[p + 1, i] = -scale * c_force[i]
+    a[p + 1, p] = a[p + 1, p] - scale * k_e
+    a[p + 1, p + 1] = a[p + 1, p + 1] - scale * (b_p + b_e)
+    b[p + 1] = -scale * direct[0]
+    push[p + 1] = scale
 
-    for i in range(n + 2):
-        c_contact[i] = m_e * a[n + 1, i]
-    c_contact[n] = c_contact[n] + k_e
-    c_contact[n + 1] = c_contact[n + 1] + b_e
-    direct[1] = m_e * b[n + 1]
+    for i in range(p + 2):
+        c_contact[i] = m_e * a[p + 1, i]
+    c_contact[p] = c_contact[p] + k_e
+    c_contact[p + 1] = c_contact[p + 1] + b_e
+    direct[1] = m_e * b[p + 1]
     direct[2] = m_e * scale
+
+    if filtered:
+        # The filter's state is F_m over the stiffness with which the coupling answers within t.
+        rate, answer = t / parameters[PLANT_PARAMETERS], k_s + b_s
+        for i in range(p + 2):
+            a[n, i] = rate * c_force[i] / answer
+            c_force[i] = 0.0
+        a[n, n] = -rate
+        b[n] = rate * direct[0] / answer
+        c_force[n] = answer
+        direct[0] = 0.0
 
 
 def build_plant_matrices(plant: Plant, time_scale_s: float) -> PlantMatrices:
     """Build the equations of motion of one axis as first-order equations, see `write_plant`."""
-    t, n = positive("time_scale_s", time_scale_s), plant.robot.order
+    t, parameters = positive("time_scale_s", time_scale_s), plant.parameters()
+    n = plant.robot.order + 2 + len(parameters) - PLANT_PARAMETERS
     numerator, denominator = plant.robot.ascending()
-    a = np.zeros((n + 2, n + 2))
-    b, push, c_position, c_force, c_contact = (np.zeros(n + 2) for _ in range(5))
+    a = np.zeros((n, n))
+    b, push, c_position, c_force, c_contact = (np.zeros(n) for _ in range(5))
     direct = np.zeros(3)
-    write_plant(a, b, push, c_position, c_force, c_contact, direct, numerator, denominator, plant.parameters(), t)
+    write_plant(a, b, push, c_position, c_force, c_contact, direct, numerator, denominator, parameters, t)
     return PlantMatrices(
         a=a,
         b=b,

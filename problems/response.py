@@ -1,5 +1,6 @@
 """Frequency response of the exact sampled loop at its two break points."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,7 @@ from .compiled import equation
 from .controller import AdmittanceController, controller_blocks
 from .laws import LinearLaw
 from .plant import Plant
-from .sampled import Law, SampledPlant, build_loop
+from .sampled import Law, SampledPlant, build_loop, check_wrench_delay
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -18,12 +19,17 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True, kw_only=True)
 class PlantResponse:
-    """From the command x^d to the sampled force and position, delay and hold included, at z = exp(jωh)."""
+    """From the command x^d to the sampled force and position, delay and hold included, at z = exp(jωh).
+
+    `wrench` is 1/(1 + jωτ) of the wrench's filter, None where there is none; `force` is F_m. A delay of the wrench is
+    part of what lies between the command and both, see `SampledPlant`.
+    """
 
     frequency_rad_per_s: FloatArray
     z: ComplexArray
     force: ComplexArray
     position: ComplexArray
+    wrench: ComplexArray | None = None
 
 
 def plant_response(sampled: SampledPlant, frequency_rad_per_s: FloatArray) -> PlantResponse:
@@ -31,7 +37,7 @@ def plant_response(sampled: SampledPlant, frequency_rad_per_s: FloatArray) -> Pl
     omega = np.asarray(frequency_rad_per_s, dtype=np.float64)
     z = np.exp(1j * omega * sampled.sample_time_s)
     n = sampled.state_count
-    late = z ** (-sampled.whole_delay)
+    late, time_constant = z ** (-sampled.whole_delay), sampled.plant.wrench_filter.time_constant_s
     drive = (sampled.gamma[None, :] + sampled.gamma_old[None, :] / z[:, None])[..., None]
     states = np.linalg.solve(z[:, None, None] * np.eye(n) - sampled.phi, drive)[..., 0]
     # With a fraction, the hold still shows the older command at the tick.
@@ -41,7 +47,15 @@ def plant_response(sampled: SampledPlant, frequency_rad_per_s: FloatArray) -> Pl
         z=z,
         force=late * (states @ sampled.c_force + sampled.d_force * held),
         position=late * (states @ sampled.c_position),
+        wrench=None if time_constant == 0.0 else 1.0 / (1.0 + 1j * omega * time_constant),
     )
+
+
+def join_wrench(responses: Sequence[PlantResponse]) -> ComplexArray | None:
+    """Return `wrench` of responses one after the other, None where none of them is filtered."""
+    if all(each.wrench is None for each in responses):
+        return None
+    return np.concatenate([np.ones_like(each.z) if each.wrench is None else each.wrench for each in responses])
 
 
 @equation
@@ -78,6 +92,7 @@ def loop_response(sampled: SampledPlant, controller: Law, frequency_rad_per_s: F
 
     1 + L_x = (1 + (C_fb − A(1 + C_ff) P̂ O_a) X/X^d)(1 + L), as in the continuous form.
     """
+    check_wrench_delay(sampled.plant, controller)
     return loop_at(plant_response(sampled, frequency_rad_per_s), controller, sampled.sample_time_s)
 
 
@@ -102,14 +117,18 @@ def rendered_admittance(plant: PlantResponse, controller: Law, sample_time_s: fl
     """Return G = V/F [m/s/N] of the sampled controller and robot (MODEL.md, "F → V").
 
     The robot ignores F, so the payload does not enter G; V is the derivative of the position below the Nyquist rate.
+    F is the coupling's force: what filters the wrench is part of G.
     """
     forward, feedback = controller_response(controller, plant.z, sample_time_s)
     velocity = 1j * plant.frequency_rad_per_s * plant.position
+    if plant.wrench is not None:
+        velocity = velocity * plant.wrench
     return np.asarray(forward * velocity / (1.0 + feedback * plant.position), dtype=np.complex128)
 
 
 def free_space_admittance(sampled: SampledPlant, controller: Law, frequency_rad_per_s: FloatArray) -> ComplexArray:
     """Return the rendered admittance G [m/s/N] of a sampled plant, see `rendered_admittance`."""
+    check_wrench_delay(sampled.plant, controller)
     return rendered_admittance(plant_response(sampled, frequency_rad_per_s), controller, sampled.sample_time_s)
 
 

@@ -28,7 +28,11 @@ _MOST_SQUARINGS, _HOPELESS_SQUARINGS = 12, 60
 
 @dataclass(frozen=True, kw_only=True)
 class SampledPlant:
-    """The plant between two ticks of the controller, T_d = (`whole_delay` + fraction)·h.
+    """The plant between two ticks of the controller, T_d + θ = (`whole_delay` + fraction)·h.
+
+    With a delay θ of the wrench time is that of the wrench: tick k is the moment at which the force that the
+    controller reads θ later acted. For a law of the force alone that is the same loop as without it and T_d longer by
+    θ; a law that also reads the position, which is not late, is refused (`check_wrench_delay`).
 
     s_{k+1} = phi s_k + gamma_old u_{k−d−1} + gamma u_{k−d} + gamma_push f_k with u = x^d, d = `whole_delay` and f a
     held outside force on the payload; `gamma_old` is zero for a whole delay. Outputs right after the hold's update at
@@ -127,10 +131,10 @@ def build_sampled_plant(plant: Plant, sample_time_s: float) -> SampledPlant:
     """Discretise the plant under a zero-order hold, exactly, with its delay."""
     h = positive("sample_time_s", sample_time_s)
     m = build_plant_matrices(plant, h)
-    whole, fraction = split_delay(plant.robot.delay_s, h)
+    whole, fraction = split_delay(plant.loop_delay_s, h)
     if whole > MOST_DELAY_SAMPLES:
         raise ParameterError(
-            "delay_s", plant.robot.delay_s, f"at most {MOST_DELAY_SAMPLES} samples of {h:g} s (the loop holds each one)"
+            "delay_s", plant.loop_delay_s, f"at most {MOST_DELAY_SAMPLES} samples of {h:g} s (the loop holds each one)"
         )
     phi, held = hold(m.a, np.stack([m.b, m.push], axis=1), 1.0)
     gamma, gamma_push = np.ascontiguousarray(held[:, 0]), np.ascontiguousarray(held[:, 1])
@@ -306,6 +310,22 @@ def _closed(m: FloatArray, signal: int) -> FloatArray:
     return out
 
 
+def check_wrench_delay(plant: Plant, law: Law) -> None:
+    """Raise ParameterError for a law that reads the position beside a wrench that is a delay late.
+
+    Position and wrench then belong to different moments, which the loop's shift chain does not hold.
+    """
+    if plant.wrench_filter.delay_s == 0.0:
+        return
+    if isinstance(law, LinearLaw):
+        reads = bool(np.any(law.matrix[:, law.state_count + 1]) or np.any(law.steady()[:, law.state_count + 1]))
+    else:
+        reads = law.feedback_damping_s != 0.0 or law.compensates
+    if reads:
+        must = "0 for a law that reads the position too (B_fb or P̂ above 0); set those to 0"
+        raise ParameterError("wrench_filter.delay_s", plant.wrench_filter.delay_s, must)
+
+
 def law_matrix(law: Law, sample_time_s: float) -> FloatArray:
     """Return the difference equation at h as `LinearLaw` holds it; raises ParameterError for a law of another h."""
     if isinstance(law, AdmittanceController):
@@ -339,6 +359,7 @@ def build_cut_loop(sampled: SampledPlant, controller: Law) -> CutLoop:
 
 
 def _build_whole_cut(sampled: SampledPlant, controller: Law) -> CutLoop:
+    check_wrench_delay(sampled.plant, controller)
     matrix = law_matrix(controller, sampled.sample_time_s)
     plant = (
         sampled.phi,

@@ -17,6 +17,7 @@ from .evaluation import Evaluation, PreparedScenarios, decay_ratios, passivity_r
 from .noise import command_speed_gain
 from .polynomials import DOUBTFUL, STABLE, UNSTABLE
 from .requirements import Requirements
+from .response import PlantResponse
 from .sampled import build_loop, spectral_radius
 from .screening_kernel import (
     ADMITTANCE,
@@ -240,7 +241,12 @@ def build_screen(prepared: PreparedScenarios) -> Screen:
         contacts=stack_contacts(prepared.pairs),
         band=(np.zeros(0), nothing, nothing)
         if target is None
-        else (target.frequency_rad_per_s, target.z, target.position),
+        else (target.frequency_rad_per_s * _wrench_gain(target), target.z, target.position),
         required=(margins, 0.0 if wanted is None else wanted.min_m_s_per_n, crosses),
         slow=tuple(name for name in asked.asked() if name not in _FAST),
     )
+
+
+def _wrench_gain(target: PlantResponse) -> FloatArray | float:
+    """Return |F_m/F|, all that the least |G| needs of the wrench's filter."""
+    return 1.0 if target.wrench is None else np.abs(target.wrench)

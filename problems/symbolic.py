@@ -17,7 +17,7 @@ from .complex_pairs import Pair, pair, solve_resolvent
 from .contact import Approach
 from .controller import CONTROLLER_STATES, AdmittanceController, controller_step, write_blocks
 from .errors import ParameterError
-from .plant import Plant, build_plant_matrices, write_plant
+from .plant import PLANT_PARAMETERS, Plant, build_plant_matrices, write_plant
 from .response import controller_gains
 from .sampled import SampledPlant, close_loop, exponential, squarings_for, write_open_loop
 
@@ -27,7 +27,7 @@ Arguments = tuple[FloatArray, FloatArray, FloatArray, float, FloatArray]
 # Two squarings more than a nominal plant needs: its rates may then grow fourfold at full precision.
 _SPARE_SQUARINGS = 2
 _INPUTS = ("plant", "numerator", "denominator", "fraction", "controller")
-_PLANT_PARAMETERS = _CONTROLLER_PARAMETERS = 7
+_CONTROLLER_PARAMETERS = 7
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +37,8 @@ class Structure:
     T_d = (`whole_delay` + fraction)·h; the fraction is a symbol in [0, 1] if `has_fraction`. Derivatives by it are
     those inside the sample: at a whole delay they are one-sided. A state missing in `controller_states` stands for a
     parameter that is zero: 2 for B_fb, 3 for P̂ (with the ideal compensation for K_l). `squarings` is how often the
-    arguments of the matrix exponentials are halved, see `covers`.
+    arguments of the matrix exponentials are halved, see `covers`. With `has_filter` the wrench has passed a filter, τ
+    being the last of the plant's parameters.
     """
 
     sample_time_s: float
@@ -48,6 +49,7 @@ class Structure:
     is_ideal: bool
     controller_states: tuple[int, ...]
     squarings: int
+    has_filter: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sample_time_s", positive("sample_time_s", self.sample_time_s))
@@ -81,6 +83,7 @@ class Structure:
             is_ideal=controller.is_ideal,
             controller_states=tuple(controller_states),
             squarings=_needed_squarings(sampled.plant, sampled.sample_time_s) + spare_squarings,
+            has_filter=sampled.plant.wrench_filter.time_constant_s > 0.0,
         )
 
     def covers(self, plant: Plant) -> bool:
@@ -93,9 +96,14 @@ class Structure:
         return self.whole_delay + (1 if self.has_fraction else 0)
 
     @property
+    def plant_states(self) -> int:
+        """States of the continuous plant."""
+        return self.robot_order + 2 + self.has_filter
+
+    @property
     def state_count(self) -> int:
         """States of plant, delay chain and controller."""
-        return self.robot_order + 2 + self.chain_length + len(self.controller_states)
+        return self.plant_states + self.chain_length + len(self.controller_states)
 
 
 def _needed_squarings(plant: Plant, h: float) -> int:
@@ -125,7 +133,7 @@ class _Symbols:
 
 def _symbols(structure: Structure) -> _Symbols:
     return _Symbols(
-        plant=ca.SX.sym("plant", _PLANT_PARAMETERS),
+        plant=ca.SX.sym("plant", PLANT_PARAMETERS + structure.has_filter),
         numerator=ca.SX.sym("numerator", structure.robot_order),
         denominator=ca.SX.sym("denominator", structure.robot_order + 1),
         fraction=ca.SX.sym("fraction"),
@@ -150,7 +158,7 @@ class _Plant:
 
 
 def _plant(structure: Structure, symbols: _Symbols, parameters: ca.SX) -> _Plant:
-    n = structure.robot_order + 2
+    n = structure.plant_states
     a, direct = ca.SX(n, n), ca.SX(3, 1)
     b, push, c_position, c_force, c_contact = (ca.SX(n, 1) for _ in range(5))
     robot = (symbols.numerator, symbols.denominator)
@@ -258,11 +266,11 @@ def _loop(structure: Structure, plant: _Plant, blocks: ca.SX) -> _Loop:
 
 def _plant_response(structure: Structure, plant: _Plant, turn: ca.SX) -> tuple[Pair, Pair, Pair]:
     """Return z, F/x^d and X/x^d at the angle ωh, as `problems.response.plant_response` does; the robot ignores F."""
-    n, d = structure.robot_order, structure.whole_delay
+    n, d, count = structure.robot_order, structure.whole_delay, structure.plant_states
     z, late = Pair(re=ca.cos(turn), im=ca.sin(turn)), Pair(re=ca.cos(turn * d), im=-ca.sin(turn * d))
-    drive = [plant.gamma[i] + plant.gamma_old[i] * z.conjugate for i in range(n + 2)]
+    drive = [plant.gamma[i] + plant.gamma_old[i] * z.conjugate for i in range(count)]
     states = solve_resolvent(plant.phi[:n, :n], z, drive[:n])
-    pushed = [drive[i] + sum(plant.phi[i, j] * states[j] for j in range(n)) for i in (n, n + 1)]
+    pushed = [drive[i] + sum(plant.phi[i, j] * states[j] for j in range(n)) for i in range(n, count)]
     states += solve_resolvent(plant.phi[n:, n:], z, pushed)
     force = plant.d_force * (z.conjugate if structure.has_fraction else pair(1.0))
     force += sum(plant.c_force[i] * state for i, state in enumerate(states))
@@ -270,13 +278,17 @@ def _plant_response(structure: Structure, plant: _Plant, turn: ca.SX) -> tuple[P
     return z, late * force, late * position
 
 
-def _response(structure: Structure, plant: _Plant, blocks: ca.SX, omega: ca.SX) -> dict[str, ca.SX]:
+def _response(
+    structure: Structure, plant: _Plant, parameters: ca.SX, blocks: ca.SX, omega: ca.SX
+) -> dict[str, ca.SX]:
     """Return `problems.response.loop_response` and `rendered_admittance` in real arithmetic."""
     z, force, position = _plant_response(structure, plant, omega * structure.sample_time_s)
     forward, feedback = controller_gains(blocks, z)
     damped, pressed = feedback * position, force * forward
     at_force, at_command = -pressed / (1.0 + damped), damped - pressed
     admittance = forward * position * Pair(re=0.0, im=omega) / (1.0 + damped)
+    if structure.has_filter:
+        admittance = admittance / Pair(re=1.0, im=omega * parameters[PLANT_PARAMETERS])
     return {
         "at_force": _column(at_force),
         "at_command": _column(at_command),
@@ -295,7 +307,7 @@ def _column(value: Pair) -> ca.SX:
 class SymbolicForm:
     """The sampled loop of one structure as CasADi functions of numbers or of further symbols.
 
-    All take `plant` (7,) as in `Plant.parameters`, `numerator` (n,) and `denominator` (n + 1,) as in
+    All take `plant` (7,), or (8,) with a filter, as in `Plant.parameters`, `numerator` (n,) and `denominator` (n + 1,) as in
     `RobotModel.ascending` (r(0) = 1 is the caller's to keep), `fraction`, and all but `plant` take `controller` (7,)
     as in `AdmittanceController.parameters`.
 
@@ -315,7 +327,7 @@ def build_symbolic_form(structure: Structure) -> SymbolicForm:
     symbols, omega = _symbols(structure), ca.SX.sym("frequency_rad_per_s")
     plant, blocks = _plant(structure, symbols, symbols.plant), _blocks(structure, symbols.controller)
     loop = _loop(structure, plant, blocks)
-    response = _response(structure, plant, blocks, omega)
+    response = _response(structure, plant, symbols.plant, blocks, omega)
     inputs = symbols.all()
     return SymbolicForm(
         structure=structure,
@@ -337,7 +349,7 @@ def build_contact_forces(structure: Structure, approach: Approach, samples: int)
     """
     symbols, h = _symbols(structure), structure.sample_time_s
     blocks = _blocks(structure, symbols.controller)
-    free = _plant(structure, symbols, ca.vertcat(symbols.plant[:4], ca.SX(3, 1)))
+    free = _plant(structure, symbols, ca.vertcat(symbols.plant[:4], ca.SX(3, 1), symbols.plant[PLANT_PARAMETERS:]))
     loop = _loop(structure, _plant(structure, symbols, symbols.plant), blocks)
 
     # Plant state and command of a steady motion by one metre per sample, and of rest under a push of one newton.
@@ -386,14 +398,14 @@ def _drive(approach: Approach, resistance: ca.SX) -> tuple[Any, Any, Any, Any]:
 
 def _ramp(structure: Structure, free: _Plant) -> tuple[ca.SX, ca.SX]:
     """Solve for plant state and command, x_p = 0, that repeat themselves one metre further on, or rest under a push."""
-    r = structure.robot_order
-    moved = ca.SX(r + 2, 1)
-    moved[0] = moved[r] = 1.0
+    r, n = structure.robot_order, structure.plant_states
+    moved = ca.SX(n, 1)
+    moved[0] = moved[n - 2] = 1.0
     # Free space does not know where it is: first with the command that acts at 0, then moved to where x_p is 0.
-    rate, right = free.phi - ca.SX.eye(r + 2), ca.horzcat(moved + free.gamma_old, -free.gamma_push)
+    rate, right = free.phi - ca.SX.eye(n), ca.horzcat(moved + free.gamma_old, -free.gamma_push)
     robot = _solve_chain(rate[:r, :r], right[:r, :])
     payload = ca.solve(rate[r:, r:], right[r:, :] - rate[r:, :r] @ robot)
-    shift = -payload[0, :]
+    shift = -payload[n - 2 - r, :]
     return ca.vertcat(robot, payload) + moved @ shift, shift + ca.horzcat(structure.whole_delay, 0.0)
 
 

@@ -17,7 +17,7 @@ from scipy.stats import qmc
 
 from ._checks import interval, positive
 from .errors import ParameterError
-from .plant import Coupling, Environment, Payload, Plant
+from .plant import Coupling, Environment, Payload, Plant, WrenchFilter
 from .robot import RobotModel
 from .robot_variation import has_damping_ratio, vary_robot
 
@@ -33,13 +33,18 @@ FURTHER_UNCERTAIN = (
     "delay_s",
     "robot_bandwidth_hz",
     "robot_damping_ratio",
+    "wrench_time_constant_s",
+    "wrench_delay_s",
 )
 UNCERTAIN = (*ALWAYS_UNCERTAIN, *FURTHER_UNCERTAIN)
 SYMBOLS: Mapping[str, str] = MappingProxyType(
-    dict(zip(UNCERTAIN, ("K_e", "M_p", "K_s", "B_s", "B_p", "B_e", "T_d", "f_b", "ζ_b"), strict=True))
+    dict(zip(UNCERTAIN, ("K_e", "M_p", "K_s", "B_s", "B_p", "B_e", "T_d", "f_b", "ζ_b", "τ_w", "T_w"), strict=True))
 )
-_MAY_BE_ZERO = frozenset({"coupling_damping_n_s_per_m", "drag_n_s_per_m", "environment_damping_n_s_per_m", "delay_s"})
-# More corners than these are left to the samples: nine parameters have 512.
+# A filter of the wrench is a state of the plant, and a state does not vanish within a set: τ_w is above 0 or absent.
+_MAY_BE_ZERO = frozenset(
+    {"coupling_damping_n_s_per_m", "drag_n_s_per_m", "environment_damping_n_s_per_m", "delay_s", "wrench_delay_s"}
+)
+# More corners than these are left to the samples: eleven parameters have 2048.
 MOST_CORNERS = 128
 _ON_THE_EDGE = 1e-9
 # What is left of a deviation once the others are known; below this rounding decides what lies inside.
@@ -59,6 +64,8 @@ class Scenario:
     delay_s: float | None = None
     robot_bandwidth_hz: float | None = None
     robot_damping_ratio: float | None = None
+    wrench_time_constant_s: float | None = None
+    wrench_delay_s: float | None = None
 
     @property
     def name(self) -> str:
@@ -101,6 +108,10 @@ class Scenario:
                 stiffness_n_per_m=self.environment_stiffness_n_per_m,
                 damping_n_s_per_m=told("environment_damping_n_s_per_m", nominal.environment.damping_n_s_per_m),
                 mass_kg=nominal.environment.mass_kg,
+            ),
+            wrench_filter=WrenchFilter(
+                time_constant_s=told("wrench_time_constant_s", nominal.wrench_filter.time_constant_s),
+                delay_s=told("wrench_delay_s", nominal.wrench_filter.delay_s),
             ),
         )
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from problems.errors import ParameterError
 from problems.plant import FREE_SPACE, Plant, write_plant
-from problems.robot_variation import bandwidth_hz
+from problems.robot_variation import bandwidth_hz, vary_robot
 from problems.sampled import split_delay
 from problems.uncertainty import FURTHER_UNCERTAIN, Scenario
 
@@ -23,6 +23,7 @@ FloatArray = NDArray[np.float64]
 Interval = tuple[float, float]
 
 MASS, STIFFNESS = "payload_mass_kg", "environment_stiffness_n_per_m"
+LAG, LATE = "wrench_time_constant_s", "wrench_delay_s"
 # What is proved over; a robot's damping ratio is not among them.
 PROVABLE = (STIFFNESS, MASS, *(name for name in FURTHER_UNCERTAIN if name != "robot_damping_ratio"))
 
@@ -33,13 +34,16 @@ class Family:
 
     `ranges` is keyed by the names of `problems.uncertainty`; what is not named is nominal. Free space is a nominal
     environment that is FREE_SPACE. Raises ParameterError for a name that is not provable, for a range that is none,
-    for an environment with mass, for one whose stiffness reaches 0 without being free space, and for a delay that
-    crosses a whole number of samples, where the loop changes its order (`build_families` cuts there).
+    for an environment with mass, for one whose stiffness reaches 0 without being free space, for a filter of the wrench
+    that reaches 0, and for a delay that crosses a whole number of samples, where the loop changes its order
+    (`build_families` cuts there). A delay of the wrench makes the same loop as a longer T_d: `build_families` adds
+    them, and `shared_delay` then holds the ranges of both.
     """
 
     nominal: Plant
     ranges: Mapping[str, Interval]
     sample_time_s: float
+    shared_delay: tuple[Interval, Interval] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ranges", MappingProxyType(dict(self.ranges)))
@@ -55,6 +59,10 @@ class Family:
         touched = {STIFFNESS, "environment_damping_n_s_per_m"} & set(self.ranges)
         if softest <= 0.0 and (touched or not environment.is_free_space):
             raise ParameterError(STIFFNESS, softest, "greater than 0 in contact")
+        if self.nominal.wrench_filter.delay_s > 0.0 or LATE in self.ranges:
+            raise ParameterError(LATE, self.range_of(LATE), "0 (`build_families` adds it to the delay)")
+        if LAG in self.ranges and not 0.0 < min(self.nominal.wrench_filter.time_constant_s, self.ranges[LAG][0]):
+            raise ParameterError(LAG, self.ranges[LAG], "greater than 0, as the nominal one")
         if self.range_of(MASS)[0] <= 0.0:
             raise ParameterError(MASS, self.range_of(MASS)[0], "greater than 0")
         self.delay()
@@ -70,6 +78,8 @@ class Family:
             "drag_n_s_per_m": plant.payload.drag_n_s_per_m,
             "environment_damping_n_s_per_m": plant.environment.damping_n_s_per_m,
             "delay_s": plant.robot.delay_s,
+            "wrench_time_constant_s": plant.wrench_filter.time_constant_s,
+            "wrench_delay_s": plant.wrench_filter.delay_s,
         }
         if name in self.ranges:
             return self.ranges[name]
@@ -120,7 +130,16 @@ class Family:
         if MASS in values:
             values[MASS] = 1.0 / values[MASS]
         inside = {name: min(max(value, self.ranges[name][0]), self.ranges[name][1]) for name, value in values.items()}
+        if self.shared_delay is not None:
+            inside |= self._shared(inside.get("delay_s", self.range_of("delay_s")[0]))
         return Scenario(**{STIFFNESS: self.range_of(STIFFNESS)[0], MASS: self.range_of(MASS)[0], **inside})
+
+    def _shared(self, whole: float) -> dict[str, float]:
+        """Return T_d and the wrench's delay whose sum is `whole`, each as far into its range as the other."""
+        own, late = self.shared_delay or ((0.0, 0.0), (0.0, 0.0))
+        width = own[1] - own[0] + late[1] - late[0]
+        share = min(max((whole - own[0] - late[0]) / width, 0.0), 1.0) if width > 0.0 else 0.0
+        return {"delay_s": own[0] + share * (own[1] - own[0]), LATE: late[0] + share * (late[1] - late[0])}
 
     def plant(self, point: FloatArray) -> Plant:
         """Return the plant at coordinates (d,)."""
@@ -129,11 +148,24 @@ class Family:
 
 def build_families(nominal: Plant, ranges: Mapping[str, Interval], sample_time_s: float) -> tuple[Family, ...]:
     """Return all plants as families, cut where the delay passes a tick of the controller."""
+    late = ranges.get(LATE, (nominal.wrench_filter.delay_s,) * 2)
+    shared: tuple[Interval, Interval] | None = None
+    if late[1] > 0.0:
+        own = ranges.get("delay_s", (nominal.robot.delay_s, nominal.robot.delay_s))
+        shared = own, (late[0], late[1])
+        ranges = {name: span for name, span in ranges.items() if name not in {LATE, "delay_s"}}
+        if own[0] < own[1] or late[0] < late[1]:
+            # Rounded outwards: the range must hold every sum.
+            ranges["delay_s"] = float(np.nextafter(own[0] + late[0], 0.0)), float(np.nextafter(own[1] + late[1], 1.0))
+        robot = vary_robot(nominal.robot, delay_s=nominal.loop_delay_s)
+        nominal = replace(nominal, robot=robot, wrench_filter=replace(nominal.wrench_filter, delay_s=0.0))
     low, high = ranges.get("delay_s", (nominal.robot.delay_s, nominal.robot.delay_s))
     first, last = math.floor(low / sample_time_s) + 1, math.ceil(high / sample_time_s)
     ends = [low, *(each for k in range(first, last) if low < (each := k * sample_time_s) < high), high]
     spans = [dict(ranges) if "delay_s" not in ranges else {**ranges, "delay_s": span} for span in pairwise(ends)]
-    return tuple(Family(nominal=nominal, ranges=each, sample_time_s=sample_time_s) for each in spans)
+    return tuple(
+        Family(nominal=nominal, ranges=each, sample_time_s=sample_time_s, shared_delay=shared) for each in spans
+    )
 
 
 @precise
@@ -145,9 +177,8 @@ def plant_polynomials(family: Family, cell: FloatArray, along: int | None = None
     """
     values = _values(family, cell, along)
     whole, has_fraction = family.delay()
-    order = family.nominal.robot.order
     augmented, position, force, direct = _continuous(family, values)
-    size = order + 2
+    size = len(position)
     full = exponential(augmented)
     change = full[:size, :size] - np.array([[int(i == j) for j in range(size)] for i in range(size)], dtype=object)
     characteristic, adjugate = rational.resolvent(change)
@@ -178,7 +209,7 @@ def _values(family: Family, cell: FloatArray, along: int | None) -> dict[str, An
 
 
 def _continuous(family: Family, values: Mapping[str, Any]) -> tuple[Any, Any, Any, Any]:
-    """Return the augmented continuous plant by sample (n + 3, n + 3), the rows of x and F, and F's direct part.
+    """Return the augmented continuous plant by sample, square, the rows of x and F, and F's direct part.
 
     The equations are those of `write_plant`; the payload's position is told relative to the flange, e = x_p − x, as
     otherwise the force of a free payload is a small difference of large balls.
@@ -210,9 +241,33 @@ def _continuous(family: Family, values: Mapping[str, Any]) -> tuple[Any, Any, An
     a[n + 1, n + 1] = inverse * a[n + 1, n + 1]
     b[n + 1] = inverse * b[n + 1]
     force[n] = k_s
-    augmented = _objects(n + 3, n + 3)
-    augmented[: n + 2, : n + 2], augmented[: n + 2, n + 2] = a, b
-    return augmented, position, force, direct[0]
+    if family.nominal.wrench_filter.time_constant_s > 0.0:
+        return _filtered(family, h / values[LAG], (a, b, position, force, direct[0]))
+    return _augmented(a, b), position, force, direct[0]
+
+
+def _filtered(
+    family: Family, rate: Any, plant: tuple[Any, Any, Any, Any, Any]
+) -> tuple[Any, Any, Any, Any]:
+    """Add the state of the wrench's filter, F_m in units of a nominal stiffness, behind the others."""
+    a, b, position, force, direct = plant
+    n, coupling = len(b), family.nominal.coupling
+    unit = coupling.stiffness_n_per_m + coupling.damping_n_s_per_m / family.sample_time_s
+    wider, driven, shown, measured = _objects(n + 1, n + 1), _objects(n + 1), _objects(n + 1), _objects(n + 1)
+    wider[:n, :n], driven[:n], shown[:n] = a, b, position
+    for i in range(n):
+        wider[n, i] = rate * force[i] / unit
+    wider[n, n] = -rate
+    driven[n] = rate * direct / unit
+    measured[n] = as_series(unit)
+    return _augmented(wider, driven), shown, measured, 0
+
+
+def _augmented(a: Any, b: Any) -> Any:
+    n = len(b)
+    out = _objects(n + 1, n + 1)
+    out[:n, :n], out[:n, n] = a, b
+    return out
 
 
 def _robot(family: Family, values: Mapping[str, Any]) -> tuple[Any, Any]:

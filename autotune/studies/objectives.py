@@ -42,7 +42,7 @@ class Admittance(Objective):
 
     def __call__(self, controller: AdmittanceController, problem: DesignProblem, evaluation: Evaluation) -> float:
         """Return min |G|; the payload does not enter G, so one plant of each robot will do."""
-        by_robot = {free.plant.robot: free for free in free_plants(problem, evaluation)}
+        by_robot = {free.plant.port: free for free in free_plants(problem, evaluation)}
         return min(smallest_admittance(free, controller, admittance_band_hz(problem)) for free in by_robot.values())
 
 
@@ -97,7 +97,7 @@ class PassiveBand(Requirement):
 
     def __call__(self, controller: AdmittanceController, problem: DesignProblem, evaluation: Evaluation) -> float:
         """Return the band's upper end over the frequency above which passivity fails."""
-        by_robot = {free.plant.robot: free for free in free_plants(problem, evaluation)}
+        by_robot = {free.plant.port: free for free in free_plants(problem, evaluation)}
         return max(self._share(free, controller, admittance_band_hz(problem)[1]) for free in by_robot.values())
 
     @staticmethod

@@ -255,7 +255,7 @@ def _admittance_row(prepared: PreparedScenarios, design: FloatArray, widths: Flo
     problem, name = prepared.problem, "free_space_admittance"
     target, controller = problem.requirements.free_space_admittance, problem.controller(design)
     assert target is not None
-    robots = {plant.plant.robot: plant for plant in prepared.free}
+    robots = {plant.plant.port: plant for plant in prepared.free}
     if not _moves_exactly(problem, controller):
 
         def log_of(moved: FloatArray) -> float:

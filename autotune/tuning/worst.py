@@ -75,7 +75,7 @@ class WholeSet:
         """Return a scenario of the robot that is worst in a requirement of `ALONE`."""
         asked = self.problem.requirements
         robots = {
-            plant.plant.robot: (plant, s) for plant, s in zip(self.prepared.free, self.prepared.free_of, strict=True)
+            plant.plant.port: (plant, s) for plant, s in zip(self.prepared.free, self.prepared.free_of, strict=True)
         }
         plants, scenarios = zip(*robots.values(), strict=True)
         if name == "passivity" and asked.passivity is not None:

@@ -65,6 +65,13 @@ def continuous_motion(plant: Plant) -> Motion:
     drive = np.vstack([np.hstack([b_r, np.zeros((n, 1))]), [0.0, 0.0], at_once])
     contact = -force - drag * v_p - mass * acceleration
     pressed = outside - through - mass * at_once
+    lag = plant.wrench_filter.time_constant_s
+    if lag > 0.0:
+        # The measured force is one more state, the last one: τ dF_m/dt = F − F_m.
+        a = np.block([[a, np.zeros((n + 2, 1))], [force / lag, -np.ones((1, 1)) / lag]])
+        drive = np.vstack([drive, through / lag])
+        x, contact = np.append(x, 0.0), np.append(contact, 0.0)
+        force, through = np.eye(n + 3)[n + 2], np.zeros(2)
     return Motion(a=a, b=drive, c=np.vstack([force, x, contact]), d=np.vstack([through, [0.0, 0.0], pressed]))
 
 
