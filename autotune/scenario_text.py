@@ -14,7 +14,7 @@ def value_text(name: str, value: float, units: AxisUnits) -> str:
     symbol = SYMBOLS[name]
     if name.endswith("stiffness_n_per_m"):
         return f"{symbol} {stiffness_text(value, units)}"
-    if name == "delay_s":
+    if name in {"delay_s", "wrench_time_constant_s", "wrench_delay_s"}:
         return f"{symbol} {1e3 * value:.4g} ms"
     unit = {"payload_mass_kg": units.mass, "robot_bandwidth_hz": "Hz", "robot_damping_ratio": ""}.get(
         name, units.damping

@@ -214,7 +214,9 @@ def check_alike(plants: Sequence[SampledPlant]) -> None:
     """Raise ParameterError unless the plants share robot order and sample time, and are finite."""
     kinds = {(plant.state_count, plant.sample_time_s) for plant in plants}
     if len(kinds) != 1:
-        raise ParameterError("plants", kinds, "at least one, all of one robot order, wrench filter or none, and sample time")
+        raise ParameterError(
+            "plants", kinds, "at least one, all of one robot order and sample time, all or none with a filter"
+        )
     for plant in plants:
         check_finite(plant)
 

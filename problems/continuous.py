@@ -22,8 +22,9 @@ ComplexArray = NDArray[np.complex128]
 class PlantBlocks:
     """R, C_s, P, E and Ē of MODEL.md, "Continuous blocks", and the wrench's filter, shapes as `frequency_rad_per_s`.
 
-    `wrench` F_m/F [-] lies between the coupling force and the controller, `robot` R [1/s] from command to velocity, `coupling` C_s [N·s/m], `payload` P [m/(N·s)], `environment` E [N·s/m]
-    (0 in free space), `felt_impedance` Ē [N·s/m], with which the flange feels F = −Ē V.
+    `wrench` F_m/F [-] lies between the coupling force and the controller, `robot` R [1/s] from command to velocity,
+    `coupling` C_s [N·s/m], `payload` P [m/(N·s)], `environment` E [N·s/m] (0 in free space), `felt_impedance` Ē
+    [N·s/m], with which the flange feels F = −Ē V.
     """
 
     frequency_rad_per_s: FloatArray

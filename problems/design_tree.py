@@ -60,7 +60,17 @@ def problem_from_dict(tree: Mapping[str, Any]) -> DesignProblem:
 
 def _problem(tree: Mapping[str, Any]) -> DesignProblem:
     ellipsoid = tree["ellipsoid"]
-    known = {"robot", "coupling", "wrench_filter", "approach", "requirements", "ellipsoid", *_PLAIN, *_INTERVALS, *_MAPPINGS}
+    known = {
+        "robot",
+        "coupling",
+        "wrench_filter",
+        "approach",
+        "requirements",
+        "ellipsoid",
+        *_PLAIN,
+        *_INTERVALS,
+        *_MAPPINGS,
+    }
     unknown = sorted(set(tree) - known)
     if unknown:
         raise ParameterError("design problem", unknown[0], f"made of {', '.join(sorted(known))}")

@@ -21,8 +21,8 @@ class ControlObjects:
     """Continuous blocks and the exact sampled loop (MODEL.md, "Continuous blocks" and "What runs in the cell").
 
     Continuous `TransferFunction`s: `robot` r(s), whose delay is told apart as `delay_s`; `coupling` C_s, `payload` P,
-    `environment` E, `wrench` from F to F_m, whose delay is `wrench_delay_s`, `forward` A(1 + C_ff), `feedback` C_fb, `acceleration` O_a, whether P̂ uses it or not. C_s, E and
-    an ideal O_a have more zeros than poles.
+    `environment` E, `wrench` from F to F_m, whose delay is `wrench_delay_s`, `forward` A(1 + C_ff), `feedback` C_fb,
+    `acceleration` O_a, whether P̂ uses it or not. C_s, E and an ideal O_a have more zeros than poles.
 
     Discrete `StateSpace`s at h: `at_force` L and `at_command` L_x, both closed by negative feedback (1 + L), and
     `closed_loop` from F^d ("F_d") and an outside force on the payload ("f") to F, x^d ("x_d") and F_e. Without an

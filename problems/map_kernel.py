@@ -25,7 +25,7 @@ def polynomials_of_plants(
 
     `robots` are numerators (p, n) and denominators (p, n + 1) as `RobotModel.ascending` gives them, `parameters`
     (p, 7), or (p, 8) of a filtered wrench, as `Plant.parameters`, `delays` whole samples (p,) and fractions (p,). The
-    same steps as in `build_sampled_plant`, without what stability does not need. NaN for a plant whose motion overflows.
+    same steps as in `build_sampled_plant`, without what stability does not need. NaN where the motion overflows.
     """
     numerators, denominators = robots
     n = denominators.shape[1] + 1 + parameters.shape[1] - PLANT_PARAMETERS

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .compiled import equation
 from .controller import AdmittanceController, controller_blocks
 from .laws import LinearLaw
-from .plant import Plant
+from .plant import Plant, WrenchFilter
 from .sampled import Law, SampledPlant, build_loop, check_wrench_delay
 
 FloatArray = NDArray[np.float64]
@@ -47,7 +47,7 @@ def plant_response(sampled: SampledPlant, frequency_rad_per_s: FloatArray) -> Pl
         z=z,
         force=late * (states @ sampled.c_force + sampled.d_force * held),
         position=late * (states @ sampled.c_position),
-        wrench=None if time_constant == 0.0 else 1.0 / (1.0 + 1j * omega * time_constant),
+        wrench=None if time_constant == 0.0 else WrenchFilter(time_constant_s=time_constant).response(omega),
     )
 
 

@@ -278,9 +278,7 @@ def _plant_response(structure: Structure, plant: _Plant, turn: ca.SX) -> tuple[P
     return z, late * force, late * position
 
 
-def _response(
-    structure: Structure, plant: _Plant, parameters: ca.SX, blocks: ca.SX, omega: ca.SX
-) -> dict[str, ca.SX]:
+def _response(structure: Structure, plant: _Plant, parameters: ca.SX, blocks: ca.SX, omega: ca.SX) -> dict[str, ca.SX]:
     """Return `problems.response.loop_response` and `rendered_admittance` in real arithmetic."""
     z, force, position = _plant_response(structure, plant, omega * structure.sample_time_s)
     forward, feedback = controller_gains(blocks, z)
@@ -307,9 +305,9 @@ def _column(value: Pair) -> ca.SX:
 class SymbolicForm:
     """The sampled loop of one structure as CasADi functions of numbers or of further symbols.
 
-    All take `plant` (7,), or (8,) with a filter, as in `Plant.parameters`, `numerator` (n,) and `denominator` (n + 1,) as in
-    `RobotModel.ascending` (r(0) = 1 is the caller's to keep), `fraction`, and all but `plant` take `controller` (7,)
-    as in `AdmittanceController.parameters`.
+    All take `plant` (7,), or (8,) with a filter of the wrench, as in `Plant.parameters`, `numerator` (n,) and
+    `denominator` (n + 1,) as in `RobotModel.ascending` (r(0) = 1 is the caller's to keep), `fraction`, and all but
+    `plant` take `controller` (7,) as in `AdmittanceController.parameters`.
 
     `plant`: the matrices of `SampledPlant`. `loop`: those of `SampledLoop`, and F_e = c_contact s + d_contact F^d +
     push_contact f while in contact. `response` (with `frequency_rad_per_s`): L and L_x as (Re, Im), |1 + L|² and

@@ -61,7 +61,7 @@ class Family:
             raise ParameterError(STIFFNESS, softest, "greater than 0 in contact")
         if self.nominal.wrench_filter.delay_s > 0.0 or LATE in self.ranges:
             raise ParameterError(LATE, self.range_of(LATE), "0 (`build_families` adds it to the delay)")
-        if LAG in self.ranges and not 0.0 < min(self.nominal.wrench_filter.time_constant_s, self.ranges[LAG][0]):
+        if LAG in self.ranges and not min(self.nominal.wrench_filter.time_constant_s, self.ranges[LAG][0]) > 0.0:
             raise ParameterError(LAG, self.ranges[LAG], "greater than 0, as the nominal one")
         if self.range_of(MASS)[0] <= 0.0:
             raise ParameterError(MASS, self.range_of(MASS)[0], "greater than 0")
@@ -246,9 +246,7 @@ def _continuous(family: Family, values: Mapping[str, Any]) -> tuple[Any, Any, An
     return _augmented(a, b), position, force, direct[0]
 
 
-def _filtered(
-    family: Family, rate: Any, plant: tuple[Any, Any, Any, Any, Any]
-) -> tuple[Any, Any, Any, Any]:
+def _filtered(family: Family, rate: Any, plant: tuple[Any, Any, Any, Any, Any]) -> tuple[Any, Any, Any, Any]:
     """Add the state of the wrench's filter, F_m in units of a nominal stiffness, behind the others."""
     a, b, position, force, direct = plant
     n, coupling = len(b), family.nominal.coupling

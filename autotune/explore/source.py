@@ -198,6 +198,7 @@ def problem_of(controller: Controller, name: str) -> DesignProblem:
         velocity_filter_rad_per_s=law.velocity_filter_rad_per_s,
         uncertain=domain.uncertain or {},
         ellipsoid=None if domain.confidence is None else domain.confidence.ellipsoid(),
+        wrench_filter=nominal.wrench_filter,
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from problems.errors import ParameterError
-from problems.plant import Coupling, Environment, Payload, Plant
+from problems.plant import NO_FILTER, Coupling, Environment, Payload, Plant, WrenchFilter
 from problems.requirements import NoiseLimit, PassivityTarget
 from problems.robot import RobotModel
 from problems.uncertainty import Ellipsoid, Scenario, Uncertainty
@@ -199,6 +199,7 @@ class AxisDomain:
     """The plants of one axis for which the certificate holds; r(s) in descending powers of s, r(0) = 1.
 
     `uncertain` holds ranges of what is not at its nominal value beyond K_e and M_p, `confidence` what cuts them.
+    `wrench_filter` lies between the coupling's force and what the controller reads, None if nothing does.
     """
 
     environment_stiffness_n_per_m: Interval
@@ -215,6 +216,7 @@ class AxisDomain:
     approach_speed_m_s: float | None = None
     uncertain: Mapping[str, Interval] | None = None
     confidence: ConfidenceSet | None = None
+    wrench_filter: WrenchFilter | None = None
 
     def __post_init__(self) -> None:
         _check_interval("environment_stiffness_n_per_m", self.environment_stiffness_n_per_m)
@@ -252,6 +254,7 @@ class AxisDomain:
                 stiffness_n_per_m=self.environment_stiffness_n_per_m[0],
                 damping_n_s_per_m=self.environment_damping_n_s_per_m,
             ),
+            wrench_filter=self.wrench_filter or NO_FILTER,
         )
 
 

@@ -107,6 +107,7 @@ def build_base(source: MapSource, settings: Mapping[str, float], varied: Collect
             damping_n_s_per_m=known.get("environment_damping", 0.0),
             mass_kg=known.get("environment_mass", 0.0),
         ),
+        wrench_filter=source.wrench_filter,
     )
     return Base(
         plant=plant_at(plant, direct),

@@ -15,12 +15,14 @@ from autotune.files.controller_record import AxisDomain, Controller
 from autotune.files.identified import read_identified
 from autotune.files.records import ROTATIONAL_AXES
 from autotune.files.yaml12 import LARGEST_FILE_BYTES
+from autotune.tuning.wrench import build_wrench
 from autotune.validation.validate import admittance_controller, uncertain_plant
 from identification.errors import EstimateError
 from identification.result import AxisEstimate, Estimate, Identified, Status
 from identification.rotation import LEVER_M
 from problems.contact import Approach
 from problems.controller import AdmittanceController
+from problems.plant import NO_FILTER, WrenchFilter
 from problems.robot import RobotModel
 
 _FORMAT = re.compile(rb"""["']?format["']?\s*:\s*["']?autotune/(\w+)""")
@@ -44,6 +46,7 @@ class MapSource:
     missing: Mapping[str, str]
     controller: AdmittanceController | None
     approach: Approach
+    wrench_filter: WrenchFilter = NO_FILTER
     checksums: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -140,6 +143,7 @@ def _certified(path: Path, controller: Controller, wanted: str | None) -> MapSou
         missing={},
         controller=_law(path, controller, axis),
         approach=_approach(domain),
+        wrench_filter=plants.wrench_filter,
     )
 
 
@@ -187,6 +191,7 @@ def _identified(path: Path, found: Identified, wanted: str | None) -> MapSource:
         missing=missing,
         controller=None,
         approach=Approach(force_n=_DEFAULT_APPROACH_N * (LEVER_M if name in ROTATIONAL_AXES else 1.0)),
+        wrench_filter=build_wrench(found.sensor.wrench_filter, {}).nominal,
     )
 
 

@@ -14,6 +14,7 @@ from autotune.files.controller_record import (
 )
 from autotune.files.units import AxisUnits, axis_units
 from autotune.scenario_text import scenario_text, stiffness_text, value_text
+from problems.plant import NO_FILTER
 from problems.requirements import NoiseLimit, PassivityTarget
 from problems.uncertainty import SYMBOLS
 
@@ -218,6 +219,13 @@ def domain_table(design: AxisDesign) -> Table:
     ):
         if name in uncertain:
             entries.append((title, symbol, uncertain[name], unit))
+    wrench = domain.wrench_filter or NO_FILTER
+    for name, title, value in (
+        ("wrench_time_constant_s", "wrench filter, time constant", wrench.time_constant_s),
+        ("wrench_delay_s", "wrench delay", wrench.delay_s),
+    ):
+        if value > 0.0 or name in uncertain:
+            entries.append((title, SYMBOLS[name], value, "ms"))
     rows = [
         (Cell(text=title), Cell(text=symbol), *_span(spans.get(symbol, value), scales.get(unit, 1.0)), Cell(text=unit))
         for title, symbol, value, unit in entries

@@ -26,6 +26,7 @@ from problems.robot import RobotModel
 
 from .rotational import through_lever
 from .uncertain import with_uncertainty
+from .wrench import LAG, LATE, build_wrench, without_position
 
 Interval = tuple[float, float]
 
@@ -180,6 +181,7 @@ def certified_mass_kg(problems: Mapping[str, DesignProblem]) -> Interval | None:
 
 def _build_problem(identified: Identified, name: str, spec: ProblemSpec) -> DesignProblem:
     axis, coupling = identified.axes[name], identified.axes[name].coupling
+    wrench = build_wrench(identified.sensor.wrench_filter, spec.uncertain)
     nominal = DesignProblem(
         robot=_robot(axis, name),
         coupling=Coupling(
@@ -191,16 +193,18 @@ def _build_problem(identified: Identified, name: str, spec: ProblemSpec) -> Desi
         payload_mass_kg=spec.payload_mass_kg or _mass_range(identified, name),
         sample_time_s=_value(identified.sample_time_s, "sample_time_s"),
         approach=spec.approach or Approach(force_n=_DEFAULT_APPROACH_N),
-        bounds={**spec.bounds, **spec.free},
+        bounds=without_position({**spec.bounds, **spec.free}, wrench),
         requirements=_with_noise(spec.requirements, identified, name),
         objective=spec.objective,
+        wrench_filter=wrench.nominal,
     )
     bounded = {
         "coupling_damping_n_s_per_m": coupling.damping_n_s_per_m,
         "drag_n_s_per_m": axis.drag_n_s_per_m,
     }
     intervals = {key: each.ci95 for key, each in bounded.items() if each.value is None and each.ci95 is not None}
-    return with_uncertainty(nominal, axis, name, {**intervals, **spec.uncertain})
+    said = {key: value for key, value in spec.uncertain.items() if key not in {LAG, LATE}}
+    return with_uncertainty(nominal, axis, name, {**intervals, **said, **wrench.ranges})
 
 
 def _robot(axis: AxisEstimate, name: str) -> RobotModel:

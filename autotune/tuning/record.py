@@ -199,6 +199,7 @@ def build_domain(problem: DesignProblem) -> AxisDomain:
         approach_speed_m_s=problem.approach.speed_m_s,
         uncertain=problem.uncertain or None,
         confidence=_confidence(problem.ellipsoid),
+        wrench_filter=None if problem.wrench_filter.is_none else problem.wrench_filter,
     )
 
 

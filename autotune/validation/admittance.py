@@ -3,6 +3,7 @@
 import numpy as np
 
 from problems.controller import AdmittanceController
+from problems.plant import WrenchFilter
 from problems.robot import RobotModel
 
 from .replay import DifferenceEquation, robot_stepper
@@ -13,10 +14,22 @@ _PERIODS = 2.0
 
 
 def sampled_admittance(
-    robot: RobotModel, controller: AdmittanceController, sample_time_s: float, band_hz: tuple[float, float]
+    port: tuple[RobotModel, WrenchFilter],
+    controller: AdmittanceController,
+    sample_time_s: float,
+    band_hz: tuple[float, float],
 ) -> float:
-    """Return the smallest |V/F| [m/s/N] at five frequencies of the band, ends included, from simulated sines."""
-    found = [_gain(robot, controller, sample_time_s, float(f)) for f in np.unique(np.geomspace(*band_hz, _FREQUENCIES))]
+    """Return the smallest |V/F| [m/s/N] at five frequencies of the band, ends included, from simulated sines.
+
+    A sine that passes the wrench's filter is a smaller sine.
+    """
+    robot, wrench = port
+    frequencies = np.unique(np.geomspace(*band_hz, _FREQUENCIES))
+    passed = np.abs(wrench.response(2.0 * np.pi * frequencies))
+    found = [
+        float(share) * _gain(robot, controller, sample_time_s, float(f))
+        for f, share in zip(frequencies, passed, strict=True)
+    ]
     return min(found)
 
 

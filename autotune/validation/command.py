@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from problems.controller import AdmittanceController
-from problems.plant import FREE_SPACE, Plant, build_plant_matrices
+from problems.plant import FREE_SPACE, Plant, WrenchFilter, build_plant_matrices
 from problems.robot import RobotModel
 from problems.sampled import hold
 
@@ -59,7 +59,7 @@ class _Plants:
 
     def __init__(self, plants: Sequence[Plant], h: float) -> None:
         matrices = [build_plant_matrices(plant, h) for plant in plants]
-        late = [plant.robot.delay_s / h for plant in plants]
+        late = [plant.loop_delay_s / h for plant in plants]
         self.whole = np.array([math.floor(each + _NOTHING) for each in late])
         fraction = [max(each - whole, 0.0) for each, whole in zip(late, self.whole, strict=True)]
         self.is_split = np.array(fraction) > _NOTHING
@@ -96,12 +96,15 @@ class _Plants:
             self.state = np.einsum("pij,pj->pi", phi, self.state) + gamma * held[:, None]
 
 
-def passive_band_hz(robot: RobotModel, law: AdmittanceController, sample_time_s: float, up_to_hz: float) -> float:
+def passive_band_hz(
+    port: tuple[RobotModel, WrenchFilter], law: AdmittanceController, sample_time_s: float, up_to_hz: float
+) -> float:
     """Return up to where Re G ≥ 0, at most `up_to_hz`, G = V/F being the transform of the answer to a tick of force.
 
-    0 for a port that does not come to rest.
+    The wrench's filter lies before that tick. 0 for a port that does not come to rest.
     """
     h = sample_time_s
+    robot, wrench = port
     equation, step = DifferenceEquation(law, h), robot_stepper(robot, h)
     position = np.empty(math.ceil(_PORT_S / h))
     x = 0.0
@@ -115,6 +118,8 @@ def passive_band_hz(robot: RobotModel, law: AdmittanceController, sample_time_s:
     omega = 2.0 * np.pi * np.fft.rfftfreq(count, h)[1:]
     # The position is the sum of its moves, and the velocity its derivative below the Nyquist frequency.
     admittance = 1j * omega * np.fft.rfft(moved, count)[1:] / (1.0 - np.exp(-1j * omega * h))
+    if not wrench.is_none:
+        admittance = admittance * wrench.response(np.asarray(omega, dtype=np.float64))
     negative = np.flatnonzero(admittance.real < -_NOTHING * np.abs(admittance))
     fails = math.inf if not negative.size else float(omega[negative[0]]) / (2.0 * np.pi)
     return min(fails, up_to_hz)

@@ -224,18 +224,20 @@ def smallest_admittance(task: AxisTask, law: LinearLaw, band_hz: tuple[float, fl
     """Return the least |G| over the band, for the nominal robot and the slowest and fastest of the domain."""
     omega = 2.0 * np.pi * np.unique(np.clip(np.geomspace(*band_hz, _BAND_POINTS), *band_hz))
     nominal = task.plants().in_free_space().at(task.domain.payload_mass_kg[0], 0.0)
-    robots = (nominal.robot, *task.others().extreme_robots())
+    ports = (nominal.port, *task.others().extreme_ports())
     return min(
         float(
             np.min(
                 np.abs(
                     free_space_admittance(
-                        build_sampled_plant(replace(nominal, robot=robot), law.sample_time_s), law, omega
+                        build_sampled_plant(replace(nominal, robot=robot, wrench_filter=wrench), law.sample_time_s),
+                        law,
+                        omega,
                     )
                 )
             )
         )
-        for robot in robots
+        for robot, wrench in ports
     )
 
 
@@ -283,8 +285,8 @@ def _missed_command(
     """Say whether the command's noise or the passive band misses what was asked."""
     h, units, nominal = law.sample_time_s, axis_units(task.axis), task.domain.nominal_plant()
     if isinstance(asked, PassivityTarget):
-        robots = (nominal.robot, *others.extreme_robots())
-        reached = min(passive_below_hz(build_sampled_plant(replace(nominal, robot=robot), h), law) for robot in robots)
+        extremes = (replace(nominal, robot=robot, wrench_filter=wrench) for robot, wrench in others.extreme_ports())
+        reached = min(passive_below_hz(build_sampled_plant(plant, h), law) for plant in (nominal, *extremes))
         if reached < asked.passive_below_hz * (1.0 - _MISSED):
             yield f"the port must be passive up to {asked.passive_below_hz:.4g} Hz, found {reached:.4g} Hz"
         return

@@ -14,7 +14,7 @@ from problems.errors import ParameterError
 from problems.full_effects import NO_EFFECTS, Effects
 from problems.full_simulation import FullRun, simulate_fully
 from problems.margins import UnstableLoopError
-from problems.plant import FREE_SPACE, Plant, build_plant_matrices
+from problems.plant import FREE_SPACE, NO_FILTER, Plant, build_plant_matrices
 from problems.uncertainty import Scenario
 
 from .disturbances import Told, axis_effects
@@ -217,9 +217,11 @@ def _axis_monte_carlo(
 def _never_delayed(domain: AxisDomain) -> bool:
     """Say whether no plant has a delay, and damping in the coupling hands each command on to the force of its tick."""
     uncertain, damping = domain.uncertain or {}, domain.coupling_damping_n_s_per_m
+    wrench = domain.wrench_filter or NO_FILTER
     _, longest = uncertain.get("delay_s", (domain.delay_s, domain.delay_s))
+    _, late = uncertain.get("wrench_delay_s", (wrench.delay_s, wrench.delay_s))
     least, _ = uncertain.get("coupling_damping_n_s_per_m", (damping, damping))
-    return longest == 0.0 and least > 0.0
+    return longest + late == 0.0 and least > 0.0 and wrench.time_constant_s == 0.0
 
 
 def _band(traces: Sequence[FloatArray], h: float) -> ForceBand:

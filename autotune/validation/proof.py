@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from problems.plant import Coupling, Environment, Payload, Plant, build_plant_matrices
+from problems.plant import NO_FILTER, Coupling, Environment, Payload, Plant, WrenchFilter, build_plant_matrices
 from problems.robot import RobotModel
 from problems.sampled import Law, SampledPlant, build_loop, build_sampled_plant, stability_matrix
 
@@ -37,6 +37,7 @@ class UncertainPlant:
     environment_damping_n_s_per_m: float
     payload_mass_kg: tuple[float, float]
     environment_stiffness_n_per_m: tuple[float, float]
+    wrench_filter: WrenchFilter = NO_FILTER
 
     def at(self, mass_kg: float, stiffness_n_per_m: float) -> Plant:
         """Return one plant of the set."""
@@ -47,7 +48,13 @@ class UncertainPlant:
             environment=Environment(
                 stiffness_n_per_m=stiffness_n_per_m, damping_n_s_per_m=self.environment_damping_n_s_per_m
             ),
+            wrench_filter=self.wrench_filter,
         )
+
+    @property
+    def port(self) -> tuple[RobotModel, WrenchFilter]:
+        """What the rendered admittance depends on besides the controller."""
+        return self.robot, self.wrench_filter
 
     def in_free_space(self) -> "UncertainPlant":
         """Return the same plants with nothing to touch."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from problems.controller import AdmittanceController
 from problems.plant import FREE_SPACE, Coupling, Payload, Plant, build_plant_matrices
 from problems.robot import RobotModel
-from problems.sampled import build_loop, build_sampled_plant, hold, spectral_radius
+from problems.sampled import build_loop, build_sampled_plant, check_wrench_delay, hold, spectral_radius
 
 FloatArray = NDArray[np.float64]
 
@@ -53,7 +53,9 @@ def replay_contact(
     Approach and contact each last as long as the slowest part of their loop needs to decay. The plant advances in
     twentieths of a sample, contact begins and ends on that grid, and the delay is rounded to it.
     """
-    late = round(plant.robot.delay_s / sample_time_s * _SUBSTEPS)
+    # A wrench that is late makes the same loop as commands that are (for a law that reads nothing but the wrench).
+    check_wrench_delay(plant, controller)
+    late = round(plant.loop_delay_s / sample_time_s * _SUBSTEPS)
     step = _Stepper(plant, sample_time_s, late % _SUBSTEPS)
     law = DifferenceEquation(controller, sample_time_s)
     speed = desired_force_n / (controller.damping_n_s_per_m + plant.payload.drag_n_s_per_m)

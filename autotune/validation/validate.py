@@ -20,7 +20,7 @@ from autotune.files.records import ROTATIONAL_AXES
 from autotune.files.units import axis_units
 from problems.controller import AdmittanceController
 from problems.errors import ParameterError
-from problems.plant import Coupling, Plant
+from problems.plant import NO_FILTER, Coupling, Plant
 from problems.requirements import NoiseLimit, PassivityTarget
 from problems.robot import RobotModel
 from problems.uncertainty import SYMBOLS
@@ -209,6 +209,7 @@ def uncertain_plant(domain: AxisDomain) -> UncertainPlant:
         environment_damping_n_s_per_m=domain.environment_damping_n_s_per_m,
         payload_mass_kg=domain.payload_mass_kg,
         environment_stiffness_n_per_m=domain.environment_stiffness_n_per_m,
+        wrench_filter=domain.wrench_filter or NO_FILTER,
     )
 
 
@@ -371,7 +372,7 @@ def _admittance(
     controller: Controller, name: str, plants: UncertainPlant, others: OtherPlants, law: AdmittanceController
 ) -> Check:
     predicted = controller.predicted[name].free_space_admittance
-    found = sampled_admittance(plants.robot, law, controller.sample_time_s, predicted.band_hz)
+    found = sampled_admittance(plants.port, law, controller.sample_time_s, predicted.band_hz)
     wrong = []
     units = axis_units(name)
     hand = law.damping_n_s_per_m + plants.drag_n_s_per_m
@@ -384,8 +385,8 @@ def _admittance(
         if isinstance(required, AdmittanceRequirement):
             # G does not hang on the payload; among the robots the slowest and the fastest stand for all.
             reached = min(
-                sampled_admittance(robot, law, controller.sample_time_s, required.band_hz)
-                for robot in (plants.robot, *others.extreme_robots())
+                sampled_admittance(port, law, controller.sample_time_s, required.band_hz)
+                for port in (plants.port, *others.extreme_ports())
             )
             if reached < required.min_m_s_per_n * (1.0 - 0.1 * _SAME_MARGIN):
                 wrong.append(
@@ -416,8 +417,8 @@ def _command(
                 axis=name, name="command noise", passed=met, message=message if met else f"{message} is claimed"
             )
         if isinstance(required, PassivityTarget):
-            robots = (plants.robot, *others.extreme_robots())
-            reached = min(passive_band_hz(robot, law, h, required.passive_below_hz) for robot in robots)
+            ports = (plants.port, *others.extreme_ports())
+            reached = min(passive_band_hz(port, law, h, required.passive_below_hz) for port in ports)
             met = reached >= required.passive_below_hz * (1.0 - 0.1 * _SAME_MARGIN)
             message = f"the port is passive up to {reached:.4g} Hz"
             must = f"{message}, claimed up to {required.passive_below_hz:.4g} Hz"

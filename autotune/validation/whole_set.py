@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from autotune.files.controller_record import AxisDomain, AxisMargins, AxisPrediction, Proof, Reach
 from autotune.files.units import axis_units
-from problems.plant import Plant
+from problems.plant import Plant, WrenchFilter
 from problems.robot import RobotModel
 from problems.robot_variation import bandwidth_hz
 from problems.uncertainty import SYMBOLS, Scenario, Uncertainty
@@ -28,10 +28,13 @@ class OtherPlants:
     plants: tuple[Plant, ...]
     outside: tuple[str, ...]
 
-    def extreme_robots(self) -> tuple[RobotModel, ...]:
-        """Return the robots of the lowest and the highest bandwidth among the plants, if there are any."""
+    def extreme_ports(self) -> tuple[tuple[RobotModel, WrenchFilter], ...]:
+        """Return the robots of the lowest and the highest bandwidth among the plants, behind the slowest filter."""
         robots = sorted({plant.robot for plant in self.plants}, key=bandwidth_hz)
-        return () if not robots else tuple(dict.fromkeys((robots[0], robots[-1])))
+        if not robots:
+            return ()
+        slowest = max((plant.wrench_filter for plant in self.plants), key=lambda each: each.time_constant_s)
+        return tuple((robot, slowest) for robot in dict.fromkeys((robots[0], robots[-1])))
 
 
 def build_other_plants(domain: AxisDomain, margins: AxisMargins, predicted: AxisPrediction) -> OtherPlants:
@@ -86,7 +89,7 @@ def told_set(domain: AxisDomain, name: str) -> str:
     """Return the ranges beyond K_e and M_p in words."""
     units = axis_units(name)
     of = {"K_s": units.stiffness, "B_s": units.damping, "B_p": units.damping, "B_e": units.damping}
-    of |= {"T_d": "s", "f_b": "Hz", "ζ_b": ""}
+    of |= {"T_d": "s", "f_b": "Hz", "ζ_b": "", "τ_w": "s", "T_w": "s"}
     ranges = domain.uncertain or {}
     # In an order of its own: that of the file's entries says nothing, and a file may be written again in another.
     told = [

@@ -1,6 +1,5 @@
 """Plants and controllers that the tests of this floor share: the paper's cell and random ones around it."""
 
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +7,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from problems.controller import AdmittanceController, Compensation, Discretization
-from problems.plant import WrenchFilter, Coupling, Environment, Payload, Plant
+from problems.plant import Coupling, Environment, Payload, Plant
 from problems.robot import RobotModel
 
 PERIOD_S = 8e-4
@@ -41,7 +40,6 @@ def paper_plant(
         environment=Environment(
             stiffness_n_per_m=stiffness, damping_n_s_per_m=environment_damping, mass_kg=environment_mass
         ),
-        wrench_filter=WrenchFilter(time_constant_s=float(os.environ.get("HACK_TAU", "0"))),
     )
 
 

@@ -8,6 +8,7 @@ import pytest
 from autotune.validation.admittance import sampled_admittance
 from problems.controller import AdmittanceController
 from problems.evaluation import smallest_admittance
+from problems.plant import NO_FILTER
 from problems.robot import RobotModel
 from problems.sampled import build_sampled_plant
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
@@ -34,7 +35,7 @@ def test_the_sines_find_the_smallest_admittance(
 ) -> None:
     free = build_sampled_plant(paper_plant(stiffness=0.0, robot=robot), PERIOD_S)
     expected = smallest_admittance(free, law, band_hz)
-    assert sampled_admittance(robot, law, PERIOD_S, band_hz) == pytest.approx(expected, rel=SAME)
+    assert sampled_admittance((robot, NO_FILTER), law, PERIOD_S, band_hz) == pytest.approx(expected, rel=SAME)
 
 
 def test_slow_pushes_meet_the_damping_alone() -> None:
@@ -42,5 +43,5 @@ def test_slow_pushes_meet_the_damping_alone() -> None:
     law = admittance(13.0, 2000.0)
     omega = 2.0 * math.pi * 0.1
     lag = 0.5 * ((omega * law.mass_kg / law.damping_n_s_per_m) ** 2 + (omega / 20.0) ** 2)
-    found = sampled_admittance(one_pole(), law, PERIOD_S, (0.1, 0.1))
+    found = sampled_admittance((one_pole(), NO_FILTER), law, PERIOD_S, (0.1, 0.1))
     assert found == pytest.approx(1.0 / 2000.0, rel=2.0 * lag)

@@ -65,8 +65,8 @@ def test_the_passive_band_ends_where_the_real_part_of_the_response_turns(
     fails = check_passivity(build_sampled_plant(plant, H), law).fails_above_hz
     assert fails is not None
     # Frequencies of the transform are 0.005 Hz apart.
-    assert passive_band_hz(plant.robot, law, H, 600.0) == pytest.approx(fails, abs=0.011)
-    assert passive_band_hz(plant.robot, law, H, 0.5 * fails) == 0.5 * fails
+    assert passive_band_hz(plant.port, law, H, 600.0) == pytest.approx(fails, abs=0.011)
+    assert passive_band_hz(plant.port, law, H, 0.5 * fails) == 0.5 * fails
 
 
 def test_a_port_that_does_not_come_to_rest_is_passive_nowhere() -> None:
@@ -75,4 +75,4 @@ def test_a_port_that_does_not_come_to_rest_is_passive_nowhere() -> None:
     plant = plants(2.4e-3)[0]
     assert check_passivity(build_sampled_plant(plant, H), law).fails_above_hz == 0.0
     with np.errstate(over="ignore", invalid="ignore"):
-        assert passive_band_hz(plant.robot, law, H, 10.0) == 0.0
+        assert passive_band_hz(plant.port, law, H, 10.0) == 0.0
