@@ -180,8 +180,6 @@ def plant_polynomials(family: Family, cell: FloatArray, along: int | None = None
     augmented, position, force, direct = _continuous(family, values)
     size = len(position)
     full = exponential(augmented)
-    change = full[:size, :size] - np.array([[int(i == j) for j in range(size)] for i in range(size)], dtype=object)
-    characteristic, adjugate = rational.resolvent(change)
     gamma = full[:size, size]
     if has_fraction:
         # The newer command acts during the last 1 − fraction of the period, the older one before.
@@ -190,13 +188,64 @@ def plant_polynomials(family: Family, cell: FloatArray, along: int | None = None
         inputs = [(newer, True), (gamma - newer, False)]
     else:
         inputs = [(gamma, False)]
+    answer = _Filtered(family, full[:size, :size]) if _has_filter(family) else _Plain(full[:size, :size], force)
+    characteristic = answer.characteristic
     found_force, found_position = [direct * each for each in characteristic], [0]
     for column, is_newer in inputs:
-        for_force = rational.numerator(force, adjugate, column)
-        for_position = rational.numerator(position, adjugate, column)
+        for_force, for_position = answer.numerators(position, column)
         found_force = rational.add(found_force, rational.times_z(for_force) if is_newer else for_force)
         found_position = rational.add(found_position, rational.times_z(for_position) if is_newer else for_position)
     return characteristic, found_force, found_position
+
+
+class _Plain:
+    """Numerators of F and x over one characteristic polynomial, from the change over a sample."""
+
+    def __init__(self, whole: Any, force: Any) -> None:
+        size = len(whole)
+        change = whole - np.array([[int(i == j) for j in range(size)] for i in range(size)], dtype=object)
+        self.force = force
+        self.characteristic, self.adjugate = rational.resolvent(change)
+
+    def numerators(self, position: Any, column: Any) -> tuple[list[Any], list[Any]]:
+        """Return those of F and of x for one input's column."""
+        return rational.numerator(self.force, self.adjugate, column), rational.numerator(
+            position, self.adjugate, column
+        )
+
+
+class _Filtered:
+    """The same of a plant whose last state is that of the wrench's filter, which nothing else depends on.
+
+    With that block taken apart, det = d (w − δ) and F_m = ρ adj γ + d γ_f: the filter's ball stays out of d and adj.
+    """
+
+    def __init__(self, family: Family, whole: Any) -> None:
+        n = len(whole) - 1
+        self.plant = _Plain(whole[:n, :n], whole[n, :n])
+        self.unit, self.decay = _filter_unit(family), whole[n, n] - 1
+        self.characteristic = self._slowed(self.plant.characteristic)
+
+    def numerators(self, position: Any, column: Any) -> tuple[list[Any], list[Any]]:
+        """Return those of F_m and of x for one input's column."""
+        n = len(column) - 1
+        through, moved = self.plant.numerators(position[:n], column[:n])
+        measured = rational.add(through, [column[n] * each for each in self.plant.characteristic])
+        return [self.unit * each for each in measured], self._slowed(moved)
+
+    def _slowed(self, polynomial: list[Any]) -> list[Any]:
+        """Return (w − δ) times a polynomial in w."""
+        return rational.add([0, *polynomial], [-1 * self.decay * each for each in polynomial])
+
+
+def _has_filter(family: Family) -> bool:
+    return family.nominal.wrench_filter.time_constant_s > 0.0
+
+
+def _filter_unit(family: Family) -> float:
+    """Return the stiffness [N/m] in which the filter's state is told: a number that does not vary."""
+    coupling = family.nominal.coupling
+    return coupling.stiffness_n_per_m + coupling.damping_n_s_per_m / family.sample_time_s
 
 
 def _values(family: Family, cell: FloatArray, along: int | None) -> dict[str, Any]:
@@ -241,7 +290,7 @@ def _continuous(family: Family, values: Mapping[str, Any]) -> tuple[Any, Any, An
     a[n + 1, n + 1] = inverse * a[n + 1, n + 1]
     b[n + 1] = inverse * b[n + 1]
     force[n] = k_s
-    if family.nominal.wrench_filter.time_constant_s > 0.0:
+    if _has_filter(family):
         return _filtered(family, h / values[LAG], (a, b, position, force, direct[0]))
     return _augmented(a, b), position, force, direct[0]
 
@@ -249,8 +298,7 @@ def _continuous(family: Family, values: Mapping[str, Any]) -> tuple[Any, Any, An
 def _filtered(family: Family, rate: Any, plant: tuple[Any, Any, Any, Any, Any]) -> tuple[Any, Any, Any, Any]:
     """Add the state of the wrench's filter, F_m in units of a nominal stiffness, behind the others."""
     a, b, position, force, direct = plant
-    n, coupling = len(b), family.nominal.coupling
-    unit = coupling.stiffness_n_per_m + coupling.damping_n_s_per_m / family.sample_time_s
+    n, unit = len(b), _filter_unit(family)
     wider, driven, shown, measured = _objects(n + 1, n + 1), _objects(n + 1), _objects(n + 1), _objects(n + 1)
     wider[:n, :n], driven[:n], shown[:n] = a, b, position
     for i in range(n):
