@@ -62,9 +62,9 @@ class ContactTransient:
     """Forces at the controller's ticks from the impact on, `time_s` (n,), and their peaks.
 
     `sensor_force_n` is −F (−F_m behind a filter of the wrench), positive when pressing, its peak that of the ticks, as
-    in a log; `contact_force_n` is F_e, whose peak is searched between the ticks as well, at `time_of_peak_s`. A force that only creeps up to its value at
-    rest counts with that value. `impulse_n_s` is what an environment with mass takes in the impact itself, on top.
-    `is_settled` is False when the run was ended by its longest time.
+    in a log; `contact_force_n` is F_e, whose peak is searched between the ticks as well, at `time_of_peak_s`. A force
+    that only creeps up to its value at rest counts with that value. `impulse_n_s` is what an environment with mass
+    takes in the impact itself, on top. `is_settled` is False when the run was ended by its longest time.
     """
 
     time_s: FloatArray

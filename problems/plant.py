@@ -170,6 +170,18 @@ class PlantMatrices:
 
 
 @equation
+def _write_filter(a: Any, b: Any, c_force: Any, direct: Any, n: int, rate: Any, answer: Any) -> None:
+    """Put F_m in the place of F: the state `n` is F_m over `answer`, the stiffness of the coupling within t."""
+    for i in range(a.shape[0]):
+        a[n, i] = rate * c_force[i] / answer
+        c_force[i] = 0.0
+    a[n, n] = -rate
+    b[n] = rate * direct[0] / answer
+    c_force[n] = answer
+    direct[0] = 0.0
+
+
+@equation
 def write_plant(
     a: Any,
     b: Any,
@@ -230,15 +242,7 @@ def write_plant(
     direct[2] = m_e * scale
 
     if filtered:
-        # The filter's state is F_m over the stiffness with which the coupling answers within t.
-        rate, answer = t / parameters[PLANT_PARAMETERS], k_s + b_s
-        for i in range(p + 2):
-            a[n, i] = rate * c_force[i] / answer
-            c_force[i] = 0.0
-        a[n, n] = -rate
-        b[n] = rate * direct[0] / answer
-        c_force[n] = answer
-        direct[0] = 0.0
+        _write_filter(a, b, c_force, direct, n, t / parameters[PLANT_PARAMETERS], k_s + b_s)
 
 
 def build_plant_matrices(plant: Plant, time_scale_s: float) -> PlantMatrices:

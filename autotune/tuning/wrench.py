@@ -138,5 +138,6 @@ def _digits(value: float, towards: Callable[[float], int]) -> float:
     if value == 0.0:
         return 0.0
     exponent = math.floor(math.log10(value)) - _DIGITS + 1
-    whole = value / 10.0**exponent
+    # Six digits more decide what is already round.
+    whole = round(value / 10.0**exponent, 6)
     return float(f"{towards(whole)}e{exponent}")

@@ -1,22 +1,25 @@
 """Check that an identified plant lies inside the domain that a certificate speaks of."""
 
+import math
 from collections.abc import Iterator, Sequence
 
 from autotune.files.controller_record import AxisDomain, Controller, RuntimePayload
 from autotune.files.records import ROTATIONAL_AXES
 from autotune.files.units import axis_units
-from identification.result import AxisEstimate, Estimate, Identified, Status, VectorEstimate
+from identification.result import AxisEstimate, Estimate, Identified, Status, VectorEstimate, WrenchFilterEstimate
+from problems.plant import NO_FILTER
 
 from .validate import Check
 
 _STDS = 3.0
 _LEAST_SHARE = 0.01
+_ABSENT = Estimate(value=None, std=None, status=Status.UNIDENTIFIABLE)
 # The payload in the file is a copy of what was identified, not another estimate of it.
 _COMPENSATED_STDS, _ROUNDING = 5.0, 1e-6
 
 
 def check_domain(controller: Controller, identified: Identified) -> tuple[Check, ...]:
-    """Compare payload, coupling, drag, delay and environments of every tuned axis with the certificate's domain.
+    """Compare payload, coupling, drag, delay, environments and the wrench's filter with the certificate's domain.
 
     The payload of a rotational axis is the moment of inertia about it. What the runtime compensates, which is of all
     axes, is compared with the identified payload and told once, of the first axis.
@@ -27,6 +30,7 @@ def check_domain(controller: Controller, identified: Identified) -> tuple[Check,
         problems = (
             ["the identified file does not hold this axis"] if axis is None else list(_outside(name, domain, axis))
         )
+        problems += _wrench(domain, identified.sensor.wrench_filter)
         if name not in ROTATIONAL_AXES:
             problems += _carried_mass(identified.payload.mass_kg, domain.payload_mass_kg)
         checks.append(
@@ -79,6 +83,25 @@ def _carried_mass(mass: Estimate, interval: tuple[float, float]) -> list[str]:
     low, high = interval
     margin = _STDS * (mass.std or 0.0)
     return _interval("payload mass [kg]", mass, (low - margin, high + margin), certified=interval)
+
+
+def _wrench(domain: AxisDomain, estimate: WrenchFilterEstimate | None) -> list[str]:
+    """Compare the filter or delay that was identified with the certified one; a file may say nothing of it."""
+    if estimate is None:
+        return []
+    certified, uncertain = domain.wrench_filter or NO_FILTER, domain.uncertain or {}
+    if estimate.delay_s is not None:
+        what, span = "wrench delay [s]", uncertain.get("wrench_delay_s")
+        return _interval(what, estimate.delay_s, span) if span else _same(what, estimate.delay_s, certified.delay_s)
+    corner, lag = estimate.corner_hz or _ABSENT, certified.time_constant_s
+    if lag == 0.0:
+        told = "not identified" if corner.value is None else f"filtered at {corner.value:.6g} Hz"
+        return [f"the wrench is {told}, certified for a wrench without a filter"]
+    fast, slow = uncertain.get("wrench_time_constant_s", (lag, lag))
+    ends = 1.0 / (2.0 * math.pi * slow), 1.0 / (2.0 * math.pi * fast)
+    if "wrench_time_constant_s" in uncertain:
+        return _interval("corner of the wrench's filter [Hz]", corner, ends)
+    return _same("corner of the wrench's filter [Hz]", corner, ends[0])
 
 
 def _outside(name: str, domain: AxisDomain, axis: AxisEstimate) -> Iterator[str]:

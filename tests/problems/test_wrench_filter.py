@@ -1,6 +1,7 @@
 """The wrench's filter and delay in the loop: physics simulated by other means, python-control, and differences."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import control
@@ -151,7 +152,7 @@ def physical(plant: Plant) -> object:
     return control.ss(a, drive, [[0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0]], np.zeros((2, 1)))
 
 
-SLOPES = {
+SLOPES: dict[str, Callable[..., Slope | None]] = {
     "modulus": modulus_slope,
     "gain": gain_slope,
     "phase": phase_slope,

@@ -23,6 +23,7 @@ from autotune.files.controller import (
 from autotune.files.dump import dump_json
 from autotune.files.yaml12 import dump_yaml, load_yaml
 from problems.errors import ParameterError
+from problems.plant import WrenchFilter
 from tests.autotune.files.samples import DOMAIN, GAINS, MARGINS, controllers, make_controller, make_limits
 
 
@@ -41,6 +42,26 @@ def test_what_is_written_is_read_back_to_the_last_bit(controller: Controller) ->
         assert repr(back.controller) == repr(controller)  # tells -0.0 from 0.0
         assert back.checksum == tree["checksum"]
         assert controller_tree(back.controller) == tree
+
+
+def test_a_filtered_or_late_wrench_is_part_of_the_domain_and_none_is_no_entry() -> None:
+    """Files from before the entry are read as they were: no filter, and the same checksum."""
+    plain = make_controller()
+    assert all("wrench_filter" not in tree for tree in controller_tree(plain)["certificate"]["domain"].values())
+    assert plain.certificate.domain["x"].nominal_plant().wrench_filter == WrenchFilter()
+    for wrench, told in (
+        (WrenchFilter(time_constant_s=3.2e-3), {"time_constant_s": 3.2e-3}),
+        (WrenchFilter(delay_s=2.4e-3), {"delay_s": 2.4e-3}),
+    ):
+        late = {f"wrench_{key}": (0.9 * value, 1.1 * value) for key, value in told.items()}
+        domain = replace(DOMAIN, wrench_filter=wrench, uncertain=late)
+        certificate = replace(plain.certificate, domain=dict.fromkeys(plain.certificate.domain, domain))
+        tree = controller_tree(replace(plain, certificate=certificate))
+        assert tree["certificate"]["domain"]["rz"]["wrench_filter"] == told
+        back = parse_controller(dump_yaml(tree), "c.yaml").controller
+        assert back.certificate.domain["x"].nominal_plant().wrench_filter == wrench
+        assert dict(back.certificate.domain["x"].uncertain or {}) == late
+        assert controller_tree(back) == tree
 
 
 def test_the_file_is_what_the_tree_tells(tmp_path: Path) -> None:

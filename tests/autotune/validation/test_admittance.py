@@ -1,6 +1,7 @@
 """The free-space admittance from simulated sines against the frequency response."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from autotune.validation.admittance import sampled_admittance
 from problems.controller import AdmittanceController
 from problems.evaluation import smallest_admittance
-from problems.plant import NO_FILTER
+from problems.plant import NO_FILTER, WrenchFilter
 from problems.robot import RobotModel
 from problems.sampled import build_sampled_plant
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
@@ -36,6 +37,18 @@ def test_the_sines_find_the_smallest_admittance(
     free = build_sampled_plant(paper_plant(stiffness=0.0, robot=robot), PERIOD_S)
     expected = smallest_admittance(free, law, band_hz)
     assert sampled_admittance((robot, NO_FILTER), law, PERIOD_S, band_hz) == pytest.approx(expected, rel=SAME)
+
+
+def test_a_filtered_wrench_pushes_less() -> None:
+    """At 20 Hz a filter of 50 Hz leaves 1/sqrt(1 + 0.4²) of a sine."""
+    wrench, law = WrenchFilter.from_corner(50.0), admittance(13.0, 1000.0, 0.013, 0.004)
+    plant = replace(paper_plant(stiffness=0.0), wrench_filter=wrench)
+    found = sampled_admittance(plant.port, law, PERIOD_S, (20.0, 20.0))
+    assert found == pytest.approx(
+        smallest_admittance(build_sampled_plant(plant, PERIOD_S), law, (20.0, 20.0)), rel=SAME
+    )
+    without = sampled_admittance((plant.robot, NO_FILTER), law, PERIOD_S, (20.0, 20.0))
+    assert found == pytest.approx(without / math.sqrt(1.16), rel=1e-9)
 
 
 def test_slow_pushes_meet_the_damping_alone() -> None:

@@ -9,7 +9,7 @@ from autotune.validation.command import passive_band_hz, speed_rms, worst_speed_
 from problems.controller import AdmittanceController
 from problems.noise import predict_command_noise
 from problems.passivity import check_passivity
-from problems.plant import FREE_SPACE, Plant
+from problems.plant import FREE_SPACE, Plant, WrenchFilter
 from problems.robot import RobotModel
 from problems.sampled import build_sampled_plant
 from tests.autotune.tuning.cases import design_problem
@@ -67,6 +67,18 @@ def test_the_passive_band_ends_where_the_real_part_of_the_response_turns(
     # Frequencies of the transform are 0.005 Hz apart.
     assert passive_band_hz(plant.port, law, H, 600.0) == pytest.approx(fails, abs=0.011)
     assert passive_band_hz(plant.port, law, H, 0.5 * fails) == 0.5 * fails
+
+
+@pytest.mark.parametrize("wrench", [WrenchFilter.from_corner(50.0), WrenchFilter(time_constant_s=1e-3, delay_s=1.1e-3)])
+def test_behind_a_filter_noise_and_passive_band_are_those_of_the_exact_loop(wrench: WrenchFilter) -> None:
+    law = replace(LAWS["lead and feedback"], feedback_damping_s=0.0, damping_n_s_per_m=3000.0)
+    set_ = [replace(plant, wrench_filter=wrench) for plant in plants(2.4e-3)]
+    told = [predict_command_noise(build_sampled_plant(plant, H), law, 1.0).speed_rms_m_s for plant in set_]
+    assert speed_rms(set_, law, H) == pytest.approx(told, rel=1e-6)
+    fails = check_passivity(build_sampled_plant(set_[0], H), law).fails_above_hz
+    assert fails is not None
+    # Frequencies of the transform are 0.005 Hz apart.
+    assert passive_band_hz(set_[0].port, law, H, 600.0) == pytest.approx(fails, abs=0.011)
 
 
 def test_a_port_that_does_not_come_to_rest_is_passive_nowhere() -> None:

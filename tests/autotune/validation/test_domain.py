@@ -1,5 +1,6 @@
 """Whether an identified plant lies in the domain that a certificate speaks of."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -8,8 +9,11 @@ import pytest
 from autotune.files.controller_record import Controller
 from autotune.validation.domain import check_domain
 from autotune.validation.validate import Check
-from identification.result import AxisEstimate, Identified
+from identification.result import AxisEstimate, Identified, WrenchFilterEstimate
+from problems.plant import WrenchFilter
 from tests.autotune.tuning.cases import absent, identified_axis, identified_plant, known, small_controller, with_axis
+
+TAU = 1.0 / (2.0 * math.pi * 50.0)
 
 
 def messages(identified: Identified) -> list[str]:
@@ -58,6 +62,47 @@ def test_another_robot_and_another_coupling_are_told() -> None:
     assert messages(with_axis(slow)) == ["T_d [s] is 0.004, certified for 0.0024"]
     soft = replace(axis, coupling=replace(axis.coupling, stiffness_n_per_m=known(2e5, 500.0)))
     assert messages(with_axis(soft)) == ["K_s [N/m] is 200000, certified for 300000"]
+
+
+@pytest.mark.parametrize(
+    ("certified", "ranges", "found", "told"),
+    [
+        (
+            WrenchFilter(),
+            {},
+            {"corner_hz": 50.0},
+            "the wrench is filtered at 50 Hz, certified for a wrench without a filter",
+        ),
+        (WrenchFilter(time_constant_s=TAU), {}, {"corner_hz": 50.0}, ""),
+        (
+            WrenchFilter(time_constant_s=TAU),
+            {},
+            {"corner_hz": 40.0},
+            "corner of the wrench's filter [Hz] is 40, certified",
+        ),
+        (WrenchFilter(time_constant_s=TAU), {"wrench_time_constant_s": (3e-3, 4e-3)}, {"corner_hz": 40.0}, ""),
+        (
+            WrenchFilter(time_constant_s=TAU),
+            {"wrench_time_constant_s": (3e-3, 3.5e-3)},
+            {"corner_hz": 40.0},
+            "corner of the wrench's filter [Hz] is 40, certified for [45.4728, 53.0516]",
+        ),
+        (WrenchFilter(), {}, {"delay_s": 2e-3}, "wrench delay [s] is 0.002, certified for 0"),
+        (WrenchFilter(delay_s=2e-3), {"wrench_delay_s": (1e-3, 3e-3)}, {"delay_s": 2.5e-3}, ""),
+    ],
+)
+def test_a_wrench_that_is_later_than_the_certified_one_is_told(
+    certified: WrenchFilter, ranges: dict[str, tuple[float, float]], found: dict[str, float], told: str
+) -> None:
+    controller, identified = small_controller(), identified_plant()
+    domain = controller.certificate.domain["x"]
+    domain = replace(domain, wrench_filter=certified, uncertain={**(domain.uncertain or {}), **ranges} or None)
+    controller = replace(controller, certificate=replace(controller.certificate, domain={"x": domain}))
+    estimate = WrenchFilterEstimate(**{name: known(value) for name, value in found.items()})
+    identified = replace(identified, sensor=replace(identified.sensor, wrench_filter=estimate))
+    check, *_ = check_domain(controller, identified)
+    assert check.passed == (told == "")
+    assert told in check.message
 
 
 def compensated(controller: Controller, identified: Identified) -> Check:

@@ -1,12 +1,14 @@
 """Replayed contacts against the exact transient of the ground floor."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from autotune.validation.replay import DifferenceEquation, replay_contact, robot_stepper
 from problems.contact import Approach, ContactTransient, build_sampled_contact, simulate_contact
 from problems.controller import AdmittanceController
-from problems.plant import Plant
+from problems.plant import Plant, WrenchFilter
 from problems.robot import RobotModel
 from problems.sampled import build_sampled_plant
 from tests.problems import reference
@@ -14,6 +16,7 @@ from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 
 # What validation allows between prediction and replay.
 STATED = 0.02
+LIGHT = paper_plant(stiffness=8e4, coupling_damping=150.0)
 TWO_POLES = RobotModel(numerator=np.array([900.0]), denominator=np.array([1.0, 42.0, 900.0]), delay_s=2.0e-3)
 
 
@@ -31,8 +34,13 @@ def exact(plant: Plant, law: AdmittanceController, force: float) -> ContactTrans
         (paper_plant(stiffness=8e4, robot=one_pole(2.7 * PERIOD_S)), admittance(13.0, 1800.0, 0.013, 0.006)),
         (paper_plant(stiffness=8e4, robot=one_pole(0.4 * PERIOD_S)), admittance(13.0, 1800.0, 0.013)),
         (paper_plant(stiffness=1e5, robot=TWO_POLES), admittance(20.0, 4000.0, 0.02)),
+        (replace(LIGHT, wrench_filter=WrenchFilter.from_corner(50.0)), admittance(13.0, 2500.0, 0.013, 0.006)),
+        (replace(LIGHT, wrench_filter=WrenchFilter(time_constant_s=1e-3, delay_s=1.3e-3)), admittance(13.0, 2500.0)),
     ],
-    ids=["soft", "stiff", "damped", "no delay", "fraction, feedback", "fraction below one sample", "two poles"],
+    ids=[
+        *("soft", "stiff", "damped", "no delay", "fraction, feedback", "fraction below one sample", "two poles"),
+        *("filtered wrench", "filtered and late wrench"),
+    ],
 )
 def test_the_peaks_are_those_of_the_exact_transient(plant: Plant, law: AdmittanceController) -> None:
     force = 30.0

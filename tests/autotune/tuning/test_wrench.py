@@ -1,0 +1,150 @@
+"""What the log tells of the wrench's filter or delay enters the plant and the set that must be safe."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from autotune.errors import UsageError
+from autotune.files.problem import ProblemSpec, Uncertain
+from autotune.tuning.problems import Wishes, build_problems
+from autotune.tuning.record import build_domain
+from autotune.validation.margins import sweep_margins
+from autotune.validation.validate import uncertain_plant
+from identification.errors import EstimateError
+from identification.result import Estimate, Identified, Status, WrenchFilterEstimate
+from problems.design import DesignProblem
+from problems.evaluation import build_scenarios
+from problems.margins import find_margins
+from problems.plant import WrenchFilter
+from problems.sampled import build_sampled_plant
+from tests.autotune.tuning.cases import absent, identified_plant, known
+from tests.problems.axes import admittance
+
+CORNER = WrenchFilterEstimate(corner_hz=known(50.0, 0.5))
+DELAY = WrenchFilterEstimate(delay_s=known(2.4e-3, 1e-5))
+TAU = 1.0 / (2.0 * math.pi * 50.0)
+
+
+def seen_by(wrench: WrenchFilterEstimate | None) -> Identified:
+    plant = identified_plant()
+    return replace(plant, sensor=replace(plant.sensor, wrench_filter=wrench))
+
+
+def built(
+    wrench: WrenchFilterEstimate | None, said: Uncertain | None = None, spec: ProblemSpec | None = None
+) -> DesignProblem:
+    return build_problems(seen_by(wrench), replace(spec or ProblemSpec(), uncertain=said or {}), Wishes())["x"]
+
+
+def test_without_an_entry_the_plant_is_as_it_was() -> None:
+    found = built(None)
+    assert found.wrench_filter == WrenchFilter()
+    assert not {"wrench_time_constant_s", "wrench_delay_s"} & set(found.uncertain)
+    assert build_domain(found).wrench_filter is None
+
+
+def test_a_corner_becomes_a_state_with_its_95_percent_range() -> None:
+    found = built(CORNER)
+    assert found.wrench_filter.time_constant_s == pytest.approx(TAU, rel=1e-12)
+    assert found.wrench_filter.delay_s == 0.0
+    low, high = found.uncertain["wrench_time_constant_s"]
+    # 50 ± 0.5 Hz: two deviations, five digits, outwards.
+    assert low <= 1.0 / (2.0 * math.pi * 51.0) <= low * (1.0 + 1e-4)
+    assert high >= 1.0 / (2.0 * math.pi * 49.0) >= high * (1.0 - 1e-4)
+    domain = build_domain(found)
+    assert domain.wrench_filter == found.wrench_filter
+    assert domain.nominal_plant().wrench_filter == found.wrench_filter
+
+
+def test_a_delay_becomes_a_delay_and_leaves_the_position_alone() -> None:
+    found = built(DELAY)
+    assert found.wrench_filter == WrenchFilter(delay_s=2.4e-3)
+    low, high = found.uncertain["wrench_delay_s"]
+    assert 2.3799e-3 <= low <= 2.38e-3
+    assert 2.42e-3 <= high <= 2.4201e-3
+    assert found.bounds["feedback_damping_s"] == (0.0, 0.0)
+    for extra in (
+        ProblemSpec(bounds={"feedback_damping_s": (0.0, 0.01)}),
+        ProblemSpec(free={"compensation_mass_kg": (0.0, 5.0)}),
+    ):
+        with pytest.raises(UsageError, match=r"late by a pure delay.*Set bounds of .* to \[0, 0\]"):
+            built(DELAY, spec=extra)
+
+
+@pytest.mark.parametrize(
+    ("wrench", "said", "nominal", "ranges"),
+    [
+        (CORNER, {"wrench_time_constant_s": "nominal"}, WrenchFilter(time_constant_s=TAU), {}),
+        (CORNER, {"wrench_time_constant_s": (0.0, 0.0)}, WrenchFilter(), {}),
+        (
+            CORNER,
+            {"wrench_time_constant_s": (1e-3, 2e-3)},
+            WrenchFilter(time_constant_s=2e-3),
+            {"wrench_time_constant_s": (1e-3, 2e-3)},
+        ),
+        (None, {"wrench_delay_s": (0.0, 1e-3)}, WrenchFilter(delay_s=0.5e-3), {"wrench_delay_s": (0.0, 1e-3)}),
+        (
+            WrenchFilterEstimate(
+                delay_s=Estimate(value=None, std=None, status=Status.WEAK, ci95=(1e-3, 3e-3), method="by hand")
+            ),
+            {},
+            WrenchFilter(delay_s=2e-3),
+            {"wrench_delay_s": (1e-3, 3e-3)},
+        ),
+        (
+            WrenchFilterEstimate(corner_hz=replace(known(50.0), status=Status.GIVEN)),
+            {},
+            WrenchFilter(time_constant_s=TAU),
+            {},
+        ),
+    ],
+    ids=["nominal", "none", "a range", "a range of nothing", "weak", "given"],
+)
+def test_problem_yaml_wins_and_a_weak_value_is_its_interval(
+    wrench: WrenchFilterEstimate | None,
+    said: Uncertain,
+    nominal: WrenchFilter,
+    ranges: dict[str, tuple[float, float]],
+) -> None:
+    found = built(wrench, said)
+    assert found.wrench_filter.time_constant_s == pytest.approx(nominal.time_constant_s, rel=1e-12)
+    assert found.wrench_filter.delay_s == pytest.approx(nominal.delay_s, rel=1e-12)
+    assert {name: span for name, span in found.uncertain.items() if name.startswith("wrench")} == ranges
+
+
+@pytest.mark.parametrize(
+    ("wrench", "said", "error", "told"),
+    [
+        (WrenchFilterEstimate(corner_hz=absent("the sweep is too slow")), {}, EstimateError, "the sweep is too slow"),
+        (WrenchFilterEstimate(corner_hz=known(50.0, 30.0)), {}, EstimateError, "with a range that reaches 0"),
+        (None, {"wrench_time_constant_s": "identified"}, UsageError, "tells nothing of it"),
+        (None, {"wrench_time_constant_s": (0.0, 1e-3)}, UsageError, r"above 0 at both ends, or \[0, 0\] for none"),
+    ],
+)
+def test_a_filter_that_nobody_knows_is_refused(
+    wrench: WrenchFilterEstimate | None, said: Uncertain, error: type[Exception], told: str
+) -> None:
+    with pytest.raises(error, match=told):
+        built(wrench, said)
+
+
+def test_margins_of_the_search_and_of_validation_hold_the_slowest_filter() -> None:
+    """The filter's slow end is the worst modulus of three, and the optimizer's is the sweep's by other code."""
+    problem, law = built(CORNER), admittance(6.0, 1600.0, 0.012)
+    prepared = build_scenarios(problem, problem.uncertainty.corners())
+    by_lag: dict[float, float] = {}
+    for scenario, plant in zip((*prepared.scenarios, *prepared.free_of), prepared.plants, strict=True):
+        lag = scenario.wrench_time_constant_s or 0.0
+        found = find_margins(plant.sampled, law).modulus
+        by_lag[lag] = min(found, by_lag.get(lag, math.inf))
+    fast, slow = problem.uncertain["wrench_time_constant_s"]
+    assert by_lag[slow] < by_lag[fast]
+    domain = build_domain(problem)
+    others = [scenario.plant(domain.nominal_plant()) for scenario in prepared.scenarios]
+    swept = sweep_margins(uncertain_plant(domain), law, problem.sample_time_s, stiffness=5, mass=2, others=others)
+    # A grid of 6,000 points and the modes: 1e-3 of a minimum.
+    assert swept.values["modulus"] <= by_lag[slow] * (1.0 + 1e-3)
+    assert swept.values["modulus"] == pytest.approx(by_lag[slow], rel=2e-2)
+    plain = replace(domain.nominal_plant(), wrench_filter=WrenchFilter())
+    assert find_margins(build_sampled_plant(plain, problem.sample_time_s), law).modulus > 1.1 * by_lag[slow]
