@@ -170,6 +170,17 @@ class PlantMatrices:
 
 
 @equation
+def _write_contact(a: Any, b: Any, c_contact: Any, direct: Any, k_e: Any, b_e: Any, m_e: Any) -> None:
+    """Write F_e = M_e dv_p/dt + B_e v_p + K_e x_p over the state and the command; x_p and v_p stand last."""
+    n = a.shape[0]
+    for i in range(n):
+        c_contact[i] = m_e * a[n - 1, i]
+    c_contact[n - 2] = c_contact[n - 2] + k_e
+    c_contact[n - 1] = c_contact[n - 1] + b_e
+    direct[1] = m_e * b[n - 1]
+
+
+@equation
 def _write_filter(a: Any, b: Any, c_force: Any, direct: Any, n: int, rate: Any, answer: Any) -> None:
     """Put F_m in the place of F: the state `n` is F_m over `answer`, the stiffness of the coupling within t."""
     for i in range(a.shape[0]):
@@ -234,13 +245,8 @@ def write_plant(
     b[p + 1] = -scale * direct[0]
     push[p + 1] = scale
 
-    for i in range(p + 2):
-        c_contact[i] = m_e * a[p + 1, i]
-    c_contact[p] = c_contact[p] + k_e
-    c_contact[p + 1] = c_contact[p + 1] + b_e
-    direct[1] = m_e * b[p + 1]
+    _write_contact(a, b, c_contact, direct, k_e, b_e, m_e)
     direct[2] = m_e * scale
-
     if filtered:
         _write_filter(a, b, c_force, direct, n, t / parameters[PLANT_PARAMETERS], k_s + b_s)
 
