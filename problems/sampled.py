@@ -322,7 +322,8 @@ def check_wrench_delay(plant: Plant, law: Law) -> None:
     else:
         reads = law.feedback_damping_s != 0.0 or law.compensates
     if reads:
-        must = "0 for a law that reads the position too (B_fb or P̂ above 0); set those to 0"
+        own = "set B_fb and P̂ to 0" if isinstance(law, AdmittanceController) else "its difference equation always does"
+        must = f"0 for a law that reads the position too, which is not late ({own})"
         raise ParameterError("wrench_filter.delay_s", plant.wrench_filter.delay_s, must)
 
 
