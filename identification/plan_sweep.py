@@ -34,6 +34,7 @@ _GUESSED_SHARE = 0.5
 _RESERVE = 0.9  # of the force limit: what starting, stopping and the noise add
 _FADE_S = 0.25
 _WORTH_REPEATING = 1.5
+_BEYOND_SWING = 1.15
 _NOISE_PEAKS = 4.0  # deviations that the largest of some thousand samples reaches
 _SINGULAR = 1e13
 _SYMBOLS = ("K_s", "B_s", "B_p", "M_p")
@@ -137,6 +138,9 @@ def plan_sweep(
     highest = min(highest, limits.max_frequency_hz or highest)
     lowest = [start for start in _STARTS_HZ if start < 0.4 * highest] or [0.1 * highest]
     ends = np.geomspace(0.25 * highest, highest, _ENDS)
+    # Both flanks of the payload's swing tell stiffness, mass and drag apart, where the robot reaches that far.
+    beyond = _BEYOND_SWING * values.payload_frequency_hz
+    ends = ends[ends >= beyond] if highest > beyond else ends
     lengths = [length for length in _DURATIONS_S if length < limits.max_duration_s] + [limits.max_duration_s]
     aim = _GUESSED_SHARE * limits.max_force_n if aim_force_n is None else aim_force_n
 
@@ -164,7 +168,8 @@ def sweep_information(values: PlanValues, sweep: Sweep) -> FloatArray:
     """Return the information (5 + n, 5 + n) in pose and force about what lies between command and force.
 
     Parameters: K_s, B_s, B_p, M_p in SI, then the relative sizes of the n coefficients of r(s)'s monic denominator (the
-    numerator follows from r(0) = 1) and of T_d. x = R x^d, F = Z R x^d with R = r(s) e^(-s T_d).
+    numerator follows from r(0) = 1) and of T_d. x = R x^d with R = r(s) e^(-s T_d), and F = Z x of the measured x, as
+    it is fitted: the force tells nothing of the robot.
 
     White noise of σ per sample gives (1/(σ² h)) ∫ (dy/dθ)² dt (Kay 1993, 3.9); a sweep slow beside the payload's
     ringing stays a sine, whose square is half that of its amplitude on average. The misfit counts as noise that is
@@ -176,7 +181,7 @@ def sweep_information(values: PlanValues, sweep: Sweep) -> FloatArray:
     command = sweep.command_speed_m_s(values.robot)[:, None] / np.abs(s)[:, None]
     none = np.zeros_like(payload)
     position = command * np.concatenate([none, robot], axis=1)
-    force = command * np.concatenate([payload * passed[:, None], impedance[:, None] * robot], axis=1)
+    force = command * np.concatenate([payload * passed[:, None], np.zeros_like(robot)], axis=1)
     per_sample = 2.0 * values.sample_time_s.value / sweep.duration_s
     smooth = values.misfit_share.value**2 / _INDEPENDENT_MISFITS * np.abs(impedance * passed * command[:, 0]) ** 2
     force_spread = per_sample * values.force_noise_rms_n.value**2 + smooth
