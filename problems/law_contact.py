@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .bouncing_kernel import DECAYING, judge_window
 from .compiled import compiled
 from .contact import Approach, SampledContact
 from .errors import ParameterError
@@ -22,6 +23,11 @@ FloatArray = NDArray[np.float64]
 _PARTS = 20
 _DECAY_EXPONENTS = 7.0
 _SHORTEST_S, _LONGEST_S = 0.4, 10.0
+
+# The parts of a sample with their counts, rows of x, F and F_e, what the command adds to F at once, whole samples and
+# length of the chain of the delay, and the law's matrix; what changes on the way is (plant, past commands, law).
+_Loop = tuple[FloatArray, NDArray[np.int64], FloatArray, float, tuple[int, int], FloatArray]
+_Moment = tuple[FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,34 +57,12 @@ def simulate_law_contact(pair: SampledContact, law: LinearLaw, approach: Approac
     """
     if approach.driven_by != "desired_force" or approach.after_impact_n is not None:
         raise ParameterError("approach", approach, "driven by the desired force, which stays")
-    contact = pair.contact
-    if contact.plant.environment.mass_kg != 0.0:
-        raise ParameterError("environment.mass_kg", contact.plant.environment.mass_kg, "0")
-    radius = spectral_radius(build_loop(contact, law))
+    radius = spectral_radius(build_loop(pair.contact, law))
     if not radius < 1.0:
         raise UnstableLoopError(radius)
-    per_newton = _steady(pair, law, 1.0)[1]
-    force = approach.force_n if approach.force_n is not None else (approach.speed_m_s or 0.0) / per_newton
-    control, speed = _steady(pair, law, force)
-    h, samples = contact.sample_time_s, _samples(radius, contact.sample_time_s)
-    moved = pair.ramp[0] * (speed * h)
-    n, chain = contact.state_count, contact.chain_length
-    past = moved[n] - speed * h * np.arange(1.0, max(chain, 1) + 1.0)
-    steps, counts = _parts(pair)
-    rows = np.array([contact.c_position, contact.c_force, contact.c_contact])
-    found = np.zeros(3)
-    _run(
-        steps,
-        counts,
-        rows,
-        contact.d_force,
-        (contact.whole_delay, chain),
-        law.matrix,
-        (moved[:n].copy(), past, control),
-        force,
-        samples,
-        found,
-    )
+    h, samples = pair.contact.sample_time_s, _samples(radius, pair.contact.sample_time_s)
+    found, (loop, moment, force, speed) = np.zeros(4), _begin(pair, law, approach)
+    _run(loop, moment, force, samples, True, found)
     # A force that only creeps up to its value at rest counts with that value.
     return LawContact(
         peak_sensor_force_n=max(float(found[0]), force),
@@ -87,6 +71,44 @@ def simulate_law_contact(pair: SampledContact, law: LinearLaw, approach: Approac
         contact_speed_m_s=speed,
         driving_force_n=force,
     )
+
+
+def follow_law_bounces(
+    pair: SampledContact,
+    law: LinearLaw,
+    approach: Approach,
+    window: int,
+    peaks: FloatArray,
+    switches: NDArray[np.int64],
+) -> tuple[int, int]:
+    """Follow a contact over windows, see `bouncing_kernel.follow_bounces`; a contact ends on the grid of the parts."""
+    loop, moment, force, _ = _begin(pair, law, approach)
+    force, touching = force if approach.after_impact_n is None else approach.after_impact_n, True
+    for w in range(len(peaks)):
+        found = np.zeros(4)
+        touching = _run(loop, moment, force, window, touching, found)
+        peaks[w], switches[w] = found[1], int(found[3])
+        verdict = judge_window(peaks, switches, w, touching, force)
+        if verdict >= 0:
+            return verdict, w + 1
+    return DECAYING, len(peaks)
+
+
+def _begin(pair: SampledContact, law: LinearLaw, approach: Approach) -> tuple[_Loop, _Moment, float, float]:
+    """Return the loop and its state at the impact, F^d of the approach and its speed."""
+    if approach.driven_by != "desired_force":
+        raise ParameterError("approach", approach, "driven by the desired force")
+    contact, h = pair.contact, pair.contact.sample_time_s
+    if contact.plant.environment.mass_kg != 0.0:
+        raise ParameterError("environment.mass_kg", contact.plant.environment.mass_kg, "0")
+    per_newton = _steady(pair, law, 1.0)[1]
+    force = approach.force_n if approach.force_n is not None else (approach.speed_m_s or 0.0) / per_newton
+    control, speed = _steady(pair, law, force)
+    moved, (n, chain) = pair.ramp[0] * (speed * h), (contact.state_count, contact.chain_length)
+    past = moved[n] - speed * h * np.arange(1.0, max(chain, 1) + 1.0)
+    rows = np.array([contact.c_position, contact.c_force, contact.c_contact])
+    loop = (*_parts(pair), rows, contact.d_force, (contact.whole_delay, chain), law.matrix)
+    return loop, (moved[:n].copy(), past, control), force, speed
 
 
 def _samples(radius: float, h: float) -> int:
@@ -131,21 +153,14 @@ def _step(plant: SampledPlant, duration: float) -> FloatArray:
 
 
 @compiled
-def _run(
-    steps: FloatArray,
-    counts: NDArray[np.int64],
-    rows: FloatArray,
-    direct: float,
-    delay: tuple[int, int],
-    law: FloatArray,
-    start: tuple[FloatArray, FloatArray, FloatArray],
-    force: float,
-    samples: int,
-    found: FloatArray,
-) -> None:
-    """Step from the impact on; `found` gets the largest sensor force, contact force and its time in samples."""
-    state, past, control = start[0].copy(), start[1].copy(), start[2].copy()
-    (whole, chain), touching = delay, True
+def _run(loop: _Loop, moment: _Moment, force: float, samples: int, touching: bool, found: FloatArray) -> bool:
+    """Step on from a moment, which is advanced, and return whether it touches then.
+
+    `found` gets the largest sensor force, contact force and its time in samples, and in how many samples the contact
+    was other than before.
+    """
+    (steps, counts, rows, direct, delay, law), (state, past, control) = loop, moment
+    whole, chain = delay
     for k in range(samples):
         held = direct * past[chain - 1] if chain > 0 else 0.0
         # Without delay the command acts on the force of its own tick.
@@ -156,11 +171,14 @@ def _run(
         found[0] = max(found[0], -sensed)
         newer = command if whole == 0 else past[whole - 1]
         older = past[chain - 1] if chain > whole else newer
+        before = touching
         touching = _sample(steps, counts, rows[2], state, (older, newer), touching, k, found)
+        found[3] += 1.0 if touching != before else 0.0
         for i in range(chain - 1, 0, -1):
             past[i] = past[i - 1]
         if chain > 0:
             past[0] = command
+    return touching
 
 
 @compiled

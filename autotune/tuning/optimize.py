@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from autotune import __version__
 from autotune.errors import CertificateError, InfeasibleError
 from autotune.files.controller import ControllerFile
-from autotune.files.controller_record import Controller, Proof, Reach, RuntimePayload
+from autotune.files.controller_record import Controller, RuntimePayload
 from autotune.files.identified import IdentifiedFile
 from autotune.files.problem import ComplianceSpec, ProblemSpec
 from autotune.files.records import ROTATIONAL_AXES
-from autotune.validation.continuous import ProofWishes, prove_reach
-from autotune.validation.validate import ValidationReport, prove_axis, validate_controller
+from autotune.validation.continuous import ProofWishes
+from autotune.validation.validate import ValidationReport, validate_controller
 from identification.result import Identified
 from problems.design import FURTHER_VARIABLES, VARIABLES, DesignProblem
 
@@ -32,10 +32,11 @@ from .compliance import (
 )
 from .doubts import left_out_tree
 from .problems import Wishes, build_problems, certified_mass_kg, runtime_mass_kg
-from .record import build_controller, build_domain, runtime_payload
+from .record import build_controller, runtime_payload
 from .relax import find_relaxations, tell_relaxations
 from .search import SearchResult, solve_design
-from .standing import Standing, find_standing, standing_tree
+from .settling import Proved, prove_search, settle
+from .standing import Standing, standing_tree
 from .threshold import ThresholdWish, choose_threshold, threshold_wish
 
 # Of the time of a usual run, measured; of no other use than to tell how it goes on. The second is a share of what comes
@@ -100,7 +101,9 @@ def optimize(
         problems = {name: compliance.on_chosen(problems[name]) for name, compliance in chosen.items()}
     searches = _search_all(problems, existing, chosen, seed, relax, report)
     chosen = {name: settle_compliance(problems[name], each, searches[name], seed) for name, each in chosen.items()}
-    standings = {name: find_standing(search) for name, search in searches.items()}
+    settled = {name: settle(name, search, asked, seed=seed) for name, search in searches.items()}
+    searches = {name: each.search for name, each in settled.items()}
+    standings = {name: each.standing for name, each in settled.items()}
     provenance = make_provenance(identified, wishes, seed, problem_path, existing, asked)
     provenance["optimality"] = {
         name: standing_tree(standing, rotational=name in ROTATIONAL_AXES) for name, standing in standings.items()
@@ -113,6 +116,7 @@ def optimize(
         asked,
         lambda done: report((1.0 - _SEARCH_SHARE) * done),
         threshold=threshold_wish(identified.result, spec),
+        proved={name: each.proved for name, each in settled.items()},
     )
     compared = {} if existing is None else compare(existing.controller, searches)
     return Optimized(
@@ -148,16 +152,19 @@ def certify(
     proof: ProofWishes,
     progress: Callable[[float], None],
     threshold: ThresholdWish | None = None,
+    proved: Mapping[str, Proved] | None = None,
 ) -> tuple[Controller, ValidationReport]:
     """Prove what can be proved of the designs, write them down, and return the controller once validation passed it.
 
     `threshold` asks for a collision response, chosen for these designs. `progress` is told the share of the work done
-    since the last call. Raises CertificateError when a claim cannot be proved or verified, and what `choose_threshold`
-    raises.
+    since the last call; `proved` is what has been proved already. Raises CertificateError when a claim cannot be proved
+    or verified, RefutedError among them (`settling.prove_search`), and what `choose_threshold` raises.
     """
     for name, search in searches.items():
         check_within_bounds(search, name)
-    proofs, reaches = _prove(searches, proof, progress)
+    found = _prove(searches, proof, progress) if proved is None else proved
+    proofs = {name: each.proofs for name, each in found.items()}
+    reaches = {name: each.reaches for name, each in found.items()}
     controller = build_controller(searches, payload, proofs, reaches, provenance)
     if threshold is not None:
         controller, _ = choose_threshold(controller, searches, threshold)
@@ -196,17 +203,14 @@ class _Portion:
 
 def _prove(
     searches: Mapping[str, SearchResult], asked: ProofWishes, report: Callable[[float], None]
-) -> tuple[dict[str, tuple[Proof, ...]], dict[str, tuple[Reach, ...]]]:
-    """Return what is proved of every axis: stability, and of the modulus that the search found over its dense grid."""
-    proofs, reaches = {}, {}
+) -> dict[str, Proved]:
+    """Return what is proved of every axis, see `prove_search`."""
+    proved = {}
     for name, search in searches.items():
-        problem, law = search.problem, search.problem.controller(search.design)
-        domain, swept = build_domain(problem), min(each.margins.modulus for each in search.margins)
-        proofs[name] = prove_axis(domain, law, problem.sample_time_s, name)
         portion = _Portion(report, _PROOF_SHARE / len(searches))
-        reaches[name] = prove_reach(domain, law, problem.sample_time_s, name, swept, asked, portion)
+        proved[name] = prove_search(name, search, asked, portion)
         portion.finish()
-    return proofs, reaches
+    return proved
 
 
 def _choose(

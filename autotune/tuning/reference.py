@@ -6,7 +6,7 @@ bound, as far as the descents find it. They start from the best of a Sobol' sequ
 search knows nothing, and from the design itself.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,7 @@ class Reference:
 
     `elsewhere_n` is the least objective (N) of the `descents` from the best of `designs` spread over the bounds,
     infinite where none of them met the requirements; `arrived` is how many of them ended within 0.1 % of the least;
-    `from_here_n` is that of the descent from the design itself.
+    `from_here_n` is that of the descent from the design itself, `design` (n,) the one of the least objective.
     """
 
     elsewhere_n: float
@@ -44,6 +44,7 @@ class Reference:
     descents: int
     arrived: int
     scenarios: int
+    design: FloatArray = field(default_factory=lambda: np.zeros(0), compare=False)
 
     @property
     def least_n(self) -> float:
@@ -74,6 +75,7 @@ def find_reference(search: SearchResult) -> Reference:
         descents=len(starts),
         arrived=int(np.sum(elsewhere <= (1.0 + _SAME) * least)),
         scenarios=len(search.active.scenarios),
+        design=box.design(ends[int(np.argmin(values))]) if float(np.min(values)) < here else search.design,
     )
 
 

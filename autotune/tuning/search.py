@@ -20,6 +20,7 @@ from problems.margins import UnstableLoopError
 from problems.screening import Screen, Screened, build_screen
 from problems.uncertainty import Scenario
 
+from .beyond import NOTHING, Beyond, ImpactTest
 from .box import Box, bounds_of, linear_variables, spread_out
 from .descent import BACKOFF, descend
 from .joining import moved_scenario, scenarios_of, softly_missed_scenarios, worst_scenarios
@@ -41,6 +42,8 @@ _HAIR = 2e-3
 # Costs of designs that miss something lie above every force, those of unstable ones above these.
 _UNSTABLE = 1e15
 _MISSED = 1e12
+# A design that misses nothing, but lets a contact bounce for ever.
+_BOUNCES = 1.0001 * _MISSED
 _FAR_OFF = 0.1
 
 
@@ -83,6 +86,7 @@ def solve_design(
     seed: int = 0,
     start: FloatArray | None = None,
     neighbour: SearchResult | None = None,
+    beyond: Beyond = NOTHING,
     progress: Callable[[float], None] | None = None,
 ) -> SearchResult:
     """Find the design of least worst peak force that is stable and meets every requirement in every scenario.
@@ -91,12 +95,14 @@ def solve_design(
     or infeasible is returned: the result is evaluated again, exactly, over a dense grid of the whole uncertainty.
     `neighbour` is the result for another range of K_e: the search begins at its design and with what was worst there,
     and looks around less, so that it may take a valley's end for the best that a search from nowhere would leave.
+    `beyond` adds plants to the scenarios, and impacts that must come to rest (on a part of their settling time: who
+    writes the design down looks again).
     Raises InfeasibleError with the closest miss when there is none. `progress` is called with the share of the work
     done since the last call.
     """
     report = progress if progress is not None else _silent
-    search, active = _begun(problem, seed, start, neighbour)
-    whole = WholeSet(problem, seed)
+    search, active = _begun(problem, seed, start, neighbour, beyond)
+    whole = WholeSet(problem, seed, beyond.scenarios)
     # What was given stands ready if nothing better is found: margins held in reserve could cost a hair otherwise.
     given = None if start is None else (start, *_evaluated_exactly(whole, start))
     unit = search.explore(active, lambda share: report(0.6 * share))
@@ -110,7 +116,7 @@ def solve_design(
         worse += tuple(s for s in softly_missed_scenarios(whole, exact, search.last, margins) if s not in active)
         missed = exact.violation
         if not worse and missed <= 0.0:
-            if given is not None and given[1].is_feasible and given[1].objective_n <= exact.objective_n:
+            if given is not None and search.prefers(given[0], given[1], exact):
                 design, exact, margins = given
             return SearchResult(
                 problem=problem,
@@ -148,11 +154,12 @@ def _unsettled(last: Evaluation) -> InfeasibleError:
 
 
 def _begun(
-    problem: DesignProblem, seed: int, start: FloatArray | None, neighbour: SearchResult | None
+    problem: DesignProblem, seed: int, start: FloatArray | None, neighbour: SearchResult | None, beyond: Beyond
 ) -> "tuple[Search, tuple[Scenario, ...]]":
     """Return the search and the scenarios that it begins with."""
     if neighbour is None:
-        return Search(problem, seed, start), problem.scenarios(3, 2)
+        active = tuple(dict.fromkeys((*problem.scenarios(3, 2), *beyond.scenarios)))
+        return Search(problem, seed, start, impacts=ImpactTest(problem, beyond)), active
     begin = neighbour.design if start is None else start
     worst = (moved_scenario(each, neighbour.problem, problem) for each in neighbour.active.scenarios)
     active = tuple(dict.fromkeys((*problem.scenarios(3, 2), *worst)))
@@ -185,7 +192,7 @@ def _silent(_: float) -> None:
 
 
 class Search:
-    """One run: the box, what was asked (tightened where a grid flattered), and the count of evaluations.
+    """One run: the box, what was asked (tightened where a grid flattered), the impacts, the count of evaluations.
 
     With a `goal` the required/achieved of that requirement is minimised instead of the peak. `generations` is the most
     that the global stage makes.
@@ -199,8 +206,9 @@ class Search:
         *,
         goal: str | None = None,
         generations: int = _GENERATIONS,
+        impacts: ImpactTest | None = None,
     ) -> None:
-        self.goal, self.generations = goal, generations
+        self.goal, self.generations, self.impacts = goal, generations, impacts
         self.problem = problem
         self.box = Box(problem)
         self.seed = seed
@@ -210,6 +218,8 @@ class Search:
         self.last: Evaluation | None = None
         self.elite: list[FloatArray] = []
         self.steps: list[SearchStep] = []
+        # The least cost, over the scenarios at hand, of a design that was seen to come to rest.
+        self._calm = np.inf
 
     def explore(self, active: tuple[Scenario, ...], report: Callable[[float], None]) -> FloatArray:
         """Run differential evolution on the active scenarios; return the best point, keep the best few."""
@@ -280,6 +290,7 @@ class Search:
         )
 
     def _screen(self, active: tuple[Scenario, ...]) -> Screen:
+        self._calm = np.inf
         return replace(build_screen(build_scenarios(self.problem, active)), goal=self.goal)
 
     def _costs(
@@ -291,7 +302,28 @@ class Search:
         missed = -np.min(self._slack(found), axis=0, initial=0.0) if tightened else found.violation
         with np.errstate(invalid="ignore"):
             judged = np.where(missed > 0.0, _MISSED * (1.0 + np.minimum(missed, 500.0)), found.objective_n)
-        return np.where(found.is_stable, judged, _UNSTABLE * found.radius)
+        costs = np.where(found.is_stable, judged, _UNSTABLE * found.radius)
+        if self.impacts:
+            self._ask_impacts(self.impacts, units, costs)
+        return costs
+
+    def _ask_impacts(self, impacts: ImpactTest, units: FloatArray, costs: FloatArray) -> None:
+        """Raise the costs (m,) of points that let a contact bounce, as far as they would be the best otherwise.
+
+        Following a bounce is dear: what costs more than a point that comes to rest is not asked.
+        """
+        for i in np.argsort(costs, kind="stable"):
+            if costs[i] >= min(self._calm, _MISSED):
+                return
+            if impacts.passes(self.box.design(units[i])):
+                self._calm = float(costs[i])
+            else:
+                costs[i] = _BOUNCES
+
+    def prefers(self, design: FloatArray, given: Evaluation, found: Evaluation) -> bool:
+        """Return whether a design that was given is as good as the one found."""
+        better = given.is_feasible and given.objective_n <= found.objective_n
+        return better and (not self.impacts or self.impacts.passes(design))
 
     def polish(self, active: tuple[Scenario, ...], unit: FloatArray) -> FloatArray:
         """Improve locally from `unit` and from the elite; return the best design that is feasible."""
@@ -367,7 +399,9 @@ class Search:
         """Descend from a point, with what the grid flattered asked for."""
         found = descend(screen, self.box, start, backoff=self.backoff)
         self.evaluations += found.evaluations
-        return found.unit
+        if not self.impacts:
+            return found.unit
+        return self.box.unit(self.impacts.walk_back(self.box.design(start), self.box.design(found.unit)))
 
     def _refusal(self, prepared: PreparedScenarios, units: list[FloatArray]) -> InfeasibleError:
         """Say why nothing is feasible: what the design misses at which the search ended, the better one of these."""
@@ -377,6 +411,14 @@ class Search:
             return InfeasibleError(
                 "No controller within the bounds is stable in every scenario (closest: largest |z| = "
                 f"{evaluation.spectral_radius:.4f}); raise the upper bound of the damping or narrow the ranges."
+            )
+        if self.impacts and evaluation.is_feasible:
+            said = "Every controller that was found to meet all requirements lets a contact bounce for ever"
+            return InfeasibleError(
+                f"{said}; ask for a larger modulus_margin, narrow the ranges of stiffness and payload, or widen the "
+                "bounds.",
+                bare=said,
+                missed=0.0,
             )
         said = "No controller within the bounds meets all requirements in every scenario"
         # The screen passes over what a design misses further on, so this one need not be the closest.

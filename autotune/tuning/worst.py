@@ -37,15 +37,15 @@ class WholeSet:
     """The scenarios of a problem's whole uncertainty, prepared once, and the search between them.
 
     `scenarios` are the dense grid of K_e × M_p at the nominal plant and, where more is uncertain, the corners of the
-    set and samples of it. Deterministic for a given seed.
+    set and samples of it, and those of `also`. Deterministic for a given seed.
     """
 
-    def __init__(self, problem: DesignProblem, seed: int = 0) -> None:
+    def __init__(self, problem: DesignProblem, seed: int = 0, also: tuple[Scenario, ...] = ()) -> None:
         self.problem = problem
         self.uncertainty = problem.uncertainty
         grid = problem.scenarios(DENSE_STIFFNESS, DENSE_MASS)
         more = (*self.uncertainty.corners(), *self.uncertainty.samples(SAMPLES, seed=seed)) if problem.uncertain else ()
-        self.prepared = build_scenarios(problem, tuple(dict.fromkeys((*grid, *more))))
+        self.prepared = build_scenarios(problem, tuple(dict.fromkeys((*grid, *more, *also))))
 
     @property
     def scenarios(self) -> tuple[Scenario, ...]:

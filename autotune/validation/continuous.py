@@ -14,6 +14,8 @@ from problems.controller import AdmittanceController
 from problems.errors import ParameterError
 from problems.plant import Plant
 
+from .refuted import RefutedError
+
 METHOD = "zero exclusion on the unit circle in ball arithmetic"
 # A proof's work is counted, not timed, so that the same input gives the same file; this many are done in a second.
 WORK_PER_SECOND = 40_000
@@ -67,7 +69,7 @@ def prove_reach(
         found = prove_over(domain, law, sample_time_s, over, modulus, budget_s, share)
         false = refuted_inside(domain, found)
         if false is not None:
-            raise CertificateError(f"Axis {name}: {told_false(false, axis_units(name))}")
+            raise _refuted(name, domain, false)
         low, high = domain.environment_stiffness_n_per_m
         out.append(
             Reach(
@@ -84,6 +86,15 @@ def prove_reach(
             )
         )
     return tuple(out)
+
+
+def _refuted(name: str, domain: AxisDomain, false: Certificate) -> CertificateError:
+    """Return the error of a false claim, with the plant where that is one in contact."""
+    message, plant = f"Axis {name}: {told_false(false, axis_units(name))}", false.plant
+    if plant is None:
+        return CertificateError(message)
+    stiffness = plant.environment_stiffness_n_per_m or domain.environment_stiffness_n_per_m[0]
+    return RefutedError(message, axis=name, scenario=replace(plant, environment_stiffness_n_per_m=stiffness))
 
 
 def _passed_on(progress: Callable[[float], None], share: float, done: float) -> None:

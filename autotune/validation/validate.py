@@ -23,15 +23,17 @@ from problems.errors import ParameterError
 from problems.plant import NO_FILTER, Coupling, Plant
 from problems.requirements import NoiseLimit, PassivityTarget
 from problems.robot import RobotModel
-from problems.uncertainty import SYMBOLS
+from problems.uncertainty import SYMBOLS, Scenario
 
 from .admittance import sampled_admittance
+from .bouncing import search_bouncing
 from .command import passive_band_hz, worst_speed_rms
 from .continuous import prove_over, refuted_inside, told_false
 from .margins import SweptMargins, sweep_margins
 from .peaks import verify_peaks
 from .promises import asked_of, limit_n, soft_told
 from .proof import StabilityProof, UncertainPlant, prove_stability
+from .refuted import RefutedError
 from .response import has_response, verify_response
 from .statements import stability_statement, wrong_statements
 from .whole_set import OtherPlants, build_other_plants, recorded_plants
@@ -42,7 +44,7 @@ _MOST_DEADBAND = 0.5  # of the force that drives the approach
 # Two roads to the same margin differ by their frequency grids (measured: 1e-4); what differs by more is another margin.
 _SAME_MARGIN = 0.01
 _SAME_NUMBER = 1e-6
-_CHECKS = 10  # per axis, all passing; that of the payload's mass is none of a rotational axis
+_CHECKS = 11  # per axis, all passing; that of the payload's mass is none of a rotational axis
 _MARGIN_OF = {
     "modulus_margin": "modulus",
     "gain_margin_db": "gain_db",
@@ -161,6 +163,8 @@ def _axis_checks(controller: Controller, name: str, is_short: bool) -> Iterator[
         units=axis_units(name),
     )
     yield Check(axis=name, name="peak force", passed=not missed, message="; ".join(missed) or told)
+    bouncing = search_bouncing(name, domain, law, h)
+    yield Check(axis=name, name="bouncing", passed=bouncing.passed, message=bouncing.message())
     told, missed = verify_response(controller, name, domain, law)
     if told or missed:
         yield Check(axis=name, name="collision response", passed=not missed, message="; ".join(missed) or told)
@@ -220,9 +224,18 @@ def prove_axis(domain: AxisDomain, law: AdmittanceController, sample_time_s: flo
     for where, these in _places(plants):
         proof = prove_stability(these, law, sample_time_s)
         if not proof.holds:
-            raise CertificateError(f"Axis {name}: {_stability(name, proof, where, plants).message}")
+            message = f"Axis {name}: {_stability(name, proof, where, plants).message}"
+            raise RefutedError(message, axis=name, scenario=_failed_at(domain, proof))
         proofs.append(stability_statement(domain, proof, where, name))
     return tuple(proofs)
+
+
+def _failed_at(domain: AxisDomain, proof: StabilityProof) -> Scenario:
+    """Return the plant at which a proof failed; in free space every surface stands for none."""
+    return Scenario(
+        environment_stiffness_n_per_m=proof.failed_stiffness_n_per_m or domain.environment_stiffness_n_per_m[0],
+        payload_mass_kg=proof.failed_mass_kg or domain.payload_mass_kg[0],
+    )
 
 
 def _places(plants: UncertainPlant) -> tuple[tuple[str, UncertainPlant], ...]:

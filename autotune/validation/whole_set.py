@@ -10,6 +10,8 @@ from problems.robot import RobotModel
 from problems.robot_variation import bandwidth_hz
 from problems.uncertainty import SYMBOLS, Scenario, Uncertainty
 
+from .bouncing import bouncing_claim
+
 # Another sequence than the search's, so that it is not asked the same questions again.
 SEED = 7919
 _SAMPLES = 64
@@ -66,12 +68,14 @@ def recorded_plants(domain: AxisDomain, margins: AxisMargins) -> tuple[Plant, ..
 def sampled_claims(
     domain: AxisDomain, margins: AxisMargins, predicted: AxisPrediction, name: str, reaches: Sequence[Reach] = ()
 ) -> tuple[Proof, ...]:
-    """Return what is looked for, and not found, beyond what is proved; nothing where nothing else is uncertain.
+    """Return what is looked for, and not found, beyond what is proved.
 
-    Where `reaches` hold a proof over all that is uncertain, stability is none of it.
+    Of every axis that no contact bounces for ever; where more than K_e and M_p is uncertain, of that set too. Where
+    `reaches` hold a proof over all that is uncertain, stability is none of it.
     """
+    bouncing = bouncing_claim(name, domain, "" if domain.uncertain is None else told_set(domain, name))
     if domain.uncertain is None:
-        return ()
+        return (bouncing,)
     others = build_other_plants(domain, margins, predicted)
     is_proved = any(reach.share == 1.0 and set(domain.uncertain) <= set(reach.over) for reach in reaches)
     stable = "the margins stated" if is_proved else "stable with the margins stated"
@@ -82,6 +86,7 @@ def sampled_claims(
             over=told_set(domain, name),
             numbers={"plants": float(len(others.plants)), "replayed": float(len(others.replayed)), "seed": float(SEED)},
         ),
+        bouncing,
     )
 
 

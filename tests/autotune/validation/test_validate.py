@@ -32,6 +32,7 @@ EVERY_CHECK = [
     "requirements",
     "free-space admittance",
     "peak force",
+    "bouncing",
 ]
 
 

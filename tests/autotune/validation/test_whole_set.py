@@ -42,10 +42,12 @@ def test_the_file_tells_proved_from_sampled() -> None:
     certificate = uncertain_optimized().controller.certificate
     assert dict(certificate.domain["x"].uncertain or {}) == FURTHER
     assert all("everything else at its nominal value" in str(proof.over) for proof in certificate.proved)
-    (claim,) = certificate.sampled
+    claim, bouncing = certificate.sampled
     for told in ("K_s in [285000, 315000] N/m", "T_d in [0.00235, 0.0026] s", "f_b in [3.1, 3.27] Hz"):
         assert told in str(claim.over)
     assert (claim.numbers or {})["plants"] >= 64.0
+    assert str(bouncing.over).startswith(str(claim.over))
+    assert (bouncing.numbers or {})["runs"] >= 1000.0
 
 
 def test_the_worst_cases_are_written_with_all_their_parameters() -> None:

@@ -1,0 +1,104 @@
+"""Hold a search's result against proof and bouncing before it is written, and search again with what refutes it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from autotune.errors import CertificateError, InfeasibleError
+from autotune.files.controller_record import Proof, Reach
+from autotune.files.units import axis_units
+from autotune.validation.bouncing import search_bouncing
+from autotune.validation.continuous import ProofWishes, prove_reach
+from autotune.validation.refuted import RefutedError
+from autotune.validation.validate import prove_axis
+
+from .beyond import NOTHING, Beyond, ImpactTest
+from .record import build_domain
+from .search import SearchResult, solve_design
+from .standing import Standing, find_standing
+
+_ROUNDS = 6
+# A reference that lies lower by more than this is worth another search, from its design.
+_LARGEST_GAP = 1e-3
+_BETTER = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proved:
+    """What is proved of one axis' design: stability, and how far its modulus."""
+
+    proofs: tuple[Proof, ...]
+    reaches: tuple[Reach, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settled:
+    """A search's result that nothing refutes, what is proved of it, how it stands, and what was taken in on the way."""
+
+    search: SearchResult
+    proved: Proved
+    standing: Standing
+    beyond: Beyond
+
+
+def settle(name: str, found: SearchResult, asked: ProofWishes, *, seed: int) -> Settled:
+    """Search again until nothing refutes the result, then from the reference's design where that is better.
+
+    The plant at which a proof fails joins the scenarios; an impact that bounces for ever must come to rest. Raises
+    CertificateError where that does not help within a few rounds, InfeasibleError where no controller is left.
+    """
+    first = _unrefuted(name, found, asked, NOTHING, seed)
+    search, start = first.search, first.standing.reference.design
+    if not first.standing.gap > _LARGEST_GAP or not ImpactTest(search.problem, first.beyond).passes(start):
+        return first
+    try:
+        other = solve_design(search.problem, seed=seed, start=start, beyond=first.beyond)
+        if other.evaluation.objective_n > (1.0 - _BETTER) * search.evaluation.objective_n:
+            return first
+        second = _unrefuted(name, other, asked, first.beyond, seed)
+    except (InfeasibleError, CertificateError):
+        # What was found before stands.
+        return first
+    lower = second.search.evaluation.objective_n < search.evaluation.objective_n
+    return second if lower else first
+
+
+def _unrefuted(name: str, search: SearchResult, asked: ProofWishes, beyond: Beyond, seed: int) -> Settled:
+    """Return a result that nothing refutes, and what was taken in."""
+    for round_index in range(_ROUNDS + 1):
+        try:
+            proved = prove_search(name, search, asked)
+        except RefutedError as error:
+            joined = beyond.joined(error)
+            if joined == beyond or round_index == _ROUNDS:
+                raise
+            refuted, beyond = error, joined
+        else:
+            break
+        try:
+            search = solve_design(search.problem, seed=seed, start=search.design, beyond=beyond)
+        except InfeasibleError as error:
+            raise InfeasibleError(f"{refuted} Searched again with that: {error}", missed=error.missed) from error
+    return Settled(search=search, proved=proved, standing=find_standing(search), beyond=beyond)
+
+
+def prove_search(
+    name: str, search: SearchResult, asked: ProofWishes, report: Callable[[float], None] | None = None
+) -> Proved:
+    """Prove of one axis stability, and of the modulus that the search found over its dense grid what can be.
+
+    Raises RefutedError with the plant where a proof fails, and with the impact where a contact bounces for ever.
+    """
+    problem, law = search.problem, search.problem.controller(search.design)
+    domain, swept = build_domain(problem), min(each.margins.modulus for each in search.margins)
+    proofs = prove_axis(domain, law, problem.sample_time_s, name)
+    reaches = prove_reach(domain, law, problem.sample_time_s, name, swept, asked, report)
+    bouncing = search_bouncing(name, domain, law, problem.sample_time_s)
+    if bouncing.found is not None:
+        raise RefutedError(
+            f"Axis {name}: {bouncing.message()}. Stability in contact and in free space does not exclude that, so the "
+            f"{axis_units(name).force_name} never comes to rest.",
+            axis=name,
+            scenario=bouncing.found.scenario,
+            impact=bouncing.found,
+        )
+    return Proved(proofs=proofs, reaches=reaches)
