@@ -109,11 +109,14 @@ def drawn_plants(domain: AxisDomain) -> tuple[Scenario, ...]:
 
 
 def drawn_ratios(plants: int) -> tuple[tuple[float, ...], ...]:
-    """Return for every plant the ratios s of its impacts: spread by equal ratios, begun at another place each."""
+    """Return for every plant the ratios s of its impacts: spread by equal ratios, begun at another place each.
+
+    The largest come first: what bounces at all bounces after them, and is found before the slow ones in between.
+    """
     each = max(_FEWEST_RUNS, -(-RUNS // plants))
     low, high = SPEEDS[0], SPEEDS[1] / LEAST_FORCE
     begun = np.random.default_rng(SEED).random(plants)
-    return tuple(tuple((low * (high / low) ** ((np.arange(each) + at) / each)).tolist()) for at in begun)
+    return tuple(tuple((low * (high / low) ** ((np.arange(each) + at) / each)).tolist()[::-1]) for at in begun)
 
 
 def search_bouncing(

@@ -1,0 +1,65 @@
+"""The shared case `bounce` as a design problem on one plant, and a controller file as it was written before."""
+
+from functools import cache
+
+from autotune.files.controller_record import Controller, RuntimePayload
+from autotune.tuning.chosen import judge_design
+from autotune.tuning.record import build_controller, build_domain
+from autotune.validation.continuous import ProofWishes, prove_reach
+from autotune.validation.validate import prove_axis
+from problems.contact import Approach
+from problems.controller import AdmittanceController
+from problems.design import DesignProblem, Requirements
+from problems.plant import Coupling
+from problems.robot import RobotModel
+from tests.problems.test_bouncing import B_P, B_S, BOUNCY, DELAY_S, K_E, K_S, M_P, PERIOD_S, POLE
+
+
+def bouncing_problem(*, lead_s: tuple[float, float] = (BOUNCY.lead_s, BOUNCY.lead_s)) -> DesignProblem:
+    """Return a problem whose only free variable is the lead; the largest, which is best for the peak, bounces."""
+    return DesignProblem(
+        robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=POLE, delay_s=DELAY_S),
+        coupling=Coupling(stiffness_n_per_m=K_S, damping_n_s_per_m=B_S),
+        drag_n_s_per_m=B_P,
+        environment_stiffness_n_per_m=(K_E, K_E),
+        payload_mass_kg=(M_P, M_P),
+        sample_time_s=PERIOD_S,
+        approach=Approach(force_n=10.0),
+        bounds={
+            "mass": (BOUNCY.mass_kg, BOUNCY.mass_kg),
+            "damping": (BOUNCY.damping_n_s_per_m, BOUNCY.damping_n_s_per_m),
+            "lead_s": lead_s,
+            "feedback_damping_s": (BOUNCY.feedback_damping_s, BOUNCY.feedback_damping_s),
+        },
+        requirements=Requirements(
+            modulus_margin=0.33,
+            gain_margin_db=None,
+            phase_margin_deg=None,
+            delay_margin_s=None,
+            free_space_admittance=None,
+        ),
+    )
+
+
+def written(law: AdmittanceController, axis: str = "x") -> Controller:
+    """Return the controller file of a law on the case's plant, with everything proved and claimed but the bounces."""
+    problem = bouncing_problem(lead_s=(law.lead_s, law.lead_s))
+    design = [problem.bounds[name][0] for name in problem.variables]
+    search = judge_design(problem, design)  # type: ignore[arg-type]
+    domain, modulus = build_domain(problem), min(each.margins.modulus for each in search.margins)
+    payload = RuntimePayload(
+        mass_kg=M_P, com_m=(0.0, 0.0, 0.1), force_bias_n=(0.0, 0.0, 0.0), torque_bias_n_m=(0.0, 0.0, 0.0)
+    )
+    return build_controller(
+        {axis: search},
+        payload,
+        {axis: prove_axis(domain, law, PERIOD_S, axis)},
+        {axis: prove_reach(domain, law, PERIOD_S, axis, modulus, ProofWishes())},
+        {"tool": "test"},
+    )
+
+
+@cache
+def bouncing_controller() -> Controller:
+    """Return the file that was validated, and bounces."""
+    return written(BOUNCY)
