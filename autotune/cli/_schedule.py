@@ -19,6 +19,7 @@ Interval = tuple[float, float]
 
 _KINDS = {"payload": "payload_mass_kg", "stiffness": "environment_stiffness_n_per_m"}
 _OPTION_OF = {"payload": "payload_mass", "stiffness": "environment_stiffness"}
+_WITH_UNIT = "autotune.with_unit"
 _SHORT = {"payload_mass_kg": ("payload", "kg"), "environment_stiffness_n_per_m": ("K_e", "N/m")}
 
 
@@ -38,14 +39,29 @@ def _tables(
 
 
 def _interval(text: str, kind: str) -> Interval:
-    try:
-        numbers = [float(part) for part in text.split(":")]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in (1, 2):
+    parts = text.split(":")
+    if len(parts) not in (1, 2):
         raise click.BadParameter(f"{text!r} is no {kind}; give a number, or a range as LOW:HIGH.")
-    low, high = numbers[0], numbers[-1]
+    low, high = said_range(parts, "mass" if kind == "payload" else kind, _KINDS[kind])
     return check_range(low, high, f"a {kind}", is_mass=kind == "payload")
+
+
+def said_range(parts: list[str], kind: str, field: str) -> Interval:
+    """Return the first and the last of numbers with or without units; where a unit is said, that is kept."""
+    from autotune.quantity import parse_quantities
+
+    try:
+        found = parse_quantities(parts, kind)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
+    if all(each.has_unit for each in found):
+        click.get_current_context().meta.setdefault(_WITH_UNIT, set()).add(field)
+    return found[0].value, found[-1].value
+
+
+def fields_with_unit() -> frozenset[str]:
+    """Return the fields of the wishes whose units were typed."""
+    return frozenset(click.get_current_context().meta.get(_WITH_UNIT, ()))
 
 
 def check_range(low: float, high: float, what: str, *, is_mass: bool) -> Interval:
@@ -111,7 +127,9 @@ def _tune(
             plant,
             ProblemSpec() if problem is None else read_problem(problem),
             Wishes(
-                payload_mass_kg=others["payload_mass"], environment_stiffness_n_per_m=others["environment_stiffness"]
+                payload_mass_kg=others["payload_mass"],
+                environment_stiffness_n_per_m=others["environment_stiffness"],
+                with_unit=fields_with_unit(),
             ),
             classes,
             seed=seed,

@@ -16,7 +16,7 @@ from ._pareto import FrontWriter, pareto_options
 from ._proof import proof_options
 from ._report import check_report, print_report_path, report_option, tells_refusal, write_report
 from ._response import response_lines
-from ._schedule import check_range, schedule_options
+from ._schedule import check_range, fields_with_unit, said_range, schedule_options
 from ._spark import contact_spark
 from ._standing import active_lines, active_tree
 from ._table import print_table
@@ -52,10 +52,10 @@ _GROUPS = {
 def _masses(_context: click.Context, _option: click.Parameter, text: str | None) -> tuple[float, float] | None:
     if text is None:
         return None
-    numbers = [_number(part) for part in text.split(",")]
-    if len(numbers) > 2:
+    parts = text.split(",")
+    if len(parts) > 2:
         raise click.BadParameter("give one mass, or two as LOW,HIGH in kg.")
-    low, high = numbers[0], numbers[-1]
+    low, high = said_range(parts, "mass", "payload_mass_kg")
     return check_range(low, high, "a payload mass", is_mass=True)
 
 
@@ -64,15 +64,9 @@ def _stiffness(_context: click.Context, _option: click.Parameter, text: str | No
         return None
     parts = text.split(":")
     if len(parts) != 2:
-        raise click.BadParameter("give a range as LOW:HIGH in N/m, for example 2e4:5e5.")
-    return check_range(_number(parts[0]), _number(parts[1]), "a stiffness", is_mass=False)
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise click.BadParameter(f"{text!r} is not a number.") from None
+        raise click.BadParameter("give a range as LOW:HIGH in N/m, for example 2e4:5e5, or with its unit, 20:500N/mm.")
+    low, high = said_range(parts, "stiffness", "environment_stiffness_n_per_m")
+    return check_range(low, high, "a stiffness", is_mass=False)
 
 
 @click.command("optimize", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
@@ -86,9 +80,17 @@ def _number(text: str) -> float:
     help="The file to write, or with --schedule the folder.",
 )
 @click.option("--problem", type=FilePath(*SETTINGS), help="Requirements, bounds and ranges.")
-@click.option("--payload-mass", callback=_masses, metavar="KG[,KG]", help="One mass, or a range that must all be safe.")
 @click.option(
-    "--environment-stiffness", callback=_stiffness, metavar="LO:HI", help="A range [N/m] that must all be safe."
+    "--payload-mass",
+    callback=_masses,
+    metavar="KG[,KG]",
+    help="One mass, or a range that must all be safe; 16.2, 10,22 or 16200g.",
+)
+@click.option(
+    "--environment-stiffness",
+    callback=_stiffness,
+    metavar="LO:HI",
+    help="A range that must all be safe, in N/m or with its unit: 2e4:5e5, 20:500N/mm.",
 )
 @click.option(
     "--compare",
@@ -141,7 +143,11 @@ def command(
         seen.append(plant)
         existing = None if old is None else read_controller(old)
         spec = ProblemSpec() if problem is None else read_problem(problem)
-        wishes = Wishes(payload_mass_kg=payload_mass, environment_stiffness_n_per_m=environment_stiffness)
+        wishes = Wishes(
+            payload_mass_kg=payload_mass,
+            environment_stiffness_n_per_m=environment_stiffness,
+            with_unit=fields_with_unit(),
+        )
         with output.progress("searching", 1.0) as advance:
             found = optimize(
                 plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, proof=proof,

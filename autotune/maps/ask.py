@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from autotune.errors import UsageError
+from autotune.quantity import parse_quantities
 from problems.errors import ParameterError
 from problems.map_parameters import MapParameter, MapQuantity, find_parameter
 from problems.map_plants import Where
@@ -15,6 +16,8 @@ STABLE_DAMPING, STABLE_LEAD = "stable-damping", "stable-lead"
 SHOWS = (*(quantity.value for quantity in MapQuantity), STABLE_DAMPING, STABLE_LEAD)
 PICTURES, TABLES = (".png", ".svg"), (".csv", ".json")
 
+# Of translational axes; about the others a number is in SI.
+_KINDS = {"kg": "mass", "N/m": "stiffness", "N·s/m": "damping", "s": "time"}
 _SPACINGS: dict[str, Spacing] = {"lin": "linear", "log": "log"}
 # Ranges that cover this factor are spaced by equal ratios unless told otherwise.
 _WIDE = 10.0
@@ -77,7 +80,7 @@ def parse_settings(texts: Sequence[str]) -> dict[str, float]:
         parameter = _parameter(name)
         if parameter.name in found:
             raise UsageError(f"{parameter.name} is set twice.")
-        found[parameter.name] = _number(value, text)
+        found[parameter.name] = _numbers([value], parameter, text)[0]
         _check_value(parameter, found[parameter.name])
     return found
 
@@ -94,7 +97,7 @@ def _axis(text: str, parameter: MapParameter, parts: Sequence[str], count: int) 
         words.pop()
     if len(words) not in {2, 3}:
         raise UsageError(f"a range must be NAME=LOW:HIGH[:N][:log|lin], found {text!r}.")
-    low, high = _number(words[0], text), _number(words[1], text)
+    low, high = _numbers(words[:2], parameter, text)
     if spacing is None:
         spacing = "log" if low > 0.0 and high >= _WIDE * low else "linear"
     if len(words) == 3:
@@ -112,11 +115,12 @@ def _parameter(name: str) -> MapParameter:
         raise UsageError(str(error)) from error
 
 
-def _number(word: str, text: str) -> float:
+def _numbers(words: list[str], parameter: MapParameter, text: str) -> list[float]:
+    """Return numbers with or without the unit of a parameter; one behind the last is that of all."""
     try:
-        return float(word)
-    except ValueError:
-        raise UsageError(f"{word!r} in {text!r} is not a number.") from None
+        return [each.value for each in parse_quantities(words, _KINDS.get(parameter.unit, "number"))]
+    except ValueError as error:
+        raise UsageError(str(error).replace(" is not a number", f" in {text!r} is not a number")) from None
 
 
 def _whole(word: str, text: str) -> int:

@@ -105,10 +105,7 @@ def optimize(
     searches = {name: each.search for name, each in settled.items()}
     standings = {name: each.standing for name, each in settled.items()}
     provenance = make_provenance(identified, wishes, seed, problem_path, existing, asked)
-    provenance["optimality"] = {
-        name: standing_tree(standing, rotational=name in ROTATIONAL_AXES) for name, standing in standings.items()
-    }
-    provenance |= _surfaces_tree(problems, identified.result, chosen)
+    provenance |= _optimality_tree(standings) | _surfaces_tree(problems, identified.result, chosen)
     controller, checked = certify(
         searches,
         payload,
@@ -127,6 +124,12 @@ def optimize(
         compared=compared,
         compliance=chosen,
     )
+
+
+def _optimality_tree(standings: Mapping[str, Standing]) -> dict[str, Any]:
+    """Return how the designs stand, axis by axis."""
+    trees = {name: standing_tree(each, rotational=name in ROTATIONAL_AXES) for name, each in standings.items()}
+    return {"optimality": trees}
 
 
 def _surfaces_tree(

@@ -24,6 +24,7 @@ from problems.design import DesignProblem, Requirements
 from problems.plant import Coupling
 from problems.robot import RobotModel
 
+from .plausible import check_plausible
 from .rotational import through_lever
 from .uncertain import with_uncertainty
 from .wrench import LAG, LATE, build_wrench, without_position
@@ -40,10 +41,14 @@ _DEFAULT_APPROACH_N = 30.0
 
 @dataclass(frozen=True, kw_only=True)
 class Wishes:
-    """What the command line adds to `problem.yaml`, for translational axes; None where nothing was said."""
+    """What the command line adds to `problem.yaml`, for translational axes; None where nothing was said.
+
+    `with_unit` names the fields whose unit was typed: those are not taken for a mistake (`plausible`).
+    """
 
     payload_mass_kg: Interval | None = None
     environment_stiffness_n_per_m: Interval | None = None
+    with_unit: frozenset[str] = frozenset()
 
 
 def build_problems(identified: Identified, spec: ProblemSpec, wishes: Wishes) -> dict[str, DesignProblem]:
@@ -75,6 +80,7 @@ def build_problems(identified: Identified, spec: ProblemSpec, wishes: Wishes) ->
         payload_mass_kg=wishes.payload_mass_kg or spec.payload_mass_kg,
     )
     turned = through_lever(spec, approach)
+    check_plausible(identified, names, straight, turned, wishes.with_unit)
     problems = {}
     for name in names:
         if name in ROTATIONAL_AXES:

@@ -55,6 +55,7 @@ class ScheduleClass:
         return Wishes(
             payload_mass_kg=self.payload_mass_kg or others.payload_mass_kg,
             environment_stiffness_n_per_m=self.environment_stiffness_n_per_m or others.environment_stiffness_n_per_m,
+            with_unit=others.with_unit,
         )
 
 

@@ -129,19 +129,24 @@ def solve_design(
                 evaluations=search.evaluations,
                 steps=tuple(search.steps),
             )
-        if not exact.is_stable:
-            # Stability is cheap to ask, so the grid joins too.
-            unstable = whole.unstable(problem.controller(design))
-            worse = (*worse, *unstable, *problem.scenarios(DENSE_STIFFNESS, 2))
-        elif missed > 0.0:
-            missing = [name for name, value in exact.requirements.items() if value > 1.0]
-            worse = (*worse, *scenarios_of(whole, exact, margins, missing))
-        joined = tuple(dict.fromkeys((*active, *worse)))
+        joined = tuple(dict.fromkeys((*active, *worse, *_missing_scenarios(whole, design, exact, margins))))
         # A scenario that joins asks for itself; what is asked for more stays, also once it no longer binds.
         if missed <= _HAIR or len(joined) == len(active):
             search.tighten(exact)
         active = joined
     raise _unsettled(exact)
+
+
+def _missing_scenarios(
+    whole: WholeSet, design: FloatArray, exact: Evaluation, margins: tuple[PlantMargins, ...]
+) -> tuple[Scenario, ...]:
+    """Return the scenarios in which a design is unstable, or misses a requirement most."""
+    if not exact.is_stable:
+        # Stability is cheap to ask, so the grid joins too.
+        unstable = whole.unstable(whole.problem.controller(design))
+        return (*unstable, *whole.problem.scenarios(DENSE_STIFFNESS, 2))
+    missing = [name for name, value in exact.requirements.items() if value > 1.0]
+    return scenarios_of(whole, exact, margins, missing) if missing else ()
 
 
 def _unsettled(last: Evaluation) -> InfeasibleError:

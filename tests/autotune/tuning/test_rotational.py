@@ -235,6 +235,7 @@ def test_validation_asks_rotational_axes_for_their_own_requirements(change: dict
             margins={"ry": controller.certificate.margins["ry"]},
             continuous={"ry": (controller.certificate.continuous or {})["ry"]},
             proved=tuple(each for each in controller.certificate.proved if each.claim.startswith("axis ry:")),
+            sampled=tuple(each for each in controller.certificate.sampled if each.claim.startswith("axis ry:")),
         ),
     )
     failed = [check for check in validate_controller(only).checks if not check.passed]

@@ -1,0 +1,64 @@
+"""Numbers with units, as people type them: `20:500N/mm`, `16.2kg`, `1.2e5N/m`. Without a unit they are in SI."""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+_PER_TURN = 180.0 / math.pi
+# What a unit is in SI; · and * may stand between its parts or be left out.
+_UNITS: Mapping[str, Mapping[str, float]] = {
+    "stiffness": {"N/m": 1.0, "kN/m": 1e3, "N/mm": 1e3, "MN/m": 1e6, "kN/mm": 1e6, "N/um": 1e6, "N/µm": 1e6},
+    "mass": {"kg": 1.0, "g": 1e-3, "t": 1e3},
+    "rotational stiffness": {"Nm/rad": 1.0, "kNm/rad": 1e3, "Nm/deg": _PER_TURN, "Nm/mrad": 1e3, "Nmm/rad": 1e-3},
+    "inertia": {"kgm²": 1.0, "kgm2": 1.0, "kgm^2": 1.0, "gm²": 1e-3, "gm2": 1e-3, "kgmm²": 1e-6, "kgmm2": 1e-6},
+    "damping": {"Ns/m": 1.0, "kNs/m": 1e3, "Ns/mm": 1e3},
+    "force": {"N": 1.0, "kN": 1e3},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6},
+}
+_SHOWN = {"rotational stiffness": "N·m/rad", "inertia": "kg·m²", "damping": "N·s/m"}
+_NUMBER = re.compile(
+    r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan))\s*([A-Za-zµμ].*?)?\s*", re.IGNORECASE
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """A number in SI; `has_unit` where its unit was typed."""
+
+    value: float
+    has_unit: bool
+
+
+def parse_quantity(text: str, kind: str) -> Quantity:
+    """Return a number that may be followed by a unit of `kind` (a key of the table above).
+
+    Raises ValueError, with a sentence, for what is no number and for a unit that is none of the kind.
+    """
+    number, unit = _parted(text)
+    return Quantity(value=number * _factor(text, unit, kind), has_unit=unit is not None)
+
+
+def parse_quantities(parts: list[str], kind: str) -> list[Quantity]:
+    """Return several numbers; a unit behind the last one is that of all that have none, as in 20:500N/mm."""
+    last = _parted(parts[-1])[1]
+    return [parse_quantity(part if _parted(part)[1] or last is None else f"{part}{last}", kind) for part in parts]
+
+
+def _parted(text: str) -> tuple[float, str | None]:
+    found = _NUMBER.fullmatch(text)
+    if found is None:
+        raise ValueError(f"{text!r} is not a number.")
+    return float(found[1]), found[2]
+
+
+def _factor(text: str, unit: str | None, kind: str) -> float:
+    if unit is None:
+        return 1.0
+    known, plain = _UNITS.get(kind, {}), re.sub(r"[·*\s]", "", unit).replace("μ", "µ")
+    if plain not in known:
+        if not known:
+            raise ValueError(f"{text!r} is not a number.")
+        shown = ", ".join(dict.fromkeys([_SHOWN.get(kind, next(iter(known))), *known]))
+        raise ValueError(f"{unit!r} in {text!r} is no unit of {kind}; known are {shown}.")
+    return known[plain]

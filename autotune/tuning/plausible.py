@@ -1,0 +1,85 @@
+"""Hold what is asked against what was identified, before a search: a range in another unit is off by a thousand."""
+
+import math
+from collections.abc import Sequence
+
+from autotune.errors import UsageError
+from autotune.files.problem import ProblemSpec
+from autotune.files.records import ROTATIONAL_AXES
+from autotune.files.units import axis_units
+from identification.result import Identified
+
+Interval = tuple[float, float]
+
+# A range this many times off what was identified, and near it a factor of a thousand further on, is in another unit;
+# one that is off by far more is wrong whatever its unit.
+_OFF, _NEAR, _UNIT = 30.0, 3.0, 1e3
+_FAR_OFF = {"stiffness": 1e4, "mass": 100.0}
+
+
+def check_plausible(
+    identified: Identified, names: Sequence[str], straight: ProblemSpec, turned: ProblemSpec, sure: frozenset[str]
+) -> None:
+    """Raise UsageError for a range of K_e or of the payload that a mistaken unit would explain.
+
+    `straight` and `turned` hold the ranges of translational and rotational axes; of those whose names are in `sure`
+    the unit was said, so they are meant. Where nothing was identified nothing is compared.
+    """
+    for name in names:
+        turns, spec = name in ROTATIONAL_AXES, turned if name in ROTATIONAL_AXES else straight
+        axis, units = identified.axes[name], axis_units(name)
+        known = [e.stiffness_n_per_m.value for e in axis.environments]
+        mass = (axis.mass_kg.value if axis.mass_kg is not None else None) if turns else identified.payload.mass_kg.value
+        stiffness = [value for value in known if value is not None and value > 0.0]
+        masses = [mass] if mass is not None and mass > 0.0 else []
+        option = "rotational.environment_stiffness_n_m_per_rad" if turns else "--environment-stiffness"
+        if "environment_stiffness_n_per_m" not in sure:
+            _check(spec.environment_stiffness_n_per_m, stiffness, option, "stiffness", units.stiffness)
+        option = "rotational.payload_inertia_kg_m2" if turns else "--payload-mass"
+        if "payload_mass_kg" not in sure:
+            _check(spec.payload_mass_kg, masses, option, "mass", units.mass)
+
+
+def _check(asked: Interval | None, known: Sequence[float], option: str, kind: str, unit: str) -> None:
+    if asked is None or not known:
+        return
+    off = _distance(asked, known)
+    if off <= _OFF:
+        return
+    shifted = {factor: _distance((factor * asked[0], factor * asked[1]), known) for factor in (_UNIT, 1.0 / _UNIT)}
+    factor = min(shifted, key=lambda each: shifted[each])
+    likely = shifted[factor] <= _NEAR
+    if not likely and off <= _FAR_OFF[kind]:
+        return
+    meant = f"; did you mean {_told((factor * asked[0], factor * asked[1]), kind)}?" if likely else "."
+    said = f" If it is meant, say its unit: {option} {_told(asked, kind)}{unit}." if option.startswith("--") else ""
+    raise UsageError(
+        f"{option} asks for {_told(asked, kind)} {unit}, and identified {_identified(known, kind, unit)}{meant}{said}"
+    )
+
+
+def _distance(asked: Interval, known: Sequence[float]) -> float:
+    """Return the factor from a range to the nearest of the known values, 1 where it holds one."""
+    return min(math.exp(max(math.log(asked[0] / each), math.log(each / asked[1]), 0.0)) for each in known)
+
+
+def _told(asked: Interval, kind: str) -> str:
+    (low, high), between = map(_digits, asked), ":" if kind == "stiffness" else ","
+    return low if low == high else f"{low}{between}{high}"
+
+
+def _digits(value: float) -> str:
+    """Return four digits in the shorter form, 1.2e5 or 120."""
+    mantissa, exponent = f"{value:.3e}".split("e")
+    scientific = f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
+    plain = f"{float(f'{value:.4g}'):f}".rstrip("0").rstrip(".")
+    return min(plain, scientific, key=len)
+
+
+def _identified(known: Sequence[float], kind: str, unit: str) -> str:
+    """Return the known values, of a wall in N/mm too, as it is printed elsewhere."""
+    listed = ", ".join(
+        f"{_digits(each / 1e3)} N/mm = {_digits(each)} {unit}" if unit == "N/m" else f"{_digits(each)} {unit}"
+        for each in known[:10]
+    )
+    return f"{listed}" if kind == "stiffness" else f"a payload of {listed}"

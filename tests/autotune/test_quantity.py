@@ -1,0 +1,60 @@
+"""Numbers with units, as people type them."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from autotune.quantity import parse_quantities, parse_quantity
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "value"),
+    [
+        ("1.2e5", "stiffness", 1.2e5),
+        ("1.2e5N/m", "stiffness", 1.2e5),
+        ("120 N/mm", "stiffness", 1.2e5),
+        ("120kN/m", "stiffness", 1.2e5),
+        ("0.12 N/µm", "stiffness", 1.2e5),
+        ("16.2kg", "mass", 16.2),
+        ("16200 g", "mass", 16.2),
+        (".0162t", "mass", 16.2),
+        ("40N·m/rad", "rotational stiffness", 40.0),
+        ("40Nm/rad", "rotational stiffness", 40.0),
+        ("40 N*m/rad", "rotational stiffness", 40.0),
+        ("1Nm/deg", "rotational stiffness", 180.0 / math.pi),
+        ("0.4 kg·m²", "inertia", 0.4),
+        ("630N·s/m", "damping", 630.0),
+        ("2.4ms", "time", 2.4e-3),
+    ],
+)
+def test_a_number_with_a_unit_is_in_si(text: str, kind: str, value: float) -> None:
+    found = parse_quantity(text, kind)
+    # A factor and a product: two roundings.
+    assert found.value == pytest.approx(value, rel=1e-15)
+    assert found.has_unit == (text != "1.2e5")
+
+
+@pytest.mark.parametrize(
+    ("parts", "values"),
+    [
+        (["20", "500N/mm"], [2e4, 5e5]),
+        (["20N/mm", "5e5N/m"], [2e4, 5e5]),
+        (["2e4", "5e5"], [2e4, 5e5]),
+        (["20N/mm", "500"], [2e4, 500.0]),
+    ],
+)
+def test_a_unit_behind_the_last_number_is_that_of_all_without_one(parts: list[str], values: list[float]) -> None:
+    assert [each.value for each in parse_quantities(parts, "stiffness")] == pytest.approx(values, rel=1e-15)
+
+
+@pytest.mark.parametrize("text", ["heavy", "", "16.2kN", "1e5N/km", "kg", "1,5kg"])
+def test_what_is_no_number_or_no_such_unit_is_refused_by_name(text: str) -> None:
+    with pytest.raises(ValueError, match=r"is not a number|is no unit of mass; known are kg, g, t"):
+        parse_quantity(text, "mass")
+
+
+@given(st.floats(1e-300, 1e300))
+def test_every_plain_number_is_itself(value: float) -> None:
+    assert parse_quantity(repr(value), "mass").value == value
