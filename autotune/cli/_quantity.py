@@ -8,8 +8,8 @@ import click
 class QuantityRange(click.FloatRange):
     """A number of a kind (`autotune.quantity`) between bounds in SI."""
 
-    def __init__(self, kind: str, **bounds: float) -> None:
-        super().__init__(**bounds)
+    def __init__(self, kind: str, *, least: float, most: float) -> None:
+        super().__init__(min=least, max=most)
         self.kind = kind
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:

@@ -38,8 +38,8 @@ _NOISES = 4.0
 _POSITIVE = click.FloatRange(min=0.0, min_open=True)
 _DOUBTS = frozenset({"mass-disagreement", "logs-disagree", "given-contradicts"})
 # What a wrist carries, and what holds it: outside of this a unit is wrong.
-_MASS = QuantityRange("mass", min=0.05, max=1000.0)
-_STIFFNESS = QuantityRange("stiffness", min=1e3, max=1e8)
+_MASS = QuantityRange("mass", least=0.05, most=1000.0)
+_STIFFNESS = QuantityRange("stiffness", least=1e3, most=1e8)
 
 
 @click.command("plan", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
