@@ -14,6 +14,7 @@ from autotune.errors import InfeasibleError, UsageError
 from autotune.files.controller import ControllerFile, read_controller
 from autotune.files.controller_record import (
     AdmittanceRequirement,
+    AxisDomain,
     AxisGains,
     CollisionResponse,
     Controller,
@@ -193,7 +194,7 @@ def problem_of(controller: Controller, name: str) -> DesignProblem:
         payload_mass_kg=domain.payload_mass_kg,
         sample_time_s=controller.sample_time_s,
         approach=Approach(force_n=domain.approach_force_n, speed_m_s=domain.approach_speed_m_s),
-        bounds=_bounds(law, name),
+        bounds=_bounds(law, name, reads_position=not is_late(domain)),
         requirements=_requirements(controller, name),
         velocity_filter_rad_per_s=law.velocity_filter_rad_per_s,
         uncertain=domain.uncertain or {},
@@ -202,7 +203,13 @@ def problem_of(controller: Controller, name: str) -> DesignProblem:
     )
 
 
-def _bounds(law: AdmittanceController, name: str) -> dict[str, tuple[float, float]]:
+def is_late(domain: AxisDomain) -> bool:
+    """Whether the wrench comes with a pure delay, beside which nothing may read the position."""
+    nominal = domain.nominal_plant().wrench_filter.delay_s
+    return max(nominal, (domain.uncertain or {}).get("wrench_delay_s", (0.0, 0.0))[1]) > 0.0
+
+
+def _bounds(law: AdmittanceController, name: str, *, reads_position: bool) -> dict[str, tuple[float, float]]:
     values = dict(zip((*VARIABLES, *FURTHER_VARIABLES), law.numbers(), strict=True))
     bounds = {}
     for key in VARIABLES:
@@ -210,6 +217,8 @@ def _bounds(law: AdmittanceController, name: str) -> dict[str, tuple[float, floa
         if name in ROTATIONAL_AXES and key in {"mass", "damping"}:
             low, high = values[key] / _REACH, values[key] * _REACH
         bounds[key] = min(low, values[key]), max(high, values[key])
+    if not reads_position:
+        bounds["feedback_damping_s"] = (0.0, 0.0)
     if law.compensates:
         bounds |= {key: (values[key], values[key]) for key in FURTHER_VARIABLES}
     return bounds

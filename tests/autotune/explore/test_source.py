@@ -17,6 +17,7 @@ from autotune.files.controller_record import Controller, ControllerStatus, SoftR
 from autotune.tuning.record import build_domain
 from autotune.tuning.threshold import ThresholdWish
 from problems.evaluation import build_scenarios
+from problems.plant import WrenchFilter
 from tests.autotune.explore.start import solved_exploration
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, FAST_REQUIREMENTS, FURTHER, fast_optimized, write_plant
 from tests.autotune.tuning.responding import responding
@@ -48,6 +49,20 @@ def test_what_is_uncertain_and_what_is_only_wished_are_kept() -> None:
     problem = problem_of(replace(controller, certificate=certificate), "x")
     assert build_domain(problem) == build_domain(asked)
     assert problem.requirements == wished
+
+
+@pytest.mark.parametrize("wrench", [WrenchFilter(time_constant_s=3e-3), WrenchFilter(delay_s=2e-3)])
+def test_the_filter_of_the_wrench_is_kept_and_nothing_reads_the_position_beside_a_late_one(
+    wrench: WrenchFilter,
+) -> None:
+    controller = fast_optimized().controller
+    domain = replace(controller.certificate.domain["x"], wrench_filter=wrench)
+    gains = {"x": replace(controller.axes["x"], feedback_damping_s=0.0)}
+    certificate = replace(controller.certificate, domain={"x": domain})
+    problem = problem_of(replace(controller, axes=gains, certificate=certificate), "x")
+    assert problem.wrench_filter == wrench
+    assert build_domain(problem) == domain
+    assert (problem.bounds["feedback_damping_s"] == (0.0, 0.0)) == (wrench.delay_s > 0.0)
 
 
 def test_filters_and_compensation_of_a_controller_are_kept() -> None:
