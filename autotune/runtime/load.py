@@ -17,6 +17,7 @@ from problems.errors import ParameterError
 from .controller import RuntimeController
 from .default_limits import default_limits
 from .law import AXES, AxisLaw, CollisionResponse, Payload
+from .loop import corner_plants, is_stable
 from .schema_check import breaches
 
 _CHECKSUM = re.compile(r"[0-9a-fA-F]{64}")
@@ -115,9 +116,23 @@ def _verified_law(document: Document) -> RuntimeController:
         document.refuse(("checksum",), reason)
     _check_claims(document)
     try:
-        return _law(document.tree)
+        law = _law(document.tree)
     except ParameterError as reason:
         raise CertificateError(f"{document.path}: {reason}") from reason
+    for axis in law.axes:
+        _check_stable(document, axis)
+    return law
+
+
+def _check_stable(document: Document, axis: AxisLaw) -> None:
+    """Refuse gains to which the certificate cannot belong: a checksum can be made anew, a stable loop cannot."""
+    for plant in corner_plants(document.tree["certificate"]["domain"][axis.name], turns=axis.turns):
+        if not is_stable(axis, plant):
+            reason = (
+                f"with these gains the loop of axis {axis.name} is unstable on a plant for which it is certified "
+                f"(payload {plant.mass:g}, stiffness {plant.stiffness:g}, in SI); the file is false."
+            )
+            document.refuse(("axes", axis.name), reason)
 
 
 def _check_claims(document: Document) -> None:

@@ -163,9 +163,14 @@ PLAIN = st.recursive(
 TREES = st.dictionaries(TEXTS, PLAIN, max_size=5)
 
 
+def within(low: float, high: float) -> st.SearchStrategy[float]:
+    """Numbers of a range that the schema of a controller allows."""
+    return st.floats(low, high)
+
+
 @st.composite
 def intervals(draw: st.DrawFn) -> tuple[float, float]:
-    low, high = sorted((draw(NOT_NEGATIVE), draw(NOT_NEGATIVE)))
+    low, high = sorted((draw(within(0.0, 1e9)), draw(within(0.0, 1e9))))
     return (low, high)
 
 
@@ -173,32 +178,32 @@ def intervals(draw: st.DrawFn) -> tuple[float, float]:
 def controllers(draw: st.DrawFn) -> Controller:
     gains = st.builds(
         AxisGains,
-        mass=POSITIVE,
-        damping=POSITIVE,
-        lead_s=NOT_NEGATIVE,
+        mass=within(0.01, 1e3),
+        damping=within(1.0, 1e5),
+        lead_s=within(0.0, 1.0),
         feedback_damping_s=st.just(0.0) | st.floats(1e-4, 1.0),
-        deadband=NOT_NEGATIVE,
+        deadband=within(0.0, 20.0),
         deadband_type=st.sampled_from(DeadbandType),
     )
-    finite_or_none = st.none() | NOT_NEGATIVE
+    finite_or_none = st.none() | within(0.0, 180.0)
     margins = st.builds(
         AxisMargins,
         gain_db=finite_or_none,
         phase_deg=finite_or_none,
         delay_s=finite_or_none,
-        modulus=NOT_NEGATIVE,
-        worst=st.fixed_dictionaries({}, optional={"gain_db": st.dictionaries(TEXTS, st.floats(0.0, 1e12), max_size=3)}),
+        modulus=within(0.0, 1.0),
+        worst=st.fixed_dictionaries({}, optional={"gain_db": st.dictionaries(TEXTS, within(0.0, 1e9), max_size=3)}),
     )
     domain = st.builds(
         replace,
         st.just(DOMAIN),
         environment_stiffness_n_per_m=intervals(),
-        robot_numerator=st.lists(FLOATS, min_size=1, max_size=4).map(tuple),
-        approach_speed_m_s=st.none() | POSITIVE,
+        robot_numerator=st.lists(within(-1e40, 1e40), min_size=1, max_size=4).map(tuple),
+        approach_speed_m_s=st.none() | within(1e-4, 5.0),
     )
     axes = draw(st.sets(st.sampled_from(("x", "y", "z", "rx", "ry", "rz")), min_size=1))
     base = make_controller(tuple(axes))
-    sample_time_s = draw(POSITIVE)
+    sample_time_s = draw(within(1e-5, 0.1))
     certificate = replace(
         base.certificate,
         sample_time_s=sample_time_s,

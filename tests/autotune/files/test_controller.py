@@ -123,9 +123,9 @@ def test_infinite_margins_are_stored_as_none() -> None:
 
 
 ENTRIES: dict[str, tuple[tuple[str | int, ...], object, str]] = {
-    "mass": (("axes", "x", "mass"), 0.0, "axes.x.mass must be greater than 0, found 0.0"),
-    "negative mass": (("axes", "x", "mass"), -1.0, "greater than 0, found -1.0"),
-    "damping": (("axes", "x", "damping"), 0, "axes.x.damping must be greater than 0"),
+    "mass": (("axes", "x", "mass"), 0.0, "axes.x.mass must be at least 0.01, found 0.0"),
+    "negative mass": (("axes", "x", "mass"), -1.0, "at least 0.01, found -1.0"),
+    "damping": (("axes", "x", "damping"), 0, "axes.x.damping must be at least 1"),
     "lead": (("axes", "x", "lead_s"), -0.01, "axes.x.lead_s must be at least 0"),
     "feedback damping as printed": (
         ("axes", "x", "feedback_damping_s"),
@@ -139,12 +139,12 @@ ENTRIES: dict[str, tuple[tuple[str | int, ...], object, str]] = {
     "comma": (("axes", "x", "mass"), "12,5", "a number (with a decimal point, not a comma), found the text '12,5'"),
     "flag for a number": (("axes", "x", "mass"), True, "must be a number, found true"),
     "null": (("axes", "x", "mass"), None, "must be a number, found nothing"),
-    "sample time": (("sample_time_s",), 0.0, "sample_time_s must be greater than 0"),
+    "sample time": (("sample_time_s",), 0.0, "sample_time_s must be at least 1e-05"),
     "another sample time": (("certificate", "sample_time_s"), 0.002, "the sample_time_s of the controller, 0.0008"),
     "delay": (("delay_samples",), -1, "delay_samples must be at least 0"),
     "discretization": (("discretization",), "euler", "must be one of tustin"),
     "status": (("status",), "fine", "one of validated, unvalidated"),
-    "filter": (("filters", "velocity_rad_per_s"), 0.0, "greater than 0"),
+    "filter": (("filters", "velocity_rad_per_s"), 0.0, "at least 0.1"),
     "no threshold": (("collision", "threshold_n"), None, "collision.threshold_n must be a number, found nothing"),
     "threshold alone": (("collision", "response"), "none", "collision.threshold_n must be null, found 150.0"),
     "vector": (("payload", "com_m"), [0.0, 0.0], "payload.com_m must be at least 3 entries long"),
