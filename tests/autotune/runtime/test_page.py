@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from autotune.exports.targets import export_controller
-from autotune.files.controller import short, write_controller
+from autotune.files.controller import write_controller
 from tests.autotune.files.samples import make_controller
 
 
@@ -20,6 +20,7 @@ def block(repository: Path, language: str) -> str:
     return str(found)
 
 
+pytestmark = pytest.mark.usefixtures("unchecked_law")
 RESTING = 125
 """The first readings, 0.1 s at 0.8 ms, which a file without limits holds against rest."""
 
@@ -27,7 +28,7 @@ RESTING = 125
 class StandingCell:
     """Rests, stands still under a push for three periods, and then tells a number that is none."""
 
-    period_s, payload_mass_kg, payload_inertia_kg_m2 = 8e-4, 16.0, {"rz": 16.0}
+    period_s, payload_mass_kg, payload_inertia_kg_m2, public_key = 8e-4, 16.0, {"rz": 16.0}, None
 
     def __init__(self, agreed_checksum: str) -> None:
         self.agreed_checksum, self.is_stopped = agreed_checksum, False
@@ -64,7 +65,7 @@ def test_the_python_loop_runs(repository: Path, tmp_path: Path, monkeypatch: pyt
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
     exec(compile(block(repository, "python"), "runtime.md", "exec"), names)
-    cell = StandingCell(short(digest))
+    cell = StandingCell(digest)
     names["run"](cell)
     assert [twist[0] > 0.0 for twist in cell.sent] == [False] * RESTING + [True, True, True, False]
     assert cell.sent[0] == cell.sent[-1] == (0.0,) * 6
