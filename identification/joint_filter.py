@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from .joint_delay import either_side
 from .joint_lag import Lag, sooner, step_lag
 from .joint_noise import Whitener, fit_whitener
-from .joint_problem import Point, Problem
+from .joint_problem import Point, Problem, Signals
 from .joint_segments import predict_force
 from .joint_sensor import Lateness
 from .joint_solve import cost, minimise
@@ -20,6 +20,8 @@ _ROUNDS, _DELAY_ROUNDS, _SIDES, _STEPS = 8, 4, 3, 4
 _SETTLED = 0.1
 _LARGEST_FACTOR = 2.5
 _VAGUE = 30.0
+# One that a driver computes from sample to sample already passes on the newest: it is early against that of a circuit.
+_EARLY_SAMPLES = (0.0, 0.5, 1.0)
 _MATTERS_SAMPLES, _MATTERS_S = 0.2, 2e-4
 _SIGNIFICANT_STDS = 4.0
 # −2 log L of one over the other: e^-12.5 to one that chance prefers the wrong one.
@@ -53,13 +55,14 @@ def filter_or_delay(
         return problem, point, lag
     raw = replace(problem.signals, force_n=force_n, lag_std_s=0.0)
     there, best, whole = _deepest_delay(replace(problem, signals=raw), point, lag.seconds)
-    start = Lateness(time_constant_s=lag.seconds + clock, delay_s=-clock)
-    filtered, here, std = replace(problem, signals=replace(raw, lateness=start)), point, 0.0
-    for _ in range(_SIDES):
-        # The side of a whole number of samples on which the robot's delay lies and the time constant move each other.
-        filtered, here, std = fit_filter(filtered, here)
-        here = _settled(filtered, here)
-    evidence = best - depth(filtered, here)
+    fits = [
+        _fitted_filter(
+            problem, raw, point, Lateness(time_constant_s=lag.seconds + clock, delay_s=-clock - early * period)
+        )
+        for early in _EARLY_SAMPLES
+    ]
+    filtered, here, std, deepest = min(fits, key=lambda fit: fit[3])
+    evidence = best - deepest
     if evidence < 0.0 and whole is None:
         return problem, point, replace(lag, evidence=evidence)
     if evidence < 0.0 and whole is not None:
@@ -69,6 +72,20 @@ def filter_or_delay(
         return replace(problem, signals=signals), there, late
     constant = filtered.signals.lateness.time_constant_s
     return filtered, here, Lag(seconds=constant, std_s=std, applied_s=0.0, is_filter=True, evidence=evidence)
+
+
+def _fitted_filter(
+    problem: Problem, raw: Signals, point: Point, start: Lateness
+) -> tuple[Problem, Point, float, float]:
+    """Return the problem with a low-pass, its minimum, the deviation of the time constant, and the depth.
+
+    The side of a whole number of samples on which the robot's delay lies and the time constant move each other.
+    """
+    filtered, here, std = replace(problem, signals=replace(raw, lateness=start)), point, 0.0
+    for _ in range(_SIDES):
+        filtered, here, std = fit_filter(filtered, here)
+        here = _settled(filtered, here)
+    return filtered, here, std, depth(filtered, here)
 
 
 def _deepest_delay(problem: Problem, point: Point, lag_s: float) -> tuple[Point, float, int | None]:

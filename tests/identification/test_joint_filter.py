@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.signal import cont2discrete
+from scipy.signal import cont2discrete, lfilter
 
 from identification.joint_data import HeldCommand, JointData
 from identification.joint_filter import is_late
@@ -100,6 +100,18 @@ def test_the_corner_of_a_low_pass_is_found_and_biases_nothing(corner_hz: float, 
     assert found.corner_hz.status is Status.IDENTIFIED
     assert abs(found.corner_hz.value - corner_hz) < 3.3 * found.corner_hz.std
     assert (finding.code, finding.severity) == ("wrench-filter", "info")
+
+
+def test_a_low_pass_that_a_driver_computes_sample_by_sample_is_found() -> None:
+    plain, share = moved(), 1.0 - float(np.exp(-2.0 * np.pi * 50.0 * H_S))
+    smoothed = lfilter([share], [1.0, share - 1.0], plain.force_n)
+    fit = identify_joint(replace(plain, force_n=smoothed))
+    assert fit.lag.is_filter
+    # Between the samples it follows no equation; a fifth of the 10 % up to which a corner is called identified.
+    assert fit.lag.seconds == pytest.approx(1.0 / (2.0 * np.pi * 50.0), rel=0.02)
+    off = {name: (fit.value(name)[0] - value) / fit.value(name)[1] for name, value in TRUTH.items()}
+    # Six values, 4.2 deviations: the quantile of 1e-4 for all of them.
+    assert max(map(abs, off.values())) < 4.2, off
 
 
 @pytest.mark.parametrize(("samples", "shifted_s"), [(1, 0.0), (2, 0.0), (2, 2 * H_S)])
