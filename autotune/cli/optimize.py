@@ -12,6 +12,7 @@ from ._compare import compare_lines, compare_tree
 from ._compliance import print_compliance
 from ._files import SETTINGS, FilePath
 from ._help import GroupedCommand
+from ._limits import limit_lines
 from ._pareto import FrontWriter, pareto_options
 from ._proof import proof_options
 from ._report import check_report, print_report_path, report_option, tells_refusal, write_report
@@ -248,7 +249,7 @@ def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "Con
         _print_spark(found, name, units)
         for line in active_lines(found, name):
             tell(f"  {line}")
-    for line in response_lines(controller):
+    for line in (*response_lines(controller), *limit_lines(controller)):
         tell(line)
     for check in found.report.checks:
         axis = f"{check.axis}: " if len(controller.axes) > 1 else ""

@@ -10,6 +10,7 @@ from ._against_log import compare_logs, comparison_tree, print_comparison
 from ._common import Output, output_options
 from ._files import KEYS, LOGS, SETTINGS, FilePath
 from ._help import GroupedCommand
+from ._limits import limit_lines
 from ._report import check_report, print_report_path, report_option, tells_refusal, write_report
 from ._schedule import validate_schedule
 from ._terminal import echo, painted, printable, tell
@@ -200,6 +201,8 @@ class _Seen:
 
         if self.read is None or self.report is None:
             raise ValueError("nothing was verified yet")
+        for line in limit_lines(self.read.controller):
+            tell(line)
         _print(self.report, self.path, short(self.read.checksum), self.compared, self.signed_by)
         print_report_path(page)
 

@@ -393,7 +393,7 @@ class Controller:
 
     `limits` is what the runtime enforces; None in files of an earlier release, for which the runtime has defaults.
 
-    Raises ParameterError when the certificate is for another sample time, the limits are for other axes, or when a
+    Raises ParameterError when the certificate is for another sample time, the limits leave out a tuned axis, or when a
     validated controller has an axis without domain, margins or prediction, or proves nothing.
     """
 
@@ -413,8 +413,9 @@ class Controller:
 
     def __post_init__(self) -> None:
         _freeze(self, "axes", "predicted", "provenance")
-        if self.limits is not None and set(self.limits.axes) != set(self.axes):
-            raise ParameterError("limits.axes", sorted(self.limits.axes), f"the tuned axes, {', '.join(self.axes)}")
+        if self.limits is not None and set(self.axes) - set(self.limits.axes):
+            must = f"given for all tuned axes, {', '.join(self.axes)}"
+            raise ParameterError("limits.axes", sorted(self.limits.axes), must)
         if self.certificate.sample_time_s != self.sample_time_s:
             must = f"the sample_time_s of the controller, {self.sample_time_s!r}"
             raise ParameterError("certificate.sample_time_s", self.certificate.sample_time_s, must)

@@ -1,6 +1,6 @@
 """First contacts of a controller in the full simulation, with the collision response and nothing else besides."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -64,6 +64,13 @@ class FirstContacts:
                 run = self._simulate(scenario, effects, _APPROACH_S, distance)
                 largest = max(largest, float(np.max(opposing_force(run, begins_moving=False))))
         return largest
+
+    def starts(self, scenarios: Iterable[Scenario]) -> Iterator[FloatArray]:
+        """Yield the command (n,) of an approach from rest far from the wall, with the file's deadband and without."""
+        speed = self.domain.approach_speed_m_s or (self.domain.approach_force_n or 0.0) / self.law.damping_n_s_per_m
+        for scenario in scenarios:
+            for effects in (NO_EFFECTS, Effects(deadband=self.deadband)):
+                yield self._simulate(scenario, effects, _APPROACH_S, _FAR * speed * _APPROACH_S).command_m
 
     def _simulate(self, scenario: Scenario, effects: Effects, duration_s: float, distance_m: float | None) -> FullRun:
         plant = scenario.plant(self.domain.nominal_plant())

@@ -31,6 +31,7 @@ from .compliance import (
     tell_infeasible,
 )
 from .doubts import left_out_tree
+from .limits import LimitsWish, limits_wish, with_limits
 from .problems import Wishes, build_problems, certified_mass_kg, runtime_mass_kg
 from .record import build_controller, runtime_payload
 from .relax import find_relaxations, tell_relaxations
@@ -107,21 +108,17 @@ def optimize(
     provenance = make_provenance(identified, wishes, seed, problem_path, existing, asked)
     provenance |= _optimality_tree(standings) | _surfaces_tree(problems, identified.result, chosen)
     controller, checked = certify(
-        searches,
-        payload,
-        provenance,
-        asked,
-        lambda done: report((1.0 - _SEARCH_SHARE) * done),
+        searches, payload, provenance, asked, lambda done: report((1.0 - _SEARCH_SHARE) * done),
         threshold=threshold_wish(identified.result, spec),
+        limits=limits_wish(identified.result, spec),
         proved={name: each.proved for name, each in settled.items()},
-    )
-    compared = {} if existing is None else compare(existing.controller, searches)
+    )  # fmt: skip
     return Optimized(
         controller=controller,
         searches=searches,
         standings=standings,
         report=checked,
-        compared=compared,
+        compared={} if existing is None else compare(existing.controller, searches),
         compliance=chosen,
     )
 
@@ -156,12 +153,14 @@ def certify(
     progress: Callable[[float], None],
     threshold: ThresholdWish | None = None,
     proved: Mapping[str, Proved] | None = None,
+    limits: LimitsWish | None = None,
 ) -> tuple[Controller, ValidationReport]:
     """Prove what can be proved of the designs, write them down, and return the controller once validation passed it.
 
-    `threshold` asks for a collision response, chosen for these designs. `progress` is told the share of the work done
-    since the last call; `proved` is what has been proved already. Raises CertificateError when a claim cannot be proved
-    or verified, RefutedError among them (`settling.prove_search`), and what `choose_threshold` raises.
+    `threshold` asks for a collision response, chosen for these designs, `limits` says what is known of the cell for
+    those of the runtime. `progress` is told the share of the work done since the last call; `proved` is what has been
+    proved already. Raises CertificateError when a claim cannot be proved or verified, RefutedError among them
+    (`settling.prove_search`), and what `choose_threshold` raises.
     """
     for name, search in searches.items():
         check_within_bounds(search, name)
@@ -171,6 +170,7 @@ def certify(
     controller = build_controller(searches, payload, proofs, reaches, provenance)
     if threshold is not None:
         controller, _ = choose_threshold(controller, searches, threshold)
+    controller = with_limits(controller, limits or LimitsWish())
     checked = validate_controller(controller, lambda done: progress((1.0 - _PROOF_SHARE) * done))
     checked.require()
     return controller, checked

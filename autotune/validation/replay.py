@@ -28,12 +28,15 @@ class Replay:
     """Peaks of one replayed contact, at the sensor (pressing positive) and at the surface.
 
     `detected_after_s` counts from the tick that first saw the touch, below 0 for a detection in free motion; None
-    without one.
+    without one. `largest_speed_m_s` and `largest_acceleration_m_s2` are those of the command, the start from rest
+    included.
     """
 
     peak_sensor_force_n: float
     peak_contact_force_n: float
     detected_after_s: float | None = None
+    largest_speed_m_s: float = 0.0
+    largest_acceleration_m_s2: float = 0.0
 
 
 def replay_contact(
@@ -58,16 +61,16 @@ def replay_contact(
     late = round(plant.loop_delay_s / sample_time_s * _SUBSTEPS)
     step = _Stepper(plant, sample_time_s, late % _SUBSTEPS)
     law = DifferenceEquation(controller, sample_time_s)
-    speed = desired_force_n / (controller.damping_n_s_per_m + plant.payload.drag_n_s_per_m)
+    approach_speed = desired_force_n / (controller.damping_n_s_per_m + plant.payload.drag_n_s_per_m)
     approach = settling_samples(plant.in_contact_with(FREE_SPACE), controller, sample_time_s, _SHORTEST_APPROACH_S)
     after = settling_samples(plant, controller, sample_time_s, _SHORTEST_AFTER_S)
-    start = -speed * approach * sample_time_s
+    start = -approach_speed * approach * sample_time_s
     n = len(step.c_force)
     state = np.zeros(n)
     state[0] = state[n - 2] = start
     law.rest_at(start)
     commands = [start] * (late // _SUBSTEPS + 1)
-    sensor = contact = 0.0
+    sensor = contact = speed = fastest = hardest = 0.0
     touch: int | None = None
     detection: int | None = None
     for tick in range(approach + after):
@@ -81,6 +84,10 @@ def replay_contact(
         if detection is None and -felt * np.sign(position - law.seen) > reset_threshold_n:
             detection = tick
         commands.append(law.step(desired_force_n + felt, position, reset=detection == tick))
+        before, speed = speed, commands[-1] - commands[-2]
+        fastest = max(fastest, abs(speed))
+        # That a response stops the command is not limited.
+        hardest = hardest if detection == tick else max(hardest, abs(speed - before))
         # A delay of `late` substeps: what acts first is a command one period older than what acts then.
         state = step.over_sample(state, commands[-2 - late // _SUBSTEPS], commands[-1 - late // _SUBSTEPS])
         commands = commands[-(late // _SUBSTEPS + 3) :]
@@ -88,6 +95,8 @@ def replay_contact(
         peak_sensor_force_n=sensor,
         peak_contact_force_n=contact,
         detected_after_s=None if detection is None or touch is None else (detection - touch) * sample_time_s,
+        largest_speed_m_s=fastest / sample_time_s,
+        largest_acceleration_m_s2=hardest / sample_time_s**2,
     )
 
 

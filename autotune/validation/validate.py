@@ -29,6 +29,7 @@ from .admittance import sampled_admittance
 from .bouncing import search_bouncing
 from .command import passive_band_hz, worst_speed_rms
 from .continuous import prove_over, refuted_inside, told_false
+from .limits import verify_limits
 from .margins import SweptMargins, sweep_margins
 from .peaks import verify_peaks
 from .promises import asked_of, limit_n, soft_told
@@ -44,7 +45,7 @@ _MOST_DEADBAND = 0.5  # of the force that drives the approach
 # Two roads to the same margin differ by their frequency grids (measured: 1e-4); what differs by more is another margin.
 _SAME_MARGIN = 0.01
 _SAME_NUMBER = 1e-6
-_CHECKS = 11  # per axis, all passing; that of the payload's mass is none of a rotational axis
+_CHECKS = 12  # per axis, all passing; that of the payload's mass is none of a rotational axis
 _MARGIN_OF = {
     "modulus_margin": "modulus",
     "gain_margin_db": "gain_db",
@@ -163,8 +164,16 @@ def _axis_checks(controller: Controller, name: str, is_short: bool) -> Iterator[
         units=axis_units(name),
     )
     yield Check(axis=name, name="peak force", passed=not missed, message="; ".join(missed) or told)
-    bouncing = search_bouncing(name, domain, law, h)
+    yield from _further(controller, name, domain, law)
+
+
+def _further(controller: Controller, name: str, domain: AxisDomain, law: AdmittanceController) -> Iterator[Check]:
+    """Yield what else contacts must do: end, stay within the limits, and be as told with a collision response."""
+    bouncing = search_bouncing(name, domain, law, controller.sample_time_s)
     yield Check(axis=name, name="bouncing", passed=bouncing.passed, message=bouncing.message())
+    told, missed = verify_limits(controller, name, domain, law)
+    message = "; ".join(missed) or told
+    yield Check(axis=name, name="limits", passed=not missed, message=message, warns=controller.limits is None)
     told, missed = verify_response(controller, name, domain, law)
     if told or missed:
         yield Check(axis=name, name="collision response", passed=not missed, message="; ".join(missed) or told)
@@ -252,15 +261,9 @@ def _statements(controller: Controller, name: str, proofs: Mapping[str, Stabilit
 def _payload(controller: Controller, name: str, domain: AxisDomain) -> Check:
     (low, high), mass = domain.payload_mass_kg, controller.payload.mass_kg
     inside = low <= mass <= high
-    told = f"the runtime compensates {mass:.4g} kg"
-    return Check(
-        axis=name,
-        name="payload",
-        passed=inside,
-        message=f"{told}, inside the certified {low:g} to {high:g} kg"
-        if inside
-        else f"{told}, which is outside the certified {low:g} to {high:g} kg",
-    )
+    where = f"{'inside' if inside else 'which is outside'} the certified {low:g} to {high:g} kg"
+    message = f"the runtime compensates {mass:.4g} kg, {where}"
+    return Check(axis=name, name="payload", passed=inside, message=message)
 
 
 def _delay(controller: Controller, name: str, domain: AxisDomain) -> Check:

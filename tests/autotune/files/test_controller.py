@@ -220,7 +220,7 @@ def test_a_number_that_is_not_finite_is_not_written(tmp_path: Path) -> None:
 
 
 def test_limits_are_of_the_tuned_axes() -> None:
-    with pytest.raises(ParameterError, match=r"limits\.axes.*the tuned axes, x, rz"):
+    with pytest.raises(ParameterError, match=r"limits\.axes.*all tuned axes, x, rz"):
         replace(make_controller(), limits=make_limits(("x",)))
 
 

@@ -4,13 +4,17 @@ import re
 import shutil
 import subprocess
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from autotune.exports.targets import export_controller
 from autotune.files.controller import write_controller
+from autotune.files.signature import sign_file
 from tests.autotune.files.samples import make_controller
 
 
@@ -62,6 +66,10 @@ class StandingCell:
 
 def test_the_python_loop_runs(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     digest = write_controller(tmp_path / "controller.yaml", make_controller())
+    key = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
+    public = key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+    (tmp_path / "pub.pem").write_bytes(public)
+    sign_file(tmp_path / "controller.yaml", key, sha256((tmp_path / "controller.yaml").read_bytes()).hexdigest())
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
     exec(compile(block(repository, "python"), "runtime.md", "exec"), names)

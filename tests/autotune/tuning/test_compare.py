@@ -96,7 +96,10 @@ def bare(**changes: object) -> Controller:
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"axes": {"z": fast_optimized().controller.axes["x"]}}, "old.yaml holds z, and x is tuned here"),
+        (
+            {"axes": {"z": fast_optimized().controller.axes["x"]}, "limits": None},
+            "old.yaml holds z, and x is tuned here",
+        ),
         ({"sample_time_s": 1e-3}, "runs every 1 ms and this cell every 0.8 ms"),
         ({"collision": Collision(response=CollisionResponse.STOP, threshold_n=50.0)}, "responds to collisions"),
     ],

@@ -39,7 +39,11 @@ def on_axes(*names: str) -> Controller:
     )
     predicted, axes = plain.predicted["x"], plain.axes["x"]
     return replace(
-        plain, axes=dict.fromkeys(names, axes), predicted=dict.fromkeys(names, predicted), certificate=certificate
+        plain,
+        limits=None,
+        axes=dict.fromkeys(names, axes),
+        predicted=dict.fromkeys(names, predicted),
+        certificate=certificate,
     )
 
 

@@ -166,6 +166,7 @@ def test_an_axis_that_turns_has_its_own_units_and_noise() -> None:
     turning = replace(
         straight,
         axes={"rx": straight.axes["x"]},
+        limits=None,
         predicted={"rx": straight.predicted["x"]},
         certificate=replace(
             certificate,

@@ -33,6 +33,7 @@ EVERY_CHECK = [
     "free-space admittance",
     "peak force",
     "bouncing",
+    "limits",
 ]
 
 

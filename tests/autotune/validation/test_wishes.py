@@ -144,7 +144,11 @@ def test_a_turning_axis_tells_its_wishes_in_its_units() -> None:
         continuous={"ry": (whole.certificate.continuous or {})["x"]},
     )
     turned = replace(
-        whole, axes={"ry": whole.axes["x"]}, predicted={"ry": whole.predicted["x"]}, certificate=certificate
+        whole,
+        limits=None,
+        axes={"ry": whole.axes["x"]},
+        predicted={"ry": whole.predicted["x"]},
+        certificate=certificate,
     )
     tree = controller_tree(turned)["certificate"]["soft"]["ry"]
     assert tree["command_noise"] == {

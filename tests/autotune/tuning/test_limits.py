@@ -1,0 +1,129 @@
+"""The limits that `optimize` chooses, what `problem.yaml` may say of them, and what `validate` refuses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from autotune.errors import UsageError
+from autotune.files.controller_record import Controller
+from autotune.files.limits import LimitsSpec, ResidualPeaks
+from autotune.tuning.limits import LimitsWish, largest_motion, limits_wish, with_limits
+from autotune.validation.replay import replay_contact
+from autotune.validation.validate import admittance_controller, validate_controller
+from tests.autotune.tuning.cases import FAST_SPEC, identified_plant, known, small_controller
+
+
+def messages(controller: Controller) -> str:
+    """What validation says against the limits; everything else must pass."""
+    failed = [check for check in validate_controller(controller).checks if not check.passed]
+    assert {check.name for check in failed} == {"limits"}
+    return failed[0].message
+
+
+def test_every_value_has_its_reason_and_room() -> None:
+    controller = small_controller()
+    limits = controller.limits
+    assert limits is not None
+    tree = {name for name in vars(limits) if name not in ("axes", "reasons")}
+    assert set(limits.reasons) == tree | {"axes.x.speed", "axes.x.acceleration"}
+    speed, acceleration = largest_motion(controller, "x")
+    # Twice, and what noise adds.
+    assert limits.axes["x"].speed >= 2.0 * speed
+    assert limits.axes["x"].acceleration >= 2.0 * acceleration
+    worst = max(each.peak_sensor_force_n for each in controller.predicted["x"].scenarios)
+    assert limits.force_n >= 2.0 * (16.0 * 9.80665 + worst)
+    assert limits.rest_force_n <= controller.axes["x"].deadband
+
+
+def test_the_peaks_hold_the_weight_that_may_be_left_over() -> None:
+    """Scaled by (F^d + r)/F^d; a second method presses the same contact with F^d + r."""
+    controller = small_controller()
+    told, domain = controller.predicted["x"].with_residual_weight, controller.certificate.domain["x"]
+    worst = max(controller.predicted["x"].scenarios, key=lambda each: each.peak_contact_force_n)
+    assert told is not None
+    assert controller.limits is not None
+    assert told.force_n == controller.limits.rest_force_n
+    force = domain.approach_force_n or 0.0
+    plant = worst.scenario().plant(domain.nominal_plant())
+    law = admittance_controller(controller, "x")
+    seen = replay_contact(plant, law, controller.sample_time_s, force + told.force_n)
+    # As between a predicted contact and its replay: the touch falls between two ticks.
+    assert told.peak_contact_force_n == pytest.approx(seen.peak_contact_force_n, rel=0.02)
+    assert told.peak_contact_force_n > worst.peak_contact_force_n
+
+
+def test_noise_and_what_was_left_over_in_the_log_widen_them() -> None:
+    plant = identified_plant()
+    sensor = replace(plant.sensor, position_noise_rms_m=known(5e-5), gravity_residual_rms_n=known(1.1))
+    wish = limits_wish(replace(plant, sensor=sensor), FAST_SPEC)
+    assert (wish.force_noise_n, wish.position_noise_m, wish.gravity_residual_n) == (0.14, 5e-5, 1.1)
+    quiet, noisy = small_controller().limits, with_limits(small_controller(), wish).limits
+    assert quiet is not None
+    assert noisy is not None
+    assert noisy.axes["x"].acceleration > quiet.axes["x"].acceleration
+    assert noisy.pose_speed_m_s > quiet.pose_speed_m_s
+    # Three times 1.1 N, rounded up to two digits, inside the deadband of 5 N.
+    assert noisy.rest_force_n == 3.3
+    drowned = with_limits(small_controller(), replace(wish, gravity_residual_n=4.0)).limits
+    assert drowned is not None
+    assert drowned.rest_force_n == 5.0
+
+
+def test_a_problem_says_its_own() -> None:
+    spec = LimitsSpec(values={"force_n": 660.0, "rest_samples": 250}, axes={"x": {"speed": 0.4}})
+    limits = with_limits(small_controller(), LimitsWish(spec=spec)).limits
+    assert limits is not None
+    assert (limits.force_n, limits.rest_samples, limits.axes["x"].speed) == (660.0, 250, 0.4)
+    assert limits.reasons["force_n"] == limits.reasons["axes.x.speed"] == "said in problem.yaml"
+
+
+@pytest.mark.parametrize(
+    ("axes", "told"),
+    [
+        ({"x": {"speed": 0.01}}, r"limits\.axes\.x\.speed must be above 0\.0\d+, .* found 0\.01"),
+        ({"x": {"acceleration": 1.0}}, r"limits\.axes\.x\.acceleration must be above \d"),
+        ({"z": {"speed": 1.0}}, r"limits\.axes must name tuned axes, x; found z"),
+    ],
+)
+def test_a_limit_that_the_certified_contacts_reach_is_refused(axes: dict[str, dict[str, float]], told: str) -> None:
+    with pytest.raises(UsageError, match=told):
+        with_limits(small_controller(), LimitsWish(spec=LimitsSpec(axes=axes)))
+
+
+def test_validation_finds_limits_that_are_too_low_and_peaks_without_the_residual() -> None:
+    whole = small_controller()
+    limits, predicted = whole.limits, whole.predicted["x"]
+    assert limits is not None
+    assert predicted.with_residual_weight is not None
+    slow = replace(limits, axes={"x": replace(limits.axes["x"], speed=0.02)})
+    assert "limits.axes.x.speed is 0.02 m/s, and certified contacts command" in messages(replace(whole, limits=slow))
+    hard = replace(limits, axes={"x": replace(limits.axes["x"], acceleration=5.0)})
+    assert "limits.axes.x.acceleration is 5 m/s²" in messages(replace(whole, limits=hard))
+    assert "limits.force_n is 180 N" in messages(replace(whole, limits=replace(limits, force_n=180.0)))
+    mine = replace(limits, rest_force_n=6.0)
+    assert "6 N may be left over, more than the deadband of 5" in messages(replace(whole, limits=mine))
+    plain = ResidualPeaks(force_n=1.0, peak_sensor_force_n=30.0, peak_contact_force_n=30.0)
+    for without in (None, plain):
+        bare = replace(whole, predicted={"x": replace(predicted, with_residual_weight=without)})
+        assert "with_residual_weight" in messages(bare)
+
+
+def test_a_file_without_limits_is_noted_and_passes() -> None:
+    whole = small_controller()
+    (check,) = [each for each in validate_controller(replace(whole, limits=None)).checks if each.name == "limits"]
+    assert (check.passed, check.verdict) == (True, "note")
+    assert "the runtime takes its defaults" in check.message
+
+
+def test_the_command_of_the_replay_is_that_of_the_simulation() -> None:
+    """The start from rest under 30 N: both roads see the same largest speed to their grids, half a percent."""
+    whole = small_controller()
+    domain, law = whole.certificate.domain["x"], admittance_controller(whole, "x")
+    worst = max(whole.predicted["x"].scenarios, key=lambda each: each.peak_contact_force_n)
+    plant = worst.scenario().plant(domain.nominal_plant())
+    seen = replay_contact(plant, law, whole.sample_time_s, domain.approach_force_n or 0.0)
+    speed, acceleration = largest_motion(replace(whole, axes={"x": replace(whole.axes["x"], deadband=0.0)}), "x")
+    assert seen.largest_speed_m_s == pytest.approx(speed, rel=0.02)
+    assert seen.largest_acceleration_m_s2 <= 1.02 * acceleration
+    assert np.isfinite(acceleration)
