@@ -165,7 +165,7 @@ def fit_axis(cell: CellSignals, view: AxisView, reach: Reach) -> AxisTold:
             view.recording.wrench_lag_s,
             view.recording.pose.stamp_ns,
         )
-        data = replace(data, weighed=view.weighed)
+        data = replace(data, weighed=view.weighed, shifted_s=view.recording.wrench_shifted_s)
         found = identify_joint(data, part_of(reach, _STAGES_SHARE, 0.5 if view.priors else 1.0))
         fit = view.in_units(found)
         with_priors = view.in_units(identify_joint(replace(data, priors=view.priors))) if view.priors else None
@@ -380,7 +380,7 @@ def _about_masses(axis: str, gravity: GravityFit, fit: JointFit) -> list[Finding
 
 def _about_lag(axis: str, fit: JointFit) -> list[Finding]:
     """Tell when the wrench comes late, or early: the motion shows it, and it was taken out."""
-    if fit.lag.applied_s == 0.0:
+    if fit.lag.is_filter or fit.lag.applied_s == 0.0:
         return []
     late = "late" if fit.lag.seconds > 0.0 else "early"
     return [
@@ -389,7 +389,9 @@ def _about_lag(axis: str, fit: JointFit) -> list[Finding]:
             severity="info",
             message=f"Axis {axis}: the wrench is stamped {1e3 * abs(fit.lag.seconds):.3f} ± "
             f"{1e3 * fit.lag.std_s:.2g} ms {late} against pose and command, as its motion shows; this was taken out.",
-            advice="A filter of the sensor or of its driver does this as well as a clock.",
+            advice="A filter of the sensor or of its driver does this as well as a clock."
+            if fit.lag.seconds > 0.0
+            else "No sensor shows a force before it is there: have both drivers stamp with one clock.",
         )
     ]
 

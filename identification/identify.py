@@ -42,6 +42,7 @@ from .timeline_payload import see_payload
 from .timeline_phases import Timeline
 from .turn_estimate import identify_turn, not_told
 from .verdicts import missing
+from .wrench_filter import find_wrench_filter
 
 FloatArray = NDArray[np.float64]
 
@@ -113,6 +114,8 @@ def _identify(
     accounted = _accounted(cell, told)
     timeline = Timeline(phases=accounted.phases)
     sensor, about_sensor = describe_sensor(read, gravity, frames)
+    lags = {name: axis.fit.lag for name, axis in told.items() if axis.fit is not None}
+    late, about_late = find_wrench_filter(lags, recording.wrench_shifted_s, log.period_s)
     report(1.0 - _WEIGHING_SHARE - _AXES_SHARE)
     found = Identified(
         sample_time_s=_sample_time(recording),
@@ -120,7 +123,7 @@ def _identify(
             mass_kg=mass_estimate(gravity), com_m=com_estimate(gravity), inertia_kg_m2=_inertia(inertia)
         ),
         axes={name: _with_surfaces(axis.estimate, accounted.surfaces[name]) for name, axis in told.items()},
-        sensor=sensor,
+        sensor=replace(sensor, wrench_filter=late),
         findings=(
             *about_spikes,
             *read.findings,
@@ -130,6 +133,7 @@ def _identify(
             *_hands(timeline),
             *gravity_findings(gravity),
             *about_sensor,
+            *about_late,
             *inertia.findings,
         ),
         timelines=(timeline,),

@@ -47,14 +47,15 @@ class HeldCommand:
 class JointData:
     """One axis of an aligned log, its spans, and the estimates of the stages.
 
-    `position_m`, `force_n` (n,) on one clock of period `period_s`, the force without weight and bias; `command` on the
-    same clock, or None. `rests`, spans at rest for the noise; `moving`, all spans of motion along this axis; `free`,
-    those without a hand; `rings`, where the payload swings after something let go; `holds`, rests under force.
-    `coupling` is K_s, B_s, B_p, M_p (4,), `robot` r(s) of one or two poles and T_d. `lag_s` is how late the wrench may
-    be stamped, mean and standard deviation; `measured`, first tick at which the pose was measured and every how many it
-    was (between them it is interpolated). `mass_kg`, from gravity, is a start too and no information; M_p is looked for
-    between a fifth of it and five times it. `priors` maps names of `Layout.names` to value and standard deviation
-    known from elsewhere; `weighed` is M_p from gravity with its deviation, for ringing that has nothing else to go by.
+    `position_m`, `force_n` (n,) on one clock of period `period_s`, the force without weight and bias; `command` on
+    the same clock, or None. `rests`, spans at rest for the noise; `moving`, all spans of motion along this axis;
+    `free`, those without a hand; `rings`, where the payload swings after something let go; `holds`, rests under
+    force. `coupling` is K_s, B_s, B_p, M_p (4,), `robot` r(s) of one or two poles and T_d. `lag_s` is how late the
+    wrench may be stamped, mean and standard deviation, after `shifted_s` was taken off its stamps when it was read;
+    `measured`, first tick at which the pose was measured and every how many it was (between them it is interpolated).
+    `mass_kg`, from gravity, is a start too and no information; M_p is looked for between a fifth of it and five times
+    it. `priors` maps names of `Layout.names` to value and standard deviation known from elsewhere; `weighed` is M_p
+    from gravity with its deviation, for ringing that has nothing else to go by.
     """
 
     period_s: float
@@ -71,6 +72,7 @@ class JointData:
     rings: Sequence[Span] = ()
     lag_s: tuple[float, float] = (0.0, _USUAL_LAG_S)
     measured: tuple[int, int] = (0, 1)
+    shifted_s: float = 0.0
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     weighed: tuple[float, float] | None = None
 

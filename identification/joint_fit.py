@@ -11,13 +11,14 @@ from .errors import EstimateError
 from .joint_contacts import ContactStart, FoundContact, contact_segment, group_contacts, start_contact
 from .joint_data import JointData
 from .joint_delay import either_side
+from .joint_filter import filter_or_delay, fit_filter, forces_left
 from .joint_lag import fit_lag
 from .joint_minima import deepest_stiffness, deepest_surfaces
 from .joint_model import Layout
 from .joint_noise import Smoother, fit_smoother, fit_whitener
 from .joint_problem import Point, Problem, Signals
 from .joint_result import JointFit, describe
-from .joint_segments import Segment, predict_force
+from .joint_segments import Segment
 from .joint_solve import linearise, minimise
 from .joint_start import fit_alone, start_coupling, start_surface
 from .progress import Reach, unwatched
@@ -75,6 +76,7 @@ def _identify(data: JointData, begin: _Beginning, reach: Reach = unwatched) -> J
     problem, point = begin(data, base, start[:-3])
     blurred = data.command is not None and data.command.is_mean
     problem, point, lag = fit_lag(problem, point, data.force_n, data.lag_s, 0.0, blurred=blurred)
+    problem, point, lag = filter_or_delay(problem, point, data.force_n, lag, data.shifted_s)
     reach(_BEGUN)
     contacts = _starts(data, problem, np.concatenate([point.values, start[-3:]]))
     alone = [fit_alone(problem, point, contact) for contact in contacts]
@@ -84,7 +86,12 @@ def _identify(data: JointData, begin: _Beginning, reach: Reach = unwatched) -> J
     for _ in range(_ROUNDS):
         problem = _recoloured(problem, point)
         point, _ = minimise(problem, point, _STEPS_LATER)
-    problem, point, lag = fit_lag(problem, point, data.force_n, data.lag_s, lag.applied_s, blurred=blurred)
+    if lag.is_filter:
+        problem, point, std = fit_filter(problem, point)
+        lag = replace(lag, seconds=problem.signals.lateness.time_constant_s, std_s=std)
+    elif not lag.is_whole:
+        again = fit_lag(problem, point, data.force_n, data.lag_s, lag.applied_s, blurred=blurred)
+        problem, point, lag = again[0], again[1], replace(again[2], evidence=lag.evidence)
     reach(_ROUNDED)
     problem, point = deepest_surfaces(problem, deepest_stiffness(problem, point))
     problem = _recoloured(problem, point)
@@ -347,12 +354,8 @@ def _unsuspicious(problem: Problem, point: Point) -> list[int]:
 
 def _recoloured(problem: Problem, point: Point) -> Problem:
     """Fit the whiteners to what remains at a point."""
-    signals, layout = problem.signals, problem.layout
-    path = problem.path(point.values)
-    left: dict[bool, list[FloatArray]] = {False: [], True: []}
-    for segment, nuisance in zip(problem.segments, point.nuisances, strict=True):
-        predicted = predict_force(point.values, nuisance, segment, path, layout, signals.period_s)
-        left[segment.is_contact].append(predicted - signals.force_n[segment.slice])
+    signals, path = problem.signals, problem.path(point.values)
+    left = forces_left(problem, point)
     poses = [_centred(path.misfit(signals.at_poses(span))) for span in problem.pose_spans]
     return replace(
         problem,

@@ -11,7 +11,7 @@ from .joint_solve import information, linearise, minimise
 
 FloatArray = NDArray[np.float64]
 
-_ROUNDS = 3
+_ROUNDS = 6
 _STEPS = 4
 _SETTLED = 0.1
 _SIGNIFICANT_STDS = 2.0
@@ -20,11 +20,19 @@ _BETWEEN_SAMPLES, _BLURRED_SAMPLES = 0.03, 0.06
 
 @dataclass(frozen=True, kw_only=True)
 class Lag:
-    """The force is stamped `seconds` ± `std_s` late; `applied_s` of it was taken out of the problem's force."""
+    """The force is stamped `seconds` ± `std_s` late; `applied_s` of it was taken out of the problem's force.
+
+    Where `is_filter`, that is the time constant of a first-order low-pass, which the problem's prediction passes.
+    Where `is_whole`, it is a number of samples that is deeper than what lies about it.
+    `evidence` is by how much −2 log L prefers that to a delay, None where the two were not compared.
+    """
 
     seconds: float
     std_s: float
     applied_s: float
+    is_filter: bool = False
+    is_whole: bool = False
+    evidence: float | None = None
 
 
 def fit_lag(
@@ -45,7 +53,7 @@ def fit_lag(
     """
     period = problem.signals.period_s
     for _ in range(_ROUNDS):
-        step, std = _step(problem, point, prior, applied_s)
+        step, std = step_lag(problem, point, prior, applied_s)
         if abs(step) < _SIGNIFICANT_STDS * std:
             break
         applied_s += step
@@ -54,7 +62,7 @@ def fit_lag(
         point, _ = minimise(problem, point, _STEPS)
         if abs(step) < _SETTLED * std:
             break
-    step, std = _step(problem, point, prior, applied_s)
+    step, std = step_lag(problem, point, prior, applied_s)
     if blurred or applied_s != 0.0:
         # Between its samples the force has the steps of the held command, which no spline and no mean knows.
         std = float(np.hypot(std, (_BLURRED_SAMPLES if blurred else _BETWEEN_SAMPLES) * period))
@@ -72,7 +80,7 @@ def sooner(force_n: FloatArray, samples: float) -> FloatArray:
     return np.asarray(make_interp_spline(ticks, force_n, k=3)(np.clip(ticks + samples, 0.0, ticks[-1])))
 
 
-def _step(problem: Problem, point: Point, prior: tuple[float, float], applied_s: float) -> tuple[float, float]:
+def step_lag(problem: Problem, point: Point, prior: tuple[float, float], applied_s: float) -> tuple[float, float]:
     """Return by how much the lag should grow, and its deviation with all other parameters free [s]."""
     mean, std = prior
     blocks = linearise(replace(problem, signals=replace(problem.signals, lag_std_s=std)), point)

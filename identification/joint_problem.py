@@ -9,6 +9,7 @@ from .joint_model import Layout
 from .joint_noise import Smoother, Whitener
 from .joint_path import MOST_CUTS, FlangePath, commanded_path, measured_path
 from .joint_segments import Segment
+from .joint_sensor import Lateness
 
 FloatArray = NDArray[np.float64]
 
@@ -38,7 +39,8 @@ class Signals:
     """One axis on one clock: flange position, force without weight and bias, command; (n,) each, the last or None.
 
     `command_m[k]` is the command issued at or after tick k and before the next; `smoother` belongs to the pose. The
-    force may be off in time by `lag_std_s`; the pose was measured at tick `measured[0]` and every `measured[1]` ticks.
+    force is shown with a `lateness`, whose time constant, or without one delay, may be off by `lag_std_s`; the pose was
+    measured at tick `measured[0]` and every `measured[1]` ticks.
     """
 
     period_s: float
@@ -47,6 +49,7 @@ class Signals:
     command_m: FloatArray | None
     smoother: Smoother
     lag_std_s: float = 0.0
+    lateness: Lateness = field(default_factory=Lateness)
     measured: tuple[int, int] = (0, 1)
     paths: Paths = field(default_factory=Paths, init=False, repr=False, compare=False)
 

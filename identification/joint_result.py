@@ -246,7 +246,8 @@ def _force_error(problem: Problem, point: Point, segment: Segment, index: int) -
     path = problem.path(point.values)
     period = problem.signals.period_s
     predicted = predict_force(point.values, point.nuisances[index], segment, path, problem.layout, period)
-    return np.asarray(predicted - problem.signals.force_n[segment.slice])
+    felt = problem.signals.lateness.shown(predicted, path, segment.slice, float(point.values[1]), period)
+    return np.asarray(felt - problem.signals.force_n[segment.slice])
 
 
 def _left_out(problem: Problem, point: Point, blocks: Sequence[Block], kind: Sequence[int]) -> float | None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .joint_path import FlangePath, path_slope
 from .joint_problem import Point, Problem, logarithmic, sizes_of
 from .joint_segments import Segment, predict_force, shared_indices
+from .joint_sensor import Lateness, low_passed
 from .joint_slopes import force_jacobian
 
 FloatArray = NDArray[np.float64]
@@ -74,12 +75,17 @@ def _force_block(
     period = signals.period_s
     predicted, jacobian = force_jacobian(values, nuisance, segment, here, slope, indices, layout, period)
     jacobian[: len(indices)] *= sizes[indices, None]
+    if signals.lateness != Lateness():
+        predicted = signals.lateness.shown(predicted, here, segment.slice, float(values[1]), period)
+        jacobian = signals.lateness.felt(jacobian, period)
     lines = [(predicted - signals.force_n[segment.slice])[None], jacobian]
     if here.robot is None:
         lines.append(_untimed(values, segment, here, signals.period_s))
     if signals.lag_std_s > 0.0:
-        lines.append((signals.lag_std_s / signals.period_s * np.gradient(predicted))[None])
-    rows = problem.noise(segment).apply(np.concatenate(lines).T)
+        constant = signals.lateness.time_constant_s
+        moved = predicted if constant == 0.0 else low_passed(predicted, constant, period)
+        lines.append((signals.lag_std_s / period * np.gradient(moved))[None])
+    rows = problem.noise(segment).apply(np.concatenate(lines).T)[signals.lateness.unknown(period) :]
     return _block(rows, indices, segment.nuisance_count)
 
 
@@ -153,7 +159,9 @@ def cost(problem: Problem, point: Point) -> float:
     total = 0.0
     for segment, nuisance in zip(problem.segments, point.nuisances, strict=True):
         predicted = predict_force(point.values, nuisance, segment, path, layout, signals.period_s)
+        predicted = signals.lateness.shown(predicted, path, segment.slice, float(point.values[1]), signals.period_s)
         error = problem.noise(segment).apply(predicted - signals.force_n[segment.slice])
+        error = error[signals.lateness.unknown(signals.period_s) :]
         with np.errstate(over="ignore"):  # a trial that runs away is worse than any
             total += float(error @ error)
     if layout.robot_order and problem.pose_spans:

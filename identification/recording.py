@@ -134,7 +134,8 @@ class Recording:
     `sha256` maps every log path to the digest of its bytes; `clocks` maps each role to the clock that stamps it
     (`header` or `log`); `findings` tell what was chosen, assumed or left out on the way. With `keeps_holes` (a salvaged
     log) times without messages are kept as holes, of which nothing is known, instead of being refused. `wrench_lag_s`
-    is how late the wrench is stamped against the pose, value and standard deviation, where the log told it.
+    is how late the wrench is stamped against the pose, value and standard deviation, where the log told it, after
+    `wrench_shifted_s` were taken off its stamps as an offset between clocks that are said to be one.
     """
 
     wrench: WrenchSignal
@@ -146,6 +147,7 @@ class Recording:
     sha256: Mapping[str, str] = field(default_factory=dict)
     clocks: Mapping[str, str] = field(default_factory=dict)
     wrench_lag_s: tuple[float, float] | None = None
+    wrench_shifted_s: float = 0.0
     findings: tuple[Finding, ...] = ()
     keeps_holes: bool = False
 

@@ -80,6 +80,9 @@ def build_problems(identified: Identified, spec: ProblemSpec, wishes: Wishes) ->
         payload_mass_kg=wishes.payload_mass_kg or spec.payload_mass_kg,
     )
     turned = through_lever(spec, approach)
+    # Forces and torques are of one sensor: what is said of its filter once is said of both.
+    shared = {key: value for key, value in spec.uncertain.items() if key in {LAG, LATE}}
+    turned = replace(turned, uncertain={**shared, **turned.uncertain})
     check_plausible(identified, names, straight, turned, wishes.with_unit)
     problems = {}
     for name in names:

@@ -23,7 +23,7 @@ _TELLING_PERIODS = 0.25
 _TELLING_S = 2e-4
 _APPLIED = (
     "Have both drivers stamp with one clock at the instant of measuring. If they do, the sensor's own filter delays "
-    "the force by this much: the controller sees it as well, so add it to the loop's delay."
+    "the force by this much, and the controller sees it as well: `sensor.wrench_filter` holds what matters of it."
 )
 
 

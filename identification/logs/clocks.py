@@ -62,6 +62,12 @@ class ClockReport:
             return None
         return (0.0 if self.offset.verdict is OffsetVerdict.FOUND else self.offset.offset_s), self.offset.std_s
 
+    @property
+    def shifted_s(self) -> float:
+        """Return what was taken off the wrench's stamps."""
+        found = self.offset.verdict is OffsetVerdict.FOUND and self.offset.offset_s is not None
+        return self.offset.offset_s if found and self.offset.offset_s is not None else 0.0
+
 
 def check_clocks(recording: Recording, times: Sequence[ChannelTimes] = ()) -> ClockReport:
     """Measure all clocks of a recording and take the offset between wrench and pose out where physics tells it.

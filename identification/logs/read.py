@@ -134,7 +134,9 @@ def _on_one_clock(read: _Read) -> Recording:
     report = check_clocks(read.recording, read.times)
     refuse(report.findings)
     findings = (*read.recording.findings, *report.findings)
-    return replace(report.recording, findings=findings, wrench_lag_s=report.lag_left_s)
+    return replace(
+        report.recording, findings=findings, wrench_lag_s=report.lag_left_s, wrench_shifted_s=report.shifted_s
+    )
 
 
 def _times(parts: Sequence[Part], clocks: Mapping[Role, Clock]) -> list[ChannelTimes]:

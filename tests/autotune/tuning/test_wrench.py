@@ -18,7 +18,9 @@ from problems.evaluation import build_scenarios
 from problems.margins import find_margins
 from problems.plant import WrenchFilter
 from problems.sampled import build_sampled_plant
+from problems.uncertainty import Scenario
 from tests.autotune.tuning.cases import absent, identified_plant, known
+from tests.autotune.tuning.turning import SQUARE, two_axes
 from tests.problems.axes import admittance
 
 CORNER = WrenchFilterEstimate(corner_hz=known(50.0, 0.5))
@@ -111,6 +113,25 @@ def test_problem_yaml_wins_and_a_weak_value_is_its_interval(
     assert found.wrench_filter.time_constant_s == pytest.approx(nominal.time_constant_s, rel=1e-12)
     assert found.wrench_filter.delay_s == pytest.approx(nominal.delay_s, rel=1e-12)
     assert {name: span for name, span in found.uncertain.items() if name.startswith("wrench")} == ranges
+
+
+def test_torques_pass_the_same_filter() -> None:
+    """x through the lever is the same loop, filter and all; what is said of the filter once is said of both."""
+    plant = two_axes()
+    plant = replace(plant, sensor=replace(plant.sensor, wrench_filter=CORNER))
+    found = build_problems(plant, ProblemSpec(), Wishes())
+    assert found["ry"].wrench_filter == found["x"].wrench_filter == built(CORNER).wrench_filter
+    straight = admittance(6.0, 1600.0, 0.012)
+    turning = replace(straight, mass_kg=6.0 * SQUARE, damping_n_s_per_m=1600.0 * SQUARE)
+    moduli = []
+    for axis, law, scale in (("x", straight, 1.0), ("ry", turning, SQUARE)):
+        point = Scenario(environment_stiffness_n_per_m=1.1e5 * scale, payload_mass_kg=16.0 * scale)
+        sampled = build_sampled_plant(found[axis].plant(point), found[axis].sample_time_s)
+        moduli.append(find_margins(sampled, law).modulus)
+    assert moduli[1] == pytest.approx(moduli[0], rel=1e-6)
+    said = ProblemSpec(uncertain={"wrench_time_constant_s": (1e-3, 2e-3)})
+    both = build_problems(plant, said, Wishes())
+    assert {each.uncertain["wrench_time_constant_s"] for each in both.values()} == {(1e-3, 2e-3)}
 
 
 @pytest.mark.parametrize(
