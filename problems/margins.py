@@ -32,6 +32,8 @@ _LOWEST_HZ = 0.02
 _SLOW_HZ = 1.0
 _SLOW_SHARE = 8
 _BASE_POINTS = 64
+# Real parts of poles that are rounding: B_s = B_p = 0.
+_UNDAMPED = 1e-10
 _RESONANCE_POINTS = 25
 _SHORT_OF_NYQUIST = 1e-9
 # Where the loop gain is next to nothing (below 1e-3), a crossover limits nothing.
@@ -122,7 +124,10 @@ def frequency_grid(sampled: SampledPlant, points: int = _BASE_POINTS) -> FloatAr
     for pole in np.linalg.eigvals(sampled.rate) / sampled.sample_time_s:
         if pole.imag > 0.0:
             width = max(-pole.real, 1e-4 * abs(pole))
-            extra.append(pole.imag + width * np.linspace(-6.0, 6.0, _RESONANCE_POINTS))
+            around = np.linspace(-6.0, 6.0, _RESONANCE_POINTS)
+            # The response of an undamped plant is infinite at the pole itself, where no margin is least.
+            undamped = abs(pole.real) <= _UNDAMPED * abs(pole)
+            extra.append(pole.imag + width * (0.5 * (around[1:] + around[:-1]) if undamped else around))
     grid = np.concatenate([base, *extra])
     return np.unique(np.append(grid[(grid >= base[0]) & (grid < nyquist)], nyquist))
 

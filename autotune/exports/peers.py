@@ -15,6 +15,7 @@ from autotune.files.atomic import write_atomic
 from autotune.files.controller import ControllerFile, read_controller, short
 from autotune.files.controller_record import CollisionResponse, Controller
 from autotune.files.units import axis_units
+from autotune.validation.bouncing import search_bouncing
 from autotune.validation.law import AxisTask, LawCertificate, certify_law
 from autotune.validation.proof import StabilityProof
 from problems.peer_laws import alternates
@@ -202,6 +203,9 @@ def _certified(axis: Axis, common: bool) -> PeerAxis:
                 f"Axis {task.axis}: that controller{fixed} cannot do what was asked. The translated gains fail "
                 f"({reason}), and {error}."
             ) from error
+    bouncing = search_bouncing(task.axis, task.domain, axis.law(values), task.sample_time_s)
+    if not bouncing.passed:
+        raise CertificateError(f"Axis {task.axis}: with what that controller runs, {bouncing.message()}.")
     return PeerAxis(
         axis=task.axis,
         written=axis.written(values),

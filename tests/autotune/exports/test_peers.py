@@ -20,6 +20,7 @@ from autotune.exports.targets import PEER_TARGETS
 from autotune.files.controller import write_controller
 from autotune.files.controller_record import AxisGains
 from autotune.files.limits import AxisLimits, Limits
+from autotune.validation.bouncing import BounceSearch
 from autotune.validation.law import AxisTask, LawCertificate, certify_law
 from problems.laws import LinearLaw
 from problems.peer_laws import SpringAdmittance, alternates
@@ -350,3 +351,19 @@ def test_numbers_that_cannot_be_proved_are_a_certificate_that_does_not_hold(
         monkeypatch.setattr(module, "certify_law", unproved)
     with pytest.raises(CertificateError, match=r"Axis x: .* cannot be proved stable"):
         exported(tmp_path, peer_controller({"x": PLAIN}, EASY), Ros2Options())
+
+
+def test_what_the_other_controller_runs_must_come_to_rest_at_a_contact(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[object] = []
+
+    def bounces(axis: str, _domain: object, law: object, _period_s: float) -> BounceSearch:
+        asked.append(law)
+        return BounceSearch(axis=axis, runs=1, plants=1, refusal="the contact bounces for ever")
+
+    monkeypatch.setattr(peers, "search_bouncing", bounces)
+    with pytest.raises(CertificateError, match=r"Axis x: with what that controller runs, the contact bounces for ever"):
+        exported(tmp_path, peer_controller({"x": PLAIN}, EASY), Ros2Options())
+    assert isinstance(asked[0], LinearLaw)
+    assert [path.name for path in tmp_path.iterdir()] == ["controller.yaml"]
