@@ -11,6 +11,7 @@ from autotune.cell.write import write_mcap
 from autotune.exports.targets import export_controller
 from autotune.files.controller import read_controller, write_controller
 from autotune.files.identified import read_identified, write_identified
+from autotune.files.made import MadeHere
 from autotune.files.problem import ProblemSpec
 from autotune.identifying import IdentifiedLog, Topics, identify_log
 from autotune.tuning.optimize import Optimized, optimize
@@ -26,6 +27,8 @@ STEPS = (
     "validating the file",
     "exporting",
 )
+PAGE = "report.html"
+"""The page of the command line, beside the files of `DemoFiles`."""
 # Of the time, measured; of no other use than to tell how it goes on.
 _SHARES = (0.02, 0.25, 0.12, 0.37, 0.24, 0.0)
 
@@ -67,6 +70,7 @@ class DemoResult:
     report: ValidationReport
     checksum: str
     files: DemoFiles
+    made: MadeHere
 
 
 def run_demo(
@@ -79,7 +83,8 @@ def run_demo(
     """Simulate the default cell, then identify, optimize, validate and export, through the files of a real run.
 
     `step` is told the name of each step as it begins, `progress` the share of the work done since the last call.
-    Existing files of the same names are replaced.
+    Files of an earlier demo in the same folder are replaced. Raises UsageError where one of these names stands for
+    anything else: a file of another origin, or one that was changed since (`autotune.files.made`).
     """
     begin, report = step or _silent, progress or _silent
     directory.mkdir(parents=True, exist_ok=True)
@@ -89,6 +94,7 @@ def run_demo(
         controller=directory / "controller.yaml",
         twin=directory / "controller.json",
     )
+    made = MadeHere(directory, [each.name for each in (*vars(files).values(), directory / PAGE)])
     begin(STEPS[0])
     cell = Cell()
     run = simulate_cell(cell, Program(), seed=seed)
@@ -97,9 +103,11 @@ def run_demo(
     logged = (run.recording.wrench, run.recording.pose, run.recording.command)
     each = _SHARES[1] / sum(len(signal.stamp_ns) for signal in logged if signal is not None)
     write_mcap(run.recording, files.log, progress=lambda count: report(each * count))
+    made.add(files.log)
     begin(STEPS[2])
     found = identify_log(files.log, Topics(), progress=lambda share: report(_SHARES[2] * share), with_evidence=True)
     write_identified(files.identified, found.result, found.provenance)
+    made.add(files.identified)
     begin(STEPS[3])
     optimized = optimize(
         read_identified(files.identified),
@@ -109,12 +117,14 @@ def run_demo(
         progress=lambda share: report(_SHARES[3] * share),
     )
     write_controller(files.controller, optimized.controller)
+    made.add(files.controller)
     begin(STEPS[4])
     read = read_controller(files.controller)
     checked = validate_controller(read.controller, lambda share: report(_SHARES[4] * share))
     checked.require()
     begin(STEPS[5])
     export_controller(files.controller, "json", files.twin)
+    made.add(files.twin)
     return DemoResult(
         identified=found,
         comparisons=compare(cell, found),
@@ -122,6 +132,7 @@ def run_demo(
         report=checked,
         checksum=read.checksum,
         files=files,
+        made=made,
     )
 
 

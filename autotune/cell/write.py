@@ -7,6 +7,7 @@ from typing import IO, Any
 
 from mcap_ros2.writer import Writer
 
+from autotune.files.leftovers import sweep_leftovers, temporary_beside
 from identification.recording import PoseSignal, Recording, WrenchSignal
 
 _HEADER = """std_msgs/Header header
@@ -47,7 +48,8 @@ def write_mcap(recording: Recording, path: Path, *, progress: Callable[[int], No
 
     `progress` is told how many messages were written since the last call. Log and publish time equal the stamp.
     """
-    partial = path.with_name(path.name + ".partial")
+    sweep_leftovers(path.parent)
+    partial, _ = temporary_beside(path)
     try:
         with partial.open("wb") as stream:
             _write(stream, _channels(recording), progress)

@@ -72,6 +72,11 @@ class Output:
         if not self.quiet:
             say(message)
 
+    def replaced(self, path: Path, was: str) -> None:
+        """Tell the user which file stood under `path` before; nothing where `was` is empty."""
+        if was:
+            self.note(f"{path}: replaced {was}.")
+
     @contextlib.contextmanager
     def progress(self, description: str, total: float | None) -> Iterator[Advance]:
         """Show a bar while the block runs, on a terminal only; yields `advance(n)`, n in the unit of `total`.

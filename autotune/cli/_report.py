@@ -42,7 +42,7 @@ def check_report(report: Path | None, others: Iterable[Path], *, option: str = "
 
     if report.suffix.lower() not in _SUFFIXES:
         raise UsageError(f"{report} is to be a page, so its name must end in .html; name it with {option}.")
-    check_target(report, others, option=option)
+    check_target(report, others, kind="report", option=option)
 
 
 def write_report(output: Output, report: Path | None, build: Callable[[], "Page"]) -> dict[str, str]:
@@ -50,12 +50,15 @@ def write_report(output: Output, report: Path | None, build: Callable[[], "Page"
     if report is None:
         return {}
     from autotune.files.atomic import write_atomic
+    from autotune.files.standing import check_kind
     from autotune.processes import count_processors
     from autotune.reports.page import render_page
 
     with output.progress("drawing the report", 1.0) as advance:
         text = render_page(build(), advance, processes=count_processors())
+    was = check_kind(report, "report")
     write_atomic(report, text)
+    output.replaced(report, was)
     return {"report": str(report)}
 
 

@@ -32,14 +32,17 @@ def command(output: Output, directory: Path, seed: int) -> None:
     DIR (default autotune-demo) then holds the log (MCAP), identified.yaml, controller.yaml and its JSON twin, and
     report.html with the figures. The summary puts what was identified beside the truth of the simulation.
     """
-    from autotune.demo import run_demo
+    from autotune.demo import PAGE, run_demo
 
     from ._report import write_report
 
     with output.progress("demo", 1.0) as advance:
         found = run_demo(directory, seed=seed, step=lambda name: output.note(f"{name} ..."), progress=advance)
-    page = found.files.log.parent / "report.html"
+    page = found.files.log.parent / PAGE
     told = write_report(output, page, lambda: _page(found))
+    found.made.add(page)
+    for path in found.made.replaced:
+        output.note(f"replaced {path}, of an earlier demo")
     output.result({**_tree(found), **told}, lambda: _print(found, page))
 
 

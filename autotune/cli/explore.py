@@ -68,7 +68,7 @@ def command(output: Output, source: Path, out: Path, problem: Path | None, port:
         from autotune.explore.target import Target
         from autotune.files.atomic import check_target
 
-        check_target(out, [path for path in (source, problem) if path is not None])
+        check_target(out, [path for path in (source, problem) if path is not None], kind="controller")
         with output.progress("searching where to start", 1.0) as advance:
             exploration = read_exploration(source, problem, advance)
         if noticed:

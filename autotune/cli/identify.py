@@ -85,12 +85,13 @@ def command(
     from autotune.files.atomic import check_target
     from autotune.files.cell import read_cell
     from autotune.files.identified import identified_tree, write_identified
+    from autotune.files.standing import check_kind
     from autotune.given import parse_given
     from autotune.identifying import Topics, identify_log
     from autotune.processes import count_processors
 
     sources = [*logs, *([] if cell_path is None else [cell_path])]
-    check_target(out, sources)
+    check_target(out, sources, kind="identified")
     check_report(report, [*sources, out])
     topics = Topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
     seen = _Seen(logs=logs, topics=topics, salvage=salvage)
@@ -111,7 +112,9 @@ def command(
             )
         if not allow_partial:
             found.require()
+        was = check_kind(out, "identified")
         write_identified(out, found.result, found.provenance)
+        output.replaced(out, was)
     tree = {**identified_tree(found.result, found.provenance), **write_report(output, report, seen.page)}
 
     def text() -> None:

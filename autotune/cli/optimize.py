@@ -132,11 +132,12 @@ def command(
     from autotune.files.controller import controller_tree, read_controller, write_controller
     from autotune.files.identified import read_identified
     from autotune.files.problem import ProblemSpec, read_problem
+    from autotune.files.standing import check_kind
     from autotune.tuning.optimize import optimize
     from autotune.tuning.problems import Wishes
 
     sources = [path for path in (identified, problem, old) if path is not None]
-    check_target(out, [path for path in sources if path != old])
+    check_target(out, [path for path in sources if path != old], kind="controller")
     check_report(report, [*sources, out])
     fronts, seen = FrontWriter(pareto, out), list["IdentifiedFile"]()
     with tells_refusal(output, report, sources, lambda error: _refused_page(error, seen)):
@@ -155,7 +156,9 @@ def command(
                 step=lambda told: advance(0.0, f"searching {told}".rstrip()), progress=advance,
             )  # fmt: skip
         fronts.trace(output, found)
+        was = check_kind(out, "controller")
         checksum = write_controller(out, found.controller)
+        output.replaced(out, was)
         fronts.write(found)
     for note in _notes(plant, found, environment_stiffness is not None):
         output.note(note)

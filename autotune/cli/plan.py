@@ -113,12 +113,13 @@ def command(
     from autotune.errors import UsageError
     from autotune.files.atomic import check_target
     from autotune.files.plan import plan_tree, write_plan
+    from autotune.files.standing import check_kind
     from identification.plan_experiment import plan_experiment
     from identification.plan_poses import FEWEST_POSES
     from identification.plan_result import Limits
     from identification.plan_values import usual_values
 
-    check_target(out, [path for path in (identified, present) if path is not None])
+    check_target(out, [path for path in (identified, present) if path is not None], kind="plan")
     if 0 < poses < FEWEST_POSES:
         raise UsageError(
             f"--poses must be 0 (none) or at least {FEWEST_POSES}, which tell mass and centre; found {poses}."
@@ -144,7 +145,9 @@ def command(
         plan = plan_experiment(name, values, limits, law)
     if law is not None and (plan.effect is None or plan.effect.controller != law):
         output.note(f"{present} is not stable on the surface that is assumed; what binds is counted without it.")
+    was = check_kind(out, "plan")
     write_plan(out, plan, provenance)
+    output.replaced(out, was)
     output.result(plan_tree(plan, provenance), lambda: print_plan(plan, out))
 
 

@@ -12,6 +12,7 @@ from autotune.cli.main import main
 from autotune.demo import STEPS, DemoResult, run_demo
 from autotune.files.controller import read_controller
 from autotune.files.identified import read_identified
+from autotune.files.made import MadeHere
 from autotune.files.yaml12 import load_yaml
 from tests.autotune.cli.conftest import SHORT
 from tests.autotune.tuning.cases import FAST_SPEC, FAST_WISHES
@@ -31,7 +32,7 @@ def test_the_demo_as_users_run_it(run_cli: RunCli, tmp_path: Path) -> None:
     assert all(check["passed"] for check in tree["checks"])
     assert tree["active"]["x"]
     names = {"cell.mcap", "identified.yaml", "controller.yaml", "controller.json"}
-    assert {path.name for path in (tmp_path / "out").iterdir()} == names | {"report.html"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == names | {"report.html", "demo.yaml"}
     assert Path(tree["report"]).name == "report.html"
     assert {Path(path).name for path in tree["files"].values()} == names
     assert tree["controller"] == load_yaml(tmp_path / "out" / "controller.yaml")
@@ -49,6 +50,7 @@ def brief(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoResult, list[st
     folder = tmp_path_factory.mktemp("demo") / "deep"
     folder.mkdir()
     (folder / "controller.yaml").write_text("from an earlier run\n", encoding="utf-8")
+    MadeHere(folder, []).add(folder / "controller.yaml")
     steps, shares = list[str](), list[float]()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(demo_module, "Program", lambda: SHORT)
@@ -113,3 +115,25 @@ def test_a_wrong_request_is_exit_2(run_cli: RunCli, tmp_path: Path, arguments: l
     done = run_cli("demo", *arguments)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
     assert told in done.stderr
+
+
+@pytest.mark.parametrize("name", ["cell.mcap", "identified.yaml", "controller.yaml", "controller.json", "report.html"])
+def test_a_file_of_another_origin_is_not_replaced(run_cli: RunCli, tmp_path: Path, name: str) -> None:
+    for list_is_there in (False, True):
+        (tmp_path / "out").mkdir(exist_ok=True)
+        (tmp_path / "out" / name).write_text("mine\n", encoding="utf-8")
+        if list_is_there:
+            MadeHere(tmp_path / "out", []).add(tmp_path / "out" / name)
+            (tmp_path / "out" / name).write_text("mine, and changed since\n", encoding="utf-8")
+        before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
+        run = run_cli("demo", "out")
+        assert (run.returncode, run.stdout) == (2, "")
+        assert f"{name} exists and is not what a demo made there, so it is not replaced" in run.stderr
+        assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
+
+
+def test_a_list_that_is_none_is_refused(run_cli: RunCli, tmp_path: Path) -> None:
+    (tmp_path / "demo.yaml").write_text("format: autotune/plan\n", encoding="utf-8")
+    run = run_cli("demo", ".")
+    assert run.returncode == 2
+    assert "demo.yaml exists and is no list of a demo" in run.stderr

@@ -1,0 +1,92 @@
+"""What stands under a name before a command writes there: a file that it may replace, and says so, or another's."""
+
+import re
+from collections.abc import Mapping
+from hashlib import sha256
+from pathlib import Path
+from types import MappingProxyType
+
+from autotune.errors import AutotuneError, UsageError
+
+from .canonical import checksum, short
+
+HEAD_BYTES = 4096
+_FORMAT = re.compile(rb'^\s*(?:/\* |\{\s*)?"?format"?: "?autotune/([a-z_]+)', re.MULTILINE)
+_PAGE = b'<meta name="generator" content="autotune report">'
+_NOUNS: Mapping[str, str] = MappingProxyType(
+    {
+        "c": "C export",
+        "controller": "controller",
+        "identified": "identified plant",
+        "map": "table of a map",
+        "pareto": "front",
+        "plan": "plan",
+        "report": "report",
+        "schedule": "schedule",
+    }
+)
+_SEALED = ("controller", "schedule")
+
+
+def kind_of(path: Path) -> str | None:
+    """Return which of the tool's files stands there, such as "controller"; None for one of another program.
+
+    "" where nothing is lost: no file, an empty one or a device.
+    """
+    if not path.is_file():
+        return ""
+    with path.open("rb") as stream:
+        head = stream.read(HEAD_BYTES)
+    if not head:
+        return ""
+    if _PAGE in head:
+        return "report"
+    found = _FORMAT.search(head)
+    return None if found is None else found[1].decode()
+
+
+def standing(path: Path | str) -> str:
+    """Say in a few words which file stands there, with its checksum; "" where nothing would be lost.
+
+    A controller or schedule has a checksum of its own, others that of their bytes (sha256).
+    """
+    path = Path(path)
+    kind = kind_of(path)
+    if kind == "":
+        return ""
+    if kind is None:
+        return "a file of another program"
+    noun = _NOUNS.get(kind, kind)
+    if kind not in _SEALED:
+        return f"the {noun} of sha256 {short(sha256(path.read_bytes()).hexdigest())}"
+    from .yaml12 import load_yaml  # noqa: PLC0415 - slow to import, and mostly nothing stands there
+
+    try:
+        tree = load_yaml(path)
+    except AutotuneError:
+        return f"a file that is no whole {noun}"
+    found = checksum(tree)
+    return f"the {noun} of checksum {short(found)}" if tree.get("checksum") == found else f"a {noun} that is not whole"
+
+
+def check_kind(path: Path | str, kind: str, *, option: str = "-o") -> str:
+    """Return what a file of `kind` will replace, in words as `standing`; "" where nothing would be lost.
+
+    Raises UsageError where something else stands there: only a file of the same kind is replaced.
+    """
+    path = Path(path)
+    try:
+        found = kind_of(path)
+        if found in ("", kind):
+            return standing(path)
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read: {error.strerror or error}.") from error
+    noun = _NOUNS.get(kind, kind)
+    if found is None:
+        raise UsageError(
+            f"{path} exists and is no file of this tool, so it is not replaced; name another one with {option}."
+        )
+    raise UsageError(
+        f"{path} exists and is no {noun} ({_NOUNS.get(found, found)}), so it is not replaced; name another one with "
+        f"{option}."
+    )
