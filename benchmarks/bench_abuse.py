@@ -4,8 +4,11 @@ Usage: python benchmarks/bench_abuse.py [CONTROLLER] [--ticks 1000000] [--seed 0
 
 Without CONTROLLER it is the demo's, which takes a minute. With `--ticks` the table is followed by random readings with
 faults among them, which Python and C must answer with the same bits; `--sanitize` compiles the C with ASan and UBSan,
-which then must be preloaded: `LD_PRELOAD=$(gcc -print-file-name=libasan.so) ASAN_OPTIONS=detect_leaks=0`. Exit code 1:
-something was not noticed, or differs.
+which then must be preloaded (ASAN_OPTIONS=detect_leaks=0, since Python itself is not watched):
+
+    LD_PRELOAD="$(gcc -print-file-name=libasan.so) $(gcc -print-file-name=libubsan.so)" python benchmarks/...
+
+Exit code 1: something was not noticed, or differs.
 """
 
 import argparse

@@ -79,7 +79,9 @@ def compile_c(text: CSource, folder: Path, name: str, *flags: str) -> "subproces
     """Write both files and compile them without the mathematical library; the linker must find nothing missing."""
     (folder / f"{name}.h").write_text(text.header, encoding="ascii")
     (folder / f"{name}.c").write_text(text.source, encoding="ascii")
-    alone = ("-shared", "-fPIC", "-nostdlib", "-Wl,--no-undefined", "-o", f"{name}.so", f"{name}.c")
+    # What a sanitizer calls is found when it is loaded.
+    bare = () if any("sanitize" in flag for flag in flags) else ("-nostdlib", "-Wl,--no-undefined")
+    alone = ("-shared", "-fPIC", *bare, "-o", f"{name}.so", f"{name}.c")
     return subprocess.run(["gcc", *FLAGS, *flags, *alone], cwd=folder, capture_output=True, text=True, check=False)
 
 
