@@ -35,6 +35,7 @@ class Rosbag2FolderContainer(Closing):
         self._survey: Survey | None = None
         self._part_findings: list[Finding] = []
         self._was_read = False
+        self._check_links()
         self._metadata = self._read_metadata()
         self._parts = self._find_parts(self._metadata) if self._metadata else self._guess_parts()
 
@@ -68,6 +69,22 @@ class Rosbag2FolderContainer(Closing):
 
     def close(self) -> None:
         """Do nothing: no part stays open."""
+
+    def _check_links(self) -> None:
+        """Refuse a link that leads out of the folder: what it leads to was not recorded here, and is not shown."""
+        whole = self._path.resolve()
+        for path in self._entries():
+            if path.is_symlink() and not path.resolve().is_relative_to(whole):
+                raise LogError(
+                    f"{self._name}/{path.name} is a symbolic link that leads out of the folder, so nothing is read "
+                    "from it; copy the recorded file itself into the folder, or name it on its own."
+                )
+
+    def _entries(self) -> list[Path]:
+        try:
+            return sorted(self._path.iterdir())
+        except OSError as error:
+            raise LogError(f"{self._name} cannot be read: {error.strerror or error}; check its permissions.") from error
 
     def _read_metadata(self) -> Metadata | None:
         path = self._path / NAME
@@ -129,11 +146,7 @@ class Rosbag2FolderContainer(Closing):
         return files
 
     def _log_files(self) -> list[Path]:
-        try:
-            entries = sorted(self._path.iterdir())
-        except OSError as error:
-            raise LogError(f"{self._name} cannot be read: {error.strerror or error}; check its permissions.") from error
-        return [path for path in entries if _stem(path.name) and path.is_file()]
+        return [path for path in self._entries() if _stem(path.name) and path.is_file()]
 
     def _opened(self, part: Path) -> closing[Container]:
         return closing(open_file(part, salvage=self._salvage))

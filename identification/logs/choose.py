@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from ..errors import LogError
+from ..listing import listed
 from ..result import Finding
 from .cell import Cell, PoseSource, Source
 from .heads import Head
@@ -150,10 +151,10 @@ def _named(role: Role, topic: str, heads: Sequence[Head], log: str) -> Head:
     found = [head for head in fitting if head.channel.topic == topic]
     if len(found) == 1:
         return found[0]
-    others = ", ".join(head.channel.topic for head in fitting) or "none"
+    others = listed(head.channel.topic for head in fitting)
     same_name = [head for head in heads if head.channel.topic == topic]
     if found:
-        reason = f"Topic `{topic}` is in {log} more than once: {', '.join(map(str, found))}"
+        reason = f"Topic `{topic}` is in {log} more than once: {listed(found)}"
     elif not same_name:
         reason = f"Topic `{topic}` is not in {log}"
     elif not any(head.count for head in same_name):
@@ -234,7 +235,7 @@ def _transform(
     if not found:
         told = sorted({f"{child} in {parent}" for pairs in having.values() for parent, child in pairs})
         raise LogError(
-            f"No transform of {pair[1]} in {pair[0]} is in {log}, which tells: {', '.join(told) or 'no transforms'}."
+            f"No transform of {pair[1]} in {pair[0]} is in {log}, which tells: {listed(told, empty='no transforms')}."
         )
     head = _only(role, found, heads, log, source)
     layout = LAYOUTS[role][head.channel.type_name]

@@ -7,6 +7,7 @@ from itertools import groupby
 
 from ..containers.channel import Channel, Held
 from ..errors import LogError
+from ..listing import listed
 from ..messages.objects import build_object_parser
 from ..messages.read import read_series
 from ..messages.series import Wanted
@@ -87,7 +88,7 @@ def _article(found: NumberFields) -> str:
 
 def _counts(found: NumberFields) -> str:
     if found.type in ("csv", "parquet"):
-        return f"the columns {', '.join(found.paths[:30])}{', …' if len(found.paths) > 30 else ''}"
+        return f"the columns {listed(found.paths)}"
     lists: dict[str, int] = {}
     for path in found.paths:
         name = path.partition("[")[0]

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from ..containers.channel import Channel
+from ..listing import listed
 from .cell import Source
 from .heads import Head
 from .layouts import (
@@ -86,16 +87,16 @@ def missing_sentence(role: Role, log: str, heads: Sequence[Head], source: Source
         return ruled_out
     types = sorted({head.channel.type_name for head in heads if head.count and head.channel.type_name})
     empty = sorted(head.channel.topic for head in heads if not head.count and role in roles_of(head.channel))
-    silent = f" ({', '.join(empty)} is there but without messages)" if empty else ""
+    silent = f" ({listed(empty)} is there but without messages)" if empty else ""
     sentence = (
         f"{log} has no channel for the {LABEL[role]}{silent}: it needs {NEEDS.get(role, 'one')}, "
-        f"the log holds {', '.join(types) or 'nothing'}; {_RECORD.get(role, 'record it')}."
+        f"the log holds {listed(types, empty='nothing')}; {_RECORD.get(role, 'record it')}."
     )
     undeclared = [head.channel.topic for head in heads if head.count and is_undeclared(head)]
     if role is Role.COMMAND or not undeclared:
         return sentence
     return (
-        f"{sentence} {', '.join(undeclared)} may carry it, but what the numbers mean is not told in the log: declare "
+        f"{sentence} {listed(undeclared)} may carry it, but what the numbers mean is not told in the log: declare "
         f"`{ENTRY[role]}: {{topic: …, fields: …}}` in cell.yaml; `autotune inspect LOG --write-cell cell.yaml` begins "
         "such a file."
     )
@@ -106,7 +107,7 @@ def _ruled_out(role: Role, log: str, heads: Sequence[Head], source: Source | Non
     typed = [head for head in heads if head.count and head.channel.type_name == NEEDS.get(role)]
     if not typed:
         return ""
-    start = f"None of {', '.join(map(str, typed))} in {log} serves as the {LABEL[role]}"
+    start = f"None of {listed(typed)} in {log} serves as the {LABEL[role]}"
     if source is not None and getattr(source, "fields", None) is not None:
         return (
             f"{start}: `{ENTRY[role]}: {{fields: …}}` is for messages whose type does not tell their meaning; name "

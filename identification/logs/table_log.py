@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..containers.channel import Channel, Held, Survey
 from ..errors import LogError
+from ..listing import listed
 from ..messages.series import Series, Wanted
 from ..result import Finding
 from ..tables.read import TableLayout, list_columns, read_table
@@ -79,7 +80,7 @@ class TableLog:
                 code="time-undeclared",
                 severity="error",
                 message=f"{self.path.name} is a table, whose time is not declared; its columns are: "
-                f"{', '.join(self.columns[:30])}{', …' if len(self.columns) > 30 else ''}.",
+                f"{listed(self.columns)}.",
                 advice="In cell.yaml name its time column (`table: {time: …}`) or give its `sample_rate_hz`.",
             ),
         )

@@ -10,6 +10,7 @@ from rosbags.interfaces.typing import Typesdict
 
 from ..containers.channel import Channel
 from ..errors import LogError
+from ..listing import listed
 from ..recording import StampArray
 from .definitions import HEADER, ROS_ENCODINGS, TIME, needed_types
 from .kernel import END, FRAME, MAX_DEPTH, PICK, REPEAT, RUN, SEQUENCE, SKIP, STAMP, STRING, TIMES
@@ -109,7 +110,7 @@ class _Compiler:
             raise self._lacking(f"{name} is no {HEADER}")
         for token in node.inside:
             if token not in fields:
-                raise self._lacking(f"{name} has no {token!r}, only {', '.join(sorted(fields))}")
+                raise self._lacking(f"{name} has no {token!r}, only {listed(sorted(fields))}")
 
     def _lacking(self, why: str) -> LogError:
         return LogError(

@@ -359,3 +359,17 @@ def test_a_compressed_message_that_is_damaged_is_refused_in_an_mcap_part(tmp_pat
     file.write_bytes(plain)
     with pytest.raises(LogError, match="message of topic /ft cannot be unpacked"):
         read_all(open_container(path))
+
+
+@pytest.mark.parametrize("name", ["metadata.yaml", "run_0.mcap", "notes.txt"])
+@pytest.mark.parametrize("salvage", [False, True])
+def test_a_link_that_leads_out_of_the_folder_is_refused_and_not_quoted(
+    tmp_path: Path, name: str, salvage: bool
+) -> None:
+    (tmp_path / "secret").write_text("hunter2: [\n", encoding="utf-8")
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / name).symlink_to(tmp_path / "secret")
+    with pytest.raises(LogError, match=rf"run/{name} is a symbolic link that leads out of the folder") as caught:
+        Rosbag2FolderContainer(folder, salvage=salvage)
+    assert "hunter2" not in str(caught.value)

@@ -1,0 +1,36 @@
+import pytest
+
+from identification.listing import listed
+from identification.logs.layouts import Role
+
+
+@pytest.mark.parametrize(
+    ("count", "end"), [(0, "none"), (1, "t0"), (10, "t8, t9"), (11, "t9, … and 1 more"), (47, "t9, … and 37 more")]
+)
+def test_at_most_ten_are_told_and_the_rest_counted(count: int, end: str) -> None:
+    told = listed(f"t{i}" for i in range(count))
+    assert told.endswith(end)
+    assert told.count("t") <= 10
+
+
+def test_a_sentence_about_a_log_of_a_thousand_topics_stays_short() -> None:
+    from identification.containers.channel import Channel
+    from identification.logs.heads import Head
+    from identification.logs.roles import missing_sentence
+
+    heads = [
+        Head(
+            channel=Channel(
+                topic=f"/a/rather/long/topic/{i}",
+                type_name=f"pkg/msg/Type{i}",
+                encoding="cdr",
+                schema_encoding="",
+                schema=b"",
+            ),
+            count=1,
+        )
+        for i in range(1000)
+    ]
+    told = missing_sentence(Role.WRENCH, "run7.mcap", heads)
+    assert "… and 990 more" in told
+    assert len(told) < 1500
