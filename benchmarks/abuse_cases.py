@@ -46,7 +46,8 @@ Change = Callable[[Moment], Reading | None]
 class Case:
     """What is fed, in words; how a reading is changed (None: this period is missed); which fault must follow.
 
-    `load` is what the cell carries, as a share of what is compensated. `tilt_rad` turns the tool about y.
+    `load` is what the cell carries, as a share of what is compensated. `tilt_rad` turns the tool about y. `or_else` are
+    faults that may come first, for a controller that reacts faster.
     """
 
     fed: str
@@ -55,6 +56,7 @@ class Case:
     load: float = 1.0
     tilt_rad: float = 0.0
     push_n: float = PUSH_N
+    or_else: tuple[Fault, ...] = ()
     lasts_s: float = _WRONG_S
 
 
@@ -141,6 +143,7 @@ CASES = (
         change=_from_then(_payload_gone),
         tilt_rad=np.pi / 6.0,
         push_n=0.0,
+        or_else=(Fault.SPEED, Fault.ACCELERATION),
     ),
     Case(fed="payload 20 % heavier than told", fault=Fault.RESIDUAL_WRENCH, change=_nothing, load=1.2),
     Case(fed="payload 5 % heavier than told", fault=Fault.RESIDUAL_WRENCH, change=_nothing, load=1.05),

@@ -72,8 +72,9 @@ class Row:
 
     @property
     def is_noticed(self) -> bool:
-        """Whether the fault is the expected one, in both."""
-        return self.fed.fault is self.fed.case.fault and (self.c_fault is None or self.c_fault is self.fed.fault)
+        """Whether the fault is an expected one, in both the same."""
+        expected = (self.fed.case.fault, *self.fed.case.or_else)
+        return self.fed.fault in expected and (self.c_fault is None or self.c_fault is self.fed.fault)
 
 
 def run_case(controller: RuntimeController, case: Case, twin: Twin | None) -> Row:
