@@ -59,6 +59,16 @@ class DemoFiles:
     controller: Path
     twin: Path
 
+    @classmethod
+    def inside(cls, directory: Path) -> "DemoFiles":
+        """Return where everything lies in a folder."""
+        return cls(
+            log=directory / "cell.mcap",
+            identified=directory / "identified.yaml",
+            controller=directory / "controller.yaml",
+            twin=directory / "controller.json",
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class DemoResult:
@@ -88,12 +98,7 @@ def run_demo(
     """
     begin, report = step or _silent, progress or _silent
     directory.mkdir(parents=True, exist_ok=True)
-    files = DemoFiles(
-        log=directory / "cell.mcap",
-        identified=directory / "identified.yaml",
-        controller=directory / "controller.yaml",
-        twin=directory / "controller.json",
-    )
+    files = DemoFiles.inside(directory)
     made = MadeHere(directory, [each.name for each in (*vars(files).values(), directory / PAGE)])
     begin(STEPS[0])
     cell = Cell()

@@ -72,8 +72,16 @@ class Output:
         if not self.quiet:
             say(message)
 
-    def replaced(self, path: Path, was: str) -> None:
-        """Tell the user which file stood under `path` before; nothing where `was` is empty."""
+    @contextlib.contextmanager
+    def replacing(self, path: Path, kind: str) -> Iterator[None]:
+        """Say after the block, which writes `path`, what stood there before, if anything.
+
+        Raises UsageError before it where what stands there is no file of `kind` (`autotune.files.standing`).
+        """
+        from autotune.files.standing import check_kind
+
+        was = check_kind(path, kind)
+        yield
         if was:
             self.note(f"{path}: replaced {was}.")
 

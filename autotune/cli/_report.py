@@ -50,15 +50,13 @@ def write_report(output: Output, report: Path | None, build: Callable[[], "Page"
     if report is None:
         return {}
     from autotune.files.atomic import write_atomic
-    from autotune.files.standing import check_kind
     from autotune.processes import count_processors
     from autotune.reports.page import render_page
 
     with output.progress("drawing the report", 1.0) as advance:
         text = render_page(build(), advance, processes=count_processors())
-    was = check_kind(report, "report")
-    write_atomic(report, text)
-    output.replaced(report, was)
+    with output.replacing(report, "report"):
+        write_atomic(report, text)
     return {"report": str(report)}
 
 

@@ -85,7 +85,6 @@ def command(
     from autotune.files.atomic import check_target
     from autotune.files.cell import read_cell
     from autotune.files.identified import identified_tree, write_identified
-    from autotune.files.standing import check_kind
     from autotune.given import parse_given
     from autotune.identifying import Topics, identify_log
     from autotune.processes import count_processors
@@ -112,9 +111,8 @@ def command(
             )
         if not allow_partial:
             found.require()
-        was = check_kind(out, "identified")
-        write_identified(out, found.result, found.provenance)
-        output.replaced(out, was)
+        with output.replacing(out, "identified"):
+            write_identified(out, found.result, found.provenance)
     tree = {**identified_tree(found.result, found.provenance), **write_report(output, report, seen.page)}
 
     def text() -> None:

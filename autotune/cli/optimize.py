@@ -132,7 +132,6 @@ def command(
     from autotune.files.controller import controller_tree, read_controller, write_controller
     from autotune.files.identified import read_identified
     from autotune.files.problem import ProblemSpec, read_problem
-    from autotune.files.standing import check_kind
     from autotune.tuning.optimize import optimize
     from autotune.tuning.problems import Wishes
 
@@ -156,17 +155,15 @@ def command(
                 step=lambda told: advance(0.0, f"searching {told}".rstrip()), progress=advance,
             )  # fmt: skip
         fronts.trace(output, found)
-        was = check_kind(out, "controller")
-        checksum = write_controller(out, found.controller)
-        output.replaced(out, was)
+        with output.replacing(out, "controller"):
+            checksum = write_controller(out, found.controller)
         fronts.write(found)
     for note in _notes(plant, found, environment_stiffness is not None):
         output.note(note)
     tree = {**controller_tree(found.controller), "active": active_tree(found)}
     if existing is not None:
         tree["compare"] = compare_tree(existing, found.compared)
-    if fronts.tree:
-        tree["pareto"] = fronts.tree
+    tree |= {"pareto": fronts.tree} if fronts.tree else {}
     tree |= write_report(output, report, lambda: _page(found, checksum, existing, fronts))
     output.result(tree, lambda: _print_all(found, out, short(checksum), existing, fronts, report))
 

@@ -113,7 +113,6 @@ def command(
     from autotune.errors import UsageError
     from autotune.files.atomic import check_target
     from autotune.files.plan import plan_tree, write_plan
-    from autotune.files.standing import check_kind
     from identification.plan_experiment import plan_experiment
     from identification.plan_poses import FEWEST_POSES
     from identification.plan_result import Limits
@@ -145,9 +144,8 @@ def command(
         plan = plan_experiment(name, values, limits, law)
     if law is not None and (plan.effect is None or plan.effect.controller != law):
         output.note(f"{present} is not stable on the surface that is assumed; what binds is counted without it.")
-    was = check_kind(out, "plan")
-    write_plan(out, plan, provenance)
-    output.replaced(out, was)
+    with output.replacing(out, "plan"):
+        write_plan(out, plan, provenance)
     output.result(plan_tree(plan, provenance), lambda: print_plan(plan, out))
 
 
