@@ -16,7 +16,8 @@ from autotune.files.problem import ProblemSpec
 from autotune.identifying import IdentifiedLog, Topics, identify_log
 from autotune.tuning.optimize import Optimized, optimize
 from autotune.tuning.problems import Wishes
-from autotune.validation.validate import ValidationReport, validate_controller
+from autotune.validation.report import ValidationReport
+from autotune.validation.validate import validate_controller
 from identification.result import Estimate
 
 STEPS = (

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from autotune.validation.against_log import LogComparison
     from autotune.validation.disturbances import Told
     from autotune.validation.monte_carlo import AxisMonteCarlo
-    from autotune.validation.validate import ValidationReport
+    from autotune.validation.report import ValidationReport
 
 _EPILOG = """\b
 Examples:
@@ -117,7 +117,8 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
     from autotune.validation.domain import check_domain
     from autotune.validation.monte_carlo import run_monte_carlo
     from autotune.validation.monte_carlo_report import monte_carlo_checks, monte_carlo_tree
-    from autotune.validation.validate import ValidationReport, validate_controller
+    from autotune.validation.report import ValidationReport
+    from autotune.validation.validate import validate_controller
 
     sources = [path, *options["logs"], *([] if identified_path is None else [identified_path])]
     check_report(options["report"], sources)

@@ -17,7 +17,8 @@ from autotune.identifying import Topics, identify_log
 from autotune.processes import count_processors
 from autotune.validation.monte_carlo import run_monte_carlo
 from autotune.validation.monte_carlo_report import monte_carlo_checks
-from autotune.validation.validate import ValidationReport, validate_controller
+from autotune.validation.report import ValidationReport
+from autotune.validation.validate import validate_controller
 from identification.errors import LogError
 from identification.evidence import Evidence
 from identification.given import Given

@@ -8,7 +8,7 @@ from autotune.files.records import ROTATIONAL_AXES
 from autotune.files.units import axis_units
 from autotune.validation.against_log import ComparedContact, LogComparison
 from autotune.validation.monte_carlo import QUANTILES, AxisMonteCarlo
-from autotune.validation.validate import ValidationReport
+from autotune.validation.report import ValidationReport
 
 from .axis_design import axis_designs
 from .controller_tables import checksum_fact, design_facts

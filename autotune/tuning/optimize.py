@@ -17,7 +17,8 @@ from autotune.files.identified import IdentifiedFile
 from autotune.files.problem import ComplianceSpec, ProblemSpec
 from autotune.files.records import ROTATIONAL_AXES
 from autotune.validation.continuous import ProofWishes
-from autotune.validation.validate import ValidationReport, validate_controller
+from autotune.validation.report import ValidationReport
+from autotune.validation.validate import validate_controller
 from identification.result import Identified
 from problems.design import FURTHER_VARIABLES, VARIABLES, DesignProblem
 
@@ -36,7 +37,7 @@ from .problems import Wishes, build_problems, certified_mass_kg, runtime_mass_kg
 from .record import build_controller, runtime_payload
 from .relax import find_relaxations, tell_relaxations
 from .search import SearchResult, solve_design
-from .settling import Proved, prove_search, settle
+from .settling import Proved, Settled, prove_search, settle
 from .standing import Standing, standing_tree
 from .threshold import ThresholdWish, choose_threshold, threshold_wish
 
@@ -102,7 +103,7 @@ def optimize(
         problems = {name: compliance.on_chosen(problems[name]) for name, compliance in chosen.items()}
     searches = _search_all(problems, existing, chosen, seed, relax, report)
     chosen = {name: settle_compliance(problems[name], each, searches[name], seed) for name, each in chosen.items()}
-    settled = {name: settle(name, search, asked, seed=seed) for name, search in searches.items()}
+    settled = _settle_all(searches, asked, seed, report)
     searches = {name: each.search for name, each in settled.items()}
     standings = {name: each.standing for name, each in settled.items()}
     provenance = make_provenance(identified, wishes, seed, problem_path, existing, asked)
@@ -121,6 +122,17 @@ def optimize(
         compared={} if existing is None else compare(existing.controller, searches),
         compliance=chosen,
     )
+
+
+def _settle_all(
+    searches: Mapping[str, SearchResult], asked: ProofWishes, seed: int, report: Callable[[float], None]
+) -> dict[str, Settled]:
+    """Return what nothing refutes of every axis, see `settling.settle`."""
+    settled = {}
+    for name, search in searches.items():
+        settled[name] = settle(name, search, asked, seed=seed)
+        report((1.0 - _SEARCH_SHARE) * _PROOF_SHARE / len(searches))
+    return settled
 
 
 def _optimality_tree(standings: Mapping[str, Standing]) -> dict[str, Any]:

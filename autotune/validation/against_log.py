@@ -22,7 +22,8 @@ from .disturbances import file_deadband
 from .law_in_log import Followed, follow_law
 from .log_contacts import ContactLog, LogContact, find_log_contacts
 from .monte_carlo import SAME_PEAK, needed_substeps
-from .validate import Check, admittance_controller
+from .report import Check
+from .validate import admittance_controller
 
 FloatArray = NDArray[np.float64]
 

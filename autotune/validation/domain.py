@@ -9,7 +9,7 @@ from autotune.files.units import axis_units
 from identification.result import AxisEstimate, Estimate, Identified, Status, VectorEstimate, WrenchFilterEstimate
 from problems.plant import NO_FILTER
 
-from .validate import Check
+from .report import Check
 
 _STDS = 3.0
 _LEAST_SHARE = 0.01

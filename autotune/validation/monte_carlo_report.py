@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from autotune.files.units import axis_units
 
 from .monte_carlo import QUANTILES, SAME_PEAK, AxisMonteCarlo, SampledPeaks
-from .validate import Check
+from .report import Check
 
 
 def monte_carlo_checks(found: Sequence[AxisMonteCarlo]) -> tuple[Check, ...]:

@@ -1,16 +1,11 @@
 """Verify a controller from its file alone: every claim is made again by code that the optimizer does not use."""
 
-import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
-from autotune.errors import CertificateError
 from autotune.files.controller_record import (
-    AdmittanceRequirement,
     AxisDomain,
-    AxisMargins,
     CollisionResponse,
     Controller,
     Proof,
@@ -20,76 +15,29 @@ from autotune.files.records import ROTATIONAL_AXES
 from autotune.files.units import axis_units
 from problems.controller import AdmittanceController
 from problems.errors import ParameterError
-from problems.plant import NO_FILTER, Coupling, Plant
+from problems.plant import NO_FILTER, Coupling
 from problems.requirements import NoiseLimit, PassivityTarget
 from problems.robot import RobotModel
 from problems.uncertainty import SYMBOLS, Scenario
 
-from .admittance import sampled_admittance
 from .bouncing import search_bouncing
-from .command import passive_band_hz, worst_speed_rms
 from .continuous import prove_over, refuted_inside, told_false
 from .limits import verify_limits
-from .margins import SweptMargins, sweep_margins
+from .margins import sweep_margins
 from .peaks import verify_peaks
-from .promises import asked_of, limit_n, soft_told
+from .promises import asked_of, limit_n
 from .proof import StabilityProof, UncertainPlant, prove_stability
 from .refuted import RefutedError
+from .report import Check, ValidationReport
+from .requirements import check_admittance, check_command, check_margins, check_requirements
 from .response import has_response, verify_response
 from .statements import stability_statement, wrong_statements
-from .whole_set import OtherPlants, build_other_plants, recorded_plants
+from .whole_set import build_other_plants, recorded_plants
 
 _STIFFNESS_POINTS, _MASS_POINTS = 25, 3
-_NOISE_STIFFNESS_POINTS = 9
 _MOST_DEADBAND = 0.5  # of the force that drives the approach
-# Two roads to the same margin differ by their frequency grids (measured: 1e-4); what differs by more is another margin.
-_SAME_MARGIN = 0.01
 _SAME_NUMBER = 1e-6
 _CHECKS = 12  # per axis, all passing; that of the payload's mass is none of a rotational axis
-_MARGIN_OF = {
-    "modulus_margin": "modulus",
-    "gain_margin_db": "gain_db",
-    "phase_margin_deg": "phase_deg",
-    "delay_margin_s": "delay_s",
-}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Check:
-    """One thing that was verified on one axis, in words; `passed` is the verdict.
-
-    `warns`: nothing is wrong, but nothing was shown either, or somebody should look at it.
-    """
-
-    axis: str
-    name: str
-    passed: bool
-    message: str
-    warns: bool = False
-
-    @property
-    def verdict(self) -> str:
-        """Return the verdict in a word: ok, note or FAILED."""
-        return ("note" if self.warns else "ok") if self.passed else "FAILED"
-
-
-@dataclass(frozen=True, kw_only=True)
-class ValidationReport:
-    """All checks of a controller, in the order in which they ran."""
-
-    checks: tuple[Check, ...]
-
-    @property
-    def passed(self) -> bool:
-        """Whether every check passed."""
-        return all(check.passed for check in self.checks)
-
-    def require(self) -> None:
-        """Raise CertificateError with the first check that failed."""
-        failed = [check for check in self.checks if not check.passed]
-        if failed:
-            more = f" ({len(failed) - 1} more checks failed)" if len(failed) > 1 else ""
-            raise CertificateError(f"Axis {failed[0].axis}, {failed[0].name}: {failed[0].message}{more}")
 
 
 def validate_controller(
@@ -144,16 +92,16 @@ def _axis_checks(controller: Controller, name: str, is_short: bool) -> Iterator[
     yield _statements(controller, name, proofs)
     if is_short:
         swept = sweep_margins(plants, law, h, stiffness=2, mass=2, others=recorded)
-        yield _margins(name, margins, swept)
-        yield _requirements(controller, name, swept)
+        yield check_margins(name, margins, swept)
+        yield check_requirements(controller, name, swept)
         return
     for reach in (controller.certificate.continuous or {}).get(name, ()):
         yield _continuous(name, domain, law, h, reach)
     swept = sweep_margins(plants, law, h, stiffness=_STIFFNESS_POINTS, mass=_MASS_POINTS, others=others.plants)
-    yield _margins(name, margins, swept)
-    yield _requirements(controller, name, swept)
-    yield _admittance(controller, name, plants, others, law)
-    yield from _command(controller, name, plants, others, law)
+    yield check_margins(name, margins, swept)
+    yield check_requirements(controller, name, swept)
+    yield check_admittance(controller, name, plants, others, law)
+    yield from check_command(controller, name, plants, others, law)
     told, missed = verify_peaks(
         domain,
         controller.predicted[name].scenarios,
@@ -340,111 +288,3 @@ def _continuous(name: str, domain: AxisDomain, law: AdmittanceController, h: flo
     else:
         message = f"{told}: proved ({found.cells} cells, {found.arcs} arcs, {found.run_time_s:.1f} s)"
     return Check(axis=name, name="continuous proof", passed=passed, message=message, warns=reach.share <= 0.0)
-
-
-def _margins(name: str, claimed: AxisMargins, swept: SweptMargins) -> Check:
-    wrong = []
-    for key in ("modulus", "gain_db", "phase_deg", "delay_s"):
-        said = getattr(claimed, key)
-        found = swept.values[key]
-        said = math.inf if said is None else float(said)
-        if said > found * (1.0 + _SAME_MARGIN) and not (math.isinf(said) and math.isinf(found)):
-            wrong.append(f"{key} is claimed as {said:.6g}, found {found:.6g}")
-    told = ", ".join(f"{key} {swept.values[key]:.4g}" for key in ("modulus", "gain_db", "phase_deg", "delay_s"))
-    return Check(
-        axis=name,
-        name="margins",
-        passed=not wrong and swept.largest_radius < 1.0,
-        message="; ".join(wrong) or f"confirmed on {swept.plants} plants: {told}",
-    )
-
-
-def _requirements(controller: Controller, name: str, swept: SweptMargins) -> Check:
-    missed, known = [], 0
-    for key, required in asked_of(controller, name).items():
-        if isinstance(required, AdmittanceRequirement | NoiseLimit | PassivityTarget):
-            continue
-        if key in _MARGIN_OF:
-            reached = swept.values[_MARGIN_OF[key]]
-        elif key == "decay_rate_per_s":
-            reached = -math.log(swept.largest_radius) / controller.sample_time_s
-        elif key == "max_peak_force_n":
-            continue
-        else:
-            missed.append(f"{key} cannot be verified by this release")
-            continue
-        known += 1
-        if reached < float(required) * (1.0 - _SAME_MARGIN * 0.1):
-            missed.append(f"{key} must be at least {required:.6g}, found {reached:.6g}")
-    return Check(
-        axis=name,
-        name="requirements",
-        passed=not missed,
-        message="; ".join(missed) or f"all {known} margins that were asked are met{soft_told(controller, name)}",
-    )
-
-
-def _admittance(
-    controller: Controller, name: str, plants: UncertainPlant, others: OtherPlants, law: AdmittanceController
-) -> Check:
-    predicted = controller.predicted[name].free_space_admittance
-    found = sampled_admittance(plants.port, law, controller.sample_time_s, predicted.band_hz)
-    wrong = []
-    units = axis_units(name)
-    hand = law.damping_n_s_per_m + plants.drag_n_s_per_m
-    if abs(predicted.hand_force_n_per_m_s / hand - 1.0) > _SAME_MARGIN:
-        said = f"{predicted.hand_force_n_per_m_s:.6g} {units.hand}"
-        wrong.append(f"the hand {units.force_name} is claimed as {said}, found {hand:.6g}")
-    if abs(found / predicted.min_m_s_per_n - 1.0) > _SAME_MARGIN:
-        wrong.append(f"|G| is claimed as {predicted.min_m_s_per_n:.6g} {units.admittance}, found {found:.6g}")
-    for required in asked_of(controller, name).values():
-        if isinstance(required, AdmittanceRequirement):
-            # G does not hang on the payload; among the robots the slowest and the fastest stand for all.
-            reached = min(
-                sampled_admittance(port, law, controller.sample_time_s, required.band_hz)
-                for port in (plants.port, *others.extreme_ports())
-            )
-            if reached < required.min_m_s_per_n * (1.0 - 0.1 * _SAME_MARGIN):
-                wrong.append(
-                    f"|G| must be at least {required.min_m_s_per_n:.6g} {units.admittance}, found {reached:.6g}"
-                )
-    band = f"{predicted.band_hz[0]:g} to {predicted.band_hz[1]:g} Hz"
-    return Check(
-        axis=name,
-        name="free-space admittance",
-        passed=not wrong,
-        message="; ".join(wrong) or f"at least {found:.4g} {units.admittance} from {band}",
-    )
-
-
-def _command(
-    controller: Controller, name: str, plants: UncertainPlant, others: OtherPlants, law: AdmittanceController
-) -> Iterator[Check]:
-    """Check the command's noise and the passive band, where they were asked."""
-    h, units = controller.sample_time_s, axis_units(name)
-    for required in asked_of(controller, name).values():
-        if isinstance(required, NoiseLimit):
-            found = (required.force_noise_rms_n or 0.0) * worst_speed_rms(_noise_plants(plants, others), law, h)
-            met = found <= required.max_speed_rms_m_s * (1.0 + 0.1 * _SAME_MARGIN)
-            told = f"{found:.4g} {units.speed} under {units.force_name} noise of {required.force_noise_rms_n:g}"
-            limit = f"at most {required.max_speed_rms_m_s:.4g} {units.speed}"
-            message = f"the command's speed RMS is {told} {units.force}, {limit}"
-            yield Check(
-                axis=name, name="command noise", passed=met, message=message if met else f"{message} is claimed"
-            )
-        if isinstance(required, PassivityTarget):
-            ports = (plants.port, *others.extreme_ports())
-            reached = min(passive_band_hz(port, law, h, required.passive_below_hz) for port in ports)
-            met = reached >= required.passive_below_hz * (1.0 - 0.1 * _SAME_MARGIN)
-            message = f"the port is passive up to {reached:.4g} Hz"
-            must = f"{message}, claimed up to {required.passive_below_hz:.4g} Hz"
-            yield Check(axis=name, name="passivity", passed=met, message=message if met else must)
-
-
-def _noise_plants(plants: UncertainPlant, others: OtherPlants) -> tuple[Plant, ...]:
-    """Return a grid of the set, ends included, and the further plants, all in contact."""
-    masses = np.linspace(*plants.payload_mass_kg, _MASS_POINTS)
-    low, high = plants.environment_stiffness_n_per_m
-    stiffnesses = np.clip(np.geomspace(low, high, _NOISE_STIFFNESS_POINTS), low, high)
-    grid = dict.fromkeys((float(m), float(k)) for m in masses for k in stiffnesses)
-    return tuple(dict.fromkeys((*(plants.at(m, k) for m, k in grid), *others.plants)))

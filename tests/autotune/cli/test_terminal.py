@@ -17,7 +17,7 @@ from autotune.cli.optimize import print_optimized
 from autotune.files.controller import write_controller
 from autotune.files.controller_record import Controller
 from autotune.reports import from_files
-from autotune.validation.validate import ValidationReport
+from autotune.validation.report import ValidationReport
 from tests.autotune.cli.terminals import SAID_BY_USERS, terminal
 from tests.autotune.tuning.cases import fast_optimized, write_plant
 

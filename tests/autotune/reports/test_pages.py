@@ -23,7 +23,7 @@ from autotune.tuning.compare import compare
 from autotune.validation.against_log import LogComparison
 from autotune.validation.monte_carlo import run_monte_carlo
 from autotune.validation.monte_carlo_report import monte_carlo_checks
-from autotune.validation.validate import Check, ValidationReport
+from autotune.validation.report import Check, ValidationReport
 from problems.controller import AdmittanceController
 from tests.autotune.files.test_schedule import make_schedule
 from tests.autotune.reports.page_law import check_page, unpacked

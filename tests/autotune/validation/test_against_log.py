@@ -15,7 +15,8 @@ from autotune.cli._against_log import print_comparison
 from autotune.reports.page import Table
 from autotune.reports.validate_page import Validated, measured_section
 from autotune.validation.against_log import LogComparison, compare_with_log, log_checks
-from autotune.validation.validate import ValidationReport, admittance_controller
+from autotune.validation.report import ValidationReport
+from autotune.validation.validate import admittance_controller
 from identification.errors import EstimateError, LogError
 from identification.recording import GainsSignal, Recording
 from problems.plant import Coupling, Environment

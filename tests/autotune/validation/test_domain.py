@@ -8,7 +8,7 @@ import pytest
 
 from autotune.files.controller_record import Controller
 from autotune.validation.domain import check_domain
-from autotune.validation.validate import Check
+from autotune.validation.report import Check
 from identification.result import AxisEstimate, Identified, WrenchFilterEstimate
 from problems.plant import WrenchFilter
 from tests.autotune.tuning.cases import absent, identified_axis, identified_plant, known, small_controller, with_axis

@@ -16,7 +16,8 @@ from autotune.files.controller_record import (
     FreeSpaceAdmittance,
     ScenarioPrediction,
 )
-from autotune.validation.validate import Check, ValidationReport, validate_controller
+from autotune.validation.report import Check, ValidationReport
+from autotune.validation.validate import validate_controller
 from tests.autotune.tuning.cases import fast_optimized, small_controller
 
 Change = Callable[[Controller], Controller]
