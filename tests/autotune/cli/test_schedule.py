@@ -63,8 +63,8 @@ def test_infeasible_classes_are_exit_5_and_nothing_is_left(run_cli: RunCli, tmp_
     [
         (("--schedule", "mass=8"), "give payload=CLASSES in kg or stiffness=CLASSES in N/m"),
         (("--schedule", "payload"), "give payload=CLASSES"),
-        (("--schedule", "payload="), "'' is no payload"),
-        (("--schedule", "payload=8,heavy"), "'heavy' is no payload"),
+        (("--schedule", "payload="), "'' is not a number"),
+        (("--schedule", "payload=8,heavy"), "'heavy' is not a number"),
         (("--schedule", "payload=8:9:10"), "'8:9:10' is no payload"),
         (("--schedule", "payload=12:8"), "the lower one first; found 12 and 8"),
         (("--schedule", "payload=nan"), "finite"),

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -106,7 +107,8 @@ def test_without_colour_the_words_stay(controller_file: Path, environment: Mappi
     with terminal(environment=environment) as seen:
         assert main(["export", str(controller_file), "--target", "json", "-o", str(controller_file) + ".json"]) == 0
         assert main(["validate", "nowhere.yaml"]) == 2
-    assert ESCAPE not in seen.raw
+    # A bar may be drawn and wiped where the terminal can redraw: that moves the cursor, and colours nothing.
+    assert ESCAPE not in re.sub(r"\x1b\[(\?25[hl]|\d*[AK])", "", seen.raw)
     # Folded where the path of the file leaves no room.
     assert "json, checksum" in " ".join(seen.text.split())
     assert "autotune: nowhere.yaml" in seen.text
@@ -124,6 +126,8 @@ def test_json_is_the_same_object_on_a_terminal_and_under_force(
     arguments = ["export", str(controller_file), "--target", "json", "-o", f"{controller_file}.json", "--json"]
     with terminal(columns=60) as seen:
         assert main(arguments) == 0
+    # A second export would say that it replaces the first.
+    Path(f"{controller_file}.json").unlink()
     monkeypatch.setenv("FORCE_COLOR", "1")
     assert main(arguments) == 0
     piped = capsys.readouterr().out
