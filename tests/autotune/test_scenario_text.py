@@ -4,7 +4,8 @@ from autotune.files.units import axis_units
 from autotune.scenario_text import off_nominal, scenario_text
 from problems.uncertainty import UNCERTAIN, Scenario
 
-VALUES = dict(zip(UNCERTAIN, (1.2e5, 16.0, 3.102e5, 150.2, 329.8, 2.0, 2.403e-3, 3.182, 0.7, 3.2e-3, 8e-4), strict=True))
+_NUMBERS = (1.2e5, 16.0, 3.102e5, 150.2, 329.8, 2.0, 2.403e-3, 3.182, 0.7, 3.2e-3, 8e-4)
+VALUES = dict(zip(UNCERTAIN, _NUMBERS, strict=True))
 
 
 def test_every_value_has_its_symbol_and_the_unit_of_its_axis() -> None:
