@@ -29,6 +29,7 @@ from .result import (
 )
 from .verdicts import missing, unidentifiable
 
+_CLEAR_STDS, _PROMPT_SHARE = 4.0, 0.5
 _SAME_PERIOD = 1e-3
 _PERIOD = "sample_time_s"
 
@@ -78,7 +79,7 @@ def combine_identified(parts: Sequence[NamedResult], given: Mapping[str, Given] 
             inertia_kg_m2=_inertia(merge, [r.payload.inertia_kg_m2 for r in results]),
         ),
         axes=_axes(merge, results, given, _seconds(period, results), gain_share),
-        sensor=_sensor(merge, [r.sensor for r in results]),
+        sensor=_sensor(merge, results),
         findings=(),
         timelines=tuple(
             replace(rename_timeline(line, names), log=part.name)
@@ -137,7 +138,8 @@ def _seconds(period: Estimate, results: Sequence[Identified]) -> float:
     return min(r.sample_time_s.value for r in results if r.sample_time_s.value is not None)
 
 
-def _sensor(merge: Merge, sensors: Sequence[SensorEstimate]) -> SensorEstimate:
+def _sensor(merge: Merge, results: Sequence[Identified]) -> SensorEstimate:
+    sensors = [result.sensor for result in results]
     return SensorEstimate(
         force_bias_n=merge.vectors("force bias [N]", [s.force_bias_n for s in sensors], may_change=True),
         torque_bias_n_m=merge.vectors("torque bias [N·m]", [s.torque_bias_n_m for s in sensors], may_change=True),
@@ -148,23 +150,27 @@ def _sensor(merge: Merge, sensors: Sequence[SensorEstimate]) -> SensorEstimate:
         mounting_rad=_optional(merge, "mounting of the sensor [rad]", [s.mounting_rad for s in sensors]),
         base_tilt_rad=_optional(merge, "tilt of the base [rad]", [s.base_tilt_rad for s in sensors]),
         noise=_noisiest(sensors),
-        wrench_filter=_wrench_filter(merge, [s.wrench_filter for s in sensors]),
+        wrench_filter=_wrench_filter(merge, results),
         position_noise_rms_m=_largest_told([s.position_noise_rms_m for s in sensors]),
     )
 
 
-def _wrench_filter(merge: Merge, filters: Sequence[WrenchFilterEstimate | None]) -> WrenchFilterEstimate | None:
-    """Average filters of one kind; where logs show different kinds, the latest wrench counts."""
+def _wrench_filter(merge: Merge, results: Sequence[Identified]) -> WrenchFilterEstimate | None:
+    """Average filters of one kind; where logs show different kinds, or one shows none, the latest wrench counts."""
+    filters = [result.sensor.wrench_filter for result in results]
     told = [(name, f) for name, f in zip(merge.names, filters, strict=True) if f is not None]
     if not told:
         return None
+    prompt = [name for name, result in zip(merge.names, results, strict=True) if _is_prompt(result, told)]
     corners = [None if f is None else f.corner_hz for f in filters]
     delays = [None if f is None else f.delay_s for f in filters]
-    if not any(delays):
+    if not any(delays) and not prompt:
         return WrenchFilterEstimate(corner_hz=merge.scalars("wrench filter's corner [Hz]", corners))
-    if not any(corners):
+    if not any(corners) and not prompt:
         return WrenchFilterEstimate(delay_s=merge.scalars("delay of the wrench [s]", delays))
-    late = ", ".join(f"{1e3 * _lateness_s(f):.3g} ms late ({name})" for name, f in told)
+    late = ", ".join(
+        [f"{1e3 * _lateness_s(f):.3g} ms late ({name})" for name, f in told] + [f"not late ({name})" for name in prompt]
+    )
     merge.findings.append(
         Finding(
             code="logs-disagree",
@@ -174,6 +180,13 @@ def _wrench_filter(merge: Merge, filters: Sequence[WrenchFilterEstimate | None])
         )
     )
     return max((f for _, f in told), key=_lateness_s)
+
+
+def _is_prompt(result: Identified, late: Sequence[tuple[str, WrenchFilterEstimate]]) -> bool:
+    """Return whether a log without a filter shows that its wrench is not as late as that of the others."""
+    lags = [fit.wrench_lag_s + _CLEAR_STDS * fit.wrench_lag_std_s for axis in result.axes.values() for fit in axis.fits]
+    least = min(_lateness_s(each) for _, each in late)
+    return result.sensor.wrench_filter is None and bool(lags) and max(lags) < _PROMPT_SHARE * least
 
 
 def _lateness_s(wrench_filter: WrenchFilterEstimate) -> float:

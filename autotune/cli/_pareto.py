@@ -161,7 +161,7 @@ def print_fronts(fronts: Mapping[str, "Front"], path: Path) -> None:
 
 def _share(study: "StudyRecord") -> str:
     share = 100.0 * study.feasible / study.trials
-    return f"; study {study.name}: {study.feasible} of {study.trials} trials feasible ({share:.2g} %)"
+    return f"; study {study.name}: {study.feasible} of {study.trials} trials feasible ({share:.3g} %)"
 
 
 def _cells(front: "Front", point: "Judgement") -> Iterator[str]:

@@ -14,6 +14,7 @@ Interval = tuple[float, float]
 # A range this many times off what was identified, and near it a factor of a thousand further on, is in another unit;
 # one that is off by far more is wrong whatever its unit.
 _OFF, _NEAR, _UNIT = 30.0, 3.0, 1e3
+_HEAVIEST_KG = 1000.0
 _FAR_OFF = {"stiffness": 1e4, "mass": 100.0}
 
 
@@ -38,6 +39,12 @@ def check_plausible(
         option = "rotational.payload_inertia_kg_m2" if turns else "--payload-mass"
         if "payload_mass_kg" not in sure:
             _check(spec.payload_mass_kg, masses, option, "mass", units.mass)
+    heaviest = max(straight.payload_mass_kg or (0.0,))
+    if heaviest > _HEAVIEST_KG:
+        raise UsageError(
+            f"--payload-mass asks for {heaviest:g} kg; a payload of {_HEAVIEST_KG:g} kg is the heaviest that a "
+            "controller file holds."
+        )
 
 
 def _check(asked: Interval | None, known: Sequence[float], option: str, kind: str, unit: str) -> None:

@@ -27,7 +27,7 @@ from problems.robot import RobotModel
 from .plausible import check_plausible
 from .rotational import through_lever
 from .uncertain import with_uncertainty
-from .wrench import LAG, LATE, build_wrench, without_position
+from .wrench import LAG, LATE, build_wrench, check_wrench, without_position
 
 Interval = tuple[float, float]
 
@@ -83,6 +83,7 @@ def build_problems(identified: Identified, spec: ProblemSpec, wishes: Wishes) ->
     # Forces and torques are of one sensor: what is said of its filter once is said of both.
     shared = {key: value for key, value in spec.uncertain.items() if key in {LAG, LATE}}
     turned = replace(turned, uncertain={**shared, **turned.uncertain})
+    check_wrench(identified, spec.uncertain)
     check_plausible(identified, names, straight, turned, wishes.with_unit)
     problems = {}
     for name in names:

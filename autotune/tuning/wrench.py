@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from autotune.errors import UsageError
 from autotune.files.problem import Interval, Uncertain
 from identification.errors import EstimateError
-from identification.result import Estimate, Status, WrenchFilterEstimate
+from identification.result import Estimate, Identified, Status, WrenchFilterEstimate
 from problems.plant import WrenchFilter
 
 LAG, LATE = "wrench_time_constant_s", "wrench_delay_s"
@@ -42,6 +42,20 @@ def build_wrench(estimate: WrenchFilterEstimate | None, said: Uncertain) -> Wren
     lag, late = _lag(corner, said.get(LAG)), _late(delay, said.get(LATE))
     ranges = {name: span for name, (_, span) in ((LAG, lag), (LATE, late)) if span[0] < span[1]}
     return Wrench(nominal=WrenchFilter(time_constant_s=lag[0], delay_s=late[0]), ranges=ranges)
+
+
+def check_wrench(identified: Identified, said: Uncertain) -> None:
+    """Raise UsageError where a file says that its wrench was found late, and no longer says by what filter or delay.
+
+    Its other numbers were fitted with that filter, and a loop without it looks safer than it is.
+    """
+    is_missing = identified.sensor.wrench_filter is None and not {LAG, LATE} & said.keys()
+    finding = next((each for each in identified.findings if each.code == "wrench-filter"), None)
+    if is_missing and finding is not None:
+        raise UsageError(
+            f"The identified file has no sensor.wrench_filter, and its findings say: {finding.message} Identify it "
+            f"again, or say {LAG} or {LATE} in problem.yaml ([0, 0] for a sensor that was changed since)."
+        )
 
 
 def without_position(bounds: Mapping[str, Interval], wrench: Wrench) -> dict[str, Interval]:

@@ -18,6 +18,7 @@ from identification.result import (
     EnvironmentEstimate,
     Estimate,
     Finding,
+    FitQuality,
     Identified,
     PayloadEstimate,
     RobotEstimate,
@@ -254,6 +255,21 @@ def test_filters_of_one_kind_are_averaged_and_a_log_that_shows_none_has_no_say()
     assert merged.sensor.wrench_filter.corner_hz.value == pytest.approx(50.5)
     assert not [f for f in merged.findings if f.severity == "error"]
     assert combine_identified([parts[1], parts[1]]).sensor.wrench_filter is None
+
+
+def test_a_log_whose_wrench_is_not_late_contradicts_one_with_a_filter() -> None:
+    corner = WrenchFilterEstimate(corner_hz=known(50.0, 1.0))  # 3.18 ms late
+    prompt = filtered(None)
+    fit = FitQuality(
+        free_spans=1, explained_free=1.0, whiteness_free=0.5, noise_ratio_free=1.0, left_out_free=None,
+        contacts=0, explained_contact=None, whiteness_contact=None, noise_ratio_contact=None, left_out_contact=None,
+        widening=1.0, wrench_lag_s=1e-5, wrench_lag_std_s=2e-5,
+    )  # fmt: skip
+    prompt = replace(prompt, axes={name: replace(axis, fits=(fit,)) for name, axis in prompt.axes.items()})
+    merged = combine_identified([NamedResult(name="a", result=filtered(corner)), NamedResult(name="b", result=prompt)])
+    assert merged.sensor.wrench_filter == corner
+    finding = next(f for f in merged.findings if f.severity == "error")
+    assert "3.18 ms late (a), not late (b)" in finding.message
 
 
 def test_a_filter_and_a_delay_disagree_and_the_later_one_counts() -> None:

@@ -33,6 +33,12 @@ def test_a_range_in_another_unit_is_refused_with_what_was_identified(wishes: Wis
         build_problems(IDENTIFIED, ProblemSpec(), wishes)
 
 
+def test_a_payload_that_no_file_holds_is_refused_before_a_search_whatever_its_unit() -> None:
+    wishes = Wishes(payload_mass_kg=(16200.0, 16200.0), with_unit=frozenset({"payload_mass_kg"}))
+    with pytest.raises(UsageError, match="asks for 16200 kg; a payload of 1000 kg is the heaviest"):
+        build_problems(IDENTIFIED, ProblemSpec(), wishes)
+
+
 def test_a_problem_file_is_held_against_it_too() -> None:
     with pytest.raises(UsageError, match="identified"):
         build_problems(IDENTIFIED, ProblemSpec(environment_stiffness_n_per_m=(20.0, 500.0)), Wishes())

@@ -12,7 +12,7 @@ from autotune.tuning.record import build_domain
 from autotune.validation.margins import sweep_margins
 from autotune.validation.validate import uncertain_plant
 from identification.errors import EstimateError
-from identification.result import Estimate, Identified, Status, WrenchFilterEstimate
+from identification.result import Estimate, Finding, Identified, Status, WrenchFilterEstimate
 from problems.design import DesignProblem
 from problems.evaluation import build_scenarios
 from problems.margins import find_margins
@@ -44,6 +44,16 @@ def test_without_an_entry_the_plant_is_as_it_was() -> None:
     assert found.wrench_filter == WrenchFilter()
     assert not {"wrench_time_constant_s", "wrench_delay_s"} & set(found.uncertain)
     assert build_domain(found).wrench_filter is None
+
+
+def test_a_filter_that_was_found_and_taken_out_of_the_file_is_asked_for() -> None:
+    found = Finding(code="wrench-filter", severity="info", message="The wrench passes 50 Hz.", advice="")
+    cut = replace(seen_by(None), findings=(found,))
+    with pytest.raises(UsageError, match=r"no sensor\.wrench_filter, and its findings say: The wrench passes 50 Hz"):
+        build_problems(cut, ProblemSpec(), Wishes())
+    said = replace(ProblemSpec(), uncertain={"wrench_time_constant_s": (0.0, 0.0)})
+    assert build_problems(cut, said, Wishes())["x"].wrench_filter.is_none
+    assert not built(CORNER).wrench_filter.is_none
 
 
 def test_a_corner_becomes_a_state_with_its_95_percent_range() -> None:
