@@ -218,6 +218,7 @@ def _notes(plant: "IdentifiedFile", found: "Optimized", has_stiffness: bool) -> 
             "The wrench comes late by a pure delay, so B_fb is held at 0: the loop of a late wrench beside a position "
             "that is not late is not computed by this release."
         )
+    yield from _residual_notes(found)
     for name, search in found.searches.items():
         yield from doubtful_ranges(search.problem, plant.result.axes[name], name)
         if name not in found.compliance:
@@ -228,6 +229,22 @@ def _notes(plant: "IdentifiedFile", found: "Optimized", has_stiffness: bool) -> 
             f"--environment-stiffness is in N/m and says nothing of {', '.join(turning)}; the range certified there is "
             "the identified one, or that of problem.yaml."
         )
+
+
+def _residual_notes(found: "Optimized") -> Iterator[str]:
+    """Yield for each axis that a limit of the peak is met only by a payload whose weight is fully compensated."""
+    from autotune.files.units import axis_units
+
+    for name, prediction in found.controller.predicted.items():
+        limit = found.searches[name].problem.requirements.max_peak_force_n
+        left, unit = prediction.with_residual_weight, axis_units(name).force
+        if limit is not None and left is not None and left.peak_contact_force_n > limit:
+            worst = max(each.peak_contact_force_n for each in prediction.scenarios)
+            yield (
+                f"Axis {name}: with the {left.force_n:g} {unit} that the start check of the runtime lets pass, the worst "
+                f"peak is {left.peak_contact_force_n:.1f} {unit}, above max_peak_force_n of {limit:g}; ask for "
+                f"{limit * worst / left.peak_contact_force_n:.3g} to hold it then too."
+            )
 
 
 def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "ControllerFile | None" = None) -> None:

@@ -6,11 +6,15 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
-from autotune.files.controller import read_controller, short
+from autotune.cli.optimize import _residual_notes
+from autotune.files.controller import ResidualPeaks, read_controller, short
 from autotune.files.yaml12 import load_yaml
+from autotune.tuning.optimize import Optimized
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
 from tests.autotune.tuning.turning import write_two_axes
 from tests.autotune.validation.test_validate import EVERY_CHECK
@@ -214,3 +218,21 @@ def test_an_axis_that_was_not_identified_is_exit_2(run_cli: RunCli, tmp_path: Pa
     done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "autotune: Axis y is not in the identified file; it holds x.\n"
+
+
+def test_a_limit_of_the_peak_that_the_residual_weight_breaks_is_said() -> None:
+    scenario = SimpleNamespace(peak_contact_force_n=49.0)
+    left = ResidualPeaks(force_n=1.0, peak_sensor_force_n=48.0, peak_contact_force_n=50.6)
+    prediction = SimpleNamespace(scenarios=(scenario,), with_residual_weight=left)
+
+    def notes(limit: float | None) -> list[str]:
+        problem = SimpleNamespace(requirements=SimpleNamespace(max_peak_force_n=limit))
+        found = SimpleNamespace(
+            controller=SimpleNamespace(predicted={"x": prediction}), searches={"x": SimpleNamespace(problem=problem)}
+        )
+        return list(_residual_notes(cast(Optimized, found)))
+
+    # 50 N asked and 49 N reached; with 1 N of weight left 50.6 N, so 50·49/50.6 = 48.4 N must be asked.
+    (note,) = notes(50.0)
+    assert "the worst peak is 50.6 N, above max_peak_force_n of 50; ask for 48.4" in note
+    assert notes(51.0) == notes(None) == []
