@@ -241,7 +241,7 @@ def _residual_notes(found: "Optimized") -> Iterator[str]:
         if limit is not None and left is not None and left.peak_contact_force_n > limit:
             worst = max(each.peak_contact_force_n for each in prediction.scenarios)
             yield (
-                f"Axis {name}: with the {left.force_n:g} {unit} that the start check of the runtime lets pass, the worst "
+                f"Axis {name}: with the {left.force_n:g} {unit} that the start check lets pass, the worst "
                 f"peak is {left.peak_contact_force_n:.1f} {unit}, above max_peak_force_n of {limit:g}; ask for "
                 f"{limit * worst / left.peak_contact_force_n:.3g} to hold it then too."
             )
