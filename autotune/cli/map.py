@@ -135,6 +135,8 @@ def command(
     )
     with output.progress("mapping", 1.0) as advance:
         made = make_map(ask, advance)
+    for line in made.replaced:
+        output.note(line)
     tree = summary_tree(made)
     output.result(tree, lambda: print_summary(tree))
 

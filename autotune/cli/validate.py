@@ -146,9 +146,7 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
 
             seen.report = ValidationReport(checks=(*checks, *log_checks(compared)))
         if private is not None and seen.report.passed:
-            from autotune.files.signature import sign_file
-
-            seen.signed_by = sign_file(path, private, read.sha256)
+            seen.signed_by = _sign(output, read, private)
     tree = {
         "path": str(path),
         "checksum": read.checksum,
@@ -212,13 +210,23 @@ def _keys(path: Path, options: dict[str, Any]) -> tuple[Any, Any]:
     """Read the keys before the long work."""
     if options["sign"] is None and options["public_key"] is None:
         return None, None
-    from autotune.files.atomic import check_target
-    from autotune.files.signature import read_private_key, read_public_key, signature_path
+    from autotune.files.signature import check_signature_target, read_private_key, read_public_key
 
     if options["sign"] is not None:
-        check_target(signature_path(path))
+        check_signature_target(path)
     private = None if options["sign"] is None else read_private_key(options["sign"])
     return private, None if options["public_key"] is None else read_public_key(options["public_key"])
+
+
+def _sign(output: Output, read: "ControllerFile", private: Any) -> str:
+    """Sign the file, say which signature was replaced, and return the fingerprint of the key."""
+    from autotune.files.signature import check_signature_target, sign_file, signature_path
+
+    was = check_signature_target(read.path)
+    signed_by = sign_file(read.path, private, read.sha256)
+    if was:
+        output.note(f"{signature_path(read.path)}: replaced {was}.")
+    return signed_by
 
 
 def _note_unverified(output: Output, path: Path) -> None:

@@ -38,7 +38,8 @@ class Trust:
 
 
 def check_law(source: ControllerFile, progress: Callable[[float], None] | None = None) -> None:
-    """Raise CertificateError unless the law is stable over its domain and has its margins at the recorded plants.
+    """Raise CertificateError unless the law is stable over its domain, has its margins at the recorded plants, and its
+    hardest contacts stay within the limits.
 
     The checksum can be made anew by anybody; what a law does cannot.
     """

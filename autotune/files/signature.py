@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING
 
 from autotune.errors import CertificateError, UsageError
 
-from .atomic import write_atomic
+from .atomic import check_target, write_atomic
+from .canonical import short
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
-_LARGEST_KEY_BYTES = 65536
+_LARGEST_KEY_BYTES, _SIGNATURE_BYTES = 65536, 64
 _PEM, _OPENSSH_PRIVATE = b"-----BEGIN ", b"-----BEGIN OPENSSH"
 
 
@@ -65,10 +66,34 @@ def read_public_key(path: Path) -> "Ed25519PublicKey":
 def sign_file(path: Path, key: "Ed25519PrivateKey", digest: str) -> str:
     """Write the signature (64 bytes) of the bytes of `path` beside it and return the fingerprint of the key.
 
-    Raises CertificateError when the file is no longer the one of sha256 `digest`, UsageError when it cannot be written.
+    Raises CertificateError when the file is no longer the one of sha256 `digest`, UsageError when it cannot be written,
+    or would replace what is no signature.
     """
+    check_signature_target(path)
     write_atomic(signature_path(path), key.sign(_same_bytes(path, digest)))
     return fingerprint(key.public_key())
+
+
+def check_signature_target(path: Path) -> str:
+    """Return which signature one of `path` will replace, in words; "" where nothing would be lost.
+
+    Raises UsageError where a symbolic link or a file that is no signature stands, or where nothing can be written.
+    """
+    beside = signature_path(path)
+    if beside.is_symlink():
+        raise UsageError(f"{beside} is a symbolic link, through which no signature is written; remove it.")
+    check_target(beside)
+    if not beside.exists():
+        return ""
+    try:
+        with beside.open("rb") as stream:
+            found = stream.read(_SIGNATURE_BYTES + 1)
+    except OSError as error:
+        raise UsageError(f"{beside} cannot be read: {error.strerror or error}.") from error
+    # A text of 64 characters is none: of random bytes half are above 127.
+    if found and (len(found) != _SIGNATURE_BYTES or found.isascii()):
+        raise UsageError(f"{beside} exists and is no signature, so it is not replaced; move it away.")
+    return f"the signature of sha256 {short(sha256(found).hexdigest())}" if found else ""
 
 
 def check_signature(path: Path, key: "Ed25519PublicKey", digest: str) -> str:

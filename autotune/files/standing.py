@@ -13,6 +13,13 @@ from .canonical import checksum, short
 HEAD_BYTES = 4096
 _FORMAT = re.compile(rb'^\s*(?:/\* |\{\s*)?"?format"?: "?autotune/([a-z_]+)', re.MULTILINE)
 _PAGE = b'<meta name="generator" content="autotune report">'
+_TABLE = b"# autotune/map version "
+PICTURE_MARK = "autotune map"
+"""What a picture says of its maker: as `Software` of a PNG, as the creator of an SVG."""
+_PICTURES = (
+    (b"\x89PNG\r\n\x1a\n", f"Software\0{PICTURE_MARK}".encode()),
+    (b"<?xml ", f"<dc:title>{PICTURE_MARK}</dc:title>".encode()),
+)
 _NOUNS: Mapping[str, str] = MappingProxyType(
     {
         "c": "C export",
@@ -20,6 +27,7 @@ _NOUNS: Mapping[str, str] = MappingProxyType(
         "identified": "identified plant",
         "map": "table of a map",
         "pareto": "front",
+        "picture": "picture of a map",
         "plan": "plan",
         "report": "report",
         "schedule": "schedule",
@@ -41,6 +49,10 @@ def kind_of(path: Path) -> str | None:
         return ""
     if _PAGE in head:
         return "report"
+    if head.startswith(_TABLE):
+        return "map"
+    if any(head.startswith(begin) and mark in head for begin, mark in _PICTURES):
+        return "picture"
     found = _FORMAT.search(head)
     return None if found is None else found[1].decode()
 

@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from autotune.files.atomic import check_target, write_atomic
+from autotune.files.standing import check_kind
 from problems.map_search import IntervalRequest, IntervalResult, find_stable_intervals
 from problems.maps import MapAxis, MapPoint, MapRequest, MapResult, compute_map, evaluate_point
 
@@ -19,12 +20,16 @@ from .table import table_text
 
 @dataclass(frozen=True, kw_only=True)
 class MadeMap:
-    """What was computed, drawn and written; `design` is the design's own point of a map, if it has one."""
+    """What was computed, drawn and written; `design` is the design's own point of a map, if it has one.
+
+    `replaced` says in words which earlier map was replaced.
+    """
 
     ask: MapAsk
     plan: MapPlan
     result: MapResult | IntervalResult
     design: MapPoint | None
+    replaced: tuple[str, ...] = ()
 
 
 def make_map(ask: MapAsk, progress: Callable[[float], None] | None = None) -> MadeMap:
@@ -35,12 +40,22 @@ def make_map(ask: MapAsk, progress: Callable[[float], None] | None = None) -> Ma
     check_targets(ask)
     for path in (ask.picture, ask.table):
         check_target(path)
+    _replaced(ask)
     plan = build_plan(ask, read_source(ask.source, axis=ask.axis, controller=ask.controller))
     made = _made(ask, plan, progress)
     picture, table = _picture(made), table_text(plan, made.result, ask.table)
+    replaced = _replaced(ask)
     write_atomic(ask.table, table)
     write_atomic(ask.picture, picture)
-    return made
+    return replace(made, replaced=replaced)
+
+
+def _replaced(ask: MapAsk) -> tuple[str, ...]:
+    """Say what the two files will replace; raises UsageError where it is no earlier map."""
+    data = "-o" if ask.data is None else "--data"
+    asked = ((ask.picture, "picture", "-o"), (ask.table, "map", data))
+    found = [(path, check_kind(path, kind, option=option)) for path, kind, option in asked]
+    return tuple(f"{path}: replaced {was}." for path, was in found if was)
 
 
 def summary_tree(made: MadeMap) -> dict[str, Any]:

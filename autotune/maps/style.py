@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from autotune.files.standing import PICTURE_MARK
 from problems.contact import Approach
 from problems.map_parameters import MAP_PARAMETERS, MapParameter
 from problems.maps import MapAxis
@@ -37,7 +38,7 @@ def render(draw: Callable[[], Figure], suffix: str) -> bytes:
         mpl.rc("hatch", linewidth=0.6, color=HATCH_COLOUR)
         # Ids and outlines that depend neither on the run nor on the fonts of whoever looks.
         mpl.rc("svg", hashsalt="autotune", fonttype="path")
-        metadata = {"Software": None} if kind == "png" else {"Date": None, "Creator": None}
+        metadata = {"Software": PICTURE_MARK} if kind == "png" else {"Date": None, "Creator": PICTURE_MARK}
         draw().savefig(stream, format=kind, dpi=_PNG_DOTS_PER_INCH, metadata=metadata)
     return stream.getvalue()
 

@@ -49,6 +49,10 @@ def load_controller(
     """
     if expected_checksum is not None:
         check_digits(expected_checksum)
+    _check_type("path", path, Path, str)
+    _check_type("public_key", public_key, Path, str, type(None))
+    _check_type("payload", payload, Payload, type(None))
+    _check_type("payload_inertia_kg_m2", payload_inertia_kg_m2, Mapping, type(None))
     document = _read_document(path)
     if public_key is not None:
         verify_signature(path, public_key, document.sha256)
@@ -93,6 +97,12 @@ def check_digits(expected: object) -> None:
             f"The expected checksum must be all 64 hexadecimal digits, found {str(expected)[:80]!r}; the first 8 are "
             "for people to compare, and a file with the same 8 is made within minutes."
         )
+
+
+def _check_type(name: str, value: object, *kinds: type) -> None:
+    if not isinstance(value, kinds):
+        must = " or ".join("None" if kind is type(None) else kind.__name__ for kind in kinds)
+        raise UsageError(f"{name} must be of type {must}, found {type(value).__name__}.")
 
 
 def check_expected(expected: str, checksum: str, path: Path | str) -> None:

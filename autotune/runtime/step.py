@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from problems.difference import controller_step, measured_motion, opposes, resume, through_deadband
 
-from .arguments import TICKS, each_of, place_of, six, tick_of
+from .arguments import TICKS, check_kind, each_of, place_of, six, tick_of
 from .controller import RuntimeController
 from .frames import Nine, Place, Six, external_wrench, is_rotation, way_between
 from .guard import MOST_HELD, UNFELT_WAY, UNSEEN_WAY, Guard, Watch, rest, see, send, weigh
@@ -138,6 +138,8 @@ def step(
 
     Raises ParameterError: an argument has another shape, or holds something that is no number.
     """
+    check_kind("controller", controller, RuntimeController)
+    check_kind("state", state, State)
     wrench, desired = six("wrench_S", wrench_S), six("desired_S", desired_S)
     place, count = place_of(position_W_m, R_WS), tick_of(tick)
     if state.fault is not Fault.NONE:

@@ -45,8 +45,8 @@ def validate_controller(
 ) -> ValidationReport:
     """Verify all axes; `progress` is told the share of the work done since the last call.
 
-    `is_short` leaves it at what an export asks of every file: stability proved over the domain, and the margins at its
-    corners and at the plants at which the file says that they are smallest. Nothing is raised for a check that fails:
+    `is_short` leaves it at what an export asks of every file: stability proved over the domain, the margins at its
+    corners and at the plants at which the file says that they are smallest, and the limits. Nothing is raised for a check that fails:
     the report holds it (`ValidationReport.require` raises).
     """
     checks: list[Check] = []
@@ -94,6 +94,7 @@ def _axis_checks(controller: Controller, name: str, is_short: bool) -> Iterator[
         swept = sweep_margins(plants, law, h, stiffness=2, mass=2, others=recorded)
         yield check_margins(name, margins, swept)
         yield check_requirements(controller, name, swept)
+        yield _limits(controller, name, domain, law)
         return
     for reach in (controller.certificate.continuous or {}).get(name, ()):
         yield _continuous(name, domain, law, h, reach)
@@ -119,12 +120,16 @@ def _further(controller: Controller, name: str, domain: AxisDomain, law: Admitta
     """Yield what else contacts must do: end, stay within the limits, and be as told with a collision response."""
     bouncing = search_bouncing(name, domain, law, controller.sample_time_s)
     yield Check(axis=name, name="bouncing", passed=bouncing.passed, message=bouncing.message())
-    told, missed = verify_limits(controller, name, domain, law)
-    message = "; ".join(missed) or told
-    yield Check(axis=name, name="limits", passed=not missed, message=message, warns=controller.limits is None)
+    yield _limits(controller, name, domain, law)
     told, missed = verify_response(controller, name, domain, law)
     if told or missed:
         yield Check(axis=name, name="collision response", passed=not missed, message="; ".join(missed) or told)
+
+
+def _limits(controller: Controller, name: str, domain: AxisDomain, law: AdmittanceController) -> Check:
+    told, missed = verify_limits(controller, name, domain, law)
+    message = "; ".join(missed) or told
+    return Check(axis=name, name="limits", passed=not missed, message=message, warns=controller.limits is None)
 
 
 def _unsupported(controller: Controller, name: str) -> str:

@@ -191,6 +191,25 @@ def test_a_law_that_is_not_stable_is_exit_6_whatever_its_checksum_says(run_cli: 
     assert [path.name for path in source.parent.iterdir()] == ["controller.yaml"]
 
 
+@pytest.mark.parametrize(
+    ("entry", "value", "told"),
+    [("rest_force_n", 20.0, "with_residual_weight"), ("speed", 0.02, "limits.axes.x.speed is 0.02 m/s, and certified")],
+)
+def test_limits_that_validate_refuses_are_not_exported(
+    source: Path, capsys: pytest.CaptureFixture[str], entry: str, value: float, told: str
+) -> None:
+    tree = load_yaml(source)
+    (tree["limits"]["axes"]["x"] if entry == "speed" else tree["limits"])[entry] = value
+    tree["checksum"] = checksum(tree)
+    source.write_text(dump_yaml(tree), encoding="utf-8")
+    for target in ("json", "c"):
+        assert main(["export", str(source), "--target", target, "-o", str(source.with_name("out.c"))]) == 6
+        refusal = capsys.readouterr().err
+        assert "controller.yaml is false, so nothing is exported from it: Axis x, limits" in refusal
+        assert told in refusal
+    assert [path.name for path in source.parent.iterdir()] == ["controller.yaml"]
+
+
 def test_margins_that_are_better_than_those_of_the_law_are_exit_6(run_cli: RunCli, source: Path) -> None:
     tree = load_yaml(source)
     tree["certificate"]["margins"]["x"]["modulus"] *= 1.1

@@ -68,13 +68,39 @@ def test_intervals_are_told_and_drawn_the_same_twice(
     for _ in range(2):
         assert main(arguments) == 0
         seen.append((capsys.readouterr(), picture.read_bytes(), picture.with_suffix(".csv").read_bytes()))
-    assert seen[0] == seen[1]
+    assert seen[0][1:] == seen[1][1:]
+    assert (seen[0][0].out, seen[0][0].err) == (seen[1][0].out, "")
+    told = seen[1][0].err.splitlines()
+    assert [line.rpartition(" of sha256 ")[0] for line in told] == [
+        f"{picture.name}: replaced the picture of a map",
+        "lead.csv: replaced the table of a map",
+    ]
     lines = seen[0][0].out.splitlines()
     assert lines[0] == "lead_s searched in 0 to 0.1 s, in free space"
     assert lines[1].startswith("  B_a = 400 N·s/m: smallest stable value ")
     assert "none at " in lines[1]
     checksum = read_controller(folder / "controller.yaml").checksum
     assert lines[-2:] == [f"controller.yaml: checksum {checksum[:8]}", f"written: {picture.name}, lead.csv"]
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("q.svg", b"<?xml version='1.0'?><svg><dc:title>a drawing</dc:title></svg>"),
+        ("q.png", b"\x89PNG\r\n\x1a\n of a camera"),
+        ("q.csv", b"day,hours\n1,8\n"),
+    ],
+)
+def test_a_file_that_no_map_made_is_not_replaced(
+    folder: Path, capsys: pytest.CaptureFixture[str], name: str, content: bytes
+) -> None:
+    (folder / name).write_bytes(content)
+    picture = name if name != "q.csv" else "q.svg"
+    before = sorted(folder.iterdir())
+    assert main(["map", "controller.yaml", *COARSE, "-o", picture]) == 2
+    told = capsys.readouterr().err
+    assert (told.count("\n"), f"{name} exists and is no file of this tool" in told) == (1, True)
+    assert ((folder / name).read_bytes(), sorted(folder.iterdir())) == (content, before)
 
 
 def test_the_smallest_damping_is_told_for_each_controller(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -180,6 +180,9 @@ def test_a_file_is_signed_once_it_holds_and_the_signature_is_demanded(run_here: 
     signed = run_here("validate", "controller.yaml", "--samples", "0", "--sign", "key.pem", "--json")
     assert signed.returncode == 0
     assert json.loads(signed.stdout)["signed_by"] == fingerprint(key.public_key())
+    again = run_here("validate", "controller.yaml", "--samples", "0", "--sign", "key.pem")
+    assert again.returncode == 0
+    assert "controller.yaml.sig: replaced the signature of sha256 " in again.stderr
     demanded = run_here(*check)
     assert (demanded.returncode, demanded.stderr) == (0, "")
     assert demanded.stdout.endswith(f", signed by the key {fingerprint(key.public_key())}\n")
@@ -187,6 +190,18 @@ def test_a_file_is_signed_once_it_holds_and_the_signature_is_demanded(run_here: 
     changed = run_here(*check)
     assert (changed.returncode, changed.stdout, changed.stderr.count("\n")) == (6, "", 1)
     assert "is not a signature of controller.yaml" in changed.stderr
+
+
+@pytest.mark.parametrize("is_link", [False, True])
+def test_what_is_no_signature_is_not_replaced(run_here: RunCli, good: Path, is_link: bool) -> None:
+    beside, kept = good.with_name("controller.yaml.sig"), good.with_name("kept")
+    (beside, kept)[is_link].write_text("of somebody else", encoding="utf-8")
+    if is_link:
+        beside.symlink_to(kept)
+    done = run_here("validate", "controller.yaml", "--samples", "0", "--sign", "absent.pem")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert "controller.yaml.sig" in done.stderr
+    assert beside.read_text(encoding="utf-8") == "of somebody else"
 
 
 def test_a_file_that_does_not_hold_is_not_signed(run_here: RunCli, tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from cryptography.hazmat.primitives.serialization import (
 from autotune.errors import CertificateError, UsageError
 from autotune.files.signature import (
     check_signature,
+    check_signature_target,
     fingerprint,
     read_private_key,
     read_public_key,
@@ -116,6 +117,27 @@ def test_whatever_was_changed_the_signature_is_refused(tmp_path: Path) -> None:
     signature_path(path).unlink()
     with pytest.raises(CertificateError, match=r"must be signed, but .*c\.yaml\.sig cannot be read"):
         check_signature(path, KEY.public_key(), digest(path))
+
+
+def test_a_signature_takes_the_place_of_a_signature_only(tmp_path: Path) -> None:
+    path = written(tmp_path / "c.yaml")
+    beside, kept = signature_path(path), written(tmp_path / "kept", b"of somebody else")
+    assert check_signature_target(path) == ""
+    for foreign in (b"minutes of a meeting\n", bytes(range(65)), b"0123456789abcdef" * 4):
+        written(beside, foreign)
+        with pytest.raises(UsageError, match=r"c\.yaml\.sig exists and is no signature, so it is not replaced"):
+            sign_file(path, KEY, digest(path))
+        assert beside.read_bytes() == foreign
+    beside.unlink()
+    beside.symlink_to(kept)
+    with pytest.raises(UsageError, match=r"c\.yaml\.sig is a symbolic link"):
+        sign_file(path, KEY, digest(path))
+    assert (beside.is_symlink(), kept.read_bytes()) == (True, b"of somebody else")
+    beside.unlink()
+    sign_file(path, Ed25519PrivateKey.from_private_bytes(bytes(32)), digest(path))
+    assert check_signature_target(path) == f"the signature of sha256 {digest(beside)[:8]}"
+    sign_file(path, KEY, digest(path))
+    assert check_signature(path, KEY.public_key(), digest(path)) == fingerprint(KEY.public_key())
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o620, 0o644, 0o666])

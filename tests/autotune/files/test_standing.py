@@ -21,6 +21,11 @@ def test_the_kind_is_in_the_first_lines(tmp_path: Path) -> None:
         ('{\n  "format": "autotune/controller"}', "controller"),
         ("/* format: autotune/c, version 1: cell.h */", "c"),
         ('<html><head><meta name="generator" content="autotune report">', "report"),
+        ("# autotune/map version 1, autotune 1.0\n", "map"),
+        ('{"format": "autotune/map", "version": 1', "map"),
+        ("<?xml ?><svg><metadata><dc:title>autotune map</dc:title>", "picture"),
+        ("<?xml ?><svg><metadata><dc:title>a drawing</dc:title>", None),
+        ("x,y,is_stable\n1,2,1\n", None),
         ("notes on format: autotune/plan", None),
         ("what I saw today", None),
     ):

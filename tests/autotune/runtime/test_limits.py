@@ -280,6 +280,11 @@ HUGE = 10**5000
         ("R_WS", [[HUGE] * 3] * 3),
         ("R_WS", 5),
         ("R_WS", [1.0, 2.0, 3.0]),
+        ("R_WS", ((1.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0))),  # nine numbers, and no three rows of three
+        ("R_WS", (row for row in np.eye(3))),
+        ("R_WS", {(1.0, 0.0, 0.0): 0, (0.0, 1.0, 0.0): 0, (0.0, 0.0, 1.0): 0}),
+        ("wrench_S", dict.fromkeys(range(6), 0.0)),
+        ("wrench_S", {0.0, 1.0, 2.0, 3.0, 4.0, 5.0}),
         ("desired_S", [{}] * 6),
         ("tick", 1.0),
         ("tick", True),
@@ -289,6 +294,20 @@ HUGE = 10**5000
 def test_what_is_no_number_is_a_parameter_error_however_large(name: str, value: Any) -> None:
     with pytest.raises(ParameterError, match=name):
         step(CONTROLLER, STARTED, **{**reading().arguments(), name: value})
+
+
+@pytest.mark.parametrize(("controller", "state", "name"), [(CONTROLLER, None, "state"), (None, STARTED, "controller")])
+def test_a_step_without_state_or_controller_is_a_parameter_error(controller: Any, state: Any, name: str) -> None:
+    with pytest.raises(ParameterError, match=f"{name} must be of type .*, found 'NoneType'"):
+        step(controller, state, **reading().arguments())  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["public_key", "payload", "payload_inertia_kg_m2", "path"])
+def test_an_argument_of_another_type_is_a_usage_error_of_the_loader(tmp_path: Path, name: str) -> None:
+    write_controller(tmp_path / "c.yaml", make_controller(("x",)))
+    arguments: dict[str, Any] = {"path": tmp_path / "c.yaml", "sample_time_s": 8e-4, "payload_mass_kg": 16.0, name: 3}
+    with pytest.raises(UsageError, match=name):
+        load_controller(**arguments)
 
 
 def test_a_cell_that_is_told_in_numbers_beyond_any_is_a_usage_error(tmp_path: Path) -> None:
