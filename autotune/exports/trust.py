@@ -38,10 +38,10 @@ class Trust:
 
 
 def check_law(source: ControllerFile, progress: Callable[[float], None] | None = None) -> None:
-    """Raise CertificateError unless the law is stable over its domain, has its margins at the recorded plants, and its
-    hardest contacts stay within the limits.
+    """Raise CertificateError unless the law is stable, has its margins at the recorded plants, and keeps its limits.
 
-    The checksum can be made anew by anybody; what a law does cannot.
+    Stable over the whole domain, and within the limits in the hardest of the predicted contacts. The checksum can be
+    made anew by anybody; what a law does cannot.
     """
     try:
         validate_controller(source.controller, progress, is_short=True).require()

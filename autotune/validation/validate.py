@@ -46,8 +46,8 @@ def validate_controller(
     """Verify all axes; `progress` is told the share of the work done since the last call.
 
     `is_short` leaves it at what an export asks of every file: stability proved over the domain, the margins at its
-    corners and at the plants at which the file says that they are smallest, and the limits. Nothing is raised for a check that fails:
-    the report holds it (`ValidationReport.require` raises).
+    corners and at the plants at which the file says that they are smallest, and the limits.
+    Nothing is raised for a check that fails: the report holds it (`ValidationReport.require` raises).
     """
     checks: list[Check] = []
     for name in controller.axes:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from autotune.errors import UsageError
+from autotune.files.standing import HEAD_BYTES
 from autotune.maps.ask import MapAsk
 from autotune.maps.draw import draw_map
 from autotune.maps.draw_intervals import _pieces, has_lower_limits_only
-from autotune.files.standing import HEAD_BYTES
 from autotune.maps.make import make_map, summary_tree
 from autotune.maps.style import render
 from autotune.maps.text import number
