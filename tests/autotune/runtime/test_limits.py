@@ -155,6 +155,26 @@ def test_a_wrench_that_stands_still_while_the_command_moves_is_stale() -> None:
     assert faults[-1] is Fault.STALE_WRENCH
 
 
+def test_a_sudden_force_meets_the_speed_by_the_lead() -> None:
+    """At first a step of F makes F K_l/M_a, 0.25 m/s at 250 N; risen slowly it makes F/B_a, 0.25 m/s at 350 N."""
+    controller = with_limits(axes={**LIMITS.axes, "x": AxisLimits(speed=0.25, acceleration=1e6)})
+    # At 300 N a period of 0.8 ms, in which the step decays by 9 %, leaves more than 0.25 m/s on its mean.
+    for force, slow, fault in ((240.0, 1, Fault.NONE), (300.0, 400, Fault.NONE), (300.0, 1, Fault.SPEED)):
+        state = STARTED
+        for k in range(600):
+            state, command = fed(state, reading(force * min(1.0, k / slow), 1e-7 * k), controller=controller)
+        assert command.fault is fault
+
+
+def test_a_robot_that_stands_is_not_noticed_where_its_pose_has_noise() -> None:
+    """As the page on the runtime says: the controller must be stopped from the robot's own state."""
+    state = STARTED
+    for k in range(200):
+        state, command = fed(state, reading(50.0, 1e-6 * (k % 2)))
+    assert command.fault is Fault.NONE
+    assert command.twist_S[0] > 0.0
+
+
 def test_a_pose_that_stands_still_while_the_command_moves_is_stale() -> None:
     state, faults = STARTED, []
     for _ in range(200):
