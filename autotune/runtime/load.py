@@ -52,7 +52,6 @@ def load_controller(
     _check_type("path", path, Path, str)
     _check_type("public_key", public_key, Path, str, type(None))
     _check_type("payload", payload, Payload, type(None))
-    _check_type("payload_inertia_kg_m2", payload_inertia_kg_m2, Mapping, type(None))
     document = _read_document(path)
     if public_key is not None:
         verify_signature(path, public_key, document.sha256)
