@@ -161,7 +161,8 @@ def print_fronts(fronts: Mapping[str, "Front"], path: Path) -> None:
 
 def _share(study: "StudyRecord") -> str:
     share = 100.0 * study.feasible / study.trials
-    return f"; study {study.name}: {study.feasible} of {study.trials} trials feasible ({share:.3g} %)"
+    told = f"{share:.0f}" if share >= 1.0 else f"{share:.1g}"
+    return f"; study {study.name}: {study.feasible} of {study.trials} trials feasible ({told} %)"
 
 
 def _cells(front: "Front", point: "Judgement") -> Iterator[str]:
