@@ -4,16 +4,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from autotune.cell.phases import Program
-from autotune.cell.simulate import simulate_cell
-from autotune.cell.truth import Cell
-from autotune.cell.write import write_mcap
-from autotune.exports.targets import export_controller
-from autotune.files.controller import read_controller, write_controller
-from autotune.files.identified import read_identified, write_identified
-from autotune.files.made import MadeHere
-from autotune.files.problem import ProblemSpec
-from autotune.identifying import IdentifiedLog, Topics, identify_log
+from autotune.export.targets import export_controller
+from autotune.formats.controller import read_controller, write_controller
+from autotune.formats.identified import read_identified, write_identified
+from autotune.formats.made import MadeHere
+from autotune.formats.problem import ProblemSpec
+from autotune.pipeline import IdentifiedLog, Topics, identify_log
+from autotune.simulation.phases import Program
+from autotune.simulation.simulate import simulate_cell
+from autotune.simulation.truth import Cell
+from autotune.simulation.write import write_mcap
 from autotune.tuning.optimize import Optimized, optimize
 from autotune.tuning.problems import Wishes
 from autotune.validation.report import ValidationReport
@@ -95,7 +95,7 @@ def run_demo(
 
     `step` is told the name of each step as it begins, `progress` the share of the work done since the last call.
     Files of an earlier demo in the same folder are replaced. Raises UsageError where one of these names stands for
-    anything else: a file of another origin, or one that was changed since (`autotune.files.made`).
+    anything else: a file of another origin, or one that was changed since (`autotune.formats.made`).
     """
     begin, report = step or _silent, progress or _silent
     directory.mkdir(parents=True, exist_ok=True)

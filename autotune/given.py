@@ -5,7 +5,7 @@ import re
 from collections.abc import Sequence
 
 from autotune.errors import UsageError
-from autotune.files.records import AXES
+from autotune.formats.records import AXES
 from identification.given import Given, axis_keys
 
 _FORM = re.compile(r"(?P<name>[a-z][a-z_.]*)=(?P<value>[^±]+?)(?:(?:±|\+-|\+/-)(?P<std>.+))?")

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from autotune.files.units import axis_units
+from autotune.formats.units import axis_units
 from autotune.numbers import with_deviation
 from identification.result import (
     AxisEstimate,

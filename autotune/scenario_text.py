@@ -1,7 +1,7 @@
 """A point of the uncertainty as people read it, every value with its unit."""
 
-from autotune.files.units import AxisUnits
-from problems.uncertainty import SYMBOLS, Scenario
+from autotune.formats.units import AxisUnits
+from problems.design.uncertainty import SYMBOLS, Scenario
 
 
 def stiffness_text(value: float, units: AxisUnits) -> str:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from autotune.runtime import AXES, Fault, Payload, RuntimeController
 from autotune.validation.replay import robot_stepper
-from problems.robot import RobotModel
+from problems.model.robot import RobotModel
 from tests.autotune.runtime.cases import Reading
 
 FloatArray = NDArray[np.float64]

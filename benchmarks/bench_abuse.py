@@ -24,12 +24,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from autotune.exports.c_source import render_c
+from autotune.export.c_source import render_c
 from autotune.runtime import AXES, START, AxisLimits, Command, Fault, Limits, RuntimeController, rearm, step
 from autotune.runtime.law import CollisionResponse
 from autotune.runtime.load import read_law
 from benchmarks.abuse_cases import CASES, Case, Cell, Fed, random_episodes
-from tests.autotune.exports.c_twin import Twin, compile_c, numbers
+from tests.autotune.export.c_twin import Twin, compile_c, numbers
 from tests.autotune.runtime.cases import random_runtime
 
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")

@@ -2,9 +2,9 @@
 
 import time
 
-from autotune.files.controller_record import AxisDomain
+from autotune.formats.controller_record import AxisDomain
 from autotune.validation.bouncing import search_bouncing
-from problems.controller import AdmittanceController
+from problems.model.controller import AdmittanceController
 
 PERIOD_S = 8e-4
 

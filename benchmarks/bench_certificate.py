@@ -7,9 +7,9 @@ from autotune.certificate.family import MASS, STIFFNESS, Family
 from autotune.validation.continuous import WORK_PER_SECOND
 from autotune.validation.margins import sweep_margins
 from autotune.validation.proof import UncertainPlant, prove_stability
-from problems.controller import AdmittanceController
-from problems.plant import Coupling, Environment, Payload, Plant
-from problems.robot import RobotModel
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Coupling, Environment, Payload, Plant
+from problems.model.robot import RobotModel
 
 PERIOD_S = 8e-4
 STIFFNESSES = (2e4, 5e5)

@@ -23,12 +23,12 @@ from scipy.linalg import matrix_balance
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.timing import best
-from problems.batch import Batch, build_batch
-from problems.contact import Approach, SampledContact, build_sampled_contact, transient_from
-from problems.controller import AdmittanceController
-from problems.plant import Coupling, Environment, Payload, Plant
-from problems.robot import RobotModel
-from problems.sampled import build_sampled_plant
+from problems.contact.transient import Approach, SampledContact, build_sampled_contact, transient_from
+from problems.design.batch import Batch, build_batch
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Coupling, Environment, Payload, Plant
+from problems.model.robot import RobotModel
+from problems.model.sampled import build_sampled_plant
 
 Vector = np.ndarray[tuple[int], np.dtype[np.float64]]
 

@@ -20,7 +20,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from autotune.explore.knobs import nominal_values, scenario_at
+from autotune.explore.sliders import nominal_values, scenario_at
 from autotune.explore.source import AxisStart, read_exploration
 from autotune.explore.view import build_window, compute_map, compute_view, prepare_view
 from benchmarks.timing import best

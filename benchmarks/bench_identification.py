@@ -27,14 +27,14 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from autotune.errors import AutotuneError
-from autotune.files.cell import read_cell
-from autotune.identifying import Topics, identify_log
+from autotune.formats.cell import read_cell
+from autotune.pipeline import Topics, identify_log
 from benchmarks.accuracy_table import Run, all_targets_met, page
 from benchmarks.cell_logs import write_cell_log
 from benchmarks.cell_outcomes import Outcome, compare
 from benchmarks.cells import DrawnCell, draw_cell, simulate
 from benchmarks.untold_cells import CASES
-from identification.recording import Recording
+from identification.signals.recording import Recording
 
 _SIMULATE: Callable[[DrawnCell], Recording] = simulate
 

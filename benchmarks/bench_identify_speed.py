@@ -33,16 +33,16 @@ from rosbags.typesys import Stores, get_typestore
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from autotune.cell.phases import Program
-from autotune.cell.simulate import made_later, simulate_cell
-from autotune.cell.truth import Cell
-from identification.recording import PoseSignal, Recording, WrenchSignal
+from autotune.simulation.phases import Program
+from autotune.simulation.simulate import made_later, simulate_cell
+from autotune.simulation.truth import Cell
+from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 
 _TARGETS_S = {75.0: 5.0, 600.0: 20.0}
 _MEMORY_TIMES = 5.0
 _TOGETHER_S = 75.0
 _FIXED_S, _CONTACT_S = 30.0, 4.7
-_IMPORTS = "import autotune.cli.main, autotune.identifying, autotune.files.identified"
+_IMPORTS = "import autotune.cli.main, autotune.pipeline, autotune.formats.identified"
 _START = f"{_IMPORTS}, numba; numba.njit(lambda x: x + 1.0)(1.0)"
 
 

@@ -33,12 +33,12 @@ from rosbags.typesys import Stores, get_typestore
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.log_file import TOPICS, write_log
-from identification.containers.file_bytes import FileBytes
-from identification.containers.mcap_file import McapContainer
-from identification.containers.mcap_layout import Walker
-from identification.messages.layout import parse_path
-from identification.messages.read import read_series
-from identification.messages.series import Wanted
+from identification.logs.containers.file_bytes import FileBytes
+from identification.logs.containers.mcap_file import McapContainer
+from identification.logs.containers.mcap_layout import Walker
+from identification.logs.messages.layout import parse_path
+from identification.logs.messages.read import read_series
+from identification.logs.messages.series import Wanted
 
 SHARE = 10
 FIELDS = {

@@ -25,12 +25,12 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.timing import best
-from problems.controller import AdmittanceController
-from problems.map_plants import Where
-from problems.map_search import IntervalCase, IntervalRequest, find_stable_intervals
-from problems.maps import MapAxis, MapRequest, MapResult, compute_map
-from problems.plant import Coupling, Environment, Payload, Plant, build_plant_matrices
-from problems.robot import RobotModel
+from problems.maps.maps import MapAxis, MapRequest, MapResult, compute_map
+from problems.maps.plants import Where
+from problems.maps.search import IntervalCase, IntervalRequest, find_stable_intervals
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Coupling, Environment, Payload, Plant, build_plant_matrices
+from problems.model.robot import RobotModel
 
 ROOT = Path(__file__).resolve().parent.parent
 H, DELAY_SAMPLES = 8e-4, 3

@@ -39,7 +39,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from autotune.errors import InfeasibleError
-from autotune.tuning.reference import find_reference
+from autotune.tuning.multistart import find_reference
 from autotune.tuning.search import solve_design
 from benchmarks.optimizer_authors import run_authors
 from benchmarks.optimizer_ipopt import run_ipopt
@@ -50,7 +50,7 @@ from benchmarks.optimizer_reference import bracket_best, check_densely, evolve_l
 from benchmarks.optimizer_samplers import run_cma_es, run_differential_evolution, run_dual_annealing, run_tpe
 from benchmarks.optimizer_scaling import ALL_AT_ONCE_UP_TO, Growth, draw_growth, measure_growth
 from benchmarks.tuning_problems import draw_problem, paper_cell
-from problems.design import DesignProblem
+from problems.design.problem import DesignProblem
 
 Record = dict[str, Any]
 Found = TypeVar("Found")

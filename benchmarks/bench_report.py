@@ -19,8 +19,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from autotune.cell.simulate import simulate_cell
-from autotune.cell.truth import Cell
+from autotune.simulation.simulate import simulate_cell
+from autotune.simulation.truth import Cell
 from benchmarks.bench_identify_speed import program_of, run_alone, write_log
 
 _TARGETS_S = {75.0: 3.0, 600.0: 6.0}

@@ -16,7 +16,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from autotune.exports.c_source import render_c
+from autotune.export.c_source import render_c
 from autotune.runtime import (
     AXES,
     START,
@@ -167,7 +167,7 @@ def _tell(what: str, seconds: float) -> None:
 
 
 def _tell_processes() -> None:
-    for what in ("autotune.runtime", "numpy", "autotune.files.controller"):
+    for what in ("autotune.runtime", "numpy", "autotune.formats.controller"):
         code = f"import time; t = time.perf_counter(); import {what}; print(time.perf_counter() - t)"
         runs = [subprocess.run([sys.executable, "-c", code], check=True, capture_output=True) for _ in range(PROCESSES)]
         times = [float(run.stdout) for run in runs]

@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from benchmarks.cells import Writing
-from identification.recording import PoseSignal, Recording, WrenchSignal
+from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 
 FloatArray = NDArray[np.float64]
 

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from autotune.cell.truth import AXES
+from autotune.simulation.truth import AXES
 from benchmarks.cell_logs import TURN
 from benchmarks.cells import DrawnCell
 from identification.result import AxisEstimate, EnvironmentEstimate, Estimate, Identified
-from problems.plant import Environment
-from problems.robot import RobotModel
+from problems.model.plant import Environment
+from problems.model.robot import RobotModel
 
 
 @dataclass(frozen=True, kw_only=True)

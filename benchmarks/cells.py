@@ -6,15 +6,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.cell.phases import Program
-from autotune.cell.simulate import WORKING_ORIENTATION, simulate_cell
-from autotune.cell.truth import AXES, Cell
-from identification.recording import PoseSignal, Recording, WrenchSignal
-from problems.controller import AdmittanceController
-from problems.margins import UnstableLoopError, find_margins
-from problems.plant import FREE_SPACE, Coupling, Environment
-from problems.robot import RobotModel
-from problems.sampled import build_sampled_plant
+from autotune.simulation.phases import Program
+from autotune.simulation.simulate import WORKING_ORIENTATION, simulate_cell
+from autotune.simulation.truth import AXES, Cell
+from identification.signals.recording import PoseSignal, Recording, WrenchSignal
+from problems.model.controller import AdmittanceController
+from problems.model.plant import FREE_SPACE, Coupling, Environment
+from problems.model.robot import RobotModel
+from problems.model.sampled import build_sampled_plant
+from problems.stability.margins import UnstableLoopError, find_margins
 
 FloatArray = NDArray[np.float64]
 Draw = np.random.Generator

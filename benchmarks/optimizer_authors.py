@@ -13,11 +13,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.tuning.box import Box
+from autotune.tuning.bounds import Box
 from benchmarks.optimizer_ipopt import PAPER_DESIGN, design_of, ipopt_options
 from benchmarks.optimizer_judge import DIMENSION, SEEN, Trace, solution_noter
-from problems.design import DesignProblem
-from problems.uncertainty import Scenario
+from problems.design.problem import DesignProblem
+from problems.design.uncertainty import Scenario
 
 Goal = Literal["contact", "admittance"]
 Polynomial = list[Any]

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from autotune.tuning.box import Box
+from autotune.tuning.bounds import Box
 from benchmarks.optimizer_judge import DIMENSION, SEEN, Trace, solution_noter
-from problems.controller import PAPER_ACCELERATION_FILTER_RAD_PER_S
-from problems.design import VARIABLES, DesignProblem
-from problems.evaluation import PreparedScenarios, build_scenarios
-from problems.sampled import SampledPlant
-from problems.symbolic import Structure, arguments_of, build_contact_forces, build_symbolic_form
+from problems.design.evaluation import PreparedScenarios, build_scenarios
+from problems.design.problem import VARIABLES, DesignProblem
+from problems.design.symbolic import Structure, arguments_of, build_contact_forces, build_symbolic_form
+from problems.model.controller import PAPER_ACCELERATION_FILTER_RAD_PER_S
+from problems.model.sampled import SampledPlant
 
 FloatArray = NDArray[np.float64]
 

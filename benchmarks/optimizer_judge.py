@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.tuning.box import Box
-from problems.design import VARIABLES, DesignProblem
-from problems.evaluation import build_scenarios
-from problems.screening import Screen, build_screen
+from autotune.tuning.bounds import Box
+from problems.design.batch_evaluation import Screen, build_screen
+from problems.design.evaluation import build_scenarios
+from problems.design.problem import VARIABLES, DesignProblem
 
 FloatArray = NDArray[np.float64]
 

@@ -13,13 +13,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.tuning.box import Box
+from autotune.tuning.bounds import Box
 from autotune.tuning.descent import descend
 from autotune.tuning.optimality import check_optimality
 from autotune.tuning.polish import LocalProblem, polish_exactly
 from autotune.tuning.search import solve_design
-from problems.design import DesignProblem
-from problems.screening import Screen, build_screen
+from problems.design.batch_evaluation import Screen, build_screen
+from problems.design.problem import DesignProblem
 
 FloatArray = NDArray[np.float64]
 

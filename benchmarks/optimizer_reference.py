@@ -7,15 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
-from autotune.tuning.box import Box
+from autotune.tuning.bounds import Box
 from autotune.tuning.worst import DENSE_MASS, DENSE_STIFFNESS
 from benchmarks.optimizer_judge import DIMENSION, is_peak, ranked_costs
-from problems.design import DesignProblem
-from problems.evaluation import PreparedScenarios, build_scenarios, normalise_margins
-from problems.margins import UnstableLoopError
-from problems.response import free_space_admittance
-from problems.screening import build_screen
-from problems.uncertainty import Scenario
+from problems.design.batch_evaluation import build_screen
+from problems.design.evaluation import PreparedScenarios, build_scenarios, normalise_margins
+from problems.design.problem import DesignProblem
+from problems.design.uncertainty import Scenario
+from problems.model.response import free_space_admittance
+from problems.stability.margins import UnstableLoopError
 
 FloatArray = NDArray[np.float64]
 

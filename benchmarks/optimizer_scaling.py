@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from scipy.stats import qmc
 
 from autotune.tuning import search, worst
-from autotune.tuning.box import Box
+from autotune.tuning.bounds import Box
 from benchmarks.optimizer_judge import DIMENSION, screen_of
 from benchmarks.tuning_problems import paper_cell
-from problems.design import DesignProblem
+from problems.design.problem import DesignProblem
 
 # (stiffnesses, masses) of each grid; one scenario is the paper's own payload on its stiffest wall.
 GRIDS = {1: (2, 2), 10: (5, 2), 100: (25, 4), 1000: (125, 8)}

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from problems.contact import Approach
-from problems.design import AdmittanceTarget, DesignProblem, Objective, Requirements
-from problems.plant import Coupling
-from problems.robot import RobotModel
+from problems.contact.transient import Approach
+from problems.design.problem import AdmittanceTarget, DesignProblem, Objective, Requirements
+from problems.model.plant import Coupling
+from problems.model.robot import RobotModel
 
 STIFFNESS_N_PER_M = (2e4, 5e5)
 MASS_KG = (8.0, 24.0)

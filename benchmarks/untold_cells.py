@@ -7,10 +7,10 @@ from unittest import mock
 
 import numpy as np
 
-from autotune.cell import simulate as cell_simulation
-from autotune.cell.phases import Program, Script, build_script
+from autotune.simulation import simulate as cell_simulation
+from autotune.simulation.phases import Program, Script, build_script
 from benchmarks.cells import DrawnCell, Writing, simulate
-from identification.recording import Recording
+from identification.signals.recording import Recording
 
 _TILT_2_DEG = np.radians(2.0)
 _HAND_N, _HAND_HZ = 15.0, 1.3

@@ -9,12 +9,12 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib import pyplot as plt
 
-from autotune.cell.truth import Cell
-from autotune.files.controller import read_controller
+from autotune.formats.controller import read_controller
+from autotune.simulation.truth import Cell
 from autotune.validation.validate import admittance_controller
-from problems.contact import Approach, build_sampled_contact, simulate_contact
-from problems.margins import find_margins
-from problems.sampled import build_sampled_plant
+from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
+from problems.model.sampled import build_sampled_plant
+from problems.stability.margins import find_margins
 
 
 def main(arguments: list[str]) -> int:

@@ -6,14 +6,14 @@ Usage: python examples/simulate_own_cell.py [LOG.mcap]
 import sys
 from pathlib import Path
 
-from autotune.cell.phases import Program
-from autotune.cell.simulate import simulate_cell
-from autotune.cell.truth import Cell
-from autotune.cell.write import write_mcap
+from autotune.simulation.phases import Program
+from autotune.simulation.simulate import simulate_cell
+from autotune.simulation.truth import Cell
+from autotune.simulation.write import write_mcap
 from identification.identify import identify_cell
-from problems.controller import AdmittanceController
-from problems.plant import Coupling, Environment
-from problems.robot import RobotModel
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Coupling, Environment
+from problems.model.robot import RobotModel
 
 
 def main(arguments: list[str]) -> int:

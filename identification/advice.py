@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .axes import AXIS_NAMES
-from .plan_sweep import SweepLimits, fastest_sweep
-from .plan_values import values_of
+from .axes.straight import AXIS_NAMES
+from .experiment_design.sweep import SweepLimits, fastest_sweep
+from .experiment_design.values import values_of
 from .result import AxisEstimate, EnvironmentEstimate, Estimate, Finding, Identified, Status, VectorEstimate
 
 _POSES = (

@@ -7,27 +7,27 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from .aligned import AlignedLog
-from .axes import AXIS_NAMES, AxisMotion, commanded_motion, free_motions, unguided_spans
-from .coupling import CouplingFit, Noise, identify_coupling
+from .axes.straight import AXIS_NAMES, AxisMotion, commanded_motion, free_motions, unguided_spans
+from .axes.turning import LEVER_M, AxisTurn, rests_after
 from .errors import EstimateError
 from .evidence import AxisEvidence
 from .given import Given, axis_keys, settle_axis
-from .gravity import GravityFit
-from .joint_contacts import find_holds, hold_threshold_n
-from .joint_data import JointData, build_joint_data, usual_coupling
-from .joint_estimates import JointEstimates
-from .joint_fit import identify_joint
-from .joint_gain import with_gain_error
-from .joint_model import COUPLING_NAMES
-from .joint_result import JointFit
+from .joint_fit.contacts import find_holds, hold_threshold_n
+from .joint_fit.data import JointData, build_joint_data, usual_coupling
+from .joint_fit.estimates import JointEstimates
+from .joint_fit.fit import identify_joint
+from .joint_fit.gain import with_gain_error
+from .joint_fit.model import COUPLING_NAMES
+from .joint_fit.result import JointFit
+from .payload.gravity import GravityFit
 from .progress import Reach, part_of, unwatched
-from .recording import Recording
 from .result import AxisEstimate, CouplingEstimate, Finding, RobotEstimate
-from .robot import RobotFit, identify_robot
-from .rotation import LEVER_M, AxisTurn, rests_after
-from .segments import Motion, Span
-from .timeline import AxisContacts
+from .robot.coupling import CouplingFit, Noise, identify_coupling
+from .robot.position_loop import RobotFit, identify_robot
+from .signals.aligned import AlignedLog
+from .signals.recording import Recording
+from .signals.segments import Motion, Span
+from .timeline.timeline import AxisContacts
 from .verdicts import judged, missing, unidentifiable, unidentifiable_vector, vector, weak_at_best
 
 FloatArray = NDArray[np.float64]

@@ -8,9 +8,9 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from .aligned import Span
-from .joint_result import FittedSpan
+from .joint_fit.result import FittedSpan
 from .result import Finding
+from .signals.aligned import Span
 
 FloatArray = NDArray[np.float64]
 

@@ -6,22 +6,19 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .admittance_estimates import AdmittanceRobots, identify_admittance_robots, with_compensated_force
-from .aligned import AlignedLog, align, check_regular, find_gaps
-from .axes import AXIS_NAMES, find_axes
+from .axes.straight import AXIS_NAMES, find_axes
+from .axes.turning import LEVER_M, find_turns
 from .axis_estimate import AxisTold, CellSignals, axis_evidence, identify_axis
-from .convention_choice import read_by_weight
+from .conventions.choice import read_by_weight
 from .evidence import Evidence
-from .frames import Frames
 from .given import Given, settle_cell
-from .gravity import identify_gravity
-from .gravity_verdicts import com_estimate, gravity_findings, mass_estimate
-from .inertia import InertiaFit, identify_inertia
-from .left_contacts import Accounted, SeenAxis, account_for_contacts
-from .lost_commands import restore_commands
+from .joint_fit.wrench_filter import find_wrench_filter
 from .partial import identify_partial
+from .payload.gravity import identify_gravity
+from .payload.gravity_verdicts import com_estimate, gravity_findings, mass_estimate
+from .payload.inertia import InertiaFit, identify_inertia
+from .phases import Timeline
 from .progress import Progress, unwatched
-from .recording import Recording
 from .result import (
     AxisEstimate,
     EnvironmentEstimate,
@@ -32,17 +29,20 @@ from .result import (
     PayloadEstimate,
     Status,
 )
-from .rotation import LEVER_M, find_turns
-from .segments import find_motion
+from .robot.admittance_estimates import AdmittanceRobots, identify_admittance_robots, with_compensated_force
 from .sensor import describe_sensor
-from .spikes import without_spikes
-from .timeline import build_timeline, tell_surfaces
-from .timeline_contacts import find_contacts
-from .timeline_payload import see_payload
-from .timeline_phases import Timeline
+from .signals.aligned import AlignedLog, align, check_regular, find_gaps
+from .signals.frames import Frames
+from .signals.lost_commands import restore_commands
+from .signals.recording import Recording
+from .signals.segments import find_motion
+from .signals.spikes import without_spikes
+from .timeline.contacts import find_contacts
+from .timeline.left_contacts import Accounted, SeenAxis, account_for_contacts
+from .timeline.payload import see_payload
+from .timeline.timeline import build_timeline, tell_surfaces
 from .turn_estimate import identify_turn, not_told
 from .verdicts import missing
-from .wrench_filter import find_wrench_filter
 
 FloatArray = NDArray[np.float64]
 

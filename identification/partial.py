@@ -4,10 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .admittance_estimates import identify_admittance_robots
-from .aligned import check_regular
 from .errors import EstimateError
-from .recording import AXES, Recording
 from .result import (
     AxisEstimate,
     CouplingEstimate,
@@ -20,7 +17,10 @@ from .result import (
     SensorEstimate,
     Status,
 )
-from .trace import describe_trace, identify_trace
+from .robot.admittance_estimates import identify_admittance_robots
+from .signals.aligned import check_regular
+from .signals.recording import AXES, Recording
+from .timeline.trace import describe_trace, identify_trace
 from .verdicts import missing, unidentifiable, unidentifiable_vector
 
 _REMOVED = "gravity was removed before recording"

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 from problems.errors import ParameterError
 
-from .timeline_phases import Timeline
+from .phases import Timeline
 
 
 class Status(StrEnum):

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .convention_choice import ReadLog
-from .frames import Frames
-from .gravity import GravityFit
-from .mounting import identify_mounting
-from .recording import PoseSignal
+from .conventions.choice import ReadLog
+from .payload.gravity import GravityFit
+from .payload.mounting import identify_mounting
 from .result import Estimate, Finding, SensorEstimate, Status, VectorEstimate
-from .sensor_noise import SensorNoise, identify_sensor_noise
+from .signals.frames import Frames
+from .signals.recording import PoseSignal
+from .signals.sensor_noise import SensorNoise, identify_sensor_noise
 from .verdicts import unidentifiable, vector
 
 _METHOD = "least squares over static poses"

@@ -6,14 +6,14 @@ from functools import partial
 import numpy as np
 from scipy.signal import detrend
 
+from .axes.turning import LEVER_M, AxisTurn, Unrolled, rests_after, unroll
 from .axis_estimate import AxisTold, AxisView, CellSignals, axis_priors, fit_axis
 from .errors import EstimateError
-from .inertia import InertiaFit
-from .joint_contacts import find_holds, hold_threshold_n
+from .joint_fit.contacts import find_holds, hold_threshold_n
+from .joint_fit.rotation_fit import fit_about_axis, inertia_findings, path_of
+from .payload.inertia import InertiaFit
 from .progress import Reach, unwatched
 from .result import Finding
-from .rotation import LEVER_M, AxisTurn, Unrolled, rests_after, unroll
-from .rotation_fit import fit_about_axis, inertia_findings, path_of
 
 
 def identify_turn(cell: CellSignals, turn: AxisTurn, inertia: InertiaFit, reach: Reach = unwatched) -> AxisTold | None:

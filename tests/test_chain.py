@@ -12,15 +12,15 @@ import pytest
 from mcap.reader import make_reader
 from numpy.typing import NDArray
 
-from autotune.cell.phases import Program
-from autotune.cell.simulate import simulate_cell
-from autotune.cell.truth import Cell
-from autotune.files.controller import read_controller
+from autotune.formats.controller import read_controller
+from autotune.simulation.phases import Program
+from autotune.simulation.simulate import simulate_cell
+from autotune.simulation.truth import Cell
 from identification.logs.layouts import POSE_STAMPED as POSE
 from identification.logs.layouts import WRENCH_STAMPED as WRENCH
-from identification.recording import PoseSignal, Recording, WrenchSignal
-from tests.autotune.cell.runs import silent
-from tests.autotune.cell.test_identified_again import at_other_rates
+from identification.signals.recording import PoseSignal, Recording, WrenchSignal
+from tests.autotune.simulation.runs import silent
+from tests.autotune.simulation.test_identified_again import at_other_rates
 from tests.identification.logs.log_builder import Options, Stream, write_mcap
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]

@@ -99,9 +99,9 @@ def test_no_path_of_one_machine_is_in_the_project(repository: Path) -> None:
 @pytest.mark.parametrize(
     ("library", "only"),
     [
-        ("casadi", {"problems/symbolic.py"}),
-        ("control", {"problems/exchange.py"}),
-        ("cryptography", {"autotune/files/signature.py"}),
+        ("casadi", {"problems/design/symbolic.py"}),
+        ("control", {"problems/model/python_control.py"}),
+        ("cryptography", {"autotune/formats/signature.py"}),
         ("flint", {"autotune/certificate/balls.py"}),
         ("optuna", {"autotune/studies/sampler.py", "autotune/studies/study.py"}),
         ("sqlalchemy", {"autotune/studies/study.py"}),

@@ -30,8 +30,8 @@ from examples.paper.paper_case import (
     printed_robot,
 )
 from examples.paper.run_all import STUDIES
-from problems.continuous import continuous_loop
-from problems.sampled import build_loop, build_sampled_plant, spectral_radius
+from problems.model.continuous import continuous_loop
+from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 
 NUMBER = re.compile(r"[−-]?\d+(?:\.\d+)?")
 ROOT = Path(__file__).resolve().parent.parent

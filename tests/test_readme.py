@@ -43,8 +43,8 @@ def test_every_command_in_the_readme_exists(repository: Path) -> None:
 
 
 def test_the_problem_in_the_docs_is_one_that_is_read(repository: Path, tmp_path: Path) -> None:
-    from autotune.files.problem import read_problem
-    from problems.design import DEFAULT_BOUNDS, Requirements
+    from autotune.formats.problem import read_problem
+    from problems.design.problem import DEFAULT_BOUNDS, Requirements
 
     page = (repository / "docs" / "files.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)

@@ -14,8 +14,8 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("autotune", "identification", "problems")
 AROUND = ("pyproject.toml", "README.md", "LICENSE")
 TYPED = frozenset(f"{package}/py.typed" for package in PACKAGES)
-SCHEMAS = "autotune/files/schemas/"
-PAGES = ("autotune/reports/page.*", "autotune/explore/explore.*")
+SCHEMAS = "autotune/formats/schemas/"
+PAGES = ("autotune/report/page.*", "autotune/explore/explore.*")
 
 
 def expected_files(root: Path) -> frozenset[str]:

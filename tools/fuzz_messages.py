@@ -31,15 +31,15 @@ from typing import Any
 import numpy as np
 from rosbags.serde import SerdeError
 
-from identification.containers.channel import Batch, Channel
-from identification.containers.mcap_kernel import gather
-from identification.containers.mcap_tally import Counting
-from identification.messages.decode import MessageError, Part
-from identification.messages.layout import parse_path
-from identification.messages.read import build_decoder
-from identification.messages.series import Wanted
-from identification.messages.transforms import FIELDS, build_transform_decoder
-from tests.identification.messages.message_builder import (
+from identification.logs.containers.channel import Batch, Channel
+from identification.logs.containers.mcap_kernel import gather
+from identification.logs.containers.mcap_tally import Counting
+from identification.logs.messages.decode import MessageError, Part
+from identification.logs.messages.layout import parse_path
+from identification.logs.messages.read import build_decoder
+from identification.logs.messages.series import Wanted
+from identification.logs.messages.transforms import FIELDS, build_transform_decoder
+from tests.identification.logs.messages.message_builder import (
     ADMITTANCE,
     ENCODINGS,
     MIXED,

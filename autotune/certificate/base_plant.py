@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from problems.controller import AdmittanceController
+from problems.model.controller import AdmittanceController
 
 from .balls import as_series, at, on_circle, polynomial, with_bits
 from .family import Family, plant_polynomials

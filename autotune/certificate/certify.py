@@ -8,9 +8,9 @@ from enum import Enum
 
 import numpy as np
 
-from problems.controller import AdmittanceController
-from problems.sampled import build_loop, build_sampled_plant, stability_matrix
-from problems.uncertainty import Scenario
+from problems.design.uncertainty import Scenario
+from problems.model.controller import AdmittanceController
+from problems.model.sampled import build_loop, build_sampled_plant, stability_matrix
 
 from .balls import Balls, FloatArray, Series, as_series, enclose, slope_of
 from .base_plant import fails_at, is_stable

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from problems.design.uncertainty import FURTHER_UNCERTAIN, Scenario
 from problems.errors import ParameterError
-from problems.plant import FREE_SPACE, Plant, write_plant
-from problems.robot_variation import bandwidth_hz, vary_robot
-from problems.sampled import split_delay
-from problems.uncertainty import FURTHER_UNCERTAIN, Scenario
+from problems.model.plant import FREE_SPACE, Plant, write_plant
+from problems.model.robot_variation import bandwidth_hz, vary_robot
+from problems.model.sampled import split_delay
 
 from . import rational
 from .balls import Series, as_series, ball, exponential, number, precise
@@ -32,7 +32,8 @@ PROVABLE = (STIFFNESS, MASS, *(name for name in FURTHER_UNCERTAIN if name != "ro
 class Family:
     """A nominal plant and closed ranges of its parameters, under a hold of `sample_time_s`.
 
-    `ranges` is keyed by the names of `problems.uncertainty`; what is not named is nominal. Free space is a nominal
+    `ranges` is keyed by the names of `problems.design.uncertainty`; what is not named is nominal. Free space is a
+    nominal
     environment that is FREE_SPACE. Raises ParameterError for a name that is not provable, for a range that is none,
     for an environment with mass, for one whose stiffness reaches 0 without being free space, for a filter of the wrench
     that reaches 0, and for a delay that crosses a whole number of samples, where the loop changes its order

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from problems.controller import (
+from problems.model.controller import (
     CONTROLLER_STATES,
     AdmittanceController,
     controller_blocks,

@@ -4,15 +4,15 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from autotune.files.records import ROTATIONAL_AXES
-from autotune.files.units import axis_units
+from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.units import axis_units
 
 from ._common import Output
 from ._table import print_table
 from ._terminal import tell
 
 if TYPE_CHECKING:
-    from autotune.files.controller_record import Controller
+    from autotune.formats.controller_record import Controller
     from autotune.validation.against_log import ComparedContact, LogComparison
 
 
@@ -20,7 +20,7 @@ def compare_logs(
     output: Output, controller: "Controller", logs: tuple[Path, ...], cell_path: Path | None, command_topic: str | None
 ) -> "LogComparison":
     """Read the logs as the parts of one recording and compare every contact."""
-    from autotune.files.cell import read_cell
+    from autotune.formats.cell import read_cell
     from autotune.validation.against_log import compare_with_log
     from identification.logs import read_checked_recording
     from identification.logs.cell import Cell

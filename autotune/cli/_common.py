@@ -76,9 +76,9 @@ class Output:
     def replacing(self, path: Path, kind: str) -> Iterator[None]:
         """Say after the block, which writes `path`, what stood there before, if anything.
 
-        Raises UsageError before it where what stands there is no file of `kind` (`autotune.files.standing`).
+        Raises UsageError before it where what stands there is no file of `kind` (`autotune.formats.replaceable`).
         """
-        from autotune.files.standing import check_kind
+        from autotune.formats.replaceable import check_kind
 
         was = check_kind(path, kind)
         yield

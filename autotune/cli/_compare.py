@@ -8,14 +8,14 @@ from ._table import table_lines
 from ._terminal import painted, printable
 
 if TYPE_CHECKING:
-    from autotune.files.controller import ControllerFile
-    from autotune.files.units import AxisUnits
+    from autotune.formats.controller import ControllerFile
+    from autotune.formats.units import AxisUnits
     from autotune.tuning.compare import SideBySide, Standing
 
 
 def compare_tree(old: "ControllerFile", found: Mapping[str, "SideBySide"]) -> dict[str, Any]:
     """Return the comparison as plain data; a margin without limit and every number of an unstable loop are null."""
-    from autotune.files.records import rename_axis_keys
+    from autotune.formats.records import rename_axis_keys
 
     axes = {
         name: {"started_from_old": both.is_start, "old": _standing_tree(both.old), "new": _standing_tree(both.new)}
@@ -49,8 +49,8 @@ def _standing_tree(standing: "Standing") -> dict[str, Any]:
 
 def compare_lines(old: "ControllerFile", found: Mapping[str, "SideBySide"]) -> Iterator[str]:
     """Yield the comparison in words: a table per axis, then what the old controller misses."""
-    from autotune.files.canonical import short
-    from autotune.files.units import axis_units
+    from autotune.formats.canonical import short
+    from autotune.formats.units import axis_units
 
     yield f"beside {printable(str(old.path))}, checksum {short(old.checksum)}, on the same problem"
     for name, both in found.items():

@@ -8,7 +8,7 @@ from ._terminal import tell
 
 if TYPE_CHECKING:
     from autotune.tuning.compliance import Compliance, CompliancePoint
-    from problems.design import DesignProblem
+    from problems.design.problem import DesignProblem
 
 
 def print_compliance(name: str, compliance: "Compliance", problem: "DesignProblem") -> None:

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from autotune.files.controller_record import Controller
+    from autotune.formats.controller_record import Controller
 
 
 def limit_lines(controller: "Controller") -> Iterator[str]:
     """Say in two lines what a reading and a command must stay within; nothing for a file without limits."""
-    from autotune.files.units import axis_units
+    from autotune.formats.units import axis_units
 
     limits = controller.limits
     if limits is None:

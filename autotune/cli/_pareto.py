@@ -94,7 +94,7 @@ class FrontWriter:
         self._fronts: Mapping[str, Front] = {}
         self._prepared = None
         if request is not None:
-            from autotune.files.atomic import check_target
+            from autotune.formats.atomic import check_target
             from autotune.studies.trace import prepare_fronts
 
             check_target(self.path, [])
@@ -111,7 +111,7 @@ class FrontWriter:
     def write(self, found: "Optimized") -> None:
         """Write the front."""
         if self._prepared is not None:
-            from autotune.files.pareto import pareto_tree, write_pareto
+            from autotune.formats.pareto import pareto_tree, write_pareto
 
             provenance = {**found.controller.provenance, "front": self._prepared.request.options()}
             self.tree = pareto_tree(self._fronts, provenance)
@@ -130,8 +130,8 @@ def _beside(out: Path, suffix: str) -> Path:
 
 def print_fronts(fronts: Mapping[str, "Front"], path: Path) -> None:
     """Print the fronts as tables, a line per controller, and where they were written."""
-    from autotune.files.pareto import objective_unit
-    from autotune.files.units import axis_units
+    from autotune.formats.pareto import objective_unit
+    from autotune.formats.units import axis_units
 
     for axis, front in fronts.items():
         units = axis_units(axis)

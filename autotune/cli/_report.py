@@ -14,7 +14,7 @@ from ._common import Output
 from ._terminal import tell
 
 if TYPE_CHECKING:
-    from autotune.reports.page import Page
+    from autotune.report.page import Page
 
 _SUFFIXES = (".html", ".htm")
 # What was read and found wanting; of anything else, a wrong name or an interruption, there is nothing to show.
@@ -38,7 +38,7 @@ def check_report(report: Path | None, others: Iterable[Path], *, option: str = "
     """
     if report is None:
         return
-    from autotune.files.atomic import check_target
+    from autotune.formats.atomic import check_target
 
     if report.suffix.lower() not in _SUFFIXES:
         raise UsageError(f"{report} is to be a page, so its name must end in .html; name it with {option}.")
@@ -49,9 +49,9 @@ def write_report(output: Output, report: Path | None, build: Callable[[], "Page"
     """Draw and write the page, and return what `--json` tells of it: nothing without a report."""
     if report is None:
         return {}
-    from autotune.files.atomic import write_atomic
+    from autotune.formats.atomic import write_atomic
     from autotune.processes import count_processors
-    from autotune.reports.page import render_page
+    from autotune.report.page import render_page
 
     with output.progress("drawing the report", 1.0) as advance:
         text = render_page(build(), advance, processes=count_processors())
@@ -82,9 +82,9 @@ def tells_refusal(
 
 
 def _write_refusal(output: Output, report: Path, error: Exception, build: Callable[[Exception], "Page"]) -> None:
-    from autotune.files.atomic import write_atomic
-    from autotune.reports.page import render_page
-    from autotune.reports.refused_page import NOT_SHOWN, refuse
+    from autotune.formats.atomic import write_atomic
+    from autotune.report.page import render_page
+    from autotune.report.refused_page import NOT_SHOWN, refuse
 
     try:
         text = render_page(build(error))

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from autotune.files.controller_record import Controller
+    from autotune.formats.controller_record import Controller
 
 _SHOWN_N = 0.005
 _ENDS = {

@@ -112,9 +112,9 @@ def _tune(
     **others: Any,
 ) -> None:
     _check_alone(tables, others)
-    from autotune.files.identified import read_identified
-    from autotune.files.problem import ProblemSpec, read_problem
-    from autotune.files.schedule import check_schedule_target, write_schedule
+    from autotune.formats.identified import read_identified
+    from autotune.formats.problem import ProblemSpec, read_problem
+    from autotune.formats.schedule import check_schedule_target, write_schedule
     from autotune.processes import count_processors
     from autotune.tuning.problems import Wishes, is_identified_mass
     from autotune.tuning.schedule import build_classes, tune_schedule
@@ -165,7 +165,7 @@ def _check_alone(tables: Mapping[str, Sequence[Interval]], others: Mapping[str, 
 
 def _print(tree: Mapping[str, Any], classes: "Sequence[ScheduleClass]", folder: Path) -> None:
     print_schedule(tree)
-    from autotune.files.canonical import short
+    from autotune.formats.canonical import short
 
     files = len(classes) + (tree["common"]["file"] is not None)
     tell(f"written: {folder}, {files} controllers and schedule.yaml, checksum {short(tree['checksum'])}")
@@ -173,8 +173,8 @@ def _print(tree: Mapping[str, Any], classes: "Sequence[ScheduleClass]", folder: 
 
 def print_schedule(tree: Mapping[str, Any]) -> None:
     """Print the table of a schedule, what one controller for all costs, and what the classes cover."""
-    from autotune.files.canonical import short
-    from autotune.files.records import ROTATIONAL_AXES, rename_axis_keys
+    from autotune.formats.canonical import short
+    from autotune.formats.records import ROTATIONAL_AXES, rename_axis_keys
 
     scheduled = [name for name in _SHORT if name in tree["covered"]]
     place = "contact" if tree["objective"] == "contact_force" else "sensor"
@@ -221,8 +221,8 @@ def _cost(told: Mapping[str, Any], name: str) -> tuple[float, float, str]:
 def validate_schedule(output: Output, path: Path, identified: Path | None) -> None:
     """Verify every controller of a schedule from the files alone; raises CertificateError where one does not hold."""
     from autotune.errors import CertificateError
-    from autotune.files.canonical import short
-    from autotune.files.schedule import read_schedule
+    from autotune.formats.canonical import short
+    from autotune.formats.schedule import read_schedule
     from autotune.processes import count_processors, map_in_processes
     from autotune.validation.validate import validate_controller
 

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from autotune.files.controller_record import ScenarioPrediction
-    from autotune.files.units import AxisUnits
-    from problems.controller import AdmittanceController
-    from problems.design import DesignProblem
+    from autotune.formats.controller_record import ScenarioPrediction
+    from autotune.formats.units import AxisUnits
+    from problems.design.problem import DesignProblem
+    from problems.model.controller import AdmittanceController
 
 _BLOCKS = "▁▂▃▄▅▆▇█"
 _CELLS = 40
@@ -36,8 +36,8 @@ def contact_spark(
     problem: "DesignProblem", controller: "AdmittanceController", worst: "ScenarioPrediction", units: "AxisUnits"
 ) -> str:
     """Return the predicted force at the contact of one scenario, from the impact until it has settled."""
-    from problems.contact import build_sampled_contact, simulate_contact
-    from problems.sampled import build_sampled_plant
+    from problems.contact.transient import build_sampled_contact, simulate_contact
+    from problems.model.sampled import build_sampled_plant
 
     plant = problem.plant(worst.scenario())
     pair = build_sampled_contact(build_sampled_plant(plant, problem.sample_time_s))

@@ -12,7 +12,7 @@ from ._terminal import tell
 
 if TYPE_CHECKING:
     from autotune.demo import Comparison, DemoResult
-    from autotune.reports.page import Page
+    from autotune.report.page import Page
 
 _EPILOG = """\b
 Examples:
@@ -48,10 +48,10 @@ def command(output: Output, directory: Path, seed: int) -> None:
 
 def _page(found: "DemoResult") -> "Page":
     """Return what the log told and what was made of it as one page."""
-    from autotune.reports.identify_page import build_identify_page
-    from autotune.reports.log_summaries import summaries_of
-    from autotune.reports.optimize_page import build_optimize_page
-    from autotune.reports.page import join_pages
+    from autotune.report.identify_page import build_identify_page
+    from autotune.report.log_summaries import summaries_of
+    from autotune.report.optimize_page import build_optimize_page
+    from autotune.report.page import join_pages
 
     identified, files = found.identified, found.files
     summaries = summaries_of([files.log], None, salvage=False, evidence=identified.evidence)
@@ -64,9 +64,9 @@ def _page(found: "DemoResult") -> "Page":
 
 
 def _tree(found: "DemoResult") -> dict[str, Any]:
-    from autotune.files.controller import controller_tree
+    from autotune.formats.controller import controller_tree
 
-    from ._standing import active_tree
+    from ._optimality import active_tree
     from .validate import checks_tree
 
     return {
@@ -90,11 +90,11 @@ def _tree(found: "DemoResult") -> dict[str, Any]:
 
 
 def _print(found: "DemoResult", page: Path) -> None:
-    from autotune.files.canonical import short
-    from autotune.files.units import axis_units
+    from autotune.formats.canonical import short
+    from autotune.formats.units import axis_units
     from autotune.scenario_text import scenario_text
 
-    from ._standing import active_lines
+    from ._optimality import active_lines
 
     _heading("Identified from the log, beside the truth of the simulation")
     rows: list[tuple[str, ...]] = [("parameter", "identified", "± std", "truth", "error", "unit", "verdict")]

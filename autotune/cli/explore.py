@@ -66,7 +66,7 @@ def command(output: Output, source: Path, out: Path, problem: Path | None, port:
         from autotune.explore.server import serve
         from autotune.explore.source import read_exploration
         from autotune.explore.target import Target
-        from autotune.files.atomic import check_target
+        from autotune.formats.atomic import check_target
 
         check_target(out, [path for path in (source, problem) if path is not None], kind="controller")
         with output.progress("searching where to start", 1.0) as advance:

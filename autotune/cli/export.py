@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from autotune.exports.targets import EVERY_TARGET, PEER_TARGETS
+from autotune.export.targets import EVERY_TARGET, PEER_TARGETS
 
 from ._common import Output, output_options
 from ._files import KEYS, SETTINGS, FilePath
@@ -13,7 +13,7 @@ from ._help import GroupedCommand
 from ._terminal import tell
 
 if TYPE_CHECKING:
-    from autotune.exports.trust import Trust
+    from autotune.export.trust import Trust
 
 _EPILOG = """\b
 Examples:
@@ -119,10 +119,10 @@ def command(
     the price in peak force is told. If nothing meets the requirements, nothing is written (exit code 5).
     """
     from autotune.errors import UsageError
-    from autotune.exports.replace import standing
-    from autotune.exports.targets import export_controller
-    from autotune.exports.trust import Trust
-    from autotune.files.canonical import short
+    from autotune.export.replace import standing
+    from autotune.export.targets import export_controller
+    from autotune.export.trust import Trust
+    from autotune.formats.canonical import short
 
     trust = Trust(public_key=public_key, expected_checksum=expected_checksum)
     given = {name: value for name, value in further.items() if value is not None}
@@ -146,7 +146,7 @@ def command(
 
 def _note_unverified(output: Output, controller: Path, public_key: Path | None) -> None:
     """Say that there is a signature which was not looked at."""
-    from autotune.files.signature import unverified_signature
+    from autotune.formats.signature import unverified_signature
 
     if public_key is None and (remark := unverified_signature(controller)):
         output.note(remark)
@@ -161,10 +161,10 @@ def _export_peer(
     output: Output, controller: Path, target: str, out: Path, given: dict[str, Any], trust: "Trust"
 ) -> None:
     """Certify, write and tell what was kept, what was dropped and what it costs."""
-    from autotune.exports.fzi_axes import parse_orientation
-    from autotune.exports.peers import export_peer, peer_options
-    from autotune.exports.replace import standing
-    from autotune.files.canonical import short
+    from autotune.export.fzi_axes import parse_orientation
+    from autotune.export.peers import export_peer, peer_options
+    from autotune.export.replace import standing
+    from autotune.formats.canonical import short
 
     if "joints" in given:
         given["joints"] = tuple(name.strip() for name in given["joints"].split(","))

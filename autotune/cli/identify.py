@@ -14,11 +14,11 @@ from ._table import print_table
 from ._terminal import tell
 
 if TYPE_CHECKING:
-    from autotune.files.cell import CellFile
-    from autotune.identifying import IdentifiedLog, Topics
-    from autotune.reports.page import Page
+    from autotune.formats.cell import CellFile
+    from autotune.pipeline import IdentifiedLog, Topics
+    from autotune.report.page import Page
+    from identification.phases import Timeline
     from identification.result import Identified
-    from identification.timeline_phases import Timeline
 
 _EPILOG = """\b
 Examples:
@@ -82,11 +82,11 @@ def command(
     one; in it: 6 to 12 tilted poses at rest, a commanded sweep in free space, and contacts. Exit code 3: a log cannot
     be used. 4: they do not tell enough, or disagree; nothing is written then, unless with --allow-partial.
     """
-    from autotune.files.atomic import check_target
-    from autotune.files.cell import read_cell
-    from autotune.files.identified import identified_tree, write_identified
+    from autotune.formats.atomic import check_target
+    from autotune.formats.cell import read_cell
+    from autotune.formats.identified import identified_tree, write_identified
     from autotune.given import parse_given
-    from autotune.identifying import Topics, identify_log
+    from autotune.pipeline import Topics, identify_log
     from autotune.processes import count_processors
 
     sources = [*logs, *([] if cell_path is None else [cell_path])]
@@ -134,8 +134,8 @@ class _Seen:
 
     def page(self) -> "Page":
         """Build the page of what was found."""
-        from autotune.reports.identify_page import build_identify_page
-        from autotune.reports.log_summaries import summaries_of
+        from autotune.report.identify_page import build_identify_page
+        from autotune.report.log_summaries import summaries_of
 
         if self.found is None:
             raise ValueError("nothing was found yet")
@@ -144,7 +144,7 @@ class _Seen:
 
     def refused_page(self, error: Exception) -> "Page":
         """Build the page of what was refused."""
-        from autotune.reports.refused_page import refused_estimate_page, refused_log_page
+        from autotune.report.refused_page import refused_estimate_page, refused_log_page
 
         if self.found is None:
             return refused_log_page(error, self.logs, self.topics, self.cell, salvage=self.salvage)

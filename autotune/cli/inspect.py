@@ -45,8 +45,8 @@ def command(
     Reads MCAP, rosbag2 folders, ROS 1 bags, CSV and Parquet. Shows channels, types, rates, gaps and clocks, the use of
     each channel, and what is missing for `identify`.
     """
-    from autotune.files.cell import read_cell
-    from autotune.files.cell_text import check_new, write_cell_start
+    from autotune.formats.cell import read_cell
+    from autotune.formats.cell_text import check_new, write_cell_start
     from identification.logs import inspect_log
 
     if start_path is not None:

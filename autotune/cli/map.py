@@ -11,7 +11,7 @@ from ._help import GroupedCommand
 from ._terminal import tell
 
 if TYPE_CHECKING:
-    from problems.map_plants import Where
+    from problems.maps.plants import Where
 
 _EPILOG = """\b
 Examples:
@@ -149,7 +149,7 @@ def print_summary(tree: dict[str, Any]) -> None:
 
 def summary_lines(tree: dict[str, Any]) -> list[str]:
     """Return the summary for people."""
-    from autotune.files.canonical import short
+    from autotune.formats.canonical import short
 
     lines = _interval_lines(tree) if "cases" in tree else _map_lines(tree)
     lines += [f"{path}: checksum {short(checksum)}" for path, checksum in tree["checksums"].items()]

@@ -13,21 +13,21 @@ from ._compliance import print_compliance
 from ._files import SETTINGS, FilePath
 from ._help import GroupedCommand
 from ._limits import limit_lines
+from ._optimality import active_lines, active_tree
 from ._pareto import FrontWriter, pareto_options
 from ._proof import proof_options
 from ._report import check_report, print_report_path, report_option, tells_refusal, write_report
 from ._response import response_lines
 from ._schedule import check_range, fields_with_unit, said_range, schedule_options
 from ._spark import contact_spark
-from ._standing import active_lines, active_tree
 from ._table import print_table
 from ._terminal import echo, look_at, tell
 
 if TYPE_CHECKING:
-    from autotune.files.controller import ControllerFile, ScenarioPrediction
-    from autotune.files.identified import IdentifiedFile
-    from autotune.files.units import AxisUnits
-    from autotune.reports.page import Page
+    from autotune.formats.controller import ControllerFile, ScenarioPrediction
+    from autotune.formats.identified import IdentifiedFile
+    from autotune.formats.units import AxisUnits
+    from autotune.report.page import Page
     from autotune.studies.trace import FrontRequest
     from autotune.tuning.optimize import Optimized
     from autotune.validation.continuous import ProofWishes
@@ -127,11 +127,11 @@ def command(
     verified, or the file to compare with is altered. Nothing is written then. The controller is the same with and
     without --pareto. With --schedule the output is a folder. A stiffness that problem.yaml makes free is chosen too.
     """
-    from autotune.files.atomic import check_target
-    from autotune.files.canonical import short
-    from autotune.files.controller import controller_tree, read_controller, write_controller
-    from autotune.files.identified import read_identified
-    from autotune.files.problem import ProblemSpec, read_problem
+    from autotune.formats.atomic import check_target
+    from autotune.formats.canonical import short
+    from autotune.formats.controller import controller_tree, read_controller, write_controller
+    from autotune.formats.identified import read_identified
+    from autotune.formats.problem import ProblemSpec, read_problem
     from autotune.tuning.optimize import optimize
     from autotune.tuning.problems import Wishes
 
@@ -182,7 +182,7 @@ def _print_all(
 
 
 def _page(found: "Optimized", checksum: str, existing: "ControllerFile | None", fronts: FrontWriter) -> "Page":
-    from autotune.reports.optimize_page import build_optimize_page
+    from autotune.report.optimize_page import build_optimize_page
 
     return build_optimize_page(
         found.controller,
@@ -194,15 +194,15 @@ def _page(found: "Optimized", checksum: str, existing: "ControllerFile | None", 
 
 
 def _refused_page(error: Exception, plants: "list[IdentifiedFile]") -> "Page":
-    from autotune.reports.refused_page import refused_search_page
+    from autotune.report.refused_page import refused_search_page
 
     return refused_search_page(error, plants[0] if plants else None)
 
 
 def _notes(plant: "IdentifiedFile", found: "Optimized", has_stiffness: bool) -> Iterator[str]:
     """Yield what the user should know beside the result; `has_stiffness`: a range was named on the command line."""
-    from autotune.files.records import ROTATIONAL_AXES
-    from autotune.tuning.doubts import doubtful_ranges, left_out_contacts
+    from autotune.formats.records import ROTATIONAL_AXES
+    from autotune.tuning.prior_conflicts import doubtful_ranges, left_out_contacts
     from autotune.tuning.problems import is_identified_mass
 
     for finding in plant.result.findings:
@@ -233,7 +233,7 @@ def _notes(plant: "IdentifiedFile", found: "Optimized", has_stiffness: bool) -> 
 
 def _residual_notes(found: "Optimized") -> Iterator[str]:
     """Yield for each axis that a limit of the peak is met only by a payload whose weight is fully compensated."""
-    from autotune.files.units import axis_units
+    from autotune.formats.units import axis_units
 
     for name, prediction in found.controller.predicted.items():
         limit = found.searches[name].problem.requirements.max_peak_force_n
@@ -249,8 +249,8 @@ def _residual_notes(found: "Optimized") -> Iterator[str]:
 
 def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "ControllerFile | None" = None) -> None:
     """Print the chosen gains, the predicted peaks, what holds them up, and what was verified."""
-    from autotune.files.units import axis_units
-    from problems.design import VARIABLES
+    from autotune.formats.units import axis_units
+    from problems.design.problem import VARIABLES
 
     controller = found.controller
     for name, compliance in found.compliance.items():

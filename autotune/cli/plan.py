@@ -14,13 +14,13 @@ from ._table import print_table
 from ._terminal import printable, tell
 
 if TYPE_CHECKING:
-    from identification.plan_contacts import ContactPlan
-    from identification.plan_poses import PosePlan
-    from identification.plan_result import ExperimentPlan, Prediction, Step
-    from identification.plan_sweep import SweepPlan
-    from identification.plan_taps import TapPlan
-    from identification.plan_values import PlanValues
-    from problems.controller import AdmittanceController
+    from identification.experiment_design.contacts import ContactPlan
+    from identification.experiment_design.poses import PosePlan
+    from identification.experiment_design.result import ExperimentPlan, Prediction, Step
+    from identification.experiment_design.sweep import SweepPlan
+    from identification.experiment_design.taps import TapPlan
+    from identification.experiment_design.values import PlanValues
+    from problems.model.controller import AdmittanceController
 
 _EPILOG = """\b
 Examples:
@@ -111,12 +111,12 @@ def command(
     """
     from autotune import __version__
     from autotune.errors import UsageError
-    from autotune.files.atomic import check_target
-    from autotune.files.plan import plan_tree, write_plan
-    from identification.plan_experiment import plan_experiment
-    from identification.plan_poses import FEWEST_POSES
-    from identification.plan_result import Limits
-    from identification.plan_values import usual_values
+    from autotune.formats.atomic import check_target
+    from autotune.formats.plan import plan_tree, write_plan
+    from identification.experiment_design.experiment import plan_experiment
+    from identification.experiment_design.poses import FEWEST_POSES
+    from identification.experiment_design.result import Limits
+    from identification.experiment_design.values import usual_values
 
     check_target(out, [path for path in (identified, present) if path is not None], kind="plan")
     if 0 < poses < FEWEST_POSES:
@@ -151,8 +151,8 @@ def command(
 
 def _from_file(output: Output, path: Path, axis: str | None, provenance: dict[str, object]) -> tuple[str, "PlanValues"]:
     """Return the axis and its values, note the file in `provenance`, and repeat what it says against its own values."""
-    from autotune.files.identified import read_identified
-    from identification.plan_values import values_of
+    from autotune.formats.identified import read_identified
+    from identification.experiment_design.values import values_of
 
     source = read_identified(path)
     provenance["identified"] = {"path": str(source.path), "sha256": source.sha256}
@@ -171,7 +171,7 @@ def _from_file(output: Output, path: Path, axis: str | None, provenance: dict[st
 def _law(path: Path, axis: str, provenance: dict[str, object]) -> "AdmittanceController":
     """Return the law of one axis of a controller file, and note the file in `provenance`."""
     from autotune.errors import UsageError
-    from autotune.files.controller import read_controller
+    from autotune.formats.controller import read_controller
     from autotune.validation.validate import admittance_controller
 
     source = read_controller(path)
@@ -183,7 +183,7 @@ def _law(path: Path, axis: str, provenance: dict[str, object]) -> "AdmittanceCon
 
 def print_plan(plan: "ExperimentPlan", out: Path) -> None:
     """Print the steps in their order, then what each parameter would gain, then what was assumed."""
-    from identification.plan_result import LABELS, UNITS
+    from identification.experiment_design.result import LABELS, UNITS
 
     tell(f"axis {plan.axis}, binding uncertainty: {LABELS[plan.binding]}{_reference(plan)}")
     if not any(step.is_needed for step in plan.steps):
@@ -235,9 +235,9 @@ def _reference(plan: "ExperimentPlan") -> str:
 
 
 def _settings(step: "Step", plan: "ExperimentPlan") -> list[str]:
-    from identification.plan_contacts import ContactPlan
-    from identification.plan_poses import PosePlan
-    from identification.plan_sweep import SweepPlan
+    from identification.experiment_design.contacts import ContactPlan
+    from identification.experiment_design.poses import PosePlan
+    from identification.experiment_design.sweep import SweepPlan
 
     settings = step.settings
     if settings is None:

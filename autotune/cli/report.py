@@ -45,8 +45,8 @@ def command(output: Output, files: tuple[Path, ...], out: Path, old: Path | None
     log that cannot be used, or is another one. 6: a controller was altered, or a claim of it does not hold, which the
     page then says.
     """
-    from autotune.reports.from_files import report_files
-    from autotune.reports.refused_page import NOT_SHOWN, refuse
+    from autotune.report.from_files import report_files
+    from autotune.report.refused_page import NOT_SHOWN, refuse
 
     sources = [*files, *([] if old is None else [old])]
     check_report(out, sources, option="-o")

@@ -16,9 +16,9 @@ from ._schedule import validate_schedule
 from ._terminal import echo, painted, printable, tell
 
 if TYPE_CHECKING:
-    from autotune.files.controller import ControllerFile
-    from autotune.files.identified import IdentifiedFile
-    from autotune.reports.page import Page
+    from autotune.formats.controller import ControllerFile
+    from autotune.formats.identified import IdentifiedFile
+    from autotune.report.page import Page
     from autotune.validation.against_log import LogComparison
     from autotune.validation.disturbances import Told
     from autotune.validation.monte_carlo import AxisMonteCarlo
@@ -95,7 +95,7 @@ def command(output: Output, /, controller: Path, identified: Path | None, **opti
     noise, clipping and late commands. Of a schedule, every controller that it lists. Exit code 6: a claim or a
     signature does not hold, or the file was altered. 3: the log cannot be used, or another controller was running.
     """
-    from autotune.files.schedule import is_schedule
+    from autotune.formats.schedule import is_schedule
 
     if is_schedule(controller):
         given = [name for name in ("logs", "public_key", "sign", "report") if options[name]]
@@ -111,9 +111,9 @@ def command(output: Output, /, controller: Path, identified: Path | None, **opti
 
 
 def _validate(output: Output, path: Path, identified_path: Path | None, options: dict[str, Any]) -> None:
-    from autotune.files.canonical import short
-    from autotune.files.controller import read_controller
-    from autotune.files.identified import read_identified
+    from autotune.formats.canonical import short
+    from autotune.formats.controller import read_controller
+    from autotune.formats.identified import read_identified
     from autotune.validation.domain import check_domain
     from autotune.validation.monte_carlo import run_monte_carlo
     from autotune.validation.monte_carlo_report import monte_carlo_checks, monte_carlo_tree
@@ -177,7 +177,7 @@ class _Seen:
 
     def page(self) -> "Page":
         """Build the page of what was verified."""
-        from autotune.reports.validate_page import Validated, build_validate_page
+        from autotune.report.validate_page import Validated, build_validate_page
 
         if self.read is None or self.report is None:
             raise ValueError("nothing was verified yet")
@@ -188,7 +188,7 @@ class _Seen:
 
     def refused_page(self, error: Exception) -> "Page":
         """Build the page of what was refused: the file, or after it was verified the log."""
-        from autotune.reports.refused_page import NOT_COMPARED, refuse, refused_controller_page
+        from autotune.report.refused_page import NOT_COMPARED, refuse, refused_controller_page
 
         if self.report is None:
             return refused_controller_page(error, self.path)
@@ -196,7 +196,7 @@ class _Seen:
 
     def print(self, page: Path | None) -> None:
         """Print what was verified, and where the page is."""
-        from autotune.files.canonical import short
+        from autotune.formats.canonical import short
 
         if self.read is None or self.report is None:
             raise ValueError("nothing was verified yet")
@@ -210,7 +210,7 @@ def _keys(path: Path, options: dict[str, Any]) -> tuple[Any, Any]:
     """Read the keys before the long work."""
     if options["sign"] is None and options["public_key"] is None:
         return None, None
-    from autotune.files.signature import check_signature_target, read_private_key, read_public_key
+    from autotune.formats.signature import check_signature_target, read_private_key, read_public_key
 
     if options["sign"] is not None:
         check_signature_target(path)
@@ -220,7 +220,7 @@ def _keys(path: Path, options: dict[str, Any]) -> tuple[Any, Any]:
 
 def _sign(output: Output, read: "ControllerFile", private: Any) -> str:
     """Sign the file, say which signature was replaced, and return the fingerprint of the key."""
-    from autotune.files.signature import check_signature_target, sign_file, signature_path
+    from autotune.formats.signature import check_signature_target, sign_file, signature_path
 
     was = check_signature_target(read.path)
     signed_by = sign_file(read.path, private, read.sha256)
@@ -231,14 +231,14 @@ def _sign(output: Output, read: "ControllerFile", private: Any) -> str:
 
 def _note_unverified(output: Output, path: Path) -> None:
     """Say that there is a signature which was not looked at."""
-    from autotune.files.signature import unverified_signature
+    from autotune.formats.signature import unverified_signature
 
     if remark := unverified_signature(path):
         output.note(remark)
 
 
 def _signed_by(read: "ControllerFile", public: Any) -> str:
-    from autotune.files.signature import check_signature
+    from autotune.formats.signature import check_signature
 
     return check_signature(read.path, public, read.sha256)
 

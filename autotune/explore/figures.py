@@ -23,13 +23,13 @@ from bokeh.plotting import figure
 from bokeh.transform import transform
 from numpy.typing import NDArray
 
-from autotune.files.units import axis_units
-from autotune.reports.decimate import decimate
-from autotune.reports.palette import COLOURS
-from problems.design import DesignProblem
+from autotune.formats.units import axis_units
+from autotune.report.decimate import decimate
+from autotune.report.palette import COLOURS
+from problems.design.problem import DesignProblem
 
-from .knobs import Knob
-from .parcel import Sender
+from .batched_update import Sender
+from .sliders import Knob
 from .view import DesignMap, MapWindow, View
 from .words import requirement_title
 

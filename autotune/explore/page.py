@@ -12,14 +12,14 @@ from bokeh.models.widgets import Button, Div, Select, Slider
 from jinja2 import Environment, StrictUndefined, Template
 from numpy.typing import NDArray
 
-from autotune.files.units import axis_units
+from autotune.formats.units import axis_units
 from problems.errors import AutotuneError
 
 from . import words
+from .batched_update import Sender
 from .figures import KEYS, Figures
-from .knobs import STEPS, Knob, build_gain_knobs, build_plant_knobs, nominal_values, scenario_at
-from .parcel import Sender
 from .saver import Saver
+from .sliders import STEPS, Knob, build_gain_knobs, build_plant_knobs, nominal_values, scenario_at
 from .source import AxisStart, Exploration
 from .target import Target
 from .view import MapWindow, PreparedView, View, build_window, compute_map, compute_view, map_pairs, prepare_view

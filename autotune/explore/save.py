@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.errors import InfeasibleError
-from autotune.files.controller_record import Controller
-from autotune.tuning.chosen import judge_design
+from autotune.formats.controller_record import Controller
+from autotune.tuning.manual_design import judge_design
 from autotune.tuning.optimize import certify
 from autotune.tuning.search import SearchResult
 from autotune.validation.continuous import ProofWishes

@@ -11,11 +11,11 @@ from bokeh.document import Document
 from bokeh.models.widgets import Button, Div
 from numpy.typing import NDArray
 
-from autotune.files.records import ROTATIONAL_AXES
+from autotune.formats.records import ROTATIONAL_AXES
 from problems.errors import AutotuneError
 
 from . import words
-from .parcel import Sender
+from .batched_update import Sender
 from .save import save_controller
 from .source import Exploration
 from .target import Target

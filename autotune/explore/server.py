@@ -18,7 +18,7 @@ from tornado.ioloop import IOLoop
 
 from autotune.errors import UsageError
 
-from .door import LOOPBACK, Door, own_hosts
+from .host_check import LOOPBACK, Door, own_hosts
 from .page import build_page
 from .source import Exploration
 from .target import Target

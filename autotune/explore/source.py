@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from autotune import __version__
 from autotune.errors import InfeasibleError, UsageError
-from autotune.files.controller import ControllerFile, read_controller
-from autotune.files.controller_record import (
+from autotune.formats.controller import ControllerFile, read_controller
+from autotune.formats.controller_record import (
     AdmittanceRequirement,
     AxisDomain,
     AxisGains,
@@ -20,11 +20,11 @@ from autotune.files.controller_record import (
     Controller,
     RuntimePayload,
 )
-from autotune.files.identified import read_identified
-from autotune.files.problem import ProblemSpec, read_problem
-from autotune.files.records import ROTATIONAL_AXES
+from autotune.formats.identified import read_identified
+from autotune.formats.problem import ProblemSpec, read_problem
+from autotune.formats.records import ROTATIONAL_AXES
 from autotune.maps.source import kind_of_file
-from autotune.tuning.box import Box
+from autotune.tuning.bounds import Box
 from autotune.tuning.compare import start_design
 from autotune.tuning.optimize import carried_mass_kg, make_provenance
 from autotune.tuning.problems import Wishes, build_problems
@@ -33,12 +33,12 @@ from autotune.tuning.search import SearchResult, solve_design
 from autotune.tuning.threshold import ThresholdWish, threshold_wish
 from autotune.validation.continuous import ProofWishes
 from autotune.validation.validate import admittance_controller
-from problems.contact import Approach
-from problems.controller import AdmittanceController
-from problems.design import DEFAULT_BOUNDS, FURTHER_VARIABLES, VARIABLES, DesignProblem
-from problems.evaluation import build_scenarios
-from problems.requirements import REQUIREMENTS, AdmittanceTarget, Requirements
-from problems.uncertainty import Scenario
+from problems.contact.transient import Approach
+from problems.design.evaluation import build_scenarios
+from problems.design.problem import DEFAULT_BOUNDS, FURTHER_VARIABLES, VARIABLES, DesignProblem
+from problems.design.requirements import REQUIREMENTS, AdmittanceTarget, Requirements
+from problems.design.uncertainty import Scenario
+from problems.model.controller import AdmittanceController
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[float], None]

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from autotune.errors import AutotuneError, CertificateError, UsageError
-from autotune.files.canonical import short
-from autotune.files.controller import read_controller, write_controller
-from autotune.files.controller_record import Controller
+from autotune.formats.canonical import short
+from autotune.formats.controller import read_controller, write_controller
+from autotune.formats.controller_record import Controller
 
 
 class SaveInterruptedError(AutotuneError):

@@ -7,14 +7,14 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from problems.contact import ContactTransient, SampledContact, transient_from
-from problems.design import DesignProblem
-from problems.evaluation import Evaluation, build_scenarios
-from problems.margins import Margins, PreparedMargins, frequency_grid
-from problems.response import PlantResponse, loop_at, plant_response, rendered_admittance
-from problems.sampled import build_loop, spectral_radius
-from problems.screening import Screen, build_screen
-from problems.uncertainty import Scenario
+from problems.contact.transient import ContactTransient, SampledContact, transient_from
+from problems.design.batch_evaluation import Screen, build_screen
+from problems.design.evaluation import Evaluation, build_scenarios
+from problems.design.problem import DesignProblem
+from problems.design.uncertainty import Scenario
+from problems.model.response import PlantResponse, loop_at, plant_response, rendered_admittance
+from problems.model.sampled import build_loop, spectral_radius
+from problems.stability.margins import Margins, PreparedMargins, frequency_grid
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

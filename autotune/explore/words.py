@@ -4,7 +4,7 @@ import math
 from html import escape
 from pathlib import Path
 
-from autotune.files.units import AxisUnits
+from autotune.formats.units import AxisUnits
 
 from .save import Saved
 from .view import View

@@ -7,9 +7,9 @@ from types import MappingProxyType
 
 from autotune.errors import UsageError
 from identification.errors import EstimateError
-from problems.controller import AdmittanceController
-from problems.map_parameters import CONTROLLER_FIELDS, STANDS_FOR, controller_at, plant_at, value_of
-from problems.plant import Coupling, Environment, Payload, Plant
+from problems.maps.parameters import CONTROLLER_FIELDS, STANDS_FOR, controller_at, plant_at, value_of
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Coupling, Environment, Payload, Plant
 
 from .source import MapSource
 

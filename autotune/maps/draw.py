@@ -12,20 +12,11 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from problems.map_parameters import MapQuantity
-from problems.maps import MapPoint, MapResult, distance_at_boundary
+from problems.maps.maps import MapPoint, MapResult, distance_at_boundary
+from problems.maps.parameters import MapQuantity
 
 from .plan import MapPlan
-from .style import (
-    HATCH_COLOUR,
-    STABLE_COLOUR,
-    UNSTABLE_COLOUR,
-    axis_label,
-    log_ticks,
-    set_axis,
-    title,
-    told,
-)
+from .style import HATCH_COLOUR, STABLE_COLOUR, UNSTABLE_COLOUR, axis_label, log_ticks, set_axis, title, told
 from .text import WHERE, number, with_unit
 
 FloatArray = NDArray[np.float64]

@@ -14,9 +14,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from problems.map_parameters import MAP_PARAMETERS
-from problems.map_search import IntervalRequest, IntervalResult, StableInterval
-from problems.maps import MapAxis
+from problems.maps.maps import MapAxis
+from problems.maps.parameters import MAP_PARAMETERS
+from problems.maps.search import IntervalRequest, IntervalResult, StableInterval
 
 from .plan import MapPlan
 from .style import (

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from autotune.files.atomic import check_target, write_atomic
-from autotune.files.standing import check_kind
-from problems.map_search import IntervalRequest, IntervalResult, find_stable_intervals
-from problems.maps import MapAxis, MapPoint, MapRequest, MapResult, compute_map, evaluate_point
+from autotune.formats.atomic import check_target, write_atomic
+from autotune.formats.replaceable import check_kind
+from problems.maps.maps import MapAxis, MapPoint, MapRequest, MapResult, compute_map, evaluate_point
+from problems.maps.search import IntervalRequest, IntervalResult, find_stable_intervals
 
 from .ask import MapAsk, check_targets
 from .plan import MapPlan, build_plan

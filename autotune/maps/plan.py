@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from autotune.errors import UsageError
-from problems.contact import Approach
-from problems.controller import AdmittanceController
-from problems.map_parameters import MapParameter, MapQuantity, check_together
-from problems.map_search import IntervalCase, IntervalRequest
-from problems.maps import MapAxis, MapRequest, check_varied
+from problems.contact.transient import Approach
+from problems.maps.maps import MapAxis, MapRequest, check_varied
+from problems.maps.parameters import MapParameter, MapQuantity, check_together
+from problems.maps.search import IntervalCase, IntervalRequest
+from problems.model.controller import AdmittanceController
 
 from .ask import STABLE_DAMPING, STABLE_LEAD, MapAsk, parse_range, parse_search, parse_settings
 from .base import Base, build_base, known_values

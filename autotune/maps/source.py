@@ -10,20 +10,20 @@ from types import MappingProxyType
 import numpy as np
 
 from autotune.errors import UsageError
-from autotune.files.controller import read_controller
-from autotune.files.controller_record import AxisDomain, Controller
-from autotune.files.identified import read_identified
-from autotune.files.records import ROTATIONAL_AXES
-from autotune.files.yaml12 import LARGEST_FILE_BYTES
+from autotune.formats.controller import read_controller
+from autotune.formats.controller_record import AxisDomain, Controller
+from autotune.formats.identified import read_identified
+from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.yaml12 import LARGEST_FILE_BYTES
 from autotune.tuning.wrench import build_wrench
 from autotune.validation.validate import admittance_controller, uncertain_plant
+from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError
 from identification.result import AxisEstimate, Estimate, Identified, Status
-from identification.rotation import LEVER_M
-from problems.contact import Approach
-from problems.controller import AdmittanceController
-from problems.plant import NO_FILTER, WrenchFilter
-from problems.robot import RobotModel
+from problems.contact.transient import Approach
+from problems.model.controller import AdmittanceController
+from problems.model.plant import NO_FILTER, WrenchFilter
+from problems.model.robot import RobotModel
 
 _FORMAT = re.compile(rb"""["']?format["']?\s*:\s*["']?autotune/(\w+)""")
 _DEFAULT_APPROACH_N = 30.0
@@ -31,7 +31,7 @@ _DEFAULT_APPROACH_N = 30.0
 
 @dataclass(frozen=True, kw_only=True)
 class MapSource:
-    """One axis of a file: `known` by the names of `problems.map_parameters`, `missing` with the reason.
+    """One axis of a file: `known` by the names of `problems.maps.parameters`, `missing` with the reason.
 
     `checksums` holds those of the controller files that were read, by path.
 

@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from autotune.files.standing import PICTURE_MARK
-from problems.contact import Approach
-from problems.map_parameters import MAP_PARAMETERS, MapParameter
-from problems.maps import MapAxis
+from autotune.formats.replaceable import PICTURE_MARK
+from problems.contact.transient import Approach
+from problems.maps.maps import MapAxis
+from problems.maps.parameters import MAP_PARAMETERS, MapParameter
 
 from .plan import MapPlan
 from .text import approach_text, number, with_unit

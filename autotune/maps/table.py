@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from autotune import __version__
-from problems.map_parameters import MAP_PARAMETERS, MapParameter, MapQuantity
-from problems.map_search import IntervalResult
-from problems.maps import MapAxis, MapResult
+from problems.maps.maps import MapAxis, MapResult
+from problems.maps.parameters import MAP_PARAMETERS, MapParameter, MapQuantity
+from problems.maps.search import IntervalResult
 
 from .plan import MapPlan
 from .text import WHERE, approach_text, with_unit

@@ -1,6 +1,6 @@
 """Numbers and words for pictures, data files and the command line."""
 
-from problems.contact import Approach
+from problems.contact.transient import Approach
 
 WHERE = {"contact": "in contact", "free_space": "in free space", "both": "in contact and in free space"}
 

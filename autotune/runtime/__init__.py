@@ -1,6 +1,6 @@
 """The cell's side: load a controller file and step its six axes. Needs the YAML parser, and no other library."""
 
-from autotune.files.limits import AxisLimits, Limits
+from autotune.formats.limits import AxisLimits, Limits
 
 from .controller import RuntimeController
 from .law import AXES, AxisLaw, CollisionResponse, Payload

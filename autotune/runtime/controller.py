@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from autotune.errors import CertificateError, UsageError
-from autotune.files.limits import Limits
+from autotune.formats.limits import Limits
 from problems.errors import ParameterError
 
 from .guard import Guard

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from autotune.files.limits import AxisLimits, Limits
+from autotune.formats.limits import AxisLimits, Limits
 
 from .law import STANDARD_GRAVITY_M_S2
 

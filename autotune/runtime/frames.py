@@ -4,7 +4,7 @@ A rotation is nine numbers, R_WS row by row, so that v_W = R_WS v_S. Neither squ
 exported C does without its mathematical library, and each line is the same operation in the same order as there.
 """
 
-from problems.difference import Entry
+from problems.model.difference import Entry
 
 from .law import Payload
 

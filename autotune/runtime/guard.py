@@ -6,7 +6,7 @@ Each line is the same operation in the same order as in the exported C, which ha
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from autotune.files.limits import Limits
+from autotune.formats.limits import Limits
 
 from .frames import Nine, Place, Six, into_sensor
 from .law import AxisLaw, Payload

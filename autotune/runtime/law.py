@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from numbers import Real
 
-from problems.difference import write_blocks
 from problems.errors import ParameterError
+from problems.model.difference import write_blocks
 
 Vector = tuple[float, float, float]
 Interval = tuple[float, float]
@@ -72,7 +72,7 @@ class AxisLaw:
 
     `mass` M_a, `damping` B_a, `lead_s` K_l, `feedback_damping_s` B_fb, both filters' corners and `compensation_mass_kg`
     P̂; `payload_range` holds the masses, or inertias, for which the certificate holds. `blocks` are the coefficients of
-    `problems.difference.controller_step` in the Tustin form at `sample_time_s`, by row and column.
+    `problems.model.difference.controller_step` in the Tustin form at `sample_time_s`, by row and column.
     """
 
     name: str

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from autotune.errors import CertificateError, UsageError
-from autotune.files.canonical import checksum as checksum_of
-from autotune.files.canonical import short
-from autotune.files.limits import AxisLimits, Limits
-from autotune.files.schema import check_format, explain, load_schema, refuse_first
-from autotune.files.yaml12 import Document, load_document
+from autotune.formats.canonical import checksum as checksum_of
+from autotune.formats.canonical import short
+from autotune.formats.limits import AxisLimits, Limits
+from autotune.formats.schema import check_format, explain, load_schema, refuse_first
+from autotune.formats.yaml12 import Document, load_document
 from problems.errors import ParameterError
 
 from .controller import RuntimeController
@@ -84,7 +84,7 @@ def verify_signature(path: Path | str, public_key: Path | str, digest: str) -> s
     the package cryptography is missing.
     """
     # The only use of it here, and it comes with a library that a cell need not have.
-    from autotune.files.signature import check_signature, read_public_key  # noqa: PLC0415
+    from autotune.formats.signature import check_signature, read_public_key  # noqa: PLC0415
 
     return check_signature(Path(path), read_public_key(Path(public_key)), digest)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from operator import mul
 from typing import Any
 
-from problems.difference import controller_step
+from problems.model.difference import controller_step
 
 from .law import AxisLaw
 

@@ -12,7 +12,7 @@ Schema = Mapping[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Breach:
-    """A rule that an entry breaks, told as `autotune.files.schema.explain` reads it."""
+    """A rule that an entry breaks, told as `autotune.formats.schema.explain` reads it."""
 
     absolute_path: Place
     validator: str

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
-from problems.difference import controller_step, measured_motion, opposes, resume, through_deadband
+from problems.model.difference import controller_step, measured_motion, opposes, resume, through_deadband
 
 from .arguments import TICKS, check_kind, each_of, place_of, six, tick_of
 from .controller import RuntimeController

@@ -8,12 +8,12 @@ from importlib.metadata import EntryPoint
 import numpy as np
 
 from autotune.errors import AutotuneError
-from problems.contact import Approach
-from problems.controller import AdmittanceController
-from problems.design import DesignProblem
-from problems.evaluation import Evaluation, build_scenarios
-from problems.plant import Coupling
-from problems.robot import RobotModel
+from problems.contact.transient import Approach
+from problems.design.evaluation import Evaluation, build_scenarios
+from problems.design.problem import DesignProblem
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Coupling
+from problems.model.robot import RobotModel
 
 from .plugins import OBJECTIVES, REQUIREMENTS, Objective, Requirement, registered
 

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution, minimize
 
 from autotune.errors import InfeasibleError
-from autotune.tuning.box import Box
+from autotune.tuning.bounds import Box
 from autotune.tuning.search import SearchResult, presentable, solve_design
-from problems.design import AdmittanceTarget, DesignProblem
-from problems.evaluation import Evaluation, PreparedScenarios, build_scenarios
+from problems.design.evaluation import Evaluation, PreparedScenarios, build_scenarios
+from problems.design.problem import AdmittanceTarget, DesignProblem
 
 from .objectives import Admittance, PeakForce
 from .points import Front, Judge, index_of, undominated

@@ -5,15 +5,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from problems.controller import AdmittanceController
-from problems.design import AdmittanceTarget, DesignProblem
-from problems.evaluation import Evaluation, band_frequencies, smallest_admittance
-from problems.noise import predict_command_noise
-from problems.passivity import check_passivity
-from problems.plant import FREE_SPACE
-from problems.response import hand_admittance
-from problems.sampled import SampledPlant, build_sampled_plant
-from problems.uncertainty import Scenario
+from problems.design.evaluation import Evaluation, band_frequencies, smallest_admittance
+from problems.design.problem import AdmittanceTarget, DesignProblem
+from problems.design.uncertainty import Scenario
+from problems.model.controller import AdmittanceController
+from problems.model.plant import FREE_SPACE
+from problems.model.response import hand_admittance
+from problems.model.sampled import SampledPlant, build_sampled_plant
+from problems.stability.noise import predict_command_noise
+from problems.stability.passivity import check_passivity
 
 from .plugins import Direction, Objective, Requirement
 
@@ -91,7 +91,7 @@ class CommandNoise(Objective):
 
 
 class PassiveBand(Requirement):
-    """The port F → V takes energy only, Re G ≥ 0, over the band of the admittance target (`problems.passivity`)."""
+    """The port F → V takes energy only over the band of the admittance target (`problems.stability.passivity`)."""
 
     name: ClassVar[str] = "passive_band"
 

@@ -8,9 +8,9 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, ClassVar, Literal
 
 from autotune.errors import UsageError
-from problems.controller import AdmittanceController
-from problems.design import DesignProblem
-from problems.evaluation import Evaluation
+from problems.design.evaluation import Evaluation
+from problems.design.problem import DesignProblem
+from problems.model.controller import AdmittanceController
 
 Direction = Literal["minimize", "maximize"]
 

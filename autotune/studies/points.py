@@ -9,10 +9,10 @@ import numpy as np
 
 from autotune.errors import AutotuneError, UsageError
 from autotune.tuning.worst import WholeSet
-from problems.controller import AdmittanceController
-from problems.design import DesignProblem
+from problems.design.evaluation import Evaluation
+from problems.design.problem import DesignProblem
 from problems.errors import ParameterError
-from problems.evaluation import Evaluation
+from problems.model.controller import AdmittanceController
 
 from .plugins import Demand, Objective
 

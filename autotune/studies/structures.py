@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.errors import UsageError
-from problems.controller import AdmittanceController, Discretization
-from problems.design import DesignProblem
+from problems.design.problem import DesignProblem
+from problems.model.controller import AdmittanceController, Discretization
 
 FloatArray = NDArray[np.float64]
 

@@ -25,13 +25,13 @@ from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
 from autotune import __version__
 from autotune.errors import InfeasibleError, UsageError
-from autotune.files.canonical import checksum
-from autotune.files.records import record_tree
-from autotune.tuning.box import LINEAR_VARIABLES
+from autotune.formats.canonical import checksum
+from autotune.formats.records import record_tree
+from autotune.tuning.bounds import LINEAR_VARIABLES
 from autotune.tuning.search import presentable
-from problems.controller import AdmittanceController
-from problems.design import DesignProblem
-from problems.margins import UnstableLoopError
+from problems.design.problem import DesignProblem
+from problems.model.controller import AdmittanceController
+from problems.stability.margins import UnstableLoopError
 
 from .plugins import Demand, Limit, Objective
 from .points import Front, Judge, Judgement, StudyRecord, index_of, thinned, undominated

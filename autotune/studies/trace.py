@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.errors import UsageError
-from autotune.tuning.box import Box
+from autotune.tuning.bounds import Box
 from autotune.tuning.search import SearchResult, presentable
 
 from .front import trace_front

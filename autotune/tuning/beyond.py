@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from autotune.validation.bouncing import LEAST_FORCE, SPEEDS
 from autotune.validation.refuted import RefutedError
-from problems.bouncing import Ending, follow_contact, settling_window
-from problems.contact import Approach, SampledContact, build_sampled_contact
-from problems.controller import AdmittanceController
-from problems.design import DesignProblem
-from problems.margins import UnstableLoopError
-from problems.sampled import build_sampled_plant
-from problems.uncertainty import Scenario
+from problems.contact.bouncing import Ending, follow_contact, settling_window
+from problems.contact.transient import Approach, SampledContact, build_sampled_contact
+from problems.design.problem import DesignProblem
+from problems.design.uncertainty import Scenario
+from problems.model.controller import AdmittanceController
+from problems.model.sampled import build_sampled_plant
+from problems.stability.margins import UnstableLoopError
 
 FloatArray = NDArray[np.float64]
 

@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.errors import UsageError
-from autotune.files.controller import ControllerFile
-from autotune.files.controller_record import CollisionResponse, Controller
+from autotune.formats.controller import ControllerFile
+from autotune.formats.controller_record import CollisionResponse, Controller
 from autotune.validation.validate import admittance_controller
-from problems.controller import AdmittanceController
-from problems.design import FURTHER_VARIABLES, VARIABLES, DesignProblem
-from problems.evaluation import PreparedScenarios, smallest_admittance
+from problems.design.evaluation import PreparedScenarios, smallest_admittance
+from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
+from problems.model.controller import AdmittanceController
 
-from .box import bounds_of
+from .bounds import bounds_of
 from .record import admittance_band_hz
 from .search import SearchResult
 from .worst import WholeSet

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from autotune.errors import InfeasibleError, UsageError
-from autotune.files.problem import ComplianceSpec, Interval, ProblemSpec, Uncertain
-from autotune.files.records import ROTATIONAL_AXES
+from autotune.formats.problem import ComplianceSpec, Interval, ProblemSpec, Uncertain
+from autotune.formats.records import ROTATIONAL_AXES
 from identification.result import Identified
-from problems.design import DesignProblem
+from problems.design.problem import DesignProblem
 
 from .problems import Wishes, build_problems
 from .search import SearchResult, solve_design

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from problems.screening import Screen
+from problems.design.batch_evaluation import Screen
 
-from .box import Box
+from .bounds import Box
 
 FloatArray = NDArray[np.float64]
 

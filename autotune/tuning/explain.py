@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass, replace
 
-from problems.design import DesignProblem
-from problems.requirements import eased
+from problems.design.problem import DesignProblem
+from problems.design.requirements import eased
 
-from .box import LINEAR_VARIABLES
+from .bounds import LINEAR_VARIABLES
 from .optimality import Optimality
 
 _PERCENT = 0.01

@@ -6,15 +6,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.files.controller_record import AxisDomain, Controller
+from autotune.formats.controller_record import AxisDomain, Controller
 from autotune.validation.disturbances import file_deadband
 from autotune.validation.monte_carlo import needed_substeps
 from autotune.validation.validate import admittance_controller
-from problems.contact import Approach
-from problems.controller import AdmittanceController
-from problems.full_effects import NO_EFFECTS, Collision, Deadband, Effects
-from problems.full_simulation import FullRun, simulate_fully
-from problems.uncertainty import Scenario
+from problems.contact.nonlinear_simulation import FullRun, simulate_fully
+from problems.contact.nonlinearities import NO_EFFECTS, Collision, Deadband, Effects
+from problems.contact.transient import Approach
+from problems.design.uncertainty import Scenario
+from problems.model.controller import AdmittanceController
 
 FloatArray = NDArray[np.float64]
 # Peaks at the contact and at the sensor, N.

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 
 from autotune.errors import UsageError
-from autotune.files.controller_record import AxisPrediction, Controller
-from autotune.files.limits import AxisLimits, Limits, LimitsSpec, ResidualPeaks
-from autotune.files.problem import ProblemSpec
-from autotune.files.records import ROTATIONAL_AXES
-from autotune.files.units import axis_units
+from autotune.formats.controller_record import AxisPrediction, Controller
+from autotune.formats.limits import AxisLimits, Limits, LimitsSpec, ResidualPeaks
+from autotune.formats.problem import ProblemSpec
+from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.units import axis_units
 from autotune.runtime.default_limits import LEVER_M, REDUCED_SPEED_M_S
 from autotune.runtime.law import STANDARD_GRAVITY_M_S2
 from autotune.validation.limits import commanded_motion, with_residual
 from identification.result import Identified
-from problems.controller import controller_blocks
+from problems.model.controller import controller_blocks
 
 from .first_contacts import FirstContacts, contacts_of
 from .threshold import ASSUMED_NOISE_N, NOISE_DEVIATIONS

@@ -16,16 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from problems.contact import transient_from
-from problems.controller import AdmittanceController
-from problems.design import FURTHER_VARIABLES, VARIABLES, DesignProblem
-from problems.evaluation import PreparedScenarios, normalise_margins, normalise_plant, passivity_ratios
-from problems.margins import PreparedMargins
-from problems.noise import command_speed_gain
-from problems.passivity import PreparedPort
-from problems.requirements import LARGEST_SHARE
-from problems.sampled import SampledPlant, build_loop, spectral_radius
-from problems.slopes import (
+from problems.contact.transient import transient_from
+from problems.design.evaluation import PreparedScenarios, normalise_margins, normalise_plant, passivity_ratios
+from problems.design.gradients import (
     Slope,
     admittance_slope,
     decay_slope,
@@ -36,8 +29,15 @@ from problems.slopes import (
     peak_slope,
     phase_slope,
 )
+from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
+from problems.design.requirements import LARGEST_SHARE
+from problems.model.controller import AdmittanceController
+from problems.model.sampled import SampledPlant, build_loop, spectral_radius
+from problems.stability.margins import PreparedMargins
+from problems.stability.noise import command_speed_gain
+from problems.stability.passivity import PreparedPort
 
-from .box import bounds_of, linear_variables
+from .bounds import bounds_of, linear_variables
 
 FloatArray = NDArray[np.float64]
 Key = tuple[str, int]

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from autotune import __version__
 from autotune.errors import CertificateError, InfeasibleError
-from autotune.files.controller import ControllerFile
-from autotune.files.controller_record import Controller, RuntimePayload
-from autotune.files.identified import IdentifiedFile
-from autotune.files.problem import ComplianceSpec, ProblemSpec
-from autotune.files.records import ROTATIONAL_AXES
+from autotune.formats.controller import ControllerFile
+from autotune.formats.controller_record import Controller, RuntimePayload
+from autotune.formats.identified import IdentifiedFile
+from autotune.formats.problem import ComplianceSpec, ProblemSpec
+from autotune.formats.records import ROTATIONAL_AXES
 from autotune.validation.continuous import ProofWishes
 from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller
 from identification.result import Identified
-from problems.design import FURTHER_VARIABLES, VARIABLES, DesignProblem
+from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
 
 from .compare import SideBySide, check_comparable, compare, start_design
 from .compliance import (
@@ -31,14 +31,14 @@ from .compliance import (
     settle_compliance,
     tell_infeasible,
 )
-from .doubts import left_out_tree
 from .limits import LimitsWish, limits_wish, with_limits
+from .optimality_report import Standing, standing_tree
+from .prior_conflicts import left_out_tree
 from .problems import Wishes, build_problems, certified_mass_kg, runtime_mass_kg
 from .record import build_controller, runtime_payload
 from .relax import find_relaxations, tell_relaxations
 from .search import SearchResult, solve_design
 from .settling import Proved, Settled, prove_search, settle
-from .standing import Standing, standing_tree
 from .threshold import ThresholdWish, choose_threshold, threshold_wish
 
 # Of the time of a usual run, measured; of no other use than to tell how it goes on. The second is a share of what comes

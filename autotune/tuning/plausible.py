@@ -4,9 +4,9 @@ import math
 from collections.abc import Sequence
 
 from autotune.errors import UsageError
-from autotune.files.problem import ProblemSpec
-from autotune.files.records import ROTATIONAL_AXES
-from autotune.files.units import axis_units
+from autotune.formats.problem import ProblemSpec
+from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.units import axis_units
 from identification.result import Identified
 
 Interval = tuple[float, float]

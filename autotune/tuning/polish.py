@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from problems.requirements import LARGEST_SHARE
-from problems.screening import Screen
+from problems.design.batch_evaluation import Screen
+from problems.design.requirements import LARGEST_SHARE
 
-from .box import bounds_of, linear_variables
+from .bounds import bounds_of, linear_variables
 from .optimality import LEAST_RATIO, PEAK, near_keys, row_at, unit_widths
 
 FloatArray = NDArray[np.float64]

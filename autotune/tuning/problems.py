@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from autotune.errors import UsageError
-from autotune.files.problem import ProblemSpec, RotationalSpec
-from autotune.files.records import ROTATIONAL_AXES, ROTATIONAL_KEYS
+from autotune.formats.problem import ProblemSpec, RotationalSpec
+from autotune.formats.records import ROTATIONAL_AXES, ROTATIONAL_KEYS
 from identification.errors import EstimateError
 from identification.result import (
     CONTACT_UNEXPLAINED,
@@ -19,10 +19,10 @@ from identification.result import (
     Status,
     VectorEstimate,
 )
-from problems.contact import Approach
-from problems.design import DesignProblem, Requirements
-from problems.plant import Coupling
-from problems.robot import RobotModel
+from problems.contact.transient import Approach
+from problems.design.problem import DesignProblem, Requirements
+from problems.model.plant import Coupling
+from problems.model.robot import RobotModel
 
 from .plausible import check_plausible
 from .rotational import through_lever

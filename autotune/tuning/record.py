@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from operator import attrgetter
 from typing import Any
 
-from autotune.files.controller_record import (
+from autotune.formats.controller_record import (
     AdmittanceRequirement,
     AxisDomain,
     AxisGains,
@@ -26,17 +26,17 @@ from autotune.files.controller_record import (
     ScenarioPrediction,
     SoftRequirement,
 )
-from autotune.files.records import ROTATIONAL_AXES
-from autotune.files.units import axis_units
-from autotune.validation.whole_set import sampled_claims
+from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.units import axis_units
+from autotune.validation.validation_samples import sampled_claims
+from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError
 from identification.result import Identified
-from identification.rotation import LEVER_M
-from problems.controller import AdmittanceController
-from problems.design import DesignProblem, Requirements
-from problems.evaluation import PlantMargins, build_scenarios, smallest_admittance
-from problems.requirements import AdmittanceTarget, Asked, NoiseLimit, PassivityTarget, achieved
-from problems.uncertainty import Ellipsoid, Scenario
+from problems.design.evaluation import PlantMargins, build_scenarios, smallest_admittance
+from problems.design.problem import DesignProblem, Requirements
+from problems.design.requirements import AdmittanceTarget, Asked, NoiseLimit, PassivityTarget, achieved
+from problems.design.uncertainty import Ellipsoid, Scenario
+from problems.model.controller import AdmittanceController
 
 from .search import SearchResult
 

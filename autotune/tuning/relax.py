@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.errors import InfeasibleError
-from problems.design import DesignProblem
-from problems.margins import UnstableLoopError
-from problems.requirements import UPPER_LIMITS, level
-from problems.screening import EVERY_REQUIREMENT
-from problems.uncertainty import Scenario
+from problems.design.batch_evaluation import EVERY_REQUIREMENT
+from problems.design.problem import DesignProblem
+from problems.design.requirements import UPPER_LIMITS, level
+from problems.design.uncertainty import Scenario
+from problems.stability.margins import UnstableLoopError
 
-from .joining import margin_scenarios
+from .scenario_exchange import margin_scenarios
 from .search import Search, presentable
 from .worst import ALONE, WholeSet
 

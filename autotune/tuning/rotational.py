@@ -9,10 +9,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from autotune.files.problem import Interval, ProblemSpec
-from identification.rotation import LEVER_M
-from problems.contact import Approach
-from problems.design import DEFAULT_BOUNDS, AdmittanceTarget, NoiseLimit, Requirements
+from autotune.formats.problem import Interval, ProblemSpec
+from identification.axes.turning import LEVER_M
+from problems.contact.transient import Approach
+from problems.design.problem import DEFAULT_BOUNDS, AdmittanceTarget, NoiseLimit, Requirements
 
 _GO_WITH_THE_LEVER = ("mass", "damping")
 

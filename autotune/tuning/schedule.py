@@ -9,18 +9,18 @@ from pathlib import Path
 from typing import TypeVar
 
 from autotune.errors import AutotuneError, CertificateError, InfeasibleError, UsageError
-from autotune.files.controller import controller_tree, parse_controller
-from autotune.files.controller_record import Controller
-from autotune.files.dump import dump_yaml
-from autotune.files.identified import IdentifiedFile
-from autotune.files.problem import ProblemSpec
-from autotune.files.schedule import COMMON_FILE, worst_peaks
+from autotune.formats.controller import controller_tree, parse_controller
+from autotune.formats.controller_record import Controller
+from autotune.formats.dump import dump_yaml
+from autotune.formats.identified import IdentifiedFile
+from autotune.formats.problem import ProblemSpec
+from autotune.formats.schedule import COMMON_FILE, worst_peaks
 from autotune.processes import map_in_processes
 from autotune.validation.validate import admittance_controller
 from identification.errors import EstimateError
-from problems.design import Objective
+from problems.design.problem import Objective
 from problems.errors import ParameterError
-from problems.margins import UnstableLoopError
+from problems.stability.margins import UnstableLoopError
 
 from .optimize import optimize
 from .problems import Interval, Wishes, build_problems, certified_mass_kg, runtime_mass_kg

@@ -8,23 +8,18 @@ from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, differential_evolution
 
 from autotune.errors import InfeasibleError
-from problems.controller import SMALLEST_FEEDBACK_DAMPING_S
-from problems.design import DesignProblem
-from problems.evaluation import (
-    Evaluation,
-    PlantMargins,
-    PreparedScenarios,
-    build_scenarios,
-)
-from problems.margins import UnstableLoopError
-from problems.screening import Screen, Screened, build_screen
-from problems.uncertainty import Scenario
+from problems.design.batch_evaluation import Screen, Screened, build_screen
+from problems.design.evaluation import Evaluation, PlantMargins, PreparedScenarios, build_scenarios
+from problems.design.problem import DesignProblem
+from problems.design.uncertainty import Scenario
+from problems.model.controller import SMALLEST_FEEDBACK_DAMPING_S
+from problems.stability.margins import UnstableLoopError
 
 from .beyond import NOTHING, Beyond, ImpactTest
-from .box import Box, bounds_of, linear_variables, spread_out
+from .bounds import Box, bounds_of, linear_variables, spread_out
 from .descent import BACKOFF, descend
-from .joining import moved_scenario, scenarios_of, softly_missed_scenarios, worst_scenarios
 from .polish import polish_exactly
+from .scenario_exchange import moved_scenario, scenarios_of, softly_missed_scenarios, worst_scenarios
 from .worst import DENSE_STIFFNESS, WholeSet
 
 FloatArray = NDArray[np.float64]

@@ -4,17 +4,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from autotune.errors import CertificateError, InfeasibleError
-from autotune.files.controller_record import Proof, Reach
-from autotune.files.units import axis_units
+from autotune.formats.controller_record import Proof, Reach
+from autotune.formats.units import axis_units
 from autotune.validation.bouncing import search_bouncing
 from autotune.validation.continuous import ProofWishes, prove_reach
 from autotune.validation.refuted import RefutedError
 from autotune.validation.validate import prove_axis
 
 from .beyond import NOTHING, Beyond, ImpactTest
+from .optimality_report import Standing, find_standing
 from .record import build_domain
 from .search import SearchResult, solve_design
-from .standing import Standing, find_standing
 
 _ROUNDS = 6
 # A reference that lies lower by more than this is worth another search, from its design.

@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.errors import InfeasibleError, UsageError
-from autotune.files.controller_record import (
+from autotune.formats.controller_record import (
     AxisPrediction,
     Collision,
     CollisionResponse,
     Controller,
     ScenarioPrediction,
 )
-from autotune.files.problem import ProblemSpec
-from autotune.files.records import ROTATIONAL_AXES
+from autotune.formats.problem import ProblemSpec
+from autotune.formats.records import ROTATIONAL_AXES
 from identification.result import Identified
-from problems.design import Objective
+from problems.design.problem import Objective
+from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
-from problems.uncertainty import Scenario
 
 from .first_contacts import RespondingContact, build_contact, contacts_of, peaks_of
 from .record import scenario_name

@@ -11,14 +11,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.files.problem import Interval, Uncertain
-from autotune.files.records import ROTATIONAL_AXES, ROTATIONAL_KEYS
+from autotune.formats.problem import Interval, Uncertain
+from autotune.formats.records import ROTATIONAL_AXES, ROTATIONAL_KEYS
 from identification.errors import EstimateError
 from identification.result import AxisEstimate, Covariance, Estimate, Status
-from problems.design import DesignProblem
-from problems.plant import Coupling
-from problems.robot_variation import bandwidth_share, has_damping_ratio, vary_robot
-from problems.uncertainty import Ellipsoid
+from problems.design.problem import DesignProblem
+from problems.design.uncertainty import Ellipsoid
+from problems.model.plant import Coupling
+from problems.model.robot_variation import bandwidth_share, has_damping_ratio, vary_robot
 
 FloatArray = NDArray[np.float64]
 

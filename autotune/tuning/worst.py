@@ -5,9 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from problems.controller import AdmittanceController
-from problems.design import DesignProblem
-from problems.evaluation import (
+from problems.design.evaluation import (
     ExactEvaluation,
     PreparedScenarios,
     build_scenarios,
@@ -15,8 +13,10 @@ from problems.evaluation import (
     passivity_ratios,
     smallest_admittance,
 )
-from problems.margins import UnstableLoopError
-from problems.uncertainty import Scenario
+from problems.design.problem import DesignProblem
+from problems.design.uncertainty import Scenario
+from problems.model.controller import AdmittanceController
+from problems.stability.margins import UnstableLoopError
 
 FloatArray = NDArray[np.float64]
 

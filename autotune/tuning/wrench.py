@@ -5,10 +5,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from autotune.errors import UsageError
-from autotune.files.problem import Interval, Uncertain
+from autotune.formats.problem import Interval, Uncertain
 from identification.errors import EstimateError
 from identification.result import Estimate, Identified, Status, WrenchFilterEstimate
-from problems.plant import WrenchFilter
+from problems.model.plant import WrenchFilter
 
 LAG, LATE = "wrench_time_constant_s", "wrench_delay_s"
 # Standard deviations on either side of a value: 95 % and a little more.

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from problems.controller import AdmittanceController
-from problems.plant import WrenchFilter
-from problems.robot import RobotModel
+from problems.model.controller import AdmittanceController
+from problems.model.plant import WrenchFilter
+from problems.model.robot import RobotModel
 
 from .replay import DifferenceEquation, robot_stepper
 

@@ -7,16 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.errors import UsageError
-from autotune.files.controller_record import AxisDomain, CollisionResponse, Controller
-from autotune.files.records import ROTATIONAL_AXES
-from autotune.files.units import axis_units
+from autotune.formats.controller_record import AxisDomain, CollisionResponse, Controller
+from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.units import axis_units
 from identification.errors import LogError
-from identification.frames import Frames
-from identification.recording import Recording
-from problems.contact import Approach
-from problems.full_effects import Effects
-from problems.full_simulation import simulate_fully
-from problems.uncertainty import Scenario
+from identification.signals.frames import Frames
+from identification.signals.recording import Recording
+from problems.contact.nonlinear_simulation import simulate_fully
+from problems.contact.nonlinearities import Effects
+from problems.contact.transient import Approach
+from problems.design.uncertainty import Scenario
 
 from .disturbances import file_deadband
 from .law_in_log import Followed, follow_law

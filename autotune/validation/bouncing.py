@@ -10,17 +10,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autotune.files.controller_record import AxisDomain, Proof
-from autotune.files.units import axis_units
-from problems.bouncing import Ending, Followed, follow_contact, settling_window
-from problems.contact import Approach, SampledContact, build_sampled_contact
-from problems.controller import AdmittanceController
+from autotune.formats.controller_record import AxisDomain, Proof
+from autotune.formats.units import axis_units
+from problems.contact.bouncing import Ending, Followed, follow_contact, settling_window
+from problems.contact.linear_controller_contact import force_per_speed
+from problems.contact.transient import Approach, SampledContact, build_sampled_contact
+from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
-from problems.law_contact import force_per_speed
-from problems.laws import LinearLaw
-from problems.margins import UnstableLoopError
-from problems.sampled import build_sampled_plant
-from problems.uncertainty import Scenario
+from problems.model.controller import AdmittanceController
+from problems.model.linear_controllers import LinearLaw
+from problems.model.sampled import build_sampled_plant
+from problems.stability.margins import UnstableLoopError
 
 RUNS, SEED = 1024, 104_729
 SPEEDS, LEAST_FORCE = (0.5, 2.0), 0.05

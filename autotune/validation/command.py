@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from problems.controller import AdmittanceController
-from problems.plant import FREE_SPACE, Plant, WrenchFilter, build_plant_matrices
-from problems.robot import RobotModel
-from problems.sampled import hold
+from problems.model.controller import AdmittanceController
+from problems.model.plant import FREE_SPACE, Plant, WrenchFilter, build_plant_matrices
+from problems.model.robot import RobotModel
+from problems.model.sampled import hold
 
 from .replay import DifferenceEquation, robot_stepper, settling_samples
 

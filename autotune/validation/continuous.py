@@ -8,11 +8,11 @@ from functools import lru_cache, partial
 from autotune.certificate.certify import Certificate, Verdict, certify
 from autotune.certificate.family import MASS, PROVABLE, STIFFNESS, build_families
 from autotune.errors import CertificateError
-from autotune.files.controller_record import AxisDomain, Reach
-from autotune.files.units import AxisUnits, axis_units
-from problems.controller import AdmittanceController
+from autotune.formats.controller_record import AxisDomain, Reach
+from autotune.formats.units import AxisUnits, axis_units
 from problems.errors import ParameterError
-from problems.plant import Plant
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant
 
 from .refuted import RefutedError
 

@@ -3,11 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from autotune.files.controller_record import AxisGains, CollisionResponse, Controller, DeadbandType
-from autotune.files.records import ROTATIONAL_AXES
+from autotune.formats.controller_record import AxisGains, CollisionResponse, Controller, DeadbandType
+from autotune.formats.records import ROTATIONAL_AXES
+from problems.contact.nonlinearities import Collision, CommandLimits, Deadband, Effects, Response
+from problems.design.requirements import NoiseLimit
 from problems.errors import ParameterError
-from problems.full_effects import Collision, CommandLimits, Deadband, Effects, Response
-from problems.requirements import NoiseLimit
 
 # A good six-axis sensor at rest, N and N·m; taken where neither the file nor the caller says more.
 _USUAL_NOISE = 0.2, 0.02

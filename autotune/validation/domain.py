@@ -3,11 +3,11 @@
 import math
 from collections.abc import Iterator, Sequence
 
-from autotune.files.controller_record import AxisDomain, Controller, RuntimePayload
-from autotune.files.records import ROTATIONAL_AXES
-from autotune.files.units import axis_units
+from autotune.formats.controller_record import AxisDomain, Controller, RuntimePayload
+from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.units import axis_units
 from identification.result import AxisEstimate, Estimate, Identified, Status, VectorEstimate, WrenchFilterEstimate
-from problems.plant import NO_FILTER
+from problems.model.plant import NO_FILTER
 
 from .report import Check
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from autotune.files.controller_record import (
+from autotune.formats.controller_record import (
     AdmittanceRequirement,
     Asked,
     AxisDomain,
@@ -19,23 +19,23 @@ from autotune.files.controller_record import (
     FreeSpaceAdmittance,
     ScenarioPrediction,
 )
-from autotune.files.units import axis_units
-from problems.contact import Approach, build_sampled_contact
-from problems.law_contact import force_per_speed, simulate_law_contact
-from problems.laws import LinearLaw
-from problems.margins import frequency_grid
-from problems.noise import command_speed_gain
-from problems.passivity import passive_below_hz
-from problems.plant import FREE_SPACE, Plant
-from problems.requirements import NoiseLimit, PassivityTarget
-from problems.response import controller_response, free_space_admittance, plant_response
-from problems.sampled import build_loop, build_sampled_plant, spectral_radius
-from problems.uncertainty import Scenario
+from autotune.formats.units import axis_units
+from problems.contact.linear_controller_contact import force_per_speed, simulate_law_contact
+from problems.contact.transient import Approach, build_sampled_contact
+from problems.design.requirements import NoiseLimit, PassivityTarget
+from problems.design.uncertainty import Scenario
+from problems.model.linear_controllers import LinearLaw
+from problems.model.plant import FREE_SPACE, Plant
+from problems.model.response import controller_response, free_space_admittance, plant_response
+from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
+from problems.stability.margins import frequency_grid
+from problems.stability.noise import command_speed_gain
+from problems.stability.passivity import passive_below_hz
 
 from .margins import SweptMargins, sweep_margins
 from .proof import StabilityProof, UncertainPlant, prove_stability
 from .validate import uncertain_plant
-from .whole_set import OtherPlants, build_other_plants
+from .validation_samples import OtherPlants, build_other_plants
 
 _STIFFNESS_POINTS, _MASS_POINTS = 25, 3
 _PEAK_STIFFNESS_POINTS = 9

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.files.controller_record import AxisGains, DeadbandType
-from problems.controller import AdmittanceController
+from autotune.formats.controller_record import AxisGains, DeadbandType
+from problems.model.controller import AdmittanceController
 
 from .replay import DifferenceEquation
 

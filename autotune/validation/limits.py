@@ -5,11 +5,11 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.files.controller_record import AxisDomain, Controller
-from autotune.files.records import ROTATIONAL_AXES
-from autotune.files.units import axis_units
+from autotune.formats.controller_record import AxisDomain, Controller
+from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.units import axis_units
 from autotune.runtime.law import STANDARD_GRAVITY_M_S2
-from problems.controller import AdmittanceController
+from problems.model.controller import AdmittanceController
 
 from .peaks import Replays
 

@@ -6,22 +6,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.files.controller_record import AxisDomain, Controller
-from autotune.files.records import ROTATIONAL_AXES
-from identification.aligned import AlignedLog, align
-from identification.axes import AxisMotion, find_axes
-from identification.convention_choice import read_by_weight
+from autotune.formats.controller_record import AxisDomain, Controller
+from autotune.formats.records import ROTATIONAL_AXES
+from identification.axes.straight import AxisMotion, find_axes
+from identification.axes.turning import LEVER_M, Unrolled, find_turns, rests_after, unroll
+from identification.conventions.choice import read_by_weight
 from identification.errors import EstimateError, LogError
-from identification.frames import Frames
-from identification.gravity import GRAVITY_B_M_S2, GravityFit, identify_gravity
-from identification.joint_contacts import find_holds, hold_threshold_n
-from identification.recording import AXES, Recording
-from identification.rotation import LEVER_M, Unrolled, find_turns, rests_after, unroll
-from identification.segments import Motion, Span, find_motion
-from identification.static_poses import collect_static_poses
-from identification.timeline_contacts import find_contacts
-from identification.timeline_law import ContactTimes, learn_law
-from identification.timeline_payload import AxisContacts, press_sign, see_payload
+from identification.joint_fit.contacts import find_holds, hold_threshold_n
+from identification.payload.gravity import GRAVITY_B_M_S2, GravityFit, identify_gravity
+from identification.payload.static_poses import collect_static_poses
+from identification.signals.aligned import AlignedLog, align
+from identification.signals.frames import Frames
+from identification.signals.recording import AXES, Recording
+from identification.signals.segments import Motion, Span, find_motion
+from identification.timeline.contacts import find_contacts
+from identification.timeline.law import ContactTimes, learn_law
+from identification.timeline.payload import AxisContacts, press_sign, see_payload
 
 FloatArray = NDArray[np.float64]
 

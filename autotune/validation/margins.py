@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from problems.margins import LARGEST_GAIN_DB, frequency_grid, margins_on_grid
-from problems.plant import FREE_SPACE, Plant
-from problems.sampled import Law, SampledPlant, build_cut_loop, build_sampled_plant
+from problems.model.plant import FREE_SPACE, Plant
+from problems.model.sampled import Law, SampledPlant, build_cut_loop, build_sampled_plant
+from problems.stability.margins import LARGEST_GAIN_DB, frequency_grid, margins_on_grid
 
 from .proof import UncertainPlant
 

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.files.controller_record import AxisDomain, Controller
-from problems.contact import Approach
-from problems.controller import AdmittanceController
+from autotune.formats.controller_record import AxisDomain, Controller
+from problems.contact.nonlinear_simulation import FullRun, simulate_fully
+from problems.contact.nonlinearities import NO_EFFECTS, Effects
+from problems.contact.transient import Approach
+from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
-from problems.full_effects import NO_EFFECTS, Effects
-from problems.full_simulation import FullRun, simulate_fully
-from problems.margins import UnstableLoopError
-from problems.plant import FREE_SPACE, NO_FILTER, Plant, build_plant_matrices
-from problems.uncertainty import Scenario
+from problems.model.controller import AdmittanceController
+from problems.model.plant import FREE_SPACE, NO_FILTER, Plant, build_plant_matrices
+from problems.stability.margins import UnstableLoopError
 
 from .disturbances import Told, axis_effects
 from .validate import admittance_controller

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
-from autotune.files.units import axis_units
+from autotune.formats.units import axis_units
 
 from .monte_carlo import QUANTILES, SAME_PEAK, AxisMonteCarlo, SampledPeaks
 from .report import Check

@@ -3,14 +3,14 @@
 import math
 from collections.abc import Iterator, Sequence
 
-from autotune.files.controller_record import AxisDomain, ScenarioPrediction
-from autotune.files.units import AxisUnits
-from problems.controller import AdmittanceController
-from problems.plant import Plant
-from problems.uncertainty import Scenario
+from autotune.formats.controller_record import AxisDomain, ScenarioPrediction
+from autotune.formats.units import AxisUnits
+from problems.design.uncertainty import Scenario
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant
 
 from .replay import Replay, replay_contact
-from .whole_set import OtherPlants
+from .validation_samples import OtherPlants
 
 # Replayed contacts begin anywhere between two samples, predicted ones on a sample (measured: up to 0.5 %).
 _SAME_PEAK = 0.02

@@ -14,9 +14,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from problems.plant import NO_FILTER, Coupling, Environment, Payload, Plant, WrenchFilter, build_plant_matrices
-from problems.robot import RobotModel
-from problems.sampled import Law, SampledPlant, build_loop, build_sampled_plant, stability_matrix
+from problems.model.plant import NO_FILTER, Coupling, Environment, Payload, Plant, WrenchFilter, build_plant_matrices
+from problems.model.robot import RobotModel
+from problems.model.sampled import Law, SampledPlant, build_loop, build_sampled_plant, stability_matrix
 
 from .proof_cells import CellLoop
 

@@ -1,7 +1,7 @@
 """A claim that a plant refutes: the plant is part of the error, so that a search can take it in."""
 
 from autotune.errors import CertificateError
-from problems.uncertainty import Scenario
+from problems.design.uncertainty import Scenario
 
 from .bouncing import Impact
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from problems.controller import AdmittanceController
-from problems.plant import FREE_SPACE, Coupling, Payload, Plant, build_plant_matrices
-from problems.robot import RobotModel
-from problems.sampled import build_loop, build_sampled_plant, check_wrench_delay, hold, spectral_radius
+from problems.model.controller import AdmittanceController
+from problems.model.plant import FREE_SPACE, Coupling, Payload, Plant, build_plant_matrices
+from problems.model.robot import RobotModel
+from problems.model.sampled import build_loop, build_sampled_plant, check_wrench_delay, hold, spectral_radius
 
 FloatArray = NDArray[np.float64]
 

@@ -5,19 +5,19 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from autotune.files.controller_record import AdmittanceRequirement, AxisMargins, Controller
-from autotune.files.units import axis_units
-from problems.controller import AdmittanceController
-from problems.plant import Plant
-from problems.requirements import NoiseLimit, PassivityTarget
+from autotune.formats.controller_record import AdmittanceRequirement, AxisMargins, Controller
+from autotune.formats.units import axis_units
+from problems.design.requirements import NoiseLimit, PassivityTarget
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant
 
 from .admittance import sampled_admittance
+from .certified_requirements import asked_of, soft_told
 from .command import passive_band_hz, worst_speed_rms
 from .margins import SweptMargins
-from .promises import asked_of, soft_told
 from .proof import UncertainPlant
 from .report import Check
-from .whole_set import OtherPlants
+from .validation_samples import OtherPlants
 
 _MASS_POINTS, _NOISE_STIFFNESS_POINTS = 3, 9
 # Two roads to the same margin differ by their frequency grids (measured: 1e-4); what differs by more is another margin.

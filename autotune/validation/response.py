@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator, Mapping
 
-from autotune.files.controller_record import AxisDomain, CollisionResponse, Controller, ScenarioPrediction
-from autotune.files.records import ROTATIONAL_AXES
-from autotune.files.units import axis_units
-from problems.controller import AdmittanceController
-from problems.uncertainty import Scenario
+from autotune.formats.controller_record import AxisDomain, CollisionResponse, Controller, ScenarioPrediction
+from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.units import axis_units
+from problems.design.uncertainty import Scenario
+from problems.model.controller import AdmittanceController
 
 from .peaks import Replays, inside
 

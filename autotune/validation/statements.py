@@ -8,12 +8,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from autotune.files.controller_record import AxisDomain, Controller, Proof
-from autotune.files.units import axis_units
+from autotune.formats.controller_record import AxisDomain, Controller, Proof
+from autotune.formats.units import axis_units
 
 from .continuous import METHOD
 from .proof import StabilityProof
-from .whole_set import sampled_claims
+from .validation_samples import sampled_claims
 
 # Counts of cells and decreases of two machines differ where a cell is proved by no more than rounding.
 _SAME_SHARE, _SAME_DECREASE = 0.01, 1e-9

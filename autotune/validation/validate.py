@@ -4,35 +4,29 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
-from autotune.files.controller_record import (
-    AxisDomain,
-    CollisionResponse,
-    Controller,
-    Proof,
-    Reach,
-)
-from autotune.files.records import ROTATIONAL_AXES
-from autotune.files.units import axis_units
-from problems.controller import AdmittanceController
+from autotune.formats.controller_record import AxisDomain, CollisionResponse, Controller, Proof, Reach
+from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.units import axis_units
+from problems.design.requirements import NoiseLimit, PassivityTarget
+from problems.design.uncertainty import SYMBOLS, Scenario
 from problems.errors import ParameterError
-from problems.plant import NO_FILTER, Coupling
-from problems.requirements import NoiseLimit, PassivityTarget
-from problems.robot import RobotModel
-from problems.uncertainty import SYMBOLS, Scenario
+from problems.model.controller import AdmittanceController
+from problems.model.plant import NO_FILTER, Coupling
+from problems.model.robot import RobotModel
 
 from .bouncing import search_bouncing
+from .certified_requirements import asked_of, limit_n
 from .continuous import prove_over, refuted_inside, told_false
 from .limits import verify_limits
 from .margins import sweep_margins
 from .peaks import verify_peaks
-from .promises import asked_of, limit_n
 from .proof import StabilityProof, UncertainPlant, prove_stability
 from .refuted import RefutedError
 from .report import Check, ValidationReport
 from .requirements import check_admittance, check_command, check_margins, check_requirements
 from .response import has_response, verify_response
 from .statements import stability_statement, wrong_statements
-from .whole_set import build_other_plants, recorded_plants
+from .validation_samples import build_other_plants, recorded_plants
 
 _STIFFNESS_POINTS, _MASS_POINTS = 25, 3
 _MOST_DEADBAND = 0.5  # of the force that drives the approach

@@ -26,13 +26,13 @@ from examples.paper.paper_case import (
     printed_robot,
 )
 from examples.paper.verdicts import continuous_is_stable, slowest_mode
-from problems.continuous import continuous_loop
-from problems.controller import AdmittanceController
-from problems.margins import find_margins
-from problems.modes import Mode
-from problems.plant import Plant
-from problems.response import free_space_admittance, loop_response
-from problems.sampled import build_sampled_plant
+from problems.model.continuous import continuous_loop
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant
+from problems.model.response import free_space_admittance, loop_response
+from problems.model.sampled import build_sampled_plant
+from problems.stability.margins import find_margins
+from problems.stability.modes import Mode
 
 FloatArray = NDArray[np.float64]
 

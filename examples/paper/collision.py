@@ -25,12 +25,12 @@ from examples.paper.paper_case import (
     in_series,
     printed_robot,
 )
-from problems.contact import Approach
-from problems.controller import AdmittanceController
-from problems.full_effects import Collision, Deadband, Effects, Response, VariableDamping
-from problems.full_simulation import FullRun, simulate_fully
-from problems.plant import Plant
-from problems.robot import RobotModel
+from problems.contact.nonlinear_simulation import FullRun, simulate_fully
+from problems.contact.nonlinearities import Collision, Deadband, Effects, Response, VariableDamping
+from problems.contact.transient import Approach
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant
+from problems.model.robot import RobotModel
 
 # Printed: 6.3 kg, threshold 7 N, F^d = 30 N, B_a = 800. Assumed: K_s, delay and M_a of the other experiments.
 SMALL_KG, THRESHOLD_N, DESIRED_N = 6.3, 7.0, 30.0

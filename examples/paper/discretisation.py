@@ -27,10 +27,10 @@ from examples.paper.paper_case import (
     in_series,
 )
 from examples.paper.verdicts import last_interval, least_damped, stable_intervals
-from problems.contact import Approach, build_sampled_contact, simulate_contact
-from problems.controller import AdmittanceController, Discretization
-from problems.margins import UnstableLoopError, find_margins
-from problems.sampled import SampledPlant, build_sampled_plant
+from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
+from problems.model.controller import AdmittanceController, Discretization
+from problems.model.sampled import SampledPlant, build_sampled_plant
+from problems.stability.margins import UnstableLoopError, find_margins
 
 FloatArray = NDArray[np.float64]
 

@@ -27,11 +27,11 @@ from examples.paper.paper_case import (
     printed_robot,
 )
 from examples.paper.verdicts import Interval, slowest_mode, stable_intervals
-from problems.controller import AdmittanceController
-from problems.modes import Mode, analyse_modes
-from problems.plant import Plant
-from problems.robot import RobotModel
-from problems.sampled import build_loop, build_sampled_plant
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant
+from problems.model.robot import RobotModel
+from problems.model.sampled import build_loop, build_sampled_plant
+from problems.stability.modes import Mode, analyse_modes
 
 FloatArray = NDArray[np.float64]
 

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from problems.controller import (
+from problems.model.controller import (
     AdmittanceController,
     feedback_damping_from_paper_mm,
     feedback_damping_from_paper_per_sample,
 )
-from problems.plant import FREE_SPACE, Coupling, Environment, Payload, Plant
-from problems.robot import RobotModel
+from problems.model.plant import FREE_SPACE, Coupling, Environment, Payload, Plant
+from problems.model.robot import RobotModel
 
 FloatArray = NDArray[np.float64]
 

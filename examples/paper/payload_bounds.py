@@ -28,7 +28,7 @@ from examples.paper.paper_case import (
     example_plant,
 )
 from examples.paper.verdicts import Interval, last_interval, stable_intervals
-from problems.sampled import SampledPlant, build_sampled_plant
+from problems.model.sampled import SampledPlant, build_sampled_plant
 
 FloatArray = NDArray[np.float64]
 

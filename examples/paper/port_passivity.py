@@ -24,10 +24,10 @@ from examples.paper.paper_case import (
     example_plant,
     printed_robot,
 )
-from problems.controller import AdmittanceController
-from problems.modes import analyse_modes
-from problems.passivity import check_passivity
-from problems.sampled import build_loop, build_sampled_plant
+from problems.model.controller import AdmittanceController
+from problems.model.sampled import build_loop, build_sampled_plant
+from problems.stability.modes import analyse_modes
+from problems.stability.passivity import check_passivity
 
 FloatArray = NDArray[np.float64]
 

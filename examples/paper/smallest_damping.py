@@ -16,9 +16,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from examples.paper.page import Study, Table, new_figure, number, run
 from examples.paper.paper_case import COLOURS, LEAD_IDEAL, SAMPLE_TIME_S, example_controllers, example_plant
 from examples.paper.verdicts import continuous_is_stable, last_interval, stable_intervals
-from problems.controller import AdmittanceController
-from problems.plant import Plant
-from problems.sampled import SampledPlant, build_sampled_plant
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant
+from problems.model.sampled import SampledPlant, build_sampled_plant
 
 FloatArray = NDArray[np.float64]
 

@@ -28,12 +28,12 @@ from examples.paper.paper_case import (
     in_series,
     printed_robot,
 )
-from problems.contact import Approach, build_sampled_contact, simulate_contact
-from problems.controller import AdmittanceController
-from problems.margins import UnstableLoopError
-from problems.modes import ModalAnalysis, analyse_modes
-from problems.robot import RobotModel
-from problems.sampled import SampledPlant, build_loop, build_sampled_plant
+from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
+from problems.model.controller import AdmittanceController
+from problems.model.robot import RobotModel
+from problems.model.sampled import SampledPlant, build_loop, build_sampled_plant
+from problems.stability.margins import UnstableLoopError
+from problems.stability.modes import ModalAnalysis, analyse_modes
 
 FloatArray = NDArray[np.float64]
 

@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from problems.batch import are_stable
-from problems.continuous import continuous_loop
-from problems.controller import AdmittanceController
-from problems.modes import Mode, analyse_modes
-from problems.plant import Plant
-from problems.sampled import SampledPlant, build_loop
+from problems.design.batch import are_stable
+from problems.model.continuous import continuous_loop
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant
+from problems.model.sampled import SampledPlant, build_loop
+from problems.stability.modes import Mode, analyse_modes
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

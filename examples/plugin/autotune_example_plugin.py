@@ -6,9 +6,9 @@ autotune optimize identified.yaml --pareto --objectives peak_force,time_to_peak 
 from typing import ClassVar
 
 from autotune.studies.plugins import Direction, Objective, Requirement
-from problems.controller import AdmittanceController
-from problems.design import DesignProblem
-from problems.evaluation import Evaluation
+from problems.design.evaluation import Evaluation
+from problems.design.problem import DesignProblem
+from problems.model.controller import AdmittanceController
 
 # A person who leads the payload and a collision response both need some time to answer.
 REACTION_S = 0.02

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 from problems.errors import ParameterError
 
-from ..tables.layout import TableLayout
+from .tables.layout import TableLayout
 from .units import ANGLE_RAD, FORCE_N, LENGTH_M, TORQUE_N_M, check_unit, orientation_width
 
 Paths = tuple[str | None, ...]

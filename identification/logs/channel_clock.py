@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..recording import FloatArray, StampArray
 from ..result import Finding
+from ..signals.recording import FloatArray, StampArray
 
 _WINDOWS = 80
 _FEWEST_PER_WINDOW = 10

@@ -5,10 +5,10 @@ from enum import StrEnum
 
 import numpy as np
 
-from ..aligned import align
 from ..errors import EstimateError, LogError
-from ..recording import PoseSignal, Recording, StampArray, WrenchSignal
 from ..result import Finding
+from ..signals.aligned import align
+from ..signals.recording import PoseSignal, Recording, StampArray, WrenchSignal
 from .offset_turning import offset_from_turning
 from .told import Untold
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..aligned import longest_whole
-from ..recording import Recording, StampArray
 from ..result import Finding
+from ..signals.aligned import longest_whole
+from ..signals.recording import Recording, StampArray
 from .channel_clock import ChannelClock, clock_findings, measure_clock
 from .clock_offset import ClockOffset, OffsetVerdict, apply_offset, estimate_clock_offset
 

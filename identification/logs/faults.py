@@ -7,8 +7,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..recording import FloatArray, StampArray
 from ..result import Finding
+from ..signals.recording import FloatArray, StampArray
 from .cell import PoseSource, Source, WrenchSource
 from .health import frame_faults, pose_faults, stamp_faults, turn_faults, wrench_faults
 from .interpret import orientation_quaternion

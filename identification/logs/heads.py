@@ -6,12 +6,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..containers.channel import Batch, Channel, Held, Survey
 from ..errors import LogError
-from ..messages.definitions import has_header
-from ..messages.read import read_series
-from ..messages.series import Wanted
 from ..result import Finding
+from .containers.channel import Batch, Channel, Held, Survey
+from .messages.definitions import has_header
+from .messages.read import read_series
+from .messages.series import Wanted
 
 T = TypeVar("T")
 

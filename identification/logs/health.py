@@ -5,10 +5,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..recording import FloatArray
 from ..result import Finding
-from .deadband import find_deadband
-from .flat import Runs, quantum, repeated_share, saturated_samples, stuck_runs
+from ..signals.constant_runs import Runs, quantum, repeated_share, saturated_samples, stuck_runs
+from ..signals.deadband import find_deadband
+from ..signals.recording import FloatArray
 from .stamps import StampReport, report_stamps, stamp_faults
 
 __all__ = [

@@ -6,17 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
-from ..containers.channel import Channel
 from ..errors import EstimateError, LogError
-from ..messages.series import Series, Wanted
 from ..result import Finding
 from .cell import Cell
 from .channel_clock import ChannelClock, clock_findings, measure_clock
 from .choose import Choice, candidates_of, choose, open_questions, source_of
 from .clocks import compare_clocks
+from .containers.channel import Channel
 from .faults import role_faults
 from .heads import Head
 from .layouts import LAYOUTS, TRANSFORMS, Role
+from .messages.series import Series, Wanted
 from .numbers import number_fields, number_findings
 from .opened import OpenedLogs, RoleSeries, digests, open_logs
 from .read import read_checked_recording

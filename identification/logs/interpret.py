@@ -7,8 +7,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from ..errors import LogError
-from ..frames import Frames
-from ..recording import AXES, Deadband, FloatArray, GainsSignal, PoseSignal, StampArray, TwistSignal, WrenchSignal
+from ..signals.frames import Frames
+from ..signals.recording import (
+    AXES,
+    Deadband,
+    FloatArray,
+    GainsSignal,
+    PoseSignal,
+    StampArray,
+    TwistSignal,
+    WrenchSignal,
+)
 from .cell import Cell, ExertedBy, Frame, Mounting, PoseSource, TwistSource, WrenchSource
 from .units import ANGLE_RAD, FORCE_N, LENGTH_M, TORQUE_N_M
 

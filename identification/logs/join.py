@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import LogError
-from ..recording import Recording
 from ..result import Finding
+from ..signals.recording import Recording
 
 _GAP_PERIODS = 1.5
 

@@ -5,16 +5,16 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from ..containers.channel import Channel, Held
 from ..errors import LogError
 from ..listing import listed
-from ..messages.objects import build_object_parser
-from ..messages.read import read_series
-from ..messages.series import Wanted
-from ..recording import FloatArray
 from ..result import Finding
+from ..signals.recording import FloatArray
+from .containers.channel import Channel, Held
 from .heads import FirstMessage
 from .layouts import FLOAT_ARRAY, JOINT_STATE
+from .messages.objects import build_object_parser
+from .messages.read import read_series
+from .messages.series import Wanted
 from .opened import OpenedLog, OpenedLogs
 
 _MOST_ENTRIES = 256

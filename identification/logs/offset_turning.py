@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
-from ..aligned import AlignedLog
-from ..gravity import GRAVITY_B_M_S2
-from ..quaternions import turn_vectors_rad
-from ..segments import low_pass
+from ..payload.gravity import GRAVITY_B_M_S2
+from ..signals.aligned import AlignedLog
+from ..signals.quaternions import turn_vectors_rad
+from ..signals.segments import low_pass
 from .told import Told, Untold
 
 FloatArray = NDArray[np.float64]

@@ -8,18 +8,18 @@ from typing import Protocol
 
 import numpy as np
 
-from ..containers.channel import Channel, Container, Survey
-from ..containers.open import is_table, open_container, sha256_of
 from ..errors import LogError
-from ..messages.read import read_series
-from ..messages.series import Series, Wanted
-from ..messages.transforms import list_frames, read_transform
-from ..recording import FloatArray, StampArray
 from ..result import Finding
+from ..signals.recording import FloatArray, StampArray
 from .cell import Cell
 from .choose import Choice
+from .containers.channel import Channel, Container, Survey
+from .containers.open import is_table, open_container, sha256_of
 from .heads import Head, build_heads
 from .layouts import Role
+from .messages.read import read_series
+from .messages.series import Series, Wanted
+from .messages.transforms import list_frames, read_transform
 
 
 @dataclass(frozen=True, kw_only=True)

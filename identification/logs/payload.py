@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..aligned import AlignedLog, align
 from ..errors import EstimateError, LogError
-from ..gravity import StaticPose, collect_static_poses
-from ..recording import AXES, FloatArray, Recording
+from ..payload.gravity import StaticPose, collect_static_poses
 from ..result import Finding
-from ..segments import find_motion
+from ..signals.aligned import AlignedLog, align
+from ..signals.recording import AXES, FloatArray, Recording
+from ..signals.segments import find_motion
 from .tare import TareJump, find_tare_jumps
 
 _DISTINCT_COSINE = float(np.cos(np.radians(2.0)))

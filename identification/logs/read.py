@@ -6,8 +6,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from ..errors import LogError
-from ..recording import Recording
 from ..result import Finding
+from ..signals.recording import Recording
 from .cell import Cell, Clock
 from .choose import Choice, choose_all, open_questions
 from .clocks import ChannelTimes, check_clocks

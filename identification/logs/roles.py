@@ -4,9 +4,9 @@ import re
 from collections.abc import Sequence
 from itertools import pairwise
 
-from ..containers.channel import Channel
 from ..listing import listed
 from .cell import Source
+from .containers.channel import Channel
 from .heads import Head
 from .layouts import (
     ADMITTANCE_STATE,

@@ -5,21 +5,14 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from ..errors import LogError
-from ..frames import Frames
-from ..recording import GainsSignal, PoseSignal, Recording, StampArray, TwistSignal, WrenchSignal
 from ..result import Finding
+from ..signals.frames import Frames
+from ..signals.recording import GainsSignal, PoseSignal, Recording, StampArray, TwistSignal, WrenchSignal
 from .cell import Cell, Clock, Frame, GainsSource, PoseSource, TwistSource, WrenchSource
 from .choose import Choice, source_of
 from .consistency import turn_findings, twist_findings
 from .faults import role_faults
-from .interpret import (
-    Columns,
-    build_frames,
-    interpret_gains,
-    interpret_pose,
-    interpret_twist,
-    interpret_wrench,
-)
+from .interpret import Columns, build_frames, interpret_gains, interpret_pose, interpret_twist, interpret_wrench
 from .layouts import ADMITTANCE_STATE, Role
 from .opened import RoleSeries
 from .roles import ENTRY, LABEL, is_processed_name

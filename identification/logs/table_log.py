@@ -5,13 +5,13 @@ from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
-from ..containers.channel import Channel, Held, Survey
 from ..errors import LogError
 from ..listing import listed
-from ..messages.series import Series, Wanted
 from ..result import Finding
-from ..tables.read import TableLayout, list_columns, read_table
+from .containers.channel import Channel, Held, Survey
 from .heads import Head
+from .messages.series import Series, Wanted
+from .tables.read import TableLayout, list_columns, read_table
 
 _STAND_IN_HZ = 1.0
 """Counts the rows of a table without a declared time; no time is told from it."""

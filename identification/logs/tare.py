@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from ..aligned import AlignedLog
-from ..quaternions import turned_rad
-from ..recording import FloatArray
 from ..result import Finding
-from ..segments import low_pass
-from .flat import BoolArray, find_runs
+from ..signals.aligned import AlignedLog
+from ..signals.constant_runs import BoolArray, find_runs
+from ..signals.quaternions import turned_rad
+from ..signals.recording import FloatArray
+from ..signals.segments import low_pass
 
 _STILL_M_S = 1.5e-3
 _STILL_RAD_S = 0.02

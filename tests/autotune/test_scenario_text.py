@@ -1,8 +1,8 @@
 """What is uncertain, told with units."""
 
-from autotune.files.units import axis_units
+from autotune.formats.units import axis_units
 from autotune.scenario_text import off_nominal, scenario_text
-from problems.uncertainty import UNCERTAIN, Scenario
+from problems.design.uncertainty import UNCERTAIN, Scenario
 
 _NUMBERS = (1.2e5, 16.0, 3.102e5, 150.2, 329.8, 2.0, 2.403e-3, 3.182, 0.7, 3.2e-3, 8e-4)
 VALUES = dict(zip(UNCERTAIN, _NUMBERS, strict=True))

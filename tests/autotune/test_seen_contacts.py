@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from autotune.files.problem import ProblemSpec
-from autotune.identifying import Topics, identify_log
+from autotune.formats.problem import ProblemSpec
+from autotune.pipeline import Topics, identify_log
 from autotune.tuning.problems import Wishes, build_problems
 from identification.result import Status
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from autotune.files.controller import write_controller
+from autotune.formats.controller import write_controller
 from autotune.runtime import Fault, RuntimeController
 from autotune.runtime.load import read_law
 from benchmarks.abuse_cases import CASES, Case

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from autotune.files.cell import read_cell
+from autotune.formats.cell import read_cell
 from benchmarks.accuracy_table import Row, Run, page, score, wrong_claims
 from benchmarks.cell_logs import TURN, write_cell_log
 from benchmarks.cell_outcomes import Outcome, approach_axis, bandwidth_hz, surface_outcomes
@@ -14,11 +14,11 @@ from benchmarks.cells import DrawnCell, Writing, draw_cell, simulate
 from benchmarks.untold_cells import CASES
 from identification.logs import read_checked_recording
 from identification.logs.cell import Cell
-from identification.recording import PoseSignal, Recording, WrenchSignal
 from identification.result import EnvironmentEstimate, Estimate, Status
-from problems.plant import FREE_SPACE, Environment
-from problems.robot import RobotModel
-from problems.sampled import build_loop, build_sampled_plant, spectral_radius
+from identification.signals.recording import PoseSignal, Recording, WrenchSignal
+from problems.model.plant import FREE_SPACE, Environment
+from problems.model.robot import RobotModel
+from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 
 SEVERAL_SURFACES = (1, 2, 6, 68)
 

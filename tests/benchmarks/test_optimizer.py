@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from scipy.signal import impulse
 
-from autotune.tuning.box import Box
+from autotune.tuning.bounds import Box
 from benchmarks import optimizer_page
 from benchmarks.optimizer_authors import contact_loop, h2_squared, pade, routh_column
 from benchmarks.optimizer_judge import Incumbent, Trace, judge, ranked_costs, screen_of, stand
 from benchmarks.optimizer_reference import check_densely, evolve_long, random_scenarios
 from benchmarks.optimizer_scaling import Growth, draw_growth
 from benchmarks.tuning_problems import draw_problem, paper_cell
-from problems.contact import transient_from
-from problems.evaluation import build_scenarios
+from problems.contact.transient import transient_from
+from problems.design.evaluation import build_scenarios
 
 # What is asked of the cell leaves little room: the first meets it, by 0.3 %; the second does not; the third is unstable
 # (MODEL.md, erratum 4).

@@ -6,7 +6,7 @@ import pytest
 from autotune.tuning.polish import polish_exactly
 from benchmarks.optimizer_page import tables
 from benchmarks.optimizer_polish import RESERVE, polish_by_ipopt
-from problems.screening import build_screen
+from problems.design.batch_evaluation import build_screen
 from tests.autotune.tuning.cases import solved
 
 

@@ -5,8 +5,8 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from autotune.files.controller import write_controller
-from tests.autotune.files.samples import make_controller
+from autotune.formats.controller import write_controller
+from tests.autotune.formats.samples import make_controller
 
 
 def _run(repository: Path, script: str, *arguments: str) -> str:

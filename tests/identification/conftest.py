@@ -2,8 +2,8 @@
 
 import pytest
 
-from identification.recording import Recording
-from tests.autotune.cell.runs import demo_run
+from identification.signals.recording import Recording
+from tests.autotune.simulation.runs import demo_run
 
 
 @pytest.fixture(scope="session")

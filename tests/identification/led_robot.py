@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.signal import butter, cont2discrete, lfilter, sosfilt
 from scipy.spatial.transform import Rotation
 
-from identification.recording import GainsSignal, PoseSignal, Recording, WrenchSignal
+from identification.signals.recording import GainsSignal, PoseSignal, Recording, WrenchSignal
 
 FloatArray = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from identification.segments import Span
-from identification.static_poses import StaticPose
+from identification.payload.static_poses import StaticPose
+from identification.signals.segments import Span
 
 FloatArray = NDArray[np.float64]
 

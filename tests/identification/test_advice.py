@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from identification.advice import advise
-from identification.plan_sweep import SweepLimits, fastest_sweep
-from identification.plan_values import values_of
+from identification.experiment_design.sweep import SweepLimits, fastest_sweep
+from identification.experiment_design.values import values_of
 from identification.result import Estimate, Finding, FitQuality, Identified, Status
-from tests.identification.test_combine import UNTOLD, known, surface, told
+from tests.identification.merging.test_combine import UNTOLD, known, surface, told
 
 
 def weak(value: float, std: float) -> Estimate:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from identification.errors import EstimateError
 from identification.given import Given, check_names, settle_axis, settle_cell
 from identification.result import Status
-from tests.identification.test_combine import UNTOLD, known, told
+from tests.identification.merging.test_combine import UNTOLD, known, told
 from tests.problems.axes import LAW
 
 VALUES, STDS = st.floats(15.0, 17.0), st.floats(0.01, 1.0)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from autotune.cell.phases import Program
-from autotune.cell.simulate import simulate_cell
-from autotune.cell.truth import Cell
+from autotune.simulation.phases import Program
+from autotune.simulation.simulate import simulate_cell
+from autotune.simulation.truth import Cell
 from identification.errors import EstimateError, LogError
 from identification.identify import identify_cell
-from identification.recording import PoseSignal, Recording, WrenchSignal
 from identification.result import Estimate, Finding, Identified, Status, VectorEstimate
+from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 
 
 def simulated(program: Program) -> Recording:

@@ -8,16 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autotune.files.cell import read_cell
-from identification.admittance_estimates import _estimate, identify_admittance_robots, with_compensated_force
-from identification.admittance_robot import AdmittanceRobotFit
-from identification.aligned import align
+from autotune.formats.cell import read_cell
 from identification.errors import EstimateError
 from identification.logs import read_recording
 from identification.partial import identify_partial
-from identification.recording import PoseSignal, Recording, WrenchSignal
 from identification.result import Estimate, Identified, Status
-from problems.robot import RobotModel
+from identification.robot.admittance_estimates import _estimate, identify_admittance_robots, with_compensated_force
+from identification.robot.admittance_robot import AdmittanceRobotFit
+from identification.signals.aligned import align
+from identification.signals.recording import PoseSignal, Recording, WrenchSignal
+from problems.model.robot import RobotModel
 from tests.identification.led_robot import ONE_POLE, hand_force, led, recorded
 
 PERIOD = Estimate(value=1e-3, std=0.0, status=Status.WEAK)

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.combine import NamedResult, combine_identified
-from identification.gravity import LOCAL_GRAVITY_STD
-from identification.plan_poses import naive_turns, predicted_std
-from identification.plan_sweep import Sweep, _std_after
-from identification.plan_values import Known, PlanValues, values_of
+from identification.experiment_design.poses import naive_turns, predicted_std
+from identification.experiment_design.sweep import Sweep, _std_after
+from identification.experiment_design.values import Known, PlanValues, values_of
+from identification.merging.combine import NamedResult, combine_identified
+from identification.payload.gravity import LOCAL_GRAVITY_STD
 from identification.result import Identified
-from tests.autotune.files.samples import make_identified
-from tests.identification.test_combine import known as estimate
-from tests.identification.test_combine import told
+from tests.autotune.formats.samples import make_identified
+from tests.identification.merging.test_combine import known as estimate
+from tests.identification.merging.test_combine import told
 
 SWEEP = Sweep(low_hz=1.0, high_hz=35.0, flange_speed_m_s=3e-3, duration_s=8.0)
 SWEPT = ("stiffness_n_per_m", "damping_n_s_per_m", "drag_n_s_per_m", "delay_s")

@@ -7,7 +7,7 @@ import pytest
 
 from identification.result import Estimate, Identified, Status, WrenchFilterEstimate
 from problems.errors import ParameterError
-from tests.autotune.files.samples import make_identified
+from tests.autotune.formats.samples import make_identified
 
 
 def test_a_result_is_the_same_after_pickling_and_as_closed_to_changes() -> None:

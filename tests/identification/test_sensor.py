@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from identification.recording import PoseSignal
 from identification.sensor import position_noise
+from identification.signals.recording import PoseSignal
 
 PERIOD_NS = 2_000_000
 COUNT = 4000

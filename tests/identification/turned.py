@@ -4,11 +4,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from identification.aligned import align
-from identification.gravity import GravityFit
-from identification.recording import PoseSignal, Recording, WrenchSignal
-from identification.rotation import AxisTurn, find_turns
-from identification.segments import find_motion
+from identification.axes.turning import AxisTurn, find_turns
+from identification.payload.gravity import GravityFit
+from identification.signals.aligned import align
+from identification.signals.recording import PoseSignal, Recording, WrenchSignal
+from identification.signals.segments import find_motion
 from tests.identification.synthetic import ramp
 
 FloatArray = NDArray[np.float64]

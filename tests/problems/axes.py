@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from problems.controller import AdmittanceController, Compensation, Discretization
-from problems.plant import Coupling, Environment, Payload, Plant
-from problems.robot import RobotModel
+from problems.model.controller import AdmittanceController, Compensation, Discretization
+from problems.model.plant import Coupling, Environment, Payload, Plant
+from problems.model.robot import RobotModel
 
 PERIOD_S = 8e-4
 DELAY_S = 2.4e-3

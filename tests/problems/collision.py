@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from problems.controller import AdmittanceController
-from problems.plant import FREE_SPACE, Plant
+from problems.model.controller import AdmittanceController
+from problems.model.plant import FREE_SPACE, Plant
 from tests.problems.reference import SampledLaw, SteadyApproach, continuous_motion
 
 FloatArray = NDArray[np.float64]

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from problems.controller import AdmittanceController
-from problems.plant import Plant
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant
 from tests.problems.reference import SampledLaw
 
 FloatArray = NDArray[np.float64]

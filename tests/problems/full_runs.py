@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from problems.contact import Approach, ContactTransient, build_sampled_contact, simulate_contact
-from problems.controller import AdmittanceController
-from problems.full_effects import Deadband, Effects
-from problems.full_simulation import FullRun, simulate_fully
-from problems.plant import Plant
-from problems.sampled import build_sampled_plant
+from problems.contact.nonlinear_simulation import FullRun, simulate_fully
+from problems.contact.nonlinearities import Deadband, Effects
+from problems.contact.transient import Approach, ContactTransient, build_sampled_contact, simulate_contact
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant
+from problems.model.sampled import build_sampled_plant
 from tests.problems.axes import PERIOD_S, admittance, paper_plant
 
 PRESS = Approach(force_n=30.0)

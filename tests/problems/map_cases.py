@@ -2,12 +2,12 @@
 
 from typing import Any
 
-from problems.controller import AdmittanceController
-from problems.map_plants import Where
-from problems.map_search import IntervalCase, IntervalRequest, StableInterval, find_stable_intervals
-from problems.maps import MapAxis, MapRequest
-from problems.plant import FREE_SPACE, Plant
-from problems.sampled import build_loop, build_sampled_plant, spectral_radius
+from problems.maps.maps import MapAxis, MapRequest
+from problems.maps.plants import Where
+from problems.maps.search import IntervalCase, IntervalRequest, StableInterval, find_stable_intervals
+from problems.model.controller import AdmittanceController
+from problems.model.plant import FREE_SPACE, Plant
+from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from tests.problems.axes import PERIOD_S, admittance, paper_plant
 
 LEAD = MapAxis(name="lead_s", low=0.0, high=0.06, count=13)

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from problems.controller import AdmittanceController
-from problems.plant import FREE_SPACE, Environment, Plant
-from problems.robot import RobotModel
-from problems.sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
+from problems.model.controller import AdmittanceController
+from problems.model.plant import FREE_SPACE, Environment, Plant
+from problems.model.robot import RobotModel
+from problems.model.sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
 from tests.problems.axes import PERIOD_S, paper_plant
 
 FORMS = ("tustin", "forward_euler", "backward_euler")

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from problems.controller import AdmittanceController
-from problems.plant import Plant
-from problems.sampled import SampledLoop, SampledPlant
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant
+from problems.model.sampled import SampledLoop, SampledPlant
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -17,12 +17,25 @@ import pytest
 
 import problems
 from problems import compiled as compiled_module
-from problems.batch_kernel import judge_stability
-from problems.controller import blocks_of, controller_blocks, needed_states
-from problems.margin_kernel import EVERY_MARGIN, MARGINS, differences_at, find_loop_margins, plant_at, squared_distance
-from problems.margins import loop_polynomials, margin_grid, response_polynomials
-from problems.polynomials import CONTROLLER_POWERS, controller_polynomials, hurwitz, loop_polynomial, plant_polynomials
-from problems.sampled import controller_matrices, squarings_for
+from problems.design.batch_kernel import judge_stability
+from problems.model.controller import blocks_of, controller_blocks, needed_states
+from problems.model.sampled import controller_matrices, squarings_for
+from problems.stability.margin_kernel import (
+    EVERY_MARGIN,
+    MARGINS,
+    differences_at,
+    find_loop_margins,
+    plant_at,
+    squared_distance,
+)
+from problems.stability.margins import loop_polynomials, margin_grid, response_polynomials
+from problems.stability.polynomials import (
+    CONTROLLER_POWERS,
+    controller_polynomials,
+    hurwitz,
+    loop_polynomial,
+    plant_polynomials,
+)
 from tests.problems.axes import PERIOD_S
 from tests.problems.random_loops import random_controller, random_plant, sampled_of, stable_loops
 

@@ -10,22 +10,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from problems.batch import are_stable, build_batch
-from problems.contact import Approach, build_sampled_contact, simulate_contact
-from problems.controller import AdmittanceController
+from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
+from problems.design.batch import are_stable, build_batch
 from problems.errors import ParameterError
-from problems.margins import (
-    UnstableLoopError,
-    find_margins,
-    frequency_grid,
-    margins_on_grid,
-    prepare_margins,
-)
-from problems.noise import predict_command_noise
-from problems.plant import Coupling, Environment, Payload
-from problems.response import loop_response
-from problems.robot import RobotModel
-from problems.sampled import SampledPlant, build_loop, spectral_radius, stability_matrix
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Coupling, Environment, Payload
+from problems.model.response import loop_response
+from problems.model.robot import RobotModel
+from problems.model.sampled import SampledPlant, build_loop, spectral_radius, stability_matrix
+from problems.stability.margins import UnstableLoopError, find_margins, frequency_grid, margins_on_grid, prepare_margins
+from problems.stability.noise import predict_command_noise
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 from tests.problems.random_loops import radius_of, random_controller, random_plant, sampled_of, stable_loops
 from tests.problems.reference import closed_loop

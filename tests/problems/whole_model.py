@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import strategies as st
 
-from problems.controller import AdmittanceController, Compensation
-from problems.plant import FREE_SPACE, Environment, Plant
+from problems.model.controller import AdmittanceController, Compensation
+from problems.model.plant import FREE_SPACE, Environment, Plant
 from tests.problems.axes import ANY_DELAYS, between, controllers, or_zero, plants
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from autotune.files.controller import controller_tree
-from tests.autotune.files.samples import make_controller
+from autotune.formats.controller import controller_tree
+from tests.autotune.formats.samples import make_controller
 from tools import make_reference
 from tools.make_reference import Schema, main, page
 
@@ -30,7 +30,7 @@ def test_a_page_that_is_not_is_found_out(
 
 
 def test_every_file_has_a_section(repository: Path) -> None:
-    schemas = {path.name.split(".")[0] for path in (repository / "autotune/files/schemas").glob("*.json")}
+    schemas = {path.name.split(".")[0] for path in (repository / "autotune/formats/schemas").glob("*.json")}
     assert set(re.findall(r"^## (\w+)\.yaml$", page(), re.MULTILINE)) == schemas
 
 

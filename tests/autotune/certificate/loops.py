@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.certificate.family import MASS, STIFFNESS, Family
-from problems.controller import AdmittanceController
-from problems.plant import Plant
-from problems.sampled import build_cut_loop, build_sampled_plant
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant
+from problems.model.sampled import build_cut_loop, build_sampled_plant
 from tests.problems.axes import PERIOD_S, paper_plant
 
 FloatArray = NDArray[np.float64]

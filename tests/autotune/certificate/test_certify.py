@@ -11,11 +11,11 @@ from autotune.certificate.certify import CELL_WORK, Certificate, Verdict, certif
 from autotune.certificate.family import MASS, STIFFNESS, Family, build_families
 from autotune.validation.margins import sweep_margins
 from autotune.validation.proof import UncertainPlant, prove_stability
-from problems.controller import AdmittanceController
 from problems.errors import ParameterError
-from problems.plant import Coupling
-from problems.robot import RobotModel
-from problems.sampled import build_loop, build_sampled_plant, spectral_radius
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Coupling
+from problems.model.robot import RobotModel
+from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from tests.autotune.certificate.loops import family, smallest_return_difference
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 

@@ -10,8 +10,8 @@ from autotune.certificate.balls import Balls, exact
 from autotune.certificate.base_plant import fails_at
 from autotune.certificate.bounds import judge
 from autotune.certificate.family import Family
-from problems.controller import AdmittanceController
-from problems.robot import RobotModel
+from problems.model.controller import AdmittanceController
+from problems.model.robot import RobotModel
 from tests.autotune.certificate.loops import FloatArray, family, smallest_return_difference
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 

@@ -12,10 +12,10 @@ from autotune.certificate.certify import Certificate, Verdict, certify
 from autotune.certificate.family import LAG, LATE, MASS, STIFFNESS, Family, build_families
 from autotune.validation.margins import SweptMargins, sweep_margins
 from autotune.validation.proof import UncertainPlant, prove_stability
-from problems.controller import AdmittanceController
 from problems.errors import ParameterError
-from problems.plant import Plant, WrenchFilter
-from problems.sampled import build_loop, build_sampled_plant, spectral_radius
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant, WrenchFilter
+from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from tests.autotune.certificate.loops import family, smallest_return_difference
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 

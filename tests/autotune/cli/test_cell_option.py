@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from autotune.cli.main import main
-from autotune.files.cell import read_cell
-from autotune.files.identified import read_identified
+from autotune.formats.cell import read_cell
+from autotune.formats.identified import read_identified
 from tests.identification.logs.log_builder import complete, pose_stream, wrench_stream, write_mcap
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from autotune.cli.main import main
-from autotune.files.controller import read_controller
+from autotune.formats.controller import read_controller
 from tests.autotune.cli.test_optimize import prepare
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML
 

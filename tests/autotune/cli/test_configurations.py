@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 
 from autotune.cli.main import main
-from autotune.files.canonical import checksum
-from autotune.files.controller import controller_tree, read_controller
-from autotune.files.identified import write_identified
-from autotune.files.yaml12 import dump_yaml
-from tests.autotune.files.samples import make_controller
+from autotune.formats.canonical import checksum
+from autotune.formats.controller import controller_tree, read_controller
+from autotune.formats.identified import write_identified
+from autotune.formats.yaml12 import dump_yaml
+from tests.autotune.formats.samples import make_controller
 from tests.autotune.tuning.cases import identified_plant
 
 TREE = controller_tree(make_controller(("x",)))

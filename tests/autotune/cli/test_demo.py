@@ -10,10 +10,10 @@ import pytest
 from autotune import demo as demo_module
 from autotune.cli.main import main
 from autotune.demo import STEPS, DemoResult, run_demo
-from autotune.files.controller import read_controller
-from autotune.files.identified import read_identified
-from autotune.files.made import MadeHere
-from autotune.files.yaml12 import load_yaml
+from autotune.formats.controller import read_controller
+from autotune.formats.identified import read_identified
+from autotune.formats.made import MadeHere
+from autotune.formats.yaml12 import load_yaml
 from tests.autotune.cli.conftest import SHORT
 from tests.autotune.tuning.cases import FAST_SPEC, FAST_WISHES
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from autotune.cell.truth import Cell
-from autotune.files.identified import read_identified
-from autotune.files.yaml12 import load_yaml
+from autotune.formats.identified import read_identified
+from autotune.formats.yaml12 import load_yaml
+from autotune.simulation.truth import Cell
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 

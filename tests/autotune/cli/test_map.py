@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from autotune.cli.main import main
-from autotune.files.controller import read_controller, write_controller
-from autotune.files.controller_record import CollisionResponse
-from autotune.files.identified import write_identified
-from tests.autotune.files.samples import make_controller, make_identified
+from autotune.formats.controller import read_controller, write_controller
+from autotune.formats.controller_record import CollisionResponse
+from autotune.formats.identified import write_identified
+from tests.autotune.formats.samples import make_controller, make_identified
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 COARSE = ("--x", "damping=100:5000:9:log", "--y", "lead_s=0:0.06:7")

@@ -12,8 +12,8 @@ from typing import cast
 import pytest
 
 from autotune.cli.optimize import _residual_notes
-from autotune.files.controller import ResidualPeaks, read_controller, short
-from autotune.files.yaml12 import load_yaml
+from autotune.formats.controller import ResidualPeaks, read_controller, short
+from autotune.formats.yaml12 import load_yaml
 from autotune.tuning.optimize import Optimized
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
 from tests.autotune.tuning.turning import write_two_axes

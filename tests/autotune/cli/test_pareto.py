@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from autotune.files.yaml12 import load_yaml
+from autotune.formats.yaml12 import load_yaml
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]

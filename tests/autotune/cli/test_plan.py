@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from autotune.cli.main import main
-from autotune.files.controller import write_controller
-from autotune.files.identified import write_identified
+from autotune.formats.controller import write_controller
+from autotune.formats.identified import write_identified
 from identification.result import Estimate, Finding, Identified, Status
-from tests.autotune.files.samples import make_controller, make_identified
+from tests.autotune.formats.samples import make_controller, make_identified
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 

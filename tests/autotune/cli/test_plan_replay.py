@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.signal import StateSpace, lsim
 
 from autotune.cli.main import main
-from autotune.files.yaml12 import load_yaml
+from autotune.formats.yaml12 import load_yaml
 
 FloatArray = NDArray[np.float64]
 

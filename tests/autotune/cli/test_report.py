@@ -10,13 +10,13 @@ import pytest
 
 from autotune.cli.main import main
 from autotune.errors import InfeasibleError, UsageError
-from autotune.files.canonical import checksum
-from autotune.files.controller import read_controller, write_controller
-from autotune.files.schedule import FORMAT
-from autotune.files.yaml12 import parse_document
-from autotune.reports.page import Table
-from autotune.reports.refused_page import refused_search_page
-from tests.autotune.reports.page_law import check_page
+from autotune.formats.canonical import checksum
+from autotune.formats.controller import read_controller, write_controller
+from autotune.formats.schedule import FORMAT
+from autotune.formats.yaml12 import parse_document
+from autotune.report.page import Table
+from autotune.report.refused_page import refused_search_page
+from tests.autotune.report.page_law import check_page
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, small_controller, write_plant
 from tests.autotune.validation.test_validate import FALSE_CLAIMS
 

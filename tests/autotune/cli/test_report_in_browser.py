@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from autotune.cli.main import main
-from autotune.files.controller import write_controller
+from autotune.formats.controller import write_controller
 from tests.autotune.browser import PAINTED, Visit
 from tests.autotune.tuning.cases import small_controller
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from autotune.cli.main import main
-from autotune.files.controller import read_controller, write_controller
-from autotune.files.identified import write_identified
+from autotune.formats.controller import read_controller, write_controller
+from autotune.formats.identified import write_identified
 from tests.autotune.tuning.responding import GAINS, responding, small_robot
 
 Run = Callable[..., tuple[int, str, str]]

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from autotune.cli._spark import contact_spark, spark
-from autotune.files.units import axis_units
-from problems.contact import build_sampled_contact, simulate_contact
-from problems.sampled import build_sampled_plant
+from autotune.formats.units import axis_units
+from problems.contact.transient import build_sampled_contact, simulate_contact
+from problems.model.sampled import build_sampled_plant
 from tests.autotune.tuning.cases import fast_optimized
 
 BLOCKS = "▁▂▃▄▅▆▇█"

@@ -15,9 +15,9 @@ from autotune.cli._progress import clock, remaining_s
 from autotune.cli._terminal import look_at, painted
 from autotune.cli.main import main
 from autotune.cli.optimize import print_optimized
-from autotune.files.controller import write_controller
-from autotune.files.controller_record import Controller
-from autotune.reports import from_files
+from autotune.formats.controller import write_controller
+from autotune.formats.controller_record import Controller
+from autotune.report import from_files
 from autotune.validation.report import ValidationReport
 from tests.autotune.cli.terminals import SAID_BY_USERS, terminal
 from tests.autotune.tuning.cases import fast_optimized, write_plant

@@ -11,12 +11,12 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 
-from autotune.cell.write import write_mcap
 from autotune.cli.main import main
-from autotune.files.controller import read_controller, short, write_controller
-from autotune.files.controller_record import ControllerStatus
-from autotune.files.identified import write_identified
-from autotune.files.signature import fingerprint
+from autotune.formats.controller import read_controller, short, write_controller
+from autotune.formats.controller_record import ControllerStatus
+from autotune.formats.identified import write_identified
+from autotune.formats.signature import fingerprint
+from autotune.simulation.write import write_mcap
 from tests.autotune.tuning.cases import identified_plant, known, small_controller, write_plant
 from tests.autotune.validation.test_against_log import recorded
 from tests.autotune.validation.test_validate import EVERY_CHECK, FALSE_CLAIMS

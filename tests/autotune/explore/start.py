@@ -8,7 +8,7 @@ import numpy as np
 
 from autotune.explore.source import AxisStart, Exploration
 from autotune.tuning.record import runtime_payload
-from problems.design import AdmittanceTarget, DesignProblem, Requirements
+from problems.design.problem import AdmittanceTarget, DesignProblem, Requirements
 from tests.autotune.tuning.cases import FAST_REQUIREMENTS, design_problem, fast_optimized, identified_plant
 
 DESIGN = np.array([6.0, 1250.0, 0.018, 0.005])

@@ -15,8 +15,8 @@ import pytest
 from bokeh.core.types import ID
 from bokeh.util.token import generate_jwt_token
 
-from autotune.files.canonical import short
-from autotune.files.controller import read_controller, write_controller
+from autotune.formats.canonical import short
+from autotune.formats.controller import read_controller, write_controller
 from tests.autotune.browser import PAINTED, Visit
 from tests.autotune.tuning.cases import small_controller
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from autotune.errors import UsageError
-from autotune.explore.door import LOOPBACK
+from autotune.explore.host_check import LOOPBACK
 from autotune.explore.server import serve
 from autotune.explore.target import SaveInterruptedError, Target
-from autotune.files.controller_record import Controller
+from autotune.formats.controller_record import Controller
 from tests.autotune.explore.start import small_exploration
 from tests.autotune.tuning.cases import small_controller
 

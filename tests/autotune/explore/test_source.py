@@ -12,12 +12,12 @@ from autotune.explore import source as source_module
 from autotune.explore.save import save_controller
 from autotune.explore.source import problem_of, read_exploration
 from autotune.explore.target import Target
-from autotune.files.controller import read_controller, write_controller
-from autotune.files.controller_record import Controller, ControllerStatus, SoftRequirement
+from autotune.formats.controller import read_controller, write_controller
+from autotune.formats.controller_record import Controller, ControllerStatus, SoftRequirement
 from autotune.tuning.record import build_domain
 from autotune.tuning.threshold import ThresholdWish
-from problems.evaluation import build_scenarios
-from problems.plant import WrenchFilter
+from problems.design.evaluation import build_scenarios
+from problems.model.plant import WrenchFilter
 from tests.autotune.explore.start import solved_exploration
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, FAST_REQUIREMENTS, FURTHER, fast_optimized, write_plant
 from tests.autotune.tuning.responding import responding

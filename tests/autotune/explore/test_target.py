@@ -8,9 +8,9 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.explore.target import SaveInterruptedError, Target
-from autotune.files.canonical import short
-from autotune.files.controller import read_controller, write_controller
-from autotune.files.controller_record import Controller
+from autotune.formats.canonical import short
+from autotune.formats.controller import read_controller, write_controller
+from autotune.formats.controller_record import Controller
 from tests.autotune.tuning.cases import small_controller
 
 Progress = Callable[[float], None]

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autotune.explore.knobs import nominal_values, scenario_at
+from autotune.explore.sliders import nominal_values, scenario_at
 from autotune.explore.view import PreparedView, build_window, compute_map, compute_view, map_pairs, prepare_view
-from problems.contact import build_sampled_contact, simulate_contact
+from problems.contact.transient import build_sampled_contact, simulate_contact
+from problems.design.evaluation import build_scenarios
 from problems.errors import ParameterError
-from problems.evaluation import build_scenarios
-from problems.margins import find_margins
-from problems.plant import FREE_SPACE
-from problems.response import free_space_admittance, loop_response
-from problems.sampled import build_sampled_plant
+from problems.model.plant import FREE_SPACE
+from problems.model.response import free_space_admittance, loop_response
+from problems.model.sampled import build_sampled_plant
+from problems.stability.margins import find_margins
 from tests.autotune.explore.start import DESIGN, roomy_problem, small_exploration
 from tests.autotune.tuning.cases import design_problem
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from autotune.files.controller import write_controller
-from autotune.files.identified import write_identified
-from tests.autotune.files.samples import make_controller, make_identified
+from autotune.formats.controller import write_controller
+from autotune.formats.identified import write_identified
+from tests.autotune.formats.samples import make_controller, make_identified
 from tests.autotune.maps.map_cases import controller_file, identified
 
 

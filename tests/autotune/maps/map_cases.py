@@ -4,13 +4,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from autotune.files.controller_record import CollisionResponse, Controller
+from autotune.formats.controller_record import CollisionResponse, Controller
 from autotune.maps.ask import MapAsk
 from autotune.maps.plan import MapPlan, build_plan
 from autotune.maps.source import MapSource, read_source
 from identification.result import Estimate, Identified, Status
-from problems.maps import MapRequest, MapResult, compute_map
-from tests.autotune.files.samples import make_controller, make_identified
+from problems.maps.maps import MapRequest, MapResult, compute_map
+from tests.autotune.formats.samples import make_controller, make_identified
 
 
 def controller_file() -> Controller:

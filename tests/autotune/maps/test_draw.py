@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from autotune.errors import UsageError
-from autotune.files.standing import HEAD_BYTES
+from autotune.formats.replaceable import HEAD_BYTES
 from autotune.maps.ask import MapAsk
 from autotune.maps.draw import draw_map
 from autotune.maps.draw_intervals import _pieces, has_lower_limits_only
 from autotune.maps.make import make_map, summary_tree
 from autotune.maps.style import render
 from autotune.maps.text import number
-from problems.map_parameters import MapQuantity
-from problems.map_search import IntervalResult, StableInterval
-from problems.maps import MapAxis, MapResult
+from problems.maps.maps import MapAxis, MapResult
+from problems.maps.parameters import MapQuantity
+from problems.maps.search import IntervalResult, StableInterval
 from tests.autotune.maps.map_cases import small_map
 
 

@@ -10,11 +10,11 @@ import pytest
 from autotune.errors import UsageError
 from autotune.maps.ask import MapAsk, check_targets, parse_range, parse_search, parse_settings
 from autotune.maps.plan import MapPlan, controller_family
-from problems.controller import AdmittanceController
 from problems.errors import ParameterError
-from problems.map_parameters import value_of
-from problems.map_search import IntervalRequest
-from problems.maps import MapAxis, MapRequest
+from problems.maps.maps import MapAxis, MapRequest
+from problems.maps.parameters import value_of
+from problems.maps.search import IntervalRequest
+from problems.model.controller import AdmittanceController
 from tests.autotune.maps.map_cases import plan_of
 
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from autotune.errors import CertificateError, UsageError
-from autotune.files.controller import controller_tree, write_controller
-from autotune.files.identified import write_identified
+from autotune.formats.controller import controller_tree, write_controller
+from autotune.formats.identified import write_identified
 from identification.errors import EstimateError
-from problems.contact import Approach
-from problems.maps import MapRequest
+from problems.contact.transient import Approach
+from problems.maps.maps import MapRequest
 from tests.autotune.maps.map_cases import controller_file, identified, plan_of, read
 
 

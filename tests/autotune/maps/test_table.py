@@ -11,7 +11,7 @@ import pytest
 
 from autotune.maps.plan import MapPlan
 from autotune.maps.table import table_text
-from problems.map_search import IntervalRequest, IntervalResult, find_stable_intervals
+from problems.maps.search import IntervalRequest, IntervalResult, find_stable_intervals
 from tests.autotune.maps.map_cases import plan_of, small_map
 
 

@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from autotune.cell.axis import _advance
 from autotune.runtime import AXES, START, AxisLaw, AxisLimits, CollisionResponse, Limits, Payload, RuntimeController
-from problems.contact import build_sampled_contact
-from problems.contact_events import contact_force
-from problems.plant import Coupling, Environment, Plant
-from problems.plant import Payload as PlantPayload
-from problems.robot import RobotModel
-from problems.sampled import build_sampled_plant
+from autotune.simulation.axis import _advance
+from problems.contact.events import contact_force
+from problems.contact.transient import build_sampled_contact
+from problems.model.plant import Coupling, Environment, Plant
+from problems.model.plant import Payload as PlantPayload
+from problems.model.robot import RobotModel
+from problems.model.sampled import build_sampled_plant
 
 FloatArray = NDArray[np.float64]
 PERIOD_S = 8e-4

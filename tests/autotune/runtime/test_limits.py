@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from autotune.errors import CertificateError, UsageError
-from autotune.files.controller import Collision, controller_tree, write_controller
-from autotune.files.controller import CollisionResponse as FileResponse
+from autotune.formats.controller import Collision, controller_tree, write_controller
+from autotune.formats.controller import CollisionResponse as FileResponse
 from autotune.runtime import (
     START,
     AxisLimits,
@@ -25,7 +25,7 @@ from autotune.runtime import (
 )
 from autotune.runtime.default_limits import default_limits
 from problems.errors import ParameterError
-from tests.autotune.files.samples import make_controller, make_limits
+from tests.autotune.formats.samples import make_controller, make_limits
 from tests.autotune.runtime.cases import PAYLOAD, PERIOD_S, STARTED, Reading, along, make_axis, make_runtime
 from tests.autotune.tuning.responding import responding
 

@@ -10,9 +10,9 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from autotune.errors import CertificateError, UsageError
-from autotune.exports.targets import export_controller
-from autotune.files.canonical import checksum
-from autotune.files.controller import (
+from autotune.export.targets import export_controller
+from autotune.formats.canonical import checksum
+from autotune.formats.controller import (
     Collision,
     Controller,
     ControllerStatus,
@@ -20,13 +20,13 @@ from autotune.files.controller import (
     read_controller,
     write_controller,
 )
-from autotune.files.controller import CollisionResponse as FileResponse
-from autotune.files.signature import signature_path
-from autotune.files.yaml12 import dump_yaml
+from autotune.formats.controller import CollisionResponse as FileResponse
+from autotune.formats.signature import signature_path
+from autotune.formats.yaml12 import dump_yaml
 from autotune.runtime import CollisionResponse, Payload, load_controller
-from problems.controller import controller_blocks
 from problems.errors import ParameterError
-from tests.autotune.files.samples import make_controller
+from problems.model.controller import controller_blocks
+from tests.autotune.formats.samples import make_controller
 from tests.autotune.runtime.cases import PAYLOAD, make_axis
 
 CELL: dict[str, Any] = {"sample_time_s": 1.0 / 1250.0, "payload_mass_kg": 16.0, "payload_inertia_kg_m2": {"rz": 16.0}}

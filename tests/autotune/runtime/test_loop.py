@@ -8,10 +8,10 @@ import pytest
 
 from autotune.runtime import AxisLaw
 from autotune.runtime.loop import MOST_STATES, LoopPlant, corner_plants, is_stable
-from problems.controller import AdmittanceController
-from problems.plant import Coupling, Environment, Payload, Plant
-from problems.robot import RobotModel
-from problems.sampled import build_loop, build_sampled_plant, spectral_radius
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Coupling, Environment, Payload, Plant
+from problems.model.robot import RobotModel
+from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from tests.autotune.runtime.cases import PERIOD_S, make_axis
 
 PLANT = LoopPlant(

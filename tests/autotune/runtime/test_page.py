@@ -12,10 +12,10 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
-from autotune.exports.targets import export_controller
-from autotune.files.controller import write_controller
-from autotune.files.signature import sign_file
-from tests.autotune.files.samples import make_controller
+from autotune.export.targets import export_controller
+from autotune.formats.controller import write_controller
+from autotune.formats.signature import sign_file
+from tests.autotune.formats.samples import make_controller
 
 
 def block(repository: Path, language: str) -> str:

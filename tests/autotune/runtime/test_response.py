@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from autotune.files.controller import write_controller
+from autotune.formats.controller import write_controller
 from autotune.runtime import RuntimeController, load_controller, step
 from autotune.runtime.step import Phase
 from tests.autotune.runtime.cases import STARTED, FloatArray, Reading, run_contact

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 
-from autotune.files.controller import controller_tree
-from autotune.files.schema import explain, load_schema
+from autotune.formats.controller import controller_tree
+from autotune.formats.schema import explain, load_schema
 from autotune.runtime.schema_check import KEYWORDS, breaches
-from tests.autotune.files.samples import make_controller, make_limits
+from tests.autotune.formats.samples import make_controller, make_limits
 
 SCHEMA = load_schema("controller")
 ORACLE = Draft202012Validator(SCHEMA)

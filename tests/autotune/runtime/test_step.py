@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from autotune.files.controller import write_controller
+from autotune.formats.controller import write_controller
 from autotune.runtime import (
     AXES,
     CollisionResponse,
@@ -20,13 +20,13 @@ from autotune.runtime import (
     rearm,
     step,
 )
-from problems.contact import Approach, build_sampled_contact, simulate_contact
-from problems.controller import AdmittanceController, controller_blocks, controller_step
+from problems.contact.nonlinear_simulation import FullRun, simulate_fully
+from problems.contact.nonlinearities import Collision, Deadband, Effects
+from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.errors import ParameterError
-from problems.full_effects import Collision, Deadband, Effects
-from problems.full_simulation import FullRun, simulate_fully
-from problems.plant import Environment, Plant
-from problems.sampled import build_sampled_plant
+from problems.model.controller import AdmittanceController, controller_blocks, controller_step
+from problems.model.plant import Environment, Plant
+from problems.model.sampled import build_sampled_plant
 from tests.autotune.runtime.cases import (
     PAYLOAD,
     PERIOD_S,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from autotune.studies.objectives import Admittance, PeakForce
 from autotune.studies.study import StudyPlan, open_storage, run_study
 from autotune.tuning.search import SearchResult, solve_design
-from problems.design import DesignProblem
+from problems.design.problem import DesignProblem
 from tests.autotune.tuning.cases import FAST_REQUIREMENTS, FAST_SPEC, design_problem
 
 ROOT = Path(__file__).resolve().parents[3]

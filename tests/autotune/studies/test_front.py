@@ -8,10 +8,10 @@ import pytest
 
 from autotune.studies.front import _most_admittance, trace_front
 from autotune.studies.points import Front, Judge
-from autotune.tuning.box import Box
+from autotune.tuning.bounds import Box
 from autotune.tuning.worst import DENSE_STIFFNESS
-from problems.design import Requirements
-from problems.evaluation import build_scenarios
+from problems.design.evaluation import build_scenarios
+from problems.design.problem import Requirements
 from tests.autotune.studies.small import small_problem, small_search
 
 # What the solver leaves: its reserve and six digits of each gain, of a peak.

@@ -24,9 +24,9 @@ from autotune.studies.contract import (
 )
 from autotune.studies.objectives import Admittance, CommandNoise, HandForce, PassiveBand, PeakForce, free_plants
 from autotune.studies.plugins import OBJECTIVES, REQUIREMENTS, Objective, load_demands, load_objectives, registered
-from problems.design import AdmittanceTarget, Requirements
-from problems.noise import predict_command_noise
-from problems.passivity import check_passivity
+from problems.design.problem import AdmittanceTarget, Requirements
+from problems.stability.noise import predict_command_noise
+from problems.stability.passivity import check_passivity
 from tests.autotune.studies.small import ROOT
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
 

@@ -10,9 +10,9 @@ from autotune.errors import UsageError
 from autotune.studies.objectives import Admittance, PeakForce
 from autotune.studies.plugins import Objective
 from autotune.studies.points import Judge, Judgement, thinned, undominated
-from problems.controller import AdmittanceController
 from problems.errors import ParameterError
-from problems.margins import UnstableLoopError
+from problems.model.controller import AdmittanceController
+from problems.stability.margins import UnstableLoopError
 from tests.autotune.studies.small import START, small_problem
 
 OBJECTIVES = (PeakForce(), Admittance())

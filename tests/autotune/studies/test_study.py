@@ -25,8 +25,8 @@ from autotune.studies.sampler import Sampler, is_feasible
 from autotune.studies.structures import STRUCTURES, build_controller, check_choices
 from autotune.studies.study import Storage, StudyPlan, _quiet, close_storage, open_storage, run_study
 from autotune.tuning.search import presentable
-from problems.design import VARIABLES
-from problems.evaluation import build_scenarios
+from problems.design.evaluation import build_scenarios
+from problems.design.problem import VARIABLES
 from tests.autotune.studies.small import START, small_plan, small_problem, start_worker
 
 FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)

@@ -5,9 +5,9 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from autotune.files.controller_record import Controller
-from autotune.files.identified import IdentifiedFile, read_identified, write_identified
-from autotune.files.problem import ProblemSpec
+from autotune.formats.controller_record import Controller
+from autotune.formats.identified import IdentifiedFile, read_identified, write_identified
+from autotune.formats.problem import ProblemSpec
 from autotune.tuning.optimize import Optimized, optimize
 from autotune.tuning.problems import Wishes
 from autotune.tuning.search import SearchResult, solve_design
@@ -24,9 +24,9 @@ from identification.result import (
     Status,
     VectorEstimate,
 )
-from problems.design import AdmittanceTarget, DesignProblem, Requirements
-from problems.plant import Coupling
-from problems.robot import RobotModel
+from problems.design.problem import AdmittanceTarget, DesignProblem, Requirements
+from problems.model.plant import Coupling
+from problems.model.robot import RobotModel
 
 STIFFNESS = (8e4, 1.6e5)
 MASS = (15.5, 16.5)

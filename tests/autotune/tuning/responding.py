@@ -4,13 +4,13 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from autotune.files.identified import IdentifiedFile
-from autotune.files.problem import ProblemSpec
+from autotune.formats.identified import IdentifiedFile
+from autotune.formats.problem import ProblemSpec
 from autotune.tuning.optimize import Optimized, optimize
 from autotune.tuning.problems import Wishes
 from autotune.validation.continuous import ProofWishes
 from identification.result import CouplingEstimate, PayloadEstimate, RobotEstimate
-from problems.design import Requirements
+from problems.design.problem import Requirements
 from tests.autotune.tuning.cases import identified_axis, identified_plant, known, known_vector
 
 # Printed: 6.3 kg, B_a = 800, K_l = 13 ms, 32 N/mm over robot travel. The rest as `examples/paper/collision.py` has it.

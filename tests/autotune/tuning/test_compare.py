@@ -9,12 +9,12 @@ import pytest
 from autotune.cli._common import json_text
 from autotune.cli._compare import compare_lines, compare_tree
 from autotune.errors import InfeasibleError, UsageError
-from autotune.files.controller import ControllerFile
-from autotune.files.controller_record import Collision, CollisionResponse, Controller, ControllerStatus, Filters
+from autotune.formats.controller import ControllerFile
+from autotune.formats.controller_record import Collision, CollisionResponse, Controller, ControllerStatus, Filters
 from autotune.tuning import search as search_module
 from autotune.tuning.compare import check_comparable, compare, start_design
 from autotune.tuning.search import solve_design
-from problems.design import VARIABLES
+from problems.design.problem import VARIABLES
 from tests.autotune.tuning.cases import fast_optimized
 from tests.autotune.tuning.turning import both_optimized
 

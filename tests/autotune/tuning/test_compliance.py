@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from autotune.errors import InfeasibleError, UsageError
-from autotune.files.controller import read_controller, write_controller
-from autotune.files.identified import IdentifiedFile
-from autotune.files.problem import ComplianceSpec, ProblemSpec
+from autotune.formats.controller import read_controller, write_controller
+from autotune.formats.identified import IdentifiedFile
+from autotune.formats.problem import ComplianceSpec, ProblemSpec
 from autotune.tuning import compliance as module
 from autotune.tuning import optimize as optimize_module
 from autotune.tuning.compliance import (
@@ -24,16 +24,16 @@ from autotune.tuning.compliance import (
     choose_compliance,
     compliance_tree,
 )
-from autotune.tuning.joining import moved_scenario
 from autotune.tuning.optimize import Optimized, optimize
 from autotune.tuning.problems import Wishes, build_problems
 from autotune.tuning.relax import Relaxation
+from autotune.tuning.scenario_exchange import moved_scenario
 from autotune.tuning.schedule import build_classes, tune_schedule
 from autotune.tuning.search import solve_design
 from autotune.validation.domain import check_domain
 from autotune.validation.validate import validate_controller
-from problems.design import DesignProblem, Requirements
-from problems.uncertainty import Scenario
+from problems.design.problem import DesignProblem, Requirements
+from problems.design.uncertainty import Scenario
 from tests.autotune.tuning.cases import (
     FAST_REQUIREMENTS,
     FAST_SPEC,

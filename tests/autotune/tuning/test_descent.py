@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from autotune.tuning.box import Box, spread_out
+from autotune.tuning.bounds import Box, spread_out
 from autotune.tuning.descent import descend
-from problems.screening import build_screen
+from problems.design.batch_evaluation import build_screen
 from tests.autotune.tuning.cases import solved
 
 

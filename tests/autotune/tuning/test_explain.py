@@ -5,7 +5,7 @@ import pytest
 from autotune.tuning.explain import Active, explain, relaxed
 from autotune.tuning.optimality import check_optimality
 from autotune.tuning.search import solve_design
-from problems.design import AdmittanceTarget, Requirements
+from problems.design.problem import AdmittanceTarget, Requirements
 from tests.autotune.tuning.cases import design_problem, solved
 
 

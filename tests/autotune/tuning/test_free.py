@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from autotune.errors import UsageError
-from autotune.files.controller import read_controller, write_controller
-from autotune.files.identified import IdentifiedFile
-from autotune.files.problem import ProblemSpec
-from autotune.tuning.box import Box
+from autotune.formats.controller import read_controller, write_controller
+from autotune.formats.identified import IdentifiedFile
+from autotune.formats.problem import ProblemSpec
+from autotune.tuning.bounds import Box
 from autotune.tuning.compare import start_design
 from autotune.tuning.optimality import active_rows, unit_widths
 from autotune.tuning.optimize import Optimized, optimize
 from autotune.tuning.problems import Wishes, build_problems
 from autotune.tuning.search import presentable
 from autotune.validation.validate import validate_controller
-from problems.controller import AdmittanceController
-from problems.design import VARIABLES
-from problems.evaluation import build_scenarios
+from problems.design.evaluation import build_scenarios
+from problems.design.problem import VARIABLES
+from problems.model.controller import AdmittanceController
 from tests.autotune.tuning.cases import (
     FAST_SPEC,
     FAST_WISHES,

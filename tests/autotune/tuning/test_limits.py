@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from autotune.errors import UsageError
-from autotune.files.controller_record import Controller
-from autotune.files.limits import LimitsSpec, ResidualPeaks
+from autotune.formats.controller_record import Controller
+from autotune.formats.limits import LimitsSpec, ResidualPeaks
 from autotune.tuning.limits import LimitsWish, largest_motion, limits_wish, with_limits
 from autotune.validation.replay import replay_contact
 from autotune.validation.validate import admittance_controller, validate_controller

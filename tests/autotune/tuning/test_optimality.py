@@ -7,9 +7,9 @@ import pytest
 
 from autotune.tuning.optimality import Row, active_rows, check_optimality, unit_widths
 from autotune.tuning.search import Search
-from problems.contact import Approach
-from problems.design import VARIABLES, Requirements
-from problems.evaluation import build_scenarios
+from problems.contact.transient import Approach
+from problems.design.evaluation import build_scenarios
+from problems.design.problem import VARIABLES, Requirements
 from tests.autotune.tuning.cases import design_problem, solved
 
 FAR = 0.3

@@ -6,16 +6,16 @@ from pathlib import Path
 import pytest
 
 from autotune.errors import CertificateError
-from autotune.files.controller_record import AdmittanceRequirement, CollisionResponse, ControllerStatus
-from autotune.files.identified import IdentifiedFile
+from autotune.formats.controller_record import AdmittanceRequirement, CollisionResponse, ControllerStatus
+from autotune.formats.identified import IdentifiedFile
 from autotune.tuning import optimize as optimize_module
 from autotune.tuning.optimize import check_within_bounds, optimize
 from autotune.tuning.record import build_controller as honest
 from autotune.validation.validate import admittance_controller, prove_axis
-from problems.contact import build_sampled_contact, simulate_contact
-from problems.margins import find_margins
-from problems.plant import Environment
-from problems.sampled import build_sampled_plant
+from problems.contact.transient import build_sampled_contact, simulate_contact
+from problems.model.plant import Environment
+from problems.model.sampled import build_sampled_plant
+from problems.stability.margins import find_margins
 from tests.autotune.tuning.cases import FAST_SPEC, FAST_WISHES, fast_optimized, identified_plant
 
 

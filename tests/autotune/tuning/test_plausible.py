@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from autotune.errors import UsageError
-from autotune.files.problem import ProblemSpec
+from autotune.formats.problem import ProblemSpec
 from autotune.tuning.problems import Wishes, build_problems
 from tests.autotune.tuning.cases import identified_plant, write_plant
 

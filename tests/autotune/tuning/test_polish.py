@@ -7,8 +7,8 @@ import pytest
 
 from autotune.tuning.optimality import check_optimality
 from autotune.tuning.polish import polish_exactly
-from problems.design import VARIABLES
-from problems.screening import Screen, build_screen
+from problems.design.batch_evaluation import Screen, build_screen
+from problems.design.problem import VARIABLES
 from tests.autotune.tuning.cases import solved
 
 RESERVE = 1e-6

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from autotune.errors import UsageError
-from autotune.files.problem import ProblemSpec
+from autotune.formats.problem import ProblemSpec
 from autotune.tuning.problems import Wishes, build_problems, is_identified_mass, runtime_mass_kg
 from identification.errors import EstimateError
 from identification.result import CONTACT_UNEXPLAINED, AxisEstimate, Estimate, Finding, Identified, Status
-from problems.contact import Approach
-from problems.design import DEFAULT_BOUNDS, NoiseLimit, Requirements
+from problems.contact.transient import Approach
+from problems.design.problem import DEFAULT_BOUNDS, NoiseLimit, Requirements
 from tests.autotune.tuning.cases import absent, identified_axis, identified_plant, known, known_vector, with_axis
 
 DEFAULT = ProblemSpec()

@@ -8,8 +8,8 @@ import pytest
 from autotune.errors import InfeasibleError
 from autotune.tuning.relax import Relaxation, asked_numbers, find_relaxations, tell_relaxations
 from autotune.tuning.search import solve_design
-from problems.design import AdmittanceTarget, DesignProblem, PassivityTarget, Requirements
-from problems.screening import EVERY_REQUIREMENT
+from problems.design.batch_evaluation import EVERY_REQUIREMENT
+from problems.design.problem import AdmittanceTarget, DesignProblem, PassivityTarget, Requirements
 from tests.autotune.tuning.cases import design_problem
 
 # Few requirements: each one is a search of its own.

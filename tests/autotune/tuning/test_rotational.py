@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autotune.errors import UsageError
-from autotune.exports.targets import export_controller
-from autotune.files.controller import controller_tree, read_controller, write_controller
-from autotune.files.controller_record import AdmittanceRequirement
-from autotune.files.problem import ProblemSpec, RotationalSpec
+from autotune.export.targets import export_controller
+from autotune.formats.controller import controller_tree, read_controller, write_controller
+from autotune.formats.controller_record import AdmittanceRequirement
+from autotune.formats.problem import ProblemSpec, RotationalSpec
 from autotune.maps.source import read_source
 from autotune.tuning.problems import Wishes, build_problems, runtime_mass_kg
 from autotune.tuning.rotational import through_lever
@@ -20,9 +20,9 @@ from autotune.validation.domain import check_domain
 from autotune.validation.validate import validate_controller
 from identification.errors import EstimateError
 from identification.result import AxisEstimate
-from problems.contact import Approach
-from problems.design import DEFAULT_BOUNDS, AdmittanceTarget, DesignProblem, NoiseLimit, Requirements
-from problems.evaluation import build_scenarios
+from problems.contact.transient import Approach
+from problems.design.evaluation import build_scenarios
+from problems.design.problem import DEFAULT_BOUNDS, AdmittanceTarget, DesignProblem, NoiseLimit, Requirements
 from tests.autotune.tuning.cases import FAST_WISHES, absent, identified_plant, known, known_vector
 from tests.autotune.tuning.turning import FAST_TURNING_SPEC, LEVER_M, SQUARE, both_optimized, turned_axis, two_axes
 from tests.problems.axes import LAW

@@ -12,18 +12,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autotune.errors import CertificateError, InfeasibleError, UsageError
-from autotune.files.controller_record import Controller
-from autotune.files.identified import IdentifiedFile
-from autotune.files.schedule import covered, read_schedule, write_schedule
+from autotune.formats.controller_record import Controller
+from autotune.formats.identified import IdentifiedFile
+from autotune.formats.schedule import covered, read_schedule, write_schedule
 from autotune.tuning import schedule as schedule_module
 from autotune.tuning.optimize import optimize
 from autotune.tuning.problems import Wishes, build_problems
 from autotune.tuning.schedule import Schedule, ScheduleClass, build_classes, hull, tune_schedule
 from autotune.validation.validate import admittance_controller
 from identification.errors import EstimateError
-from problems.contact import build_sampled_contact, simulate_contact
-from problems.sampled import build_sampled_plant
-from problems.uncertainty import Scenario
+from problems.contact.transient import build_sampled_contact, simulate_contact
+from problems.design.uncertainty import Scenario
+from problems.model.sampled import build_sampled_plant
 from tests.autotune.tuning.cases import FAST_SPEC, identified_plant
 
 PLANT = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from autotune.errors import InfeasibleError
-from autotune.tuning import joining
+from autotune.tuning import scenario_exchange as joining
 from autotune.tuning import search as search_module
-from autotune.tuning.box import Box
+from autotune.tuning.bounds import Box
 from autotune.tuning.search import Search, presentable, solve_design
 from benchmarks.tuning_problems import paper_cell
-from problems.contact import Approach
-from problems.design import VARIABLES, AdmittanceTarget, Requirements
-from problems.evaluation import PreparedScenarios, build_scenarios
-from problems.uncertainty import Scenario
+from problems.contact.transient import Approach
+from problems.design.evaluation import PreparedScenarios, build_scenarios
+from problems.design.problem import VARIABLES, AdmittanceTarget, Requirements
+from problems.design.uncertainty import Scenario
 from tests.autotune.tuning.cases import MASS, ROOM, STIFFNESS, design_problem, solved
 from tests.problems.axes import LAW
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from autotune.errors import CertificateError, InfeasibleError
-from autotune.files.identified import read_identified
-from autotune.files.problem import read_problem
+from autotune.formats.identified import read_identified
+from autotune.formats.problem import read_problem
 from autotune.tuning import settling
 from autotune.tuning.beyond import NOTHING, Beyond, ImpactTest
 from autotune.tuning.optimize import optimize
@@ -19,10 +19,10 @@ from autotune.tuning.settling import prove_search, settle
 from autotune.validation import bouncing
 from autotune.validation.continuous import ProofWishes
 from autotune.validation.refuted import RefutedError
-from problems.uncertainty import Scenario
+from problems.design.uncertainty import Scenario
 from tests.autotune.tuning.cases import fast_optimized
 from tests.autotune.validation.bouncing_cases import bouncing_problem
-from tests.problems.test_bouncing import BOUNCY, K_E, M_P
+from tests.problems.contact.test_bouncing import BOUNCY, K_E, M_P
 
 PLANT = Scenario(environment_stiffness_n_per_m=K_E, payload_mass_kg=M_P)
 

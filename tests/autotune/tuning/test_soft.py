@@ -9,8 +9,8 @@ import pytest
 from autotune.tuning.explain import explain, relaxed
 from autotune.tuning.optimality import check_optimality
 from autotune.tuning.search import SearchResult, solve_design
-from problems.design import NoiseLimit, PassivityTarget, Requirements
-from problems.evaluation import build_scenarios
+from problems.design.evaluation import build_scenarios
+from problems.design.problem import NoiseLimit, PassivityTarget, Requirements
 from tests.autotune.tuning.cases import design_problem, solved
 
 PRICES = (5.0, 40.0, 2000.0)

@@ -7,20 +7,14 @@ import pytest
 
 from autotune.cli._response import response_lines
 from autotune.errors import InfeasibleError, UsageError
-from autotune.files.controller_record import Collision, CollisionResponse, Controller
-from autotune.files.problem import ProblemSpec
+from autotune.formats.controller_record import Collision, CollisionResponse, Controller
+from autotune.formats.problem import ProblemSpec
 from autotune.tuning.first_contacts import contacts_of, opposing_force
-from autotune.tuning.threshold import (
-    SAME_PEAK,
-    ThresholdWish,
-    choose_threshold,
-    threshold_wish,
-    without_response,
-)
-from problems.full_effects import Collision as Detection
-from problems.full_effects import Deadband, Effects
-from problems.full_simulation import FullRun, simulate_fully
-from problems.uncertainty import Scenario
+from autotune.tuning.threshold import SAME_PEAK, ThresholdWish, choose_threshold, threshold_wish, without_response
+from problems.contact.nonlinear_simulation import FullRun, simulate_fully
+from problems.contact.nonlinearities import Collision as Detection
+from problems.contact.nonlinearities import Deadband, Effects
+from problems.design.uncertainty import Scenario
 from tests.autotune.tuning.cases import fast_optimized, identified_plant
 from tests.autotune.tuning.responding import SPEC, responding
 

@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 
 from autotune.errors import AutotuneError
-from autotune.files.problem import ProblemSpec, RotationalSpec, Uncertain
+from autotune.formats.problem import ProblemSpec, RotationalSpec, Uncertain
 from autotune.tuning.problems import Wishes, build_problems
 from autotune.tuning.rotational import through_lever
 from autotune.tuning.search import solve_design
 from autotune.tuning.uncertain import with_uncertainty
 from identification.errors import EstimateError
 from identification.result import AxisEstimate, CouplingEstimate, Covariance, Estimate, Status
-from problems.contact import Approach
-from problems.design import DesignProblem
-from problems.margins import find_margins
-from problems.robot import RobotModel
-from problems.robot_variation import bandwidth_share
-from problems.sampled import build_sampled_plant
-from problems.uncertainty import Scenario
+from problems.contact.transient import Approach
+from problems.design.problem import DesignProblem
+from problems.design.uncertainty import Scenario
+from problems.model.robot import RobotModel
+from problems.model.robot_variation import bandwidth_share
+from problems.model.sampled import build_sampled_plant
+from problems.stability.margins import find_margins
 from tests.autotune.tuning.cases import (
     FAST_REQUIREMENTS,
     FAST_SPEC,

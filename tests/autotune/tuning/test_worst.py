@@ -7,8 +7,8 @@ import pytest
 
 from autotune.tuning.search import solve_design
 from autotune.tuning.worst import WholeSet
-from problems.evaluation import build_scenarios
-from problems.uncertainty import Scenario
+from problems.design.evaluation import build_scenarios
+from problems.design.uncertainty import Scenario
 from tests.autotune.tuning.cases import FURTHER, fast_optimized, uncertain_optimized
 
 # Requirements are held on many plants; between them a margin dips by less than this.

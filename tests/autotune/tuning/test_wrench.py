@@ -6,19 +6,19 @@ from dataclasses import replace
 import pytest
 
 from autotune.errors import UsageError
-from autotune.files.problem import ProblemSpec, Uncertain
+from autotune.formats.problem import ProblemSpec, Uncertain
 from autotune.tuning.problems import Wishes, build_problems
 from autotune.tuning.record import build_domain
 from autotune.validation.margins import sweep_margins
 from autotune.validation.validate import uncertain_plant
 from identification.errors import EstimateError
 from identification.result import Estimate, Finding, Identified, Status, WrenchFilterEstimate
-from problems.design import DesignProblem
-from problems.evaluation import build_scenarios
-from problems.margins import find_margins
-from problems.plant import WrenchFilter
-from problems.sampled import build_sampled_plant
-from problems.uncertainty import Scenario
+from problems.design.evaluation import build_scenarios
+from problems.design.problem import DesignProblem
+from problems.design.uncertainty import Scenario
+from problems.model.plant import WrenchFilter
+from problems.model.sampled import build_sampled_plant
+from problems.stability.margins import find_margins
 from tests.autotune.tuning.cases import absent, identified_plant, known
 from tests.autotune.tuning.turning import SQUARE, two_axes
 from tests.problems.axes import admittance

@@ -4,8 +4,8 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from autotune.files.identified import IdentifiedFile, write_identified
-from autotune.files.problem import ProblemSpec, RotationalSpec
+from autotune.formats.identified import IdentifiedFile, write_identified
+from autotune.formats.problem import ProblemSpec, RotationalSpec
 from autotune.tuning.optimize import Optimized, optimize
 from autotune.tuning.problems import Wishes
 from identification.result import AxisEstimate, CouplingEstimate, Estimate, Identified

@@ -2,17 +2,17 @@
 
 from functools import cache
 
-from autotune.files.controller_record import Controller, RuntimePayload
-from autotune.tuning.chosen import judge_design
+from autotune.formats.controller_record import Controller, RuntimePayload
+from autotune.tuning.manual_design import judge_design
 from autotune.tuning.record import build_controller, build_domain
 from autotune.validation.continuous import ProofWishes, prove_reach
 from autotune.validation.validate import prove_axis
-from problems.contact import Approach
-from problems.controller import AdmittanceController
-from problems.design import DesignProblem, Requirements
-from problems.plant import Coupling
-from problems.robot import RobotModel
-from tests.problems.test_bouncing import B_P, B_S, BOUNCY, DELAY_S, K_E, K_S, M_P, PERIOD_S, POLE
+from problems.contact.transient import Approach
+from problems.design.problem import DesignProblem, Requirements
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Coupling
+from problems.model.robot import RobotModel
+from tests.problems.contact.test_bouncing import B_P, B_S, BOUNCY, DELAY_S, K_E, K_S, M_P, PERIOD_S, POLE
 
 
 def bouncing_problem(*, lead_s: tuple[float, float] = (BOUNCY.lead_s, BOUNCY.lead_s)) -> DesignProblem:

@@ -5,10 +5,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from autotune.validation.proof import UncertainPlant
-from problems.controller import AdmittanceController
-from problems.plant import Coupling
-from problems.robot import RobotModel
-from problems.sampled import build_loop, build_sampled_plant, spectral_radius
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Coupling
+from problems.model.robot import RobotModel
+from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from tests.problems.axes import ANY_DELAYS, PERIOD_S, between, one_pole, or_zero, robots
 
 FloatArray = NDArray[np.float64]

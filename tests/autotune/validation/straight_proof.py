@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgWarning, expm_frechet, solve_discrete_lyapunov
 
 from autotune.validation.proof import UncertainPlant
-from problems.controller import AdmittanceController
-from problems.plant import build_plant_matrices
-from problems.sampled import SampledPlant, build_loop, build_sampled_plant, stability_matrix
+from problems.model.controller import AdmittanceController
+from problems.model.plant import build_plant_matrices
+from problems.model.sampled import SampledPlant, build_loop, build_sampled_plant, stability_matrix
 
 FloatArray = NDArray[np.float64]
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from autotune.validation.admittance import sampled_admittance
-from problems.controller import AdmittanceController
-from problems.evaluation import smallest_admittance
-from problems.plant import NO_FILTER, WrenchFilter
-from problems.robot import RobotModel
-from problems.sampled import build_sampled_plant
+from problems.design.evaluation import smallest_admittance
+from problems.model.controller import AdmittanceController
+from problems.model.plant import NO_FILTER, WrenchFilter
+from problems.model.robot import RobotModel
+from problems.model.sampled import build_sampled_plant
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 
 # Both smallest values lie at an end of these bands, where both look; the sines have settled to better than this.

@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from autotune.cell.phases import Program
-from autotune.cell.simulate import simulate_cell
-from autotune.cell.truth import Cell
 from autotune.cli._against_log import print_comparison
-from autotune.reports.page import Table
-from autotune.reports.validate_page import Validated, measured_section
+from autotune.report.page import Table
+from autotune.report.validate_page import Validated, measured_section
+from autotune.simulation.phases import Program
+from autotune.simulation.simulate import simulate_cell
+from autotune.simulation.truth import Cell
 from autotune.validation.against_log import LogComparison, compare_with_log, log_checks
 from autotune.validation.report import ValidationReport
 from autotune.validation.validate import admittance_controller
 from identification.errors import EstimateError, LogError
-from identification.recording import GainsSignal, Recording
-from problems.plant import Coupling, Environment
-from problems.robot import RobotModel
+from identification.signals.recording import GainsSignal, Recording
+from problems.model.plant import Coupling, Environment
+from problems.model.robot import RobotModel
 from tests.autotune.tuning.cases import small_controller
 from tests.autotune.tuning.turning import SQUARE, both_optimized
 

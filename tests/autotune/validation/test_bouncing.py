@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from autotune.files.controller import write_controller
+from autotune.formats.controller import write_controller
 from autotune.validation.bouncing import (
     LEAST_FORCE,
     RUNS,
@@ -18,10 +18,10 @@ from autotune.validation.bouncing import (
     search_bouncing,
 )
 from autotune.validation.validate import admittance_controller, validate_controller
-from problems.sampled import linear_law
+from problems.model.sampled import linear_law
 from tests.autotune.tuning.cases import small_controller, uncertain_optimized
 from tests.autotune.validation.bouncing_cases import bouncing_controller, written
-from tests.problems.test_bouncing import BOUNCY, CALMED, PERIOD_S
+from tests.problems.contact.test_bouncing import BOUNCY, CALMED, PERIOD_S
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from autotune.validation.command import passive_band_hz, speed_rms, worst_speed_rms
-from problems.controller import AdmittanceController
-from problems.noise import predict_command_noise
-from problems.passivity import check_passivity
-from problems.plant import FREE_SPACE, Plant, WrenchFilter
-from problems.robot import RobotModel
-from problems.sampled import build_sampled_plant
+from problems.model.controller import AdmittanceController
+from problems.model.plant import FREE_SPACE, Plant, WrenchFilter
+from problems.model.robot import RobotModel
+from problems.model.sampled import build_sampled_plant
+from problems.stability.noise import predict_command_noise
+from problems.stability.passivity import check_passivity
 from tests.autotune.tuning.cases import design_problem
 
 H = 8e-4

@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 
 from autotune.errors import CertificateError
-from autotune.files.controller_record import AxisDomain, ConfidenceSet
+from autotune.formats.controller_record import AxisDomain, ConfidenceSet
 from autotune.validation.continuous import ProofWishes, prove_over, prove_reach, refuted_inside
 from autotune.validation.validate import admittance_controller
-from problems.controller import AdmittanceController
+from problems.model.controller import AdmittanceController
 from tests.autotune.tuning.cases import fast_optimized
 
 FURTHER = {"coupling_stiffness_n_per_m": (2.9e5, 3.1e5), "drag_n_s_per_m": (320.0, 340.0)}

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from autotune.files.controller_record import Controller
+from autotune.formats.controller_record import Controller
 from autotune.validation.domain import check_domain
 from autotune.validation.report import Check
 from identification.result import AxisEstimate, Identified, WrenchFilterEstimate
-from problems.plant import WrenchFilter
+from problems.model.plant import WrenchFilter
 from tests.autotune.tuning.cases import absent, identified_axis, identified_plant, known, small_controller, with_axis
 
 TAU = 1.0 / (2.0 * math.pi * 50.0)

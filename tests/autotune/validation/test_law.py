@@ -9,13 +9,13 @@ from autotune.validation import law as law_module
 from autotune.validation.law import AxisTask, certify_law, prove_law, spring_share
 from autotune.validation.proof import StabilityProof
 from autotune.validation.validate import uncertain_plant
-from problems.controller import AdmittanceController
-from problems.laws import LinearLaw
-from problems.margins import find_margins
-from problems.peer_laws import ForwardDynamics, SpringAdmittance
-from problems.requirements import NoiseLimit, PassivityTarget
-from problems.sampled import build_loop, build_sampled_plant, linear_law, spectral_radius
-from tests.autotune.exports.peer_cases import CELL, LEAD, PERIOD_S, peer_controller, requirements, task_of
+from problems.design.requirements import NoiseLimit, PassivityTarget
+from problems.model.controller import AdmittanceController
+from problems.model.linear_controllers import LinearLaw
+from problems.model.sampled import build_loop, build_sampled_plant, linear_law, spectral_radius
+from problems.model.third_party_controllers import ForwardDynamics, SpringAdmittance
+from problems.stability.margins import find_margins
+from tests.autotune.export.peer_cases import CELL, LEAD, PERIOD_S, peer_controller, requirements, task_of
 from tests.problems.axes import paper_plant
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from autotune.files.controller_record import AxisGains, DeadbandType
+from autotune.formats.controller_record import AxisGains, DeadbandType
 from autotune.validation.law_in_log import felt, follow_law
-from problems.controller import AdmittanceController, controller_blocks, controller_step
+from problems.model.controller import AdmittanceController, controller_blocks, controller_step
 
 FloatArray = NDArray[np.float64]
 H = 8e-4

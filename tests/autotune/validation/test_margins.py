@@ -6,11 +6,11 @@ from hypothesis import assume, given
 
 from autotune.validation.margins import sweep_margins
 from autotune.validation.proof import UncertainPlant
-from problems.controller import AdmittanceController
-from problems.margins import find_margins
-from problems.plant import Plant
-from problems.robot import RobotModel
-from problems.sampled import build_loop, build_sampled_plant, spectral_radius
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant
+from problems.model.robot import RobotModel
+from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
+from problems.stability.margins import find_margins
 from tests.autotune.validation.plants import radius_at, uncertain
 from tests.problems.axes import LAW, PERIOD_S, admittance, controllers, one_pole, plants
 

@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from autotune.files.controller_record import Controller, DeadbandType
+from autotune.formats.controller_record import Controller, DeadbandType
 from autotune.validation.disturbances import Told, axis_effects
 from autotune.validation.monte_carlo import AxisMonteCarlo, run_monte_carlo
 from autotune.validation.monte_carlo_report import monte_carlo_checks, monte_carlo_tree
 from autotune.validation.validate import admittance_controller
-from problems.contact import Approach, build_sampled_contact, simulate_contact
+from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
+from problems.design.requirements import NoiseLimit
 from problems.errors import ParameterError
-from problems.requirements import NoiseLimit
-from problems.sampled import build_sampled_plant
+from problems.model.sampled import build_sampled_plant
 from tests.autotune.tuning.cases import small_controller
 from tests.autotune.validation.test_validate import domain, peaks
 

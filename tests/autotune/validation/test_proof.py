@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from autotune.validation import proof as proof_module
 from autotune.validation.proof import StabilityProof, UncertainPlant, build_cell_loop, prove_stability
 from autotune.validation.proof_cells import lyapunov
-from problems.controller import AdmittanceController
-from problems.robot import RobotModel
-from problems.sampled import build_loop, build_sampled_plant, stability_matrix
+from problems.model.controller import AdmittanceController
+from problems.model.robot import RobotModel
+from problems.model.sampled import build_loop, build_sampled_plant, stability_matrix
 from tests.autotune.validation.plants import FloatArray, radii, radius_at, random_points, uncertain, uncertain_plants
 from tests.autotune.validation.straight_proof import Cell, StraightLoop, lyapunov_roots
 from tests.problems.axes import PERIOD_S, admittance, between, controllers, one_pole, or_zero

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from autotune.validation.replay import DifferenceEquation, replay_contact, robot_stepper
-from problems.contact import Approach, ContactTransient, build_sampled_contact, simulate_contact
-from problems.controller import AdmittanceController
-from problems.plant import Plant, WrenchFilter
-from problems.robot import RobotModel
-from problems.sampled import build_sampled_plant
+from problems.contact.transient import Approach, ContactTransient, build_sampled_contact, simulate_contact
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant, WrenchFilter
+from problems.model.robot import RobotModel
+from problems.model.sampled import build_sampled_plant
 from tests.problems import reference
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from autotune.errors import UsageError
-from autotune.files.controller_record import (
+from autotune.formats.controller_record import (
     AxisPrediction,
     Collision,
     CollisionResponse,
@@ -21,7 +21,7 @@ from autotune.validation.monte_carlo import run_monte_carlo
 from autotune.validation.monte_carlo_report import monte_carlo_checks, monte_carlo_tree
 from autotune.validation.response import verify_response
 from autotune.validation.validate import admittance_controller
-from problems.full_effects import Collision as Detection
+from problems.contact.nonlinearities import Collision as Detection
 from tests.autotune.tuning.responding import responding
 
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from autotune.files.controller_record import Controller, Proof
+from autotune.formats.controller_record import Controller, Proof
 from autotune.validation.proof import StabilityProof
 from autotune.validation.statements import wrong_statements
-from autotune.validation.whole_set import sampled_claims
+from autotune.validation.validation_samples import sampled_claims
 from tests.autotune.tuning.cases import FURTHER, small_controller
 
 Change = Callable[[Controller], Controller]

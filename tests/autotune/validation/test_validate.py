@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from autotune.errors import CertificateError
-from autotune.files.controller_record import (
+from autotune.formats.controller_record import (
     Collision,
     CollisionResponse,
     Controller,

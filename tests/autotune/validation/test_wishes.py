@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from autotune.errors import CertificateError
-from autotune.files.controller import controller_tree, read_controller, write_controller
-from autotune.files.controller_record import Controller, SoftRequirement
-from autotune.files.identified import IdentifiedFile
+from autotune.formats.controller import controller_tree, read_controller, write_controller
+from autotune.formats.controller_record import Controller, SoftRequirement
+from autotune.formats.identified import IdentifiedFile
 from autotune.tuning.optimize import optimize
 from autotune.validation.validate import validate_controller
+from problems.design.requirements import NoiseLimit, PassivityTarget
 from problems.errors import ParameterError
-from problems.requirements import NoiseLimit, PassivityTarget
 from tests.autotune.tuning.cases import FAST_REQUIREMENTS, FAST_SPEC, FAST_WISHES, identified_plant
 
 ASKED = replace(

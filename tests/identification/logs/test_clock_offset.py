@@ -8,11 +8,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import butter, lfilter, sosfilt
 
-from autotune.cell.phases import Program
-from autotune.cell.simulate import CellRun, simulate_cell
-from autotune.cell.truth import Cell
+from autotune.simulation.phases import Program
+from autotune.simulation.simulate import CellRun, simulate_cell
+from autotune.simulation.truth import Cell
 from identification.logs.clock_offset import ClockOffset, OffsetVerdict, apply_offset, estimate_clock_offset
-from identification.recording import Recording
+from identification.signals.recording import Recording
 
 FloatArray = NDArray[np.float64]
 POSES = Program(jogging_s=0.0, sweep_s=0.0, contact_count=0)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from identification.logs.channel_clock import ChannelClock, clock_findings, measure_clock
 from identification.logs.clock_offset import OffsetVerdict
 from identification.logs.clocks import ChannelTimes, check_clocks, compare_clocks
-from identification.recording import Recording
+from identification.signals.recording import Recording
 
 Stamps = NDArray[np.int64]
 H_S = 8e-4

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from identification.logs.consistency import turn_findings, twist_findings
-from identification.recording import PoseSignal, TwistSignal
+from identification.signals.recording import PoseSignal, TwistSignal
 
 TIME = np.arange(0.0, 8.0, 0.005)
 STAMPS = (TIME * 1e9).astype(np.int64) + 10**18

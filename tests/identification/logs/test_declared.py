@@ -27,8 +27,8 @@ from identification.logs.cell import (
     WrenchFields,
     WrenchSource,
 )
-from identification.recording import Recording
-from identification.tables.layout import TableLayout
+from identification.logs.tables.layout import TableLayout
+from identification.signals.recording import Recording
 from tests.identification.logs.message_builder import (
     ADMITTANCE_STATE,
     DELAY_NS,

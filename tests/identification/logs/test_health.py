@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from rosbags.rosbag1 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from autotune.cell.phases import Program
-from autotune.cell.simulate import simulate_cell
-from autotune.cell.truth import Cell
+from autotune.simulation.phases import Program
+from autotune.simulation.simulate import simulate_cell
+from autotune.simulation.truth import Cell
 from identification.logs.channel_clock import measure_clock
 from identification.logs.health import frame_faults, pose_faults, stamp_faults, turn_faults, wrench_faults
-from identification.recording import Recording
 from identification.result import Finding
-from problems.controller import AdmittanceController
-from tests.autotune.cell.runs import SHORT, silent
+from identification.signals.recording import Recording
+from problems.model.controller import AdmittanceController
+from tests.autotune.simulation.runs import SHORT, silent
 
 FloatArray = NDArray[np.float64]
 

@@ -35,7 +35,7 @@ from identification.logs.interpret import (
     make_continuous,
     orientation_quaternion,
 )
-from identification.recording import AXES, PoseSignal, WrenchSignal
+from identification.signals.recording import AXES, PoseSignal, WrenchSignal
 from problems.errors import ParameterError
 
 Array = NDArray[np.float64]

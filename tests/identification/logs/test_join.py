@@ -8,7 +8,7 @@ import pytest
 
 from identification.errors import LogError
 from identification.logs.join import join_recordings
-from identification.recording import PoseSignal, Recording, WrenchSignal
+from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 
 
 def cut(signal: Any, first_s: float, last_s: float) -> Any:

@@ -11,11 +11,11 @@ from rosbags.highlevel import AnyReader
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from autotune.files.cell import read_cell
+from autotune.formats.cell import read_cell
 from identification.identify import identify_cell
 from identification.logs import inspect_log, read_recording
 from identification.logs.cell import Cell, PoseSource
-from identification.recording import Recording
+from identification.signals.recording import Recording
 
 BAGS = ("single_mode_middle.bag", "yellow_table_1.bag")
 Array = NDArray[np.float64]

@@ -7,15 +7,15 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from autotune.cell.phases import Program
-from autotune.cell.simulate import simulate_cell
-from autotune.cell.truth import Cell
-from identification.aligned import align
+from autotune.simulation.phases import Program
+from autotune.simulation.simulate import simulate_cell
+from autotune.simulation.truth import Cell
 from identification.logs.payload import check_payload
 from identification.logs.tare import find_tare_jumps
-from identification.recording import Recording
-from problems.controller import AdmittanceController
-from tests.autotune.cell.runs import silent
+from identification.signals.aligned import align
+from identification.signals.recording import Recording
+from problems.model.controller import AdmittanceController
+from tests.autotune.simulation.runs import silent
 
 FloatArray = NDArray[np.float64]
 IN_REST_S = 13.3

@@ -2,10 +2,10 @@
 
 import pytest
 
-from identification.containers.channel import Channel
 from identification.errors import LogError
 from identification.logs.cell import Cell, GainsSource, PoseFields, PoseSource, TwistSource, WrenchFields, WrenchSource
 from identification.logs.choose import choose, choose_all, open_questions
+from identification.logs.containers.channel import Channel
 from identification.logs.heads import Head
 from identification.logs.layouts import (
     ADMITTANCE_STATE,

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from identification.aligned import align
 from identification.logs.payload import check_payload
 from identification.logs.tare import find_tare_jumps
-from identification.recording import Recording
+from identification.signals.aligned import align
+from identification.signals.recording import Recording
 
 FloatArray = NDArray[np.float64]
 AFTER_ALL_POSES_S = 26.0

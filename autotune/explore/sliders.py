@@ -1,0 +1,161 @@
+"""What can be turned by hand: the gains within their bounds, and the plant around the identified one."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autotune.formats.units import AxisUnits, axis_units
+from autotune.tuning.bounds import bounds_of, linear_variables
+from problems.design.problem import DesignProblem
+from problems.design.uncertainty import ALWAYS_UNCERTAIN, SYMBOLS, Scenario
+
+FloatArray = NDArray[np.float64]
+
+STEPS = 1000
+_SURFACES, _PAYLOADS, _FACTOR, _SPEEDS = 4.0, 2.0, 3.0, 2.0
+# The least reach of a damping, as a share of that of the payload on the coupling.
+_DAMPING_SHARE = 0.2
+_LEAST_DELAY_SAMPLES = 6.0
+_SAME = 1e-9
+_GAINS = {
+    "mass": ("M_a", "admittance mass"),
+    "damping": ("B_a", "admittance damping"),
+    "lead_s": ("K_l", "lead gain"),
+    "feedback_damping_s": ("B_fb", "feedback damping"),
+    "velocity_filter_rad_per_s": ("ω_v", "velocity filter"),
+    "acceleration_filter_rad_per_s": ("ω_a", "acceleration filter"),
+    "compensation_mass_kg": ("P̂", "compensated mass"),
+}
+_PLANT = {
+    "environment_stiffness_n_per_m": "surface stiffness",
+    "payload_mass_kg": "payload",
+    "coupling_stiffness_n_per_m": "coupling stiffness",
+    "coupling_damping_n_s_per_m": "coupling damping",
+    "drag_n_s_per_m": "drag",
+    "delay_s": "delay",
+    "robot_bandwidth_hz": "robot bandwidth",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Knob:
+    """A number with its reach `low` to `high`; a `logarithmic` one is turned by equal ratios."""
+
+    name: str
+    symbol: str
+    label: str
+    unit: str
+    low: float
+    high: float
+    logarithmic: bool
+
+    @property
+    def title(self) -> str:
+        """What stands above its slider."""
+        return f"{self.symbol} {self.label}" + (f" [{self.unit}]" if self.unit else "")
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The positions of its ends."""
+        return self.position(self.low), self.position(self.high)
+
+    def position(self, value: float) -> float:
+        """Return where on its way a value lies."""
+        return math.log10(value) if self.logarithmic else value
+
+    def value(self, position: float) -> float:
+        """Return the value of a position, inside the reach and with the six digits that a file is given."""
+        found = float(f"{10.0**position if self.logarithmic else position:.6g}")
+        return min(max(found, self.low), self.high)
+
+
+def build_gain_knobs(problem: DesignProblem, axis: str) -> tuple[Knob, ...]:
+    """Return a knob for each variable of the problem, in their order; one whose bounds coincide cannot be turned."""
+    units = axis_units(axis)
+    told = {"mass": units.mass, "damping": units.damping, "compensation_mass_kg": units.mass}
+    return tuple(
+        Knob(
+            name=name,
+            symbol=_GAINS[name][0],
+            label=_GAINS[name][1],
+            unit=told.get(name, "s" if name.endswith("_s") and "rad" not in name else "rad/s"),
+            low=low,
+            high=high,
+            logarithmic=not linear,
+        )
+        for name, (low, high), linear in zip(
+            problem.variables, bounds_of(problem).tolist(), linear_variables(problem).tolist(), strict=True
+        )
+    )
+
+
+def build_plant_knobs(problem: DesignProblem, axis: str) -> tuple[Knob, ...]:
+    """Return knobs for the plant that is looked at: beyond the ranges of the problem too, to see what lies there."""
+    units = axis_units(axis)
+    return tuple(
+        Knob(
+            name=name,
+            symbol=SYMBOLS[name],
+            label=label,
+            unit=_unit(name, units),
+            low=low,
+            high=high,
+            logarithmic=low > 0.0,
+        )
+        for name, label in _PLANT.items()
+        for low, high in [_reach(problem, name)]
+    )
+
+
+def _unit(name: str, units: AxisUnits) -> str:
+    if name == "payload_mass_kg":
+        return units.mass
+    if "stiffness" in name:
+        return units.stiffness
+    return {"delay_s": "s", "robot_bandwidth_hz": "Hz"}.get(name, units.damping)
+
+
+def _reach(problem: DesignProblem, name: str) -> tuple[float, float]:
+    if name in ALWAYS_UNCERTAIN:
+        low, high = problem.uncertainty.ranges[name]
+        factor = _PAYLOADS if name == "payload_mass_kg" else _SURFACES
+        return low / factor, high * factor
+    value = problem.nominal()[name]
+    low, high = problem.uncertain.get(name, (value, value))
+    if name == "coupling_stiffness_n_per_m":
+        return low / _FACTOR, high * _FACTOR
+    if name == "robot_bandwidth_hz":
+        return low / _SPEEDS, high * _SPEEDS
+    if name == "delay_s":
+        return 0.0, max(_FACTOR * high, _LEAST_DELAY_SAMPLES * problem.sample_time_s)
+    critical = math.sqrt(problem.coupling.stiffness_n_per_m * problem.payload_mass_kg[1])
+    return 0.0, max(_FACTOR * high, _DAMPING_SHARE * critical)
+
+
+def nominal_values(problem: DesignProblem) -> dict[str, float]:
+    """Return the plant that is looked at first: the middle of the ranges of K_e and M_p, the rest nominal."""
+    soft, stiff = problem.environment_stiffness_n_per_m
+    middle = {
+        "environment_stiffness_n_per_m": math.sqrt(soft * stiff),
+        "payload_mass_kg": 0.5 * sum(problem.payload_mass_kg),
+    }
+    nominal = problem.nominal()
+    return {name: middle[name] if name in middle else nominal[name] for name in _PLANT}
+
+
+def scenario_at(problem: DesignProblem, values: Mapping[str, float]) -> Scenario:
+    """Return the plant of these values as a scenario, in which what is nominal stays unsaid."""
+    nominal = problem.nominal()
+    further = {
+        name: value
+        for name, value in values.items()
+        if name not in ALWAYS_UNCERTAIN and abs(value - nominal[name]) > 1e-5 * abs(nominal[name]) + _SAME
+    }
+    return Scenario(
+        environment_stiffness_n_per_m=values["environment_stiffness_n_per_m"],
+        payload_mass_kg=values["payload_mass_kg"],
+        **further,
+    )

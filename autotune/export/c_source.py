@@ -1,0 +1,177 @@
+"""`export --target c`: the runtime's step with the numbers of one controller, as one C99 source and its header."""
+
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from autotune import __version__
+from autotune.errors import UsageError
+from autotune.formats.atomic import write_atomic
+from autotune.formats.canonical import short
+from autotune.formats.controller import read_controller
+from autotune.runtime.controller import SAME_SAMPLE_TIME, RuntimeController
+from autotune.runtime.frames import LARGEST_SKEW, LARGEST_WAY, SMALLEST_TRACE
+from autotune.runtime.guard import (
+    ACROSS,
+    LEAST_SHARE,
+    MEAN_PERIODS,
+    MOST_HELD,
+    MOST_PERIODS,
+    UNFELT_WAY,
+    UNSEEN_WAY,
+    WEIGHT_WAY,
+)
+from autotune.runtime.law import AxisLaw, CollisionResponse
+from autotune.runtime.load import read_law
+
+from .c_header import HEADER
+from .c_text import SOURCE_CODE, SOURCE_DATA
+from .replace import check_replaceable
+from .trust import Trust, check_law
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
+_RESPONSES = (CollisionResponse.NONE, CollisionResponse.RESET, CollisionResponse.STOP)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CSource:
+    """The text of `NAME.h` and `NAME.c`."""
+
+    header: str
+    source: str
+
+
+def export_c(
+    path: Path | str,
+    out: Path | str,
+    trust: Trust,
+    progress: Callable[[float], None] | None = None,
+) -> str:
+    """Verify the controller file `path`, write `out`, a `.c`, and the `.h` beside it, and return the checksum.
+
+    The name before `.c` is that of the functions. Each file is replaced in one step, the header first; a source beside
+    the header of another controller does not compile.
+
+    Raises CertificateError: the file is altered, not validated, not as `trust` asks, or false. UsageError: `out` is no
+    name for C, is not writable, or is the file of somebody else.
+    """
+    source, header = Path(out), Path(out).with_suffix(".h")
+    if source.suffix != ".c" or not _NAME.fullmatch(source.stem):
+        raise UsageError(f"{out} must be a name for C functions followed by .c, such as cell.c; name another file.")
+    verified = read_controller(path)
+    check_replaceable(out, "c", path)
+    signed_by = trust.verify(verified)
+    check_law(verified, progress)
+    text = render_c(read_law(path), source.stem, verified.controller.provenance, signed_by)
+    write_atomic(header, text.header)
+    write_atomic(source, text.source)
+    return verified.checksum
+
+
+def render_c(
+    controller: RuntimeController, name: str, provenance: Mapping[str, Any], signed_by: str | None = None
+) -> CSource:
+    """Return header and source whose functions begin with `name`; every number is the exact double, in hexadecimal.
+
+    `signed_by` is the fingerprint of the key whose signature of the file was verified, None where none was asked for.
+    """
+    payload, threshold, guard = controller.payload, controller.threshold_n, controller.guard
+    words = {
+        "prefix": name,
+        "PREFIX": name.upper(),
+        "tool_version": __version__,
+        "about": _about(controller, provenance),
+        "signed_by": signed_by or "",
+        "signature": f"signature verified, key {signed_by}" if signed_by else "signature not verified",
+        "checksum": controller.checksum,
+        "head": short(controller.checksum),
+        "tuned": len(controller.axes),
+        "response": _RESPONSES.index(controller.response),
+        "laws": ",\n".join(map(_law, controller.axes, guard.speeds, guard.changes)),
+        "threshold": _number(0.0 if controller.response is CollisionResponse.NONE else threshold),
+        "sample_time": _number(controller.sample_time_s),
+        "mass": _number(payload.mass_kg),
+        "com": _numbers(payload.com_S_m),
+        "force_bias": _numbers(payload.force_bias_S_n),
+        "torque_bias": _numbers(payload.torque_bias_S_n_m),
+        "gravity": _numbers(payload.gravity_W_m_s2),
+        "skew": _number(LARGEST_SKEW),
+        "way": _number(LARGEST_WAY),
+        "trace": _number(SMALLEST_TRACE),
+        "same": _number(SAME_SAMPLE_TIME),
+        **_limits(controller),
+    }
+    header, source = _fill(HEADER, words), _fill(SOURCE_DATA + SOURCE_CODE, words)
+    return CSource(header=header, source=source)
+
+
+def _limits(controller: RuntimeController) -> dict[str, object]:
+    guard, limits = controller.guard, controller.limits
+    numbers = {
+        "force": limits.force_n,
+        "torque": limits.torque_n_m,
+        "way_m": guard.way_m,
+        "way_rad": guard.way_rad,
+        "rest_force": guard.rest_force,
+        "rest_torque": guard.rest_torque,
+        "least_weight": guard.least_weight,
+        "mean_periods": MEAN_PERIODS,
+        "least_share": LEAST_SHARE,
+        "across": ACROSS,
+        "weight_way": WEIGHT_WAY,
+        "unfelt": UNFELT_WAY,
+        "unseen": UNSEEN_WAY,
+    }
+    return {
+        **{name: _number(value) for name, value in numbers.items()},
+        "wrench_periods": guard.wrench_periods,
+        "pose_periods": guard.pose_periods,
+        "weight_periods": guard.weight_periods,
+        "rest_samples": limits.rest_samples,
+        "most_held": MOST_HELD,
+        "most_periods": MOST_PERIODS,
+    }
+
+
+def _fill(text: str, words: Mapping[str, object]) -> str:
+    # `$prefix_step` is `$prefix` and `_step`: a word ends where C's underscore goes on.
+    return Template(re.sub(r"\$prefix(?=_)", "${prefix}", text)).substitute(words)
+
+
+def _about(controller: RuntimeController, provenance: Mapping[str, Any]) -> str:
+    """Return lines of a comment: checksum, axes and what the file says of its origin, as JSON, which cannot end it."""
+    lines = [f" * checksum {controller.checksum}, period {controller.sample_time_s!r} s"]
+    for axis in controller.axes:
+        (low, high), unit = axis.payload_range, "kg m^2" if axis.turns else "kg"
+        gains = f"M_a {axis.mass!r}, B_a {axis.damping!r}, K_l {axis.lead_s!r}, B_fb {axis.feedback_damping_s!r}"
+        lines.append(f" * {axis.name}: {gains}; payload {low!r} to {high!r} {unit}")
+    lines += [f" * {_quoted(key)}: {_quoted(value)}" for key, value in provenance.items()]
+    return "\n".join(lines)
+
+
+def _quoted(value: object) -> str:
+    plain = json.dumps(value, sort_keys=True, default=_mapping)
+    return plain.replace("*", "\\u002a").replace("?", "\\u003f").replace("\x7f", "\\u007f")
+
+
+def _mapping(value: Any) -> dict[str, Any]:
+    return dict(value)
+
+
+def _law(axis: AxisLaw, speed: float, change: float) -> str:
+    rows = ",\n".join(f"            {{{_numbers(axis.blocks[row, i] for i in range(3))}}}" for row in range(6))
+    numbers = _numbers((axis.deadband, *axis.payload_range, speed, change))
+    start = f"    {{{axis.index}, {int(axis.is_subtractive)}, {numbers}, /* {axis.name} */"
+    return f"{start}\n        {{\n{rows}\n        }}}}"
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return ", ".join(map(_number, values))
+
+
+def _number(value: float) -> str:
+    return float(value).hex()

@@ -1,0 +1,246 @@
+"""Find the best that another controller's structure can do: the least worst peak force with the same requirements.
+
+Few numbers are free, so the whole box is looked at: a grid, then ever finer grids around its best point. A design is
+judged quickly, on some plants and frequencies; the certificate (`autotune.validation.law`) decides, and what it finds
+worse joins the plants.
+"""
+
+import itertools
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autotune.errors import CertificateError, InfeasibleError
+from autotune.formats.controller_record import AdmittanceRequirement, Requirement
+from autotune.validation.law import MARGIN_OF, AxisTask, LawCertificate, certify_law
+from problems.contact.linear_controller_contact import simulate_law_contact
+from problems.contact.transient import SampledContact, build_sampled_contact
+from problems.design.requirements import NoiseLimit, PassivityTarget
+from problems.design.uncertainty import Scenario
+from problems.errors import AutotuneError
+from problems.model.linear_controllers import LinearLaw
+from problems.model.plant import FREE_SPACE
+from problems.model.response import PlantResponse, loop_at, plant_response, rendered_admittance
+from problems.model.sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
+from problems.model.third_party_controllers import alternates
+from problems.stability.margins import frequency_grid, margins_on_grid
+from problems.stability.noise import command_speed_gain
+from problems.stability.passivity import passive_below_hz
+
+from .structure import Structure, Values
+
+FloatArray = NDArray[np.float64]
+
+_FIRST_GRID, _FINER_GRID, _LEVELS = 13, 5, 9
+_ROUNDS = 5
+_GRID_POINTS = 300
+_BAND_POINTS = 9
+_CORNER_POINTS = 3
+_MOST_FURTHER = 6
+# Coarse frequencies flatter a margin by less than this.
+_RESERVE = 0.004
+_MISSED, _UNSTABLE = 1e9, 1e15
+
+
+class QuickJudge:
+    """The plants of a search, prepared once; `cost` is what a law is to be small in.
+
+    `missed` tells of the last law that missed something by how much: required/achieved by name.
+    """
+
+    def __init__(self, task: AxisTask, scenarios: tuple[Scenario, ...], reserve: float) -> None:
+        self.task, self.reserve, h = task, reserve, task.sample_time_s
+        self.missed: dict[str, float] = {}
+        nominal = task.domain.nominal_plant()
+        contacts = [build_sampled_plant(each.plant(nominal), h) for each in scenarios]
+        # What a payload touches does not matter in free space.
+        free = dict.fromkeys(each.plant.in_contact_with(FREE_SPACE) for each in contacts)
+        self.pairs: list[SampledContact] = [build_sampled_contact(each) for each in contacts]
+        self.plants: list[SampledPlant] = [*(build_sampled_plant(each, h) for each in free), *contacts]
+        self.omega = np.unique(np.concatenate([frequency_grid(each, _GRID_POINTS) for each in self.plants]))
+        seen = [plant_response(each, self.omega) for each in self.plants]
+        self.seen = PlantResponse(
+            frequency_rad_per_s=self.omega,
+            z=seen[0].z,
+            force=np.array([each.force for each in seen]),
+            position=np.array([each.position for each in seen]),
+        )
+        self.bands = {
+            name: [plant_response(robot, _band(each)) for robot in self.plants[: len(free)]]
+            for name, each in task.asked.items()
+            if isinstance(each, AdmittanceRequirement)
+        }
+
+    def cost(self, law: LinearLaw) -> float:
+        """Return the worst peak contact force [N], or far more for a law that misses something or is unstable."""
+        if alternates(law):
+            return math.inf
+        radii = []
+        for plant in self.plants:
+            radii.append(spectral_radius(build_loop(plant, law)))
+            if not radii[-1] < 1.0:
+                return _UNSTABLE * min(radii[-1], 1e3)
+        # A spring's return in free space is no decay that is asked for.
+        free = len(self.plants) - len(self.pairs)
+        found = self.ratios(law, max(radii[free if law.holds_position else 0 :]))
+        missed = max(found.values(), default=0.0)
+        if missed > 1.0:
+            self.missed = {name: ratio for name, ratio in found.items() if ratio > 1.0}
+            return _MISSED * min(missed, 1e3)
+        approach, limit = self.task.approach(), self.task.asked.get("max_peak_force_n")
+        peak = max(simulate_law_contact(pair, law, approach).peak_contact_force_n for pair in self.pairs)
+        if isinstance(limit, float) and peak > limit:
+            self.missed = {"max_peak_force_n": peak / limit}
+            return _MISSED * peak / limit
+        return peak
+
+    def ratios(self, law: LinearLaw, radius: float) -> dict[str, float]:
+        """Return required/achieved by name of a stable law whose largest |z| in contact is `radius`; no peak yet."""
+        h, names = law.sample_time_s, self.task.asked
+        response = loop_at(self.seen, law, h)
+        both = np.concatenate([response.at_force, response.at_command])
+        if not np.all(np.isfinite(both)):
+            return dict.fromkeys(names, math.inf)
+        margins = margins_on_grid(self.omega, both)
+        found = {}
+        for name, asked in names.items():
+            if name in MARGIN_OF and isinstance(asked, int | float):
+                reached = float(np.min(getattr(margins, MARGIN_OF[name])))
+                found[name] = (1.0 + self.reserve) * float(asked) / max(reached, 1e-12)
+            elif isinstance(asked, AdmittanceRequirement):
+                least = min(float(np.min(np.abs(rendered_admittance(each, law, h)))) for each in self.bands[name])
+                found[name] = (1.0 + 0.1 * self.reserve) * asked.min_m_s_per_n / max(least, 1e-300)
+            else:
+                found[name] = self._other_ratio(name, asked, law, radius)
+        return found
+
+    def _other_ratio(self, name: str, asked: Requirement, law: LinearLaw, radius: float) -> float:
+        """Return required/achieved of what is asked rarely; 0 for all else."""
+        if name == "decay_rate_per_s" and isinstance(asked, float):
+            return asked * law.sample_time_s / max(-math.log(radius), 1e-300) if radius > 0.0 else 0.0
+        if isinstance(asked, NoiseLimit):
+            return (1.0 + self.reserve) * asked.ratio(max(command_speed_gain(plant, law) for plant in self.plants))
+        if isinstance(asked, PassivityTarget):
+            return asked.passive_below_hz / max(passive_below_hz(self.plants[0], law), 1e-300)
+        return 0.0
+
+
+def _band(asked: AdmittanceRequirement) -> FloatArray:
+    low, high = asked.band_hz
+    return 2.0 * np.pi * np.unique(np.clip(np.geomspace(low, high, _BAND_POINTS), low, high))
+
+
+def retune(task: AxisTask, structure: Structure) -> tuple[Values, LawCertificate]:
+    """Return the numbers of least worst peak force whose certificate holds, and that certificate.
+
+    Deterministic. Raises InfeasibleError where the structure has nothing that meets the requirements, CertificateError
+    where what it has cannot be proved.
+    """
+    scenarios, reserve = _first_scenarios(task), _RESERVE
+    for _ in range(_ROUNDS):
+        judge = QuickJudge(task, scenarios, reserve)
+        values, cost = _zoom(structure, judge)
+        if cost >= _MISSED:
+            raise InfeasibleError(_told(structure, judge, values))
+        certificate = certify_law(task, structure.law(values))
+        if certificate.holds:
+            return values, certificate
+        if certificate.is_unproved:
+            raise CertificateError(
+                f"Axis {task.axis}: the numbers that were tuned for that controller cannot be proved stable over the "
+                "whole domain, though no unstable plant was found; narrower ranges can be."
+            )
+        scenarios, reserve = _joined(task, scenarios, certificate), 2.0 * reserve
+    raise InfeasibleError(
+        f"within {_ROUNDS} rounds nothing was found whose certificate holds; the last one: {certificate.missed[0]}"
+    )
+
+
+def _first_scenarios(task: AxisTask) -> tuple[Scenario, ...]:
+    low, high = task.domain.environment_stiffness_n_per_m
+    grid = itertools.product(
+        sorted(set(task.domain.payload_mass_kg)),
+        sorted({float(k) for k in np.clip(np.geomspace(low, high, _CORNER_POINTS), low, high)}),
+    )
+    corners = (Scenario(environment_stiffness_n_per_m=k, payload_mass_kg=m) for m, k in grid)
+    return tuple(dict.fromkeys((*corners, *task.others().scenarios[:_MOST_FURTHER])))
+
+
+def _joined(task: AxisTask, scenarios: tuple[Scenario, ...], found: LawCertificate) -> tuple[Scenario, ...]:
+    """Add the plants at which a certificate was worst."""
+    softest = task.domain.environment_stiffness_n_per_m[0]
+    worst = {} if found.margins is None else found.margins.worst
+    more = [
+        Scenario(environment_stiffness_n_per_m=stiffness or softest, payload_mass_kg=mass)
+        for mass, stiffness in worst.values()
+    ]
+    if found.worst is not None:
+        more.append(found.worst.scenario())
+    return tuple(dict.fromkeys((*scenarios, *more, *task.others().scenarios)))
+
+
+def _zoom(structure: Structure, judge: QuickJudge) -> tuple[Values, float]:
+    """Search the box, then ever smaller boxes around the best point so far."""
+    box = structure.variables
+    free = [each for each in box if each.high > each.low]
+
+    def cost(unit: tuple[float, ...]) -> float:
+        try:
+            return judge.cost(structure.law(_values(structure, unit)))
+        except AutotuneError:
+            return math.inf
+
+    def best_of(centre: tuple[float, ...], width: float, count: int, known: float) -> tuple[tuple[float, ...], float]:
+        offsets = np.linspace(-width, width, count)
+        points = itertools.product(*(np.unique(np.clip(c + offsets, 0.0, 1.0)).tolist() for c in centre))
+        found = min(((cost(point), point) for point in points), key=lambda each: each[0])
+        return (found[1], found[0]) if found[0] < known else (centre, known)
+
+    unit = _unit(structure)
+    value = cost(unit)
+    unit, value = best_of(unit, 1.0, 2 * _FIRST_GRID - 1, value)
+    width = 1.0 / (_FIRST_GRID - 1)
+    for _ in range(_LEVELS if free else 0):
+        unit, value = best_of(unit, width, _FINER_GRID, value)
+        width *= 0.5
+    return _values(structure, unit), value
+
+
+def _values(structure: Structure, unit: tuple[float, ...]) -> Values:
+    """Return the numbers of a point of the unit cube, which has a side per number that is free."""
+    left = iter(unit)
+    found = []
+    for each in structure.variables:
+        if not each.high > each.low:
+            found.append(each.low)
+            continue
+        share = next(left)
+        if share in (0.0, 1.0):
+            found.append(each.low if share == 0.0 else each.high)
+        elif each.ratio:
+            found.append(each.low * (each.high / each.low) ** share)
+        else:
+            found.append(each.low + share * (each.high - each.low))
+    return tuple(found)
+
+
+def _unit(structure: Structure) -> tuple[float, ...]:
+    """Return the translated numbers as a point of the unit cube."""
+    found = []
+    for each, value in zip(structure.variables, structure.translated, strict=True):
+        if each.high > each.low:
+            way: Callable[[float], float] = math.log if each.ratio else float
+            share = (way(min(max(value, each.low), each.high)) - way(each.low)) / (way(each.high) - way(each.low))
+            found.append(min(max(share, 0.0), 1.0))
+    return tuple(found)
+
+
+def _told(structure: Structure, judge: QuickJudge, values: Values) -> str:
+    """Say how near the best that was found came."""
+    numbers = ", ".join(f"{name} {value:.4g}" for name, value in structure.written(values).items())
+    if judge.cost(structure.law(values)) >= _UNSTABLE:
+        return f"no numbers were found that make a stable loop over the whole domain (the last ones: {numbers})"
+    each = ", ".join(f"{name} by {100.0 * (ratio - 1.0):.3g} %" for name, ratio in judge.missed.items())
+    return f"no numbers were found that meet the requirements (the nearest that was found: {numbers}; it misses {each})"

@@ -1,0 +1,437 @@
+"""What `controller.yaml` holds, as values; on rx, ry, rz read N·m, rad and kg·m² for N, m and kg."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from problems.design.requirements import NoiseLimit, PassivityTarget
+from problems.design.uncertainty import Ellipsoid, Scenario, Uncertainty
+from problems.errors import ParameterError
+from problems.model.plant import NO_FILTER, Coupling, Environment, Payload, Plant, WrenchFilter
+from problems.model.robot import RobotModel
+
+from .limits import Limits, ResidualPeaks
+from .records import ROTATIONAL_AXES
+
+Vector = tuple[float, float, float]
+Interval = tuple[float, float]
+
+SMALLEST_FEEDBACK_DAMPING_S = 1e-4
+
+
+class ControllerStatus(StrEnum):
+    """Whether the certificate of a controller was found to hold."""
+
+    VALIDATED = "validated"
+    UNVALIDATED = "unvalidated"
+
+
+class DeadbandType(StrEnum):
+    """What happens to a force beyond the deadband: it passes whole, or less the deadband."""
+
+    THRESHOLD = "threshold"
+    SUBTRACTIVE = "subtractive"
+
+
+class CollisionResponse(StrEnum):
+    """What the runtime does on collision: nothing, the position reset of the paper's Algorithm 1, or a full stop."""
+
+    NONE = "none"
+    RESET = "reset"
+    STOP = "stop"
+
+
+def _freeze(record: object, *names: str) -> None:
+    for name in names:
+        object.__setattr__(record, name, MappingProxyType(dict(getattr(record, name))))
+
+
+def _check_interval(name: str, interval: Interval) -> None:
+    if not 0.0 <= interval[0] <= interval[1] < math.inf:
+        raise ParameterError(name, interval, "[lowest, highest] with 0 ≤ lowest ≤ highest")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisGains:
+    """M_a (kg), B_a (N·s/m), K_l (s), B_fb (s) and the deadband (N) of one axis.
+
+    Raises ParameterError unless M_a and B_a are positive, the others not negative, and B_fb is 0 or at least 1e-4 s:
+    the values printed in the paper (2e-5, 7.5e-6) cannot be seconds.
+    """
+
+    mass: float
+    damping: float
+    lead_s: float
+    feedback_damping_s: float
+    deadband: float
+    deadband_type: DeadbandType
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "damping"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ParameterError(name, getattr(self, name), "greater than 0")
+        for name in ("lead_s", "feedback_damping_s", "deadband"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ParameterError(name, getattr(self, name), "at least 0")
+        if 0.0 < self.feedback_damping_s < SMALLEST_FEEDBACK_DAMPING_S:
+            must = "0 or at least 1e-4 s (values as printed in the paper are not seconds; convert them first)"
+            raise ParameterError("feedback_damping_s", self.feedback_damping_s, must)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Filters:
+    """ω_v and ω_a, rad/s."""
+
+    velocity_rad_per_s: float
+    acceleration_rad_per_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Collision:
+    """The collision response and its force threshold (N); None exactly when there is no response."""
+
+    response: CollisionResponse
+    threshold_n: float | None
+
+    def __post_init__(self) -> None:
+        if (self.response == CollisionResponse.NONE) != (self.threshold_n is None):
+            raise ParameterError("threshold_n", self.threshold_n, "a force exactly when there is a collision response")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RuntimePayload:
+    """What the runtime's gravity compensation needs, in the sensor frame."""
+
+    mass_kg: float
+    com_m: Vector
+    force_bias_n: Vector
+    torque_bias_n_m: Vector
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScenarioPrediction:
+    """The peaks (N) of one contact and the time of the peak after touching (s).
+
+    `further` holds what of the plant is not nominal beyond K_e and M_p.
+    """
+
+    name: str
+    environment_stiffness_n_per_m: float
+    payload_mass_kg: float
+    peak_sensor_force_n: float
+    peak_contact_force_n: float
+    time_of_peak_s: float
+    further: Mapping[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.further is not None:
+            _freeze(self, "further")
+
+    def scenario(self) -> Scenario:
+        """Return the point of the uncertainty."""
+        return Scenario(
+            environment_stiffness_n_per_m=self.environment_stiffness_n_per_m,
+            payload_mass_kg=self.payload_mass_kg,
+            **(self.further or {}),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreeSpaceAdmittance:
+    """The least |G| over the band (Hz), m/s per N, and the steady hand force per speed, N/(m/s)."""
+
+    band_hz: Interval
+    min_m_s_per_n: float
+    hand_force_n_per_m_s: float
+
+    def __post_init__(self) -> None:
+        _check_interval("band_hz", self.band_hz)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisPrediction:
+    """What the model predicts for one axis; `scenarios` are contacts without a collision response.
+
+    `with_collision_response` holds all of these with it, and the worst one where that is another; empty without one.
+    `with_residual_weight` holds the worst peaks of all under the residual that the start check of the runtime allows.
+    """
+
+    scenarios: tuple[ScenarioPrediction, ...]
+    free_space_admittance: FreeSpaceAdmittance
+    with_collision_response: tuple[ScenarioPrediction, ...] = ()
+    with_residual_weight: ResidualPeaks | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConfidenceSet:
+    """An ellipsoid that cuts the ranges: the confidence `level`, its `centre` and `covariance` by parameter."""
+
+    level: float
+    centre: Mapping[str, float]
+    covariance: Mapping[str, Mapping[str, float]]
+
+    def __post_init__(self) -> None:
+        _freeze(self, "centre", "covariance")
+        for name, row in self.covariance.items():
+            if set(row) != set(self.centre):
+                raise ParameterError(f"covariance.{name}", sorted(row), f"given for {', '.join(self.centre)}")
+        if set(self.covariance) != set(self.centre):
+            raise ParameterError("covariance", sorted(self.covariance), f"given for {', '.join(self.centre)}")
+
+    def ellipsoid(self) -> Ellipsoid:
+        """Return the same as a set to compute with."""
+        names = tuple(self.centre)
+        return Ellipsoid(
+            names=names,
+            centre=tuple(self.centre.values()),
+            covariance=tuple(tuple(self.covariance[a][b] for b in names) for a in names),
+            level=self.level,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisDomain:
+    """The plants of one axis for which the certificate holds; r(s) in descending powers of s, r(0) = 1.
+
+    `uncertain` holds ranges of what is not at its nominal value beyond K_e and M_p, `confidence` what cuts them.
+    `wrench_filter` lies between the coupling's force and what the controller reads, None if nothing does.
+    """
+
+    environment_stiffness_n_per_m: Interval
+    payload_mass_kg: Interval
+    environment_damping_n_s_per_m: float
+    environment_mass_kg: float
+    coupling_stiffness_n_per_m: float
+    coupling_damping_n_s_per_m: float
+    drag_n_s_per_m: float
+    robot_numerator: tuple[float, ...]
+    robot_denominator: tuple[float, ...]
+    delay_s: float
+    approach_force_n: float | None = None
+    approach_speed_m_s: float | None = None
+    uncertain: Mapping[str, Interval] | None = None
+    confidence: ConfidenceSet | None = None
+    wrench_filter: WrenchFilter | None = None
+
+    def __post_init__(self) -> None:
+        _check_interval("environment_stiffness_n_per_m", self.environment_stiffness_n_per_m)
+        _check_interval("payload_mass_kg", self.payload_mass_kg)
+        if self.uncertain is not None:
+            _freeze(self, "uncertain")
+            self.uncertainty()
+        elif self.confidence is not None:
+            raise ParameterError("confidence", self.confidence.level, "given together with the ranges that it cuts")
+
+    def uncertainty(self) -> Uncertainty:
+        """Return all plants of the domain as a set; raises ParameterError if there is no such set."""
+        return Uncertainty(
+            ranges={
+                "environment_stiffness_n_per_m": self.environment_stiffness_n_per_m,
+                "payload_mass_kg": self.payload_mass_kg,
+                **(self.uncertain or {}),
+            },
+            ellipsoid=None if self.confidence is None else self.confidence.ellipsoid(),
+        )
+
+    def nominal_plant(self) -> Plant:
+        """Return the plant that all ranges are around, at the soft and light end of K_e and M_p."""
+        return Plant(
+            robot=RobotModel(
+                numerator=np.array(self.robot_numerator),
+                denominator=np.array(self.robot_denominator),
+                delay_s=self.delay_s,
+            ),
+            coupling=Coupling(
+                stiffness_n_per_m=self.coupling_stiffness_n_per_m, damping_n_s_per_m=self.coupling_damping_n_s_per_m
+            ),
+            payload=Payload(mass_kg=self.payload_mass_kg[0], drag_n_s_per_m=self.drag_n_s_per_m),
+            environment=Environment(
+                stiffness_n_per_m=self.environment_stiffness_n_per_m[0],
+                damping_n_s_per_m=self.environment_damping_n_s_per_m,
+            ),
+            wrench_filter=self.wrench_filter or NO_FILTER,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisMargins:
+    """The smallest margins over the domain; None where no finite limit exists (infinity is stored as None).
+
+    `worst` tells for each margin at which plant it was found.
+    """
+
+    gain_db: float | None
+    phase_deg: float | None
+    delay_s: float | None
+    modulus: float
+    worst: Mapping[str, Mapping[str, float | str]]
+
+    def __post_init__(self) -> None:
+        for name in ("gain_db", "phase_deg", "delay_s"):
+            if getattr(self, name) == math.inf:
+                object.__setattr__(self, name, None)
+        object.__setattr__(
+            self, "worst", MappingProxyType({key: MappingProxyType(dict(case)) for key, case in self.worst.items()})
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proof:
+    """What is proved, by which method, over which set; `numbers` are its figures by name, if it has any."""
+
+    claim: str
+    method: str
+    over: str | Mapping[str, Any]
+    numbers: Mapping[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.numbers is not None:
+            _freeze(self, "numbers")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reach:
+    """How far a modulus margin, and stability with it, is proved at all frequencies, in contact and in free space.
+
+    `over` names what varies in its whole range, the rest is nominal. `modulus` is the swept one less the share `slack`.
+    `share` of the set is proved, and all of it for K_e inside `environment_stiffness_n_per_m`; 1 is all of it.
+    `cells` of plants and `arcs` of the unit circle were looked at in `run_time_s`; `budget_s` ends the attempt. Both
+    are work counted at a fixed speed, not read from a clock: the same input gives the same file.
+    """
+
+    over: tuple[str, ...]
+    modulus: float
+    slack: float
+    method: str
+    share: float
+    environment_stiffness_n_per_m: Interval
+    cells: float
+    arcs: float
+    budget_s: float
+    run_time_s: float
+
+    def __post_init__(self) -> None:
+        _check_interval("environment_stiffness_n_per_m", self.environment_stiffness_n_per_m)
+        if not (0.0 < self.modulus < 1.0 and 0.0 < self.slack < 1.0 and 0.0 <= self.share <= 1.0):
+            raise ParameterError("modulus", self.modulus, "modulus, slack and share between 0 and 1")
+        if not (self.budget_s > 0.0 and self.run_time_s >= 0.0):
+            raise ParameterError("budget_s", self.budget_s, "above 0, and no run time below 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdmittanceRequirement:
+    """The free-space target: at least `min_m_s_per_n` over the band (Hz)."""
+
+    min_m_s_per_n: float
+    band_hz: Interval
+
+    def __post_init__(self) -> None:
+        _check_interval("band_hz", self.band_hz)
+
+
+Requirement = float | bool | AdmittanceRequirement | NoiseLimit | PassivityTarget
+Asked = Mapping[str, Requirement]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SoftRequirement:
+    """What was asked at a price (N per share missed) and what was `achieved`, in the unit of what was asked.
+
+    None where no finite limit exists.
+    """
+
+    asked: float | AdmittanceRequirement | NoiseLimit | PassivityTarget
+    soft_n: float
+    achieved: float | None
+
+    def __post_init__(self) -> None:
+        if self.achieved == math.inf:
+            object.__setattr__(self, "achieved", None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """What was shown about the controller, and for which plants.
+
+    `proved` holds for every plant that it names, `sampled` was looked for on many plants of the set and not found.
+    `requirements` are those of x, y, z, `rotational_requirements` those of rx, ry, rz (rad, N·m), None without them.
+    `soft` holds by axis what need not be met, and what was achieved, `continuous` what of the modulus is proved.
+    """
+
+    domain: Mapping[str, AxisDomain]
+    sample_time_s: float
+    requirements: Mapping[str, Requirement]
+    proved: tuple[Proof, ...]
+    margins: Mapping[str, AxisMargins]
+    rotational_requirements: Mapping[str, Requirement] | None = None
+    sampled: tuple[Proof, ...] = ()
+    soft: Mapping[str, Mapping[str, SoftRequirement]] | None = None
+    continuous: Mapping[str, tuple[Reach, ...]] | None = None
+
+    def __post_init__(self) -> None:
+        _freeze(self, "domain", "requirements", "margins")
+        if self.continuous is not None:
+            _freeze(self, "continuous")
+        if self.rotational_requirements is not None:
+            _freeze(self, "rotational_requirements")
+        if self.soft is not None:
+            _freeze(self, "soft")
+
+    def requirements_of(self, axis: str) -> Asked | None:
+        """Return what was asked of one axis; None for a rotational one of which the file does not say it."""
+        return self.rotational_requirements if axis in ROTATIONAL_AXES else self.requirements
+
+
+@dataclass(frozen=True, kw_only=True)
+class Controller:
+    """A tuned controller, what it is predicted to do, and what its certificate says.
+
+    `limits` is what the runtime enforces; None in files of an earlier release, for which the runtime has defaults.
+
+    Raises ParameterError when the certificate is for another sample time, the limits leave out a tuned axis, or when a
+    validated controller has an axis without domain, margins or prediction, or proves nothing.
+    """
+
+    status: ControllerStatus
+    sample_time_s: float
+    discretization: str
+    delay_samples: float
+    axes: Mapping[str, AxisGains]
+    filters: Filters
+    compensation_mass_kg: float
+    collision: Collision
+    payload: RuntimePayload
+    predicted: Mapping[str, AxisPrediction]
+    certificate: Certificate
+    provenance: Mapping[str, Any]
+    limits: Limits | None = None
+
+    def __post_init__(self) -> None:
+        _freeze(self, "axes", "predicted", "provenance")
+        if self.limits is not None and set(self.axes) - set(self.limits.axes):
+            must = f"given for all tuned axes, {', '.join(self.axes)}"
+            raise ParameterError("limits.axes", sorted(self.limits.axes), must)
+        if self.certificate.sample_time_s != self.sample_time_s:
+            must = f"the sample_time_s of the controller, {self.sample_time_s!r}"
+            raise ParameterError("certificate.sample_time_s", self.certificate.sample_time_s, must)
+        parts: dict[str, Mapping[str, object]] = {
+            "predicted": self.predicted,
+            "certificate.domain": self.certificate.domain,
+            "certificate.margins": self.certificate.margins,
+        }
+        for name in ("soft", "continuous"):
+            strangers = sorted(set(getattr(self.certificate, name) or {}) - set(self.axes))
+            if strangers:
+                raise ParameterError(f"certificate.{name}", strangers, f"for tuned axes only, {', '.join(self.axes)}")
+        for name, part in parts.items():
+            if set(part) - set(self.axes):
+                raise ParameterError(name, sorted(part), f"for tuned axes only, {', '.join(self.axes)}")
+            if self.status == ControllerStatus.VALIDATED and set(part) != set(self.axes):
+                raise ParameterError(name, sorted(part), f"given for all tuned axes, {', '.join(self.axes)}")
+        if self.status == ControllerStatus.VALIDATED and not self.certificate.proved:
+            raise ParameterError("certificate.proved", (), "at least one claim in a validated controller")

@@ -1,0 +1,234 @@
+"""`problem.yaml`: what the user asks of the controller."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
+
+from autotune.errors import UsageError
+from problems.contact.transient import Approach
+from problems.design.problem import AdmittanceTarget, NoiseLimit, Objective, PassivityTarget, Requirements
+from problems.design.uncertainty import FURTHER_UNCERTAIN, UNCERTAIN
+from problems.errors import ParameterError
+from problems.model.controller import check_feedback_damping
+
+from .canonical import Place, spell
+from .limits import LimitsSpec
+from .records import ROTATIONAL_KEYS, rename_axis_keys
+from .schema import check_document
+from .yaml12 import Document, load_document
+
+Interval = tuple[float, float]
+Origin = Literal["identified", "nominal"]
+Uncertain = Mapping[str, Interval | Origin]
+
+_RANGES = frozenset({*UNCERTAIN, *(ROTATIONAL_KEYS[name] for name in UNCERTAIN if name in ROTATIONAL_KEYS)})
+
+_KINDS: Mapping[str, Callable[..., Any]] = {
+    "free_space_admittance": AdmittanceTarget,
+    "command_noise": NoiseLimit,
+    "passivity": PassivityTarget,
+}
+_MOST_OF_AN_APPROACH = {"force_n": 1e4, "speed_m_s": 5.0, "torque_n_m": 2e3, "speed_rad_s": 25.0}
+"""What an approach may ask at most; about a turning axis the same at a lever of 0.2 m."""
+# Among the free variables in the file, but none of the search: the one is chosen for the gains that were found, the
+# other one is the cell's.
+_THRESHOLD = "collision_threshold_n"
+_STIFFNESS = "environment_stiffness_n_per_m"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComplianceSpec:
+    """A compliance to be chosen: the least and the greatest K_e to build, and by which share the built one may be off.
+
+    What is certified of a chosen K_e is K_e (1 ± tolerance).
+    """
+
+    bounds: Interval
+    tolerance: float = 0.2
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotationalSpec:
+    """What `problem.yaml` says of rx, ry, rz alone; the fields hold rad, N·m and kg·m².
+
+    `requirements` holds those that were said, None where nothing is asked, and under `soft_n` the prices.
+    """
+
+    bounds: Mapping[str, Interval] = field(default_factory=dict)
+    approach: Approach | None = None
+    environment_stiffness_n_per_m: Interval | None = None
+    payload_mass_kg: Interval | None = None
+    uncertain: Uncertain = field(default_factory=dict)
+    requirements: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("bounds", "uncertain", "requirements"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProblemSpec:
+    """Everything that `problem.yaml` may say; None or empty where it says nothing and the default holds.
+
+    `free` makes further parameters of the controller variables, with their bounds; `collision_threshold_n` bounds the
+    threshold of the collision response, which is chosen after the gains (there is none without); `compliance` makes K_e
+    a variable, which is the cell's.
+    `uncertain` maps further parameters of the plant to a range, to "identified" (the confidence set of the identified
+    file) or to "nominal" (as if it were known). `limits` are those that the runtime enforces.
+    """
+
+    axes: tuple[str, ...] | None = None
+    bounds: Mapping[str, Interval] = field(default_factory=dict)
+    approach: Approach | None = None
+    environment_stiffness_n_per_m: Interval | None = None
+    payload_mass_kg: Interval | None = None
+    uncertain: Uncertain = field(default_factory=dict)
+    requirements: Requirements = field(default_factory=Requirements)
+    objective: Objective = "contact_force"
+    rotational: RotationalSpec = field(default_factory=RotationalSpec)
+    free: Mapping[str, Interval] = field(default_factory=dict)
+    collision_threshold_n: Interval | None = None
+    compliance: ComplianceSpec | None = None
+    limits: LimitsSpec = field(default_factory=LimitsSpec)
+
+    def __post_init__(self) -> None:
+        for name in ("bounds", "uncertain", "free"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+
+def read_problem(path: Path) -> ProblemSpec:
+    """Read `problem.yaml`; raises UsageError with file, line and reason for anything unknown or out of range."""
+    document = load_document(path, error=UsageError)
+    check_document(document, "problem")
+    tree = document.tree
+    for place in _intervals(tree):
+        _check_order(document, place)
+    for within in ((), ("rotational",)):
+        _check_feedback_damping(document, within)
+        _check_approach(document, within)
+    free = tree.get("free", {})
+    axis, turned = tree.get("axis"), rename_axis_keys("rx", tree.get("rotational", {}), reading=True)
+    try:
+        return ProblemSpec(
+            axes=(axis,) if isinstance(axis, str) else axis and tuple(axis),
+            **_ranges(tree),
+            requirements=Requirements(**_requirements(tree.get("requirements", {}))),
+            objective=tree.get("objective", "contact_force"),
+            free={name: _pair(value) for name, value in free.items() if name not in (_THRESHOLD, _STIFFNESS)},
+            collision_threshold_n=_optional_pair(free.get(_THRESHOLD)),
+            compliance=_compliance(document),
+            limits=_limits(tree.get("limits", {})),
+            rotational=RotationalSpec(**_ranges(turned), requirements=_requirements(turned.get("requirements", {}))),
+        )
+    except ParameterError as error:
+        raise UsageError(f"{path}: {error}") from error
+
+
+def _limits(said: Mapping[str, Any]) -> LimitsSpec:
+    """Return what is said of the limits; what is not is chosen with the controller."""
+    return LimitsSpec(values={name: value for name, value in said.items() if name != "axes"}, axes=said.get("axes", {}))
+
+
+def _compliance(document: Document) -> ComplianceSpec | None:
+    """Return what is said of a free K_e; refuse it beside a range of K_e that must be safe anyway."""
+    said = document.tree.get("free", {}).get(_STIFFNESS)
+    if said is None:
+        return None
+    if _STIFFNESS in document.tree:
+        reason = f"{_STIFFNESS} is free, and a range of it is given too; leave one of them out."
+        document.refuse((_STIFFNESS,), reason)
+    if isinstance(said, Mapping):
+        return ComplianceSpec(**{**said, "bounds": _pair(said["bounds"])})
+    return ComplianceSpec(bounds=_pair(said))
+
+
+def _ranges(tree: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        "bounds": {name: _pair(value) for name, value in tree.get("bounds", {}).items()},
+        "approach": Approach(**tree["approach"]) if "approach" in tree else None,
+        "environment_stiffness_n_per_m": _optional_pair(tree.get("environment_stiffness_n_per_m")),
+        "payload_mass_kg": _optional_pair(tree.get("payload_mass_kg")),
+        "uncertain": {name: _range_or_origin(tree[name]) for name in FURTHER_UNCERTAIN if name in tree},
+    }
+
+
+def _requirements(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is asked by name, and the prices of what may be missed under `soft_n`."""
+    known: dict[str, Any] = {}
+    prices: dict[str, float] = {}
+    for name, said in tree.items():
+        if not isinstance(said, Mapping):
+            known[name] = said
+            continue
+        entry = {key: value for key, value in said.items() if key != "soft_n"}
+        if "soft_n" in said:
+            prices[name] = said["soft_n"]
+        if "band_hz" in entry:
+            entry["band_hz"] = _pair(entry["band_hz"])
+        known[name] = _KINDS[name](**entry) if name in _KINDS else entry["value"]
+    return {**known, "soft_n": prices} if prices else known
+
+
+def _intervals(tree: Mapping[str, Any], within: Place = ()) -> list[Place]:
+    """Return where the ranges stand, those of rotational axes included."""
+    places: list[Place] = [(part, name) for part in ("bounds", "free") for name in tree.get(part, {})]
+    if isinstance(tree.get("free", {}).get(_STIFFNESS), Mapping):
+        places[places.index(("free", _STIFFNESS))] = ("free", _STIFFNESS, "bounds")
+    places += [(name,) for name, value in tree.items() if name in _RANGES and isinstance(value, list)]
+    if (tree.get("requirements") or {}).get("free_space_admittance"):
+        places.append(("requirements", "free_space_admittance", "band_hz"))
+    places = [(*within, *place) for place in places]
+    return places + (_intervals(tree["rotational"], ("rotational",)) if "rotational" in tree else [])
+
+
+def _check_order(document: Document, place: Place) -> None:
+    value: Any = document.tree
+    for key in place:
+        value = value[key]
+    if value[0] > value[1]:
+        document.refuse(place, f"{spell(place)} must be [low, high], found {value[0]} above {value[1]}.")
+
+
+def _check_feedback_damping(document: Document, within: Place) -> None:
+    """Refuse a bound of B_fb in the paper's printed unit: the least value that works there is none at all."""
+    place = (*within, "bounds", "feedback_damping_s")
+    for value in _entry(document, place) or ():
+        try:
+            check_feedback_damping(value)
+        except ParameterError as error:
+            document.refuse(place, f"{spell(place)} must hold {error.must}, found {value:g}.")
+
+
+def _check_approach(document: Document, within: Place) -> None:
+    """Refuse an approach that no robot of this kind makes: its numbers are in another unit."""
+    for name, value in (_entry(document, (*within, "approach")) or {}).items():
+        if value > _MOST_OF_AN_APPROACH[name]:
+            place = (*within, "approach", name)
+            must = f"at most {_MOST_OF_AN_APPROACH[name]:g}, far above what a robot does at a contact"
+            document.refuse(place, f"{spell(place)} must be {must}, found {value:g}; mind its unit.")
+
+
+def _entry(document: Document, place: Place) -> Any:
+    """Return what stands at a place, None where nothing does."""
+    found: Any = document.tree
+    for key in place:
+        found = found.get(key) if isinstance(found, Mapping) else None
+    return found
+
+
+def _pair(value: list[float]) -> Interval:
+    return float(value[0]), float(value[1])
+
+
+def _range_or_origin(value: Any) -> Interval | Origin:
+    """Return [low, high] as an interval, and what stands behind `from` as it is."""
+    if isinstance(value, Mapping):
+        origin: Origin = value["from"]
+        return origin
+    return _pair(value)
+
+
+def _optional_pair(value: list[float] | None) -> Interval | None:
+    return None if value is None else _pair(value)

@@ -1,0 +1,223 @@
+"""`schedule.yaml` and the folder around it: controllers by class of payload and surface, and what one for all costs."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from autotune.errors import AutotuneError, CertificateError, UsageError
+
+from .atomic import check_target, write_folder_atomic
+from .canonical import checksum, plain, short
+from .controller import ControllerFile, controller_tree, read_controller
+from .controller_record import Controller
+from .dump import dump_yaml
+from .records import ROTATIONAL_AXES, rename_axis_keys
+from .schema import VERSION, check_document, check_format, check_tree
+from .yaml12 import Document, load_document
+
+if TYPE_CHECKING:
+    from autotune.tuning.schedule import Schedule, ScheduleClass, Tuned
+    from problems.design.problem import Objective
+
+FORMAT = "autotune/schedule"
+SCHEDULE_FILE, COMMON_FILE = "schedule.yaml", "all.yaml"
+
+_RANGES = ("payload_mass_kg", "environment_stiffness_n_per_m")
+_HEAD_BYTES = 256
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScheduleFile:
+    """A schedule that was read and found whole, with its controllers by name; the common one, if any, is `all`."""
+
+    tree: Mapping[str, Any]
+    controllers: Mapping[str, ControllerFile]
+    checksum: str
+    path: Path
+
+
+def worst_peaks(controller: Controller, objective: "Objective") -> dict[str, float]:
+    """Return the largest predicted peak of every axis (N, N·m), at the contact or at the sensor."""
+    at_contact = objective == "contact_force"
+    return {
+        axis: max(s.peak_contact_force_n if at_contact else s.peak_sensor_force_n for s in told.scenarios)
+        for axis, told in controller.predicted.items()
+    }
+
+
+def covered(intervals: Iterable[Interval]) -> tuple[Interval, ...]:
+    """Return the union of intervals as disjoint ones from low to high; between two of them nothing is covered."""
+    union: list[Interval] = []
+    for low, high in sorted(intervals):
+        if union and low <= union[-1][1]:
+            union[-1] = (union[-1][0], max(union[-1][1], high))
+        else:
+            union.append((low, high))
+    return tuple(union)
+
+
+def schedule_tree(schedule: "Schedule") -> dict[str, Any]:
+    """Return the plain tree of `schedule.yaml`, its checksum last; raises ParameterError as `controller_tree` does."""
+    common = schedule.common
+    tree: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "objective": schedule.objective,
+        "covered": {
+            name: plain(covered({getattr(each.of, name) for each in schedule.tuned}))
+            for name in _RANGES
+            if getattr(schedule.hull, name) is not None
+        },
+        "common": {
+            **_ranges(schedule.hull),
+            "file": None if common is None else COMMON_FILE,
+            "checksum": None if common is None else controller_tree(common)["checksum"],
+            "refusal": schedule.common_refusal or None,
+        },
+        "classes": [_class(each) for each in schedule.tuned],
+        "provenance": _provenance(schedule),
+    }
+    tree["checksum"] = checksum(tree)
+    check_tree(tree, "schedule")
+    return tree
+
+
+def check_schedule_target(folder: Path) -> None:
+    """Raise UsageError now if `write_schedule` could not write there later, or would delete what is no schedule."""
+    check_target(folder)
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise UsageError(f"{folder} is a file; a schedule is a folder of its own.")
+    present = {entry.name for entry in folder.iterdir()}
+    if not present:
+        return
+    advice = "remove it, or name another folder with -o"
+    if SCHEDULE_FILE not in present:
+        raise UsageError(f"{folder} exists and holds no schedule; {advice}.")
+    try:
+        former = read_schedule(folder / SCHEDULE_FILE)
+    except AutotuneError as error:
+        raise UsageError(f"{folder} holds something else than an unaltered schedule; {advice}. {error}") from error
+    strange = sorted(present - {SCHEDULE_FILE} - {each.path.name for each in former.controllers.values()})
+    if strange:
+        raise UsageError(f"{folder} holds {strange[0]} beside its schedule, which would be lost; {advice}.")
+
+
+def write_schedule(folder: Path, schedule: "Schedule") -> dict[str, Any]:
+    """Write the controllers and `schedule.yaml` as a folder in one step, and return the tree of `schedule.yaml`.
+
+    A former schedule there is replaced. Raises UsageError as `check_schedule_target` and `write_folder_atomic` do.
+    """
+    check_schedule_target(folder)
+    tree = schedule_tree(schedule)
+    controllers = {f"{each.of.name}.yaml": each.controller for each in schedule.tuned}
+    if schedule.common is not None:
+        controllers[COMMON_FILE] = schedule.common
+    texts = {name: dump_yaml(controller_tree(controller)) for name, controller in controllers.items()}
+    write_folder_atomic(folder, {**texts, SCHEDULE_FILE: dump_yaml(tree)})
+    return tree
+
+
+def is_schedule(path: Path | str) -> bool:
+    """Tell whether a file begins as `schedule.yaml` does; False where it cannot be read."""
+    try:
+        with Path(path).open("rb") as stream:
+            return FORMAT.encode() in stream.read(_HEAD_BYTES)
+    except OSError:
+        return False
+
+
+def read_schedule(path: Path | str) -> ScheduleFile:
+    """Read `schedule.yaml` and every controller that it lists, and refuse them unless they fit to each other.
+
+    The checksums must be those of the files; each controller must be certified for the ranges of its class, and
+    predict the peak that the schedule tells of it.
+
+    Raises UsageError: the schedule cannot be opened. CertificateError: anything else.
+    """
+    document = load_document(path, error=CertificateError, exact=True)
+    check_format(document, "schedule")
+    check_document(document, "schedule")
+    tree = document.tree
+    found = checksum(tree)
+    if tree["checksum"] != found:
+        reason = (
+            f"the checksum says {short(tree['checksum'])}, but the content has {short(found)}; the file is altered."
+        )
+        document.refuse(("checksum",), reason)
+    controllers = {}
+    for index, entry in enumerate(tree["classes"]):
+        if entry["name"] in controllers or entry["file"] != f"{entry['name']}.yaml":
+            document.refuse(("classes", index, "name"), "each class must have a name and file of its own.")
+        controllers[entry["name"]] = _listed(document, ("classes", index), entry)
+        _check_peaks(document, index, controllers[entry["name"]])
+    if tree["common"]["file"] is not None:
+        controllers["all"] = _listed(document, ("common",), tree["common"])
+    return ScheduleFile(tree=tree, controllers=controllers, checksum=found, path=document.path)
+
+
+def _listed(document: Document, place: tuple[str | int, ...], entry: Mapping[str, Any]) -> ControllerFile:
+    """Return the controller of one entry, which must be the file that the entry speaks of."""
+    try:
+        file = read_controller(document.path.parent / entry["file"])
+    except UsageError as error:
+        raise CertificateError(f"{document.path}: {error}") from error
+    if file.checksum != entry["checksum"]:
+        reason = (
+            f"{entry['file']} must have the checksum {short(entry['checksum'] or '')}, found {short(file.checksum)}."
+        )
+        document.refuse((*place, "checksum"), reason)
+    for axis, domain in file.controller.certificate.domain.items():
+        for name in _RANGES:
+            said = entry.get(name)
+            if axis not in ROTATIONAL_AXES and said is not None and tuple(said) != getattr(domain, name):
+                low, high = getattr(domain, name)
+                document.refuse((*place, name), f"{entry['file']} is certified for {low:g} to {high:g} on axis {axis}.")
+    return file
+
+
+def _check_peaks(document: Document, index: int, file: ControllerFile) -> None:
+    entry = document.tree["classes"][index]
+    told = {axis: rename_axis_keys(axis, tree, reading=True)["peak_force_n"] for axis, tree in entry["axes"].items()}
+    if told != worst_peaks(file.controller, document.tree["objective"]):
+        reason = f"the peaks of {entry['name']} are not those that {entry['file']} predicts."
+        document.refuse(("classes", index, "axes"), reason)
+
+
+def _class(tuned: "Tuned") -> dict[str, Any]:
+    return {
+        "name": tuned.of.name,
+        **_ranges(tuned.of),
+        "file": f"{tuned.of.name}.yaml",
+        "checksum": controller_tree(tuned.controller)["checksum"],
+        "axes": {axis: rename_axis_keys(axis, _cost(tuned, axis), reading=False) for axis in tuned.peaks},
+    }
+
+
+def _cost(tuned: "Tuned", axis: str) -> dict[str, float | None]:
+    peak, cost = tuned.peaks[axis], tuned.cost_n(axis)
+    return {
+        "peak_force_n": peak,
+        "peak_with_common_n": None if tuned.peaks_with_common is None else tuned.peaks_with_common[axis],
+        "cost_n": cost,
+        "cost_percent": None if cost is None else 100.0 * cost / peak,
+    }
+
+
+def _ranges(of: "ScheduleClass") -> dict[str, list[float]]:
+    return {name: list(getattr(of, name)) for name in _RANGES if getattr(of, name) is not None}
+
+
+def _provenance(schedule: "Schedule") -> dict[str, Any]:
+    """Return what the controllers have in common: tool, identified file, and the options but for the classes."""
+    first = schedule.tuned[0].controller.provenance
+    kept = {
+        name: value
+        for name, value in first["options"].items()
+        if name != "compare" and getattr(schedule.hull, name, None) is None
+    }
+    return {"tool": first["tool"], "identified": first["identified"], "options": plain(kept)}

@@ -1,0 +1,218 @@
+"""Reports from files that are already written: what each is, which belong together, and a page for all."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from autotune.errors import CertificateError, UsageError
+from autotune.formats.cell import CellFile, read_cell
+from autotune.formats.controller import ControllerFile, read_controller
+from autotune.formats.identified import IdentifiedFile, read_identified
+from autotune.formats.schedule import read_schedule
+from autotune.formats.schema import check_document, check_format
+from autotune.formats.yaml12 import load_document
+from autotune.pipeline import Topics, identify_log
+from autotune.processes import count_processors
+from autotune.validation.monte_carlo import run_monte_carlo
+from autotune.validation.monte_carlo_report import monte_carlo_checks
+from autotune.validation.report import ValidationReport
+from autotune.validation.validate import validate_controller
+from identification.errors import LogError
+from identification.evidence import Evidence
+from identification.given import Given
+from identification.logs import LogSummary
+from identification.logs.opened import digests
+
+from .identify_page import build_identify_page
+from .log_summaries import summaries_of
+from .optimize_page import build_front_page, build_optimize_page
+from .page import Page, join_pages
+from .refused_page import refused_controller_page
+from .schedule_page import build_schedule_page
+from .validate_page import Validated, lead, simulated_section, verdict_section
+
+_HEAD_BYTES = 4096
+_FORMAT = re.compile(rb"""["']?format["']?\s*:\s*["']?autotune/(\w+)""")
+_SHOWN = ("identified", "controller", "pareto", "schedule")
+_LOG = "log"
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilesReport:
+    """A page of several files; `kinds` tells by path what each is, `reports` what was verified of the controllers.
+
+    `refusals` are the errors of files that were altered, each of which the page tells.
+    """
+
+    page: Page
+    kinds: Mapping[str, str]
+    reports: tuple[ValidationReport, ...]
+    refusals: tuple[CertificateError, ...] = ()
+
+    def require(self) -> None:
+        """Raise CertificateError where a file is altered, or a claim does not hold."""
+        for refusal in self.refusals:
+            raise refusal
+        for report in self.reports:
+            report.require()
+
+
+def file_kind(path: Path) -> str:
+    """Return what a file says it is (identified, controller, …), "log" for anything that is none of the tool's own.
+
+    Raises UsageError: the file cannot be read.
+    """
+    if path.is_dir():
+        return _LOG
+    try:
+        with path.open("rb") as stream:
+            found = _FORMAT.search(stream.read(_HEAD_BYTES))
+    except OSError as reason:
+        raise UsageError(f"{path} cannot be read: {reason.strerror or reason}.") from reason
+    return found[1].decode() if found else _LOG
+
+
+def report_files(
+    paths: Sequence[Path], *, old: Path | None = None, samples: int = 0, progress: Progress | None = None
+) -> FilesReport:
+    """Build one page of the files, a part for each but the logs, which go with what was identified from them.
+
+    A controller is verified again, with `samples` simulated contacts; `old` is another one that is drawn beside it.
+    `progress` is told the share of the work done since the last call. Raises UsageError for a file that cannot be
+    shown, LogError for a log that is not the one that was identified, CertificateError for an altered `old`; that one
+    of `paths` is altered stands in its part of the page.
+    """
+    kinds = {str(path): file_kind(path) for path in paths}
+    shown = [path for path in paths if kinds[str(path)] != _LOG]
+    logs = [path for path in paths if kinds[str(path)] == _LOG]
+    for path in shown:
+        if kinds[str(path)] not in _SHOWN:
+            must = f"{', '.join(_SHOWN[:-1])} and {_SHOWN[-1]} files and logs have a report"
+            raise UsageError(f"{path} is of the format autotune/{kinds[str(path)]}; {must}.")
+    plants = {path: read_identified(path) for path in shown if kinds[str(path)] == "identified"}
+    given = _match(logs, plants)
+    before = None if old is None else read_controller(old)
+    report = progress if progress is not None else _silent
+    pages, reports, part = list[tuple[str, Page]](), list[ValidationReport](), 1.0 / max(len(shown), 1)
+    refusals: list[CertificateError] = []
+    for path in shown:
+        kind = kinds[str(path)]
+        try:
+            if kind == "identified":
+                page = _identified_page(plants[path], given[path])
+            elif kind == "controller":
+                read = read_controller(path)
+                page, verified = _controller_page(read, before, samples, lambda done: report(part * done))
+                reports.append(verified)
+            else:
+                page = _table_page(path, kind)
+        except CertificateError as refusal:
+            page = refused_controller_page(refusal, path)
+            refusals.append(refusal)
+        pages.append((path.name, page))
+        if kind != "controller":
+            report(part)
+    if not pages:
+        raise UsageError(
+            f"{paths[0]} is no file that autotune wrote; if it is a log, give the identified.yaml that came from it."
+        )
+    return FilesReport(page=join_pages("Report", pages), kinds=kinds, reports=tuple(reports), refusals=tuple(refusals))
+
+
+def _silent(_: float) -> None:
+    return None
+
+
+def _table_page(path: Path, kind: str) -> Page:
+    if kind == "schedule":
+        return build_schedule_page(read_schedule(path))
+    document = load_document(path, error=UsageError)
+    check_format(document, kind)
+    check_document(document, kind)
+    return build_front_page(document.tree)
+
+
+def _match(logs: Sequence[Path], plants: Mapping[Path, IdentifiedFile]) -> dict[Path, tuple[Path, ...]]:
+    """Return for each identified file its logs in their order; none where none was given.
+
+    Raises LogError for a log that belongs to none, and where some of the logs of a file are given and others are not.
+    """
+    found = {digest: Path(path) for path, digest in digests(logs).items()} if logs else {}
+    given: dict[Path, tuple[Path, ...]] = {}
+    used: set[str] = set()
+    for path, plant in plants.items():
+        named = {str(log["sha256"]): str(log["path"]) for log in plant.provenance.get("logs", ())}
+        here = [digest for digest in named if digest in found]
+        if here and len(here) < len(named):
+            missing = ", ".join(name for digest, name in named.items() if digest not in found)
+            raise LogError(f"{path} was identified from {len(named)} logs; give {missing} too, or none of them.")
+        given[path] = tuple(found[digest] for digest in here)
+        used |= set(here)
+    for digest, log in found.items():
+        if plants and digest not in used:
+            names = ", ".join(str(path) for path in plants)
+            raise LogError(f"{log} is not a log that {names} was identified from: its SHA-256 is {digest[:12]}….")
+    return given
+
+
+def _identified_page(plant: IdentifiedFile, logs: tuple[Path, ...]) -> Page:
+    evidence: tuple[Evidence, ...] = ()
+    summaries: tuple[LogSummary, ...] = ()
+    if logs:
+        options, cell = plant.provenance.get("options", {}), _cell_of(plant)
+        salvage = bool(options.get("salvage", False))
+        evidence = identify_log(
+            logs,
+            Topics(
+                wrench=options.get("wrench_topic"),
+                pose=options.get("pose_topic"),
+                command=options.get("command_topic"),
+            ),
+            cell=cell,
+            salvage=salvage,
+            allow_partial=True,
+            given={name: Given(value=value, std=std) for name, (value, std) in options.get("given", {}).items()},
+            processes=count_processors(),
+            with_evidence=True,
+        ).evidence
+        summaries = summaries_of(logs, cell, salvage=salvage, evidence=evidence)
+    return build_identify_page(plant.result, plant.provenance, evidence, summaries)
+
+
+def _cell_of(plant: IdentifiedFile) -> CellFile | None:
+    """Return the cell.yaml that was used; raises LogError where it is not the same any more."""
+    said: Mapping[str, Any] | None = plant.provenance.get("cell")
+    if said is None:
+        return None
+    found = read_cell(Path(said["path"]))
+    if found.sha256 != said["sha256"]:
+        raise LogError(f"{said['path']} is not the cell file that {plant.path} was identified with: it was changed.")
+    return found
+
+
+def _controller_page(
+    file: ControllerFile, old: ControllerFile | None, samples: int, report: Progress
+) -> tuple[Page, ValidationReport]:
+    """Return what `optimize` and `validate` would show, from the file alone."""
+    part = 0.5 if samples else 1.0
+
+    def advance(done: float) -> None:
+        report(part * done)
+
+    verified = validate_controller(file.controller, advance)
+    simulated = run_monte_carlo(file.controller, count=samples, progress=advance) if samples and verified.passed else ()
+    checks = ValidationReport(checks=(*verified.checks, *monte_carlo_checks(simulated)))
+    validated = Validated(report=checks, simulated=simulated)
+    if not checks.passed:
+        # Of a loop that may be unstable there are no peaks and margins to draw.
+        sections = (verdict_section(file.checksum, validated),)
+        title = "A controller that does not keep what it promises"
+        return Page(title=title, lead=lead(validated), tone="bad", sections=sections), checks
+    page = build_optimize_page(file.controller, file.checksum, old=old)
+    first, *axes, certificate = page.sections
+    parts = (first, verdict_section("", validated), *axes, *simulated_section(validated), certificate)
+    return replace(page, lead=f"{lead(validated)} {page.lead}", sections=parts), checks

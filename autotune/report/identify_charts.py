@@ -1,0 +1,317 @@
+"""The figures of an identification: what was logged, what the model says, and what it leaves."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import csd, welch
+from scipy.stats import norm
+
+from autotune.formats.units import AxisUnits
+from identification.evidence import AxisEvidence
+from identification.joint_fit.result import FittedSpan
+from identification.result import AxisEstimate, Covariance
+
+from .charts import Band, Bars, Chart, Element, Heat, Limit, Line, Panel, Points, Role, Scale
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_TIME = "time [s]"
+_WINDOW_S = 2.0
+_COHERENT = 0.9
+_MOST_LAGS = 60
+_CHANCE_95 = 1.96
+_ROBOT_NAMES = {"omega": "robot ω", "zeta": "robot ζ"}
+
+
+def residual_charts(axis: str, units: AxisUnits, told: AxisEvidence, period_s: float) -> Iterator[Chart]:
+    """Draw the signal that was fitted and what the fit leaves: over time, as histogram, spectrum, autocorrelation."""
+    if not told.spans:
+        return
+    time, measured, model = _over_time(told.spans, period_s)
+    left = measured - model
+    free, touching = (_joined(told.spans, period_s, contact=kind) for kind in (False, True))
+    rms = float(np.sqrt(np.nanmean(left**2)))
+    yield Chart(
+        key=f"{axis}-residual",
+        title=f"The {units.force_name} that was fitted, and what the model leaves of it",
+        alternative=f"The {units.force_name} of axis {axis} over the spans that were fitted, measured and modelled, up "
+        f"to {float(np.nanmax(np.abs(measured))):.3g} {units.force}, and the residual, RMS {rms:.3g} {units.force}.",
+        linked=True,
+        panels=(
+            Panel(
+                x=Scale(label=_TIME),
+                y=Scale(label=f"{units.force_name} [{units.force}]"),
+                elements=(
+                    Line(x=time, y=measured, label="measured", role="measured"),
+                    Line(x=time, y=model, label="model", role="model", dashed=True),
+                ),
+            ),
+            Panel(
+                x=Scale(label=_TIME),
+                y=Scale(label=f"residual [{units.force}]"),
+                height=0.7,
+                elements=(Line(x=time, y=left, label="residual", role="residual"),),
+            ),
+        ),
+    )
+    white = np.concatenate([span.white for span in told.spans])
+    yield Chart(
+        key=f"{axis}-white",
+        title="Whether it is noise",
+        alternative=f"Histogram, spectrum and autocorrelation of the residual of axis {axis}. Its whitened deviation "
+        f"is {float(np.std(white)):.2f}, where 1 is noise alone.",
+        caption="The whitened residual beside a normal distribution; spectra; autocorrelation of the whitened "
+        "residual, which is chance within the band (95 %).",
+        beside=True,
+        panels=(
+            _histogram(white),
+            _spectra(units, free, touching, period_s),
+            _autocorrelation([span.white for span in told.spans], period_s),
+        ),
+    )
+
+
+def _over_time(spans: Sequence[FittedSpan], period_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return times, what was measured and what the model says, with a NaN between spans."""
+    times, measured, model = [], [], []
+    gap = np.array([np.nan])
+    for span in sorted(spans, key=lambda s: s.start):
+        times += [period_s * (span.start + np.arange(len(span.measured) + 1))]
+        measured += [span.measured, gap]
+        model += [span.predicted, gap]
+    return np.concatenate(times), np.concatenate(measured), np.concatenate(model)
+
+
+def _joined(spans: Sequence[FittedSpan], period_s: float, *, contact: bool) -> list[tuple[FloatArray, FloatArray]]:
+    longest = round(1.0 / period_s)
+    return [
+        (span.measured, span.measured - span.predicted)
+        for span in spans
+        if (span.surface is not None) == contact and len(span.measured) > longest
+    ]
+
+
+def _histogram(white: FloatArray) -> Panel:
+    edges = np.linspace(-5.0, 5.0, 51)
+    heights = np.histogram(np.clip(white, edges[0], edges[-1]), edges, density=True)[0]
+    grid = np.linspace(-5.0, 5.0, 201)
+    return Panel(
+        x=Scale(label="residual over its deviation"),
+        y=Scale(label="density"),
+        elements=(
+            Bars(edges=edges, heights=heights, label="whitened residual"),
+            Line(x=grid, y=norm.pdf(grid), label="normal distribution", role="model"),
+        ),
+    )
+
+
+def _spectra(
+    units: AxisUnits,
+    free: Sequence[tuple[FloatArray, FloatArray]],
+    touching: Sequence[tuple[FloatArray, FloatArray]],
+    period_s: float,
+) -> Panel:
+    lines: list[Element] = []
+    roles: tuple[tuple[Role, Role], ...] = (("measured", "residual"), ("after", "other"))
+    for spans, what, pair in ((free, "free", roles[0]), (touching, "contact", roles[1])):
+        for which, (name, role) in enumerate(zip(("force", "residual"), pair, strict=True)):
+            found = _spectrum([span[which] for span in spans], period_s)
+            if found is not None:
+                lines.append(Line(x=found[0], y=found[1], label=f"{name}, {what}", role=role))
+    unit = units.force if "·" not in units.force else f"({units.force})"
+    return Panel(
+        x=Scale(label="frequency [Hz]", spacing="log"),
+        y=Scale(label=f"power density [{unit}²/Hz]", spacing="log"),
+        elements=tuple(lines),
+    )
+
+
+def _spectrum(signals: Sequence[FloatArray], period_s: float) -> tuple[FloatArray, FloatArray] | None:
+    """Return frequency and mean power density of spans that are long enough, without the value at 0."""
+    window = round(1.0 / period_s)
+    kept = [signal for signal in signals if len(signal) >= window]
+    if not kept:
+        return None
+    found = [welch(signal, 1.0 / period_s, nperseg=window) for signal in kept]
+    power = np.average([p for _, p in found], axis=0, weights=[len(signal) for signal in kept])
+    return np.asarray(found[0][0][1:]), np.asarray(power[1:])
+
+
+def _autocorrelation(spans: Sequence[FloatArray], period_s: float) -> Panel:
+    count = sum(len(span) for span in spans)
+    lags = min(_MOST_LAGS, min(len(span) for span in spans) - 1)
+    power = sum(float(span @ span) for span in spans)
+    values = [sum(float(span[k:] @ span[:-k]) for span in spans) / power for k in range(1, lags + 1)]
+    time = 1e3 * period_s * np.arange(1, lags + 1)
+    chance = np.full(lags, _CHANCE_95 / np.sqrt(count))
+    return Panel(
+        x=Scale(label="lag [ms]"),
+        y=Scale(label="autocorrelation"),
+        elements=(
+            Band(x=time, low=-chance, high=chance, label="chance (95 %)", role="quiet"),
+            Line(x=time, y=np.array(values), label="autocorrelation", role="residual"),
+            Limit(value=0.0, role="quiet"),
+        ),
+    )
+
+
+def response_charts(
+    axis: str, units: AxisUnits, estimate: AxisEstimate, told: AxisEvidence | None, period_s: float
+) -> Iterator[Chart]:
+    """Draw the frequency responses of robot and coupling: measured where the motion excites them, and the fit."""
+    top = min(0.4 / period_s, 200.0)
+    frequency = np.geomspace(0.2, top, 400)
+    robot = _robot_response(estimate, frequency, period_s)
+    if robot is not None:
+        measured = (
+            None if told is None or told.command is None else _measured(told, told.command, told.position, period_s)
+        )
+        delay, bandwidth = estimate.robot.delay_s.value, estimate.robot.bandwidth_hz.value
+        facts = (
+            "" if delay is None or bandwidth is None else f" Bandwidth {bandwidth:.2f} Hz, delay {1e3 * delay:.2f} ms."
+        )
+        yield _bode(f"{axis}-robot", "Robot: from command to pose", "|x / x_d|", frequency, robot, measured, facts)
+    coupling = _coupling_response(estimate, frequency)
+    if coupling is not None:
+        measured = None if told is None else _measured(told, told.position, told.force, period_s)
+        angle = "m" if units.force == "N" else "rad"
+        name = f"|F / x| [{units.force}/{angle}]"
+        yield _bode(
+            f"{axis}-coupling", "Coupling and payload: from pose to force", name, frequency, coupling, measured, ""
+        )
+
+
+def _robot_response(estimate: AxisEstimate, frequency: FloatArray, period_s: float) -> ComplexArray | None:
+    robot = estimate.robot
+    if robot.numerator.value is None or robot.denominator.value is None:
+        return None
+    s = 2j * np.pi * frequency
+    held = (1.0 - np.exp(-s * period_s)) / (s * period_s)
+    late = np.exp(-s * (robot.delay_s.value or 0.0))
+    return np.asarray(held * late * np.polyval(robot.numerator.value, s) / np.polyval(robot.denominator.value, s))
+
+
+def _coupling_response(estimate: AxisEstimate, frequency: FloatArray) -> ComplexArray | None:
+    """Return F/x of a payload on its spring, MODEL.md: −(M_p s² + B_p s)(B_s s + K_s)/(M_p s² + (B_p + B_s)s + K_s)."""
+    if estimate.covariance is None:
+        return None
+    values = dict(zip(estimate.covariance.names, estimate.covariance.values, strict=True))
+    s = 2j * np.pi * frequency
+    spring, inertia = values["B_s"] * s + values["K_s"], values["M_p"] * s**2 + values["B_p"] * s
+    return np.asarray(-inertia * spring / (inertia + spring))
+
+
+def _measured(
+    told: AxisEvidence, drive: FloatArray, answer: FloatArray, period_s: float
+) -> tuple[FloatArray, ComplexArray] | None:
+    """Return frequency and response where free motion excites it: coherence above 0.9 (Welch's method)."""
+    window = round(_WINDOW_S / period_s)
+    total = np.zeros((3, window // 2 + 1), dtype=np.complex128)
+    frequency = None
+    for span in told.free:
+        u, y = drive[span.slice], answer[span.slice]
+        if len(span) < window or not (np.isfinite(u).all() and np.isfinite(y).all()):
+            continue
+        for i, (a, b) in enumerate(((u, y), (u, u), (y, y))):
+            frequency, power = csd(a, b, 1.0 / period_s, nperseg=window, detrend="linear")
+            total[i] += power * len(span)
+    if frequency is None:
+        return None
+    cross, drive_power, answer_power = total[0], total[1].real, total[2].real
+    with np.errstate(divide="ignore", invalid="ignore"):
+        coherence = np.abs(cross) ** 2 / (drive_power * answer_power)
+        response = cross / drive_power
+    good = (coherence > _COHERENT) & (frequency > 0.0) & (frequency < 0.4 / period_s)
+    return (frequency[good], response[good]) if np.any(good) else None
+
+
+def _bode(
+    key: str,
+    title: str,
+    label: str,
+    frequency: FloatArray,
+    model: ComplexArray,
+    measured: tuple[FloatArray, ComplexArray] | None,
+    facts: str,
+) -> Chart:
+    panels = []
+    for scale, of in (
+        (Scale(label=label, spacing="log"), np.abs),
+        (Scale(label="phase [°]"), lambda values: np.degrees(np.unwrap(np.angle(values)))),
+    ):
+        elements: list[Element] = []
+        if measured is not None:
+            elements.append(
+                Points(
+                    x=measured[0],
+                    y=_near(of(measured[1]), measured[0], of(model), frequency, scale),
+                    label="measured",
+                    role="measured",
+                )
+            )
+        elements.append(Line(x=frequency, y=of(model), label="fit", role="model"))
+        panels.append(Panel(x=Scale(label="frequency [Hz]", spacing="log"), y=scale, elements=tuple(elements)))
+    seen = (
+        "no measured response"
+        if measured is None
+        else (f"measured from {measured[0][0]:.2g} to {measured[0][-1]:.3g} Hz, where free motion excites it")
+    )
+    return Chart(
+        key=key,
+        title=title,
+        alternative=f"{title}: magnitude and phase of the fit, {seen}.{facts}",
+        panels=tuple(panels),
+        linked=True,
+        caption=facts.strip(),
+    )
+
+
+def _near(values: FloatArray, at: FloatArray, model: FloatArray, frequency: FloatArray, scale: Scale) -> FloatArray:
+    """Return phases on the model's turn; magnitudes as they are."""
+    if scale.spacing == "log":
+        return values
+    turns = np.round((np.interp(at, frequency, model) - values) / 360.0)
+    return values + 360.0 * turns
+
+
+def correlation_chart(axis: str, covariance: Covariance) -> Chart:
+    """Draw how the errors of the parameters go together."""
+    matrix = np.array(covariance.matrix)
+    std = np.sqrt(np.diag(matrix))
+    # To the digits that are written; adding nothing makes 0 of what would be written as -0.
+    correlation = np.round(matrix / np.outer(std, std), 2) + 0.0
+    off = correlation - np.eye(len(std))
+    i, j = np.unravel_index(int(np.argmax(np.abs(off))), off.shape)
+    places = np.arange(len(std), dtype=np.float64)
+    names = tuple(_ROBOT_NAMES.get(name, name) for name in covariance.names)
+    return Chart(
+        key=f"{axis}-correlation",
+        title="How the errors go together",
+        alternative=f"Correlation of the errors of {len(names)} parameters; the largest is {off[i, j]:+.2f}, between "
+        f"{names[i]} and {names[j]}.",
+        caption="Robot ω and ζ: natural frequency and damping ratio of the model whose bandwidth is in the table."
+        if "omega" in covariance.names and "zeta" in covariance.names
+        else "Robot ω: the pole of the model whose bandwidth is in the table."
+        if "omega" in covariance.names
+        else "",
+        panels=(
+            Panel(
+                x=Scale(label=""),
+                y=Scale(label=""),
+                height=1.6,
+                elements=(
+                    Heat(
+                        x=places,
+                        y=places,
+                        values=correlation,
+                        label="correlation",
+                        limits=(-1.0, 1.0),
+                        names=(names, names),
+                        written=len(names) <= 20,
+                    ),
+                ),
+            ),
+        ),
+    )

@@ -1,0 +1,281 @@
+"""The report of an identification: how healthy the log is, what was found, and how well the model explains it."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from autotune.formats.units import axis_units
+from autotune.parameter_rows import ParameterRow, parameter_rows
+from identification.evidence import AxisEvidence, Evidence
+from identification.logs.summary import ChannelSummary, LogSummary
+from identification.result import AxisEstimate, Finding, FitQuality, Identified
+
+from .charts import Chart
+from .contact_evidence import contact_charts, contact_table, contacts_seen
+from .identify_charts import correlation_chart, residual_charts, response_charts
+from .page import Block, Cell, Fact, Facts, Note, Page, Section, Table, Tone
+from .sensor_charts import noise_chart, wrench_charts
+
+_TONES: Mapping[str, Tone] = {
+    "identified": "good",
+    "given": "good",
+    "weak": "warn",
+    "unidentifiable": "bad",
+    "error": "bad",
+    "warning": "warn",
+    "info": "quiet",
+}
+_ORDER = ("error", "warning", "info")
+# Findings that say what to record for a parameter that is weak or missing.
+_LACKING = frozenset({"unidentifiable", "bounded", "weak", "inertia-not-excited"})
+
+
+def build_identify_page(
+    result: Identified,
+    provenance: Mapping[str, Any],
+    evidence: Sequence[Evidence] = (),
+    summaries: Sequence[LogSummary] = (),
+) -> Page:
+    """Build the report of what `identify` found.
+
+    `evidence` has the signals of every log, in the order of `result.timelines`; without it (a report from the file
+    alone) the figures are those that the parameters tell. `summaries` are the logs as `inspect` tells them.
+    """
+    rows = list(parameter_rows(result))
+    log = _log_section(result, evidence, summaries) if evidence or summaries or result.timelines else None
+    axes = [_axis_section(result, name, axis, evidence) for name, axis in result.axes.items()]
+    picture, rest = _taken_out([*axes, *([] if log is None else [log])])
+    below = rest if log is None else [rest[-1], *rest[:-1]]
+    parameters = Section(key="parameters", title="Parameters", blocks=(_parameter_table(rows),))
+    sections = (_summary_section(result, rows, picture), parameters, *below, _sensor_section(result))
+    return Page(
+        title="What the log tells of the cell",
+        lead=_lead(result, rows),
+        tone=_worst_tone(result, rows),
+        sections=tuple(section for section in sections if section.blocks),
+        footer=_footer(provenance),
+    )
+
+
+def _taken_out(sections: Sequence[Section]) -> tuple[Chart | None, list[Section]]:
+    """Return the figure that stands for the page, and the sections without it.
+
+    It is one of contacts, measured and modelled; where there is none, the first of the first section that has one.
+    """
+    charts = [block for section in sections for block in section.blocks if isinstance(block, Chart)]
+    contacts = [chart for chart in charts if chart.key.endswith("-contacts")]
+    picture = next(iter([*contacts, *charts]), None)
+    kept = [replace(each, blocks=tuple(b for b in each.blocks if b is not picture)) for each in sections]
+    return picture, kept
+
+
+def _lead(result: Identified, rows: Sequence[ParameterRow]) -> str:
+    verdicts = ("identified", "given", "weak", "unidentifiable")
+    named = {word: [row.name for row in rows if row.verdict == word] for word in verdicts}
+    told = ", ".join(
+        f"{len(names)} {word}" + (f" ({', '.join(names)})" if word in {"weak", "unidentifiable"} else "")
+        for word, names in named.items()
+        if names
+    )
+    axes = ", ".join(result.axes) or "none"
+    return f"Axes: {axes}. Parameters: {told}."
+
+
+def _worst_tone(result: Identified, rows: Sequence[ParameterRow]) -> Tone:
+    if any(finding.severity == "error" for finding in result.findings):
+        return "bad"
+    doubtful = any(row.verdict in {"weak", "unidentifiable"} for row in rows)
+    return "warn" if doubtful or any(finding.severity == "warning" for finding in result.findings) else "good"
+
+
+def _summary_section(result: Identified, rows: Sequence[ParameterRow], picture: Chart | None) -> Section:
+    facts = [
+        Fact(
+            label=row.name,
+            value=f"{row.value} {row.unit}".strip(),
+            detail=_detail(row),
+            tone=_TONES.get(row.verdict, ""),
+        )
+        for row in rows
+        if row.name == "payload mass" or row.name.endswith(("coupling K_s", ": K_e", "delay T_d", "robot bandwidth"))
+    ]
+    figure = () if picture is None else (picture,)
+    grave = [each for each in result.findings if each.severity != "info" or each.code in _LACKING]
+    return Section(key="result", title="Result", blocks=(Facts(facts=tuple(facts)), *_notes(grave), *figure))
+
+
+def _detail(row: ParameterRow) -> str:
+    return f"± {row.std}, {row.verdict}" if row.std not in {"", "-"} else row.verdict
+
+
+def _parameter_table(rows: Sequence[ParameterRow]) -> Table:
+    return Table(
+        caption="Every parameter with one standard deviation and a verdict",
+        columns=("parameter", "value", "± std", "unit", "verdict", "how"),
+        rows=tuple(
+            (
+                Cell(text=row.name),
+                Cell(text=row.value, is_number=True),
+                Cell(text=row.std, is_number=True),
+                Cell(text=row.unit),
+                Cell(text=row.verdict, tone=_TONES.get(row.verdict, "")),
+                Cell(text="; ".join(_plain(part) for part in (row.method, row.note) if part), tone="quiet"),
+            )
+            for row in rows
+        ),
+    )
+
+
+def _notes(findings: Sequence[Finding]) -> Iterator[Note]:
+    """Yield the findings, the gravest first; of these, what to do for a parameter that is not known."""
+    for finding in sorted(findings, key=lambda each: (_ORDER.index(each.severity), each.code not in _LACKING)):
+        lacks = finding.severity == "info" and finding.code in _LACKING
+        kind, tone = ("advice", _TONES["warning"]) if lacks else (finding.severity, _TONES[finding.severity])
+        yield Note(text=_plain(finding.message), advice=_plain(finding.advice), kind=kind, tone=tone)
+
+
+def _plain(text: str) -> str:
+    """Return text without the marks of the terminal around names."""
+    return text.replace("`", "")
+
+
+def health_blocks(summaries: Sequence[LogSummary], told: Sequence[Finding] = ()) -> Iterator[Block]:
+    """Yield the health of each log, and what was noticed in it; `told` are findings that need not be told again."""
+    seen = {finding.code for finding in told}
+    for summary in summaries:
+        yield _health_table(summary)
+        yield from _notes([finding for finding in summary.findings if finding.code not in seen])
+
+
+def _log_section(result: Identified, evidence: Sequence[Evidence], summaries: Sequence[LogSummary]) -> Section:
+    blocks = list(health_blocks(summaries, result.findings))
+    blocks += _notes([each for each in result.findings if each.severity == "info" and each.code not in _LACKING])
+    for i, each in enumerate(evidence):
+        timeline = result.timelines[i] if i < len(result.timelines) else None
+        blocks += wrench_charts(each, timeline, f"{i + 1}")
+    blocks += [_phase_table(result)] if any(timeline.phases for timeline in result.timelines) else []
+    return Section(key="log", title="The log", blocks=tuple(blocks))
+
+
+def _health_table(summary: LogSummary) -> Table:
+    return Table(
+        caption=f"Health of {summary.path.name}: {(summary.end_ns - summary.start_ns) / 1e9:.1f} s, "
+        f"{summary.size_bytes / 1e6:.1f} MB",
+        columns=(
+            "topic",
+            "messages",
+            "rate [Hz]",
+            "longest gap [ms]",
+            "backwards / duplicate",
+            "header − recording [ms]",
+            "serves as",
+        ),
+        rows=tuple(_channel_row(summary, channel) for channel in summary.channels),
+    )
+
+
+def _channel_row(summary: LogSummary, channel: ChannelSummary) -> tuple[Cell, ...]:
+    serves = ", ".join(role.entry for role in summary.roles if role.topic == channel.topic)
+    faults = channel.backwards_steps + channel.duplicates
+    return (
+        Cell(text=channel.topic),
+        Cell(text=str(channel.count), is_number=True),
+        Cell(text=_number(channel.rate_hz, 1.0, 2), is_number=True),
+        Cell(text=_number(channel.max_gap_s, 1e3, 2), is_number=True),
+        Cell(text=f"{channel.backwards_steps} / {channel.duplicates}", is_number=True, tone="bad" if faults else ""),
+        Cell(text=_number(channel.header_minus_log_s, 1e3, 2), is_number=True),
+        Cell(text=serves),
+    )
+
+
+def _number(value: float | None, scale: float, digits: int) -> str:
+    return "–" if value is None else f"{value * scale:.{digits}f}"
+
+
+def _phase_table(result: Identified) -> Table:
+    rows, many = [], len(result.timelines) > 1
+    for timeline in result.timelines:
+        spent: dict[str, tuple[int, float]] = {}
+        for phase in timeline.phases:
+            count, seconds = spent.get(phase.kind.value, (0, 0.0))
+            spent[phase.kind.value] = count + 1, seconds + phase.stop_s - phase.start_s
+        rows += [
+            (
+                *((Cell(text=timeline.log),) if many else ()),
+                Cell(text=kind.replace("-", " ")),
+                Cell(text=str(count), is_number=True),
+                Cell(text=f"{seconds:.1f}", is_number=True),
+            )
+            for kind, (count, seconds) in spent.items()
+        ]
+    columns = (*(("log",) if many else ()), "phase", "times", "seconds")
+    return Table(caption="Phases of the log", columns=columns, rows=tuple(rows))
+
+
+def _axis_section(result: Identified, name: str, axis: AxisEstimate, evidence: Sequence[Evidence]) -> Section:
+    units = axis_units(name)
+    blocks: list[Block] = [_fit_table(axis.fits)] if axis.fits else []
+    seen = [(each.period_s, each.axes[name]) for each in evidence if name in each.axes]
+    # Of several logs the one that told most is shown; all are in the table above.
+    period_s, told = max(seen, key=lambda pair: sum(len(span.measured) for span in pair[1].spans), default=(0.0, None))
+    period = period_s or result.sample_time_s.value or 1e-3
+    blocks += response_charts(name, units, axis, told, period)
+    if told is not None:
+        blocks += _contact_blocks(name, axis, told, period)
+        blocks += residual_charts(name, units, told, period)
+    if axis.covariance is not None:
+        blocks.append(correlation_chart(name, axis.covariance))
+    return Section(key=f"axis-{name}", title=f"Axis {name}", blocks=tuple(blocks))
+
+
+def _contact_blocks(name: str, axis: AxisEstimate, told: AxisEvidence, period_s: float) -> Iterator[Block]:
+    units = axis_units(name)
+    seen = [(surface.name, contacts_seen(told, i)) for i, surface in enumerate(axis.environments)]
+    for surface, contacts in seen:
+        yield from contact_charts(name, units, surface, contacts, period_s)
+    if any(contacts for _, contacts in seen):
+        yield contact_table(name, units, seen, period_s)
+
+
+def _fit_table(fits: Sequence[FitQuality]) -> Table:
+    def share(value: float | None) -> Cell:
+        return Cell(text="–" if value is None else f"{100.0 * value:.2f} %", is_number=True)
+
+    return Table(
+        caption="How well the model explains each log",
+        columns=(
+            "log",
+            "free spans",
+            "free: explained",
+            "free: residual / noise",
+            "free: left-out span missed by",
+            "contacts",
+            "contacts: explained",
+            "contacts: residual / noise",
+            "contacts: left-out one missed by",
+        ),
+        rows=tuple(
+            (
+                Cell(text=str(i + 1)),
+                Cell(text=str(fit.free_spans), is_number=True),
+                share(fit.explained_free),
+                Cell(text=f"{fit.noise_ratio_free:.2f}", is_number=True),
+                share(fit.left_out_free),
+                Cell(text=str(fit.contacts), is_number=True),
+                share(fit.explained_contact),
+                Cell(text="–" if fit.noise_ratio_contact is None else f"{fit.noise_ratio_contact:.2f}", is_number=True),
+                share(fit.left_out_contact),
+            )
+            for i, fit in enumerate(fits)
+        ),
+    )
+
+
+def _sensor_section(result: Identified) -> Section:
+    noise = result.sensor.noise
+    return Section(key="sensor", title="Sensor", blocks=() if noise is None else (noise_chart(noise),))
+
+
+def _footer(provenance: Mapping[str, Any]) -> str:
+    logs = ", ".join(f"{log['path']} (sha256 {str(log['sha256'])[:12]}…)" for log in provenance.get("logs", ()))
+    return f"{provenance.get('tool', '')} · {logs}".strip(" ·")

@@ -1,0 +1,308 @@
+"""The figures of a controller: its contacts, what a hand feels, how far it is from instability, and what it costs."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autotune.formats.controller_record import AdmittanceRequirement, ScenarioPrediction
+from autotune.formats.units import AxisUnits
+from autotune.scenario_text import off_nominal, stiffness_text
+from problems.contact.transient import ContactTransient
+from problems.model.controller import AdmittanceController
+from problems.model.response import free_space_admittance, loop_response
+from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
+from problems.stability.margins import frequency_grid
+
+from .axis_design import AxisDesign, OverStiffness, contact_of, over_stiffness
+from .charts import Chart, Element, Limit, Line, Panel, Points, Role, Scale, Stretch
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_PANELS = 3
+_WORST = "the worst where everything uncertain varies"
+_SHORTEST_S, _LONGEST_S = 0.15, 2.0
+_SETTLED = 0.03
+_LOOP_POINTS = 700
+# What the picture shows of the plane of L, and how far its curves are carried, so that they end at the frame.
+_RE, _IM, _FAR = (-2.3, 1.1), (-1.8, 1.1), 30.0
+_STIFFNESS_POINTS, _BEYOND = 40, 3.0
+
+
+def contact_charts(design: AxisDesign, old: AdmittanceController | None) -> Iterator[Chart]:
+    """Draw the predicted contacts: for each payload the softest, a middle and the stiffest surface; then the worst."""
+    scenarios = design.predicted.scenarios
+    groups: dict[str, list[ScenarioPrediction]] = {}
+    for each in scenarios:
+        told = _WORST if each.further else f"payload {_mass(design, each.payload_mass_kg)}"
+        groups.setdefault(told, []).append(each)
+    for index, (told, group) in enumerate(groups.items()):
+        chart = _contact_chart(design, old, f"{design.name}-contact-{index + 1}", told, _spread(group))
+        if chart is not None:
+            yield chart
+
+
+def _mass(design: AxisDesign, mass: float) -> str:
+    return f"{mass:.4g} {design.units.mass}"
+
+
+def _spread(group: Sequence[ScenarioPrediction]) -> tuple[ScenarioPrediction, ...]:
+    """Return at most three of them, from the softest to the stiffest."""
+    ordered = sorted(group, key=lambda each: each.environment_stiffness_n_per_m)
+    places = np.unique(np.linspace(0, len(ordered) - 1, min(_PANELS, len(ordered))).round().astype(int))
+    return tuple(ordered[i] for i in places)
+
+
+def _contact_chart(
+    design: AxisDesign,
+    old: AdmittanceController | None,
+    key: str,
+    told: str,
+    shown: Sequence[ScenarioPrediction],
+) -> Chart | None:
+    laws = [("after", design.law)] if old is None else [("before", old), ("after", design.law)]
+    runs = [{name: contact_of(design, law, each.scenario()) for name, law in laws} for each in shown]
+    if any(run["after"] is None for run in runs):
+        return None
+    every = [run for each in runs for run in each.values() if run is not None]
+    highest = 1.08 * max(max(run.peak_contact_force_n, run.peak_sensor_force_n) for run in every)
+    units, duration = design.units, max(_duration(run) for run in every)
+    panels = tuple(
+        Panel(
+            title=f"K_e {stiffness_text(each.environment_stiffness_n_per_m, units)}"
+            + (f", {_mass(design, each.payload_mass_kg)} ({index})" if each.further else ""),
+            x=Scale(label="time after touching [ms]", limits=(0.0, 1e3 * duration)),
+            y=Scale(label=f"{units.force_name} [{units.force}]", limits=(0.0, highest)),
+            elements=tuple(_contact_lines(run, duration, alone=old is None)),
+        )
+        for index, (each, run) in enumerate(zip(shown, runs, strict=True), 1)
+    )
+    others = "; ".join(
+        f"({index}) {off_nominal(each.scenario(), units)}" for index, each in enumerate(shown, 1) if each.further
+    )
+    worst = max(shown, key=lambda each: each.peak_contact_force_n)
+    beside = "" if old is None else " Grey: the controller before, at the surface, on the same plants."
+    lost = sum(run.get("before", run["after"]) is None for run in runs)
+    return Chart(
+        key=key,
+        title=f"Predicted contact, {told}",
+        alternative=f"{units.force_name.capitalize()} over time after touching {len(shown)} surfaces; the largest peak "
+        f"is {worst.peak_contact_force_n:.4g} {units.force} at the surface, {1e3 * worst.time_of_peak_s:.0f} ms after "
+        f"touching {stiffness_text(worst.environment_stiffness_n_per_m, units)}.{_before_told(runs, units)}",
+        caption=f"Blue: at the surface; dashed: at the sensor.{beside}"
+        + (f" In {lost} of these the controller before is unstable and not drawn." if lost else "")
+        + (f" Other than nominal: {others}." if others else ""),
+        panels=panels,
+        beside=True,
+    )
+
+
+def _before_told(runs: Sequence[dict[str, ContactTransient | None]], units: AxisUnits) -> str:
+    peaks = [run.peak_contact_force_n for each in runs if (run := each.get("before")) is not None]
+    return f" Before it was up to {max(peaks):.4g} {units.force}." if peaks else ""
+
+
+def _contact_lines(run: dict[str, ContactTransient | None], duration: float, *, alone: bool) -> Iterator[Element]:
+    for name, seen in run.items():
+        if seen is None:
+            continue
+        role: Role = "after" if name == "after" else "before"
+        used = slice(0, int(np.searchsorted(seen.time_s, duration)) + 1)
+        time = 1e3 * seen.time_s[used]
+        yield Line(x=time, y=seen.contact_force_n[used], label="at the surface" if alone else name, role=role)
+        if name == "after":
+            told = "at the sensor" if alone else "after, at the sensor"
+            yield Line(x=time, y=seen.sensor_force_n[used], label=told, role=role, dashed=True)
+            peak = np.array([1e3 * seen.time_of_peak_s]), np.array([seen.peak_contact_force_n])
+            if seen.time_of_peak_s <= duration:
+                yield Points(x=peak[0], y=peak[1], role=role, marker="diamond", names=("peak",))
+
+
+def _duration(run: ContactTransient) -> float:
+    """Return until when there is something to see [s]."""
+    force = run.contact_force_n
+    moving = np.flatnonzero(np.abs(force - force[-1]) > _SETTLED * run.peak_contact_force_n)
+    last = float(run.time_s[moving[-1]]) if len(moving) else 0.0
+    return min(max(1.15 * last, _SHORTEST_S), _LONGEST_S, max(float(run.time_s[-1]), _SHORTEST_S))
+
+
+def admittance_chart(design: AxisDesign, old: AdmittanceController | None) -> Chart:
+    """Draw the rendered admittance G = V/F in free space beside what was asked over the band."""
+    frequency = np.geomspace(0.05, min(0.45 / design.sample_time_s, 200.0), 400)
+    free, units = build_sampled_plant(design.free_plant(), design.sample_time_s), design.units
+    asked = _admittance_asked(design)
+    gains: list[Element] = []
+    phases: list[Element] = []
+    if asked is not None:
+        band = Stretch(low=asked.band_hz[0], high=asked.band_hz[1], label="band that is asked", role="target")
+        least = np.full(2, asked.min_m_s_per_n)
+        gains += [band, Line(x=np.array(asked.band_hz), y=least, label="asked", role="target")]
+        phases.append(band)
+    for name, law in (("before", old), ("after", design.law)):
+        if law is not None:
+            role: Role = "after" if name == "after" else "before"
+            found = free_space_admittance(free, law, 2.0 * np.pi * frequency)
+            told = "" if old is None else name
+            gains.append(Line(x=frequency, y=np.abs(found), label=told, role=role))
+            phases.append(Line(x=frequency, y=np.degrees(np.unwrap(np.angle(found))), label=told, role=role))
+    x = Scale(label="frequency [Hz]", spacing="log")
+    reached = design.predicted.free_space_admittance
+    target = "" if asked is None else f"; asked are {asked.min_m_s_per_n:.3g} {units.admittance}"
+    return Chart(
+        key=f"{design.name}-admittance",
+        title="How freely it moves: admittance in free space",
+        alternative=f"Magnitude and phase of the velocity per {units.force_name} from 0.05 to {frequency[-1]:.0f} Hz. "
+        f"From {reached.band_hz[0]:g} to {reached.band_hz[1]:g} Hz it is at least {reached.min_m_s_per_n:.3g} "
+        f"{units.admittance}{target}.",
+        panels=(
+            Panel(x=x, y=Scale(label=f"|G| [{units.admittance}]", spacing="log"), elements=tuple(gains)),
+            Panel(x=x, y=Scale(label="phase [°]"), elements=tuple(phases), height=0.7),
+        ),
+        linked=True,
+    )
+
+
+def _admittance_asked(design: AxisDesign) -> AdmittanceRequirement | None:
+    soft = design.soft.get("free_space_admittance")
+    asked = design.asked.get("free_space_admittance") if soft is None else soft.asked
+    return asked if isinstance(asked, AdmittanceRequirement) else None
+
+
+def nyquist_chart(design: AxisDesign, old: AdmittanceController | None) -> Chart:
+    """Draw L at both break points, and the disk that it must not enter."""
+    h = design.sample_time_s
+    worst = design.worst_plant() or design.corners()[-1]
+    curves: list[tuple[str, Role, tuple[ComplexArray, ComplexArray]]] = []
+    for i, plant in enumerate(design.corners()):
+        corner = build_sampled_plant(plant, h)
+        found = loop_response(corner, design.law, frequency_grid(corner, _LOOP_POINTS))
+        name = "" if i else "ends of the domain"
+        curves.append((name, "quiet", (found.at_force, found.at_command)))
+    sampled = build_sampled_plant(worst, h)
+    frequency = frequency_grid(sampled, _LOOP_POINTS)
+    if old is not None and spectral_radius(build_loop(sampled, old)) < 1.0:
+        found = loop_response(sampled, old, frequency)
+        curves.append(("before, same plant", "before", (found.at_force, found.at_command)))
+    found = loop_response(sampled, design.law, frequency)
+    curves.append(("worst plant", "after", (found.at_force, found.at_command)))
+    radius, asked = design.margins.modulus, design.modulus_asked
+    panels = tuple(
+        Panel(
+            title=f"cut at the {where}",
+            x=Scale(label="Re L", limits=_RE),
+            y=Scale(label="Im L", limits=_IM),
+            elements=(*_disk(asked, radius), *(_locus(name, role, pair[k]) for name, role, pair in curves)),
+            height=1.45,
+            equal=True,
+        )
+        for k, where in enumerate(("force", "command"))
+    )
+    told = "" if asked is None else f" Asked are {asked:g}: the dashed circle."
+    return Chart(
+        key=f"{design.name}-nyquist",
+        title="How far from instability: Nyquist",
+        alternative=f"The open loop, cut at the force and at the command, around the point −1. Over the whole domain "
+        f"it stays {radius:.3f} away from it.{told}",
+        caption="Positive frequencies; at low ones the curves go on beyond the frame. "
+        f"Over the whole domain L stays {radius:.3f} away from −1 (modulus margin)."
+        + ("" if asked is None else f" The dashed circle is what was asked, {asked:g}."),
+        panels=panels,
+        beside=True,
+    )
+
+
+def _disk(asked: float | None, reached: float) -> Iterator[Element]:
+    turn = np.linspace(0.0, 2.0 * np.pi, 121)
+    for radius, role, name in ((reached, "bad", "reached"), (asked, "target", "asked")):
+        if radius is not None:
+            shade: Role = "target" if role == "target" else "bad"
+            x, y = -1.0 + radius * np.cos(turn), radius * np.sin(turn)
+            yield Line(x=x, y=y, label=f"{name} {radius:.3g}", role=shade, dashed=name == "asked")
+    yield Points(x=np.array([-1.0]), y=np.array([0.0]), role="bad", names=("−1",))
+
+
+def _locus(name: str, role: Role, loop: ComplexArray) -> Line:
+    inside = np.abs(loop) <= _FAR
+    shown = np.where(inside, loop, np.nan + 0j)
+    imaginary = np.where(inside, shown.imag, np.nan)
+    return Line(x=shown.real, y=imaginary, label=name, role=role, dashed=role == "before")
+
+
+def stiffness_chart(design: AxisDesign, old: AdmittanceController | None) -> Chart:
+    """Draw modulus margin and peak over K_e, inside the certified interval and beyond it."""
+    low, high = design.domain.environment_stiffness_n_per_m
+    grid = np.geomspace(max(low, 1e-3 * high) / _BEYOND, high * _BEYOND, _STIFFNESS_POINTS)
+    units, masses = design.units, sorted(set(design.domain.payload_mass_kg))
+    scale, unit = (1e-3, "N/mm") if units.stiffness == "N/m" else (1.0, units.stiffness)
+    now = [over_stiffness(design, design.law, mass, grid) for mass in masses]
+    roles: tuple[Role, ...] = ("after", "model")
+    before = [] if old is None else [over_stiffness(design, old, mass, grid) for mass in masses[-1:]]
+    certified = Stretch(low=scale * low, high=scale * high, label="certified", role="target")
+    x = Scale(label=f"environment stiffness K_e [{unit}]", spacing="log")
+    asked = design.modulus_asked
+    limits = () if asked is None else (Limit(value=asked, label="asked", role="bad"),)
+    cases: list[tuple[str, Role, OverStiffness]] = [
+        (f"before, {_mass(design, each.payload_mass_kg)}", "before", each) for each in before
+    ]
+    cases += [(_mass(design, each.payload_mass_kg), roles[i], each) for i, each in enumerate(now)]
+    predicted = design.predicted.scenarios
+    dots = Points(
+        x=scale * np.array([each.environment_stiffness_n_per_m for each in predicted]),
+        y=np.array([each.peak_contact_force_n for each in predicted]),
+        label="predicted in the file",
+        role="other",
+        names=tuple(each.name for each in predicted),
+    )
+    return Chart(
+        key=f"{design.name}-stiffness",
+        title="How it depends on what is touched",
+        alternative=f"Modulus margin and peak contact {units.force_name} over the environment stiffness from "
+        f"{scale * grid[0]:.3g} to {scale * grid[-1]:.3g} {unit}. {_told_inside(now, low, high, units)}",
+        caption="Shaded: the interval that the certificate speaks of; beyond it nothing is promised. "
+        "A curve ends where the loop is unstable.",
+        panels=(
+            Panel(
+                x=x,
+                y=Scale(label="modulus margin", limits=(0.0, _highest(now, before))),
+                elements=(certified, *limits, *_proved(design, scale), *_curves(cases, scale, "modulus")),
+            ),
+            Panel(
+                x=x,
+                y=Scale(label=f"peak [{units.force}]"),
+                elements=(certified, *_curves(cases, scale, "peak_n"), dots),
+            ),
+        ),
+        linked=True,
+    )
+
+
+def _proved(design: AxisDesign, scale: float) -> Iterator[Line]:
+    """Yield the modulus that is proved over K_e and M_p, as far as it is."""
+    for reach in design.reach[:1]:
+        ends = scale * np.array(reach.environment_stiffness_n_per_m)
+        if ends[1] > ends[0]:
+            yield Line(x=ends, y=np.full(2, reach.modulus), label="proved", role="good")
+
+
+def _highest(*cases: Sequence[OverStiffness]) -> float:
+    """Return the end of the margin's side: it begins at 0, so that a flat curve looks flat."""
+    values = np.concatenate([each.modulus for group in cases for each in group])
+    return 1.15 * float(np.nanmax(values, initial=0.5))
+
+
+def _curves(cases: Sequence[tuple[str, Role, OverStiffness]], scale: float, what: str) -> Iterator[Line]:
+    for name, role, each in cases:
+        yield Line(x=scale * each.stiffness, y=getattr(each, what), label=name, role=role, dashed=role == "before")
+
+
+def _told_inside(now: Sequence[OverStiffness], low: float, high: float, units: AxisUnits) -> str:
+    inside = [(each.stiffness >= low) & (each.stiffness <= high) for each in now]
+    margins = np.concatenate([each.modulus[kept] for each, kept in zip(now, inside, strict=True)])
+    peaks = np.concatenate([each.peak_n[kept] for each, kept in zip(now, inside, strict=True)])
+    if not np.any(np.isfinite(margins)) or not np.any(np.isfinite(peaks)):
+        return ""
+    return (
+        f"Inside the certified interval the margin is at least {np.nanmin(margins):.3f} and the peak at most "
+        f"{np.nanmax(peaks):.4g} {units.force}."
+    )

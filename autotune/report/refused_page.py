@@ -1,0 +1,132 @@
+"""The page of what was refused: that it is not valid or not found, why, and what could be seen all the same."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from autotune.errors import AutotuneError, CertificateError, InfeasibleError
+from autotune.formats.canonical import checksum, short
+from autotune.formats.cell import CellFile
+from autotune.formats.identified import IdentifiedFile
+from autotune.formats.yaml12 import load_document
+from autotune.pipeline import Topics
+from identification.errors import LogError
+from identification.logs import read_recording
+from identification.logs.cell import Cell as CellTold
+from identification.logs.opened import digests
+from identification.signals.recording import Recording
+
+from .identify_page import health_blocks
+from .log_summaries import summaries_of
+from .page import Block, Cell, Fact, Facts, Note, Page, Section, Table
+from .sensor_charts import logged_charts
+
+NOT_IDENTIFIED = "NOT identified"
+NOT_VALID = "NOT valid"
+NO_CONTROLLER = "NO controller"
+NOT_COMPARED = "NOT compared"
+NOT_SHOWN = "NOT shown"
+
+
+def refuse(
+    verdict: str,
+    error: Exception,
+    page: Page | None = None,
+    *,
+    facts: Sequence[Fact] = (),
+    blocks: Sequence[Block] = (),
+) -> Page:
+    """Return a page that begins with `verdict` in large type and the sentence of `error`, then what `page` shows.
+
+    `facts` stand beside the verdict, `blocks` below the sentence.
+    """
+    sentence = " ".join(str(error).split())
+    large = Fact(label="outcome", value=verdict, tone="bad", is_large=True)
+    told = (Facts(facts=(large, *facts)), Note(text=sentence, kind="error", tone="bad"), *blocks)
+    section = Section(key="refusal", title="Outcome", blocks=told)
+    rest = () if page is None else page.sections
+    return Page(
+        title=verdict if page is None else page.title,
+        lead=f"{verdict}: {sentence}",
+        tone="bad",
+        sections=(section, *rest),
+        footer="" if page is None else page.footer,
+    )
+
+
+def refused_estimate_page(error: Exception, page: Page) -> Page:
+    """Return the page of logs that do not tell enough: what `identify` shows, below what is missing."""
+    return refuse(NOT_IDENTIFIED, error, replace(page, title="The log does not tell enough"))
+
+
+def refused_log_page(
+    error: Exception, logs: Sequence[Path], topics: Topics, cell: CellFile | None, *, salvage: bool
+) -> Page:
+    """Return the page of logs of which nothing was identified: their health, and the wrench where it can be read."""
+    summaries = summaries_of(logs, cell, salvage=salvage)
+    blocks: list[Block] = list(health_blocks(summaries))
+    blocks += [Note(text=sentence, kind="missing", tone="bad") for each in summaries for sentence in each.missing]
+    read = _readable(logs, topics, cell, salvage=salvage)
+    blocks += [] if read is None else logged_charts(read)
+    section = Section(key="log", title="The log", blocks=tuple(blocks))
+    sections = (section,) if blocks else ()
+    return refuse(NOT_IDENTIFIED, error, Page(title="The log cannot be used", lead="", sections=sections))
+
+
+def _readable(logs: Sequence[Path], topics: Topics, cell: CellFile | None, *, salvage: bool) -> Recording | None:
+    told = CellTold() if cell is None else cell.cell
+    told = told.with_topics(wrench=topics.wrench, pose=topics.pose, command=topics.command)
+    try:
+        return read_recording(tuple(logs), told, salvage=salvage)
+    except AutotuneError:
+        # Why it cannot be read is what the page says already.
+        return None
+
+
+def refused_controller_page(error: Exception, path: Path) -> Page:
+    """Return the page of a controller file that was refused: its name, and the checksum beside that of its content."""
+    try:
+        tree = load_document(path, error=CertificateError).tree
+        stated, found = str(tree.get("checksum", "none")), checksum(tree)
+    except AutotuneError:
+        facts = [Fact(label="file", value=path.name)]
+    else:
+        facts = [
+            Fact(label="file", value=path.name),
+            Fact(label="the file says", value=short(stated), detail=stated, is_large=True),
+            Fact(
+                label="its content has",
+                value=short(found),
+                detail=found,
+                tone="good" if stated == found else "bad",
+                is_large=True,
+            ),
+        ]
+    page = Page(title="A controller that must not be used", lead="", sections=(), footer=_digest(path))
+    return refuse(NOT_VALID, error, page, facts=facts)
+
+
+def _digest(path: Path) -> str:
+    try:
+        return ", ".join(f"{name} (sha256 {digest[:12]}…)" for name, digest in digests([path]).items())
+    except (LogError, OSError):
+        return str(path)
+
+
+def refused_search_page(error: Exception, plant: IdentifiedFile | None) -> Page:
+    """Return the page of a search without a controller: what would have to be eased, and the plant it was asked for."""
+    facts, footer = [], ""
+    if plant is not None:
+        facts = [Fact(label="plant", value=plant.path.name, detail=f"axes {', '.join(plant.result.axes)}")]
+        footer = f"from {plant.path} (sha256 {plant.sha256[:12]}…)"
+    eased = error.relaxations if isinstance(error, InfeasibleError) else ()
+    rows = tuple(
+        (Cell(text=name), Cell(text=f"{asked:g}", is_number=True), Cell(text=f"{possible:.4g}", is_number=True))
+        for name, asked, possible in eased
+    )
+    columns = ("requirement", "asked", "possible")
+    table = Table(
+        caption="One of these, eased alone, would be enough (units of problem.yaml)", columns=columns, rows=rows
+    )
+    page = Page(title="No controller was written", lead="", sections=(), footer=footer)
+    return refuse(NO_CONTROLLER, error, page, facts=facts, blocks=(table,) if rows else ())

@@ -1,0 +1,131 @@
+"""The figures of the sensor: its wrench over the phases of a log, and its noise at rest."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.evidence import Evidence
+from identification.phases import Kind, Timeline
+from identification.result import NoiseSpectrum
+from identification.signals.recording import Recording
+
+from .charts import Chart, Element, Line, Panel, Role, Scale, Stretch
+
+FloatArray = NDArray[np.float64]
+
+_TIME = "time [s]"
+_ROLES: dict[Kind, Role] = {
+    Kind.TURNING: "other",
+    Kind.FREE_MOTION: "good",
+    Kind.COMMANDED_MOTION: "after",
+    Kind.HAND_LED_MOTION: "residual",
+    Kind.CONTACT: "bad",
+    Kind.UNKNOWN: "before",
+}
+
+
+def wrench_charts(evidence: Evidence, timeline: Timeline | None, mark: str) -> Iterator[Chart]:
+    """Draw force and torque of the sensor, as logged and without weight and bias; the force over the log's phases."""
+    time = np.asarray(evidence.period_s * np.arange(len(evidence.raw_S_n)), dtype=np.float64)
+    shades = () if timeline is None else tuple(_shades(timeline))
+    yield Chart(
+        key=f"wrench-{mark}",
+        title="Force of the sensor, and what happened when",
+        alternative=f"Three curves over {time[-1]:.0f} s, Fx, Fy, Fz in the sensor frame, as logged and without weight "
+        f"and bias; without them the force reaches {_largest(evidence.compensated_S_n):.1f} N. {_told(timeline)}",
+        caption="Shaded: the phases that were found. What is not shaded is rest.",
+        panels=_panels(time, "F", "N", evidence.raw_S_n, evidence.compensated_S_n, shades),
+        linked=True,
+    )
+    yield Chart(
+        key=f"torque-{mark}",
+        title="Torque of the sensor",
+        alternative=f"Three curves over {time[-1]:.0f} s, Tx, Ty, Tz about the sensor's origin, as logged and without "
+        f"weight and bias; without them the torque reaches {_largest(evidence.compensated_torque_S_n_m):.2f} N·m.",
+        panels=_panels(time, "T", "N·m", evidence.raw_torque_S_n_m, evidence.compensated_torque_S_n_m, ()),
+        linked=True,
+    )
+
+
+def logged_charts(recording: Recording) -> tuple[Chart, ...]:
+    """Draw force and torque of a log of which no more is known, as they were logged."""
+    wrench = recording.wrench
+    time = np.asarray(1e-9 * (wrench.stamp_ns - wrench.stamp_ns[0]), dtype=np.float64)
+    return tuple(
+        Chart(
+            key=key,
+            title=f"{what} of the sensor, as logged",
+            alternative=f"Three curves over {time[-1]:.0f} s, {what.lower()} along x, y and z as logged, up to "
+            f"{_largest(values):.3g} {unit}.",
+            panels=_panels(time, letter, unit, values, None, ()),
+            linked=True,
+        )
+        for key, what, letter, unit, values in (
+            ("wrench-1", "Force", "F", "N", wrench.force_n),
+            ("torque-1", "Torque", "T", "N·m", wrench.torque_n_m),
+        )
+    )
+
+
+def _panels(
+    time: FloatArray,
+    letter: str,
+    unit: str,
+    logged: FloatArray,
+    compensated: FloatArray | None,
+    shades: Sequence[Stretch],
+) -> tuple[Panel, ...]:
+    panels = []
+    for i, name in enumerate("xyz"):
+        lines = [
+            Line(x=time, y=logged[:, i], label="as logged", role="before" if compensated is not None else "measured")
+        ]
+        if compensated is not None:
+            lines.append(Line(x=time, y=compensated[:, i], label="without weight and bias", role="measured"))
+        elements: tuple[Element, ...] = (*shades, *lines)
+        panels.append(Panel(x=Scale(label=_TIME), y=Scale(label=f"{letter}{name} [{unit}]"), elements=elements))
+    return tuple(panels)
+
+
+def _largest(values: FloatArray) -> float:
+    known = values[np.isfinite(values).all(axis=1)]
+    return float(np.max(np.linalg.norm(known, axis=1), initial=0.0))
+
+
+def _shades(timeline: Timeline) -> Iterator[Stretch]:
+    for phase in timeline.phases:
+        if phase.kind in _ROLES:
+            label = phase.kind.value.replace("-", " ")
+            yield Stretch(low=phase.start_s, high=phase.stop_s, label=label, role=_ROLES[phase.kind])
+
+
+def _told(timeline: Timeline | None) -> str:
+    if timeline is None:
+        return ""
+    contacts = [p.contact for p in timeline.phases if p.contact is not None]
+    kinds = ", ".join(dict.fromkeys(p.kind.value.replace("-", " ") for p in timeline.phases))
+    return f"Phases: {kinds}; {len(contacts)} contacts."
+
+
+def noise_chart(noise: NoiseSpectrum) -> Chart:
+    """Draw the sensor's noise at rest, of force and torque."""
+    x = Scale(label="frequency [Hz]", spacing="log")
+    return Chart(
+        key="noise",
+        title="Noise of the sensor at rest",
+        alternative=f"Power density of the noise of force and torque from {noise.frequency_hz[0]:.2g} to "
+        f"{noise.frequency_hz[-1]:.3g} Hz, each the mean of three axes.",
+        panels=tuple(
+            Panel(
+                x=x,
+                y=Scale(label=label, spacing="log"),
+                elements=(Line(x=np.array(noise.frequency_hz), y=np.array(values), role="measured"),),
+            )
+            for label, values in (
+                ("force [N²/Hz]", noise.force_n2_per_hz),
+                ("torque [(N·m)²/Hz]", noise.torque_n2_m2_per_hz),
+            )
+        ),
+        linked=True,
+    )

@@ -1,0 +1,58 @@
+"""The bounds of a design problem as a unit cube."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from problems.design.problem import DesignProblem
+
+FloatArray = NDArray[np.float64]
+
+LINEAR_VARIABLES = frozenset({"lead_s", "feedback_damping_s", "compensation_mass_kg"})
+"""Variables that may be zero: counted by the width of their bounds, the others by their logarithm."""
+
+
+def bounds_of(problem: DesignProblem) -> FloatArray:
+    """Return the bounds (n, 2) of the free variables."""
+    return np.array([problem.bounds[name] for name in problem.variables])
+
+
+def linear_variables(problem: DesignProblem) -> NDArray[np.bool_]:
+    """Return which free variables (n,) are counted by the width of their bounds."""
+    return np.array([name in LINEAR_VARIABLES for name in problem.variables])
+
+
+class Box:
+    """Maps the unit cube to the bounds: what may be zero by equal steps, the others by equal ratios."""
+
+    def __init__(self, problem: DesignProblem) -> None:
+        bounds = bounds_of(problem)
+        self.low, self.high = bounds[:, 0], bounds[:, 1]
+        self.logarithmic = ~linear_variables(problem)
+
+    def design(self, unit: FloatArray) -> FloatArray:
+        """Return the design of a point in the unit cube."""
+        share = np.clip(unit, 0.0, 1.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            geometric = self.low * (self.high / np.where(self.low > 0.0, self.low, 1.0)) ** share
+        return np.where(self.logarithmic, geometric, self.low + share * (self.high - self.low))
+
+    def unit(self, design: FloatArray) -> FloatArray:
+        """Return the point of the unit cube that `design` comes from; 0 where the bounds coincide."""
+        span = np.where(self.high > self.low, self.high - self.low, 1.0)
+        floor = np.where(self.logarithmic, self.low, 1.0)
+        ratio = np.where(self.high > self.low, np.log(np.where(self.logarithmic, self.high, np.e) / floor), 1.0)
+        geometric = np.log(np.where(self.logarithmic, design, 1.0) / floor) / np.where(ratio > 0.0, ratio, 1.0)
+        return np.clip(np.where(self.logarithmic, geometric, (design - self.low) / span), 0.0, 1.0)
+
+
+def spread_out(units: Iterable[FloatArray], distance: float, count: int) -> list[FloatArray]:
+    """Return the first few points (n,) of the unit cube that lie this far apart."""
+    kept: list[FloatArray] = []
+    for unit in units:
+        if all(np.linalg.norm(unit - other) > distance for other in kept):
+            kept.append(unit)
+        if len(kept) == count:
+            break
+    return kept

@@ -1,0 +1,115 @@
+"""The plants beyond K_e × M_p at which a certificate is held against: its own worst cases, corners, seeded samples."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from autotune.formats.controller_record import AxisDomain, AxisMargins, AxisPrediction, Proof, Reach
+from autotune.formats.units import axis_units
+from problems.design.uncertainty import SYMBOLS, Scenario, Uncertainty
+from problems.model.plant import Plant, WrenchFilter
+from problems.model.robot import RobotModel
+from problems.model.robot_variation import bandwidth_hz
+
+from .bouncing import bouncing_claim
+
+# Another sequence than the search's, so that it is not asked the same questions again.
+SEED = 7919
+_SAMPLES = 64
+_REPLAYED = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class OtherPlants:
+    """What is looked at of the whole uncertainty: every plant for its margins, the first few for their peak too.
+
+    `outside` tells recorded worst cases that the domain does not hold.
+    """
+
+    scenarios: tuple[Scenario, ...]
+    replayed: tuple[Scenario, ...]
+    plants: tuple[Plant, ...]
+    outside: tuple[str, ...]
+
+    def extreme_ports(self) -> tuple[tuple[RobotModel, WrenchFilter], ...]:
+        """Return the robots of the lowest and the highest bandwidth among the plants, behind the slowest filter."""
+        robots = sorted({plant.robot for plant in self.plants}, key=bandwidth_hz)
+        if not robots:
+            return ()
+        slowest = max((plant.wrench_filter for plant in self.plants), key=lambda each: each.time_constant_s)
+        return tuple((robot, slowest) for robot in dict.fromkeys((robots[0], robots[-1])))
+
+
+def build_other_plants(domain: AxisDomain, margins: AxisMargins, predicted: AxisPrediction) -> OtherPlants:
+    """Return the plants of a domain that the grid over K_e × M_p leaves out; none where nothing else is uncertain."""
+    if domain.uncertain is None:
+        return OtherPlants(scenarios=(), replayed=(), plants=(), outside=())
+    whole = domain.uncertainty()
+    named = {f"the worst plant of {name}": _scenario(case, whole) for name, case in margins.worst.items()}
+    named |= {each.name: each.scenario() for each in predicted.scenarios if each.further}
+    outside = tuple(name for name, scenario in named.items() if not whole.contains(scenario))
+    samples = whole.samples(_SAMPLES, seed=SEED)
+    scenarios = tuple(dict.fromkeys((*named.values(), *whole.corners(), *samples)))
+    nominal = domain.nominal_plant()
+    return OtherPlants(
+        scenarios=scenarios,
+        replayed=samples[:_REPLAYED],
+        plants=tuple(scenario.plant(nominal) for scenario in scenarios),
+        outside=outside,
+    )
+
+
+def recorded_plants(domain: AxisDomain, margins: AxisMargins) -> tuple[Plant, ...]:
+    """Return the plants in contact at which the file says that a margin is smallest."""
+    whole, nominal = domain.uncertainty(), domain.nominal_plant()
+    scenarios = dict.fromkeys(_scenario(case, whole) for case in margins.worst.values())
+    return tuple(scenario.plant(nominal) for scenario in scenarios)
+
+
+def sampled_claims(
+    domain: AxisDomain, margins: AxisMargins, predicted: AxisPrediction, name: str, reaches: Sequence[Reach] = ()
+) -> tuple[Proof, ...]:
+    """Return what is looked for, and not found, beyond what is proved.
+
+    Of every axis that no contact bounces for ever; where more than K_e and M_p is uncertain, of that set too. Where
+    `reaches` hold a proof over all that is uncertain, stability is none of it.
+    """
+    bouncing = bouncing_claim(name, domain, "" if domain.uncertain is None else told_set(domain, name))
+    if domain.uncertain is None:
+        return (bouncing,)
+    others = build_other_plants(domain, margins, predicted)
+    is_proved = any(reach.share == 1.0 and set(domain.uncertain) <= set(reach.over) for reach in reaches)
+    stable = "the margins stated" if is_proved else "stable with the margins stated"
+    return (
+        Proof(
+            claim=f"axis {name}: {stable}, and no peak above the largest predicted",
+            method="margins at recorded worst cases, corners and Sobol' samples of the whole set; some replayed",
+            over=told_set(domain, name),
+            numbers={"plants": float(len(others.plants)), "replayed": float(len(others.replayed)), "seed": float(SEED)},
+        ),
+        bouncing,
+    )
+
+
+def told_set(domain: AxisDomain, name: str) -> str:
+    """Return the ranges beyond K_e and M_p in words."""
+    units = axis_units(name)
+    of = {"K_s": units.stiffness, "B_s": units.damping, "B_p": units.damping, "B_e": units.damping}
+    of |= {"T_d": "s", "f_b": "Hz", "ζ_b": "", "τ_w": "s", "T_w": "s"}
+    ranges = domain.uncertain or {}
+    # In an order of its own: that of the file's entries says nothing, and a file may be written again in another.
+    told = [
+        f"{symbol} in [{ranges[key][0]:g}, {ranges[key][1]:g}] {of[symbol]}".rstrip()
+        for key, symbol in SYMBOLS.items()
+        if key in ranges
+    ]
+    cut = "" if domain.confidence is None else f", inside the {100.0 * domain.confidence.level:g} % confidence set"
+    return f"K_e, M_p and {', '.join(told)}{cut}"
+
+
+def _scenario(case: Mapping[str, float | str], whole: Uncertainty) -> Scenario:
+    """Return a recorded worst case as a point of the set; free space stands for its softest surface."""
+    values = {key: float(value) for key, value in case.items()}
+    values["environment_stiffness_n_per_m"] = (
+        values["environment_stiffness_n_per_m"] or whole.ranges["environment_stiffness_n_per_m"][0]
+    )
+    return Scenario(**values)

@@ -1,0 +1,111 @@
+"""From the ranking of conventions to the recording that is used: kept, read anew, or a question."""
+
+from dataclasses import dataclass
+
+from ..errors import EstimateError
+from ..payload.gravity import identify_gravity
+from ..payload.inertia import inertial_sign
+from ..payload.static_poses import StaticPose, collect_static_poses
+from ..result import Finding
+from ..signals.aligned import AlignedLog, align
+from ..signals.frames import Frames
+from ..signals.recording import Recording
+from ..signals.segments import Motion, find_motion
+from .convention import Convention, Pull
+from .search import ConventionRanking, Verdict, rank_conventions
+
+_SIGNIFICANT = 5.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadLog:
+    """A log under the conventions that its weight agrees with.
+
+    `convention` is the one that replaced the declared ones, None where those stand; log, motion and rests are those of
+    `recording`.
+    """
+
+    recording: Recording
+    log: AlignedLog
+    motion: Motion
+    poses: tuple[StaticPose, ...]
+    ranking: ConventionRanking
+    convention: Convention | None
+    findings: tuple[Finding, ...]
+
+
+def read_by_weight(recording: Recording, log: AlignedLog, motion: Motion, frames: Frames | None = None) -> ReadLog:
+    """Check the declared conventions by the payload's weight and read the log anew where only others fit.
+
+    `log` and `motion` are those of `recording`, `frames` what the cell declares. A force of the wrong sign is the
+    wrench's or gravity's; moves that turn the tool tell which. Raises EstimateError, naming the entries of cell.yaml,
+    where several conventions fit alike or none does.
+    """
+    poses = collect_static_poses(log, motion.still)
+    ranking = rank_conventions(poses, frames)
+    findings = ranking.findings()
+    if ranking.verdict is Verdict.ASK and _differ_in_pull_only(ranking):
+        told = _told_by_moves(recording, ranking, frames)
+        if told is not None:
+            chosen, sign = told
+            finding = Finding(
+                code="convention-found",
+                severity="warning",
+                message="The weight has the wrong sign as declared; the forces of acceleration tell that "
+                f"{chosen.pull.value} ({abs(sign):.0f} standard deviations): read as "
+                f"`{', '.join(chosen.entries(frames))}`.",
+                advice="Declare it in cell.yaml.",
+            )
+            return _read(recording, ranking, chosen, frames, (finding,))
+    chosen_by_weight = ranking.chosen()
+    if chosen_by_weight is None or chosen_by_weight.changes == 0:
+        return ReadLog(
+            recording=recording,
+            log=log,
+            motion=motion,
+            poses=poses,
+            ranking=ranking,
+            convention=None,
+            findings=findings,
+        )
+    return _read(recording, ranking, chosen_by_weight, frames, findings)
+
+
+def _differ_in_pull_only(ranking: ConventionRanking) -> bool:
+    return len(ranking.alike) == 2 and ranking.alike[0].reading == ranking.alike[1].reading
+
+
+def _read(
+    recording: Recording,
+    ranking: ConventionRanking,
+    convention: Convention,
+    frames: Frames | None,
+    findings: tuple[Finding, ...],
+) -> ReadLog:
+    read = convention.apply(recording, frames)
+    log = align(read)
+    motion = find_motion(log)
+    return ReadLog(
+        recording=read,
+        log=log,
+        motion=motion,
+        poses=collect_static_poses(log, motion.still),
+        ranking=ranking,
+        convention=convention,
+        findings=findings,
+    )
+
+
+def _told_by_moves(
+    recording: Recording, ranking: ConventionRanking, frames: Frames | None
+) -> tuple[Convention, float] | None:
+    """Read the wrench as the other body's: the inertia comes out positive if it is, negative if gravity is reversed."""
+    by_pull = {each.pull: each for each in ranking.alike}
+    tried = _read(recording, ranking, by_pull[Pull.WRENCH], frames, ())
+    try:
+        sign = inertial_sign(tried.log, tried.motion, tried.poses, identify_gravity(tried.poses))
+    except EstimateError:
+        return None
+    if abs(sign) < _SIGNIFICANT:
+        return None
+    return (by_pull[Pull.WRENCH] if sign > 0.0 else by_pull[Pull.GRAVITY]), sign

@@ -1,0 +1,243 @@
+"""Which signs, frames and orders a wrench and a pose are told in: the weight of the payload tells them apart."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ..errors import EstimateError
+from ..payload.gravity_direction import LeaningGravity, find_leaning_gravity
+from ..payload.static_poses import StaticPose, group_by_orientation
+from ..result import Finding
+from ..signals.frames import Frames
+from .convention import Convention, Pull, numbers_text, residuals_text
+from .weight_misfit import READINGS, FreeMounting, Scores, score_readings
+
+FloatArray = NDArray[np.float64]
+
+_FEWEST_ORIENTATIONS = 4
+_UNEXPLAINED = 0.1
+_MOST_TOLD = 6
+_SMALLEST_ANGLE_RAD = np.radians(10.0)
+_FAR_BETTER = 3.0
+# What leans further is told by the sign of the force, if at all.
+_LARGEST_LEAN_RAD = np.radians(135.0)
+
+
+class Verdict(StrEnum):
+    """What the weight says about the declared conventions; each value tells what follows."""
+
+    DECLARED = "the declared conventions fit"
+    FOUND = "only other conventions than the declared ones fit"
+    ASK = "several conventions other than the declared ones fit alike, so cell.yaml has to tell"
+    NONE = "no convention fits: the wrench does not follow the pose"
+    UNTOLD = "the rests are too few or too alike to tell"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConventionRanking:
+    """All readings, best first, and what follows; `declared` is the one in cell.yaml or assumed.
+
+    `orientations` distinct ones took part; `swing_rms_n` is how much the force changed between them. `mounting` is the
+    flange-from-sensor rotation that fits far better than any quarter turn, where there is one; `leaning` the direction
+    of gravity that does, where nothing fits as declared.
+    """
+
+    verdict: Verdict
+    candidates: tuple[Convention, ...]
+    declared: Convention | None
+    orientations: int
+    swing_rms_n: float
+    frames: Frames
+    mounting: Rotation | None = None
+    leaning: LeaningGravity | None = None
+
+    @property
+    def alike(self) -> tuple[Convention, ...]:
+        """The readings that fit as well as the best one, those of fewest changes first."""
+        return tuple(sorted((c for c in self.candidates if c.fits_best), key=lambda c: (c.changes, c.short_by)))
+
+    def chosen(self) -> Convention | None:
+        """Return the reading to use, None where the rests do not tell and the declared one stands unchecked.
+
+        Raises EstimateError where several readings fit alike or none does.
+        """
+        if self.verdict is Verdict.DECLARED:
+            return self.declared
+        if self.verdict is Verdict.FOUND:
+            return self.alike[0]
+        if self.verdict is Verdict.UNTOLD:
+            return None
+        raise EstimateError(self._question())
+
+    def _question(self) -> str:
+        best = self.candidates[0]
+        if self.mounting is not None:
+            told = numbers_text(np.round(self.mounting.as_quat(), 4))
+            return (
+                f"No quarter turn of the sensor fits the weight: {best.residual_rms_n:.2f} N of a swing of "
+                f"{self.swing_rms_n:.2f} N are left under the best of {len(self.candidates)} conventions. The sensor "
+                f"seems mounted at an angle: declare `sensor.orientation: {told}` in cell.yaml "
+                "(xyzw, flange from sensor) after checking it against the drawing, or `gravity_direction` if the base "
+                "is tilted."
+            )
+        if self.leaning is not None:
+            told = ", ".join(f"{each:.5f}" for each in self.frames.R_WB.inv().apply(self.leaning.direction_W))
+            return (
+                f"Gravity leans by {np.degrees(self.leaning.angle_rad):.1f} degrees from where it is assumed: that "
+                f"leaves {self.leaning.left_n:.2f} N, the best of {len(self.candidates)} conventions "
+                f"{best.residual_rms_n:.2f} N of a swing of {self.swing_rms_n:.2f} N. If the base is mounted that way, "
+                f"declare `gravity_direction: [{told}]` in cell.yaml; else level it."
+            )
+        if self.verdict is Verdict.NONE:
+            return (
+                f"The force must follow gravity as the tool turns, found {best.residual_rms_n:.2f} N left of a swing "
+                f"of {self.swing_rms_n:.2f} N under the best of {len(self.candidates)} conventions; check that wrench "
+                "and pose are of the same robot and clock, that nothing touched the payload, and declare "
+                "`sensor.orientation` in cell.yaml if the sensor is mounted at an angle that is no multiple of 90°, "
+                "`gravity_direction` if the base leans."
+            )
+        alike = self.alike
+        told = "; ".join(self._told(each) for each in alike[:_MOST_TOLD])
+        more = f"; and {len(alike) - _MOST_TOLD} more" if len(alike) > _MOST_TOLD else ""
+        return (
+            f"The declared conventions {self._declared()}, and {len(alike)} others fit it alike. Say in "
+            f"cell.yaml which it is: {told}{more}. Poses that also turn about the vertical tell more of them apart."
+        )
+
+    def _told(self, convention: Convention) -> str:
+        return f"`{', '.join(convention.entries(self.frames))}` ({residuals_text(convention)} left)"
+
+    def _declared(self) -> str:
+        if self.declared is None:
+            return "make the payload's mass negative"
+        return f"leave {residuals_text(self.declared)} of the weight unexplained"
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Return what the user should know: a convention that was found, or that nothing could be checked."""
+        if self.verdict is Verdict.FOUND:
+            best = self.alike[0]
+            return (
+                Finding(
+                    code="convention-found",
+                    severity="warning",
+                    message=f"The declared conventions {self._declared()}; the log was read as {self._told(best)} "
+                    f"instead, the only one of {len(self.candidates)} that fits.",
+                    advice="Declare it in cell.yaml.",
+                ),
+            )
+        if self.verdict is Verdict.UNTOLD:
+            return (
+                Finding(
+                    code="conventions-unchecked",
+                    severity="info",
+                    message="The rests are too few or too alike to check signs, frames and orders by the weight.",
+                    advice="Record 6 to 12 poses of 1 s each, tilted 30 to 70 degrees about two axes.",
+                ),
+            )
+        return ()
+
+
+def rank_conventions(poses: Sequence[StaticPose], frames: Frames | None = None) -> ConventionRanking:
+    """Rank 192 readings of the rests by what the payload's weight leaves unexplained.
+
+    Quaternion order, inverse, sensor axes by quarter turns, and the sign of the force, which is the wrench's or
+    gravity's: rests cannot tell which, so that both are candidates. The declared reading stands unless it is
+    significantly worse than the best one: less likely than 1 : 1000 (the noise's size left open, but no less than that
+    within the rests) and 20 % more residual. `frames` are those that the cell declares and that are in the poses.
+    """
+    declared = Frames.plain() if frames is None else frames
+    groups = group_by_orientation(poses)
+    untold = ConventionRanking(
+        verdict=Verdict.UNTOLD,
+        candidates=(),
+        declared=None,
+        orientations=len(np.unique(groups)),
+        swing_rms_n=0.0,
+        frames=declared,
+    )
+    if len(np.unique(groups)) < _FEWEST_ORIENTATIONS:
+        return untold
+    scores = score_readings(poses, groups, declared)
+    if scores.orientations < _FEWEST_ORIENTATIONS:
+        return untold
+    candidates = _candidates(scores)
+    ranked = replace(
+        untold,
+        candidates=candidates,
+        declared=next((each for each in candidates if each.changes == 0), None),
+        orientations=scores.orientations,
+        swing_rms_n=float(np.sqrt(scores.swing_n2 / (3.0 * scores.orientations))),
+    )
+    judged = _judged(ranked, scores)
+    if judged.verdict is not Verdict.NONE or judged.mounting is not None:
+        return judged
+    return replace(judged, leaning=_leaning(judged, poses))
+
+
+def _judged(ranked: ConventionRanking, scores: Scores) -> ConventionRanking:
+    """Return the ranking with its verdict."""
+    free = scores.free_mounting
+    if not _is_far_better(free, ranked, scores):
+        return replace(ranked, verdict=_verdict(ranked, scores))
+    if free.angle_rad > _SMALLEST_ANGLE_RAD or not free.is_as_declared:
+        mounting = ranked.frames.R_FS * free.turn if free.is_as_declared else None
+        return replace(ranked, verdict=Verdict.NONE, mounting=mounting)
+    # A little off the declared axes is for the mounting's estimate to say.
+    nearly = free.turn.magnitude() < _SMALLEST_ANGLE_RAD and ranked.declared is not None
+    return replace(ranked, verdict=Verdict.DECLARED if nearly else _verdict(ranked, scores))
+
+
+def _leaning(ranking: ConventionRanking, poses: Sequence[StaticPose]) -> LeaningGravity | None:
+    """Return where gravity points, if that explains the force far better than any convention."""
+    found = find_leaning_gravity(poses)
+    if found is None or found.angle_rad > _LARGEST_LEAN_RAD:
+        return None
+    explains = found.left_n < np.sqrt(_UNEXPLAINED) * ranking.swing_rms_n
+    return found if explains and found.left_n * _FAR_BETTER < ranking.candidates[0].residual_rms_n else None
+
+
+def _is_far_better(free: FreeMounting, ranking: ConventionRanking, scores: Scores) -> bool:
+    """Return whether the sensor's axes, turned at will, leave far less than the best quarter turn."""
+    left = float(np.sqrt(max(free.force_n2 / (3.0 * scores.orientations), scores.force_floor_n2)))
+    explains = left < np.sqrt(_UNEXPLAINED) * ranking.swing_rms_n
+    return explains and ranking.candidates[0].residual_rms_n > _FAR_BETTER * left
+
+
+def _verdict(ranking: ConventionRanking, scores: Scores) -> Verdict:
+    alike, best = ranking.alike, ranking.candidates[0]
+    noise = float(np.sqrt(scores.force_floor_n2))
+    if ranking.declared in alike:
+        if best.residual_rms_n < np.sqrt(_UNEXPLAINED) * ranking.swing_rms_n:
+            return Verdict.DECLARED
+        # Nothing swings with the orientation: gravity may have been removed, which is for the estimate of mass to say.
+        return Verdict.UNTOLD if ranking.swing_rms_n < 10.0 * noise else Verdict.NONE
+    if best.residual_rms_n >= np.sqrt(_UNEXPLAINED) * ranking.swing_rms_n:
+        return Verdict.NONE
+    return Verdict.FOUND if len(alike) == 1 else Verdict.ASK
+
+
+def _candidates(scores: Scores) -> tuple[Convention, ...]:
+    """Return the readings, best first: of either sign of the force the one that makes the mass positive."""
+    short = scores.log_likelihood_short()
+    best = int(np.argmin(short))
+    count = 3.0 * scores.orientations
+    found = []
+    for i, reading in enumerate(READINGS):
+        pulls = (Pull.AS_DECLARED,) if scores.mass_kg[i] > 0.0 else (Pull.WRENCH, Pull.GRAVITY)
+        found += [
+            Convention(
+                reading=reading,
+                pull=pull,
+                mass_kg=abs(float(scores.mass_kg[i])),
+                residual_rms_n=float(np.sqrt(scores.force_n2[i] / count)),
+                torque_residual_rms_n_m=float(np.sqrt(scores.torque_n2_m2[i] / count)),
+                short_by=float(short[i]),
+                ratio=scores.ratio(i, best),
+            )
+            for pull in pulls
+        ]
+    return tuple(sorted(found, key=lambda each: (each.short_by, each.changes)))

@@ -1,0 +1,195 @@
+"""The covariance of the joint fit, widened where the residuals say more than their size."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .delay_hypotheses import Rival
+from .local_minima import forces_only, other_surfaces
+from .problem import Point, Problem, sizes_of
+from .solve import Block, cost, information
+
+FloatArray = NDArray[np.float64]
+
+_WHOLE_S = 1e4
+_PIECES_S = (0.1, 0.5, _WHOLE_S)
+_DOUBTFUL_STDS = 20.0
+_SMOOTH_SHARE, _EXACT_SHARE = 0.003, 0.0003
+_RESTING_SHARE, _MOVING_SHARE = 0.003, 0.02
+_UNKNOWN_SHARE = 0.25
+SHARPEST_DELAY_SAMPLES = 1e-3
+_SWING_STIFFNESS_SHARE, _SWING_DAMPING_SHARE = 0.02, 0.1
+_FREE_MISFITS, _CONTACT_MISFITS = 40, 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """`covariance` (p, p) in scaled parameters; `plain` is the one that only noise makes; `widening` on a deviation."""
+
+    covariance: FloatArray
+    plain: FloatArray
+    widening: float
+
+
+def widened(blocks: Sequence[Block], count: int, period_s: float) -> Spread:
+    """Return H⁻¹, H = JᵀJ of the whitened residuals, made larger where the scores Jᵀr scatter more than H says.
+
+    Were the residuals white noise, the scores of pieces of 0.1 s, of 0.5 s and of whole spans would scatter by H.
+    Directions in which they scatter by λ > (1 + √(p/n))², the largest that chance makes of n pieces and p parameters
+    (Marchenko and Pastur 1967), have their variance multiplied by λ: a misfit that is no noise counts as n
+    independent ones.
+    """
+    matrix, _ = information(blocks, count)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
+    # What nothing tells gets a variance that no verdict can overlook.
+    root = vectors / np.sqrt(np.maximum(values, 1e-12))
+    factor = np.eye(count)
+    for length_s in _PIECES_S:
+        length = max(1, round(length_s / period_s))
+        scores = np.concatenate([_scores(block, count, length) for block in blocks])
+        factor = factor + _excess(scores * scale @ root)
+    inner = root @ factor @ root.T * np.outer(scale, scale)
+    inner += _doubtful(blocks, root @ root.T * np.outer(scale, scale), count)
+    plain = root @ root.T * np.outer(scale, scale)
+    widening = float(np.sqrt(np.max(np.diag(inner) / np.diag(plain))))
+    return Spread(covariance=inner, plain=plain, widening=widening)
+
+
+def _doubtful(blocks: Sequence[Block], covariance: FloatArray, count: int) -> FloatArray:
+    """Return Σ δ δᵀ, δ the shift of all parameters by each force that the model may lack (`Block.doubts`)."""
+    told = [b for b in blocks if b.doubts is not None]
+    shift = np.zeros((count, max((b.doubts.shape[1] for b in told if b.doubts is not None), default=0)))
+    for block in told:
+        if block.doubts is not None:
+            shift[block.indices] += block.jacobian.T @ block.doubts
+    moved = covariance @ shift
+    return np.asarray(moved @ moved.T)
+
+
+def _scores(block: Block, count: int, length: int) -> FloatArray:
+    """Return the score of every piece of a span, (pieces, p)."""
+    terms = block.jacobian * block.residual[:, None]
+    starts = np.arange(0, max(len(terms) - length // 2, 1), length)
+    out = np.zeros((len(starts), count))
+    out[:, block.indices] = np.add.reduceat(terms, starts, axis=0)
+    return out
+
+
+def _excess(scores: FloatArray) -> FloatArray:
+    """Return Σ (λ − 1) v vᵀ over the directions in which standardised scores scatter beyond chance."""
+    used = scores[np.any(scores != 0.0, axis=1)]
+    if len(used) < 2:
+        return np.zeros((scores.shape[1], scores.shape[1]))
+    values, vectors = np.linalg.eigh(used.T @ used)
+    limit = (1.0 + np.sqrt(scores.shape[1] / len(used))) ** 2
+    return np.asarray((vectors * np.where(values > limit, values - 1.0, 0.0)) @ vectors.T)
+
+
+def other_minima(problem: Problem, point: Point, spread: Spread) -> Spread:
+    """Return the covariance with what a second minimum adds: the same surface without a moving mass, or with one.
+
+    Mass, damping and stiffness of a surface trade against each other along a bent valley, which may hold two minima
+    of nearly the same depth. One that is worse by Δ in −2 log L has the share w = e^(−Δ/2)/(1 + e^(−Δ/2)) of the
+    likelihood, and adds w δ δᵀ, δ from one minimum to the other, to the second moments.
+    """
+    layout = problem.layout
+    forces = forces_only(problem, point)
+    here = cost(forces, point)
+    sizes = sizes_of(point.values, layout, problem.signals.period_s)
+    covariance = spread.covariance.copy()
+    for i in range(layout.surfaces):
+        mass = layout.surface(i).start + 2
+        deviation = float(np.sqrt(spread.covariance[mass, mass])) * sizes[mass]
+        if point.values[mass] > _DOUBTFUL_STDS * deviation:
+            continue
+        for other, there in other_surfaces(forces, point, mass):
+            share = float(np.exp(-0.5 * np.clip(there - here, -200.0, 200.0)))
+            apart = (other.values - point.values) / sizes
+            covariance += share / (1.0 + share) * np.outer(apart, apart)
+    covariance += np.diag(_linear_no_more(problem, point, covariance, sizes))
+    widening = float(np.sqrt(np.max(np.diag(covariance) / np.diag(spread.plain))))
+    return Spread(covariance=covariance, plain=spread.plain, widening=widening)
+
+
+def _linear_no_more(problem: Problem, point: Point, covariance: FloatArray, sizes: FloatArray) -> FloatArray:
+    """Return variances for what no linear theory covers, in scaled parameters.
+
+    Of K_s, B_p, M_p, ω and ζ 0.03 %, which no sensor's scale is better than; without a command 0.3 % of the first
+    three, for a path that is smooth between the ticks only by assumption; of K_e 0.3 % and of M_e 2 %. Where
+    K_s or M_p is not known to a quarter, what lies behind them is not known at all: B_e to the critical damping, M_e
+    to the payload's mass. An environment that may still swing when it is touched again is not the one at rest of the
+    model: the share of the swing that is left counts as a share of B_e's critical damping, M_e and K_e.
+    """
+    share = np.zeros(len(point.values))
+    share[[0, 2, 3]] = _EXACT_SHARE if problem.layout.robot_order else _SMOOTH_SHARE
+    share[problem.layout.robot.start : problem.layout.robot.stop - 1] = _EXACT_SHARE
+    out = (share * point.values / sizes) ** 2
+    unknown = max(covariance[0, 0], covariance[3, 3]) > _UNKNOWN_SHARE**2
+    for i in range(problem.layout.surfaces):
+        first = problem.layout.surface(i).start
+        k_e, b_e, m_e = (float(v) for v in point.values[first : first + 3])
+        left = _swing_left(problem, i, b_e, m_e)
+        critical, mass = 2.0 * np.sqrt(k_e * point.values[3]), point.values[3]
+        out[first] = (_SWING_STIFFNESS_SHARE * left) ** 2 + _RESTING_SHARE**2
+        out[first + 1] = ((1.0 if unknown else _SWING_DAMPING_SHARE * left) * critical / sizes[first + 1]) ** 2
+        out[first + 2] = ((mass if unknown else (left + _MOVING_SHARE) * m_e) / sizes[first + 2]) ** 2
+    return out
+
+
+def _swing_left(problem: Problem, surface: int, damping: float, mass: float) -> float:
+    """Return the largest share of a swing, e^(−B_e t/(2 M_e)), that is left after the pauses t between contacts."""
+    mine = sorted((s.start, s.stop) for s in problem.segments if s.surface == surface)
+    pauses = [later[0] - earlier[1] for earlier, later in itertools.pairwise(mine)]
+    if mass <= 0.0 or not pauses:
+        return 0.0
+    return float(np.exp(-0.5 * damping / mass * max(min(pauses), 0) * problem.signals.period_s))
+
+
+def beside_rival(problem: Problem, point: Point, spread: Spread, rival: Rival | None, *, blurred: bool) -> Spread:
+    """Return the covariance with what a rival minimum adds, as in `other_minima`; a delay is known to 0.001 samples.
+
+    At a step of the command beside a tick the force jumps, of which a derivative knows nothing. A command that is
+    `blurred` over every sample costs ω h²/8 of the delay and, of ω, half of what that is of its own time constant.
+    """
+    covariance = spread.covariance.copy()
+    if problem.layout.robot_order:
+        first, last = problem.layout.robot.start, problem.layout.robot.stop - 1
+        turned = float(point.values[first]) * problem.signals.period_s / 8.0 if blurred else 0.0
+        # The delay's unit is the period, that of ω is itself.
+        covariance[last, last] += SHARPEST_DELAY_SAMPLES**2 + turned**2
+        covariance[first, first] += (0.5 * turned * float(point.values[first]) * problem.signals.period_s) ** 2
+    if rival is not None:
+        apart = rival.point.values - point.values
+        apart = apart / sizes_of(point.values, problem.layout, problem.signals.period_s)
+        covariance += rival.share * np.outer(apart, apart)
+    return replace(spread, covariance=covariance)
+
+
+def count_misfits(problem: Problem, spread: Spread, noise_ratio: tuple[float, float]) -> Spread:
+    """Return the covariance with what exceeds the noise counted as a few misfits, 40 in free motion, 10 a contact.
+
+    `noise_ratio` are residual RMS over the force's noise at rest, in free motion and in contact. N samples whose mean
+    square exceeds 1 by e, beyond chance (four deviations, √(2/N) each), multiply variances by 1 + e N/(misfits):
+    those of the surfaces by what contacts have more than free motion, and all by what free motion has; that only
+    where no pose noise comes in, which makes the residual larger without a misfit.
+    """
+    counts = [sum(len(s) for s in problem.segments if s.is_contact == kind) for kind in (False, True)]
+    free, contact = noise_ratio[0] ** 2, noise_ratio[1] ** 2 / max(noise_ratio[0] ** 2, 1.0)
+    contacts = sum(s.is_contact for s in problem.segments)
+    factor = np.ones(len(problem.layout))
+    if problem.layout.robot_order and problem.signals.smoother.taps is None:
+        factor *= _factor(free, counts[0], _FREE_MISFITS)
+    factor[problem.layout.robot.stop :] *= _factor(contact, counts[1], _CONTACT_MISFITS * contacts)
+    covariance = spread.covariance * np.outer(factor, factor)
+    return replace(spread, covariance=covariance, widening=spread.widening * float(np.max(factor)))
+
+
+def _factor(mean_square: float, count: int, misfits: int) -> float:
+    if count == 0:
+        return 1.0
+    excess = max(mean_square - 1.0 - 4.0 * float(np.sqrt(2.0 / count)), 0.0)
+    return float(np.sqrt(1.0 + excess * count / misfits))

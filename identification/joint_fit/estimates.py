@@ -1,0 +1,200 @@
+"""From the joint fit of one axis to estimates with verdicts."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..result import CouplingEstimate, Covariance, EnvironmentEstimate, Estimate, FitQuality, RobotEstimate, Status
+from ..robot.position_loop import find_bandwidth_hz
+from ..verdicts import IDENTIFIED_SHARE, judged, judged_damping, vector, weak_at_best
+from .model import COUPLING_NAMES, SURFACE_NAMES, robot_model
+from .result import JointFit, JointSurface
+
+FloatArray = NDArray[np.float64]
+
+# Sizes below which a value does not matter: a tenth of the critical damping, a tenth of the payload.
+_TWO_SIDED = 1.96
+DAMPING_FLOOR = 0.1
+MASS_FLOOR = 0.1
+_DELAY_SAMPLES = 0.2
+SYMBOLS = {
+    **dict(zip(COUPLING_NAMES, ("K_s", "B_s", "B_p", "M_p"), strict=True)),
+    "robot_frequency_rad_per_s": "omega",
+    "robot_damping_ratio": "zeta",
+    "delay_s": "T_d",
+}
+_SURFACE_SYMBOLS = ("K_e", "B_e", "M_e")
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointEstimates:
+    """What the joint fit of axis `name` tells, parameter by parameter; `period_s` judges the delay."""
+
+    name: str
+    fit: JointFit
+    period_s: float
+
+    @cached_property
+    def method(self) -> str:
+        """Return how the numbers came about."""
+        free, contacts = self.fit.diagnostics.used
+        of = f"free motion ({free})" + (f" and contacts ({contacts})" if contacts else "")
+        return f"maximum likelihood of pose and force in {of}"
+
+    @property
+    def coupling(self) -> CouplingEstimate:
+        """Return K_s and B_s."""
+        return CouplingEstimate(
+            stiffness_n_per_m=self._judged("stiffness_n_per_m"),
+            damping_n_s_per_m=self._judged_damping("damping_n_s_per_m", "stiffness_n_per_m"),
+        )
+
+    @property
+    def drag_n_s_per_m(self) -> Estimate:
+        """Return B_p."""
+        return self._judged_damping("drag_n_s_per_m", "stiffness_n_per_m")
+
+    @property
+    def mass_kg(self) -> Estimate:
+        """Return M_p."""
+        return self._judged("mass_kg")
+
+    @property
+    def robot(self) -> RobotEstimate | None:
+        """Return r(s) and T_d, None where no command took part."""
+        names = self.fit.names
+        if self.fit.robot is None:
+            return None
+        mine = slice(len(COUPLING_NAMES), names.index("delay_s") + 1)
+        return describe_robot(self.fit.values[mine], self.fit.covariance[mine, mine], self.period_s, self.method)
+
+    @property
+    def environments(self) -> tuple[EnvironmentEstimate, ...]:
+        """Return the surfaces, softest first on each side.
+
+        Their stiffness is weak at best where no command was logged: the payload's path then rests on a pose that is
+        smooth between the ticks by assumption. K_e alone is, too, where K_s is not told.
+        """
+        return tuple(self._environment(i, surface) for i, surface in enumerate(self.fit.surfaces))
+
+    def surface_name(self, index: int) -> str:
+        """Return how a surface is called, x1 for the first one on axis x."""
+        return f"{self.name}{index + 1}"
+
+    def _environment(self, index: int, surface: JointSurface) -> EnvironmentEstimate:
+        prefix = f"environment{index + 1}_"
+        stiffness = self._judged(f"{prefix}stiffness_n_per_m")
+        secant = judged(
+            surface.secant_n_per_m, surface.secant_std_n_per_m, method="K_s and K_e in series, out of the same fit"
+        )
+        if self.fit.robot is None:
+            stiffness, secant = (weak_at_best(e, "no commanded pose took part") for e in (stiffness, secant))
+        if self.coupling.stiffness_n_per_m.status is Status.UNIDENTIFIABLE:
+            stiffness = weak_at_best(stiffness, "K_s is not told, and K_e is what the secant leaves beside it")
+        mass, _ = self.fit.value("mass_kg")
+        return EnvironmentEstimate(
+            name=self.surface_name(index),
+            stiffness_n_per_m=stiffness,
+            secant_stiffness_n_per_m=secant,
+            damping_n_s_per_m=self._judged_damping(f"{prefix}damping_n_s_per_m", f"{prefix}stiffness_n_per_m"),
+            mass_kg=self._judged(f"{prefix}mass_kg", floor=MASS_FLOOR * mass),
+            contacts=len(surface.onsets),
+            peak_force_n=surface.peak_force_n,
+        )
+
+    @property
+    def covariance(self) -> Covariance:
+        """Return the covariance under short names."""
+        names = [SYMBOLS.get(name, name) for name in self.fit.names]
+        for index, surface in enumerate(self.fit.surfaces):
+            for k in range(len(SURFACE_NAMES)):
+                names[surface.first_parameter + k] = f"{self.surface_name(index)}.{_SURFACE_SYMBOLS[k]}"
+        return Covariance(
+            names=tuple(names),
+            values=tuple(float(v) for v in self.fit.values),
+            matrix=tuple(tuple(float(v) for v in row) for row in 0.5 * (self.fit.covariance + self.fit.covariance.T)),
+        )
+
+    @property
+    def quality(self) -> FitQuality:
+        """Return how well it fits."""
+        told = self.fit.diagnostics
+        contacts = told.used[1]
+
+        def of_contacts(value: float | None) -> float | None:
+            return value if contacts else None
+
+        return FitQuality(
+            free_spans=told.used[0],
+            explained_free=told.fit_share[0],
+            whiteness_free=told.whiteness[0],
+            noise_ratio_free=told.noise_ratio[0],
+            left_out_free=told.left_out_error[0],
+            contacts=contacts,
+            explained_contact=of_contacts(told.fit_share[1]),
+            whiteness_contact=of_contacts(told.whiteness[1]),
+            noise_ratio_contact=of_contacts(told.noise_ratio[1]),
+            left_out_contact=told.left_out_error[1],
+            widening=told.widening,
+            wrench_lag_s=self.fit.lag.seconds,
+            wrench_lag_std_s=self.fit.lag.std_s,
+        )
+
+    def _judged(self, name: str, *, floor: float = 0.0) -> Estimate:
+        value, std = self.fit.value(name)
+        interval = self._interval(name)
+        if interval is not None:
+            # Whoever reads the deviation must not come to less, or more, than the interval admits.
+            low, high = value - _TWO_SIDED * std, value + _TWO_SIDED * std
+            interval = (max(min(interval[0], low), 0.0), max(interval[1], high))
+        return judged(value, std, method=self.method, floor=floor, ci95=interval)
+
+    def _judged_damping(self, name: str, stiffness: str) -> Estimate:
+        value, std = self.fit.value(name)
+        critical = 2.0 * float(np.sqrt(self.fit.value(stiffness)[0] * self.fit.value("mass_kg")[0]))
+        return judged_damping(value, std, DAMPING_FLOOR * critical, method=self.method, ci95=self._interval(name))
+
+    def _interval(self, name: str) -> tuple[float, float] | None:
+        interval = self.fit.ci95.get(name)
+        return interval if interval is not None and bool(np.all(np.isfinite(interval))) else None
+
+
+def describe_robot(values: FloatArray, covariance: FloatArray, period_s: float, method: str) -> RobotEstimate:
+    """Return r(s) and T_d of ω, (ζ,) T_d (p,) with their covariance (p, p), verdicts included."""
+    model, (here, std) = robot_model(values), _poles(values, covariance)
+    delay_std = float(np.sqrt(covariance[-1, -1]))
+    return RobotEstimate(
+        numerator=vector(model.numerator, std[-2:-1], method=method),
+        denominator=vector(model.denominator, std[:-1], method=method),
+        # A delay matters beside the period: to a fifth of a sample it is identified, however short it is.
+        delay_s=judged(
+            model.delay_s,
+            delay_std,
+            method=method,
+            identified=np.inf if delay_std < _DELAY_SAMPLES * period_s else IDENTIFIED_SHARE,
+        ),
+        bandwidth_hz=judged(float(here[-1]), float(std[-1]), method=method),
+    )
+
+
+def robot_bandwidth(values: FloatArray, covariance: FloatArray) -> tuple[float, float]:
+    """Return the bandwidth [Hz] of ω, (ζ,) T_d with its deviation, whatever the verdict on it."""
+    here, std = _poles(values, covariance)
+    return float(here[-1]), float(std[-1])
+
+
+def _poles(values: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the denominator's coefficients and the bandwidth [Hz], and their deviations."""
+    delay_s = float(values[-1])
+
+    def described(parameters: FloatArray) -> FloatArray:
+        moved = robot_model(np.append(parameters, delay_s))
+        return np.append(moved.denominator, find_bandwidth_hz(moved))
+
+    poles = values[:-1]
+    here = described(poles)
+    steps = 1e-6 * poles
+    slopes = np.array([(described(poles + step) - here) / step.sum() for step in np.diag(steps)]).T
+    return here, np.sqrt(np.maximum(np.diag(slopes @ covariance[:-1, :-1] @ slopes.T), 0.0))

@@ -1,0 +1,216 @@
+"""The flange's path between the ticks: the robot's answer to a held command, and what the pose shows beside it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .kernel import TINY, mark_robot, run_robot
+from .model import Hold, held, held_step, robot_rate
+from .noise import Smoother
+
+FloatArray = NDArray[np.float64]
+
+_MARK_EVERY = 256
+MOST_CUTS = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotRun:
+    """The robot's answer to the held command: its state at every 256th tick, from which any stretch is run again.
+
+    All states of a long log, for each parameter that is moved, would be more than everything else that is held.
+    """
+
+    step: FloatArray
+    command_m: FloatArray
+    older: int
+    marks: FloatArray
+
+    def states(self, first: int, stop: int) -> FloatArray:
+        """Return the robot's state (stop - first, order) at the ticks from `first` to before `stop`."""
+        mark = first // _MARK_EVERY
+        begin = mark * _MARK_EVERY
+        return run_robot(self.step, self.command_m, self.older, self.marks[mark], begin, stop)[first - begin :]
+
+    def acting(self, first: int, stop: int) -> tuple[FloatArray, FloatArray]:
+        """Return the older and the newer command of each sample; before the first command it is that one."""
+        ticks = np.arange(first, stop) - self.older
+        return self.command_m[np.maximum(ticks, 0)], self.command_m[np.maximum(ticks + 1, 0)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cut:
+    """The flange at some ticks, time counted in samples.
+
+    `drive` (n, m) is what `payload_step` takes: robot state, older and newer command, and Taylor coefficients of the
+    rest; `ends` (n, 4) position and velocity right after the tick, and just before the next.
+    """
+
+    drive: FloatArray
+    ends: FloatArray
+
+    @property
+    def position(self) -> FloatArray:
+        """The position (n,) at the ticks."""
+        return self.ends[:, 0]
+
+    @property
+    def velocity(self) -> FloatArray:
+        """The velocity (n,) right after the ticks, in m per sample."""
+        return self.ends[:, 1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlangePath:
+    """The flange's path over the log, worked out where a span asks for it.
+
+    `run` is the robot's answer and `robot` the rows of its equation, both None without a command; `mean_m` is the mean
+    of measured − robot. `keeps` is how many cuts are kept for who asks again.
+    """
+
+    position_m: FloatArray
+    smoother: Smoother
+    mean_m: float
+    run: RobotRun | None
+    robot: FloatArray | None
+    hold: Hold
+    keeps: int = MOST_CUTS
+    _cuts: dict[tuple[int, int], Cut] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def misfit(self, used: slice) -> FloatArray:
+        """Return measured − robot [m] at the ticks of a slice."""
+        measured = self.position_m[used]
+        if self.run is None:
+            return measured
+        return np.asarray(measured - self.run.states(used.start, used.stop)[:: used.step, 0])
+
+    def cut(self, used: slice) -> Cut:
+        """Return the path at the ticks of a span."""
+        key = used.start, used.stop
+        found = self._cuts.pop(key, None)
+        if found is None:
+            found = self._cut(*key)
+            for oldest in list(self._cuts)[: len(self._cuts) + 1 - self.keeps]:
+                del self._cuts[oldest]
+        self._cuts[key] = found
+        return found
+
+    def _cut(self, first: int, stop: int) -> Cut:
+        # The last sample ends at a tick of its own, but for that of the log, which goes on as it began.
+        beyond = min(stop + 1, len(self.position_m))
+        count = stop - first
+        rest = self._rest(first, beyond)
+        drive = [rest[:count]]
+        position, velocity = rest[:, 0], rest[:, 1]
+        arriving = velocity[1:]
+        if self.run is not None and self.robot is not None:
+            states = self.run.states(first, beyond)
+            older, newer = self.run.acting(first, beyond)
+            of_state, of_command = self.robot[0, :-1], self.robot[0, -1]
+            answer = states @ of_state
+            # What acts at the end of a sample has acted since its fraction.
+            arriving = answer[1:] + of_command * newer[: len(arriving)] + arriving
+            position = states[:, 0] + position
+            velocity = answer + of_command * (older if self.hold.fraction.real > 0.0 else newer) + velocity
+            drive = [states[:count], older[:count, None], newer[:count, None], *drive]
+        ends = np.empty((count, 4))
+        ends[:, 0], ends[:, 1] = position[:count], velocity[:count]
+        ends[: len(arriving), 2], ends[: len(arriving), 3] = position[1:], arriving
+        if beyond == stop:
+            ends[-1, 2:] = position[-1] + velocity[-1], velocity[-1]
+        return Cut(drive=np.concatenate(drive, axis=1), ends=ends)
+
+    def _rest(self, first: int, stop: int) -> FloatArray:
+        """Return value and three derivatives over factorials (stop - first, 4) of what the pose shows beside."""
+        if self.run is not None and self.smoother.taps is None:
+            rest = np.zeros((stop - first, 4))
+            rest[:, 0] = self.mean_m
+            return rest
+        last = len(self.position_m)
+        low, high = max(first - 1, 0), min(stop + 2, last)
+        reach = self.smoother.reach
+        near = slice(max(low - reach, 0), min(high + reach, last))
+        missing = near.start - (low - reach), high + reach - near.stop
+        coefficients = self.smoother.spline(np.pad(self.misfit(near), missing, mode="edge"), self.mean_m)
+        return _taylor(np.pad(coefficients, (low - (first - 1), stop + 2 - high), mode="edge"))
+
+
+def measured_path(position_m: FloatArray, smoother: Smoother) -> FlangePath:
+    """Take the smoothed pose alone, by a cubic spline between the ticks."""
+    return FlangePath(
+        position_m=position_m,
+        smoother=smoother,
+        mean_m=float(np.mean(position_m)),
+        run=None,
+        robot=None,
+        hold=Hold(older=1, fraction=0.0),
+    )
+
+
+def commanded_path(
+    values: FloatArray,
+    command_m: FloatArray,
+    position_m: FloatArray,
+    smoother: Smoother,
+    period_s: float,
+    keeps: int = MOST_CUTS,
+) -> FlangePath:
+    """Take the robot's exact answer to the held command, and beside it what the pose surely shows of another motion.
+
+    The robot is at rest at the first command.
+    """
+    step, older = held_step(values, period_s)
+    command, start = np.ascontiguousarray(command_m), np.zeros(len(step))
+    start[0] = command[0]
+    marks, mean = mark_robot(step, command, older, start, np.ascontiguousarray(position_m), _MARK_EVERY)
+    return FlangePath(
+        position_m=position_m,
+        smoother=smoother,
+        mean_m=mean,
+        run=RobotRun(step=step, command_m=command, older=older, marks=marks),
+        robot=robot_rate(values, period_s),
+        hold=held(float(values[-1]), period_s),
+        keeps=keeps,
+    )
+
+
+def path_slope(path: FlangePath, values: FloatArray, index: int, period_s: float) -> FlangePath:
+    """Return the derivative of a commanded path by one of the robot's parameters, as a path of its own, exactly.
+
+    The derivative s' of the robot's state s moves by S s' + S' (s, commands): (s', s) is the state of one more system
+    under the same command. What the pose shows beside the robot is linear in it.
+    """
+    if path.run is None or path.robot is None:
+        raise ValueError("A path without a command does not depend on the robot.")
+    turned = [complex(value, TINY if i == index else 0.0) for i, value in enumerate(values)]
+    step, row = held_step(turned, period_s)[0], robot_rate(turned, period_s)[0]
+    order = len(step)
+    both = np.zeros((2 * order, 2 * order + 2))
+    both[:order, :order], both[:order, order:] = step.real[:, :order], step.imag / TINY
+    both[order:, order:] = step.real
+    command, nowhere, start = path.run.command_m, np.zeros(len(path.position_m)), np.zeros(2 * order)
+    start[order] = command[0]
+    marks, mean = mark_robot(both, command, path.run.older, start, nowhere, _MARK_EVERY)
+    return FlangePath(
+        position_m=nowhere,
+        smoother=path.smoother,
+        mean_m=mean,
+        run=RobotRun(step=both, command_m=command, older=path.run.older, marks=marks),
+        robot=np.concatenate([row.real[:-1], row.imag / TINY])[None],
+        hold=path.hold,
+        keeps=1,
+    )
+
+
+def _taylor(c: FloatArray) -> FloatArray:
+    """Return value and three derivatives over factorials (n, 4) of the cubic spline Σ c_k B(τ − k), c (n + 3,)."""
+    before, here, after, beyond = c[:-3], c[1:-2], c[2:-1], c[3:]
+    return np.column_stack(
+        [
+            (before + 4.0 * here + after) / 6.0,
+            0.5 * (after - before),
+            0.5 * (after - 2.0 * here + before),
+            (beyond - 3.0 * after + 3.0 * here - before) / 6.0,
+        ]
+    )

@@ -1,0 +1,279 @@
+"""The result of the joint refinement: values, one covariance, and how far they may be trusted."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from problems.model.robot import RobotModel
+
+from .contacts import FoundContact
+from .covariance import Spread, beside_rival, count_misfits, other_minima, widened
+from .data import HeldCommand
+from .delay_hypotheses import Rival
+from .latency import Lag
+from .model import robot_model
+from .noise import whiteness
+from .problem import Point, Problem, logarithmic, sizes_of, stiffest_seen_n_per_m
+from .profile import bounded_intervals
+from .segments import Segment, predict_force
+from .solve import Block, information, linearise, minimise
+
+FloatArray = NDArray[np.float64]
+
+_STEPS = 4
+_LARGEST_STEP = 3.0
+# A K_s beyond this share of the stiffest that a sampling rate can show is not told: swinging at 0.8 of half that rate.
+_FASTEST_SEEN = 0.64
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointSurface:
+    """One surface: the secant, K_s and K_e in series, with its deviation out of the joint covariance, and contacts.
+
+    `first_parameter` is where K_e, B_e, M_e stand in the fit's vector; `onsets` are samples.
+    """
+
+    sign: int
+    first_parameter: int
+    secant_n_per_m: float
+    secant_std_n_per_m: float
+    onsets: tuple[int, ...]
+    peak_force_n: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedSpan:
+    """One span that the fit used: `measured` and `predicted` force (n,) from sample `start` on, in N or N·m.
+
+    `surface` counts the surfaces of the axis, None in free motion; `white` is the whitened residual, whose deviation is
+    1 where the model leaves nothing but the noise.
+    """
+
+    start: int
+    surface: int | None
+    measured: FloatArray
+    predicted: FloatArray
+    white: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnostics:
+    """How well it fits.
+
+    `fit_share`, of the force's variance that is explained, in free motion and in contact; `whiteness`, Ljung–Box
+    probabilities of the whitened residuals alike; `noise_ratio`, residual RMS over the force's noise at rest;
+    `left_out_error`, residual RMS over force RMS of the last free span and of the last contact, each predicted
+    without itself (only its own start, offset and place are fitted), None where there is no other;
+    `widening`, the largest factor on a standard deviation, see `joint_covariance.widened`; `used`, (free spans,
+    contacts).
+    """
+
+    fit_share: tuple[float, float]
+    whiteness: tuple[float, float]
+    noise_ratio: tuple[float, float]
+    left_out_error: tuple[float | None, float | None]
+    widening: float
+    used: tuple[int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointFit:
+    """All parameters of one axis with one covariance, (p,) and (p, p) in SI, in the order of `names`.
+
+    `ci95` holds intervals where plus and minus two deviations would be wrong (a damping or mass near 0); `lag` is the
+    wrench's against pose and command. `is_weighed` where ringing alone told the coupling, with the mass from gravity.
+    `spans` are what was fitted, span by span.
+    """
+
+    names: tuple[str, ...]
+    values: FloatArray
+    covariance: FloatArray
+    ci95: Mapping[str, tuple[float, float]]
+    robot: RobotModel | None
+    surfaces: tuple[JointSurface, ...]
+    diagnostics: Diagnostics
+    lag: Lag
+    is_weighed: bool = False
+    spans: tuple[FittedSpan, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ci95", MappingProxyType(dict(self.ci95)))
+        for name in ("values", "covariance"):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    @property
+    def std(self) -> FloatArray:
+        """Standard deviations in the order of `names`."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def value(self, name: str) -> tuple[float, float]:
+        """Return value and standard deviation of a parameter."""
+        index = self.names.index(name)
+        return float(self.values[index]), float(self.std[index])
+
+
+def describe(
+    problem: Problem,
+    point: Point,
+    found: Sequence[FoundContact],
+    rival: Rival | None,
+    *,
+    command: HeldCommand | None,
+    lag: Lag,
+    rest_rms_n: float,
+) -> JointFit:
+    """Turn the minimum into a result; the delay counts from the command and not from the tick before it."""
+    layout, blocks = problem.layout, linearise(problem, point)
+    share, ratio = _fit(problem, point, rest_rms_n)
+    spread = other_minima(problem, point, widened(blocks, len(layout), problem.signals.period_s))
+    blurred = command is not None and command.is_mean
+    spread = beside_rival(problem, point, spread, rival, blurred=blurred)
+    spread = count_misfits(problem, spread, ratio)
+    sizes = sizes_of(point.values, layout, problem.signals.period_s)
+    covariance = spread.covariance * np.outer(sizes, sizes)
+    values = point.values.copy()
+    covariance = without_aliases(values, covariance, problem.signals.period_s)
+    if layout.robot_order:
+        shift = 0.0 if command is None else command.shift_s
+        values[layout.robot.stop - 1] = max(values[layout.robot.stop - 1] - shift, 0.0)
+    surfaces = tuple(_surface(i, problem, point, covariance, found) for i in range(layout.surfaces))
+    return JointFit(
+        names=layout.names,
+        values=values,
+        covariance=covariance,
+        ci95=bounded_intervals(problem, point, blocks, spread),
+        robot=robot_model(values[layout.robot]) if layout.robot_order else None,
+        surfaces=surfaces,
+        diagnostics=_diagnostics(problem, point, blocks, spread, share, ratio),
+        lag=lag,
+        spans=_spans(problem, point, blocks),
+    )
+
+
+def _spans(problem: Problem, point: Point, blocks: Sequence[Block]) -> tuple[FittedSpan, ...]:
+    """Return what was fitted beside what the model says at the minimum."""
+    spans = []
+    for i, segment in enumerate(problem.segments):
+        measured = problem.signals.force_n[segment.slice].copy()
+        spans.append(
+            FittedSpan(
+                start=segment.start,
+                surface=segment.surface if segment.is_contact else None,
+                measured=measured,
+                predicted=measured + _force_error(problem, point, segment, i),
+                white=blocks[i].residual,
+            )
+        )
+    return tuple(spans)
+
+
+def without_aliases(values: FloatArray, covariance: FloatArray, period_s: float) -> FloatArray:
+    """Return the covariance (p, p) with a K_s that is known to itself only, where it swings too fast to be sampled.
+
+    Such a spring hardly gives, and what the samples show of it they show of many others: the curvature of one minimum
+    among them says nothing.
+    """
+    if values[0] <= _FASTEST_SEEN * stiffest_seen_n_per_m(float(values[3]), period_s):
+        return covariance
+    out = covariance.copy()
+    out[0, :] = out[:, 0] = 0.0
+    out[0, 0] = values[0] ** 2
+    return out
+
+
+def _surface(
+    index: int, problem: Problem, point: Point, covariance: FloatArray, found: Sequence[FoundContact]
+) -> JointSurface:
+    first = problem.layout.surface(index).start
+    k_s, k_e = float(point.values[0]), float(point.values[first])
+    secant = k_s * k_e / (k_s + k_e)
+    slope = np.zeros(len(point.values))
+    slope[0], slope[first] = (secant / k_s) ** 2, (secant / k_e) ** 2
+    touched = [s for s in problem.segments if s.is_contact]
+    mine = [c.start for s, c in zip(touched, found, strict=True) if s.surface == index]
+    return JointSurface(
+        sign=mine[0].segment.sign,
+        first_parameter=first,
+        secant_n_per_m=secant,
+        secant_std_n_per_m=float(np.sqrt(slope @ covariance @ slope)),
+        onsets=tuple(c.onset for c in mine),
+        peak_force_n=tuple(c.peak_force_n for c in mine),
+    )
+
+
+def _fit(problem: Problem, point: Point, rest_rms_n: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return, free and touching, the share of the force's variance that is explained, and residual over noise."""
+    share, ratio = [], []
+    for kind in (False, True):
+        mine = [(i, s) for i, s in enumerate(problem.segments) if s.is_contact == kind]
+        forces = [problem.signals.force_n[s.slice] for _, s in mine]
+        left = float(sum(np.sum(_force_error(problem, point, s, i) ** 2) for i, s in mine))
+        all_of = float(sum(np.sum((f - np.mean(f)) ** 2) for f in forces))
+        count = sum(len(f) for f in forces)
+        share.append(1.0 - left / all_of if all_of > 0.0 else 0.0)
+        ratio.append(float(np.sqrt(left / count)) / rest_rms_n if count else 0.0)
+    return (share[0], share[1]), (ratio[0], ratio[1])
+
+
+def _diagnostics(
+    problem: Problem,
+    point: Point,
+    blocks: Sequence[Block],
+    spread: Spread,
+    fit_share: tuple[float, float],
+    noise_ratio: tuple[float, float],
+) -> Diagnostics:
+    kinds = [tuple(i for i, s in enumerate(problem.segments) if s.is_contact == kind) for kind in (False, True)]
+    return Diagnostics(
+        fit_share=fit_share,
+        whiteness=(
+            whiteness([blocks[i].residual for i in kinds[0]]),
+            whiteness([blocks[i].residual for i in kinds[1]]),
+        ),
+        noise_ratio=noise_ratio,
+        left_out_error=(_left_out(problem, point, blocks, kinds[0]), _left_out(problem, point, blocks, kinds[1])),
+        widening=spread.widening,
+        used=(len(kinds[0]), len(kinds[1])),
+    )
+
+
+def _force_error(problem: Problem, point: Point, segment: Segment, index: int) -> FloatArray:
+    path = problem.path(point.values)
+    period = problem.signals.period_s
+    predicted = predict_force(point.values, point.nuisances[index], segment, path, problem.layout, period)
+    felt = problem.signals.lateness.shown(predicted, path, segment.slice, float(point.values[1]), period)
+    return np.asarray(felt - problem.signals.force_n[segment.slice])
+
+
+def _left_out(problem: Problem, point: Point, blocks: Sequence[Block], kind: Sequence[int]) -> float | None:
+    """Predict the last span of a kind with the parameters that all others tell."""
+    if not kind:
+        return None
+    last = kind[-1]
+    segment = problem.segments[last]
+    like = [i for i in kind[:-1] if problem.segments[i].surface == segment.surface]
+    if not like:
+        return None
+    matrix, gradient = information([b for i, b in enumerate(blocks) if i != last], len(problem.layout))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    step = -scale * (np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True) @ (scale * gradient))
+    sizes = sizes_of(point.values, problem.layout, problem.signals.period_s)
+    values = np.where(
+        logarithmic(problem.layout),
+        point.values * np.exp(np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)),
+        np.maximum(point.values + step * sizes, 0.0),
+    )
+    alone = replace(
+        problem, segments=(segment,), pose_spans=(), fixed=tuple(range(len(values))), known_path=problem.path(values)
+    )
+    start = Point(values=values, nuisances=(point.nuisances[last],))
+    moved, _ = minimise(alone, start, _STEPS)
+    problem, last = alone, 0
+    error = _force_error(problem, moved, segment, last)
+    force = problem.signals.force_n[segment.slice]
+    return float(np.linalg.norm(error) / max(float(np.linalg.norm(force - np.mean(force))), 1e-300))

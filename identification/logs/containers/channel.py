@@ -1,0 +1,99 @@
+"""What every container hands on: channels, what it holds of each, and their raw messages in batches."""
+
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...result import Finding
+from ...signals.recording import StampArray
+
+ByteArray = NDArray[np.uint8]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Channel:
+    """A topic with one type. Channels that are equal in all of this are one, however often the file defines them.
+
+    `type_name` is written as in ROS 2 (`package/msg/Name`) for ROS types, else as the file has it; `encoding` is that
+    of the messages (`cdr`, `ros1`, `json`, `protobuf` or what else the container names); `schema` is what the file
+    carries of the type, in the language `schema_encoding` (`ros2msg`, `ros1msg`, `ros2idl`, `jsonschema`, `protobuf`,
+    empty for none).
+    """
+
+    topic: str
+    type_name: str
+    encoding: str
+    schema_encoding: str
+    schema: bytes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Held:
+    """What a log holds of a channel: the number of messages and the first of them, empty where there is none."""
+
+    channel: Channel
+    count: int
+    first_message: bytes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Survey:
+    """What a log holds, told without decoding it.
+
+    `container` names the format; `start_ns` and `end_ns` span all messages on the recording clock, both 0 without any;
+    `findings` tell what was seen of the container itself (no CRCs, no index, what a salvage had to leave out).
+    """
+
+    container: str
+    held: tuple[Held, ...]
+    start_ns: int
+    end_ns: int
+    findings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batch:
+    """Some messages of one channel in the order of the file.
+
+    `log_ns` (n,) is the recording clock; message i is `data[starts[i] : starts[i] + sizes[i]]`. `data` may be shared
+    with other batches and is valid only while the batch is being handled.
+    """
+
+    channel: Channel
+    log_ns: StampArray
+    data: ByteArray
+    starts: StampArray
+    sizes: StampArray
+
+    @property
+    def count(self) -> int:
+        """Count the messages."""
+        return int(self.log_ns.size)
+
+
+class Container(Protocol):
+    """An opened log file (or folder of files) of one format; a context manager."""
+
+    def survey(self) -> Survey:
+        """Tell what the log holds; raise LogError if that cannot be told."""
+        ...
+
+    def read(self, wanted: Collection[Channel], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
+        """Read the wanted channels once and yield what `handle` makes of each batch, per channel in file order.
+
+        `handle` may be called in several threads at once, on different batches. Raises LogError as soon as anything
+        that is read turns out to be damaged, at the latest when the iteration ends.
+        """
+        ...
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Tell what the last `read` had to leave out (with `salvage`), else nothing."""
+        ...
+
+    def close(self) -> None:
+        """Close the files."""
+        ...

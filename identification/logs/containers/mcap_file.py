@@ -1,0 +1,159 @@
+"""MCAP: own framing, so that what is not wanted is neither read nor unpacked, and what is wanted is checked.
+
+The records of the top are walked first, without the content of chunks. Chunks are then read, unpacked, checked and
+handed on in two threads. Counts in the file's summary and indexes have to agree with the messages that are read.
+"""
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import LogError
+from ...result import Finding
+from ...signals.recording import StampArray
+from .channel import Batch, Channel, Held, Survey, T
+from .closing import Closing
+from .file_bytes import FileBytes
+from .mcap_census import complete, total_counts
+from .mcap_definitions import Definition
+from .mcap_findings import file_findings
+from .mcap_kernel import gather
+from .mcap_layout import Layout, Walker
+from .mcap_pieces import Opened, Opener
+from .mcap_records import Damage, Piece
+from .mcap_salvage import salvage_layout
+from .ordered import map_in_order
+from .salvage import salvaged
+
+_IDS = 2**16
+
+
+class McapContainer(Closing):
+    """An MCAP file; with `salvage` damaged parts are left out and told instead of refused."""
+
+    def __init__(self, path: Path, *, salvage: bool = False) -> None:
+        self._file = FileBytes(path)
+        self._salvage = salvage
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def survey(self) -> Survey:
+        """Tell what the file holds, from its indexes where they tell it, else by counting."""
+        with self._refusing():
+            return self._told
+
+    def read(self, wanted: Collection[Channel], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
+        """Read the wanted channels; see `Container`."""
+        with self._refusing():
+            yield from self._read(tuple(dict.fromkeys(wanted)), handle)
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Tell what a salvage leaves out."""
+        return salvaged(self._file.name, self._known[0].lost) if self._salvage else ()
+
+    @contextmanager
+    def _refusing(self) -> Iterator[None]:
+        try:
+            yield
+        except Damage as damage:
+            raise LogError(
+                f"{self._file.name} is truncated or damaged at byte {damage.offset}: {damage.reason}; "
+                "record again, or read what is left with `--salvage`."
+            ) from damage
+
+    @cached_property
+    def _known(self) -> tuple[Layout, Opener]:
+        if self._salvage:
+            return salvage_layout(self._file)
+        layout = Walker(self._file).walk()
+        opener = Opener(self._file, layout.definitions)
+        return complete(layout, self._file, opener), opener
+
+    @cached_property
+    def _ids(self) -> dict[Channel, list[int]]:
+        """The ids of each channel: those that say the same are one."""
+        definitions = self._known[0].definitions
+        ids: dict[Channel, list[int]] = {}
+        for channel_id in sorted(definitions.usable if self._salvage else definitions.ids):
+            ids.setdefault(definitions.channel(channel_id), []).append(channel_id)
+        return ids
+
+    @cached_property
+    def _told(self) -> Survey:
+        layout, _ = self._known
+        total = total_counts(layout.pieces)
+        first = self._first_messages()
+        filled = [piece for piece in layout.pieces if piece.counts]
+        return Survey(
+            container="mcap",
+            held=tuple(
+                Held(channel=channel, count=sum(total[i] for i in ids), first_message=first.get(channel, b""))
+                for channel, ids in sorted(self._ids.items(), key=lambda item: (item[0].topic, item[0].type_name))
+            ),
+            start_ns=min((piece.start_ns for piece in filled), default=0),
+            end_ns=max((piece.end_ns for piece in filled), default=0),
+            findings=(*file_findings(layout), *self.findings()),
+        )
+
+    def _first_messages(self) -> dict[Channel, bytes]:
+        layout, opener = self._known
+        missing, found = dict(self._ids), {}
+        for piece in layout.pieces:
+            here = [channel for channel, ids in missing.items() if any((piece.counts or {}).get(i) for i in ids)]
+            if here:
+                selection = Selection({channel: missing.pop(channel) for channel in here})
+                for batch in selection.batches(opener.open(piece)):
+                    begin = int(batch.starts[0])
+                    found[batch.channel] = batch.data[begin : begin + int(batch.sizes[0])].tobytes()
+        return found
+
+    def _read(self, wanted: tuple[Channel, ...], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
+        layout, opener = self._known
+        for channel in wanted:
+            if channel not in self._ids:
+                raise LogError(f"Topic {channel.topic} of type {channel.type_name} is not in {self._file.name}.")
+        selection = Selection({channel: self._ids[channel] for channel in wanted})
+
+        def work(piece: Piece) -> tuple[tuple[Definition, ...], list[tuple[Channel, T]]]:
+            opened = opener.open(piece)
+            return opened.definitions, [(batch.channel, handle(batch)) for batch in selection.batches(opened)]
+
+        for definitions, results in map_in_order(work, filter(selection.is_in, layout.pieces)):
+            for definition in definitions:
+                layout.definitions.add(*definition)
+            yield from results
+
+
+class Selection:
+    """The channels that are wanted of a file, each with its ids."""
+
+    def __init__(self, ids: Mapping[Channel, Collection[int]]) -> None:
+        self._ids = ids
+        self._slot_of: StampArray = np.full(_IDS, -1, dtype=np.int64)
+        for slot, group in enumerate(ids.values()):
+            self._slot_of[list(group)] = slot
+
+    def is_in(self, piece: Piece) -> bool:
+        """Tell whether a piece holds any of them."""
+        return any(self._slot_of[channel_id] >= 0 for channel_id in piece.counts or ())
+
+    def batches(self, opened: Opened) -> Iterator[Batch]:
+        """Yield their messages in an opened piece, a batch for each channel that has any."""
+        counts = opened.tally.counts
+        sizes = [sum(counts.get(channel_id, 0) for channel_id in group) for group in self._ids.values()]
+        stops: StampArray = np.cumsum(sizes, dtype=np.int64)
+        next_row: StampArray = stops - np.array(sizes, dtype=np.int64)
+        table: StampArray = np.empty((3, sum(sizes)), dtype=np.int64)
+        log_ns, starts, lengths = table
+        gather(opened.data, 0, opened.data.size, self._slot_of, next_row, log_ns, starts, lengths)
+        for channel, size, stop in zip(self._ids, sizes, stops.tolist(), strict=True):
+            if size:
+                rows = slice(stop - size, stop)
+                yield Batch(
+                    channel=channel, log_ns=log_ns[rows], data=opened.data, starts=starts[rows], sizes=lengths[rows]
+                )

@@ -1,0 +1,167 @@
+"""Walk records that stand one behind the other in memory, at machine speed and without the interpreter's lock."""
+
+import numpy as np
+
+from problems.compiled import inlined, unlocked
+
+from ...signals.recording import StampArray
+from .channel import ByteArray
+from .words import little16, little32, little64
+
+FINE, NO_FIT, SHORT_MESSAGE, BAD_TIME, FULL = range(5)
+MESSAGE_HEAD_BYTES = 22
+_FRAME, _MESSAGE, _CHUNK = 9, 5, 6
+_CHUNK_FIXED = 40
+_LAST_KIND = 15
+_CHAIN = 4
+
+
+@inlined
+def _u16(data: ByteArray, at: int) -> int:
+    return int(np.int64(little16(data, at)))
+
+
+@inlined
+def _u32(data: ByteArray, at: int) -> int:
+    return int(np.int64(little32(data, at)))
+
+
+@inlined
+def _u64(data: ByteArray, at: int) -> int:
+    # A value of 2^63 and more comes out negative, and no length or time that is accepted is negative.
+    return int(np.int64(little64(data, at)))
+
+
+@inlined
+def _kind(data: ByteArray, at: int) -> int:
+    return int(np.int64(data[np.uint64(at)]))
+
+
+@unlocked
+def tally(
+    data: ByteArray,
+    start: int,
+    end: int,
+    counts: StampArray,
+    ids: StampArray,
+    span_ns: StampArray,
+    others: StampArray,
+) -> tuple[int, int, int, int]:
+    """Count the messages per channel id and list where records of other kinds stand.
+
+    Adds to `counts` (65536,), names in `ids` the channel ids that occur, widens `span_ns` (earliest and latest
+    recording time) and fills `others`. Returns a code, the position up to which it came, how many others there are
+    and how many ids.
+    """
+    position, other_count, id_count = start, 0, 0
+    while position < end:
+        if end - position < _FRAME or _kind(data, position) == 0:
+            return NO_FIT, position, other_count, id_count
+        length = _u64(data, position + 1)
+        if length < 0 or length > end - position - _FRAME:
+            return NO_FIT, position, other_count, id_count
+        if _kind(data, position) == _MESSAGE:
+            if length < MESSAGE_HEAD_BYTES:
+                return SHORT_MESSAGE, position, other_count, id_count
+            channel = _u16(data, position + 9)
+            if counts[channel] == 0:
+                ids[id_count] = channel
+                id_count += 1
+            counts[channel] += 1
+            log_ns = _u64(data, position + 15)
+            if log_ns < 0:
+                return BAD_TIME, position, other_count, id_count
+            span_ns[0] = min(span_ns[0], log_ns)
+            span_ns[1] = max(span_ns[1], log_ns)
+        else:
+            if other_count == others.size:
+                return FULL, position, other_count, id_count
+            others[other_count] = position
+            other_count += 1
+        position += _FRAME + length
+    return FINE, position, other_count, id_count
+
+
+@unlocked
+def gather(
+    data: ByteArray,
+    start: int,
+    end: int,
+    slot_of: StampArray,
+    next_row: StampArray,
+    log_ns: StampArray,
+    starts: StampArray,
+    sizes: StampArray,
+) -> None:
+    """Write time, place and size of every message whose channel id has a slot to the next row of that slot.
+
+    The records have been walked by `tally` before.
+    """
+    position = start
+    while position < end:
+        length = _u64(data, position + 1)
+        if _kind(data, position) == _MESSAGE:
+            slot = slot_of[_u16(data, position + 9)]
+            if slot >= 0:
+                row = next_row[slot]
+                next_row[slot] = row + 1
+                log_ns[row] = _u64(data, position + 15)
+                starts[row] = position + _FRAME + MESSAGE_HEAD_BYTES
+                sizes[row] = length - MESSAGE_HEAD_BYTES
+        position += _FRAME + length
+
+
+@unlocked
+def skim(data: ByteArray, start: int, end: int) -> int:
+    """Return where the first record stands that is no message or does not end before `end`."""
+    position = start
+    while end - position >= _FRAME and _kind(data, position) == _MESSAGE:
+        length = _u64(data, position + 1)
+        if length < 0 or length > end - position - _FRAME:
+            break
+        position += _FRAME + length
+    return position
+
+
+@unlocked
+def find_chunk(data: ByteArray, start: int, end: int) -> int:
+    """Return the first position at which something looks like the head of a chunk record, or -1."""
+    for position in range(start, end - _FRAME - _CHUNK_FIXED + 1):
+        if _kind(data, position) != _CHUNK:
+            continue
+        name_bytes = _u32(data, position + _FRAME + 28)
+        if name_bytes not in (0, 3, 4) or position + _FRAME + _CHUNK_FIXED + name_bytes > end:
+            continue
+        length = _u64(data, position + 1)
+        stored = _u64(data, position + _FRAME + 32 + name_bytes)
+        spare = length - stored - _CHUNK_FIXED - name_bytes
+        if stored >= 0 and 0 <= spare < 64:
+            return position
+    return -1
+
+
+@unlocked
+def find_messages(data: ByteArray, start: int, end: int, is_known: ByteArray) -> int:
+    """Return the first position from which several records of sensible kind follow each other, or -1.
+
+    The first is a message of a known channel, `is_known` (65536,); the last may reach exactly to `end`.
+    """
+    for first in range(start, end - _FRAME - MESSAGE_HEAD_BYTES + 1):
+        if _kind(data, first) != _MESSAGE:
+            continue
+        position, links = first, 0
+        while links < _CHAIN and position < end:
+            if end - position < _FRAME or not 0 < _kind(data, position) <= _LAST_KIND:
+                break
+            length = _u64(data, position + 1)
+            if length < 0 or length > end - position - _FRAME:
+                break
+            if _kind(data, position) == _MESSAGE and (
+                length < MESSAGE_HEAD_BYTES or is_known[_u16(data, position + 9)] == 0
+            ):
+                break
+            position += _FRAME + length
+            links += 1
+        if links == _CHAIN or (links > 0 and position == end):
+            return first
+    return -1

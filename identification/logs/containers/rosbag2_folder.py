@@ -1,0 +1,268 @@
+"""Folders of rosbag2: several files in order as one log, held against what their `metadata.yaml` says."""
+
+import re
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import TypeVar
+
+from ...errors import LogError
+from ...result import Finding
+from .channel import Batch, Channel, Container, Held, Survey
+from .closing import Closing
+from .rosbag2_metadata import NAME, Metadata, read_metadata
+from .salvage import salvaged
+from .single_file import open_file
+from .zstd_messages import unpack_message, unpack_messages
+
+T = TypeVar("T")
+_ENDINGS = (".mcap", ".db3", ".bag")
+_PACKED = (".zstd", ".zst")
+_DIGITS = re.compile(r"(\d+)")
+_TOLD = 5
+
+
+class Rosbag2FolderContainer(Closing):
+    """A folder of parts, each opened only while it is being read."""
+
+    def __init__(self, path: Path, *, salvage: bool = False) -> None:
+        self._path, self._salvage = path, salvage
+        self._name = path.name or str(path)
+        self._lost: list[str] = []
+        self._told: list[Finding] = []
+        self._surveys: dict[Path, Survey] = {}
+        self._survey: Survey | None = None
+        self._part_findings: list[Finding] = []
+        self._was_read = False
+        self._check_links()
+        self._metadata = self._read_metadata()
+        self._parts = self._find_parts(self._metadata) if self._metadata else self._guess_parts()
+
+    def survey(self) -> Survey:
+        """Tell what the parts hold together; raise LogError where one is damaged or the counts do not agree."""
+        if self._survey is None:
+            for part in self._parts:
+                self._survey_part(part)
+            if self._metadata:
+                self._check_counts(self._metadata)
+            self._survey = self._merged()
+        return self._survey
+
+    def read(self, wanted: Collection[Channel], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
+        """Read the wanted channels part by part; see `Container.read`."""
+        self.survey()
+        self._was_read = True
+        self._part_findings = []
+        chosen = set(wanted)
+        for part, told in self._surveys.items():
+            here = {held.channel for held in told.held if held.channel in chosen}
+            if not here:
+                continue
+            with self._opened(part) as container:
+                yield from container.read(here, self._handler(part, handle))
+                self._part_findings.extend(container.findings())
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Tell what the last `read` had to leave out."""
+        return (*self._part_findings, *salvaged(self._name, self._lost)) if self._was_read else ()
+
+    def close(self) -> None:
+        """Do nothing: no part stays open."""
+
+    def _check_links(self) -> None:
+        """Refuse a link that leads out of the folder: what it leads to was not recorded here, and is not shown."""
+        whole = self._path.resolve()
+        for path in self._entries():
+            if path.is_symlink() and not path.resolve().is_relative_to(whole):
+                raise LogError(
+                    f"{self._name}/{path.name} is a symbolic link that leads out of the folder, so nothing is read "
+                    "from it; copy the recorded file itself into the folder, or name it on its own."
+                )
+
+    def _entries(self) -> list[Path]:
+        try:
+            return sorted(self._path.iterdir())
+        except OSError as error:
+            raise LogError(f"{self._name} cannot be read: {error.strerror or error}; check its permissions.") from error
+
+    def _read_metadata(self) -> Metadata | None:
+        path = self._path / NAME
+        if not path.exists():
+            return None
+        try:
+            return read_metadata(path)
+        except LogError as error:
+            if not self._salvage:
+                raise
+            self._lost.append(str(error).rstrip("."))
+            return None
+
+    def _find_parts(self, metadata: Metadata) -> list[Path]:
+        """Return the files that the metadata list, packed or not."""
+        listed = {name: _first_existing(self._path, name) for name in metadata.files}
+        missing = [name for name, path in listed.items() if path is None]
+        if missing and not self._salvage:
+            raise LogError(
+                f"{self._name} lacks {_names(missing)}, which its {NAME} lists; copy the folder again, "
+                "or read the files that are there with --salvage."
+            )
+        self._lost.extend(f"{name} is missing" for name in missing)
+        parts = [path for path in listed.values() if path is not None]
+        others = [path.name for path in self._log_files() if path not in parts]
+        if others:
+            self._told.append(
+                Finding(
+                    code="unlisted-files",
+                    severity="warning",
+                    message=f"{self._name} holds {_names(others)}, not listed in its {NAME}, which is left out.",
+                    advice="Run `ros2 bag reindex` if the file belongs to the recording, or name it on its own.",
+                )
+            )
+        return parts
+
+    def _guess_parts(self) -> list[Path]:
+        """Return the files of a folder without metadata, which must be of one kind and number through."""
+        files = sorted(self._log_files(), key=lambda path: _natural(path.name))
+        if not files:
+            raise LogError(
+                f"{self._name} is a folder without a log: it holds neither {NAME} nor files named "
+                f"{', '.join('*' + ending for ending in _ENDINGS)}; name a log file or the folder of a recording."
+            )
+        if len({_stem(path.name) for path in files}) > 1:
+            raise LogError(
+                f"{self._name} is a folder without {NAME} that holds several logs "
+                f"({_names([path.name for path in files])}); name one of them."
+            )
+        self._told.append(
+            Finding(
+                code="metadata-absent",
+                severity="info" if len(files) == 1 else "warning",
+                message=f"{self._name} has no usable {NAME}: it is read as {_names([path.name for path in files])}, "
+                "in this order.",
+                advice="Run `ros2 bag reindex` on the folder, or name the file that is meant.",
+            )
+        )
+        return files
+
+    def _log_files(self) -> list[Path]:
+        return [path for path in self._entries() if _stem(path.name) and path.is_file()]
+
+    def _opened(self, part: Path) -> closing[Container]:
+        return closing(open_file(part, salvage=self._salvage))
+
+    def _survey_part(self, part: Path) -> None:
+        try:
+            with self._opened(part) as container:
+                self._surveys[part] = container.survey()
+        except LogError as error:
+            if not self._salvage:
+                raise
+            self._lost.append(str(error).rstrip("."))
+
+    def _check_counts(self, metadata: Metadata) -> None:
+        """Raise LogError, or note it with `salvage`, where the files hold other messages than the metadata count."""
+        held: Counter[str] = Counter()
+        for told in self._surveys.values():
+            for each in told.held:
+                held[each.channel.topic] += each.count
+        wrong = [
+            f"{held[topic]} of {metadata.topic_counts.get(topic, 0)} messages of {topic}"
+            for topic in sorted(held.keys() | metadata.topic_counts.keys())
+            if held[topic] != metadata.topic_counts.get(topic, 0)
+        ]
+        for part, told in self._surveys.items():
+            count = sum(each.count for each in told.held)
+            expected = metadata.file_counts.get(part.name, metadata.file_counts.get(part.stem, count))
+            if count != expected:
+                wrong.append(f"{count} of {expected} messages in {part.name}")
+        if held.total() != metadata.message_count:
+            wrong.append(f"{held.total()} of {metadata.message_count} messages in all")
+        if wrong and not self._salvage:
+            raise LogError(
+                f"{self._name} does not hold what its {NAME} counts: {_names(wrong)}; "
+                "messages are lost or the file is of another recording: read what is there with --salvage."
+            )
+        self._lost.extend(wrong)
+
+    def _merged(self) -> Survey:
+        counts: Counter[Channel] = Counter()
+        first: dict[Channel, bytes] = {}
+        for part, told in self._surveys.items():
+            for held in told.held:
+                counts[held.channel] += held.count
+                if held.count and held.channel not in first:
+                    first[held.channel] = self._plain(part, held)
+        filled = [told for told in self._surveys.values() if any(held.count for held in told.held)]
+        kinds = sorted({told.container.removeprefix("rosbag2 ") for told in self._surveys.values()})
+        return Survey(
+            container=f"rosbag2 folder ({', '.join(kinds)})",
+            held=tuple(
+                Held(channel=channel, count=counts[channel], first_message=first.get(channel, b""))
+                for channel in sorted(counts, key=lambda each: (each.topic, each.type_name, each.schema))
+            ),
+            start_ns=min((told.start_ns for told in filled), default=0),
+            end_ns=max((told.end_ns for told in filled), default=0),
+            findings=(
+                *self._told,
+                *_joined([told.findings for told in self._surveys.values()]),
+                *salvaged(self._name, self._lost),
+            ),
+        )
+
+    def _is_packed(self, part: Path) -> bool:
+        """Tell whether the container hands on messages that are still compressed: SQLite's unpacks them itself."""
+        mode = self._metadata.compression_mode if self._metadata else ""
+        return mode == "message" and ".mcap" in part.suffixes
+
+    def _plain(self, part: Path, held: Held) -> bytes:
+        if not self._is_packed(part):
+            return held.first_message
+        try:
+            return unpack_message(held.first_message, held.channel.topic)
+        except LogError:
+            if not self._salvage:
+                raise
+            return b""
+
+    def _handler(self, part: Path, handle: Callable[[Batch], T]) -> Callable[[Batch], T]:
+        if not self._is_packed(part):
+            return handle
+        lost = self._lost if self._salvage else None
+        return lambda batch: handle(unpack_messages(batch, lost))
+
+
+def _first_existing(folder: Path, name: str) -> Path | None:
+    """Return the file, or the same one packed or unpacked since, or None."""
+    names = [name, *(name + ending for ending in _PACKED), *(name.removesuffix(ending) for ending in _PACKED)]
+    return next((folder / each for each in names if (folder / each).is_file()), None)
+
+
+def _stem(name: str) -> str:
+    """Return a log's name without its last number, the same for all parts of a recording; empty for other files."""
+    for packed in _PACKED:
+        name = name.removesuffix(packed)
+    ending = next((ending for ending in _ENDINGS if name.endswith(ending)), None)
+    if ending is None or name.startswith("."):
+        return ""
+    pieces = _DIGITS.split(name.removesuffix(ending))
+    return "".join([*pieces[:-2], "#", *pieces[-1:]] if len(pieces) > 1 else pieces) + ending
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    return [(int(piece), "") if piece.isdigit() else (0, piece) for piece in _DIGITS.split(name)]
+
+
+def _names(names: Collection[str]) -> str:
+    told = sorted(names, key=_natural)
+    more = f" and {len(told) - _TOLD} more" if len(told) > _TOLD else ""
+    return ", ".join(told[:_TOLD]) + more
+
+
+def _joined(findings: list[tuple[Finding, ...]]) -> Iterator[Finding]:
+    """Yield what the parts found, each kind of remark once and everything graver as often as it occurs."""
+    seen: set[str] = set()
+    for finding in (each for part in findings for each in part):
+        if finding.severity != "info" or finding.code not in seen:
+            seen.add(finding.code)
+            yield finding

@@ -1,0 +1,225 @@
+"""Interpret a program over every message of a batch: the compiled heart of the reader.
+
+The program says, step by step, what stands in a message of one type: what is skipped, what becomes a column of the
+values, what is header. Every access is checked against the end of the message.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from problems.compiled import inlined, unlocked
+
+from ...signals.recording import FloatArray, StampArray
+from ..containers.channel import ByteArray
+from .kernel_bytes import (
+    FINE,
+    FLOAT64,
+    FRAMES_FULL,
+    LEFT_OVER,
+    TOO_FEW,
+    TOO_SHORT,
+    aligned,
+    bits64,
+    number,
+    opened,
+    same,
+    stamp,
+    text,
+    u32,
+)
+
+SKIP, RUN, STAMP, STRING, FRAME, SEQUENCE, PICK, REPEAT, TIMES, END = range(10)
+"""What a step does. Its other numbers, as far as it needs them, are size, count, kind and first column.
+
+SKIP and RUN pass over or take `count` numbers of `size` bytes; STAMP takes a time; STRING passes over a text, FRAME
+takes it; SEQUENCE passes over numbers behind their count, PICK takes those that `picks` names from the second number
+to the third; what stands between REPEAT and END is done once per entry of a sequence, or as often as TIMES says
+(second number; the first is the step behind END).
+"""
+MAX_DEPTH = 16
+Out = tuple[FloatArray, NDArray[np.uint64], NDArray[np.uint32], NDArray[np.float32]]
+"""Where numbers go: the values, the same memory as bits, and one place to turn 32 bits into a float."""
+_PADDING_BYTES = 3
+
+
+@inlined
+def _store(data: ByteArray, at: int, kind: int, is_big: bool, row: int, column: int, out: Out) -> None:
+    if kind == FLOAT64:
+        out[1][row, column] = bits64(data, at, is_big)
+    else:
+        out[0][row, column] = number(data, at, kind, is_big, out[2], out[3])
+
+
+@inlined
+def _numbers(
+    data: ByteArray,
+    at: int,
+    end: int,
+    program: StampArray,
+    index: int,
+    is_big: bool,
+    row: int,
+    out: Out,
+) -> tuple[int, int]:
+    size, count, kind, column = program[index, 1], program[index, 2], program[index, 3], program[index, 4]
+    if size * count > end - at:
+        return TOO_SHORT, at
+    if program[index, 0] == RUN:
+        for entry in range(count):
+            _store(data, at + size * entry, kind, is_big, row, column + entry, out)
+    return FINE, at + size * count
+
+
+@inlined
+def _entries(
+    data: ByteArray,
+    at: int,
+    end: int,
+    origin: int,
+    is_cdr: bool,
+    program: StampArray,
+    index: int,
+    picks: StampArray,
+    is_big: bool,
+    row: int,
+    out: Out,
+) -> tuple[int, int]:
+    size, kind = program[index, 1], program[index, 4]
+    code, at, count = _count(data, at, end, size, origin, is_cdr, is_big)
+    if code != FINE:
+        return code, at
+    if program[index, 0] == PICK:
+        for pick in range(program[index, 2], program[index, 3]):
+            if picks[pick, 0] >= count:
+                return TOO_FEW, at
+            _store(data, at + size * picks[pick, 0], kind, is_big, row, picks[pick, 1], out)
+    return FINE, at + count * size
+
+
+@inlined
+def _count(
+    data: ByteArray, at: int, end: int, size: int, origin: int, is_cdr: bool, is_big: bool
+) -> tuple[int, int, int]:
+    """Return a code, where the entries of a sequence start and how many there are, each of at least `size` bytes."""
+    at = aligned(at, 4, origin, is_cdr)
+    if end - at < 4:
+        return TOO_SHORT, at, 0
+    count = u32(data, at, is_big)
+    start = at + 4
+    if count > 0:
+        start = aligned(start, size, origin, is_cdr)
+    if count * size > end - start:
+        return TOO_SHORT, at, 0
+    return FINE, start, count
+
+
+@inlined
+def _note_frame(data: ByteArray, at: int, length: int, frames: StampArray, found: StampArray) -> int:
+    """Add a frame name to `frames` unless it is there; the one added last is looked at first."""
+    for index in range(found[0] - 1, -1, -1):
+        if frames[index, 1] == length and same(data, frames[index, 0], at, length):
+            return FINE
+    if found[0] == frames.shape[0]:
+        return FRAMES_FULL
+    frames[found[0], 0] = at
+    frames[found[0], 1] = length
+    found[0] += 1
+    return FINE
+
+
+@inlined
+def _turn(op: int, index: int, depth: int, turns: int, behind: int, loops: StampArray) -> tuple[int, int]:
+    """Begin or end a loop; return the next step and how many loops are open."""
+    if op != END:
+        if turns == 0:
+            return behind - 1, depth
+        loops[depth, 0] = index
+        loops[depth, 1] = turns
+        return index, depth + 1
+    loops[depth - 1, 1] -= 1
+    if loops[depth - 1, 1] > 0:
+        return loops[depth - 1, 0], depth
+    return index, depth - 1
+
+
+@inlined
+def _message(
+    data: ByteArray,
+    begin: int,
+    end: int,
+    is_cdr: bool,
+    program: StampArray,
+    picks: StampArray,
+    row: int,
+    out: Out,
+    stamps: StampArray,
+    frames: StampArray,
+    found: StampArray,
+    loops: StampArray,
+) -> tuple[int, int]:
+    """Take one message; return a code and the position up to which it came."""
+    code, at, is_big = opened(data, begin, end, is_cdr)
+    origin, index, depth = at, 0, 0
+    while code == FINE and index < program.shape[0]:
+        op = program[index, 0]
+        if op <= RUN:
+            at = aligned(at, program[index, 1], origin, is_cdr)
+            code, at = _numbers(data, at, end, program, index, is_big, row, out)
+        elif op == STAMP:
+            code, at, stamps[row] = stamp(data, at, end, origin, is_cdr, is_big)
+        elif op <= FRAME:
+            code, place, length, at = text(data, at, end, origin, is_cdr, is_big)
+            if op == FRAME and code == FINE:
+                code = _note_frame(data, place, length, frames, found)
+        elif op <= PICK:
+            code, at = _entries(data, at, end, origin, is_cdr, program, index, picks, is_big, row, out)
+        else:
+            turns = program[index, 2]
+            if op == REPEAT:
+                code, at, turns = _count(data, at, end, 1, origin, is_cdr, is_big)
+            index, depth = _turn(op, index, depth, turns, program[index, 1], loops)
+        index += 1
+    if code == FINE and end - at > (_PADDING_BYTES if is_cdr else 0):
+        code = LEFT_OVER
+    return code, at
+
+
+@unlocked
+def run_program(
+    data: ByteArray,
+    starts: StampArray,
+    sizes: StampArray,
+    is_cdr: bool,
+    program: StampArray,
+    picks: StampArray,
+    out: Out,
+    stamps: StampArray,
+    frames: StampArray,
+    found: StampArray,
+    loops: StampArray,
+) -> tuple[int, int, int]:
+    """Fill the values, `stamps` (n,) and `frames` (m, 2): place and length of each different frame name.
+
+    Returns a code, the message it belongs to and the position inside that message; `found` (1,) tells how many frame
+    names there are; `loops` (MAX_DEPTH, 2) is room for the loops that are open.
+    """
+    found[0] = 0
+    for row in range(starts.size):
+        begin = starts[row]
+        code, at = _message(
+            data,
+            begin,
+            begin + sizes[row],
+            is_cdr,
+            program,
+            picks,
+            row,
+            out,
+            stamps,
+            frames,
+            found,
+            loops,
+        )
+        if code != FINE:
+            return code, row, at - begin
+    return FINE, starts.size, 0

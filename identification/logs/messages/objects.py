@@ -1,0 +1,169 @@
+"""Turn messages into numbers one by one, through the library that knows their encoding."""
+
+import keyword
+from collections.abc import Callable
+from functools import reduce
+from typing import Any
+
+import numpy as np
+from rosbags.serde import SerdeError
+
+from ...errors import LogError
+from ..containers.channel import Batch, Channel
+from .decode import MessageError, Part
+from .definitions import ROS_ENCODINGS, store_for
+from .json_objects import parse_json
+from .layout import Token, parse_path
+from .series import Wanted
+
+_SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanos")
+_BILLION = 10**9
+
+
+class ObjectDecoder:
+    """Decode batches of one channel of any encoding that is known; may be called in several threads."""
+
+    def __init__(self, channel: Channel, wanted: Wanted) -> None:
+        self._parse = build_object_parser(channel)
+        # In ROS and Protobuf a boolean is a field like any other; a JSON `true` where a number belongs is a mistake.
+        self._number = as_number if channel.encoding != "json" else _as_json_number
+        self._paths = [parse_path(path) for path in wanted.fields]
+        self._fields = wanted.fields
+        self._header = parse_path(wanted.header) if wanted.header else None
+
+    def __call__(self, batch: Batch) -> Part:
+        """Decode a batch; raise MessageError for the first message that cannot be decoded or lacks something."""
+        values = np.empty((batch.count, len(self._paths)))
+        stamps = np.empty(batch.count, dtype=np.int64)
+        frames: set[str] = set()
+        for index, message in enumerate(messages_of(batch)):
+            try:
+                thing = self._parse(message)
+                for column, path in enumerate(self._paths):
+                    values[index, column] = self._number(pick(thing, path))
+                if self._header is not None:
+                    stamps[index], frame = header_of(thing, self._header)
+                    frames.add(frame)
+            except (LogError, LackingError) as error:
+                raise MessageError(batch, index, str(error).rstrip(".")) from error
+        return Part(
+            log_ns=batch.log_ns.copy(),
+            stamp_ns=None if self._header is None else stamps,
+            frame_ids=frozenset(frames),
+            values=values,
+        )
+
+
+class LackingError(Exception):
+    """A message has no such number, header or time."""
+
+
+def messages_of(batch: Batch) -> list[bytes]:
+    """Return the messages of a batch one by one."""
+    return [
+        batch.data[start : start + size].tobytes()
+        for start, size in zip(batch.starts.tolist(), batch.sizes.tolist(), strict=True)
+    ]
+
+
+def build_object_parser(channel: Channel) -> Callable[[bytes], object]:
+    """Return what turns a message of a channel into an object or dict; raise LogError for unknown encodings."""
+    if channel.encoding == "json":
+        return parse_json
+    if channel.encoding == "protobuf":
+        from .protobuf_objects import build_parser  # noqa: PLC0415 - most logs need no Protobuf, which takes 30 ms to start
+
+        return build_parser(channel)
+    if channel.encoding not in ROS_ENCODINGS:
+        raise LogError(
+            f"Topic {channel.topic} holds messages in the encoding {channel.encoding!r}; "
+            "cdr, ros1, json and protobuf are read."
+        )
+    store = store_for(channel)
+    decode = store.deserialize_ros1 if channel.encoding == "ros1" else store.deserialize_cdr
+
+    def parse(data: bytes) -> object:
+        try:
+            return decode(data, channel.type_name)
+        except (SerdeError, LookupError, ValueError, AssertionError, MemoryError, RecursionError, TypeError) as error:
+            raise LogError(f"it is no {channel.type_name}: {error}") from error
+
+    return parse
+
+
+def _step(thing: Any, token: Token) -> Any:
+    if isinstance(token, int):
+        return thing[token]
+    if isinstance(thing, dict):
+        return thing[token]
+    return getattr(thing, f"{token}_" if keyword.iskeyword(token) and hasattr(thing, f"{token}_") else token)
+
+
+def pick(thing: object, path: tuple[Token, ...]) -> Any:
+    """Return what stands at a path; raise LackingError where there is nothing."""
+    try:
+        return reduce(_step, path, thing)
+    except (LookupError, TypeError, AttributeError) as error:
+        raise LackingError(f"it lacks {_written(path)}") from error
+
+
+def _written(path: tuple[Token, ...]) -> str:
+    return "".join(f"[{token}]" if isinstance(token, int) else f".{token}" for token in path).lstrip(".")
+
+
+def as_number(value: Any) -> float:
+    """Return a number as a double; raise LackingError for anything else."""
+    if not isinstance(value, bool | int | float | np.bool_ | np.number):
+        raise LackingError(f"{value!r} is no number")
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise LackingError(f"a number of {len(str(value))} digits is too large") from error
+
+
+def _as_json_number(value: Any) -> float:
+    if isinstance(value, bool):
+        raise LackingError(f"{str(value).lower()} is no number")
+    return as_number(value)
+
+
+def either(thing: Any, names: tuple[str, ...]) -> Any:
+    """Return the first of these fields that there is, or None."""
+    for name in names:
+        try:
+            return _step(thing, name)
+        except (LookupError, TypeError, AttributeError):
+            continue
+    return None
+
+
+def header_of(thing: object, path: tuple[Token, ...]) -> tuple[int, str]:
+    """Return stamp in ns and frame name of a header, or of what stands in its place: a time beside the numbers."""
+    header: Any
+    try:
+        header = pick(thing, path)
+    except LackingError:
+        header = thing
+    time = either(header, ("stamp", "timestamp"))
+    if time is None:
+        time = header
+    frame = either(header, ("frame_id",))
+    if frame is None:
+        frame = either(thing, ("frame_id",))
+    return _time(time, path), frame if isinstance(frame, str) else ""
+
+
+def _time(time: object, path: tuple[Token, ...]) -> int:
+    seconds, nanoseconds = either(time, _SECONDS), either(time, _NANOSECONDS)
+    if not _is_whole(seconds) or not _is_whole(nanoseconds):
+        raise LackingError(f"it has no {_written(path)} with a stamp, nor a timestamp, of seconds and nanoseconds")
+    if not 0 <= int(nanoseconds) < _BILLION:
+        raise LackingError(f"its stamp has a second of {nanoseconds} ns")
+    total = int(seconds) * _BILLION + int(nanoseconds)
+    if not -(2**63) <= total < 2**63:
+        raise LackingError(f"its stamp of {seconds} s is out of range")
+    return total
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)

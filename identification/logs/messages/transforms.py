@@ -1,0 +1,173 @@
+"""Transforms between frames: of all that a topic holds, those of one pair of frames."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+
+from ...errors import LogError
+from ...signals.recording import FloatArray, StampArray
+from ..containers.channel import Batch, Channel, Container
+from .decode import MessageError, Part, fault, name_at
+from .definitions import ROS_ENCODINGS, TRANSFORM, TRANSFORMS, is_standard, needed_types
+from .kernel_bytes import FINE, FRAMES_FULL
+from .kernel_transforms import NUMBERS, SMALLEST_BYTES, take_transforms
+from .layout import parse_path
+from .objects import LackingError, as_number, build_object_parser, either, header_of, messages_of, pick
+from .read import gather
+from .series import Series, Wanted
+
+FIELDS = tuple(f"translation.{axis}" for axis in "xyz") + tuple(f"rotation.{axis}" for axis in "xyzw")
+Pair = tuple[str, str]
+
+
+def read_transform(container: Container, channel: Channel, parent: str, child: str) -> Series:
+    """Read the transforms from `parent` to `child` in order of recording, stamped by their own headers.
+
+    Works on topics of TFMessage, which hold several transforms per message, and of TransformStamped. Raises LogError
+    where the topic holds no transform of these frames, or a message is not as its type says.
+    """
+    decoder = build_transform_decoder(channel, (parent, child))
+    series = gather(container, {channel: decoder}, {channel: Wanted(fields=FIELDS)})[channel].finish(channel)
+    if not series.log_ns.size:
+        pairs = ", ".join(f"{first} to {second}" for first, second in sorted(decoder.pairs)[:10])
+        raise LogError(
+            f"Topic {channel.topic} holds no transform from {parent!r} to {child!r}; it holds: {pairs or 'none'}."
+        )
+    return series
+
+
+def list_frames(container: Container, channel: Channel) -> tuple[Pair, ...]:
+    """Return the pairs of parent and child frame that occur on a topic of transforms, sorted."""
+    decoder = build_transform_decoder(channel, None)
+    gather(container, {channel: decoder}, {channel: Wanted(fields=FIELDS)})
+    return tuple(sorted(decoder.pairs))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Found:
+    """The transforms of a batch (m,): message, stamp, pair of frames by its number, numbers (m, 7)."""
+
+    message_of: StampArray
+    stamp_ns: StampArray
+    pair_of: StampArray
+    pairs: tuple[Pair, ...]
+    values: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class TransformDecoder:
+    """Decode batches of transforms and keep those of one pair of frames; may be called in several threads."""
+
+    find: Callable[[Batch], _Found]
+    wanted: Pair | None
+    pairs: set[Pair] = field(default_factory=set)
+
+    def __call__(self, batch: Batch) -> Part:
+        """Decode a batch; raise MessageError for the first message that is not as its type says."""
+        found = self.find(batch)
+        self.pairs.update(found.pairs)
+        chosen = np.zeros(found.pair_of.size, dtype=bool)
+        if self.wanted in found.pairs:
+            chosen = found.pair_of == found.pairs.index(self.wanted)
+        return Part(
+            log_ns=batch.log_ns[found.message_of[chosen]],
+            stamp_ns=found.stamp_ns[chosen],
+            frame_ids=frozenset({self.wanted[0]} if self.wanted is not None and chosen.any() else ()),
+            values=found.values[chosen],
+        )
+
+
+def build_transform_decoder(channel: Channel, wanted: Pair | None) -> TransformDecoder:
+    """Return what decodes batches of transforms and keeps those of one pair, or of none to find out the pairs."""
+    if channel.type_name not in (TRANSFORM, *TRANSFORMS):
+        raise LogError(f"Topic {channel.topic} holds {channel.type_name}, no transforms; name one of type TFMessage.")
+    if channel.encoding in ROS_ENCODINGS and _has_standard_layout(channel):
+        return TransformDecoder(find=_find_compiled, wanted=wanted)
+    parse = build_object_parser(channel)
+    return TransformDecoder(find=lambda batch: _find_objects(batch, parse), wanted=wanted)
+
+
+def _has_standard_layout(channel: Channel) -> bool:
+    if channel.type_name == TRANSFORM:
+        return is_standard(channel)
+    types = needed_types(channel)
+    descriptions = [description for _, description in types[channel.type_name][1]]
+    below = Channel(
+        topic=channel.topic,
+        type_name=TRANSFORM,
+        encoding=channel.encoding,
+        schema_encoding="",
+        schema=b"",
+    )
+    return descriptions == [(Nodetype.SEQUENCE, ((Nodetype.NAME, TRANSFORM), 0))] and all(
+        types[name][1] == fields[1] for name, fields in needed_types(below).items()
+    )
+
+
+def _find_compiled(batch: Batch) -> _Found:
+    room = int(batch.sizes.sum()) // SMALLEST_BYTES + 1
+    values = np.empty((room, NUMBERS))
+    stamps, message_of, pair_of = np.empty((3, room), dtype=np.int64)
+    found = np.zeros(2, dtype=np.int64)
+    code, pair_room = FRAMES_FULL, 32
+    while code == FRAMES_FULL:
+        pair_room *= 2
+        pairs = np.empty((pair_room, 4), dtype=np.int64)
+        code, index, at = take_transforms(
+            batch.data,
+            batch.starts,
+            batch.sizes,
+            batch.channel.encoding == "cdr",
+            batch.channel.type_name != TRANSFORM,
+            values.view(np.uint64),
+            stamps,
+            message_of,
+            pair_of,
+            pairs,
+            found,
+        )
+    if code != FINE:
+        raise MessageError(batch, index, fault(code, at, batch, index))
+    pair_count, count = found.tolist()
+    return _Found(
+        message_of=message_of[:count],
+        stamp_ns=stamps[:count],
+        pair_of=pair_of[:count],
+        pairs=tuple(
+            (name_at(batch, place[0], place[1]), name_at(batch, place[2], place[3]))
+            for place in pairs[:pair_count].tolist()
+        ),
+        values=values[:count],
+    )
+
+
+def _find_objects(batch: Batch, parse: Callable[[bytes], object]) -> _Found:
+    rows: list[tuple[int, int, int, list[float]]] = []
+    pairs: dict[Pair, int] = {}
+    for index, message in enumerate(messages_of(batch)):
+        try:
+            for stamp_ns, pair, numbers in _transforms_of(parse(message)):
+                rows.append((index, stamp_ns, pairs.setdefault(pair, len(pairs)), numbers))
+        except (LogError, LackingError) as error:
+            raise MessageError(batch, index, str(error).rstrip(".")) from error
+    return _Found(
+        message_of=np.array([row[0] for row in rows], dtype=np.int64),
+        stamp_ns=np.array([row[1] for row in rows], dtype=np.int64),
+        pair_of=np.array([row[2] for row in rows], dtype=np.int64),
+        pairs=tuple(pairs),
+        values=np.array([row[3] for row in rows], dtype=np.float64).reshape(-1, NUMBERS),
+    )
+
+
+def _transforms_of(thing: Any) -> Iterator[tuple[int, Pair, list[float]]]:
+    several = either(thing, ("transforms",))
+    for each in [thing] if several is None else several:
+        stamp_ns, parent = header_of(each, ("header",))
+        child = pick(each, ("child_frame_id",))
+        if not isinstance(child, str):
+            raise LackingError(f"{child!r} is no name of a frame")
+        numbers = [as_number(pick(each, ("transform", *parse_path(path)))) for path in FIELDS]
+        yield stamp_ns, (parent, child), numbers

@@ -1,0 +1,130 @@
+"""Parquet files, read by Arrow with the checksums of their pages verified; only the wanted columns are read."""
+
+import base64
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]  # the package carries no annotations
+import pyarrow.parquet  # type: ignore[import-untyped]  # the package carries no annotations
+
+from ...errors import LogError
+from ...signals.recording import FloatArray, StampArray
+from .times import from_decimals, from_floats, from_integers
+
+MAGIC = b"PAR1"
+_FOREIGN = (pa.ArrowException, OSError, ValueError, KeyError, IndexError, TypeError, OverflowError, MemoryError)
+_BATCH_ROWS = 65_536
+_KEPT_TYPES = (pa.float64(), pa.float32(), pa.int64())
+"""Types that Parquet has as Arrow has them."""
+
+
+def column_names(path: Path) -> tuple[str, ...]:
+    """Return the names of the columns; raise LogError where the file is damaged."""
+    with _opened(path) as file:
+        return tuple(file.schema_arrow.names)
+
+
+def read_parquet(
+    path: Path, columns: Sequence[str], time: str | None, unit: str
+) -> tuple[FloatArray, StampArray | None, int]:
+    """Return the values (n, len(columns)), NaN where a cell is empty, the times in ns of a column, and n.
+
+    Timestamps and durations carry their own unit; other times are in `unit`. Raises LogError.
+    """
+    wanted = list(dict.fromkeys((*columns, *(() if time is None else (time,)))))
+    with _opened(path) as file:
+        for name in columns:
+            _check_number(path, name, file.schema_arrow.field(name).type)
+        values: list[FloatArray] = []
+        times: list[StampArray] = []
+        count = 0
+        for batch in file.iter_batches(_BATCH_ROWS, columns=wanted, use_threads=False):
+            count += batch.num_rows
+            values.append(np.empty((batch.num_rows, len(columns))))
+            for index, name in enumerate(columns):
+                values[-1][:, index] = _numbers(batch.column(name))
+            if time is not None:
+                times.append(_times(path, time, batch.column(time), unit, count - batch.num_rows))
+        rows = file.metadata.num_rows
+        if wanted and count != rows:
+            raise LogError(f"{path.name} is damaged: it holds {count} rows, its footer counts {rows}; export it again.")
+    told = np.concatenate(values) if values else np.empty((0, len(columns)))
+    return told, (np.concatenate(times) if times else np.zeros(0, dtype=np.int64)) if time is not None else None, rows
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[pa.parquet.ParquetFile]:
+    try:
+        with (
+            path.open("rb") as source,
+            pa.parquet.ParquetFile(source, page_checksum_verification=True, memory_map=False) as file,
+        ):
+            names = file.schema_arrow.names
+            if len(set(names)) < len(names):
+                raise LogError(f"{path.name} has several columns of one name: {_twice(names)}; rename them.")
+            _check_footer(file)
+            yield file
+    except _FOREIGN as error:
+        reason = " ".join(str(error).split())[:300] or type(error).__name__
+        raise LogError(
+            f"{path.name} is damaged or no Parquet file that can be read ({reason}); export it again."
+        ) from error
+
+
+def _check_footer(file: pa.parquet.ParquetFile) -> None:
+    """Raise ValueError unless the footer, which has no checksum, agrees where it tells names and types twice."""
+    stored = (file.metadata.metadata or {}).get(b"ARROW:schema")
+    if stored is None:
+        return
+    read = list(file.schema_arrow)
+    told = list(pa.ipc.read_schema(pa.py_buffer(base64.b64decode(stored))))
+    if [field.name for field in read] != [field.name for field in told] or any(
+        one.type != other.type for one, other in zip(read, told, strict=True) if other.type in _KEPT_TYPES
+    ):
+        raise ValueError("its footer tells names or types of the columns in two ways")
+
+
+def _twice(names: Sequence[str]) -> str:
+    return ", ".join(sorted({name for name in names if names.count(name) > 1}))
+
+
+def _check_number(path: Path, name: str, kind: pa.DataType) -> None:
+    if pa.types.is_dictionary(kind):
+        kind = kind.value_type
+    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
+        raise LogError(f"Column `{name}` of {path.name} is of type {kind}, it must hold numbers; name another column.")
+
+
+def _numbers(column: pa.Array) -> FloatArray:
+    if pa.types.is_dictionary(column.type):
+        column = column.dictionary_decode()
+    numbers: FloatArray = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+    return numbers
+
+
+def _times(path: Path, name: str, column: pa.Array, unit: str, before: int) -> StampArray:
+    where = f"Column `{name}` of {path.name}"
+    if column.null_count:
+        first = before + column.is_null().to_pylist().index(True) + 1
+        raise LogError(f"{where} has no time in row {first}; remove the row or record again.")
+    kind = column.type
+    try:
+        if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
+            return from_integers(_whole(column), kind.unit)
+        if pa.types.is_integer(kind):
+            return from_integers(_whole(column), unit)
+        if pa.types.is_floating(kind):
+            return from_floats(_numbers(column), unit)
+        if pa.types.is_decimal(kind):
+            return from_decimals(column, unit)
+    except (OverflowError, pa.ArrowInvalid) as error:
+        reason = " ".join(str(error).split())
+        raise LogError(f"{where} holds {reason} from row {before + 1} on; check its time unit ({unit}).") from error
+    raise LogError(f"{where} is of type {kind}, it must hold times: numbers, timestamps or durations.")
+
+
+def _whole(column: pa.Array) -> StampArray:
+    whole: StampArray = column.cast(pa.int64()).to_numpy(zero_copy_only=False)
+    return whole

@@ -1,0 +1,208 @@
+"""The text of a CSV file: its encoding, what stands before its rows, and the rows as a stream of UTF-8."""
+
+import codecs
+import csv
+import io
+import re
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...errors import LogError
+from .layout import TableLayout
+
+_BLOCK_CHARACTERS = 2**18
+_LINE_LIMIT = 2**20
+_LOOKED_AT = 50
+_DELIMITERS = (";", "\t", "|", ",")
+_NUMBER = re.compile(r"\s*([-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?|[-+]?(nan|inf|infinity)|)\s*", re.IGNORECASE)
+_UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Text:
+    """A CSV file that was looked at: `names` of its columns, and the number of the line where its rows begin."""
+
+    path: Path
+    layout: TableLayout
+    encoding: str
+    delimiter: str
+    names: tuple[str, ...]
+    first_line: int
+
+    def lines(self) -> Iterator[tuple[int, str]]:
+        """Yield number and text of the lines of rows, without comments and without blank lines at the end."""
+        blank: list[tuple[int, str]] = []
+        with _opened(self.path, self.encoding, newline=None) as file:
+            for number, line in enumerate(file, start=1):
+                if number >= self.first_line and not is_comment(line, self.layout):
+                    blank.append((number, line))
+                    if line != "\n":
+                        yield from blank
+                        blank.clear()
+
+
+def look_at(path: Path, layout: TableLayout) -> Text:
+    """Find out encoding, delimiter and names; raise LogError where the file is no table that can be read."""
+    encoding = _encoding(path, layout)
+    count = layout.skip_rows + (layout.header_rows or 0) + _LOOKED_AT
+    try:
+        with _opened(path, encoding, newline=None) as file:
+            numbered = list(_numbered(path, file, count))
+    except (UnicodeError, LookupError, OSError) as error:
+        raise unreadable(path, encoding, error) from error
+    told = [(number, line) for number, line in numbered[layout.skip_rows :] if not is_comment(line, layout)]
+    while told and not told[0][1].strip():
+        told.pop(0)
+    if not told:
+        raise LogError(f"{path.name} holds no line of a table; record again, or correct the lines that are left out.")
+    delimiter = layout.delimiter or _find_delimiter([line for _, line in told])
+    try:
+        first = split(told[0][1], delimiter)
+    except csv.Error as error:
+        raise LogError(f"{path.name}, line {told[0][0]}: it cannot be split ({error}); correct the line.") from error
+    header_rows = layout.header_rows
+    if header_rows is None:
+        header_rows = 0 if all(_NUMBER.fullmatch(field) for field in first) else 1
+    names = (field.strip() or str(index) for index, field in enumerate(first))
+    return Text(
+        path=path,
+        layout=layout,
+        encoding=encoding,
+        delimiter=delimiter,
+        names=tuple(names) if header_rows else tuple(map(str, range(len(first)))),
+        first_line=told[header_rows][0] if header_rows < len(told) else numbered[-1][0] + 1,
+    )
+
+
+class CutOffError(ValueError):
+    """The last line of a table has no end."""
+
+
+class Rows(io.RawIOBase):
+    """The rows of a CSV file as UTF-8, without blank lines at the end.
+
+    Raises CutOffError where the last line has no end, UnicodeError where the file is not in its encoding.
+    """
+
+    def __init__(self, text: Text) -> None:
+        super().__init__()
+        self._text = text
+        self._blocks = self._encoded()
+        self._left = b""
+
+    def readable(self) -> bool:
+        """Tell that it can be read."""
+        return True
+
+    def readinto(self, buffer: bytearray | memoryview) -> int:  # type: ignore[override]  # any buffer will do
+        """Fill a buffer; only at the end with less than it takes."""
+        filled = 0
+        while filled < len(buffer):
+            self._left = self._left or next(self._blocks, b"")
+            if not self._left:
+                break
+            size = min(len(buffer) - filled, len(self._left))
+            buffer[filled : filled + size], self._left = self._left[:size], self._left[size:]
+            filled += size
+        return filled
+
+    def close(self) -> None:
+        """Close the file."""
+        self._blocks.close()
+        super().close()
+
+    def _encoded(self) -> Generator[bytes]:
+        held, is_begun = "", False
+        for block in self._characters():
+            whole = held + block
+            kept = whole.rstrip("\r\n")
+            held = whole[len(kept) :]
+            if kept:
+                is_begun = True
+                yield kept.encode()
+        if is_begun and not held:
+            with _opened(self._text.path, self._text.encoding, newline=None) as file:
+                number = sum(1 for _ in file)
+            raise CutOffError(
+                f"line {number}: the last line has no end, so it may be cut off; "
+                "record again, or end the line if the table is complete"
+            )
+        yield b"\n" if is_begun else b""
+
+    def _characters(self) -> Iterator[str]:
+        layout = self._text.layout
+        with _opened(self._text.path, self._text.encoding, newline="") as file:
+            for _ in range(self._text.first_line - 1):
+                file.readline()
+            if layout.comment:
+                yield from (line for line in file if not is_comment(line, layout))
+                return
+            while block := file.read(_BLOCK_CHARACTERS):
+                yield block
+
+
+def split(line: str, delimiter: str) -> list[str]:
+    """Split a line into its fields; raise csv.Error where a quote is not closed."""
+    return next(csv.reader([line.rstrip("\r\n")], delimiter=delimiter, strict=True), [""])
+
+
+def is_comment(line: str, layout: TableLayout) -> bool:
+    """Tell whether a line is to be left out."""
+    return bool(layout.comment) and line.startswith(layout.comment)
+
+
+def unreadable(path: Path, encoding: str, error: Exception) -> LogError:
+    """Make the error for a file that cannot be read as text."""
+    if isinstance(error, UnicodeDecodeError):
+        bytes_found = error.object[error.start : error.start + 4].hex(" ")
+        reason = f"is not text in {encoding} (it holds the bytes {bytes_found})"
+        return LogError(f"{path.name} {reason}; save it as UTF-8, or export it again if it is damaged.")
+    return LogError(f"{path.name} cannot be read as text ({error}); save it as UTF-8.")
+
+
+def _opened(path: Path, encoding: str, *, newline: str | None) -> io.TextIOWrapper:
+    return path.open(encoding=encoding, newline=newline)
+
+
+def _encoding(path: Path, layout: TableLayout) -> str:
+    try:
+        with path.open("rb") as file:
+            head = file.read(4)
+    except OSError as error:
+        raise LogError(f"{path} cannot be read: {error.strerror or error}; name an existing table.") from error
+    if not head:
+        raise LogError(f"{path.name} is empty (0 bytes); export it again.")
+    if head.startswith(_UTF16):
+        return "utf-16"
+    return "utf-8-sig" if layout.encoding is None or head.startswith(codecs.BOM_UTF8) else layout.encoding
+
+
+def _numbered(path: Path, file: io.TextIOWrapper, count: int) -> Iterator[tuple[int, str]]:
+    for number in range(1, count + 1):
+        line = file.readline(_LINE_LIMIT)
+        if len(line) >= _LINE_LIMIT:
+            raise LogError(f"{path.name}, line {number}: longer than {_LINE_LIMIT} characters, which is no table.")
+        if not line:
+            return
+        yield number, line
+
+
+def _find_delimiter(lines: Sequence[str]) -> str:
+    """Return the delimiter that splits the first lines alike, else the one that splits the first line most."""
+    lines = [line for line in lines if line.strip()]
+    counts = {mark: [_count(line, mark) for line in lines] for mark in _DELIMITERS}
+    alike = [mark for mark, told in counts.items() if told[0] > 1 and len(set(told)) == 1]
+    if alike:
+        return alike[0]
+    most = max(_DELIMITERS, key=lambda mark: counts[mark][0])
+    if counts[most][0] <= 1 and len(lines[0].split()) > 1 and all(_NUMBER.fullmatch(each) for each in lines[0].split()):
+        return " "
+    return most if counts[most][0] > 1 else ","
+
+
+def _count(line: str, delimiter: str) -> int:
+    try:
+        return len(split(line, delimiter))
+    except csv.Error:
+        return 0

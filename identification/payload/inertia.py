@@ -1,0 +1,279 @@
+"""Inertia tensor of the payload from moves that turn the tool; the mass a second time, from its acceleration."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..result import Estimate, Finding
+from ..signals.aligned import AlignedLog
+from ..signals.segments import Motion
+from ..verdicts import judged, unidentifiable
+from .gravity import GravityFit
+from .inertia_rows import MotionRows, build_motion_rows
+from .pseudo_inertia import PAIRS, inertia_matrix, nearest_consistent
+from .static_poses import StaticPose
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_FEWEST_MOVES = 3
+_ROUNDS = 6
+_OUTLIER_FACTOR = 4.0
+_DISAGREEMENT = 4.0
+_DISAGREEMENT_SHARE = 0.03
+_INCONSISTENT = 16.0
+_PRODUCT_FLOOR = 0.2
+# The equations are of a rigid payload: a gripper that swings at 20 Hz adds 1 % to a turn that takes half a second.
+_MODEL_STD_SHARE = 0.01
+# Directions that no move excites stay 0 with a deviation far above any payload (kg, kg·m, kg·m², N, N·m; s).
+_PRIOR_STD = np.concatenate([np.full(16, 1e2), [1.0]])
+_METHOD = "Newton-Euler least squares over moves that turn the tool, below 8 Hz"
+_ADVICE = (
+    "Record moves of 0.5 to 1 s each that turn the tool by 40 degrees or more and back, about each of its three axes, "
+    "at rest before and after and with nothing touching it."
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InertiaFit:
+    """The inertia tensor about the sensor's origin in S [kg·m²]: `components` xx, yy, zz, xy, xz, yz with verdicts.
+
+    `matrix_S_kg_m2` (3, 3) is the physically consistent estimate, `std_S_kg_m2` (3, 3) its deviation; both None where
+    no component is told, and of components that are not told no more than one possible value. `mass_kg` is the
+    inertial mass where the origin was accelerated, free of the weight. `lag_s` is how much the wrench comes after the
+    pose, `lag_std_s` its deviation (NaN without moves). `moves` took part, `left_out` did not fit.
+    """
+
+    components: tuple[Estimate, ...]
+    matrix_S_kg_m2: FloatArray | None
+    std_S_kg_m2: FloatArray | None
+    mass_kg: Estimate
+    lag_s: float
+    lag_std_s: float
+    moves: int
+    left_out: int
+    findings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionSolution:
+    """Unconstrained m, h, I, biases, lag (17,) with covariance; which moves fit (moves,)."""
+
+    values: FloatArray
+    covariance: FloatArray
+    fits: BoolArray
+
+
+def identify_inertia(log: AlignedLog, motion: Motion, poses: Sequence[StaticPose], gravity: GravityFit) -> InertiaFit:
+    """Solve the Newton–Euler equations over free moves for I, with m and m c as the rests tell them.
+
+    The inertia is that of the payload and of the sensor's outer part, about the origin of the pose's frame. Components
+    that the moves do not turn about are unidentifiable. What no distribution of mass can have is replaced by the
+    consistent tensor of highest likelihood within the uncertainty, and refused beyond.
+    """
+    solution = solve_motion(log, motion, poses, gravity)
+    if solution is None:
+        return _nothing("fewer than three moves turn the tool freely")
+    free = _combined(solution, gravity, tied=False)
+    mass = judged(
+        float(solution.values[0]), float(np.sqrt(solution.covariance[0, 0])), method=_METHOD, note="from acceleration"
+    )
+    findings = _disagreement(solution, gravity)
+    tied = free if findings else _combined(solution, gravity, tied=True)
+    values, distance = nearest_consistent(*tied)
+    std = np.hypot(np.sqrt(np.diag(tied[1]))[4:], _MODEL_STD_SHARE * np.abs(values[4:]))
+    lag, lag_std = float(solution.values[16]), float(np.sqrt(solution.covariance[16, 16]))
+    refused = distance > _INCONSISTENT
+    if refused:
+        findings += (_unphysical(distance),)
+    components = tuple(
+        unidentifiable(method=_METHOD, note="no payload has the tensor that fits best")
+        if refused
+        else _component(index, values[4:], std, bool(findings))
+        for index in range(6)
+    )
+    told = any(each.value is not None for each in components)
+    return InertiaFit(
+        components=components,
+        matrix_S_kg_m2=inertia_matrix(values[4:]) if told else None,
+        std_S_kg_m2=inertia_matrix(std) if told else None,
+        mass_kg=mass,
+        lag_s=lag,
+        lag_std_s=lag_std,
+        moves=int(np.count_nonzero(solution.fits)),
+        left_out=int(np.count_nonzero(~solution.fits)),
+        findings=(*findings, *_missing(components)),
+    )
+
+
+def inertial_sign(log: AlignedLog, motion: Motion, poses: Sequence[StaticPose], gravity: GravityFit) -> float:
+    """Return the inertia over its standard deviation, of the axis that the moves tell best; 0 without moves.
+
+    Below −5 the forces of acceleration have the sign of the weight: gravity points the other way in the base than
+    assumed. Rests cannot tell that from a wrench of the other body, moves can.
+    """
+    solution = solve_motion(log, motion, poses, gravity)
+    if solution is None:
+        return 0.0
+    scores = solution.values[4:7] / np.sqrt(np.diag(solution.covariance)[4:7])
+    return float(scores[np.argmax(np.abs(scores))])
+
+
+def solve_motion(
+    log: AlignedLog, motion: Motion, poses: Sequence[StaticPose], gravity: GravityFit
+) -> MotionSolution | None:
+    """Solve for m, h, I, biases and lag without constraint, leaving out moves that do not fit; None if too few do."""
+    data = build_motion_rows(log, motion, poses, gravity)
+    if data is None:
+        return None
+    fits = np.ones(int(data.move.max()) + 1, dtype=bool)
+    for _ in range(_ROUNDS):
+        if np.count_nonzero(fits) < _FEWEST_MOVES:
+            return None
+        values, spread = _solve(data, fits[data.move])
+        left = np.sqrt(np.mean(((data.values - data.rows @ values) / spread) ** 2, axis=1))
+        each = np.array([float(np.sqrt(np.mean(left[data.move == i] ** 2))) for i in range(len(fits))])
+        following = each < _OUTLIER_FACTOR * max(float(np.median(each[fits])), 1e-9)
+        if np.array_equal(following, fits):
+            break
+        fits = following
+    inside = fits[data.move]
+    values, spread = _solve(data, inside)
+    covariance = _covariance(
+        data.rows[inside] / spread[:, None], (data.values - data.rows @ values)[inside] / spread, data.move[inside]
+    )
+    # Noise in a column makes its parameter too small by its share of the column's power.
+    covariance[np.diag_indices(10)] += (data.attenuation * values[:10]) ** 2
+    return MotionSolution(values=values, covariance=covariance, fits=fits)
+
+
+def _solve(data: MotionRows, inside: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return the parameters and the spread (6,) of what is left, by which the equations are weighed."""
+    spread = np.concatenate([np.full(3, np.std(data.values[:, :3])), np.full(3, np.std(data.values[:, 3:]))])
+    values = np.zeros(17)
+    for _ in range(4):
+        spread = np.maximum(spread, np.maximum(data.noise, 1e-9))
+        rows = np.vstack([(data.rows[inside] / spread[:, None]).reshape(-1, 17), np.diag(1.0 / _PRIOR_STD)])
+        told = np.concatenate([(data.values[inside] / spread).reshape(-1), np.zeros(17)])
+        scale = np.linalg.norm(rows, axis=0)
+        values = np.linalg.lstsq(rows / scale, told, rcond=None)[0] / scale
+        left = data.values[inside] - data.rows[inside] @ values
+        spread = np.sqrt(np.mean(left**2, axis=0))
+        spread = np.repeat([np.sqrt(np.mean(spread[:3] ** 2)), np.sqrt(np.mean(spread[3:] ** 2))], 3)
+    return values, np.maximum(spread, np.maximum(data.noise, 1e-9))
+
+
+def _covariance(rows: FloatArray, left: FloatArray, move: NDArray[np.int64]) -> FloatArray:
+    """Return the covariance (17, 17) of a whitened fit, widened by what whole moves misfit together."""
+    flat = rows.reshape(-1, 17)
+    freedom = max(left.size - 17, 1)
+    inverse = np.linalg.inv(flat.T @ flat + np.diag(1.0 / _PRIOR_STD**2))
+    covariance = max(1.0, float(np.sum(left**2)) / freedom) * inverse
+    meat = np.zeros((17, 17))
+    for number in np.unique(move):
+        score = np.einsum("nij,ni->j", rows[move == number], left[move == number])
+        meat += np.outer(score, score)
+    count = len(np.unique(move))
+    sandwich = inverse @ meat @ inverse * count / max(count - 1, 1)
+    widened = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(covariance), 1.0))
+    return np.asarray(widened[:, None] * covariance * widened)
+
+
+def _combined(solution: MotionSolution, gravity: GravityFit, *, tied: bool) -> tuple[FloatArray, FloatArray]:
+    """Return m, h, I (10,) and their covariance, with m and h = m c of the rests as a second measurement if `tied`."""
+    values, covariance = solution.values[:10], solution.covariance[:10, :10]
+    if not tied:
+        return values, covariance
+    mass, com = gravity.mass_kg, gravity.com_S_m
+    jacobian = np.zeros((4, 4))
+    jacobian[0, 0] = 1.0
+    jacobian[1:, 0], jacobian[1:, 1:] = com, mass * np.eye(3)
+    rest = jacobian @ gravity.covariance[:4, :4] @ jacobian.T
+    pick = np.eye(4, 10)
+    gain = covariance @ pick.T @ np.linalg.inv(pick @ covariance @ pick.T + rest)
+    updated = values + gain @ (np.concatenate([[mass], mass * com]) - values[:4])
+    left = np.eye(10) - gain @ pick
+    return updated, np.asarray(left @ covariance @ left.T + gain @ rest @ gain.T)
+
+
+def _component(index: int, six: FloatArray, std: FloatArray, is_doubtful: bool) -> Estimate:
+    """Judge one component; a product of inertia is small beside the moments, and is judged by their size."""
+    i, j = PAIRS[index]
+    known = [float(six[k]) for k in range(3) if std[k] < 0.25 * abs(six[k])]
+    floor = 0.0 if i == j else _PRODUCT_FLOOR * max(known, default=0.0)
+    note = "mass and its moment from motion disagree with those from rests" if is_doubtful else ""
+    limit = 0.0 if is_doubtful else 0.05
+    return judged(float(six[index]), float(std[index]), method=_METHOD, note=note, identified=limit, floor=floor)
+
+
+def _disagreement(solution: MotionSolution, gravity: GravityFit) -> tuple[Finding, ...]:
+    """Return findings where inertial mass or moment is not what the rests tell."""
+    mass, std = float(solution.values[0]), float(np.sqrt(solution.covariance[0, 0]))
+    apart, both = abs(mass - gravity.mass_kg), float(np.hypot(std, gravity.mass_std_kg))
+    found = []
+    if apart > max(_DISAGREEMENT * both, _DISAGREEMENT_SHARE * gravity.mass_kg):
+        found.append(
+            Finding(
+                code="mass-disagreement",
+                severity="warning",
+                message=f"Where the tool turns, the mass from acceleration, {mass:.3f} ± {std:.3f} kg, and from "
+                f"gravity, {gravity.mass_kg:.3f} ± {gravity.mass_std_kg:.3f} kg, disagree.",
+                advice="Check force and length units, the clocks of wrench and pose, and that the payload is the same.",
+            )
+        )
+    moment = gravity.mass_kg * gravity.com_S_m
+    off = solution.values[1:4] - moment
+    std_h = np.sqrt(np.diag(solution.covariance)[1:4] + (gravity.mass_kg * gravity.com_std_m) ** 2)
+    if bool(np.any(np.abs(off) > np.maximum(_DISAGREEMENT * std_h, 0.01 * gravity.mass_kg))):
+        told = ", ".join(f"{1e3 * value / gravity.mass_kg:+.0f}" for value in off)
+        found.append(
+            Finding(
+                code="origin-offset",
+                severity="warning",
+                message=f"The centre of mass from motion lies ({told}) mm from the one at rest: the pose's origin is "
+                "not the sensor's, or the wrench lags.",
+                advice="Record the pose of the sensor's own frame; the inertia is about neither origin.",
+            )
+        )
+    return tuple(found)
+
+
+def _unphysical(distance: float) -> Finding:
+    return Finding(
+        code="inertia-unphysical",
+        severity="warning",
+        message=f"The inertia tensor that fits best is that of no payload ({np.sqrt(distance):.1f} standard deviations "
+        "from the nearest one that is).",
+        advice="Check the torque's unit and frame and that nothing touches the payload as it turns.",
+    )
+
+
+def _missing(components: tuple[Estimate, ...]) -> tuple[Finding, ...]:
+    names = [f"{'xyz'[i]}{'xyz'[j]}" for each, (i, j) in zip(components, PAIRS, strict=True) if each.value is None]
+    if not names:
+        return ()
+    return (
+        Finding(
+            code="inertia-not-excited",
+            severity="info",
+            message=f"The moves do not tell {', '.join(names)} of the payload's inertia tensor.",
+            advice=_ADVICE,
+        ),
+    )
+
+
+def _nothing(note: str) -> InertiaFit:
+    unknown = unidentifiable(method=_METHOD, note=note)
+    return InertiaFit(
+        components=(unknown,) * 6,
+        matrix_S_kg_m2=None,
+        std_S_kg_m2=None,
+        mass_kg=unknown,
+        lag_s=float("nan"),
+        lag_std_s=float("nan"),
+        moves=0,
+        left_out=0,
+        findings=_missing((unknown,) * 6),
+    )

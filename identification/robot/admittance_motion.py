@@ -1,0 +1,194 @@
+"""What an admittance with known gains asked of the robot, and what the robot did, axis by axis."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_opening
+from scipy.spatial.transform import Rotation
+
+from problems.compiled import compiled
+
+from ..errors import EstimateError
+from ..signals.aligned import check_regular, longest_whole, spans_of
+from ..signals.recording import AXES, GainsSignal, PoseSignal, Recording, StampArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_SHORTEST_S = 3.0
+_STEP_S = 0.01
+_CLOCK_S = 0.004
+# A robot that stands while the admittance asks for this speed is not driven by it.
+_STANDING = np.array([1e-3] * 3 + [5e-4] * 3)
+_ASKED = np.array([4e-3] * 3 + [2e-3] * 3)
+_SHORTEST_HALT_S = 0.4
+_BEFORE_HALT_S, _AFTER_HALT_S = 0.3, 1.0
+_SETTLING_S = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdmittanceMotion:
+    """One axis of S (rotations: rad for m).
+
+    `asked_m_s` (n,) is the velocity a(t) of the admittance, M_a da/dt + B_a a = F + F^d, every `period_s` from time 0;
+    `moved_m_s` (m,) the mean velocity of the logged point between the stamps `edge_s` (m + 1,); `turning_rad_s`
+    (m, 2 or 0) what the tool's turning adds to it for a lever of 1 m (along the axis after next, then the next one);
+    `used` (m,) is false where the robot was not driven by the admittance, and right behind that.
+    """
+
+    axis: str
+    period_s: float
+    asked_m_s: FloatArray
+    edge_s: FloatArray
+    moved_m_s: FloatArray
+    turning_rad_s: FloatArray
+    used: BoolArray
+    halted_s: float
+
+
+def admittance_motions(recording: Recording) -> tuple[AdmittanceMotion, ...]:
+    """Drive the admittance of the logged gains with the logged wrench, for every axis that was measured.
+
+    The wrench is that which the controller acted on: what a deadband took off is not put back. Gains and F^d hold from
+    one message to the next. Raises EstimateError without gains, orientation, or 3 s in common.
+    """
+    gains = recording.gains
+    if gains is None:
+        raise EstimateError(
+            "Without a logged command the admittance gains M_a and B_a must be known to tell the robot's response; "
+            "declare `gains` in cell.yaml (a topic with its fields, or `mass` and `damping` as numbers)."
+        )
+    recording = longest_whole(recording)
+    wrench, pose = recording.wrench, recording.pose
+    start, stop = max(wrench.stamp_ns[0], pose.stamp_ns[0]), min(wrench.stamp_ns[-1], pose.stamp_ns[-1])
+    common_s = float(stop - start) * 1e-9
+    if common_s < _SHORTEST_S:
+        raise EstimateError(
+            f"Wrench and pose must cover the same time for {_SHORTEST_S:g} s to tell the robot's response, found "
+            f"{max(common_s, 0.0):.2f} s; record longer."
+        )
+    period = check_regular(wrench.topic, wrench.stamp_ns)
+    time = np.asarray(np.arange(int(common_s / period + 1e-6) + 1) * period)
+    asked = _asked(recording, gains, int(start), time)
+    time, asked = _coarser(time, asked)
+    edge, moved = _moved(pose, int(start), time)
+    halted = _halted(edge, moved, _mean_between(edge, time, asked))
+    axes = [i for i, axis in enumerate(AXES) if axis in wrench.measured_axes and axis in pose.measured_axes]
+    turned = "rx" in pose.measured_axes
+    return tuple(
+        AdmittanceMotion(
+            axis=AXES[i],
+            period_s=float(time[1] - time[0]),
+            asked_m_s=np.ascontiguousarray(asked[:, i]),
+            edge_s=edge - time[0],
+            moved_m_s=moved[:, i],
+            turning_rad_s=_turning(moved, i) if turned and i < 3 else np.zeros((len(moved), 0)),
+            used=~_reach(edge, halted) & (edge[:-1] > edge[0] + _SETTLING_S),
+            halted_s=float(np.sum(np.diff(edge)[halted])),
+        )
+        for i in axes
+    )
+
+
+def _asked(recording: Recording, gains: GainsSignal, start_ns: int, time: FloatArray) -> FloatArray:
+    """Return the admittance's velocity on all axes (n, 6), NaN where no force was measured."""
+    wrench, desired = recording.wrench, recording.desired_force
+    at = (wrench.stamp_ns - start_ns) * 1e-9
+    drive = np.column_stack([np.interp(time, at, column) for column in _six(wrench.force_n, wrench.torque_n_m)])
+    if desired is not None:
+        rows = _held_rows(desired.stamp_ns, start_ns, time)
+        drive += np.nan_to_num(np.column_stack(_six(desired.force_n, desired.torque_n_m)))[rows]
+    rows = _held_rows(gains.stamp_ns, start_ns, time) if len(gains.stamp_ns) > 1 else np.zeros(len(time), np.int64)
+    out = np.full((len(time), 6), np.nan)
+    for i in range(6):
+        mass, damping = gains.mass[rows, i], gains.damping[rows, i]
+        if bool(np.all(np.isfinite(mass) & np.isfinite(damping) & (mass >= 0.0) & (damping > 0.0))):
+            out[:, i] = _admittance(np.ascontiguousarray(drive[:, i]), mass, damping, float(time[1]))
+    return out
+
+
+def _six(linear: FloatArray, angular: FloatArray) -> list[FloatArray]:
+    return [*linear.T, *angular.T]
+
+
+def _held_rows(stamp_ns: StampArray, start_ns: int, time: FloatArray) -> NDArray[np.int64]:
+    """Return the message that holds at each time; the first one also before it."""
+    at = (stamp_ns - start_ns) * 1e-9
+    return np.maximum(np.searchsorted(at, time, side="right") - 1, 0)
+
+
+@compiled
+def _admittance(force: FloatArray, mass: FloatArray, damping: FloatArray, period_s: float) -> FloatArray:
+    """Return a(t) of M da/dt + B a = F at the samples, exact for a force that is linear between them; a(0) = F/B."""
+    out = np.empty(len(force))
+    out[0] = force[0] / damping[0]
+    for k in range(len(force) - 1):
+        ratio = mass[k] / (damping[k] * period_s)
+        decay = np.exp(-1.0 / ratio) if ratio > 0.0 else 0.0
+        rise = force[k + 1] - force[k]
+        out[k + 1] = decay * out[k] + (force[k + 1] - decay * force[k] - rise * ratio * (1.0 - decay)) / damping[k]
+    return out
+
+
+def _coarser(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return means over an odd number of samples, 4 ms at most, at the middle of each: a robot sees no finer."""
+    count = max(1, int(_CLOCK_S / time[1] + 1e-6))
+    count -= 1 - count % 2
+    blocks = len(time) // count
+    return (
+        time[count // 2 : blocks * count : count],
+        values[: blocks * count].reshape(blocks, count, -1).mean(axis=1),
+    )
+
+
+def _moved(pose: PoseSignal, start_ns: int, clock: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return edges (m + 1,) about 10 ms apart, or as the pose was logged, and mean velocities between them (m, 6)."""
+    time = (pose.stamp_ns - start_ns) * 1e-9
+    inside = np.flatnonzero((time >= clock[0]) & (time <= clock[-1]))
+    step = max(1, round(_STEP_S / float(np.median(np.diff(time)))))
+    kept = inside[::step]
+    edge, position = np.asarray(time[kept]), np.array(pose.position_m[kept])
+    duration = np.diff(edge)[:, None]
+    linear = np.diff(position, axis=0) / duration
+    if pose.is_displacement:
+        return edge, np.hstack([linear, np.full(linear.shape, np.nan)])
+    if "rx" not in pose.measured_axes:
+        raise EstimateError(
+            f"The pose of topic {pose.topic} tells no orientation, so its motion cannot be told in the axes of the "
+            "wrench; record the whole pose."
+        )
+    orientation_BS = Rotation.from_quat(np.array(pose.quaternion_xyzw[kept]))
+    turn = np.asarray((orientation_BS[:-1].inv() * orientation_BS[1:]).as_rotvec())
+    middle_BS = orientation_BS[:-1] * Rotation.from_rotvec(0.5 * turn)
+    return edge, np.hstack([np.asarray(middle_BS.inv().apply(linear)), turn / duration])
+
+
+def _turning(moved: FloatArray, axis: int) -> FloatArray:
+    """Return −(ω × p) along an axis per metre of the two components of p across it, (m, 2)."""
+    following, next_but_one = (axis + 1) % 3, (axis + 2) % 3
+    return np.column_stack([-moved[:, 3 + following], moved[:, 3 + next_but_one]])
+
+
+def _mean_between(edge: FloatArray, time: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the means of (n, k) between the edges by the trapezoidal rule, (m, k)."""
+    summed = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(0.5 * (values[1:] + values[:-1]), axis=0)])
+    at_edges = np.column_stack([np.interp(edge, time, column) for column in summed.T]) * (time[1] - time[0])
+    return np.asarray(np.diff(at_edges, axis=0) / np.diff(edge)[:, None])
+
+
+def _halted(edge: FloatArray, moved: FloatArray, asked: FloatArray) -> BoolArray:
+    """Return the steps (m,) in which nothing moves for 0.4 s or longer although the admittance asks for it."""
+    standing = np.all(np.nan_to_num(np.abs(moved)) < _STANDING, axis=1)
+    pushed = np.any(np.nan_to_num(np.abs(asked)) > _ASKED, axis=1)
+    shortest = max(1, round(_SHORTEST_HALT_S / float(np.median(np.diff(edge)))))
+    return np.asarray(binary_opening(standing & pushed, structure=np.ones(shortest)))
+
+
+def _reach(edge: FloatArray, halted: BoolArray) -> BoolArray:
+    """Return the steps (m,) that a halt touches: those while the robot slows down before it, and those after it."""
+    touched = np.zeros(len(halted), dtype=np.bool_)
+    for span in spans_of(halted):
+        before, after = edge[span.start] - _BEFORE_HALT_S, edge[span.stop] + _AFTER_HALT_S
+        touched |= (edge[1:] > before) & (edge[:-1] < after)
+    return touched

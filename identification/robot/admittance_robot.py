@@ -1,0 +1,247 @@
+"""The robot's response from the wrench, through an admittance whose gains are known: for logs without a command."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
+from scipy.signal import cont2discrete, lfilter
+
+from problems.model.robot import RobotModel
+
+from ..errors import EstimateError
+from .admittance_motion import AdmittanceMotion
+from .position_loop import find_bandwidth_hz
+
+FloatArray = NDArray[np.float64]
+
+_SMALLEST_TRAVEL = 5e-3  # m or rad
+_FEWEST_STEPS = 100
+_SMALLEST_TURN_RAD_S = 2e-4
+_LONGEST_DELAY_S = 0.3
+_DELAY_UNIT_S = 0.01
+_DELAY_STARTS_S = (0.003, 0.03, 0.1)
+_BANDWIDTH_STARTS_RAD_PER_S = (6.0, 20.0, 60.0)
+_SLOWEST_RAD_PER_S, _FASTEST_RAD_PER_S = 0.5, 400.0
+_POOR_FIT = 0.2
+_RIVAL_RATIO = 1.25
+_BLOCK_S = 1.0
+_NUDGE = 1e-5
+# A force that is linear between the samples of the log: measured on simulated robots, this is what it costs.
+_BANDWIDTH_SHARE, _DELAY_SAMPLES = 0.01, 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdmittanceRobotFit:
+    """r(s) with T from wrench to motion, the hold of the controller and the logger's lag included in `model.delay_s`.
+
+    `lag_s` is the lag at low frequency, T + (d_1 − n_1)/d_0, told far better than its parts. `gain` is measured over
+    expected speed; `lever_m` (2 or 0) the two components across the axis of a point that the admittance moves, seen
+    from the logged one; `fit_error` is residual RMS over motion RMS.
+    """
+
+    model: RobotModel
+    denominator_std: FloatArray
+    delay_std_s: float
+    bandwidth_hz: float
+    bandwidth_std_hz: float
+    lag_s: float
+    lag_std_s: float
+    gain: float
+    gain_std: float
+    lever_m: FloatArray
+    lever_std_m: FloatArray
+    fit_error: float
+
+
+def identify_admittance_robot(motion: AdmittanceMotion) -> AdmittanceRobotFit:
+    """Fit V = g r(s) e^(−sT) (F + F^d)/(M_a s + B_a) + lever × turning to one axis by output error.
+
+    One pole or two, with or without a lever, by the Bayesian information criterion. Deviations are those of coloured
+    residuals (scores summed over seconds); where the other number of poles fits within a quarter as well, its answer
+    with its deviation lies inside them too, since a slow hand tells the sum of the lags better than their kind.
+    Raises EstimateError when the axis hardly moves or no such robot explains the motion.
+    """
+    moved = motion.moved_m_s[motion.used]
+    travel = float(np.sum(np.abs(moved) * np.diff(motion.edge_s)[motion.used]))
+    if travel < _SMALLEST_TRAVEL or len(moved) < _FEWEST_STEPS or not np.all(np.isfinite(motion.asked_m_s)):
+        raise EstimateError(
+            f"The tool travels {1e3 * travel:.1f} mm (mrad) in {len(moved)} samples under the admittance with known "
+            "gains, too little to tell the robot's response; lead it by hand for 10 s, in quick pushes."
+        )
+    turns = bool(np.any(np.sqrt(np.mean(motion.turning_rad_s[motion.used] ** 2, axis=0)) > _SMALLEST_TURN_RAD_S))
+    levers = (False, True) if turns else (False,)
+    fits = [_fit(motion, order, with_lever=lever) for order in (1, 2) for lever in levers]
+    effective = min(fits, key=lambda fit: fit.residual_rms).effective_samples
+    chosen = min(fits, key=lambda fit: fit.criterion(effective))
+    error = chosen.residual_rms / max(float(np.std(moved)), 1e-15)
+    _check(chosen, error)
+    rivals = [f for f in fits if f is not chosen and len(f.linear) == len(chosen.linear)]
+    return _described(
+        chosen, [f for f in rivals if f.residual_rms < _RIVAL_RATIO * chosen.residual_rms], error, motion.period_s
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Fit:
+    order: int
+    parameters: FloatArray  # log ω [rad/s], (ζ,) T in units of 10 ms
+    linear: FloatArray  # gain, (two components of the lever [m])
+    covariance: FloatArray  # of both
+    residual_rms: float
+    effective_samples: float
+
+    def told(self, parameters: FloatArray | None = None) -> FloatArray:
+        """Return bandwidth [Hz], delay [s] and lag at low frequency [s]."""
+        model = _model(self.order, self.parameters if parameters is None else parameters)
+        poles = float(model.denominator[-2] / model.denominator[-1])
+        return np.array([find_bandwidth_hz(model), model.delay_s, model.delay_s + poles])
+
+    def told_std(self) -> FloatArray:
+        """Return the deviations of what is told."""
+        count = len(self.parameters)
+        slopes = np.array([self.told(self.parameters + _NUDGE * row) - self.told() for row in np.eye(count)]) / _NUDGE
+        variance = np.einsum("ik,ij,jk->k", slopes, self.covariance[:count, :count], slopes)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    def criterion(self, effective_samples: float) -> float:
+        misfit = 2.0 * effective_samples * np.log(max(self.residual_rms, 1e-15))
+        return float(misfit + (len(self.parameters) + len(self.linear)) * np.log(effective_samples))
+
+
+def _check(fit: _Fit, error: float) -> None:
+    if error > _POOR_FIT:
+        raise EstimateError(
+            f"No first- or second-order robot behind the admittance with the known gains explains the motion (residual "
+            f"{100.0 * error:.0f} % of it, {100.0 * _POOR_FIT:.0f} % at most); check that these gains ran throughout, "
+            "with no other force, constraint or point of control than the logged ones."
+        )
+    if fit.linear[0] <= 0.0:
+        raise EstimateError(
+            "The robot moves against the force that should drive it; check the sign of the wrench (`exerted_by`)."
+        )
+    if fit.told()[1] > 0.999 * _LONGEST_DELAY_S:
+        raise EstimateError(
+            f"The robot follows the wrench later than {_LONGEST_DELAY_S * 1e3:.0f} ms, the most that is searched; "
+            "check that the stamps of wrench and pose come from one clock."
+        )
+
+
+def _model(order: int, parameters: FloatArray) -> RobotModel:
+    omega, delay = float(np.exp(parameters[0])), float(parameters[-1]) * _DELAY_UNIT_S
+    if order == 1:
+        return RobotModel.from_bandwidth(bandwidth_rad_per_s=omega, delay_s=delay)
+    return RobotModel(
+        numerator=np.array([omega**2]),
+        denominator=np.array([1.0, 2.0 * float(parameters[1]) * omega, omega**2]),
+        delay_s=delay,
+    )
+
+
+def _response(motion: AdmittanceMotion, order: int, parameters: FloatArray) -> FloatArray:
+    """Return the mean velocities of a robot that was steady before the log began, (used steps,).
+
+    The admittance's velocity is taken as linear between its samples; the antiderivative of the response, which is
+    smooth, is read T before the stamps of the pose.
+    """
+    model = _model(order, parameters)
+    discrete = cont2discrete((model.numerator, model.denominator), motion.period_s, method="foh")
+    begin = motion.asked_m_s[0]
+    velocity = begin + lfilter(np.squeeze(discrete[0]), discrete[1], motion.asked_m_s - begin)
+    path = CubicSpline(np.arange(len(velocity)) * motion.period_s, velocity).antiderivative()
+    late = path(np.maximum(motion.edge_s - model.delay_s, 0.0))
+    return np.asarray((np.diff(late) / np.diff(motion.edge_s))[motion.used])
+
+
+def _fit(motion: AdmittanceMotion, order: int, *, with_lever: bool) -> _Fit:
+    moved = motion.moved_m_s[motion.used]
+    turning = motion.turning_rad_s[motion.used] if with_lever else np.zeros((len(moved), 0))
+
+    def solved(parameters: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        columns = np.column_stack([_response(motion, order, parameters), turning])
+        linear = np.linalg.lstsq(columns, moved, rcond=None)[0]
+        return columns @ linear - moved, np.asarray(linear, dtype=np.float64), columns
+
+    middle = [] if order == 1 else [0.8]
+    low = [np.log(_SLOWEST_RAD_PER_S), *(0.1 for _ in middle), 0.0]
+    high = [np.log(_FASTEST_RAD_PER_S), *(5.0 for _ in middle), _LONGEST_DELAY_S / _DELAY_UNIT_S]
+    starts = [
+        np.array([np.log(omega), *middle, delay / _DELAY_UNIT_S])
+        for omega in _BANDWIDTH_STARTS_RAD_PER_S
+        for delay in _DELAY_STARTS_S
+    ]
+    scale = float(np.sqrt(np.mean(moved**2))) or 1.0  # so that the tolerances do not depend on the unit
+    best = min(starts, key=lambda start: float(np.sum(solved(start)[0] ** 2)))
+    found = least_squares(
+        lambda p: solved(p)[0] / scale, best, bounds=(low, high), diff_step=1e-4, ftol=1e-7, gtol=None, max_nfev=40
+    )
+    residual, linear, columns = solved(found.x)
+    jacobian = np.column_stack([_slopes(motion, order, found.x) * linear[0], columns])
+    rho = float(np.clip(residual[1:] @ residual[:-1] / max(float(residual @ residual), 1e-300), 0.0, 0.999))
+    return _Fit(
+        order=order,
+        parameters=found.x,
+        linear=linear,
+        covariance=_covariance(jacobian, residual, motion.edge_s[:-1][motion.used]),
+        residual_rms=float(np.sqrt(np.mean(residual**2))),
+        # What first-order colour leaves of n samples.
+        effective_samples=max(len(residual) * (1.0 - rho) / (1.0 + rho), 2.0),
+    )
+
+
+def _slopes(motion: AdmittanceMotion, order: int, parameters: FloatArray) -> FloatArray:
+    """Return the response's derivatives by central differences, one-sided where the delay ends at 0."""
+    columns = []
+    for i in range(len(parameters)):
+        up, down = parameters.copy(), parameters.copy()
+        up[i] += 1e-3
+        down[i] = max(down[i] - 1e-3, 0.0) if i == len(parameters) - 1 else down[i] - 1e-3
+        columns.append((_response(motion, order, up) - _response(motion, order, down)) / (up[i] - down[i]))
+    return np.column_stack(columns)
+
+
+def _covariance(jacobian: FloatArray, residual: FloatArray, time: FloatArray) -> FloatArray:
+    """Return H⁻¹ Ω H⁻¹, H = JᵀJ and Ω the scores Jᵀr summed over blocks of a second: true for any colour within it.
+
+    The larger of this and of a white residual's counts, parameter by parameter.
+    """
+    count = jacobian.shape[1]
+    size = np.linalg.norm(jacobian, axis=0)
+    size[size == 0.0] = 1.0
+    inverse = np.linalg.pinv((jacobian / size).T @ (jacobian / size), rcond=1e-12)
+    scores = jacobian / size * residual[:, None]
+    starts = np.flatnonzero(np.diff(np.floor(time / _BLOCK_S), prepend=-1.0))
+    sums = np.add.reduceat(scores, starts, axis=0)
+    blocks = len(sums)
+    coloured = inverse @ (sums.T @ sums) @ inverse * blocks / max(blocks - count, 1)
+    white = inverse * float(residual @ residual) / max(len(residual) - count, 1)
+    widening = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(coloured), 1e-300), 1.0))
+    return np.asarray(coloured * np.outer(widening / size, widening / size))
+
+
+def _described(fit: _Fit, rivals: Sequence[_Fit], error: float, period_s: float) -> AdmittanceRobotFit:
+    model, count = _model(fit.order, fit.parameters), len(fit.parameters)
+    told, own = fit.told(), fit.told_std()
+    widest = np.max([own, *(np.hypot(rival.told_std(), rival.told() - told) for rival in rivals)], axis=0)
+    floor = np.array([_BANDWIDTH_SHARE * told[0], _DELAY_SAMPLES * period_s, _DELAY_SAMPLES * period_s])
+    stds = np.hypot(widest, floor)
+    denominators = [_model(fit.order, fit.parameters + _NUDGE * row).denominator for row in np.eye(count)]
+    slopes = (np.array(denominators) - model.denominator) / _NUDGE
+    spread = np.einsum("ik,ij,jk->k", slopes, fit.covariance[:count, :count], slopes)
+    linear_std = np.sqrt(np.diag(fit.covariance)[count:])
+    return AdmittanceRobotFit(
+        model=model,
+        denominator_std=np.sqrt(np.maximum(spread, 0.0)) * float(stds[0] / max(own[0], 1e-300)),
+        delay_std_s=float(stds[1]),
+        bandwidth_hz=float(told[0]),
+        bandwidth_std_hz=float(stds[0]),
+        lag_s=float(told[2]),
+        lag_std_s=float(stds[2]),
+        gain=float(fit.linear[0]),
+        gain_std=float(linear_std[0]),
+        lever_m=fit.linear[1:],
+        lever_std_m=linear_std[1:],
+        fit_error=error,
+    )

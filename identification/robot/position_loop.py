@@ -1,0 +1,247 @@
+"""The robot's closed position loop and its delay, from command to pose."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
+
+from problems.model.robot import RobotModel
+from problems.model.sampled import split_delay
+
+from ..errors import EstimateError
+
+FloatArray = NDArray[np.float64]
+
+_LONGEST_DELAY_S = 0.05
+_FASTEST_RAD_PER_S = 2e3
+_RESOLVED_SHARE = 0.2
+_DELAY_STARTS = (0.5, 2.0, 4.0, 8.0, 16.0)
+_BANDWIDTH_STARTS_HZ = (2.0, 8.0)
+_SMALLEST_TRAVEL_M = 5e-4
+_POOR_FIT = 0.1
+_STEPS, _STEPS_NEAR = 60, 12
+_TELLING_S, _TELLING_SHARE = 20.0, 0.125
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotFit:
+    """r(s) and T_d with their standard deviations; `fit_error` is residual RMS over motion RMS."""
+
+    model: RobotModel
+    numerator_std: FloatArray
+    denominator_std: FloatArray
+    delay_std_s: float
+    bandwidth_hz: float
+    bandwidth_std_hz: float
+    fit_error: float
+
+
+def identify_robot(command_m: FloatArray, position_m: FloatArray, period_s: float) -> RobotFit:
+    """Fit r(s) e^(-s T_d) behind a zero-order hold to command and measured position, (n,) each, by output error.
+
+    One pole and two poles are tried; the Bayesian information criterion decides. Both signals start at rest.
+    Raises EstimateError if the command hardly moves or no model explains the motion.
+    """
+    command, position = command_m - command_m[0], position_m - command_m[0]
+    travel = float(np.ptp(command))
+    if travel < _SMALLEST_TRAVEL_M:
+        raise EstimateError(
+            f"The position command moves by {travel * 1e3:.3f} mm only, too little to identify the robot; record a "
+            "commanded sweep of 0.5 to 50 Hz with at least a few millimetres at its slow end."
+        )
+    fits = [_fit(command, position, period_s, order) for order in (1, 2)]
+    # One count of independent samples for all: criteria of different counts cannot be compared.
+    effective = min(fits, key=lambda fit: fit.residual_rms).effective_samples
+    chosen = min(fits, key=lambda fit: fit.criterion(effective))
+    error = chosen.residual_rms / float(np.std(position))
+    if error > _POOR_FIT:
+        raise EstimateError(
+            f"No first- or second-order robot with a delay up to {_LONGEST_DELAY_S * 1e3:.0f} ms explains the motion "
+            f"(residual {100 * error:.0f} % of it); check that the command topic is the position command that this "
+            "robot follows, in the same frame and unit as the measured pose."
+        )
+    fastest = _RESOLVED_SHARE / period_s
+    if find_bandwidth_hz(_model(chosen.order, chosen.parameters, period_s)) > fastest:
+        raise EstimateError(
+            "The measured pose follows the command as if there were no robot between them (a bandwidth above the "
+            f"{fastest:.0f} Hz that this rate resolves); check that the pose is measured and no echo of the command."
+        )
+    if chosen.delay_s > 0.999 * _LONGEST_DELAY_S:
+        raise EstimateError(
+            f"The measured pose follows the command later than {_LONGEST_DELAY_S * 1e3:.0f} ms, the most that is "
+            "searched; check that the header stamps of command and pose come from one clock."
+        )
+    return _described(chosen, error)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Fit:
+    order: int
+    parameters: FloatArray  # log ω [rad/s], (ζ,) 1 + delay in samples
+    period_s: float
+    covariance: FloatArray
+    residual_rms: float
+    effective_samples: float
+
+    @property
+    def delay_s(self) -> float:
+        """The delay as the last parameter says it."""
+        return float(self.parameters[-1] - 1.0) * self.period_s
+
+    def criterion(self, effective_samples: float) -> float:
+        """Return the Bayesian information criterion; the constant offset counts as a parameter."""
+        misfit = 2.0 * effective_samples * np.log(max(self.residual_rms, 1e-15))
+        return float(misfit + (len(self.parameters) + 1) * np.log(effective_samples))
+
+
+def robot_response(model: RobotModel, command: FloatArray, period_s: float) -> FloatArray:
+    """Return the sampled position of the held robot, starting at rest at zero."""
+    whole, fraction = split_delay(model.delay_s, period_s)
+    numerator, denominator = held_robot(model, period_s, fraction)
+    late = np.concatenate([np.zeros(whole), command[: len(command) - whole]])
+    return np.asarray(lfilter(numerator, denominator, late))
+
+
+def held_robot(model: RobotModel, period_s: float, fraction: float) -> tuple[FloatArray, FloatArray]:
+    """Return z-transfer polynomials of r(s) under the hold with a delay of `fraction` periods, by partial fractions.
+
+    Step response 1 + Σ c_i e^(p_i t) with c_i the residues of r(s)/s: exact for distinct poles.
+    """
+    poles = np.roots(model.denominator).astype(complex)
+    if len(poles) > 1 and abs(poles[0] - poles[1]) < 1e-6 * abs(poles[0]):
+        poles = poles * np.array([1.0 + 1e-6, 1.0 - 1e-6])
+    residues = [
+        np.polyval(model.numerator, p)
+        / (p * model.denominator[0] * np.prod([p - q for j, q in enumerate(poles) if j != i]))
+        for i, p in enumerate(poles)
+    ]
+    roots = np.exp(poles * period_s)
+    denominator = np.real(np.poly(roots))
+    # Sampled step response at t = (k − fraction)·h for k ≥ 1, times the denominator's differences, gives the numerator.
+    count = len(poles) + 2
+    time = (np.arange(count) - fraction) * period_s
+    step = np.array([1.0 + sum(c * np.exp(p * t) for c, p in zip(residues, poles, strict=True)) for t in time]).real
+    step[time < 0.0] = 0.0
+    if fraction == 0.0:
+        step[0] = 0.0
+    pulse = np.diff(np.concatenate([[0.0], step]))
+    return np.convolve(pulse, denominator)[:count], denominator
+
+
+def _model(order: int, parameters: FloatArray, period_s: float) -> RobotModel:
+    omega = float(np.exp(parameters[0]))
+    delay = float(parameters[-1] - 1.0) * period_s
+    if order == 1:
+        return RobotModel.from_bandwidth(bandwidth_rad_per_s=omega, delay_s=delay)
+    return RobotModel(
+        numerator=np.array([omega**2]),
+        denominator=np.array([1.0, 2.0 * parameters[1] * omega, omega**2]),
+        delay_s=delay,
+    )
+
+
+def _fit(command: FloatArray, position: FloatArray, period_s: float, order: int) -> _Fit:
+    def residual(parameters: FloatArray, count: int | None = None) -> FloatArray:
+        # Command and measurement may differ by a constant (calibration, sag), which says nothing about r(s).
+        model = _model(order, parameters, period_s)
+        difference = robot_response(model, command[:count], period_s) - position[:count]
+        return np.asarray(difference - np.mean(difference))
+
+    middle = [] if order == 1 else [0.8]
+    # Counted from 1, the delay has a size: the differences that make the Jacobian do not vanish at a delay of 0.
+    longest = _LONGEST_DELAY_S / period_s
+    bounds = (
+        [np.log(0.5)] + [0.1] * len(middle) + [1.0],
+        [np.log(_FASTEST_RAD_PER_S)] + [5.0] * len(middle) + [1.0 + longest],
+    )
+    starts = [
+        np.array([np.log(2.0 * np.pi * hz), *middle, 1.0 + min(d, 0.9 * longest)])
+        for hz in _BANDWIDTH_STARTS_HZ
+        for d in _DELAY_STARTS
+    ]
+    # The gradient's size depends on the unit, so it ends nothing; two poles fitted to a robot of one creep along a
+    # valley, where the limit on evaluations ends what the criterion will not choose.
+    descend = partial(
+        least_squares, bounds=bounds, method="dogbox", x_scale="jac", diff_step=1e-5, gtol=None, max_nfev=_STEPS
+    )
+    best = min(starts, key=lambda start: float(np.sum(residual(start) ** 2)))
+    some, most_steps = _telling_part(command, period_s), _STEPS
+    if some is not None:
+        near = descend(residual, best, args=(some,)).x
+        if np.sum(residual(near) ** 2) < np.sum(residual(best) ** 2):
+            best, most_steps = near, _STEPS_NEAR
+    found = descend(residual, best, max_nfev=most_steps)
+    n, count = len(command), len(found.x) + 1
+    factor = _correlation_factor(found.fun)
+    variance = float(2.0 * found.cost) / (n - count) * factor
+    return _Fit(
+        order=order,
+        parameters=found.x,
+        period_s=period_s,
+        covariance=variance * np.linalg.inv(found.jac.T @ found.jac),
+        residual_rms=float(np.sqrt(2.0 * found.cost / n)),
+        effective_samples=n / factor,
+    )
+
+
+def _telling_part(command: FloatArray, period_s: float) -> int | None:
+    """Return how many samples from the start, 20 s or more, hold an eighth of the way; None where most are needed.
+
+    From what they tell the whole of a long log is a few steps away.
+    """
+    way = np.cumsum(np.abs(np.diff(command)))
+    some = max(round(_TELLING_S / period_s), int(np.searchsorted(way, _TELLING_SHARE * way[-1])))
+    return some if some < len(command) // 2 else None
+
+
+def _correlation_factor(residual: FloatArray) -> float:
+    """Return how many samples of a coloured residual are worth one independent sample (at least 1)."""
+    n = len(residual)
+    # Zeros behind keep the ends apart; a length of small factors is transformed several times as fast.
+    length = next_fast_len(2 * n, real=True)
+    spectrum = np.abs(rfft(residual - residual.mean(), length)) ** 2
+    correlation = irfft(spectrum, length)[: n // 10]
+    if correlation[0] <= 0.0:
+        return 1.0
+    correlation = correlation / correlation[0]
+    below = np.flatnonzero(correlation < 0.05)
+    reach = int(below[0]) if below.size else len(correlation)
+    return max(1.0, 1.0 + 2.0 * float(np.sum(correlation[1:reach])))
+
+
+def _described(fit: _Fit, error: float) -> RobotFit:
+    model = _model(fit.order, fit.parameters, fit.period_s)
+    bandwidth = find_bandwidth_hz(model)
+    denominator_jacobian = np.zeros((fit.order + 1, len(fit.parameters)))
+    bandwidth_jacobian = np.zeros(len(fit.parameters))
+    for i in range(len(fit.parameters)):
+        step = np.zeros(len(fit.parameters))
+        step[i] = 1e-6
+        moved = _model(fit.order, fit.parameters + step, fit.period_s)
+        denominator_jacobian[:, i] = (moved.denominator - model.denominator) / 1e-6
+        bandwidth_jacobian[i] = (find_bandwidth_hz(moved) - bandwidth) / 1e-6
+    spread = denominator_jacobian @ fit.covariance @ denominator_jacobian.T
+    denominator_std = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    return RobotFit(
+        model=model,
+        numerator_std=denominator_std[-1:],
+        denominator_std=denominator_std,
+        delay_std_s=float(np.sqrt(fit.covariance[-1, -1])) * fit.period_s,
+        bandwidth_hz=bandwidth,
+        bandwidth_std_hz=float(np.sqrt(bandwidth_jacobian @ fit.covariance @ bandwidth_jacobian)),
+        fit_error=error,
+    )
+
+
+def find_bandwidth_hz(model: RobotModel) -> float:
+    """Return where |r| falls to 1/√2."""
+    low, high = 1e-2, 1e4
+    for _ in range(80):
+        middle = float(np.sqrt(low * high))
+        inside = abs(model.position_response(np.array([2.0 * np.pi * middle]))[0]) > np.sqrt(0.5)
+        low, high = (middle, high) if inside else (low, middle)
+    return low

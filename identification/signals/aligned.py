@@ -1,0 +1,259 @@
+"""All channels on the wrench's clock."""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+from scipy.spatial.transform import Rotation
+
+from ..errors import LogError
+from .quaternions import slerp
+from .recording import PoseSignal, Recording, StampArray, WrenchSignal
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_SHORTEST_OVERLAP_S = 2.0
+_LARGEST_GAP_PERIODS = 12.0
+_FEWEST_BETWEEN_HOLES = 4
+_REGULAR_SHARE = 0.05
+_MOSTLY = 0.99
+
+
+@dataclass(frozen=True, kw_only=True)
+class Span:
+    """Samples `start` up to, not including, `stop`."""
+
+    start: int
+    stop: int
+
+    @property
+    def slice(self) -> slice:
+        """The span as an index."""
+        return slice(self.start, self.stop)
+
+    def __len__(self) -> int:
+        return self.stop - self.start
+
+
+def edges_of(mask: BoolArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the starts and stops (m,) of the stretches in which a mask (n,) is true."""
+    padded = np.concatenate([[False], mask, [False]])
+    changes = np.flatnonzero(padded[1:] != padded[:-1]).astype(np.int64)
+    return changes[::2], changes[1::2]
+
+
+def spans_of(mask: BoolArray) -> tuple[Span, ...]:
+    """Return the spans in which a mask (n,) is true."""
+    starts, stops = edges_of(mask)
+    return tuple(Span(start=int(a), stop=int(b)) for a, b in zip(starts, stops, strict=True))
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlignedLog:
+    """Wrench and pose on one uniform clock: `time_s` (n,) from the first wrench stamp `start_ns`.
+
+    `force_S_n`, `torque_S_n_m` (n, 3) raw in the sensor frame; `position_B_m` (n, 3); `orientation_BS` n rotations
+    base from sensor (the sensor frame is the flange's); `pose_rate_hz` limits which frequencies mean something. In
+    `holes` nothing was recorded: force, torque and position are NaN there, the orientation is the last one before.
+    """
+
+    start_ns: int
+    period_s: float
+    time_s: FloatArray
+    force_S_n: FloatArray
+    torque_S_n_m: FloatArray
+    position_B_m: FloatArray
+    orientation_BS: Rotation
+    pose_rate_hz: float
+    holes: tuple[Span, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @property
+    def pieces(self) -> tuple[Span, ...]:
+        """The spans between the holes."""
+        edges = [0, *(edge for hole in self.holes for edge in (hole.start, hole.stop)), len(self)]
+        return tuple(Span(start=a, stop=b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a)
+
+
+def align(recording: Recording) -> AlignedLog:
+    """Interpolate the pose on a uniform clock of the wrench's rate, over the time that both cover.
+
+    The clock starts at a wrench stamp, so that a regular wrench keeps its samples: between them its noise would be
+    averaged. Position by cubic spline, orientation by slerp, neither across a hole. Raises LogError when the channels
+    do not overlap, or have holes that the recording does not keep; EstimateError when wrench or pose are not as sensor
+    and robot tell them (`Recording.require_raw`).
+    """
+    recording.require_raw()
+    wrench, pose = recording.wrench, recording.pose
+    start = max(wrench.stamp_ns[0], pose.stamp_ns[0])
+    stop = min(wrench.stamp_ns[-1], pose.stamp_ns[-1])
+    if stop - start < _SHORTEST_OVERLAP_S * 1e9:
+        raise LogError(
+            f"Wrench and pose must cover the same time for at least {_SHORTEST_OVERLAP_S:g} s, found "
+            f"{max(0.0, float(stop - start) * 1e-9):.3f} s in common ({wrench.topic}, {pose.topic}); check "
+            "that both header clocks are the same."
+        )
+    period = check_regular(wrench.topic, wrench.stamp_ns, keeps_holes=recording.keeps_holes)
+    pose_period = check_regular(pose.topic, pose.stamp_ns, keeps_holes=recording.keeps_holes)
+    start = wrench.stamp_ns[np.searchsorted(wrench.stamp_ns, start)]
+    count = int((stop - start) * 1e-9 / period + 1e-6) + 1
+    time = np.asarray(np.arange(count) * period, dtype=np.float64)
+    forces = _Pieces.of(wrench.stamp_ns, start, time)
+    poses = _Pieces.of(pose.stamp_ns, start, time)
+    holes = spans_of(~(forces.covered() & poses.covered()))
+
+    def on_clock(pieces: _Pieces, values: FloatArray, degree: int) -> FloatArray:
+        found = pieces.interpolated(values, degree)
+        if holes and found is values:
+            found = np.array(values)
+        for hole in holes:
+            found[hole.slice] = np.nan
+        return found
+
+    return AlignedLog(
+        start_ns=int(start),
+        period_s=period,
+        time_s=time,
+        force_S_n=on_clock(forces, wrench.force_n, 1),
+        torque_S_n_m=on_clock(forces, wrench.torque_n_m, 1),
+        position_B_m=on_clock(poses, pose.position_m, 3),
+        orientation_BS=poses.turned(pose),
+        pose_rate_hz=1.0 / pose_period,
+        holes=holes,
+    )
+
+
+def find_gaps(stamp_ns: StampArray) -> NDArray[np.int64]:
+    """Return the numbers of the messages after which a hole of more than 12 periods begins."""
+    steps = np.diff(stamp_ns)
+    return np.flatnonzero(steps > _LARGEST_GAP_PERIODS * np.median(steps)) if len(steps) else np.zeros(0, np.int64)
+
+
+def check_regular(topic: str, stamp_ns: StampArray, *, keeps_holes: bool = False) -> float:
+    """Return the period [s]; raises LogError for holes in the data unless the recording keeps them."""
+    if len(stamp_ns) < 3:
+        raise LogError(f"Topic `{topic}` has {len(stamp_ns)} messages; at least 3 are needed.")
+    gaps = np.diff(stamp_ns)
+    period = float(np.median(gaps))
+    worst = int(np.argmax(gaps))
+    if gaps[worst] > _LARGEST_GAP_PERIODS * period and not keeps_holes:
+        raise LogError(
+            f"Topic `{topic}` has a gap of {gaps[worst] * 1e-9:.3f} s at "
+            f"{(stamp_ns[worst] - stamp_ns[0]) * 1e-9:.3f} s (its period is {period * 1e-9:.6f} s); record again "
+            "without losing messages, or cut the log there."
+        )
+    # Free of the stamps' rounding is the mean over the log, once lost messages are counted; a hole tells none.
+    gaps = gaps[gaps <= _LARGEST_GAP_PERIODS * period]
+    steps = gaps / period
+    counts = np.round(steps)
+    regular = np.abs(steps - counts) < _REGULAR_SHARE
+    if counts.min() > 0 and np.mean(regular) > _MOSTLY:
+        return 1e-9 * float(gaps.sum()) / float(counts.sum())
+    mean = float(gaps.mean())
+    return 1e-9 * (mean if abs(mean / period - 1.0) < 1e-3 else period)
+
+
+def longest_whole(recording: Recording) -> Recording:
+    """Return wrench and pose of the longest time in which neither has a hole, the recording itself if it has none."""
+    wrench, pose = recording.wrench, recording.pose
+    gaps = [
+        (int(stamps[i]), int(stamps[i + 1]))
+        for stamps in (wrench.stamp_ns, pose.stamp_ns)
+        for i in find_gaps(stamps).tolist()
+    ]
+    if not recording.keeps_holes or not gaps:
+        return recording
+    first = int(max(wrench.stamp_ns[0], pose.stamp_ns[0]))
+    last = int(min(wrench.stamp_ns[-1], pose.stamp_ns[-1]))
+    begins = [first, *(stop for _, stop in gaps)]
+    whole = [(min([start for start, stop in gaps if stop > begin], default=last), begin) for begin in begins]
+    stop, start = max(whole, key=lambda each: each[0] - each[1])
+    return replace(recording, wrench=_cut_wrench(wrench, start, stop), pose=_cut_pose(pose, start, stop))
+
+
+def _cut_wrench(wrench: WrenchSignal, start_ns: int, stop_ns: int) -> WrenchSignal:
+    kept = slice(*np.searchsorted(wrench.stamp_ns, (start_ns, stop_ns + 1)).tolist())
+    return replace(
+        wrench, stamp_ns=wrench.stamp_ns[kept], force_n=wrench.force_n[kept], torque_n_m=wrench.torque_n_m[kept]
+    )
+
+
+def _cut_pose(pose: PoseSignal, start_ns: int, stop_ns: int) -> PoseSignal:
+    kept = slice(*np.searchsorted(pose.stamp_ns, (start_ns, stop_ns + 1)).tolist())
+    return replace(
+        pose,
+        stamp_ns=pose.stamp_ns[kept],
+        position_m=pose.position_m[kept],
+        quaternion_xyzw=pose.quaternion_xyzw[kept],
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Pieces:
+    """A channel between its holes: `time` (m,) of its messages on the clock `at` (n,), `parts` of both, in pairs."""
+
+    time: FloatArray
+    at: FloatArray
+    parts: tuple[tuple[slice, slice], ...]
+
+    @classmethod
+    def of(cls, stamp_ns: StampArray, start_ns: np.int64, at: FloatArray) -> "_Pieces":
+        time = np.asarray((stamp_ns - start_ns) * 1e-9)
+        gaps = find_gaps(stamp_ns)
+        if not gaps.size:
+            return cls(time=time, at=at, parts=((slice(0, len(time)), slice(0, len(at))),))
+        edges = [0, *(gaps + 1).tolist(), len(time)]
+        tolerance = 0.5 * float(at[1] - at[0])
+        parts = []
+        for a, b in pairwise(edges):
+            first, last = np.searchsorted(at, (time[a] - tolerance, time[b - 1] + tolerance)).tolist()
+            if b - a >= _FEWEST_BETWEEN_HOLES and last > first:
+                parts.append((slice(a, b), slice(first, last)))
+        return cls(time=time, at=at, parts=tuple(parts))
+
+    def covered(self) -> BoolArray:
+        """Return where the channel tells something (n,)."""
+        covered = np.zeros(len(self.at), dtype=np.bool_)
+        for _, inside in self.parts:
+            covered[inside] = True
+        return covered
+
+    def interpolated(self, values: FloatArray, degree: int) -> FloatArray:
+        """Return (n, k) by splines within each part, NaN elsewhere; what is on the clock already is itself."""
+        if len(self.parts) == 1 and self.parts[0] == (slice(0, len(values)), slice(0, len(self.at))):
+            return _interpolated(self.time, values, self.at, degree=degree)
+        found = np.full((len(self.at), values.shape[1]), np.nan)
+        for held, inside in self.parts:
+            found[inside] = _interpolated(self.time[held], values[held], self.at[inside], degree=degree)
+        return found
+
+    def turned(self, pose: PoseSignal) -> Rotation:
+        """Return n orientations by slerp within each part, elsewhere the last one before."""
+        orientation = Rotation.from_quat(pose.quaternion_xyzw)
+        if len(self.parts) == 1 and self.parts[0][1] == slice(0, len(self.at)):
+            held, _ = self.parts[0]
+            return _turned(self.time[held], orientation[held], self.at)
+        found, known = np.zeros((len(self.at), 4)), np.zeros(len(self.at), dtype=np.int64)
+        for held, inside in self.parts:
+            found[inside] = _turned(self.time[held], orientation[held], self.at[inside]).as_quat()
+            known[inside] = np.arange(inside.start, inside.stop)
+        known[: self.parts[0][1].start] = self.parts[0][1].start
+        return Rotation.from_quat(found[np.maximum.accumulate(known)])
+
+
+def _interpolated(time: FloatArray, values: FloatArray, at: FloatArray, *, degree: int) -> FloatArray:
+    if len(time) == len(at) and np.max(np.abs(time - at)) < 1e-9:
+        return values
+    inside = np.clip(at, time[0], time[-1])
+    return np.asarray(make_interp_spline(time, values, k=degree)(inside))
+
+
+def _turned(time: FloatArray, orientation: Rotation, at: FloatArray) -> Rotation:
+    if len(time) == len(at) and np.max(np.abs(time - at)) < 1e-9:
+        return orientation
+    return Rotation.from_quat(slerp(time, orientation.as_quat(), np.clip(at, time[0], time[-1])))

@@ -1,0 +1,178 @@
+"""The signals that identification works on, free of any log format."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import EstimateError, LogError
+from ..result import Finding
+
+FloatArray = NDArray[np.float64]
+StampArray = NDArray[np.int64]
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+"""Names of the six columns of a wrench, a twist, gains, and of what a pose has: translations, then rotations."""
+
+
+def _frozen_array(values: NDArray[np.generic], dtype: type, width: int | None, name: str) -> NDArray[np.generic]:
+    array: NDArray[Any] = np.asarray(values)
+    # What is read-only and owns its memory was frozen before: a changed signal shares the columns that it keeps.
+    is_frozen = array.dtype == dtype and array.flags.c_contiguous and array.base is None and not array.flags.writeable
+    if not is_frozen:
+        array = np.array(values, dtype=dtype, order="C")
+    expected = 1 if width is None else 2
+    if array.ndim != expected or (width is not None and array.shape[1] != width):
+        raise LogError(f"{name} must have {expected} dimension(s) of width {width}, found shape {array.shape}.")
+    array.setflags(write=False)
+    return array
+
+
+def _freeze(signal: object, **widths: int) -> None:
+    """Replace the arrays of a signal by read-only copies of the given widths, all as long as its stamps."""
+    stamps = _frozen_array(signal.stamp_ns, np.int64, None, "stamp_ns")  # type: ignore[attr-defined]
+    object.__setattr__(signal, "stamp_ns", stamps)
+    for name, width in widths.items():
+        array = _frozen_array(getattr(signal, name), np.float64, width, name)
+        if len(array) != len(stamps):
+            raise LogError(f"{name} must have a row per stamp ({len(stamps)}), found {len(array)}.")
+        object.__setattr__(signal, name, array)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deadband:
+    """A deadband that was applied before recording.
+
+    `type` is `subtractive` (the band is taken off what exceeds it) or `threshold` (what exceeds it is left as it is);
+    the widths are None where they are not known.
+    """
+
+    type: str
+    force_n: float | None = None
+    torque_n_m: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrenchSignal:
+    """A wrench of the payload on the sensor, in the sensor frame, as the sensor shows it: gravity and bias still in.
+
+    `stamp_ns` (n,) header stamps, strictly increasing; `force_n` (n, 3); `torque_n_m` (n, 3). What was done before
+    recording: `gravity_compensated` and `deadband`. Axes that are not among `measured_axes` are NaN throughout.
+    """
+
+    topic: str
+    frame_id: str
+    stamp_ns: StampArray
+    force_n: FloatArray
+    torque_n_m: FloatArray
+    gravity_compensated: bool = False
+    deadband: Deadband | None = None
+    measured_axes: tuple[str, ...] = AXES
+
+    def __post_init__(self) -> None:
+        _freeze(self, force_n=3, torque_n_m=3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseSignal:
+    """A flange pose in the base frame: `position_m` (n, 3), `quaternion_xyzw` (n, 4) of base from flange.
+
+    With `is_displacement` the pose is relative to one that is not known. Axes that are not among `measured_axes` are
+    NaN throughout, the quaternion too where any rotation is missing.
+    """
+
+    topic: str
+    frame_id: str
+    stamp_ns: StampArray
+    position_m: FloatArray
+    quaternion_xyzw: FloatArray
+    is_displacement: bool = False
+    measured_axes: tuple[str, ...] = AXES
+
+    def __post_init__(self) -> None:
+        _freeze(self, position_m=3, quaternion_xyzw=4)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwistSignal:
+    """A flange velocity in the base frame: `linear_m_s` (n, 3), `angular_rad_s` (n, 3); NaN as in a wrench."""
+
+    topic: str
+    frame_id: str
+    stamp_ns: StampArray
+    linear_m_s: FloatArray
+    angular_rad_s: FloatArray
+    measured_axes: tuple[str, ...] = AXES
+
+    def __post_init__(self) -> None:
+        _freeze(self, linear_m_s=3, angular_rad_s=3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainsSignal:
+    """The controller's gains per axis of the control frame, in SI of the axis.
+
+    `mass` (n, 6) is M_a (kg, kg·m²), `damping` (n, 6) is B_a (N·s/m, N·m·s/rad); one row where they are constant.
+    """
+
+    topic: str
+    stamp_ns: StampArray
+    mass: FloatArray
+    damping: FloatArray
+
+    def __post_init__(self) -> None:
+        _freeze(self, mass=6, damping=6)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """The channels of one or more logs that `identify` needs, each on its own clock.
+
+    `sha256` maps every log path to the digest of its bytes; `clocks` maps each role to the clock that stamps it
+    (`header` or `log`); `findings` tell what was chosen, assumed or left out on the way. With `keeps_holes` (a salvaged
+    log) times without messages are kept as holes, of which nothing is known, instead of being refused. `wrench_lag_s`
+    is how late the wrench is stamped against the pose, value and standard deviation, where the log told it, after
+    `wrench_shifted_s` were taken off its stamps as an offset between clocks that are said to be one.
+    """
+
+    wrench: WrenchSignal
+    pose: PoseSignal
+    command: PoseSignal | None
+    twist: TwistSignal | None = None
+    gains: GainsSignal | None = None
+    desired_force: WrenchSignal | None = None
+    sha256: Mapping[str, str] = field(default_factory=dict)
+    clocks: Mapping[str, str] = field(default_factory=dict)
+    wrench_lag_s: tuple[float, float] | None = None
+    wrench_shifted_s: float = 0.0
+    findings: tuple[Finding, ...] = ()
+    keeps_holes: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sha256", MappingProxyType(dict(self.sha256)))
+        object.__setattr__(self, "clocks", MappingProxyType(dict(self.clocks)))
+
+    def require_raw(self) -> None:
+        """Raise EstimateError unless this holds a raw six-axis wrench and a whole pose in the base frame."""
+        if self.wrench.gravity_compensated:
+            raise EstimateError(
+                f"Gravity is already removed from the force of topic {self.wrench.topic}, so the payload's mass, its "
+                "centre and the sensor's bias cannot be told from it; record the sensor's wrench before gravity "
+                "compensation."
+            )
+        _require_axes(f"The wrench of topic {self.wrench.topic}", self.wrench.measured_axes)
+        if self.pose.is_displacement:
+            raise EstimateError(
+                f"Topic {self.pose.topic} tells a displacement from an unknown pose, so the direction of gravity in "
+                "the sensor frame cannot be told from it; record the flange pose in the base frame."
+            )
+        _require_axes(f"The pose of topic {self.pose.topic}", self.pose.measured_axes)
+
+
+def _require_axes(what: str, measured: tuple[str, ...]) -> None:
+    missing = [axis for axis in AXES if axis not in measured]
+    if missing:
+        raise EstimateError(f"{what} must have all six axes, found none for {', '.join(missing)}; record them all.")

@@ -1,0 +1,177 @@
+"""The anatomy of contacts: first touch, peak, bounces, hold and release."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..signals.aligned import spans_of
+from ..signals.segments import Motion, Span, low_pass, without_pauses, without_short
+from .law import ContactTimes, Law, learn_law, suspect_hand
+from .motion import is_hand_led
+from .payload import AxisContacts, Payload, least_touch, press_sign
+
+FloatArray = NDArray[np.float64]
+
+_TOUCHED_NOISES = 6.0
+_FURTHEST_S = 3.0
+_LONGEST_BOUNCE_S = 0.3
+_SHORTEST_BOUNCE_S = 4e-3
+_SMALLEST_LEAD_S = 0.02
+_CLEAR_LAW = 0.2
+_RESTLESS_FACTOR = 2.0
+_SHORTEST_RESTLESS_S = 0.1
+_SLOW_HZ = 8.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pressed:
+    """Rests under force: `contacts` with a surface, those that are `untold`, and those `by_hand`.
+
+    Untold is what the way in or out does not show, or shows as no law of force over depth; by hand is what rests on
+    something that is softer than any surface or drives the payload. `restless` pressed in motion, without a clear law.
+    """
+
+    contacts: tuple[ContactTimes, ...]
+    untold: tuple[ContactTimes, ...]
+    by_hand: tuple[ContactTimes, ...]
+    restless: tuple[ContactTimes, ...] = ()
+
+
+def find_contacts(of: AxisContacts, payload: Payload, motion: Motion, period_s: float) -> Pressed:
+    """Find how each rest under force began and ended; rests that the payload did not leave in between are one contact.
+
+    The payload touches where F_e is above a tenth of the hold's, the least contact force and six deviations of the
+    noise at rest. What it touches is a surface if F_e grows with the way into it, by more than an arm would push back.
+    Where it touches a surface for 0.1 s or more without coming to rest, that is a contact without a hold.
+    """
+    free = tuple(s for s in motion.still if s not in of.holds)
+    barriers = (*free, *spans_of(~np.isfinite(payload.touch_n)))
+    noise = _scatter(payload.touch_n, free)
+    found: list[ContactTimes] = []
+    for hold in of.holds:
+        if found and hold.start < found[-1].span.stop:
+            last = found[-1]
+            found[-1] = replace(
+                last,
+                hold=Span(start=last.hold.start, stop=hold.stop),
+                span=Span(start=last.span.start, stop=max(last.span.stop, hold.stop)),
+            )
+            continue
+        sign = press_sign(of, hold)
+        window = _window(hold, barriers, len(payload.touch_n), period_s, found)
+        level = max(least_touch(of, payload, hold), _TOUCHED_NOISES * noise)
+        touches = np.asarray(sign * payload.touch_n[window.slice] > level)
+        found.append(_contact(of, sign, hold, window, touches, period_s))
+    laws = [learn_law(contact, of, payload, period_s) for contact in found]
+    pairs = list(zip(found, laws, strict=True))
+    contacts = [
+        replace(contact, hand_suspected=suspect_hand(contact, law, payload, free, period_s))
+        for contact, law in pairs
+        if law is not None and law.is_clear and not _is_hand(law, of)
+    ]
+    restless, unclear = _restless(of, payload, motion, contacts, noise, period_s)
+    return Pressed(
+        contacts=tuple(sorted((*contacts, *restless), key=lambda each: each.span.start)),
+        untold=tuple(contact for contact, law in pairs if law is None or not law.is_clear),
+        by_hand=tuple(contact for contact, law in pairs if law is not None and law.is_clear and _is_hand(law, of)),
+        restless=tuple(unclear),
+    )
+
+
+def _is_hand(law: Law, of: AxisContacts) -> bool:
+    """Return whether what is touched is softer than any surface, or drives the payload."""
+    return law.stiffness < of.softest_n_per_m or law.is_driving
+
+
+def _restless(
+    of: AxisContacts,
+    payload: Payload,
+    motion: Motion,
+    contacts: Sequence[ContactTimes],
+    noise: float,
+    period_s: float,
+) -> tuple[list[ContactTimes], list[ContactTimes]]:
+    """Return contacts in motion, without a hold (vibration on the surface, a bump), and those without a clear law."""
+    slow = low_pass(payload.touch_n, period_s, _SLOW_HZ)
+    level = max(_RESTLESS_FACTOR * of.smallest_n, _TOUCHED_NOISES * noise)
+    taken = np.ones(len(slow), dtype=np.bool_)
+    for span in of.axis.spans:
+        shown = of.axis.position_m[span.slice], of.axis.force_n[span.slice]
+        # A hand that leads the payload along pushes as hard as a surface.
+        taken[span.slice] = is_hand_led(*shown, period_s, float(of.coupling[3]), of.smallest_n)
+    for contact in contacts:
+        taken[contact.span.slice] = True
+    barriers = (*motion.still, *spans_of(~np.isfinite(slow)))
+    found: list[ContactTimes] = []
+    unclear: list[ContactTimes] = []
+    for sign in (-1.0, 1.0):
+        joined = without_pauses(np.asarray((sign * slow > level) & ~taken), round(_LONGEST_BOUNCE_S / period_s))
+        for core in spans_of(without_short(np.asarray(joined & ~taken), round(_SHORTEST_RESTLESS_S / period_s))):
+            window = _window(core, barriers, len(slow), period_s, [*contacts, *found])
+            touches = np.asarray(sign * payload.touch_n[window.slice] > level)
+            contact = _peaked(_contact(of, sign, core, window, touches, period_s), of, sign)
+            law = learn_law(contact, of, payload, period_s)
+            is_clear = law is not None and law.left_share < _CLEAR_LAW and law.stiffness >= of.softest_n_per_m
+            pressing = sign * payload.touch_n[contact.span.slice]
+            # Before and behind a hard press a filter swings to the other side.
+            if np.any(taken[contact.span.slice]) or float(np.max(-pressing)) > float(np.max(pressing)):
+                continue
+            if is_clear:
+                found.append(contact)
+                taken[contact.span.slice] = True
+            else:
+                unclear.append(contact)
+    return found, unclear
+
+
+def _peaked(contact: ContactTimes, of: AxisContacts, sign: float) -> ContactTimes:
+    """Return a contact without a hold with the peak of all of it."""
+    pressing = -sign * of.axis.force_n[contact.span.slice]
+    peak = int(np.argmax(np.nan_to_num(pressing, nan=-np.inf)))
+    return replace(contact, peak=contact.span.start + peak, peak_force_n=float(pressing[peak]), is_held=False)
+
+
+def _scatter(values: FloatArray, spans: Sequence[Span]) -> float:
+    """Return the deviation of values (n,) in a usual span: who pushes at one rest must not hide a contact."""
+    return float(np.median([np.std(values[s.slice]) for s in spans])) if spans else 0.0
+
+
+def _window(hold: Span, free: Sequence[Span], count: int, period_s: float, found: Sequence[ContactTimes]) -> Span:
+    """Return where the touches of a hold are looked for: to the rests without force, other contacts, or 3 s away."""
+    furthest = round(_FURTHEST_S / period_s)
+    others = [*free, *(contact.span for contact in found)]
+    before = [s.stop for s in others if s.stop <= hold.start]
+    after = [s.start for s in others if s.start >= hold.stop]
+    return Span(start=max([0, hold.start - furthest, *before]), stop=min([count, hold.stop + furthest, *after]))
+
+
+def _contact(
+    of: AxisContacts, sign: float, hold: Span, window: Span, touches: NDArray[np.bool_], period_s: float
+) -> ContactTimes:
+    """Put the instants together; `touches` tells over the window where the payload touches."""
+    held = slice(hold.start - window.start, hold.stop - window.start)
+    touches[held] = True
+    joined = without_pauses(touches, round(_LONGEST_BOUNCE_S / period_s))
+    run = next(s for s in spans_of(joined) if s.start <= held.start < s.stop)
+    lead = max(1, round(_SMALLEST_LEAD_S / period_s))
+    is_entered, is_left = run.start > lead, run.stop < len(touches) - lead
+    span = Span(start=window.start + run.start, stop=window.start + run.stop)
+    onset = span.start if is_entered else None
+    shortest = round(_SHORTEST_BOUNCE_S / period_s)
+    before = ~touches[run.start : held.start]
+    apart = [s for s in spans_of(before) if len(s) >= shortest] if is_entered else []
+    pressing = -sign * of.axis.force_n[span.start : hold.stop]
+    peak = int(np.argmax(np.nan_to_num(pressing, nan=-np.inf)))
+    return ContactTimes(
+        span=span,
+        onset=onset,
+        peak=span.start + peak,
+        peak_force_n=float(pressing[peak]),
+        hold=hold,
+        is_held=True,
+        release=span.stop if is_left else None,
+        bounces=tuple(span.start + s.start for s in apart),
+        hand_suspected=None,
+    )

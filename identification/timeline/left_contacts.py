@@ -1,0 +1,232 @@
+"""Contacts that no fit used: a surface from how their force grows with depth, or a finding with time and peak."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from ..phases import Phase
+from ..result import CONTACT_UNEXPLAINED, EnvironmentEstimate, Estimate, Finding, Status
+from ..verdicts import unidentifiable
+from .contact_slope import Slope, learn_slope
+from .contacts import Pressed
+from .law import ContactTimes
+from .payload import AxisContacts, Payload
+
+_SAME_SURFACE = 1.25
+_STDS = 3.0
+_LEAST_SHARE = 0.2
+_MOST_LISTED = 10
+_METHOD = "slope of the contact force over the payload's way, of contacts that the fit did not use"
+_ADVICE = (
+    "Press there again at 1 to 3 cm/s with 20 to 50 N, hold for 1 s, hands off; or give optimize a range that holds "
+    "its stiffness (--environment-stiffness, or problem.yaml)."
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeenAxis:
+    """An axis with its contacts, and what the fit says: K_s, and each surface with the sign of its direction.
+
+    On a turning axis `of` and `payload` are on the path with the lever `lever_m`, estimates in N·m/rad.
+    """
+
+    of: AxisContacts
+    payload: Payload
+    pressed: Pressed
+    coupling: Estimate
+    surfaces: tuple[tuple[int, EnvironmentEstimate], ...] = ()
+    lever_m: float = 1.0
+
+    @property
+    def name(self) -> str:
+        """Return what the axis is called."""
+        return self.of.axis.name
+
+
+@dataclass(frozen=True, kw_only=True)
+class Accounted:
+    """The time line with every contact's surface, the surfaces that were added by axis, and what is left."""
+
+    phases: tuple[Phase, ...]
+    surfaces: Mapping[str, tuple[EnvironmentEstimate, ...]]
+    findings: tuple[Finding, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "surfaces", MappingProxyType(dict(self.surfaces)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Left:
+    """A contact that no fit used: its place in the time line or None, and its slope if that is clear."""
+
+    phase: int | None
+    slope: Slope | None
+    start_s: float
+    peak_n: float
+
+
+def account_for_contacts(phases: Sequence[Phase], axes: Sequence[SeenAxis], period_s: float) -> Accounted:
+    """Give every contact of a time line a surface, or name it in a finding of severity `error`.
+
+    `phases` name the surfaces of the contacts that a fit used. Of the others, `learn_slope` tells the stiffness: that
+    of a fitted surface where it lies within 3 deviations or 20 % of that, else a new surface, which is `weak`. Rests
+    under force, and presses in motion, that are not in the time line as contacts are asked the same; of them, what
+    gives more than a surface or does work is a hand.
+    """
+    changed, surfaces, findings = list(phases), dict[str, tuple[EnvironmentEstimate, ...]](), list[Finding]()
+    for axis in axes:
+        left = _left_of(axis, changed, period_s)
+        clear = [(each, each.slope) for each in left if each.slope is not None]
+        new = _Surfaces(axis=axis, groups=_grouped([slope for _, slope in clear if _fitted(axis, slope) is None]))
+        for each, slope in clear:
+            phase = None if each.phase is None else changed[each.phase]
+            if each.phase is not None and phase is not None and phase.contact is not None:
+                named = _fitted(axis, slope) or new.name(slope)
+                changed[each.phase] = replace(phase, contact=replace(phase.contact, surface=named))
+        surfaces[axis.name] = tuple(
+            new.estimate(
+                name, [each for each, slope in clear if _fitted(axis, slope) is None and new.name(slope) == name]
+            )
+            for name in new.names
+        )
+        findings += [_added(axis, surface) for surface in surfaces[axis.name]]
+        unexplained = [each for each in left if each.slope is None]
+        findings += [_unexplained(axis, unexplained)] if unexplained else []
+    return Accounted(phases=tuple(changed), surfaces=surfaces, findings=tuple(findings))
+
+
+def _left_of(axis: SeenAxis, phases: Sequence[Phase], period_s: float) -> list[_Left]:
+    """Return the contacts of an axis that have no surface yet, without those that are a hand's."""
+    places = {
+        round(phase.start_s / period_s): (i, phase.contact.surface)
+        for i, phase in enumerate(phases)
+        if phase.contact is not None and phase.axis == axis.name
+    }
+
+    def seen(contact: ContactTimes, phase: int | None) -> _Left:
+        force = axis.of.axis.force_n[contact.span.slice]
+        return _Left(
+            phase=phase,
+            slope=learn_slope(axis.of, axis.payload, contact, _on_path(axis)),
+            start_s=contact.span.start * period_s,
+            peak_n=axis.lever_m * float(np.nanmax(np.abs(force))),
+        )
+
+    left = []
+    for contact in axis.pressed.contacts:
+        phase, surface = places.get(contact.span.start, (None, None))
+        if surface is None:
+            left.append(seen(contact, phase))
+    left += [seen(contact, None) for contact in axis.pressed.untold]
+    # What looks like a hand is one, unless its force grows with depth as on a surface.
+    perhaps = [seen(contact, None) for contact in (*axis.pressed.by_hand, *axis.pressed.restless)]
+    return [*left, *(each for each in perhaps if each.slope is not None)]
+
+
+def _on_path(axis: SeenAxis) -> Estimate:
+    """Return K_s in N/m of the path on which the axis is seen."""
+    known, square = axis.coupling, axis.lever_m**2
+    if known.value is None or known.std is None:
+        return known
+    return replace(known, value=known.value / square, std=known.std / square)
+
+
+def _fitted(axis: SeenAxis, slope: Slope) -> str | None:
+    """Return the name of the fitted surface that a slope is of."""
+    stiffness = axis.lever_m**2 * slope.stiffness_n_per_m
+    for sign, surface in axis.surfaces:
+        known = surface.stiffness_n_per_m
+        if sign != slope.sign or known.value is None:
+            continue
+        if abs(stiffness - known.value) <= max(_STDS * (known.std or 0.0), _LEAST_SHARE * known.value):
+            return surface.name
+    return None
+
+
+def _grouped(slopes: Sequence[Slope]) -> tuple[tuple[Slope, ...], ...]:
+    """Return the slopes by surface: of one side, and none above 1.25 times the softest."""
+    groups: list[list[Slope]] = []
+    for slope in sorted(slopes, key=lambda s: (s.sign, s.stiffness_n_per_m)):
+        first = groups[-1][0] if groups else None
+        is_same_side = first is not None and first.sign == slope.sign
+        if is_same_side and slope.stiffness_n_per_m <= _SAME_SURFACE * groups[-1][0].stiffness_n_per_m:
+            groups[-1].append(slope)
+        else:
+            groups.append([slope])
+    return tuple(tuple(group) for group in groups)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Surfaces:
+    """The new surfaces of an axis, named after the fitted ones."""
+
+    axis: SeenAxis
+    groups: tuple[tuple[Slope, ...], ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return their names in the order of the groups."""
+        return tuple(f"{self.axis.name}{len(self.axis.surfaces) + i + 1}" for i in range(len(self.groups)))
+
+    def name(self, slope: Slope) -> str:
+        """Return the name of the surface that a slope is of."""
+        return next(name for name, group in zip(self.names, self.groups, strict=True) if slope in group)
+
+    def estimate(self, name: str, contacts: Sequence[_Left]) -> EnvironmentEstimate:
+        """Return what the contacts tell of their surface: K_e over all that their slopes leave open."""
+        group, square = self.groups[self.names.index(name)], self.axis.lever_m**2
+        low, high = (
+            square * min(slope.low_n_per_m for slope in group),
+            square * max(slope.high_n_per_m for slope in group),
+        )
+        stiffness, coupling = 0.5 * (low + high), self.axis.coupling.value or np.inf
+        note = "no hold that the fit could use"
+        nothing = unidentifiable(method=_METHOD, note=note)
+
+        def weak(value: float, ends: tuple[float, float]) -> Estimate:
+            std = (ends[1] - ends[0]) / (2.0 * _STDS)
+            return Estimate(value=value, std=std, status=Status.WEAK, method=_METHOD, note=note, ci95=ends)
+
+        def in_series(value: float) -> float:
+            return value / (1.0 + value / coupling)
+
+        return EnvironmentEstimate(
+            name=name,
+            stiffness_n_per_m=weak(stiffness, (low, high)),
+            secant_stiffness_n_per_m=weak(in_series(stiffness), (in_series(low), in_series(high))),
+            damping_n_s_per_m=nothing,
+            mass_kg=nothing,
+            contacts=len(contacts),
+            peak_force_n=tuple(each.peak_n for each in contacts),
+        )
+
+
+def _added(axis: SeenAxis, surface: EnvironmentEstimate) -> Finding:
+    ends, unit = surface.stiffness_n_per_m.ci95 or (0.0, 0.0), "N/m" if axis.lever_m == 1.0 else "N·m/rad"
+    force = "N" if axis.lever_m == 1.0 else "N·m"
+    times = "1 contact" if surface.contacts == 1 else f"{surface.contacts} contacts"
+    return Finding(
+        code="contact-without-fit",
+        severity="warning",
+        message=f"Axis {axis.name}: {times} of up to {max(surface.peak_force_n):.1f} {force} could not be fitted; the "
+        f"slope of force over depth gives surface {surface.name} a stiffness of {ends[0]:.3g} to {ends[1]:.3g} {unit}.",
+        advice="Press there again at 1 to 3 cm/s with 20 to 50 N and hold for 1 s, with a controller that does not "
+        "bounce there.",
+        axis=axis.name,
+    )
+
+
+def _unexplained(axis: SeenAxis, left: Sequence[_Left]) -> Finding:
+    unit = "N" if axis.lever_m == 1.0 else "N·m"
+    told = ", ".join(f"{each.start_s:.1f} s ({each.peak_n:.1f} {unit})" for each in left[:_MOST_LISTED])
+    more = f" and {len(left) - _MOST_LISTED} more" if len(left) > _MOST_LISTED else ""
+    return Finding(
+        code=CONTACT_UNEXPLAINED,
+        severity="error",
+        message=f"Axis {axis.name}: what was touched at {told}{more} is none of the surfaces, and force over depth "
+        "does not tell its stiffness.",
+        advice=_ADVICE,
+        axis=axis.name,
+    )

@@ -1,0 +1,345 @@
+"""The full simulation beside the exact transient (MODEL.md, "The contact transient"): `full_effects` included.
+
+One axis; rotational axes use the same equations, as in `plant`.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import non_negative, positive
+from ..errors import ParameterError
+from ..model.controller import AdmittanceController
+from ..model.plant import FREE_SPACE, Plant, build_plant_matrices
+from ..model.sampled import SampledPlant, build_loop, build_sampled_plant, controller_rest, spectral_radius
+from ..stability.margins import UnstableLoopError
+from .nonlinear_control import (
+    CLIPPED,
+    DEAD,
+    LIMITED,
+    REPORTING,
+    RESETTING,
+    STOPPING,
+    TOUCHING,
+    WATCHING,
+    Law,
+    Memory,
+    blocks_at,
+    damping_at,
+    resume,
+    seen_force,
+    steady_speed,
+)
+from .nonlinear_kernel import TRACES, Motion, Recording, run_full
+from .nonlinearities import NO_EFFECTS, CommandLimits, Deadband, Effects, Response, VariableDamping
+from .steady_approach import steady_start
+from .transient import Approach, SampledContact, build_sampled_contact
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_RESPONSES: dict[Response, int] = {"none": REPORTING, "reset": RESETTING, "stop": STOPPING}
+# Far inside the stability of the method (2.78 rad), where its error falls with the fourth power of the step.
+_LARGEST_STEP_RAD = 1.0
+# A duration this close to a whole number of samples is that number.
+_WHOLE = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class FullRun:
+    """One simulated run: values at the controller's ticks `time_s` (n,), positions from the wall.
+
+    `sensor_force_n` is −F, `seen_force_n` −F as the controller sees it, both positive when pressing;
+    `contact_force_n` is F_e; x, v are the flange's, x_p, v_p the payload's, `command_m` is x^d as sent,
+    `damping_n_s_per_m` the B_a in use. `is_clipped`, `is_dead` (in the deadband) and `is_limited` (the command)
+    say what was at work at each tick.
+
+    The peak of the sensor force is that of the ticks, without noise and clipping, the peak of the contact force that
+    of all substeps; for a loop that is not stable they are not a number. `impact_time_s` and `impact_speed_m_s` (v_p)
+    belong to the first touch, None if there is none; `collision_time_s` to the detection.
+    """
+
+    time_s: FloatArray
+    sensor_force_n: FloatArray
+    seen_force_n: FloatArray
+    contact_force_n: FloatArray
+    flange_position_m: FloatArray
+    flange_velocity_m_s: FloatArray
+    payload_position_m: FloatArray
+    payload_velocity_m_s: FloatArray
+    command_m: FloatArray
+    damping_n_s_per_m: FloatArray
+    is_touching: BoolArray
+    is_clipped: BoolArray
+    is_dead: BoolArray
+    is_limited: BoolArray
+    driving_force_n: float
+    impact_time_s: float | None
+    impact_speed_m_s: float | None
+    collision_time_s: float | None
+    peak_sensor_force_n: float
+    time_of_sensor_peak_s: float
+    peak_contact_force_n: float
+    time_of_peak_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Drive:
+    """Speed of the approach and the forces before and after the impact."""
+
+    speed_m_s: float
+    force_n: float
+    desired_n: tuple[float, float]
+    push_n: tuple[float, float]
+
+
+def simulate_fully(
+    plant: Plant,
+    controller: AdmittanceController,
+    approach: Approach,
+    *,
+    sample_time_s: float,
+    duration_s: float,
+    effects: Effects = NO_EFFECTS,
+    start_distance_m: float | None = None,
+    substeps: int = 10,
+    noise: np.random.Generator | None = None,
+    even_if_unstable: bool = False,
+) -> FullRun:
+    """Simulate an approach and contact with everything in `effects`, by Runge–Kutta steps of order 4.
+
+    Without `start_distance_m` the run begins at the impact, in the steady state of the approach (with deadband,
+    clipping, speed limit and variable damping in it); with it, at rest at that distance from the wall, when the force
+    is switched on. `substeps` per sample; those before and after the command changes inside a sample are counted
+    apart. Without switching the error falls with the fourth power of the step; a kink of the contact force or a jump
+    of it (B_e) inside a step costs the square, or the first power, of one step. `noise` draws the sensor noise
+    and the late commands.
+
+    Raises UnstableLoopError for a loop that is not stable in contact or in free space without the effects (at the
+    ends of the variable damping), unless `even_if_unstable`; ParameterError for what this simulation cannot do.
+    """
+    h = positive("sample_time_s", sample_time_s)
+    _check_plant(plant, h)
+    pair = build_sampled_contact(build_sampled_plant(plant, h))
+    radius = _largest_radius(pair, controller, effects)
+    if not (radius < 1.0 or even_if_unstable):
+        raise UnstableLoopError(radius)
+    law, motion = _law(controller, effects, h), _motion(pair.contact, substeps)
+    drive = _drive(pair, law, approach, effects)
+    start = _steady(pair, law, drive, effects) if start_distance_m is None else _rest(pair.free, law, start_distance_m)
+    count = math.ceil(positive("duration_s", duration_s) / h - _WHOLE)
+    recording = Recording(np.empty((TRACES, count)), np.empty(count, dtype=np.int64), np.zeros(7))
+    recording.found[4:] = math.nan
+    if start_distance_m is None:
+        recording.found[4:6] = 0.0, drive.speed_m_s * h
+    drawn = _noise(effects, noise, count), _late(effects, noise, count)
+    run_full(motion, law, start, drive.desired_n, drive.push_n, *drawn, recording)
+    return _run(recording, h, drive, is_stable=radius < 1.0)
+
+
+def _check_plant(plant: Plant, h: float) -> None:
+    if plant.environment.mass_kg > 0.0:
+        raise ParameterError(
+            "environment.mass_kg", plant.environment.mass_kg, "0 (the full simulation knows massless environments only)"
+        )
+    if plant.loop_delay_s == 0.0 and build_plant_matrices(plant, h).d_force != 0.0:
+        raise ParameterError(
+            "robot.delay_s", 0.0, "above 0 (with damping in the coupling F would hang on the command of the same tick)"
+        )
+
+
+def _largest_radius(pair: SampledContact, controller: AdmittanceController, effects: Effects) -> float:
+    variable = effects.variable_damping
+    dampings = (controller.damping_n_s_per_m,) if variable is None else variable.bounds_n_s_per_m
+    return max(
+        spectral_radius(build_loop(side, replace(controller, damping_n_s_per_m=damping)))
+        for side in (pair.free, pair.contact)
+        for damping in dampings
+    )
+
+
+def _motion(contact: SampledPlant, substeps: int) -> Motion:
+    """Lay out the free plant in the dimensionless time of one period; the wall acts on it as an outside force."""
+    if substeps < 1:
+        raise ParameterError("substeps", substeps, "at least 1")
+    h, wall = contact.sample_time_s, contact.plant.environment
+    m = build_plant_matrices(contact.plant.in_contact_with(FREE_SPACE), h)
+    before = math.ceil(substeps * contact.fraction)
+    steps = (before, max(1, substeps - before))
+    longest = max((1.0 - contact.fraction) / steps[1], contact.fraction / max(1, before))
+    fastest = max(float(np.max(np.abs(np.linalg.eigvals(rate)))) for rate in (m.a, contact.rate))
+    if fastest * longest > _LARGEST_STEP_RAD:
+        needed = math.ceil(substeps * fastest * longest / _LARGEST_STEP_RAD)
+        raise ParameterError("substeps", substeps, f"at least {needed}, for steps below the plant's fastest motion")
+    # v h is what c_position makes of the rate of the state.
+    velocity = np.append(m.c_position @ m.a, m.c_position @ m.b)
+    return Motion(
+        flow=np.column_stack([m.a, m.b, m.push]),
+        rows=np.array([[*m.c_position, 0.0], [*m.c_force, m.d_force], velocity]),
+        stiffness=wall.stiffness_n_per_m,
+        damping=wall.damping_n_s_per_m / h,
+        whole=contact.whole_delay,
+        chain=contact.chain_length,
+        fraction=contact.fraction,
+        steps=steps,
+    )
+
+
+def _law(controller: AdmittanceController, effects: Effects, h: float) -> Law:
+    deadband, limits = effects.deadband or Deadband(width_n=0.0), effects.limits or CommandLimits()
+    collision, variable = effects.collision, effects.variable_damping or VariableDamping()
+    if effects.variable_damping is not None and variable.update_period_s < h:
+        raise ParameterError("variable_damping.update_period_s", variable.update_period_s, f"at least h = {h:g} s")
+    return Law(
+        parameters=controller.parameters(),
+        h=h,
+        theta=controller.theta,
+        ideal=controller.is_ideal,
+        deadband=deadband.width_n,
+        subtractive=deadband.kind == "subtractive",
+        force_limit=_or_infinite(effects.force_limit_n),
+        longest_step=_or_infinite(limits.speed_m_s) * h,
+        largest_change=_or_infinite(limits.acceleration_m_s2) * h * h,
+        response=REPORTING if collision is None else _RESPONSES[collision.response],
+        threshold=math.inf if collision is None else collision.threshold_n,
+        floor=variable.floor_n_s_per_m,
+        scale=variable.scale_n_s_per_m,
+        decay=variable.decay_s_per_m,
+        period=math.inf if effects.variable_damping is None else variable.update_period_s / h,
+        change=variable.largest_change_n_s_per_m,
+    )
+
+
+def _or_infinite(value: float | None) -> float:
+    return math.inf if value is None else value
+
+
+def _drive(pair: SampledContact, law: Law, approach: Approach, effects: Effects) -> _Drive:
+    """Find the steady speed of the approach's force, or the force of its speed, with the effects in the balance."""
+    h, by_hand = law.h, approach.driven_by == "hand"
+    # F per speed: B_p, but for the ripple of F between the ticks.
+    drag, fastest = -float(pair.ramp[0, -1]) * h, law.longest_step / h
+    if approach.speed_m_s is not None:
+        speed = approach.speed_m_s
+        if speed > fastest:
+            raise ParameterError("approach.speed_m_s", speed, f"at most the limit on the command, {fastest:g} m/s")
+        force = _needed_force(law, speed, drag, effects.deadband, by_hand=by_hand)
+    else:
+        force = approach.force_n or 0.0
+        speed = min(steady_speed(law, force, drag, by_hand), fastest)
+        if not speed > 0.0:
+            raise ParameterError("approach.force_n", force, f"large enough to pass the deadband of {law.deadband:g} N")
+    after = force if approach.after_impact_n is None else approach.after_impact_n
+    return _Drive(
+        speed_m_s=speed,
+        force_n=force,
+        desired_n=(0.0, 0.0) if by_hand else (force, after),
+        push_n=(force, after) if by_hand else (0.0, 0.0),
+    )
+
+
+def _needed_force(law: Law, speed: float, drag: float, deadband: Deadband | None, *, by_hand: bool) -> float:
+    needed = damping_at(law, speed) * speed
+    if not by_hand:
+        return float(needed - seen_force(law, -drag * speed)[0])
+    width = 0.0 if deadband is None else deadband.width_n
+    measured = needed + width if law.subtractive else max(needed, width)
+    if measured > law.force_limit:
+        raise ParameterError(
+            "approach.speed_m_s", speed, f"reachable by a hand: it needs {measured:g} N at the sensor, which is clipped"
+        )
+    return float(measured + drag * speed)
+
+
+def _steady(pair: SampledContact, law: Law, drive: _Drive, effects: Effects) -> tuple[FloatArray, FloatArray, Memory]:
+    """Return the steady approach at the impact, as if the same had gone on for ever."""
+    free, h, speed, push = pair.free, law.h, drive.speed_m_s, drive.push_n[0]
+    way, damping = speed * h, damping_at(law, speed)
+    blocks = blocks_at(law, damping)
+    sensed = float(pair.ramp[0, -1] * way + pair.ramp[1, -1] * push)
+    seen = seen_force(law, sensed)[0]
+    # On average over the ticks, where a deadband switches there and back. Behind a speed limit more than that drives
+    # the admittance, which the first two ticks make up for while the limit holds.
+    used = damping * speed
+    if effects.collision is not None and -seen > effects.collision.threshold_n:
+        raise ParameterError(
+            "collision.threshold_n", effects.collision.threshold_n, f"above the drag of the approach, {-seen:.4g} N"
+        )
+    state, past, control = steady_start(pair.ramp, free.c_position, blocks, free.chain_length, h, speed, push, used)
+    n = len(state)
+    state[n - 2] = 0.0
+    command = float(pair.ramp[0, n] * way + pair.ramp[1, n] * push)
+    position = float(free.c_position @ state)
+    # What the admittance itself puts out: C_fb and the derivative of the ideal compensation see a steady speed.
+    output = command + (blocks[4, 0] - blocks[5, 0] * blocks[4, 2]) * speed
+    recent = (output - way, used, position - way)
+    older = (output - 2.0 * way, used, position - 2.0 * way)
+    states = (*resume(blocks, recent, older), float(control[2]), float(control[3]))
+    return state, past, Memory(states, recent, older, command - way, way, damping, law.period, WATCHING)
+
+
+def _rest(free: SampledPlant, law: Law, distance: float) -> tuple[FloatArray, FloatArray, Memory]:
+    """Return everything at rest at a distance from the wall, no force applied yet."""
+    place = -non_negative("start_distance_m", distance)
+    damping, n = damping_at(law, 0.0), free.state_count
+    state = np.zeros(n)
+    # The robot chain's first state has unit gain at rest; then x_p.
+    state[0] = state[n - 2] = place
+    control = place * controller_rest(blocks_at(law, damping))
+    states = (float(control[0]), float(control[1]), float(control[2]), float(control[3]))
+    entry = (place, 0.0, place)
+    past = np.full(max(1, free.chain_length), place)
+    return state, past, Memory(states, entry, entry, place, 0.0, damping, law.period, WATCHING)
+
+
+def _noise(effects: Effects, noise: np.random.Generator | None, count: int) -> FloatArray:
+    if effects.force_noise_rms_n == 0.0:
+        return np.zeros(count)
+    if noise is None:
+        raise ParameterError("noise", noise, "a numpy Generator, for a force_noise_rms_n above 0")
+    return effects.force_noise_rms_n * noise.standard_normal(count)
+
+
+def _late(effects: Effects, noise: np.random.Generator | None, count: int) -> BoolArray:
+    if effects.late_share == 0.0:
+        return np.zeros(count, dtype=np.bool_)
+    if noise is None:
+        raise ParameterError("noise", noise, "a numpy Generator, for a late_share above 0")
+    return np.asarray(noise.random(count) < effects.late_share)
+
+
+def _run(recording: Recording, h: float, drive: _Drive, *, is_stable: bool) -> FullRun:
+    traces, flags, found = recording.traces, recording.flags, recording.found
+    traces[:2] *= -1.0
+    time = np.asarray(np.arange(len(flags)) * h, dtype=np.float64)
+    touching, clipped, dead, limited = ((flags & bit) != 0 for bit in (TOUCHING, CLIPPED, DEAD, LIMITED))
+    for array in (time, traces, touching, clipped, dead, limited):
+        array.setflags(write=False)
+    touched, detected = not math.isnan(found[4]), not math.isnan(found[6])
+    peaks = found[:4] if is_stable else np.full(4, math.nan)
+    return FullRun(
+        time_s=time,
+        sensor_force_n=traces[0],
+        seen_force_n=traces[1],
+        contact_force_n=traces[2],
+        flange_position_m=traces[3],
+        flange_velocity_m_s=traces[4],
+        payload_position_m=traces[5],
+        payload_velocity_m_s=traces[6],
+        command_m=traces[7],
+        damping_n_s_per_m=traces[8],
+        is_touching=touching,
+        is_clipped=clipped,
+        is_dead=dead,
+        is_limited=limited,
+        driving_force_n=drive.force_n,
+        impact_time_s=float(found[4] * h) if touched else None,
+        impact_speed_m_s=float(found[5] / h) if touched else None,
+        collision_time_s=float(found[6] * h) if detected else None,
+        peak_sensor_force_n=float(peaks[0]),
+        time_of_sensor_peak_s=float(peaks[1] * h),
+        peak_contact_force_n=float(peaks[2]),
+        time_of_peak_s=float(peaks[3] * h),
+    )

@@ -1,0 +1,236 @@
+"""The contact transient: approach in free space, impact, unilateral contact (MODEL.md, "The contact transient")."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import finite, positive
+from ..errors import ParameterError
+from ..model.controller import AdmittanceController, controller_blocks
+from ..model.plant import FREE_SPACE
+from ..model.sampled import SampledPlant, build_loop, build_sampled_plant, check_wrench_delay, hold, spectral_radius
+from ..stability.margins import UnstableLoopError
+from .events import LOOKS_PER_RADIAN, MOST_LOOKS
+from .kernel import Contact, Start, run_contact
+from .steady_approach import contact_forces, steady_start
+
+FloatArray = NDArray[np.float64]
+
+LONGEST_TRANSIENT_S = 10.0
+# Faster contacts, in radians and e-foldings per sample, would take seconds to follow and tell nothing about a robot.
+_FASTEST_SWING = 16.0
+_FASTEST_DECAY = 1000.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Approach:
+    """How the payload meets the wall: exactly one of `force_n` and `speed_m_s` is given.
+
+    `force_n`: this force is held until the speed is steady (the paper's contact experiments). `speed_m_s`: contact at
+    this steady speed, under the force that sustains it in free space. The force is F^d, or with `driven_by` "hand" a
+    hand's on the payload. It goes on after the impact, unless `after_impact_n` says what it is from then on (0: the
+    hand lets go).
+    """
+
+    force_n: float | None = None
+    speed_m_s: float | None = None
+    driven_by: Literal["desired_force", "hand"] = "desired_force"
+    after_impact_n: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.force_n is None) == (self.speed_m_s is None):
+            raise ParameterError("approach", (self.force_n, self.speed_m_s), "one of force_n and speed_m_s")
+        for name, value in (("force_n", self.force_n), ("speed_m_s", self.speed_m_s)):
+            if value is not None:
+                object.__setattr__(self, name, positive(f"approach.{name}", value))
+        if self.driven_by not in {"desired_force", "hand"}:
+            raise ParameterError("approach.driven_by", self.driven_by, "desired_force or hand")
+        if self.after_impact_n is not None:
+            object.__setattr__(self, "after_impact_n", finite("approach.after_impact_n", self.after_impact_n))
+
+    def numbers(self) -> tuple[float, float, bool, float]:
+        """Return (force or 0, speed or 0, whether a hand drives, force after the impact or NaN) for the kernels."""
+        after = math.nan if self.after_impact_n is None else self.after_impact_n
+        return self.force_n or 0.0, self.speed_m_s or 0.0, self.driven_by == "hand", after
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactTransient:
+    """Forces at the controller's ticks from the impact on, `time_s` (n,), and their peaks.
+
+    `sensor_force_n` is −F (−F_m behind a filter of the wrench), positive when pressing, its peak that of the ticks, as
+    in a log; `contact_force_n` is F_e, whose peak is searched between the ticks as well, at `time_of_peak_s`. A force
+    that only creeps up to its value at rest counts with that value. `impulse_n_s` is what an environment with mass
+    takes in the impact itself, on top. `is_settled` is False when the run was ended by its longest time.
+    """
+
+    time_s: FloatArray
+    sensor_force_n: FloatArray
+    contact_force_n: FloatArray
+    contact_speed_m_s: float
+    driving_force_n: float
+    peak_sensor_force_n: float
+    time_of_sensor_peak_s: float
+    peak_contact_force_n: float
+    time_of_peak_s: float
+    impulse_n_s: float
+    is_settled: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampledContact:
+    """A plant in contact and the same plant in free space, both sampled.
+
+    `ramp` (2, n + 2): plant state, command and F at a tick with x_p = 0, first moving by one metre per sample without
+    outside force, then resting under an outside force of one newton. `arguments` are the plant's part of what
+    `run_contact` takes.
+    """
+
+    contact: SampledPlant
+    free: SampledPlant
+    ramp: FloatArray
+    arguments: Contact
+
+
+def build_sampled_contact(contact: SampledPlant) -> SampledContact:
+    """Pair a sampled plant in contact with its free-space twin."""
+    if contact.plant.environment.is_free_space:
+        raise ParameterError("environment", contact.plant.environment, "a surface to touch, not free space")
+    free = build_sampled_plant(contact.plant.in_contact_with(FREE_SPACE), contact.sample_time_s)
+    return SampledContact(contact=contact, free=free, ramp=_ramp(free), arguments=_kernel_arguments(contact, free))
+
+
+def _kernel_arguments(contact: SampledPlant, free: SampledPlant) -> Contact:
+    environment, h = contact.plant.environment, contact.sample_time_s
+    payload = contact.plant.payload.mass_kg
+    step = [np.column_stack([p.phi, p.gamma, p.gamma_old, p.gamma_push]) for p in (contact, free)]
+    flow = [np.column_stack([p.rate, p.drive, p.push]) for p in (contact, free)]
+    rows = [
+        [*contact.c_position, 0.0, 0.0],
+        [*contact.c_force, contact.d_force, 0.0],
+        [*contact.c_contact, contact.d_contact, contact.push_contact],
+    ]
+    wall = (
+        environment.stiffness_n_per_m,
+        environment.damping_n_s_per_m / h,
+        environment.mass_kg / h**2,
+        payload / (payload + environment.mass_kg),
+    )
+    delay = (contact.whole_delay, contact.chain_length, contact.fraction)
+    return (np.array(step), np.array(flow)), (np.array(rows), _inside(contact)), delay, wall
+
+
+def _ramp(free: SampledPlant) -> FloatArray:
+    """Solve for the plant state that repeats itself one step further on (or at rest), with x_p = 0."""
+    n, d = free.state_count, free.whole_delay
+    system, right = np.zeros((n + 1, n + 1)), np.zeros((n + 1, 2))
+    system[:n, :n] = free.phi - np.eye(n)
+    system[:n, n] = free.gamma + free.gamma_old
+    system[n, n - 2] = 1.0
+    right[0, 0] = right[n - 2, 0] = 1.0
+    right[:n, 0] += free.gamma * d + free.gamma_old * (d + 1)
+    right[:n, 1] = -free.gamma_push
+    found = np.linalg.solve(system, right)
+    # What the hold shows at the tick: the command of `chain_length` ticks ago.
+    held = found[n] - free.chain_length * np.array([1.0, 0.0])
+    return np.column_stack([found.T, free.c_force @ found[:n] + free.d_force * held])
+
+
+def _inside(contact: SampledPlant) -> FloatArray:
+    """Return F_e at equal parts of a sample, for contacts so stiff that they swing between the ticks."""
+    n = contact.state_count
+    poles = np.linalg.eigvals(contact.rate)
+    fastest = float(np.max(np.abs(poles.imag)))
+    if not (fastest <= _FASTEST_SWING and np.max(np.abs(poles)) <= _FASTEST_DECAY):
+        stiffness, mass = contact.plant.environment.stiffness_n_per_m, contact.plant.payload.mass_kg
+        raise ParameterError(
+            "stiffness and payload",
+            f"{stiffness:g} N/m on {mass:g} kg",
+            f"so that the contact swings at most {_FASTEST_SWING:g} rad in a sample (softer, or heavier)",
+        )
+    looks = min(MOST_LOOKS, max(1, math.ceil(LOOKS_PER_RADIAN * fastest)))
+    rows = np.zeros((looks - 1, n + 3))
+    inputs = np.stack([contact.drive, contact.push], axis=1)
+    for j in range(1, looks):
+        moment = j / looks
+        older, newer = min(moment, contact.fraction), max(0.0, moment - contact.fraction)
+        (phi_1, gamma_1), (phi_2, gamma_2) = hold(contact.rate, inputs, older), hold(contact.rate, inputs, newer)
+        rows[j - 1, :n] = contact.c_contact @ phi_2 @ phi_1
+        rows[j - 1, n] = contact.c_contact @ gamma_2[:, 0]
+        rows[j - 1, n + 1] = contact.c_contact @ phi_2 @ gamma_1[:, 0]
+        rows[j - 1, n + 2] = contact.c_contact @ (phi_2 @ gamma_1[:, 1] + gamma_2[:, 1]) + contact.push_contact
+        rows[j - 1, n + 1 if moment < contact.fraction else n] += contact.d_contact
+    return rows
+
+
+def simulate_contact(
+    pair: SampledContact, controller: AdmittanceController, approach: Approach, *, samples: int | None = None
+) -> ContactTransient:
+    """Simulate one impact of the exact sampled loop, leaving and touching again where the motion says so.
+
+    Between the ticks the plant is integrated exactly; the moment of leaving and of touching is located inside the
+    sample. Without `samples` the run lasts until the force has settled. Raises UnstableLoopError if the loop in
+    contact or in free space is not stable.
+    """
+    radius = max(spectral_radius(build_loop(plant, controller)) for plant in (pair.free, pair.contact))
+    if not radius < 1.0:
+        raise UnstableLoopError(radius)
+    return transient_from(pair, controller, approach, samples=samples)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ContactStart:
+    """The moment of contact as the kernels take it: controller blocks, states, and the forces from then on.
+
+    `forces` are F^d and the outside force on the payload after the impact, which happens at `speed_m_s`.
+    """
+
+    blocks: FloatArray
+    start: Start
+    forces: tuple[float, float]
+    speed_m_s: float
+
+
+def begin_contact(pair: SampledContact, controller: AdmittanceController, approach: Approach) -> ContactStart:
+    """Return the state of the loop at the end of a steady approach, see `contact_start.steady_start`."""
+    free, h = pair.free, pair.free.sample_time_s
+    check_wrench_delay(free.plant, controller)
+    blocks = controller_blocks(controller, h)
+    # B_a + B_p, but for the ripple of F between the ticks, which the controller does not see.
+    resistance = controller.damping_n_s_per_m - float(pair.ramp[0, -1]) * h
+    speed, push, desired_force, push_after = contact_forces(approach.numbers(), resistance)
+    force = controller.damping_n_s_per_m * speed
+    start = steady_start(pair.ramp, free.c_position, blocks, free.chain_length, h, speed, push, force)
+    return ContactStart(blocks=blocks, start=start, forces=(desired_force, push_after), speed_m_s=speed)
+
+
+def longest_run(sample_time_s: float) -> int:
+    """Return after how many samples a transient that does not settle is ended."""
+    return math.ceil(LONGEST_TRANSIENT_S / sample_time_s)
+
+
+def transient_from(
+    pair: SampledContact, controller: AdmittanceController, approach: Approach, *, samples: int | None = None
+) -> ContactTransient:
+    """Simulate the impact of a loop that the caller has found stable, see `simulate_contact`."""
+    h = pair.free.sample_time_s
+    begun = begin_contact(pair, controller, approach)
+    longest = samples if samples is not None else longest_run(h)
+    traces, found = (np.empty(longest), np.empty(longest)), np.zeros(5)
+    count = run_contact(pair.arguments, begun.blocks, begun.start, begun.forces, traces, found, samples is None)
+    return ContactTransient(
+        time_s=np.asarray(np.arange(count) * h, dtype=np.float64),
+        sensor_force_n=-traces[0][:count],
+        contact_force_n=traces[1][:count].copy(),
+        contact_speed_m_s=begun.speed_m_s,
+        driving_force_n=sum(begun.forces),
+        peak_sensor_force_n=float(found[0]),
+        time_of_sensor_peak_s=float(found[1] * h),
+        peak_contact_force_n=float(found[2]),
+        time_of_peak_s=float(found[3] * h),
+        impulse_n_s=float(found[4] * h),
+        is_settled=samples is not None or count < longest,
+    )

@@ -1,0 +1,252 @@
+"""Whole designs at once: for each the worst of stability, margins, admittance and peaks over all its scenarios.
+
+What `PreparedScenarios.evaluate` says of one design, for as many as a population has, in compiled code.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..contact.transient import longest_run
+from ..model.controller import AdmittanceController
+from ..model.response import PlantResponse
+from ..model.sampled import build_loop, spectral_radius
+from ..stability.noise import command_speed_gain
+from ..stability.polynomials import DOUBTFUL, STABLE, UNSTABLE
+from .batch import check_alike, controller_numbers, stack_contacts, stack_grids, stack_loops, stack_responses
+from .batch_evaluation_kernel import (
+    ADMITTANCE,
+    COLUMNS,
+    CONTACT,
+    DELAY_S,
+    FAILED,
+    GAIN_DB,
+    MODULUS,
+    PEAK_COLUMNS,
+    PHASE_RAD,
+    PLANT_COLUMNS,
+    SENSOR,
+    VERDICT,
+    Band,
+    Plants,
+    screen_designs,
+)
+from .batch_kernel import Contacts
+from .evaluation import Evaluation, PreparedScenarios, decay_ratios, passivity_ratios
+from .requirements import Requirements
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_MARGINS = {
+    "modulus_margin": MODULUS,
+    "gain_margin_db": GAIN_DB,
+    "phase_margin_deg": PHASE_RAD,
+    "delay_margin_s": DELAY_S,
+}
+EVERY_REQUIREMENT = "all requirements"
+"""The goal that stands for all requirements: the worst required/achieved of any."""
+_FAST = (*_MARGINS, "free_space_admittance", "max_peak_force_n")
+_CROSSOVERS = ("gain_margin_db", "phase_margin_deg", "delay_margin_s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Screened:
+    """Designs (m,): `radius` of the first plant found unstable, 0 where all are stable.
+
+    `rows` maps each requirement to required/achieved (m, k), plant by plant or scenario by scenario as it depends on
+    them: each column is smooth in the design, their maximum is not. NaN where unstable, 0 where nobody looked because
+    something is missed. `peaks_n` (m, s) of the objective's force, infinite where not looked at. `soft_rows` are those
+    of `asked` that need not be met.
+    """
+
+    radius: FloatArray
+    rows: Mapping[str, FloatArray]
+    peaks_n: FloatArray
+    soft_rows: Mapping[str, FloatArray]
+    asked: Requirements
+
+    def towards(self, goal: str) -> "Screened":
+        """Return the same with one requirement, or with `EVERY_REQUIREMENT`, in the place of peaks and wishes."""
+        rows = dict(self.rows)
+        if goal == EVERY_REQUIREMENT:
+            sought, rows = np.hstack([np.zeros((len(self.radius), 1)), *rows.values()]), {}
+        else:
+            sought = rows.pop(goal)
+        peaks = np.where(self.is_stable[:, None], sought, np.inf)
+        return replace(self, rows=rows, peaks_n=peaks, soft_rows={})
+
+    @property
+    def is_stable(self) -> BoolArray:
+        """Which designs are stable in every scenario."""
+        return self.radius < 1.0
+
+    @property
+    def requirements(self) -> Mapping[str, FloatArray]:
+        """Required/achieved (m,), the worst of all scenarios."""
+        return {name: np.max(value, axis=1) for name, value in self.rows.items()}
+
+    @property
+    def objective_n(self) -> FloatArray:
+        """The largest peak (m,), and what missed soft requirements add to it."""
+        return np.asarray(np.max(self.peaks_n, axis=1)) + self.penalty_n
+
+    @property
+    def penalty_n(self) -> FloatArray:
+        """What missed soft requirements cost (m,)."""
+        cost = np.zeros(len(self.radius))
+        for name, row in self.soft_rows.items():
+            cost += [self.asked.cost_n(name, float(ratio)) for ratio in np.max(row, axis=1)]
+        return cost
+
+    @property
+    def violation(self) -> FloatArray:
+        """By how much the worst requirement is missed: 0 where feasible, infinite where unstable."""
+        if not self.rows:
+            return np.where(self.is_stable, 0.0, np.inf)
+        worst = np.max([np.nan_to_num(value, nan=np.inf) for value in self.requirements.values()], axis=0)
+        return np.where(self.is_stable, np.maximum(worst - 1.0, 0.0), np.inf)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Screen:
+    """Prepared scenarios as the compiled loop takes them; `slow` are requirements that it does not know.
+
+    With a `goal` that requirement is minimised, see `Screened.towards`, and everything of every design is looked at.
+    """
+
+    prepared: PreparedScenarios
+    plants: Plants
+    contacts: Contacts
+    band: Band
+    required: tuple[FloatArray, float, bool]
+    slow: tuple[str, ...]
+    goal: str | None = None
+
+    def evaluate(self, designs: FloatArray, *, peaks_if_missed: bool = False) -> Screened:
+        """Evaluate designs (m, n) as `PreparedScenarios.evaluate` does each.
+
+        Where rounding could decide a verdict, and for requirements that no compiled form has, that function is asked.
+        """
+        problem, peaks_if_missed = self.prepared.problem, peaks_if_missed or self.goal is not None
+        controllers = [problem.controller(design) for design in designs]
+        numbers, theta, ideal = controller_numbers(controllers)
+        h = problem.sample_time_s
+        whole = np.empty((len(designs), COLUMNS))
+        by_plant = np.empty((len(designs), len(self.prepared.plants), PLANT_COLUMNS))
+        by_pair = np.empty((len(designs), len(self.prepared.pairs), PEAK_COLUMNS))
+        screen_designs(
+            self.plants,
+            self.contacts,
+            self.band,
+            numbers,
+            (h, theta, ideal),
+            problem.approach.numbers(),
+            longest_run(h),
+            self.required,
+            peaks_if_missed,
+            (whole, by_plant, by_pair),
+        )
+        hard, soft = self._rows(whole, by_plant, by_pair)
+        found = Screened(
+            radius=self._radius(whole, controllers),
+            rows=hard,
+            peaks_n=np.nan_to_num(
+                by_pair[:, :, CONTACT if problem.objective == "contact_force" else SENSOR], nan=np.inf
+            ),
+            soft_rows=soft,
+            asked=problem.requirements,
+        )
+        missed = found.violation > 0.0
+        for i in range(len(designs)):
+            if whole[i, VERDICT] == DOUBTFUL:
+                _settle(found, i, self.prepared.evaluate(designs[i], peaks_if_missed=peaks_if_missed))
+            elif self.slow and found.is_stable[i] and (peaks_if_missed or not missed[i]):
+                self._judge_slowly(found, i, controllers[i])
+        if self.slow and not peaks_if_missed:
+            found.peaks_n[found.violation > 0.0] = np.inf
+        return found if self.goal is None else found.towards(self.goal)
+
+    def _judge_slowly(self, found: Screened, index: int, controller: AdmittanceController) -> None:
+        """Write the rows that no compiled form has."""
+        asked, prepared = self.prepared.problem.requirements, self.prepared
+        values: dict[str, FloatArray] = {}
+        if asked.decay_rate_per_s is not None:
+            values["decay_rate_per_s"] = decay_ratios(prepared.problem, prepared.radii(controller))
+        if asked.command_noise is not None:
+            gains = [command_speed_gain(plant.sampled, controller) for plant in prepared.plants]
+            values["command_noise"] = np.array([asked.command_noise.ratio(gain) for gain in gains])
+        if asked.passivity is not None:
+            values["passivity"] = passivity_ratios(asked.passivity, prepared.ports, controller)
+        for name, value in values.items():
+            (found.soft_rows if name in asked.soft_n else found.rows)[name][index] = value
+
+    def _radius(self, whole: FloatArray, controllers: Sequence[AdmittanceController]) -> FloatArray:
+        radius = np.zeros(len(whole))
+        for i in np.flatnonzero(whole[:, VERDICT] == UNSTABLE):
+            loop = build_loop(self.prepared.plants[int(whole[i, FAILED])].sampled, controllers[int(i)])
+            radius[i] = max(spectral_radius(loop), 1.0)
+        return radius
+
+    def _rows(
+        self, whole: FloatArray, by_plant: FloatArray, by_pair: FloatArray
+    ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+        """Return the rows of hard requirements, and those of soft ones."""
+        asked, unstable = self.prepared.problem.requirements, whole[:, VERDICT] != STABLE
+        degrees = {"phase_margin_deg": 180.0 / np.pi}
+        rows = {
+            name: getattr(asked, name) / np.maximum(by_plant[:, :, column] * degrees.get(name, 1.0), 1e-300)
+            for name, column in _MARGINS.items()
+            if getattr(asked, name) is not None
+        }
+        if asked.free_space_admittance is not None:
+            rows["free_space_admittance"] = asked.free_space_admittance.min_m_s_per_n / whole[:, [ADMITTANCE]]
+        if asked.max_peak_force_n is not None:
+            # Without a peak another requirement is missed anyway.
+            rows["max_peak_force_n"] = np.nan_to_num(by_pair[:, :, CONTACT] / asked.max_peak_force_n, nan=0.0)
+        robots, plants = len(self.prepared.ports), len(self.prepared.plants)
+        rows |= {name: np.zeros((len(whole), robots if name == "passivity" else plants)) for name in self.slow}
+        for value in rows.values():
+            value[unstable] = np.nan
+        soft = {name: rows.pop(name) for name in asked.soft_n}
+        return rows, soft
+
+
+def _settle(found: Screened, index: int, evaluation: Evaluation) -> None:
+    """Write the evaluation of one design over what was screened."""
+    found.radius[index] = evaluation.spectral_radius if not evaluation.is_stable else 0.0
+    found.peaks_n[index] = evaluation.peak_n
+    for rows, said in ((found.rows, evaluation.requirements), (found.soft_rows, evaluation.soft)):
+        for name, value in rows.items():
+            value[index] = said.get(name, np.nan if not evaluation.is_stable else 0.0)
+
+
+def build_screen(prepared: PreparedScenarios) -> Screen:
+    """Stack prepared scenarios; plants in contact first, then those in free space."""
+    asked, target = prepared.problem.requirements, prepared.target_response
+    sampled = [plant.sampled for plant in prepared.plants]
+    check_alike(sampled)
+    margins = np.zeros(PLANT_COLUMNS)
+    for name, column in _MARGINS.items():
+        margins[column] = 0.0 if name in asked.soft_n else getattr(asked, name) or 0.0
+    margins[PHASE_RAD] = np.radians(margins[PHASE_RAD])
+    wanted = None if "free_space_admittance" in asked.soft_n else asked.free_space_admittance
+    crosses = any(getattr(asked, name) is not None for name in _CROSSOVERS)
+    nothing = np.zeros(0, dtype=np.complex128)
+    return Screen(
+        prepared=prepared,
+        plants=(stack_loops(sampled), stack_responses(prepared.plants), stack_grids(prepared.plants)),
+        contacts=stack_contacts(prepared.pairs),
+        band=(np.zeros(0), nothing, nothing)
+        if target is None
+        else (target.frequency_rad_per_s * _wrench_gain(target), target.z, target.position),
+        required=(margins, 0.0 if wanted is None else wanted.min_m_s_per_n, crosses),
+        slow=tuple(name for name in asked.asked() if name not in _FAST),
+    )
+
+
+def _wrench_gain(target: PlantResponse) -> FloatArray | float:
+    """Return |F_m/F|, all that the least |G| needs of the wrench's filter."""
+    return 1.0 if target.wrench is None else np.abs(target.wrench)

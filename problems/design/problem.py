@@ -1,0 +1,258 @@
+"""The design problem as a value: what may vary, what must hold, what is minimised; it needs no solver."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import interval, non_negative, positive
+from ..contact.transient import Approach
+from ..errors import ParameterError
+from ..model.controller import (
+    PAPER_VELOCITY_FILTER_RAD_PER_S,
+    SMALLEST_FEEDBACK_DAMPING_S,
+    AdmittanceController,
+    check_feedback_damping,
+)
+from ..model.plant import NO_FILTER, Coupling, Environment, Payload, Plant, WrenchFilter
+from ..model.robot import RobotModel
+from ..model.robot_variation import bandwidth_hz, damping_ratio, has_damping_ratio
+from .requirements import AdmittanceTarget, Asked, NoiseLimit, PassivityTarget, Requirements
+from .uncertainty import ALWAYS_UNCERTAIN, FURTHER_UNCERTAIN, SYMBOLS, Ellipsoid, Scenario, Uncertainty, check_robot
+
+__all__ = [
+    "DEFAULT_BOUNDS",
+    "FURTHER_VARIABLES",
+    "VARIABLES",
+    "AdmittanceTarget",
+    "DesignProblem",
+    "NoiseLimit",
+    "Objective",
+    "PassivityTarget",
+    "Requirements",
+]
+
+FloatArray = NDArray[np.float64]
+Objective = Literal["contact_force", "sensor_force"]
+
+# The variables that are always free, in the order of the design vector. The bounds hold the paper's cells (10..20 kg,
+# 550..2000 N s/m, 0..0.025 s, 0..0.0075 s) and little more on the side of small mass and large lead: K_l/M_a is what
+# sensor noise is multiplied by on its way to the velocity command, and the measured limit of K_l was half the modelled.
+VARIABLES = ("mass", "damping", "lead_s", "feedback_damping_s")
+DEFAULT_BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {"mass": (5.0, 100.0), "damping": (100.0, 10000.0), "lead_s": (0.0, 0.03), "feedback_damping_s": (0.0, 0.05)}
+)
+FURTHER_VARIABLES = ("velocity_filter_rad_per_s", "acceleration_filter_rad_per_s", "compensation_mass_kg")
+"""Variables that are free on request, in the order in which they follow: ω_v, ω_a, P̂."""
+_TITLES = {"free_space_admittance": "free-space admittance"}
+# A nominal value that is the end of its own range may differ from it by the rounding of a unit.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignProblem:
+    """One axis: nominal plant, the set that must all be safe, approach, bounds, requirements and objective.
+
+    `bounds` of `FURTHER_VARIABLES` make those free too. `uncertain` holds ranges of further parameters by name
+    (`problems.design.uncertainty.FURTHER_UNCERTAIN`), around the nominal values; `ellipsoid` cuts them down to a
+    confidence set. Without them the set is K_e × M_p.
+    """
+
+    robot: RobotModel
+    coupling: Coupling
+    drag_n_s_per_m: float
+    environment_stiffness_n_per_m: tuple[float, float]
+    payload_mass_kg: tuple[float, float]
+    sample_time_s: float
+    environment_damping_n_s_per_m: float = 0.0
+    approach: Approach = field(default_factory=lambda: Approach(force_n=30.0))
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    requirements: Requirements = field(default_factory=Requirements)
+    objective: Objective = "contact_force"
+    velocity_filter_rad_per_s: float = PAPER_VELOCITY_FILTER_RAD_PER_S
+    uncertain: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    ellipsoid: Ellipsoid | None = None
+    wrench_filter: WrenchFilter = NO_FILTER
+    uncertainty: Uncertainty = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._check_bounds()
+        stiffness = interval("environment_stiffness_n_per_m", self.environment_stiffness_n_per_m)
+        positive("environment_stiffness_n_per_m", stiffness[0])
+        object.__setattr__(self, "environment_stiffness_n_per_m", stiffness)
+        mass = interval("payload_mass_kg", self.payload_mass_kg)
+        positive("payload_mass_kg", mass[0])
+        object.__setattr__(self, "payload_mass_kg", mass)
+        object.__setattr__(self, "sample_time_s", positive("sample_time_s", self.sample_time_s))
+        non_negative("drag_n_s_per_m", self.drag_n_s_per_m)
+        non_negative("environment_damping_n_s_per_m", self.environment_damping_n_s_per_m)
+        self._check_requirements()
+        self._check_uncertainty()
+
+    def _check_bounds(self) -> None:
+        unknown = sorted(set(self.bounds) - {*VARIABLES, *FURTHER_VARIABLES})
+        if unknown:
+            raise ParameterError("bounds", unknown, f"given for {', '.join((*VARIABLES, *FURTHER_VARIABLES))} only")
+        given = {**DEFAULT_BOUNDS, **self.bounds}
+        bounds = {name: interval(name, given[name]) for name in (*VARIABLES, *FURTHER_VARIABLES) if name in given}
+        for name in ("mass", "damping", "velocity_filter_rad_per_s", "acceleration_filter_rad_per_s"):
+            if name in bounds:
+                positive(f"lower bound of {name}", bounds[name][0])
+        for value in bounds["feedback_damping_s"]:
+            check_feedback_damping(value)
+        if "acceleration_filter_rad_per_s" in bounds and bounds.get("compensation_mass_kg", (0.0, 0.0))[1] == 0.0:
+            must = "left out unless compensation_mass_kg is free too (the filter is that of the compensation)"
+            raise ParameterError("bounds", "acceleration_filter_rad_per_s", must)
+        object.__setattr__(self, "bounds", MappingProxyType(bounds))
+
+    def _check_requirements(self) -> None:
+        asked, nyquist = self.requirements, 0.5 / self.sample_time_s
+        target, passivity, noise = asked.free_space_admittance, asked.passivity, asked.command_noise
+        if target is not None and target.band_hz[1] >= nyquist:
+            raise ParameterError("free_space_admittance.band_hz", target.band_hz, "below half the sampling rate")
+        if passivity is not None and passivity.passive_below_hz >= nyquist:
+            must = "below half the sampling rate"
+            raise ParameterError("passivity.passive_below_hz", passivity.passive_below_hz, must)
+        if noise is not None and noise.force_noise_rms_n is None:
+            raise ParameterError("command_noise.force_noise_rms_n", None, "the force sensor's noise")
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """The free variables in the order of the design vector: `VARIABLES`, then those that were made free."""
+        return tuple(self.bounds)
+
+    def _check_uncertainty(self) -> None:
+        for name in ALWAYS_UNCERTAIN:
+            if name in self.uncertain:
+                raise ParameterError("uncertain", name, "given as the problem's own range")
+        check_robot(self.robot, self.uncertain)
+        known = {name: getattr(self, name) for name in ALWAYS_UNCERTAIN}
+        uncertainty = Uncertainty(ranges={**known, **self.uncertain}, ellipsoid=self.ellipsoid)
+        for name, value in self.nominal().items():
+            low, high = uncertainty.ranges.get(name, (value, value))
+            if not low * (1.0 - _ROUNDING) <= value <= high * (1.0 + _ROUNDING):
+                raise ParameterError(f"uncertain {name}", (low, high), f"around the nominal value {value:g}")
+        object.__setattr__(self, "uncertainty", uncertainty)
+        further = {name: pair for name, pair in uncertainty.ranges.items() if name in FURTHER_UNCERTAIN}
+        object.__setattr__(self, "uncertain", MappingProxyType(further))
+        self._check_wrench_delay()
+
+    def _check_wrench_delay(self) -> None:
+        """Refuse variables that let the law read the position beside a wrench that comes a delay late."""
+        late = max(self.wrench_filter.delay_s, self.uncertain.get("wrench_delay_s", (0.0, 0.0))[1])
+        for name in ("feedback_damping_s", "compensation_mass_kg"):
+            if late > 0.0 and self.bounds.get(name, (0.0, 0.0))[1] > 0.0:
+                must = "(0, 0) where the wrench comes with a pure delay (position and wrench are of different moments)"
+                raise ParameterError(f"bounds of {name}", self.bounds[name], must)
+
+    def nominal(self) -> dict[str, float]:
+        """Return the nominal values of what may be uncertain beyond K_e and M_p, as far as the robot has them."""
+        values = {
+            "coupling_stiffness_n_per_m": self.coupling.stiffness_n_per_m,
+            "coupling_damping_n_s_per_m": self.coupling.damping_n_s_per_m,
+            "drag_n_s_per_m": self.drag_n_s_per_m,
+            "environment_damping_n_s_per_m": self.environment_damping_n_s_per_m,
+            "delay_s": self.robot.delay_s,
+            "robot_bandwidth_hz": bandwidth_hz(self.robot),
+        }
+        wrench = {
+            "wrench_time_constant_s": self.wrench_filter.time_constant_s,
+            "wrench_delay_s": self.wrench_filter.delay_s,
+        }
+        values |= {name: value for name, value in wrench.items() if value > 0.0 or name in self.uncertain}
+        return {**values, "robot_damping_ratio": damping_ratio(self.robot)} if has_damping_ratio(self.robot) else values
+
+    def plant(self, scenario: Scenario) -> Plant:
+        """Return the plant of one scenario, in contact."""
+        return scenario.plant(self.nominal_plant())
+
+    def nominal_plant(self) -> Plant:
+        """Return the nominal plant, touching the softest surface with the lightest payload."""
+        return Plant(
+            robot=self.robot,
+            coupling=self.coupling,
+            payload=Payload(mass_kg=self.payload_mass_kg[0], drag_n_s_per_m=self.drag_n_s_per_m),
+            environment=Environment(
+                stiffness_n_per_m=self.environment_stiffness_n_per_m[0],
+                damping_n_s_per_m=self.environment_damping_n_s_per_m,
+            ),
+            wrench_filter=self.wrench_filter,
+        )
+
+    def scenarios(self, stiffness_count: int, mass_count: int) -> tuple[Scenario, ...]:
+        """Return a grid over K_e × M_p at the nominal plant, ends included.
+
+        Stiffness is spaced by equal ratios, mass by equal steps. A range that is one value gives one point; any other
+        needs a count of 2 or more, for its ends.
+        """
+        if min(stiffness_count, mass_count) < 2:
+            raise ParameterError(
+                "scenario counts", (stiffness_count, mass_count), "at least 2, for the ends of a range"
+            )
+        low, high = self.environment_stiffness_n_per_m
+        stiffness = np.geomspace(low, high, stiffness_count if high > low else 1)
+        # geomspace reproduces the ends only to rounding; the ends are what was promised.
+        stiffness[0], stiffness[-1] = (low, high) if high > low else (low, low)
+        mass_low, mass_high = self.payload_mass_kg
+        masses = np.linspace(mass_low, mass_high, mass_count if mass_high > mass_low else 1)
+        return tuple(
+            Scenario(environment_stiffness_n_per_m=float(k), payload_mass_kg=float(m))
+            for m in masses
+            for k in stiffness
+        )
+
+    def controller(self, design: Sequence[float] | FloatArray) -> AdmittanceController:
+        """Return the controller of a design vector, the values of `variables`.
+
+        Feedback damping too small to be a value in seconds is none at all (MODEL.md, erratum 2).
+        """
+        mass, damping, lead, feedback = (float(value) for value in design[: len(VARIABLES)])
+        further: dict[str, Any] = {"velocity_filter_rad_per_s": self.velocity_filter_rad_per_s}
+        further |= {name: float(design[i]) for i, name in enumerate(self.variables) if i >= len(VARIABLES)}
+        return AdmittanceController(
+            mass_kg=mass,
+            damping_n_s_per_m=damping,
+            lead_s=lead,
+            feedback_damping_s=feedback if feedback >= SMALLEST_FEEDBACK_DAMPING_S else 0.0,
+            **further,
+        )
+
+    def __str__(self) -> str:
+        """Return the problem as a table for people: what is free, what is uncertain, what is asked."""
+        asked = self.requirements
+        lines = [("minimise", f"the peak {self.objective.replace('_', ' ')}, worst over the whole uncertainty")]
+        approach = self.approach
+        told = f"{approach.speed_m_s:g} m/s" if approach.force_n is None else f"{approach.force_n:g} N"
+        lines.append(("approach", told))
+        lines += [(f"free: {name}", f"{low:g} to {high:g}") for name, (low, high) in self.bounds.items()]
+        lines += [
+            (f"uncertain: {SYMBOLS[name]}", f"{low:g} to {high:g}  ({name})")
+            for name, (low, high) in self.uncertainty.ranges.items()
+        ]
+        if self.ellipsoid is not None:
+            names = ", ".join(SYMBOLS[name] for name in self.ellipsoid.names)
+            lines.append(("cut by", f"the {100.0 * self.ellipsoid.level:g} % confidence set of {names}"))
+        lines += [
+            (f"nominal: {SYMBOLS[name]}", f"{value:g}")
+            for name, value in self.nominal().items()
+            if name not in self.uncertain
+        ]
+        lines.append(("sample time", f"{self.sample_time_s:g} s"))
+        for name, value in asked.asked().items():
+            price = asked.soft_n.get(name)
+            words = _told(value) if price is None else f"{_told(value)}, or {price:g} N per share missed"
+            lines.append((f"{'required' if price is None else 'wished'}: {_TITLES.get(name, name)}", words))
+        return "\n".join(f"{name:36}{value}" for name, value in lines)
+
+
+def _told(asked: Asked) -> str:
+    """Return a requirement in words."""
+    if isinstance(asked, AdmittanceTarget):
+        low, high = asked.band_hz
+        return f"{asked.min_m_s_per_n:g} from {low:g} to {high:g} Hz"
+    if isinstance(asked, NoiseLimit):
+        return f"speed RMS {asked.max_speed_rms_m_s:g} under force noise of {asked.force_noise_rms_n:g} RMS"
+    return f"up to {asked.passive_below_hz:g} Hz" if isinstance(asked, PassivityTarget) else f"{asked:g}"

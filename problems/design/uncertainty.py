@@ -1,0 +1,306 @@
+"""What is not known of a plant as one set: a box, cut down to a confidence ellipsoid where an identification tells one.
+
+Names and units are those of the files. On rotational axes read rad, N·m and kg·m² for m, N and kg.
+"""
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+from scipy.stats import qmc
+
+from .._checks import interval, positive
+from ..errors import ParameterError
+from ..model.plant import Coupling, Environment, Payload, Plant, WrenchFilter
+from ..model.robot import RobotModel
+from ..model.robot_variation import has_damping_ratio, vary_robot
+
+FloatArray = NDArray[np.float64]
+Interval = tuple[float, float]
+
+ALWAYS_UNCERTAIN = ("environment_stiffness_n_per_m", "payload_mass_kg")
+FURTHER_UNCERTAIN = (
+    "coupling_stiffness_n_per_m",
+    "coupling_damping_n_s_per_m",
+    "drag_n_s_per_m",
+    "environment_damping_n_s_per_m",
+    "delay_s",
+    "robot_bandwidth_hz",
+    "robot_damping_ratio",
+    "wrench_time_constant_s",
+    "wrench_delay_s",
+)
+UNCERTAIN = (*ALWAYS_UNCERTAIN, *FURTHER_UNCERTAIN)
+SYMBOLS: Mapping[str, str] = MappingProxyType(
+    dict(zip(UNCERTAIN, ("K_e", "M_p", "K_s", "B_s", "B_p", "B_e", "T_d", "f_b", "ζ_b", "τ_w", "T_w"), strict=True))
+)
+# A filter of the wrench is a state of the plant, and a state does not vanish within a set: τ_w is above 0 or absent.
+_MAY_BE_ZERO = frozenset(
+    {"coupling_damping_n_s_per_m", "drag_n_s_per_m", "environment_damping_n_s_per_m", "delay_s", "wrench_delay_s"}
+)
+# More corners than these are left to the samples: eleven parameters have 2048.
+MOST_CORNERS = 128
+_ON_THE_EDGE = 1e-9
+# What is left of a deviation once the others are known; below this rounding decides what lies inside.
+_FLATTEST = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """One point of the uncertainty; None where a parameter keeps its nominal value."""
+
+    environment_stiffness_n_per_m: float
+    payload_mass_kg: float
+    coupling_stiffness_n_per_m: float | None = None
+    coupling_damping_n_s_per_m: float | None = None
+    drag_n_s_per_m: float | None = None
+    environment_damping_n_s_per_m: float | None = None
+    delay_s: float | None = None
+    robot_bandwidth_hz: float | None = None
+    robot_damping_ratio: float | None = None
+    wrench_time_constant_s: float | None = None
+    wrench_delay_s: float | None = None
+
+    @property
+    def name(self) -> str:
+        """A short label for tables and files."""
+        return f"K_e {self.environment_stiffness_n_per_m:.4g} N/m, {self.payload_mass_kg:.4g} kg{self.off_nominal}"
+
+    @property
+    def off_nominal(self) -> str:
+        """What is said beyond K_e and M_p, as `, K_s 3.1e+05, T_d 0.0024`; empty if nothing is."""
+        return "".join(f", {SYMBOLS[name]} {value:.4g}" for name, value in self.further().items())
+
+    def further(self) -> dict[str, float]:
+        """Return what is said beyond K_e and M_p."""
+        values = ((name, getattr(self, name)) for name in FURTHER_UNCERTAIN)
+        return {name: value for name, value in values if value is not None}
+
+    def plant(self, nominal: Plant) -> Plant:
+        """Return the nominal plant with the values of this point, in contact."""
+
+        def told(name: str, otherwise: float) -> float:
+            value = getattr(self, name)
+            return otherwise if value is None else float(value)
+
+        return Plant(
+            robot=vary_robot(
+                nominal.robot,
+                bandwidth_hz=self.robot_bandwidth_hz,
+                damping_ratio=self.robot_damping_ratio,
+                delay_s=self.delay_s,
+            ),
+            coupling=Coupling(
+                stiffness_n_per_m=told("coupling_stiffness_n_per_m", nominal.coupling.stiffness_n_per_m),
+                damping_n_s_per_m=told("coupling_damping_n_s_per_m", nominal.coupling.damping_n_s_per_m),
+            ),
+            payload=Payload(
+                mass_kg=self.payload_mass_kg,
+                drag_n_s_per_m=told("drag_n_s_per_m", nominal.payload.drag_n_s_per_m),
+            ),
+            environment=Environment(
+                stiffness_n_per_m=self.environment_stiffness_n_per_m,
+                damping_n_s_per_m=told("environment_damping_n_s_per_m", nominal.environment.damping_n_s_per_m),
+                mass_kg=nominal.environment.mass_kg,
+            ),
+            wrench_filter=WrenchFilter(
+                time_constant_s=told("wrench_time_constant_s", nominal.wrench_filter.time_constant_s),
+                delay_s=told("wrench_delay_s", nominal.wrench_filter.delay_s),
+            ),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ellipsoid:
+    """The confidence set {p : (p − c)ᵀ Σ⁻¹ (p − c) ≤ χ²}, with the quantile of χ² for as many degrees as names.
+
+    `centre` (k,) and `covariance` (k, k) in SI in the order of `names`; `level` is the confidence. Raises
+    ParameterError for a covariance that is not positive definite.
+    """
+
+    names: tuple[str, ...]
+    centre: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    level: float = 0.95
+
+    def __post_init__(self) -> None:
+        for name in self.names:
+            if name not in UNCERTAIN or self.names.count(name) > 1:
+                raise ParameterError("ellipsoid.names", name, f"different ones of {', '.join(UNCERTAIN)}")
+        count = len(self.names)
+        if count == 0 or len(self.centre) != count or [len(row) for row in self.covariance] != [count] * count:
+            raise ParameterError("ellipsoid", count, "names, as many numbers, and a square matrix of them")
+        if not 0.0 < self.level < 1.0:
+            raise ParameterError("ellipsoid.level", self.level, "between 0 and 1")
+        object.__setattr__(self, "centre", tuple(float(value) for value in self.centre))
+        object.__setattr__(self, "covariance", tuple(tuple(float(v) for v in row) for row in self.covariance))
+        matrix = np.array(self.covariance)
+        deviations = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+        must = "finite, symmetric and positive definite"
+        if not (np.all(np.isfinite(matrix)) and np.all(deviations > 0.0) and np.array_equal(matrix, matrix.T)):
+            raise ParameterError("ellipsoid.covariance", self.covariance, must)
+        try:
+            flattest = float(np.min(np.diag(self._root)))
+        except np.linalg.LinAlgError:
+            flattest = 0.0
+        if flattest < _FLATTEST:
+            raise ParameterError("ellipsoid.covariance", self.covariance, must)
+
+    @cached_property
+    def _root(self) -> FloatArray:
+        """Return the Cholesky factor of the correlations: stiffness and seconds lie nine decades apart."""
+        deviations = self._deviations
+        correlations = np.array(self.covariance) / np.outer(deviations, deviations)
+        return np.asarray(np.linalg.cholesky(correlations), dtype=np.float64)
+
+    @cached_property
+    def _deviations(self) -> FloatArray:
+        return np.sqrt(np.diag(np.array(self.covariance)))
+
+    @property
+    def quantile(self) -> float:
+        """Return the χ² that the quadratic form may reach."""
+        return float(chdtri(len(self.names), 1.0 - self.level))
+
+    def size(self, point: FloatArray) -> float:
+        """Return how far out a point (k,) lies; 1 is the surface."""
+        scaled = np.linalg.solve(self._root, (np.asarray(point) - np.array(self.centre)) / self._deviations)
+        return float(np.linalg.norm(scaled)) / math.sqrt(self.quantile)
+
+    def box(self) -> dict[str, Interval]:
+        """Return the smallest box around the ellipsoid, without its negative part."""
+        half = math.sqrt(self.quantile) * self._deviations
+        return {
+            name: (max(0.0, middle - reach), middle + reach)
+            for name, middle, reach in zip(self.names, self.centre, half.tolist(), strict=True)
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Uncertainty:
+    """All plants that must be safe: `ranges` for K_e, M_p and any of the others, and an ellipsoid that cuts them.
+
+    Raises ParameterError for unknown names, ranges that cannot be, and an ellipsoid whose centre lies outside of the
+    ranges or that speaks of what does not vary.
+    """
+
+    ranges: Mapping[str, Interval]
+    ellipsoid: Ellipsoid | None = None
+    varying: tuple[str, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        for name in self.ranges:
+            if name not in UNCERTAIN:
+                raise ParameterError("uncertain", name, f"one of {', '.join(UNCERTAIN)}")
+        for name in ALWAYS_UNCERTAIN:
+            if name not in self.ranges:
+                raise ParameterError(name, None, "given as a range")
+        checked = {name: interval(name, self.ranges[name]) for name in UNCERTAIN if name in self.ranges}
+        for name in checked.keys() - _MAY_BE_ZERO:
+            positive(name, checked[name][0])
+        object.__setattr__(self, "ranges", MappingProxyType(checked))
+        object.__setattr__(self, "varying", tuple(n for n, (low, high) in checked.items() if high > low))
+        if self.ellipsoid is None:
+            return
+        for name, middle in zip(self.ellipsoid.names, self.ellipsoid.centre, strict=True):
+            if name not in self.varying:
+                raise ParameterError("ellipsoid.names", name, "one of the parameters that vary")
+            low, high = checked[name]
+            if not low <= middle <= high:
+                raise ParameterError(f"ellipsoid.centre of {name}", middle, f"inside the range {low:g} to {high:g}")
+
+    def from_unit(self, unit: Sequence[float] | FloatArray) -> Scenario:
+        """Return the scenario of a point of the unit cube (d,), one side per entry of `varying`, pulled into the set.
+
+        K_e goes by equal ratios, the others by equal steps.
+        """
+        values = {name: low for name, (low, high) in self.ranges.items() if low == high}
+        for name, share in zip(self.varying, np.clip(unit, 0.0, 1.0).tolist(), strict=True):
+            low, high = self.ranges[name]
+            value = (
+                low * (high / low) ** share if name == "environment_stiffness_n_per_m" else low + share * (high - low)
+            )
+            # The ends are what was promised, not what rounding makes of them.
+            values[name] = low if share == 0.0 else high if share == 1.0 else min(max(value, low), high)
+        return self._inside(values)
+
+    def to_unit(self, scenario: Scenario) -> FloatArray:
+        """Return the point of the unit cube (d,) of a scenario; one that keeps a nominal value lies in the middle."""
+        unit = np.full(len(self.varying), 0.5)
+        for i, name in enumerate(self.varying):
+            (low, high), value = self.ranges[name], getattr(scenario, name)
+            if value is not None:
+                ratio = name == "environment_stiffness_n_per_m"
+                unit[i] = math.log(value / low) / math.log(high / low) if ratio else (value - low) / (high - low)
+        return np.asarray(np.clip(unit, 0.0, 1.0))
+
+    def project(self, scenario: Scenario) -> Scenario:
+        """Return the scenario pulled into the set: into the box, then straight towards the ellipsoid's centre."""
+        values = {}
+        for name, (low, high) in self.ranges.items():
+            value = getattr(scenario, name)
+            values[name] = min(max(value, low), high) if value is not None else None
+        told = {name: value for name, value in values.items() if value is not None}
+        return self._inside(told) if len(told) == len(values) else Scenario(**told)
+
+    def contains(self, scenario: Scenario) -> bool:
+        """Whether a scenario lies in the set; what keeps its nominal value does."""
+        for name, (low, high) in self.ranges.items():
+            value = getattr(scenario, name)
+            if value is not None and not low <= value <= high:
+                return False
+        if any(name not in self.ranges for name in scenario.further()):
+            return False
+        if self.ellipsoid is None:
+            return True
+        always = {name: float(getattr(scenario, name)) for name in ALWAYS_UNCERTAIN}
+        centre = dict(zip(self.ellipsoid.names, self.ellipsoid.centre, strict=True))
+        values = {**centre, **always, **scenario.further()}
+        point = np.array([values[name] for name in self.ellipsoid.names])
+        return self.ellipsoid.size(point) <= 1.0 + _ON_THE_EDGE
+
+    def _inside(self, values: dict[str, float]) -> Scenario:
+        """Return the scenario of values in the box, moved towards the ellipsoid's centre as far as it takes."""
+        if self.ellipsoid is not None:
+            point = np.array([values[name] for name in self.ellipsoid.names])
+            size = self.ellipsoid.size(point)
+            if size > 1.0:
+                centre = np.array(self.ellipsoid.centre)
+                moved = centre + (point - centre) / size
+                values = {**values, **dict(zip(self.ellipsoid.names, moved.tolist(), strict=True))}
+        return Scenario(**values)
+
+    def corners(self) -> tuple[Scenario, ...]:
+        """Return the corners of the box, pulled into the set; of many parameters the first ones alone vary together.
+
+        With more than `MOST_CORNERS` corners the later parameters all go one way, then all the other.
+        """
+        count = len(self.varying)
+        free = min(count, int(math.log2(MOST_CORNERS)) - 1 if 2**count > MOST_CORNERS else count)
+        rest = ((0.0,) * (count - free), (1.0,) * (count - free)) if count > free else ((),)
+        units = [(*ends, *same) for same in rest for ends in itertools.product((0.0, 1.0), repeat=free)]
+        return tuple(dict.fromkeys(self.from_unit(unit) for unit in units))
+
+    def samples(self, count: int, *, seed: int = 0) -> tuple[Scenario, ...]:
+        """Return scenarios of a scrambled Sobol' sequence, `count` rounded up to a power of two, pulled into the set.
+
+        What lies outside of the ellipsoid ends up on its surface, where the worst plants mostly are.
+        """
+        if not self.varying:
+            return (self.from_unit(()),)
+        sequence = qmc.Sobol(len(self.varying), rng=np.random.default_rng(seed))
+        units = sequence.random_base2(max(0, math.ceil(math.log2(count))))
+        return tuple(dict.fromkeys(self.from_unit(unit) for unit in units))
+
+
+def check_robot(robot: RobotModel, ranges: Mapping[str, Interval]) -> None:
+    """Raise ParameterError if a range speaks of a damping ratio that the robot does not have."""
+    if "robot_damping_ratio" in ranges and not has_damping_ratio(robot):
+        must = f"given for a robot with two poles and no zero only (this one has {robot.order} poles)"
+        raise ParameterError("robot_damping_ratio", ranges["robot_damping_ratio"], must)

@@ -1,0 +1,164 @@
+"""The admittance controller and its sampled form (MODEL.md, "Continuous blocks" and Errata 2 and 3)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import non_negative, positive
+from ..compiled import compiled, equation
+from ..errors import ParameterError
+from . import difference
+
+FloatArray = NDArray[np.float64]
+Compensation = Literal["filtered", "ideal"]
+Discretization = Literal["tustin", "forward_euler", "backward_euler"]
+
+# Below this a feedback damping in seconds changes |G| by less than can be measured (0.003 dB for the printed value).
+SMALLEST_FEEDBACK_DAMPING_S = 1e-4
+PAPER_VELOCITY_FILTER_RAD_PER_S = 120.0
+PAPER_ACCELERATION_FILTER_RAD_PER_S = 200.0
+
+# s is replaced by (z − 1)/(h (θ z + 1 − θ)).
+THETA: dict[Discretization, float] = {"tustin": 0.5, "forward_euler": 0.0, "backward_euler": 1.0}
+CONTROLLER_STATES = 4
+
+
+_NUMBERS: Callable[["AdmittanceController"], tuple[float, ...]] = attrgetter(
+    "mass_kg",
+    "damping_n_s_per_m",
+    "lead_s",
+    "feedback_damping_s",
+    "velocity_filter_rad_per_s",
+    "acceleration_filter_rad_per_s",
+    "compensation_mass_kg",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdmittanceController:
+    """x^d = A(1 + C_ff)(F^d + F + P̂ O_a x) − C_fb x.
+
+    A = 1/(M_a s² + B_a s), C_ff = K_l s, C_fb = B_fb ω_v s/(s + ω_v), O_a = ω_v ω_a s²/((s + ω_a)(s + ω_v)).
+
+    `mass_kg` M_a, `damping_n_s_per_m` B_a, `lead_s` K_l, `feedback_damping_s` B_fb (seconds),
+    `velocity_filter_rad_per_s` ω_v, `acceleration_filter_rad_per_s` ω_a, `compensation_mass_kg` P̂. With the
+    compensation "ideal", O_a = s². `discretization` is the form that runs in the cell.
+
+    Raises ParameterError for values out of range, among them a B_fb in the paper's printed unit.
+    """
+
+    mass_kg: float
+    damping_n_s_per_m: float
+    lead_s: float = 0.0
+    feedback_damping_s: float = 0.0
+    velocity_filter_rad_per_s: float = PAPER_VELOCITY_FILTER_RAD_PER_S
+    acceleration_filter_rad_per_s: float = PAPER_ACCELERATION_FILTER_RAD_PER_S
+    compensation_mass_kg: float = 0.0
+    compensation: Compensation = "filtered"
+    discretization: Discretization = "tustin"
+
+    def __post_init__(self) -> None:
+        for name in ("mass_kg", "damping_n_s_per_m", "velocity_filter_rad_per_s", "acceleration_filter_rad_per_s"):
+            object.__setattr__(self, name, positive(name, getattr(self, name)))
+        for name in ("lead_s", "compensation_mass_kg"):
+            object.__setattr__(self, name, non_negative(name, getattr(self, name)))
+        object.__setattr__(self, "feedback_damping_s", check_feedback_damping(self.feedback_damping_s))
+        for name, known in (("compensation", ("filtered", "ideal")), ("discretization", tuple(THETA))):
+            if getattr(self, name) not in known:
+                raise ParameterError(name, getattr(self, name), f"one of {', '.join(known)}")
+        if self.compensates and self.compensation == "ideal" and self.theta == 0.0:
+            raise ParameterError(
+                "discretization", self.discretization, "tustin or backward_euler (a derivative ahead of time is none)"
+            )
+
+    @property
+    def compensates(self) -> bool:
+        """Whether the payload's acceleration is compensated."""
+        return self.compensation_mass_kg > 0.0
+
+    @property
+    def theta(self) -> float:
+        """θ of the rule s ≈ (z − 1)/(h (θ z + 1 − θ))."""
+        return THETA[self.discretization]
+
+    @property
+    def is_ideal(self) -> bool:
+        """Whether the compensation takes the acceleration without filters."""
+        return self.compensates and self.compensation == "ideal"
+
+    def parameters(self) -> FloatArray:
+        """Return (M_a, B_a, K_l, B_fb, ω_v, ω_a, P̂), the order that the equations take."""
+        return np.array(self.numbers())
+
+    def numbers(self) -> tuple[float, ...]:
+        """Return the same as a tuple, from which the parameters of many controllers make one array faster."""
+        return _NUMBERS(self)
+
+
+def check_feedback_damping(feedback_damping_s: float) -> float:
+    """Return B_fb [s], refusing values that can only be the paper's printed unit (MODEL.md, erratum 2)."""
+    value = non_negative("feedback_damping_s", feedback_damping_s)
+    if 0.0 < value < SMALLEST_FEEDBACK_DAMPING_S:
+        raise ParameterError(
+            "feedback_damping_s",
+            value,
+            f"0 or at least {SMALLEST_FEEDBACK_DAMPING_S:g} s (smaller values change nothing that can be measured; the "
+            "paper prints B_fb in another unit, see `feedback_damping_from_paper_mm`)",
+        )
+    return value
+
+
+def feedback_damping_from_paper_mm(printed: float) -> float:
+    """Convert a B_fb as the paper prints it to seconds, reading it as s·m/mm: times 1000 (MODEL.md, erratum 2)."""
+    return check_feedback_damping(1000.0 * _printed(printed))
+
+
+def feedback_damping_from_paper_per_sample(printed: float, sample_time_s: float) -> float:
+    """Convert a B_fb as the paper prints it to seconds, reading it as s times h: times 1/h (MODEL.md, erratum 2)."""
+    return check_feedback_damping(_printed(printed) / positive("sample_time_s", sample_time_s))
+
+
+def _printed(feedback_damping: float) -> float:
+    """Return a B_fb in the paper's unit, refusing values that are seconds already: it prints 7.5e-6 and 2e-5."""
+    if non_negative("printed", feedback_damping) >= SMALLEST_FEEDBACK_DAMPING_S:
+        raise ParameterError(
+            "printed", feedback_damping, f"below {SMALLEST_FEEDBACK_DAMPING_S:g}, as the paper prints it (not seconds)"
+        )
+    return feedback_damping
+
+
+# Written once in plain arithmetic, and compiled into whatever kernel calls them.
+write_first_order = equation(difference.write_first_order)
+write_blocks = equation(difference.write_blocks)
+controller_step = equation(difference.controller_step)
+
+
+def controller_blocks(controller: AdmittanceController, sample_time_s: float) -> FloatArray:
+    """Return the blocks (6, 3) of a controller at h, see `write_blocks`."""
+    h = positive("sample_time_s", sample_time_s)
+    return blocks_of(controller.parameters(), h, controller.theta, controller.is_ideal)
+
+
+@compiled
+def blocks_of(parameters: FloatArray, h: float, theta: float, ideal: bool) -> FloatArray:
+    """Return the blocks (6, 3) of a parameter vector, see `write_blocks`."""
+    blocks = np.zeros((6, 3))
+    write_blocks(blocks, parameters, h, theta, ideal)
+    return blocks
+
+
+def needed_states(blocks: FloatArray) -> NDArray[np.int64]:
+    """Return which of the four states the command can see; the others would only add poles that nobody excites."""
+    filtered = blocks[4, 1] != 0.0
+    kept = [0]
+    if blocks[1, 2] != 0.0 or blocks[5, 2] != 0.0:
+        kept.append(1)
+    if blocks[4, 0] != 0.0 or filtered:
+        kept.append(2)
+    if filtered or blocks[5, 0] != 0.0:
+        kept.append(3)
+    return np.array(kept, dtype=np.int64)

@@ -1,0 +1,274 @@
+"""The continuous plant of one axis: robot, coupling, payload and environment (MODEL.md, "Continuous blocks").
+
+Rotational axes use the same equations: read m as rad, N as N·m and kg as kg·m² in every name below.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import non_negative, positive
+from ..compiled import equation
+from .robot import RobotModel
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Payload:
+    """P = 1/(M_p s + B_p): `mass_kg` M_p, and `drag_n_s_per_m` B_p, damping to ground."""
+
+    mass_kg: float
+    drag_n_s_per_m: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mass_kg", positive("mass_kg", self.mass_kg))
+        object.__setattr__(self, "drag_n_s_per_m", non_negative("drag_n_s_per_m", self.drag_n_s_per_m))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coupling:
+    """C_s = K_s/s + B_s between flange and payload: sensor and gripper."""
+
+    stiffness_n_per_m: float
+    damping_n_s_per_m: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stiffness_n_per_m", positive("stiffness_n_per_m", self.stiffness_n_per_m))
+        object.__setattr__(self, "damping_n_s_per_m", non_negative("damping_n_s_per_m", self.damping_n_s_per_m))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Environment:
+    """E = M_e s + B_e + K_e/s: stiffness, damping and moving mass of what is touched; all zero is free space."""
+
+    stiffness_n_per_m: float
+    damping_n_s_per_m: float = 0.0
+    mass_kg: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stiffness_n_per_m", non_negative("stiffness_n_per_m", self.stiffness_n_per_m))
+        object.__setattr__(self, "damping_n_s_per_m", non_negative("damping_n_s_per_m", self.damping_n_s_per_m))
+        object.__setattr__(self, "mass_kg", non_negative("mass_kg", self.mass_kg))
+
+    @property
+    def is_free_space(self) -> bool:
+        """Whether nothing is touched."""
+        return self.stiffness_n_per_m == 0.0 and self.damping_n_s_per_m == 0.0 and self.mass_kg == 0.0
+
+    @property
+    def is_anchored(self) -> bool:
+        """Whether it holds a position; without stiffness the loop keeps its integrator at z = 1."""
+        return self.stiffness_n_per_m > 0.0
+
+
+# Of the plant without a filter of the wrench, in the order of `Plant.parameters`.
+PLANT_PARAMETERS = 7
+FREE_SPACE = Environment(stiffness_n_per_m=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrenchFilter:
+    """What lies between the coupling force F and the force F_m that the controller reads.
+
+    τ dF_m/dt = F − F_m with `time_constant_s` τ (a first-order filter in the sensor or its driver; 0 is none), then a
+    delay by `delay_s` θ: F_m(s) = e^(−sθ)/(1 + τ s) F(s).
+    """
+
+    time_constant_s: float = 0.0
+    delay_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        name = "wrench_filter.time_constant_s"
+        object.__setattr__(self, "time_constant_s", non_negative(name, self.time_constant_s))
+        object.__setattr__(self, "delay_s", non_negative("wrench_filter.delay_s", self.delay_s))
+
+    @classmethod
+    def from_corner(cls, corner_hz: float) -> "WrenchFilter":
+        """Return the first-order filter with this corner, τ = 1/(2π f)."""
+        return cls(time_constant_s=1.0 / (2.0 * math.pi * positive("wrench_filter.corner_hz", corner_hz)))
+
+    @property
+    def is_none(self) -> bool:
+        """Whether the controller reads F itself."""
+        return self.time_constant_s == 0.0 and self.delay_s == 0.0
+
+    def response(self, frequency_rad_per_s: FloatArray) -> ComplexArray:
+        """Return F_m/F at the frequencies (n,)."""
+        s = 1j * np.asarray(frequency_rad_per_s, dtype=np.float64)
+        return np.asarray(np.exp(-s * self.delay_s) / (1.0 + self.time_constant_s * s), dtype=np.complex128)
+
+
+NO_FILTER = WrenchFilter()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plant:
+    """Everything between the position command and the force signal on one axis."""
+
+    robot: RobotModel
+    coupling: Coupling
+    payload: Payload
+    environment: Environment = FREE_SPACE
+    wrench_filter: WrenchFilter = field(default=NO_FILTER)
+
+    def in_contact_with(self, environment: Environment) -> "Plant":
+        """Return the same plant with another environment."""
+        return replace(self, environment=environment)
+
+    @property
+    def loop_delay_s(self) -> float:
+        """T_d and the wrench's delay θ together: how late a command answers to what was measured for it."""
+        return self.robot.delay_s + self.wrench_filter.delay_s
+
+    @property
+    def port(self) -> tuple[RobotModel, WrenchFilter]:
+        """What the rendered admittance depends on besides the controller."""
+        return self.robot, self.wrench_filter
+
+    def parameters(self) -> FloatArray:
+        """Return (K_s, B_s, M_p, B_p, K_e, B_e, M_e), then τ if the wrench is filtered: what the equations take."""
+        time_constant = self.wrench_filter.time_constant_s
+        return np.array(
+            [
+                self.coupling.stiffness_n_per_m,
+                self.coupling.damping_n_s_per_m,
+                self.payload.mass_kg,
+                self.payload.drag_n_s_per_m,
+                self.environment.stiffness_n_per_m,
+                self.environment.damping_n_s_per_m,
+                self.environment.mass_kg,
+                *([time_constant] if time_constant > 0.0 else []),
+            ]
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantMatrices:
+    """ds/dτ = A s + B x^d + p f in the dimensionless time τ = t/`time_scale_s`; rows below act on s, x^d and f.
+
+    The state is (robot chain, x_p, `time_scale_s`·v_p): one size for every entry, so that exponentials are exact to
+    rounding; before x_p stands F_m in metres of the coupling where the wrench is filtered (x_p is always the last but
+    one). f is an outside force on the payload (a hand), positive towards +x. x = c_x s; the force that is measured,
+    F (or F_m), = c_F s + d_F x^d; F_e = c_e s + d_e x^d + p_e f while the payload stays on the environment.
+    """
+
+    a: FloatArray
+    b: FloatArray
+    push: FloatArray
+    c_position: FloatArray
+    c_force: FloatArray
+    d_force: float
+    c_contact: FloatArray
+    d_contact: float
+    push_contact: float
+    time_scale_s: float
+
+
+@equation
+def _write_contact(a: Any, b: Any, c_contact: Any, direct: Any, k_e: Any, b_e: Any, m_e: Any) -> None:
+    """Write F_e = M_e dv_p/dt + B_e v_p + K_e x_p over the state and the command; x_p and v_p stand last."""
+    n = a.shape[0]
+    for i in range(n):
+        c_contact[i] = m_e * a[n - 1, i]
+    c_contact[n - 2] = c_contact[n - 2] + k_e
+    c_contact[n - 1] = c_contact[n - 1] + b_e
+    direct[1] = m_e * b[n - 1]
+
+
+@equation
+def _write_filter(a: Any, b: Any, c_force: Any, direct: Any, n: int, rate: Any, answer: Any) -> None:
+    """Put F_m in the place of F: the state `n` is F_m over `answer`, the stiffness of the coupling within t."""
+    for i in range(a.shape[0]):
+        a[n, i] = rate * c_force[i] / answer
+        c_force[i] = 0.0
+    a[n, n] = -rate
+    b[n] = rate * direct[0] / answer
+    c_force[n] = answer
+    direct[0] = 0.0
+
+
+@equation
+def write_plant(
+    a: Any,
+    b: Any,
+    push: Any,
+    c_position: Any,
+    c_force: Any,
+    c_contact: Any,
+    direct: Any,
+    numerator: Any,
+    denominator: Any,
+    parameters: Any,
+    t: float,
+) -> None:
+    """Fill zeroed arrays with the equations of motion of one axis, delay left out; `direct` gets (d_F, d_e, p_e).
+
+    x = r(s) x^d; F = K_s (x_p − x) + B_s (v_p − v); F_e = M_e dv_p/dt + B_e v_p + K_e x_p, the wall at x_p = 0;
+    M_p dv_p/dt = −F − B_p v_p − F_e + f (MODEL.md, "Continuous blocks", with its signs). With an eighth parameter τ the
+    measured force is that behind the filter, τ dF_m/dt = F − F_m, one state more. `numerator` (n,) and `denominator`
+    (n + 1,) hold ascending powers of s, the latter monic; `parameters` as in `Plant.parameters`.
+    """
+    n, filtered = denominator.shape[0] - 1, parameters.shape[0] > PLANT_PARAMETERS
+    p = n + 1 if filtered else n
+    k_s, b_s, m_p, b_p = parameters[0], parameters[1] / t, parameters[2], parameters[3] / t
+    k_e, b_e, m_e = parameters[4], parameters[5] / t, parameters[6] / (t * t)
+    # Controllable form of r(s) in p = s t: state i is t^i times the i-th derivative of one position-like signal.
+    for i in range(n - 1):
+        a[i, i + 1] = 1.0
+    for i in range(n):
+        a[n - 1, i] = -denominator[i] * t ** (n - i)
+        c_position[i] = numerator[i] / denominator[0] / t**i
+    b[n - 1] = denominator[0] * t**n
+
+    # Velocity of the flange, times t, is c_position shifted along the chain.
+    last = c_position[n - 1]
+    for i in range(n):
+        velocity = last * a[n - 1, i]
+        if i > 0:
+            velocity = velocity + c_position[i - 1]
+        c_force[i] = -k_s * c_position[i] - b_s * velocity
+    c_force[p] = k_s
+    c_force[p + 1] = b_s
+    direct[0] = -b_s * last * b[n - 1]
+
+    scale = t * t / (m_p + parameters[6])
+    a[p, p + 1] = 1.0
+    for i in range(p + 2):
+        a[p + 1, i] = -scale * c_force[i]
+    a[p + 1, p] = a[p + 1, p] - scale * k_e
+    a[p + 1, p + 1] = a[p + 1, p + 1] - scale * (b_p + b_e)
+    b[p + 1] = -scale * direct[0]
+    push[p + 1] = scale
+
+    _write_contact(a, b, c_contact, direct, k_e, b_e, m_e)
+    direct[2] = m_e * scale
+    if filtered:
+        _write_filter(a, b, c_force, direct, n, t / parameters[PLANT_PARAMETERS], k_s + b_s)
+
+
+def build_plant_matrices(plant: Plant, time_scale_s: float) -> PlantMatrices:
+    """Build the equations of motion of one axis as first-order equations, see `write_plant`."""
+    t, parameters = positive("time_scale_s", time_scale_s), plant.parameters()
+    n = plant.robot.order + 2 + len(parameters) - PLANT_PARAMETERS
+    numerator, denominator = plant.robot.ascending()
+    a = np.zeros((n, n))
+    b, push, c_position, c_force, c_contact = (np.zeros(n) for _ in range(5))
+    direct = np.zeros(3)
+    write_plant(a, b, push, c_position, c_force, c_contact, direct, numerator, denominator, parameters, t)
+    return PlantMatrices(
+        a=a,
+        b=b,
+        push=push,
+        c_position=c_position,
+        c_force=c_force,
+        d_force=float(direct[0]),
+        c_contact=c_contact,
+        d_contact=float(direct[1]),
+        push_contact=float(direct[2]),
+        time_scale_s=t,
+    )

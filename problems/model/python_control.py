@@ -1,0 +1,154 @@
+"""The loop as python-control objects, for its pictures and for whoever wants to check with it."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import matrix_balance
+
+from .controller import AdmittanceController
+from .plant import Environment
+from .sampled import CutLoop, SampledPlant, build_cut_loop, translation_state
+
+FloatArray = NDArray[np.float64]
+Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ControlObjects:
+    """Continuous blocks and the exact sampled loop (MODEL.md, "Continuous blocks" and "What runs in the cell").
+
+    Continuous `TransferFunction`s: `robot` r(s), whose delay is told apart as `delay_s`; `coupling` C_s, `payload` P,
+    `environment` E, `wrench` from F to F_m, whose delay is `wrench_delay_s`, `forward` A(1 + C_ff), `feedback` C_fb,
+    `acceleration` O_a, whether P̂ uses it or not. C_s, E and an ideal O_a have more zeros than poles.
+
+    Discrete `StateSpace`s at h: `at_force` L and `at_command` L_x, both closed by negative feedback (1 + L), and
+    `closed_loop` from F^d ("F_d") and an outside force on the payload ("f") to F, x^d ("x_d") and F_e. Without an
+    anchor L and L_x are given without the integrator at z = 1, which F cannot show and x^d cannot drive (1 + L would
+    be 0/0 there); the closed loop keeps it, because x^d shows it.
+
+    Where python-control stops: `stability_margins` warns for loops like these, falls back to a coarse frequency grid
+    and now and then misses a crossover (errors up to a factor of two), so take margins from
+    `problems.stability.margins`; its
+    Nyquist plot cannot pass a pole at z = −1, which L_x of the ideal compensation has in the Tustin form.
+    """
+
+    robot: Any
+    delay_s: float
+    coupling: Any
+    payload: Any
+    environment: Any
+    wrench: Any
+    wrench_delay_s: float
+    forward: Any
+    feedback: Any
+    acceleration: Any
+    at_force: Any
+    at_command: Any
+    closed_loop: Any
+
+
+def as_control(sampled: SampledPlant, controller: AdmittanceController) -> ControlObjects:
+    """Return the blocks and the sampled loop of one axis as python-control objects with named signals."""
+    plant, cut, h = sampled.plant, build_cut_loop(sampled, controller), sampled.sample_time_s
+    velocity, acceleration = controller.velocity_filter_rad_per_s, controller.acceleration_filter_rad_per_s
+    ideal = controller.compensation == "ideal"
+    return ControlObjects(
+        robot=_block("robot", plant.robot.numerator, plant.robot.denominator, "x_d", "x"),
+        delay_s=plant.robot.delay_s,
+        coupling=_block(
+            "coupling", [plant.coupling.damping_n_s_per_m, plant.coupling.stiffness_n_per_m], [1.0, 0.0], "v_rel", "F"
+        ),
+        payload=_block("payload", [1.0], [plant.payload.mass_kg, plant.payload.drag_n_s_per_m], "force", "v_p"),
+        environment=_environment(plant.environment),
+        wrench=_block("wrench", [1.0], [plant.wrench_filter.time_constant_s, 1.0], "F", "F_m"),
+        wrench_delay_s=plant.wrench_filter.delay_s,
+        forward=_block(
+            "forward", [controller.lead_s, 1.0], [controller.mass_kg, controller.damping_n_s_per_m, 0.0], "e", "x_a"
+        ),
+        feedback=_block("feedback", [controller.feedback_damping_s * velocity, 0.0], [1.0, velocity], "x", "x_fb"),
+        acceleration=_block(
+            "acceleration",
+            [1.0 if ideal else velocity * acceleration, 0.0, 0.0],
+            [1.0] if ideal else [1.0, velocity + acceleration, velocity * acceleration],
+            "x",
+            "a",
+        ),
+        at_force=_system("L", _cut_at_force(cut, sampled, controller), h, ["e"], ["-F"]),
+        at_command=_system("L_x", _cut_at_command(cut, sampled), h, ["w"], ["-x_d"]),
+        closed_loop=_system("closed_loop", _closed(cut, sampled), h, ["F_d", "f"], ["F", "x_d", "F_e"]),
+    )
+
+
+def _system(name: str, matrices: Matrices, h: float, inputs: list[str], outputs: list[str]) -> Any:
+    """Scale the states by powers of two: methods that mix them by rotations (slycot's) would lose six digits."""
+    a, b, c, d = matrices
+    # One more row and column stand for the surroundings, which keep their units.
+    whole = np.block([[a, np.sum(np.abs(b), axis=1, keepdims=True)], [np.sum(np.abs(c), axis=0), np.zeros(1)]])
+    _, (sizes, _) = matrix_balance(whole, permute=False, separate=True)
+    scale = sizes[:-1] / sizes[-1]
+    a, b, c = a * scale / scale[:, None], b / scale[:, None], c * scale
+    return control.ss(a, b, c, d, h, name=name, inputs=inputs, outputs=outputs)
+
+
+def _block(name: str, numerator: Any, denominator: Any, source: str, target: str) -> Any:
+    return control.tf(numerator, denominator, name=name, inputs=[source], outputs=[target])
+
+
+def _environment(environment: Environment) -> Any:
+    numerator, denominator = [environment.mass_kg, environment.damping_n_s_per_m], [1.0]
+    if environment.is_anchored:
+        numerator, denominator = [*numerator, environment.stiffness_n_per_m], [1.0, 0.0]
+    return _block("environment", numerator, denominator, "v_p", "F_e")
+
+
+def _cut_at_force(cut: CutLoop, sampled: SampledPlant, controller: AdmittanceController) -> Matrices:
+    """Return A, B, C, D of L; without an anchor a translation (A t = t, C t = 0) is taken out of the state."""
+    m, n, signal = cut.closed_at(cut.command), cut.state_count, cut.force
+    a, b, c, d = m[:n, :n], m[:n, [signal]], -m[[signal], :n], -m[[signal], signal : signal + 1]
+    if sampled.plant.environment.is_anchored:
+        return a, b, c, d
+    moved = translation_state(sampled, controller)
+    pivot = int(np.argmax(np.abs(moved)))
+    share, keep = moved / moved[pivot], np.arange(n) != pivot
+    a, b = a - np.outer(share, a[pivot]), b - np.outer(share, b[pivot])
+    return a[np.ix_(keep, keep)], b[keep], c[:, keep], d
+
+
+def _cut_at_command(cut: CutLoop, sampled: SampledPlant) -> Matrices:
+    """Return A, B, C, D of L_x; without an anchor one state follows from the others: momentum is conserved.
+
+    The impulse of F is the controller's integrator, and it is what the payload has lost of momentum and travel times
+    drag: q s stays what it is (q A = q, q B = 0).
+    """
+    m, n, signal = cut.closed_at(cut.force), cut.state_count, cut.command
+    a, b, c, d = m[:n, :n], m[:n, [signal]], -m[[signal], :n], -m[[signal], signal : signal + 1]
+    if sampled.plant.environment.is_anchored:
+        return a, b, c, d
+    pivot = sampled.state_count + sampled.chain_length
+    keep = np.arange(n) != pivot
+    others = np.linalg.solve((np.eye(n) - a).T[np.ix_(keep, keep)], a[pivot, keep])
+    a, c = a - np.outer(a[:, pivot], _row(others, keep)), c - np.outer(c[:, pivot], _row(others, keep))
+    return a[np.ix_(keep, keep)], b[keep], c[:, keep], d
+
+
+def _row(others: FloatArray, keep: NDArray[np.bool_]) -> FloatArray:
+    row = np.zeros(len(keep))
+    row[keep] = others
+    return row
+
+
+def _closed(cut: CutLoop, sampled: SampledPlant) -> Matrices:
+    """Return A, B, C, D from (F^d, f) to (F, x^d, F_e)."""
+    m, n = cut.closed_at(cut.command, cut.force), cut.state_count
+    inputs, p = [n, n + 2], sampled.state_count
+    c, d = m[[cut.force, cut.command], :n], m[np.ix_([cut.force, cut.command], inputs)]
+    pressed, direct = np.zeros(n), np.array([0.0, sampled.push_contact])
+    pressed[:p] = sampled.c_contact
+    if sampled.chain_length > 0:
+        pressed[p + sampled.chain_length - 1] += sampled.d_contact
+    else:
+        pressed, direct = pressed + sampled.d_contact * c[1], direct + sampled.d_contact * d[1]
+    return m[:n, :n], m[:n, inputs], np.vstack([c, pressed]), np.vstack([d, direct])

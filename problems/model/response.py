@@ -1,0 +1,149 @@
+"""Frequency response of the exact sampled loop at its two break points."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compiled import equation
+from .controller import AdmittanceController, controller_blocks
+from .linear_controllers import LinearLaw
+from .plant import Plant, WrenchFilter
+from .sampled import Law, SampledPlant, build_loop, check_wrench_delay
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantResponse:
+    """From the command x^d to the sampled force and position, delay and hold included, at z = exp(jωh).
+
+    `wrench` is 1/(1 + jωτ) of the wrench's filter, None where there is none; `force` is F_m. A delay of the wrench is
+    part of what lies between the command and both, see `SampledPlant`.
+    """
+
+    frequency_rad_per_s: FloatArray
+    z: ComplexArray
+    force: ComplexArray
+    position: ComplexArray
+    wrench: ComplexArray | None = None
+
+
+def plant_response(sampled: SampledPlant, frequency_rad_per_s: FloatArray) -> PlantResponse:
+    """Evaluate F/x^d and X/x^d of the sampled plant; frequencies (n,) in rad/s up to π/h."""
+    omega = np.asarray(frequency_rad_per_s, dtype=np.float64)
+    z = np.exp(1j * omega * sampled.sample_time_s)
+    n = sampled.state_count
+    late, time_constant = z ** (-sampled.whole_delay), sampled.plant.wrench_filter.time_constant_s
+    drive = (sampled.gamma[None, :] + sampled.gamma_old[None, :] / z[:, None])[..., None]
+    states = np.linalg.solve(z[:, None, None] * np.eye(n) - sampled.phi, drive)[..., 0]
+    # With a fraction, the hold still shows the older command at the tick.
+    held = 1.0 / z if sampled.fraction > 0.0 else np.ones_like(z)
+    return PlantResponse(
+        frequency_rad_per_s=omega,
+        z=z,
+        force=late * (states @ sampled.c_force + sampled.d_force * held),
+        position=late * (states @ sampled.c_position),
+        wrench=None if time_constant == 0.0 else WrenchFilter(time_constant_s=time_constant).response(omega),
+    )
+
+
+def join_wrench(responses: Sequence[PlantResponse]) -> ComplexArray | None:
+    """Return `wrench` of responses one after the other, None where none of them is filtered."""
+    if all(each.wrench is None for each in responses):
+        return None
+    return np.concatenate([np.ones_like(each.z) if each.wrench is None else each.wrench for each in responses])
+
+
+@equation
+def controller_gains(blocks: Any, z: Any) -> Any:
+    """Return x^d per force e, and −x^d per position x, of the sampled controller at `z`, see `controller_step`."""
+    lag = 1.0 / (z - blocks[1, 1])
+    forward = blocks[0, 0] + blocks[0, 2] / (z - blocks[0, 1]) + blocks[1, 0] + blocks[1, 2] * lag
+    velocity = blocks[2, 0] + blocks[2, 2] / (z - blocks[2, 1])
+    source = blocks[4, 2] + velocity * (1.0 - blocks[4, 2])
+    acceleration = (blocks[3, 0] + blocks[3, 2] / (z - blocks[3, 1])) * source
+    compensation = (forward * blocks[4, 1] + blocks[5, 0]) * acceleration + blocks[5, 1] + blocks[5, 2] * lag
+    return forward, blocks[4, 0] * velocity - compensation
+
+
+def controller_response(controller: Law, z: ComplexArray, h: float) -> tuple[ComplexArray, ComplexArray]:
+    """Return the sampled forms of A(1 + C_ff) and of C_fb − A(1 + C_ff) P̂ O_a at the points `z`."""
+    if isinstance(controller, LinearLaw):
+        return controller.gains(z)
+    forward, feedback = controller_gains(controller_blocks(controller, h), z)
+    return np.asarray(forward, dtype=np.complex128), np.asarray(feedback, dtype=np.complex128)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopResponse:
+    """Open-loop responses with negative feedback: 1 + L is what must stay away from zero."""
+
+    frequency_rad_per_s: FloatArray
+    at_force: ComplexArray
+    at_command: ComplexArray
+
+
+def loop_response(sampled: SampledPlant, controller: Law, frequency_rad_per_s: FloatArray) -> LoopResponse:
+    """Break the sampled loop at the force signal, L, and at the position command, L_x (MODEL.md, "Continuous blocks").
+
+    1 + L_x = (1 + (C_fb − A(1 + C_ff) P̂ O_a) X/X^d)(1 + L), as in the continuous form.
+    """
+    check_wrench_delay(sampled.plant, controller)
+    return loop_at(plant_response(sampled, frequency_rad_per_s), controller, sampled.sample_time_s)
+
+
+def loop_at(plant: PlantResponse, controller: Law, sample_time_s: float) -> LoopResponse:
+    """Return the same from the response of a plant, which one controller after another may ask.
+
+    A law that follows the position is cut behind what it adds to it (`LinearLaw.follows_position`).
+    """
+    forward, feedback = controller_response(controller, plant.z, sample_time_s)
+    damped = feedback * plant.position
+    command = damped - plant.force * forward
+    if isinstance(controller, LinearLaw) and controller.follows_position:
+        command = (command + plant.position) / (1.0 - plant.position)
+    return LoopResponse(
+        frequency_rad_per_s=plant.frequency_rad_per_s,
+        at_force=-plant.force * forward / (1.0 + damped),
+        at_command=command,
+    )
+
+
+def rendered_admittance(plant: PlantResponse, controller: Law, sample_time_s: float) -> ComplexArray:
+    """Return G = V/F [m/s/N] of the sampled controller and robot (MODEL.md, "F → V").
+
+    The robot ignores F, so the payload does not enter G; V is the derivative of the position below the Nyquist rate.
+    F is the coupling's force: what filters the wrench is part of G.
+    """
+    forward, feedback = controller_response(controller, plant.z, sample_time_s)
+    velocity = 1j * plant.frequency_rad_per_s * plant.position
+    if plant.wrench is not None:
+        velocity = velocity * plant.wrench
+    return np.asarray(forward * velocity / (1.0 + feedback * plant.position), dtype=np.complex128)
+
+
+def free_space_admittance(sampled: SampledPlant, controller: Law, frequency_rad_per_s: FloatArray) -> ComplexArray:
+    """Return the rendered admittance G [m/s/N] of a sampled plant, see `rendered_admittance`."""
+    check_wrench_delay(sampled.plant, controller)
+    return rendered_admittance(plant_response(sampled, frequency_rad_per_s), controller, sampled.sample_time_s)
+
+
+def hand_admittance(sampled: SampledPlant, controller: Law, frequency_rad_per_s: FloatArray) -> ComplexArray:
+    """Return V_p/F_h [m/s/N]: the payload's velocity per force of a hand on it, in the closed sampled loop.
+
+    The hand's force is held from tick to tick, which adds half a sample of lag. Below the loop's bandwidth in free
+    space it is 1/(B_a + B_p), see `hand_force_per_speed`.
+    """
+    loop, omega = build_loop(sampled, controller), np.asarray(frequency_rad_per_s, dtype=np.float64)
+    z = np.exp(1j * omega * sampled.sample_time_s)
+    states = np.linalg.solve(z[:, None, None] * np.eye(len(loop.a)) - loop.a, loop.b_push[:, None])[..., 0]
+    return np.asarray(1j * omega * states[:, sampled.state_count - 2], dtype=np.complex128)
+
+
+def hand_force_per_speed(plant: Plant, controller: AdmittanceController) -> float:
+    """Return the steady hand force [N·s/m] that leads the payload in free space at 1 m/s: B_a + B_p."""
+    return controller.damping_n_s_per_m + plant.payload.drag_n_s_per_m

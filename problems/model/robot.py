@@ -1,0 +1,103 @@
+"""The position-controlled robot: r(s) e^(-s T_d), MODEL.md "Symbols"."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import frozen_vector, non_negative
+from ..errors import ParameterError
+
+FloatArray = NDArray[np.float64]
+
+# Two roots closer than this share of their size are one factor: printed coefficients carry about four digits.
+_SAME_ROOT = 1e-6
+_UNIT_GAIN = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RobotModel:
+    """Closed position loop X/X^d = r(s) e^(-s T_d) with r(0) = 1.
+
+    `numerator` and `denominator` hold descending powers of s [rad/s]; `delay_s` is T_d without the hold.
+    Common factors are removed on construction (MODEL.md, erratum 1): the paper's printed example
+    (100 s + 400)/(5 s² + 120 s + 400) becomes 20/(s + 20).
+
+    Raises ParameterError for an unstable, not strictly proper or wrongly normalised r(s).
+    """
+
+    numerator: FloatArray
+    denominator: FloatArray
+    delay_s: float
+
+    def __post_init__(self) -> None:
+        printed = frozen_vector("denominator", self.denominator)
+        numerator, denominator = cancel_common_factors(frozen_vector("numerator", self.numerator), printed)
+        if len(numerator) >= len(denominator):
+            raise ParameterError("robot r(s)", _text(numerator, denominator), "strictly proper")
+        # A cancelled pole on the right stays inside the robot, unseen and unstable.
+        if np.any(np.roots(printed).real >= 0.0):
+            raise ParameterError("robot r(s)", _text(numerator, denominator), "stable (every pole left of the axis)")
+        if abs(numerator[-1] / denominator[-1] - 1.0) > _UNIT_GAIN:
+            raise ParameterError("r(0)", float(numerator[-1] / denominator[-1]), "1 (a position loop without offset)")
+        object.__setattr__(self, "numerator", frozen_vector("numerator", numerator))
+        object.__setattr__(self, "denominator", frozen_vector("denominator", denominator))
+        object.__setattr__(self, "delay_s", non_negative("delay_s", self.delay_s))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, RobotModel) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def _key(self) -> tuple[bytes, bytes, float]:
+        return self.numerator.tobytes(), self.denominator.tobytes(), self.delay_s
+
+    @classmethod
+    def from_bandwidth(cls, *, bandwidth_rad_per_s: float, delay_s: float) -> "RobotModel":
+        """Build the one-pole robot ω_b/(s + ω_b) of `bandwidth_rad_per_s`."""
+        return cls(
+            numerator=np.array([bandwidth_rad_per_s]), denominator=np.array([1.0, bandwidth_rad_per_s]), delay_s=delay_s
+        )
+
+    @property
+    def order(self) -> int:
+        """Number of states of r(s)."""
+        return len(self.denominator) - 1
+
+    def ascending(self) -> tuple[FloatArray, FloatArray]:
+        """Return numerator (n,) and monic denominator (n + 1,) in ascending powers of s."""
+        lead = self.denominator[0]
+        numerator = np.zeros(self.order)
+        numerator[: len(self.numerator)] = self.numerator[::-1] / lead
+        return numerator, np.ascontiguousarray(self.denominator[::-1] / lead)
+
+    def position_response(self, frequency_rad_per_s: FloatArray) -> NDArray[np.complex128]:
+        """Return r(jω) e^(-jω T_d)."""
+        s = 1j * np.asarray(frequency_rad_per_s)
+        rational = np.polyval(self.numerator, s) / np.polyval(self.denominator, s)
+        return np.asarray(rational * np.exp(-s * self.delay_s), dtype=np.complex128)
+
+
+def cancel_common_factors(numerator: FloatArray, denominator: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Remove roots that numerator and denominator share; the denominator comes back monic."""
+    numerator, denominator = np.trim_zeros(numerator, "f"), np.trim_zeros(denominator, "f")
+    if numerator.size == 0 or denominator.size == 0:
+        raise ParameterError("robot r(s)", _text(numerator, denominator), "a ratio of two non-zero polynomials")
+    zeros, poles = list(np.roots(numerator)), list(np.roots(denominator))
+    gain = numerator[0] / denominator[0]
+    kept = []
+    for zero in zeros:
+        gaps = [abs(zero - pole) for pole in poles]
+        nearest = int(np.argmin(gaps)) if gaps else -1
+        if gaps and gaps[nearest] <= _SAME_ROOT * max(abs(zero), 1.0):
+            poles.pop(nearest)
+        else:
+            kept.append(zero)
+    if len(kept) == len(zeros):
+        return numerator / denominator[0], denominator / denominator[0]
+    return np.atleast_1d(gain * np.real(np.poly(kept))), np.atleast_1d(np.real(np.poly(poles)))
+
+
+def _text(numerator: FloatArray, denominator: FloatArray) -> str:
+    return f"{np.array2string(numerator, precision=6)} / {np.array2string(denominator, precision=6)}"

@@ -1,0 +1,410 @@
+"""Compiled margins of one loop at its two break points, from the polynomials of `problems.stability.polynomials`.
+
+A grid finds where to look; every minimum of |1 + L| and every crossover near it is then searched on the loop itself.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compiled import compiled
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Increasing frequencies ω up to just short of the Nyquist frequency, tan(ωh/2), and the plant's F/x^d and x/x^d there.
+Grid = tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]
+
+# What `find_loop_margins` returns, the smaller of both break points.
+MODULUS, MODULUS_RAD_PER_S, DISK, GAIN_DB, PHASE_RAD, DELAY_S, MARGINS = 0, 1, 2, 3, 4, 5, 6
+# How much is asked: the modulus margin, also the crossovers' margins, also the disk margin.
+MODULUS_ALONE, WITH_CROSSOVERS, EVERY_MARGIN = 0, 1, 2
+
+_SECTIONS = 30
+_BISECTIONS = 60
+_CLOSE = 1.5
+# The tangent of the angle between neighbours from which a turn is followed.
+_TURN = 0.7
+_SMALL_LOOP = 0.03
+# How finely a turn is followed, and with how many points in all.
+_NARROWEST = 1e-8
+_DEEPEST = 40
+_ADDED_POINTS = 2000
+_REAL = 1e-3
+# From this ratio of its sides on a bracket spoils the parabola; where its values differ by less it is not searched on.
+_LOPSIDED = 8.0
+_FLAT = 1e-8
+
+
+@compiled
+def plant_at(plant: FloatArray, w: complex) -> tuple[complex, complex]:
+    """Return F/x^d and x/x^d at one point of the w-plane.
+
+    `plant` (4, n) holds denominator and numerators without the whole samples of delay, and their number in its last
+    row: a power of (1 − w)/(1 + w), which as a polynomial would lose all digits for a long delay.
+    """
+    denominator, force, position = 0.0 + 0.0j, 0.0 + 0.0j, 0.0 + 0.0j
+    count = plant.shape[1]
+    # Near the Nyquist frequency w is huge: the ratios are the same with the powers of 1/w in reverse.
+    large = w.real * w.real + w.imag * w.imag > 1.0
+    step = _quotient(1.0 + 0.0j, w) if large else w
+    for k in range(count):
+        i = k if large else count - 1 - k
+        denominator = denominator * step + plant[0, i]
+        force = force * step + plant[1, i]
+        position = position * step + plant[2, i]
+    late, sample = 1.0 + 0.0j, _quotient(1.0 - w, 1.0 + w)
+    for _ in range(int(plant[3, 0])):
+        late *= sample
+    late = _quotient(late, denominator)
+    return late * force, late * position
+
+
+@compiled
+def differences(
+    controller: FloatArray, degree: int, s: complex, force: complex, position: complex
+) -> tuple[complex, complex]:
+    """Return 1 + L at the force signal and at the command, for the plant's responses at the same frequency."""
+    own, sensed, fed = 0.0 + 0.0j, 0.0 + 0.0j, 0.0 + 0.0j
+    if s.real == 0.0 and degree <= 3:
+        # On the imaginary axis, as Tustin's rule has it, the most frequent case in real numbers.
+        y, square = s.imag, -s.imag * s.imag
+        own = complex(controller[0, 0] + square * controller[0, 2], y * (controller[0, 1] + square * controller[0, 3]))
+        sensed = complex(
+            controller[1, 0] + square * controller[1, 2], y * (controller[1, 1] + square * controller[1, 3])
+        )
+    else:
+        for i in range(degree, -1, -1):
+            own = own * s + controller[0, i]
+            sensed = sensed * s + controller[1, i]
+    if controller[2, 2] == 0.0:
+        both = _quotient(own - sensed * force, own)
+        return both, both
+    for i in range(degree, -1, -1):
+        fed = fed * s + controller[2, i]
+    damped = own + fed * position
+    whole = damped - sensed * force
+    return _quotient(whole, damped), _quotient(whole, own)
+
+
+@compiled
+def _quotient(one: complex, two: complex) -> complex:
+    """Return one/two without the care for overflow that complex division takes; nothing here is that large."""
+    share = 1.0 / (two.real * two.real + two.imag * two.imag)
+    return complex(
+        (one.real * two.real + one.imag * two.imag) * share, (one.imag * two.real - one.real * two.imag) * share
+    )
+
+
+@compiled
+def differences_at(
+    plant: FloatArray, controller: FloatArray, degree: int, h: float, theta: float, omega: float
+) -> tuple[complex, complex]:
+    """Return 1 + L at both break points at one frequency [rad/s] below the Nyquist frequency."""
+    w = 1j * np.tan(0.5 * omega * h)
+    force, position = plant_at(plant, w)
+    s = (2.0 / h) * w / (1.0 + (2.0 * theta - 1.0) * w)
+    return differences(controller, degree, s, force, position)
+
+
+@compiled
+def squared_distance(difference: complex, disk: bool) -> float:
+    """Return |1 + L|², or the square of what the balanced disk margin minimises, 2|1 + L|/|1 − L|."""
+    size = difference.real * difference.real + difference.imag * difference.imag
+    if not disk:
+        return size
+    other = 2.0 - difference.real
+    return 4.0 * size / (other * other + difference.imag * difference.imag)
+
+
+@compiled
+def find_loop_margins(
+    plant: FloatArray,
+    grid: Grid,
+    controller: FloatArray,
+    degree: int,
+    sampling: tuple[float, float],
+    depth: int,
+    found: FloatArray,
+) -> None:
+    """Write the margins of a stable loop into `found` (6,), as far as `depth` says (the rest is infinite).
+
+    `sampling` is (h, θ). A response that is not a number makes all of them NaN: it must not pass for a large margin.
+    """
+    found[:] = np.inf
+    omega, points = _traced(plant, grid, controller, degree, sampling)
+    for signal in range(len(points)):
+        for disk in range(2 if depth == EVERY_MARGIN else 1):
+            value, where = _smallest(plant, controller, degree, sampling, omega, points[signal], signal, disk == 1)
+            if np.isnan(value):
+                found[:] = np.nan
+                return
+            if disk == 1:
+                found[DISK] = min(found[DISK], value)
+            elif value < found[MODULUS]:
+                found[MODULUS], found[MODULUS_RAD_PER_S] = value, where
+        if depth != MODULUS_ALONE:
+            _crossovers(plant, controller, degree, sampling, omega, points[signal], signal, found)
+
+
+@compiled
+def _traced(
+    plant: FloatArray,
+    grid: Grid,
+    controller: FloatArray,
+    degree: int,
+    sampling: tuple[float, float],
+) -> tuple[FloatArray, ComplexArray]:
+    """Return frequencies and 1 + L there, (1 or 2, n), with points added where the curve turns fast.
+
+    1 + L turns where a lightly damped mode of the loop is, and may dip between two points; L turns where an inner loop
+    has one, and with a long delay everywhere. Without feedback of the position both break points see one loop.
+    """
+    (omega, tangent, force, position), (h, theta), count = grid, sampling, len(grid[0])
+    signals = 1 if np.all(controller[2] == 0.0) else 2
+    room = count + _ADDED_POINTS
+    moments, points = np.empty(room), np.empty((signals, room), dtype=np.complex128)
+    used, last = 0, (1.0 + 0.0j, 1.0 + 0.0j)
+    for k in range(count):
+        s = complex(0.0, (2.0 / h) * tangent[k])
+        if theta != 0.5:
+            s = s / (1.0 + (2.0 * theta - 1.0) * 1j * tangent[k])
+        here = differences(controller, degree, s, force[k], position[k])
+        turns = _turns_between(last[0], here[0]) or (signals == 2 and _turns_between(last[1], here[1]))
+        if turns and used > 0:
+            most = room - (count - k) - _DEEPEST
+            used = _follow(plant, controller, degree, sampling, (omega[k], here), (moments, points), used, most)
+        moments[used], points[0, used] = omega[k], here[0]
+        if signals == 2:
+            points[1, used] = here[1]
+        used, last = used + 1, here
+    return moments[:used], points[:, :used].copy()
+
+
+@compiled
+def _follow(
+    plant: FloatArray,
+    controller: FloatArray,
+    degree: int,
+    sampling: tuple[float, float],
+    target: tuple[float, tuple[complex, complex]],
+    trace: tuple[FloatArray, ComplexArray],
+    used: int,
+    most: int,
+) -> int:
+    """Add points between the last one of a trace and the next on the grid until none turns fast; return their number.
+
+    Halves are taken from the left; what is to the right of the one at hand waits.
+    """
+    (moments, points), (h, theta), signals = trace, sampling, len(trace[1])
+    waiting, stack, depth = np.empty(_DEEPEST), np.empty((2, _DEEPEST), dtype=np.complex128), 1
+    waiting[0], (stack[0, 0], stack[1, 0]) = target
+    while depth > 0:
+        width, fast = waiting[depth - 1] - moments[used - 1], False
+        if depth < _DEEPEST and used < most and width > _NARROWEST * waiting[depth - 1]:
+            for i in range(signals):
+                fast = fast or _turns_between(points[i, used - 1], stack[i, depth - 1])
+        if fast:
+            waiting[depth] = 0.5 * (moments[used - 1] + waiting[depth - 1])
+            stack[0, depth], stack[1, depth] = differences_at(plant, controller, degree, h, theta, waiting[depth])
+            depth += 1
+        else:
+            depth -= 1
+            # The last one is the grid's own, which the caller adds.
+            if depth > 0:
+                moments[used] = waiting[depth]
+                for i in range(signals):
+                    points[i, used] = stack[i, depth]
+                used += 1
+    return used
+
+
+@compiled
+def _turns_between(one: complex, two: complex) -> bool:
+    """Tell whether 1 + L turns fast from one point to the next, or L where it is not small."""
+    if _turns(one, two):
+        return True
+    first, second = one - 1.0, two - 1.0
+    sizes = (first.real * first.real + first.imag * first.imag, second.real * second.real + second.imag * second.imag)
+    return max(sizes) > _SMALL_LOOP * _SMALL_LOOP and _turns(first, second)
+
+
+@compiled
+def _smallest(
+    plant: FloatArray,
+    controller: FloatArray,
+    degree: int,
+    sampling: tuple[float, float],
+    omega: FloatArray,
+    points: ComplexArray,
+    signal: int,
+    disk: bool,
+) -> tuple[float, float]:
+    """Return the smallest distance and where it is: parabolas around every grid minimum that could hold it."""
+    count = len(omega)
+    values = np.empty(count)
+    best, where = np.inf, 0.0
+    for k in range(count):
+        values[k] = squared_distance(points[k], disk)
+        if np.isnan(values[k]):
+            return np.nan, np.nan
+        if values[k] < best:
+            best, where = values[k], omega[k]
+    limit = _CLOSE * _CLOSE * best
+    for k in range(1, count - 1):
+        if values[k] <= limit and values[k] <= values[k - 1] and values[k] <= values[k + 1]:
+            bracket = (omega[k - 1], omega[k], omega[k + 1])
+            around = (values[k - 1], values[k], values[k + 1])
+            value, at = _descend(plant, controller, degree, sampling, bracket, around, signal, disk)
+            if value < best:
+                best, where = value, at
+    return np.sqrt(best), where
+
+
+@compiled
+def _turns(one: complex, two: complex) -> bool:
+    """Tell whether the angle between two points is large."""
+    along = one.real * two.real + one.imag * two.imag
+    across = one.real * two.imag - one.imag * two.real
+    return bool(along <= 0.0 or abs(across) > _TURN * along)
+
+
+@compiled
+def _descend(
+    plant: FloatArray,
+    controller: FloatArray,
+    degree: int,
+    sampling: tuple[float, float],
+    bracket: tuple[float, float, float],
+    values: tuple[float, float, float],
+    signal: int,
+    disk: bool,
+) -> tuple[float, float]:
+    """Return the smallest squared distance inside a bracket, by parabolas through three points of it."""
+    (low, middle, high), (at_low, at_middle, at_high) = bracket, values
+    for _ in range(_SECTIONS):
+        trial = _vertex((low, middle, high), (at_low, at_middle, at_high))
+        if max(at_low, at_high) - at_middle <= _FLAT * at_middle:
+            break
+        wide, narrow = max(high - middle, middle - low), min(high - middle, middle - low)
+        if wide > _LOPSIDED * narrow:
+            # A far end spoils the parabola: bring it near.
+            into_wide = 1.0 if high - middle > middle - low else -1.0
+            trial = middle + into_wide * max(np.sqrt(narrow * wide), into_wide * (trial - middle))
+        if not low < trial < high or abs(trial - middle) < 1e-3 * (high - low):
+            trial = 0.5 * (middle + (high if high - middle > middle - low else low))
+        if abs(trial - middle) <= 1e-7 * middle:
+            break
+        value = squared_distance(differences_at(plant, controller, degree, *sampling, trial)[signal], disk)
+        if value < at_middle:
+            if trial > middle:
+                low, at_low = middle, at_middle
+            else:
+                high, at_high = middle, at_middle
+            middle, at_middle = trial, value
+        elif trial > middle:
+            high, at_high = trial, value
+        else:
+            low, at_low = trial, value
+    return at_middle, middle
+
+
+@compiled
+def _crossovers(
+    plant: FloatArray,
+    controller: FloatArray,
+    degree: int,
+    sampling: tuple[float, float],
+    omega: FloatArray,
+    points: ComplexArray,
+    signal: int,
+    found: FloatArray,
+) -> None:
+    """Update gain, phase and delay margin with every crossover between neighbouring points."""
+    end = points[-1] - 1.0
+    # At the Nyquist frequency the loop is real, unless an ideal derivative makes it infinite.
+    if end.real < 0.0 and abs(end.imag) < _REAL * abs(end.real):
+        found[GAIN_DB] = min(found[GAIN_DB], abs(20.0 * np.log10(-end.real)))
+    # As in continuous time a loop gain that stays above 1 tolerates no delay: z^−d changes its sign at the end.
+    if not abs(end) < 1.0:
+        found[DELAY_S] = 0.0
+    for of_phase in (True, False):
+        for k in range(len(omega) - 1):
+            low, high = omega[k], omega[k + 1]
+            one, two = _level(points[k], of_phase), _level(points[k + 1], of_phase)
+            if (one > 0.0) != (two > 0.0):
+                _cross(plant, controller, degree, sampling, (low, high), signal, of_phase, found)
+            elif k > 0 and abs(one) <= abs(two) and one * _level(points[k - 1], of_phase) >= one * one:
+                # It comes closest here; between the points it may cross and come back.
+                before = _level(points[k - 1], of_phase)
+                bracket = (omega[k - 1], low, high)
+                middle = _vertex(bracket, (before, one, two))
+                closest = differences_at(plant, controller, degree, *sampling, middle)[signal]
+                if (_level(closest, of_phase) > 0.0) != (one > 0.0):
+                    _cross(plant, controller, degree, sampling, (omega[k - 1], middle), signal, of_phase, found)
+                    _cross(plant, controller, degree, sampling, (middle, high), signal, of_phase, found)
+
+
+@compiled
+def _level(difference: complex, of_phase: bool) -> float:
+    """Return what is zero where L crosses the real axis, or the unit circle."""
+    loop = difference - 1.0
+    return float(loop.imag if of_phase else loop.real * loop.real + loop.imag * loop.imag - 1.0)
+
+
+@compiled
+def _vertex(at: tuple[float, float, float], values: tuple[float, float, float]) -> float:
+    """Return where the parabola through three points turns, inside them."""
+    left, right = (at[1] - at[0]) * (values[1] - values[2]), (at[1] - at[2]) * (values[1] - values[0])
+    bottom = 2.0 * (left - right)
+    if bottom == 0.0:
+        return at[1]
+    vertex = at[1] - ((at[1] - at[0]) * left - (at[1] - at[2]) * right) / bottom
+    return min(max(vertex, at[0]), at[2])
+
+
+@compiled
+def _cross(
+    plant: FloatArray,
+    controller: FloatArray,
+    degree: int,
+    sampling: tuple[float, float],
+    bracket: tuple[float, float],
+    signal: int,
+    of_phase: bool,
+    found: FloatArray,
+) -> None:
+    """Update the margins with the crossover in a bracket."""
+    at = _root(plant, controller, degree, sampling, bracket, signal, of_phase)
+    loop = differences_at(plant, controller, degree, *sampling, at)[signal] - 1.0
+    if of_phase:
+        if loop.real < 0.0:
+            found[GAIN_DB] = min(found[GAIN_DB], abs(20.0 * np.log10(-loop.real)))
+    else:
+        angle = np.angle(-loop)
+        found[PHASE_RAD] = min(found[PHASE_RAD], abs(angle))
+        found[DELAY_S] = min(found[DELAY_S], (angle if angle > 0.0 else angle + 2.0 * np.pi) / at)
+
+
+@compiled
+def _root(
+    plant: FloatArray,
+    controller: FloatArray,
+    degree: int,
+    sampling: tuple[float, float],
+    bracket: tuple[float, float],
+    signal: int,
+    of_phase: bool,
+) -> float:
+    """Return where L crosses the real axis, or the unit circle, in a bracket with a change of sign."""
+    low, high = bracket
+    side = _level(differences_at(plant, controller, degree, *sampling, low)[signal], of_phase) > 0.0
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        level = _level(differences_at(plant, controller, degree, *sampling, middle)[signal], of_phase)
+        if (level > 0.0) == side:
+            low = middle
+        else:
+            high = middle
+        if high - low <= 1e-12 * high:
+            break
+    return 0.5 * (low + high)

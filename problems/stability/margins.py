@@ -1,0 +1,215 @@
+"""Margins of the exact sampled loop at both break points; stability is decided apart, by eigenvalues."""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import AutotuneError, ParameterError
+from ..model.controller import AdmittanceController
+from ..model.response import plant_response
+from ..model.sampled import SampledPlant, build_loop, check_wrench_delay, spectral_radius
+from .margin_kernel import (
+    DELAY_S,
+    DISK,
+    EVERY_MARGIN,
+    GAIN_DB,
+    MARGINS,
+    MODULUS,
+    MODULUS_RAD_PER_S,
+    PHASE_RAD,
+    Grid,
+    find_loop_margins,
+)
+from .polynomials import CONTROLLER_POWERS, controller_polynomials, plant_polynomials
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_LOWEST_HZ = 0.02
+_SLOW_HZ = 1.0
+_SLOW_SHARE = 8
+_BASE_POINTS = 64
+# Real parts of poles that are rounding: B_s = B_p = 0.
+_UNDAMPED = 1e-10
+_RESONANCE_POINTS = 25
+_SHORT_OF_NYQUIST = 1e-9
+# Where the loop gain is next to nothing (below 1e-3), a crossover limits nothing.
+LARGEST_GAIN_DB = 60.0
+
+
+class UnstableLoopError(AutotuneError):
+    """Margins and peaks of an unstable loop are not numbers, so none is given."""
+
+    def __init__(self, spectral_radius: float) -> None:
+        super().__init__(
+            f"The loop is unstable (largest |z| = {spectral_radius:.6f}); margins and peak forces exist only for a "
+            "stable loop. Raise the admittance damping or change the lead gain."
+        )
+        self.spectral_radius = spectral_radius
+
+
+@dataclass(frozen=True, kw_only=True)
+class Margins:
+    """The smaller margin of the two break points, each with the frequency where it is reached.
+
+    `modulus` is min |1 + L|, at `modulus_hz`; `disk` the balanced disk margin α = min 2|1 + L|/|1 − L|, which tolerates
+    gain and phase together (a gain of (2 + α)/(2 − α), a phase of 2 atan(α/2)); `gain_db` the smallest change of gain,
+    up or down, that reaches the stability limit; `phase_deg` the smallest rotation either way; `delay_s` the smallest
+    extra delay, 0 if the loop gain is still above 1 at the Nyquist frequency. A margin that no crossover limits is
+    infinite, and so is a gain margin above 60 dB.
+    """
+
+    modulus: float
+    modulus_hz: float
+    disk: float
+    gain_db: float
+    phase_deg: float
+    delay_s: float
+    spectral_radius: float
+
+
+class RawMargins(NamedTuple):
+    """Margins of many loops at once, shape of the leading axes of the response."""
+
+    modulus: FloatArray
+    gain_db: FloatArray
+    phase_deg: FloatArray
+    delay_s: FloatArray
+
+
+def margins_on_grid(frequency_rad_per_s: FloatArray, loop: ComplexArray) -> RawMargins:
+    """Read the margins of `loop` (..., n) given on an increasing grid (n,) that ends at the Nyquist frequency.
+
+    Crossovers are interpolated linearly in log gain and phase between neighbours. Raises ParameterError for values
+    that are not finite: they would pass for an infinite margin.
+    """
+    if not np.all(np.isfinite(loop)):
+        raise ParameterError("loop", "values that are not finite", "finite at every frequency")
+    modulus = np.min(np.abs(1.0 + loop), axis=-1)
+    start, stop = loop[..., :-1], loop[..., 1:]
+    # The Tustin form has a zero at z = −1, so the last point may be exactly 0.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        log_gain = np.log(np.abs(loop))
+        turn = np.angle(stop / start)
+        # Phase crossovers: the segment passes the negative real axis.
+        share = start.imag / (start.imag - stop.imag)
+        crossing = (start.imag * stop.imag <= 0.0) & (start.imag != stop.imag)
+        real = start.real + share * (stop.real - start.real)
+        gain = np.where(crossing & (real < 0.0), np.abs(20.0 * np.log10(np.abs(real))), np.inf)
+        last = np.where(loop[..., -1].real < 0.0, np.abs(20.0 * np.log10(np.abs(loop[..., -1].real))), np.inf)
+        gain_db = np.minimum(np.min(gain, axis=-1), last)
+        # Gain crossovers: |L| passes 1.
+        share = log_gain[..., :-1] / (log_gain[..., :-1] - log_gain[..., 1:])
+        crossing = (log_gain[..., :-1] * log_gain[..., 1:] <= 0.0) & (log_gain[..., :-1] != log_gain[..., 1:])
+        angle = np.angle(-start) + share * turn  # of −L: zero on the critical point
+        omega = frequency_rad_per_s[:-1] + share * np.diff(frequency_rad_per_s)
+        wrapped = np.angle(np.exp(1j * angle))
+        phase = np.min(np.where(crossing, np.abs(wrapped), np.inf), axis=-1)
+        lag = np.where(wrapped > 0.0, wrapped, wrapped + 2.0 * np.pi)
+        delay_s = np.min(np.where(crossing, lag / omega, np.inf), axis=-1)
+    return RawMargins(modulus, gain_db, np.degrees(phase), delay_s)
+
+
+def frequency_grid(sampled: SampledPlant, points: int = _BASE_POINTS) -> FloatArray:
+    """Return frequencies (n,) [rad/s] to just short of the Nyquist frequency, denser around the plant's resonances."""
+    nyquist = (1.0 - _SHORT_OF_NYQUIST) * np.pi / sampled.sample_time_s
+    # Below the robot's bandwidth nothing happens quickly.
+    slow = points // _SLOW_SHARE
+    low, middle = 2.0 * np.pi * _LOWEST_HZ, min(2.0 * np.pi * _SLOW_HZ, 0.5 * nyquist)
+    base = np.concatenate([np.geomspace(low, middle, slow), np.geomspace(middle, nyquist, points - slow)])
+    extra = []
+    for pole in np.linalg.eigvals(sampled.rate) / sampled.sample_time_s:
+        if pole.imag > 0.0:
+            width = max(-pole.real, 1e-4 * abs(pole))
+            around = np.linspace(-6.0, 6.0, _RESONANCE_POINTS)
+            # The response of an undamped plant is infinite at the pole itself, where no margin is least.
+            undamped = abs(pole.real) <= _UNDAMPED * abs(pole)
+            extra.append(pole.imag + width * (0.5 * (around[1:] + around[:-1]) if undamped else around))
+    grid = np.concatenate([base, *extra])
+    return np.unique(np.append(grid[(grid >= base[0]) & (grid < nyquist)], nyquist))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreparedMargins:
+    """What the margins of one plant need and no controller changes, see `find_loop_margins`."""
+
+    sampled: SampledPlant
+    polynomials: FloatArray
+    grid: Grid
+
+    def find(self, controller: AdmittanceController, spectral_radius: float) -> Margins:
+        """Find the margins of a loop that is known to be stable, with this spectral radius.
+
+        Raises ParameterError when the loop's response is not finite.
+        """
+        check_wrench_delay(self.sampled.plant, controller)
+        factors, found = np.zeros((3, CONTROLLER_POWERS)), np.empty(MARGINS)
+        degree = controller_polynomials(controller.parameters(), controller.is_ideal, factors)
+        sampling = (self.sampled.sample_time_s, controller.theta)
+        find_loop_margins(self.polynomials, self.grid, factors, degree, sampling, EVERY_MARGIN, found)
+        if np.any(np.isnan(found)):
+            raise ParameterError("loop", self.sampled.plant, "one with a finite response at every frequency")
+        return Margins(
+            modulus=float(found[MODULUS]),
+            modulus_hz=float(found[MODULUS_RAD_PER_S] / (2.0 * math.pi)),
+            disk=float(found[DISK]),
+            gain_db=float(found[GAIN_DB]) if found[GAIN_DB] < LARGEST_GAIN_DB else math.inf,
+            phase_deg=math.degrees(found[PHASE_RAD]),
+            delay_s=float(found[DELAY_S]),
+            spectral_radius=spectral_radius,
+        )
+
+
+def prepare_margins(sampled: SampledPlant) -> PreparedMargins:
+    """Compute what the margins of a sampled plant need, once for all controllers."""
+    check_finite(sampled)
+    return PreparedMargins(sampled=sampled, polynomials=response_polynomials(sampled), grid=margin_grid(sampled))
+
+
+def find_margins(sampled: SampledPlant, controller: AdmittanceController) -> Margins:
+    """Find the margins of one exact sampled loop: every minimum and crossover is searched on the loop itself.
+
+    Raises UnstableLoopError if the loop is not stable, by its eigenvalues.
+    """
+    check_finite(sampled)
+    radius = spectral_radius(build_loop(sampled, controller))
+    if not radius < 1.0:
+        raise UnstableLoopError(radius)
+    return prepare_margins(sampled).find(controller, radius)
+
+
+def check_finite(sampled: SampledPlant) -> None:
+    """Refuse a plant whose matrices overflow: what is not a number would pass for a margin without limit."""
+    numbers = (sampled.phi, sampled.gamma, sampled.gamma_old, sampled.c_position, sampled.c_force, sampled.d_force)
+    if not all(np.all(np.isfinite(each)) for each in numbers):
+        raise ParameterError("plant", sampled.plant, "one whose motion over one sample is finite")
+
+
+def loop_polynomials(sampled: SampledPlant) -> FloatArray:
+    """Return denominator and numerators of F/x^d and x/x^d of a sampled plant, see `plant_polynomials`."""
+    return _polynomials(sampled, sampled.whole_delay)
+
+
+def response_polynomials(sampled: SampledPlant) -> FloatArray:
+    """Return what `plant_at` takes: the polynomials without the whole samples of delay, and how many those are."""
+    polynomials = _polynomials(sampled, 0)
+    delay = np.zeros((1, polynomials.shape[1]))
+    delay[0, 0] = sampled.whole_delay
+    return np.concatenate([polynomials, delay])
+
+
+def _polynomials(sampled: SampledPlant, whole: int) -> FloatArray:
+    outputs = np.array([[*sampled.c_position, 0.0, 0.0], [*sampled.c_force, sampled.d_force, 0.0]])
+    delay = (whole, whole + sampled.chain_length - sampled.whole_delay, sampled.fraction)
+    rests = not sampled.plant.environment.is_anchored
+    return plant_polynomials(sampled.phi, sampled.gamma, sampled.gamma_old, outputs, delay, rests)
+
+
+def margin_grid(sampled: SampledPlant) -> Grid:
+    """Return what `find_loop_margins` needs of a plant besides its polynomials."""
+    response = plant_response(sampled, frequency_grid(sampled))
+    omega = response.frequency_rad_per_s
+    return omega, np.tan(0.5 * omega * sampled.sample_time_s), response.force, response.position

@@ -1,0 +1,190 @@
+"""Charts refuse shapes that do not fit; decimation loses no peak; pictures keep their numbers."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from autotune.report.charts import Band, Bars, Chart, Heat, Limit, Line, Panel, Points, Scale, Stretch
+from autotune.report.decimate import decimate
+from autotune.report.framing import fitted_limits, level_panels
+from autotune.report.legends import build_legend
+from autotune.report.live import draw_live
+from autotune.report.palette import colour_variables, dark_colours
+from autotune.report.static import draw_stills
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "told"),
+    [
+        (Line, {"x": [0.0, 1.0], "y": [0.0]}, "found 1 and 2"),
+        (Band, {"x": [0.0, 1.0], "low": [0.0, 1.0], "high": [1.0]}, "as many low and high"),
+        (Points, {"x": [0.0], "y": [0.0], "names": ("a", "b")}, "names if any"),
+        (Bars, {"edges": [0.0, 1.0], "heights": [1.0, 2.0]}, "one edge more"),
+        (Heat, {"x": [0.0, 1.0], "y": [0.0], "values": [[1.0], [2.0]], "label": "m"}, "1 rows and 2 columns"),
+    ],
+)
+def test_shapes_that_do_not_fit_are_refused(kind: Any, values: dict[str, Any], told: str) -> None:
+    with pytest.raises(ValueError, match=told):
+        kind(**values)
+
+
+def test_what_a_chart_holds_cannot_be_changed_behind_it() -> None:
+    given_y = np.array([1.0, 2.0])
+    line = Line(x=np.array([0.0, 1.0]), y=given_y)
+    given_y[0] = 9.0
+    assert line.y[0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        line.y[0] = 5.0
+
+
+@given(y=st.lists(st.floats(-1e6, 1e6, width=32), min_size=5, max_size=400), most=st.integers(4, 60), gap=st.booleans())
+def test_decimation_keeps_every_peak_the_ends_and_the_gaps(y: list[float], most: int, gap: bool) -> None:
+    values, x = np.array(y), np.arange(len(y), dtype=np.float64)
+    if gap:
+        values[len(y) // 2] = np.nan
+    kept_x, kept = decimate(x, values, most)
+    assert len(kept) <= max(most, 4)
+    assert (kept_x[0], kept_x[-1]) == (x[0], x[-1])
+    assert np.all(np.diff(kept_x) > 0.0)
+    # Nothing is made up, and where the curve was broken it is.
+    np.testing.assert_array_equal(kept, values[kept_x.astype(int)])
+    assert np.any(np.isnan(kept)) == gap
+    if not gap:
+        assert (np.min(kept), np.max(kept)) == (np.min(values), np.max(values))
+    else:
+        # Beside a gap the larger of both signs stays.
+        assert np.nanmax(np.abs(kept)) == np.nanmax(np.abs(values))
+
+
+def test_a_single_spike_in_ten_minutes_stays() -> None:
+    time = np.arange(750_000) * 8e-4
+    force = 0.1 * np.sin(time)
+    force[123_456] = 80.0
+    x, y = decimate(time, force, 1400)
+    assert len(x) <= 1400
+    assert x[np.argmax(y)] == time[123_456]
+
+
+def everything() -> Chart:
+    """Return a chart with one of each element."""
+    x = np.array([1.0, 2.0, 4.0])
+    heat = Heat(x=x, y=x[:2], values=np.array([[0.1, np.nan, 0.3], [0.4, 0.5, 0.6]]), label="margin", limits=(0.0, 1.0))
+    plain = Panel(
+        title="plain",
+        x=Scale(label="x", spacing="log"),
+        y=Scale(label="y", limits=(0.0, 0.006)),
+        elements=(
+            Line(x=x, y=x / 1e3, label="line"),
+            Band(x=x, low=x / 2e3, high=x / 1e3, label="band"),
+            Points(x=x, y=x / 1e3, names=("a", "b", "c"), label="points"),
+            Bars(edges=np.array([0.5, 1.0]), heights=np.array([0.002])),
+            Stretch(low=1.0, high=2.0, label="stretch"),
+            Limit(value=0.005, label="limit"),
+        ),
+    )
+    mapped = Panel(x=Scale(label="a"), y=Scale(label="b"), elements=(heat,))
+    return Chart(key="all", title="All", alternative="One of each.", panels=(plain, mapped), beside=True)
+
+
+def test_both_pictures_are_the_same_each_time_and_say_the_numbers_in_full() -> None:
+    chart = everything()
+    stills = draw_stills(chart)
+    assert stills == draw_stills(chart)
+    assert len(stills) == len(chart.panels)
+    drawn = "".join(still.svg for still in stills)
+    # Coordinates are shortened; what people read is not: ticks 0.001 and 0.002 must not both be 0.00.
+    assert ">0.001<" in drawn
+    assert ">0.002<" in drawn
+    told = [json.dumps(draw_live(chart), sort_keys=True) for _ in range(2)]
+    assert told[0] == told[1]
+    assert all(label in told[0] for label in ("line", "points", "margin"))
+    # The legend stands beside both pictures.
+    assert [each.label for each in build_legend(chart).panels[0]] == ["line", "band", "points", "stretch", "limit"]
+    # No colour of a drawing is fixed but those of a map, which stay on any paper.
+    assert not [colour for colour in dark_colours() if colour in drawn]
+
+
+def test_a_logarithmic_side_within_a_decade_has_numbers() -> None:
+    line = Line(x=np.array([2e-4, 8e-4]), y=np.array([3e-4, 7e-4]))
+    sides = Scale(label="f", spacing="log"), Scale(label="G", spacing="log")
+    chart = Chart(key="g", title="G", alternative="A line.", panels=(Panel(x=sides[0], y=sides[1], elements=(line,)),))
+    (still,) = draw_stills(chart)
+    assert still.svg.count(">5e-4<") == 2
+
+
+def luminance(colour: str) -> float:
+    """The relative luminance of the accessibility guidelines (WCAG 2.2)."""
+    shares = [int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]
+    red, green, blue = (each / 12.92 if each <= 0.04045 else ((each + 0.055) / 1.055) ** 2.4 for each in shares)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_every_colour_stands_out_from_its_paper(dark: bool) -> None:
+    told = dict(each.split(": ") for each in colour_variables(dark=dark).rstrip(";").split("; "))
+    paper = luminance(told.pop("--draw-paper"))
+    assert (paper < 0.1) == dark
+    for name, colour in told.items():
+        low, high = sorted((luminance(colour), paper))
+        contrast = (high + 0.05) / (low + 0.05)
+        # Text as the guidelines ask for; strokes that carry data; the grid is meant to stay behind.
+        least = 7.0 if name == "--draw-ink" else 1.2 if name == "--draw-grid" else 1.6
+        assert contrast > least, (name, contrast)
+
+
+def test_a_legend_is_told_once_and_panel_by_panel_only_where_panels_share_nothing() -> None:
+    x = np.array([0.0, 1.0])
+    side = Scale(label="s")
+
+    def panel(*names: str) -> Panel:
+        return Panel(x=side, y=side, elements=tuple(Line(x=x, y=x, label=name) for name in names))
+
+    def legend(*panels: Panel, beside: bool) -> tuple[list[str], list[list[str]]]:
+        found = build_legend(Chart(key="k", title="t", alternative="a", panels=panels, beside=beside))
+        return [each.label for each in found.whole], [[each.label for each in part] for part in found.panels]
+
+    assert legend(panel("a", "b", "a"), panel("a"), beside=True) == (["a", "b"], [[], []])
+    assert legend(panel("a"), panel("b"), beside=True) == ([], [["a"], ["b"]])
+    # Below each other the panels are one drawing.
+    assert legend(panel("a"), panel("b"), beside=False) == (["a", "b"], [[], []])
+
+
+@given(
+    x=st.tuples(st.floats(-5.0, 5.0), st.floats(0.1, 9.0)),
+    y=st.tuples(st.floats(-5.0, 5.0), st.floats(0.1, 9.0)),
+    shape=st.floats(0.3, 3.0),
+)
+def test_fitted_limits_keep_circles_round_and_lose_nothing(
+    x: tuple[float, float], y: tuple[float, float], shape: float
+) -> None:
+    wanted = (x[0], x[0] + x[1]), (y[0], y[0] + y[1])
+    found = fitted_limits(*wanted, shape)
+    lengths = [high - low for low, high in found]
+    assert lengths[0] / lengths[1] == pytest.approx(shape)
+    for (low, high), (least, most) in zip(found, wanted, strict=True):
+        assert low <= least + 1e-9
+        assert high >= most - 1e-9
+
+
+def test_panels_beside_each_other_have_one_scale_that_holds_them_all() -> None:
+    x, side = np.array([0.0, 1.0]), Scale(label="force [N]")
+    curves = (np.array([0.0, -70.0]), np.array([3.0, np.nan]))
+    levelled = level_panels([Panel(x=side, y=side, elements=(Line(x=x, y=y),)) for y in curves])
+    first, second = (panel.y.limits for panel in levelled)
+    assert first == second
+    assert first is not None
+    assert first[0] < -70.0
+    assert first[1] > 3.0
+
+
+def test_the_numbers_in_a_table_of_names_have_no_sign_where_they_are_nothing() -> None:
+    names = (("a", "b"), ("c",))
+    values = np.array([[-0.001, -0.7]])
+    heat = Heat(
+        x=np.arange(2.0), y=np.zeros(1), values=values, label="r", limits=(-1.0, 1.0), names=names, written=True
+    )
+    assert list(heat.writings()) == [(0.0, 0.0, "0", False), (1.0, 0.0, "−.70", True)]

@@ -1,0 +1,95 @@
+"""Several recordings of one cell: identified side by side as one after the other, and told apart when one fails."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from autotune.formats.identified import read_identified, write_identified
+from autotune.pipeline import IdentifiedLog, Topics, identify_log
+from autotune.simulation.phases import Program
+from autotune.simulation.simulate import made_later, simulate_cell
+from autotune.simulation.truth import Cell
+from autotune.simulation.write import write_mcap
+from identification.errors import EstimateError
+from identification.given import Given
+from tests.autotune.simulation.runs import SHORT
+from tests.identification.merging.test_axis import check_one_record
+
+
+def written(path: Path, program: Program, seed: int) -> Path:
+    write_mcap(made_later(simulate_cell(Cell(), program, seed=seed).recording, seed), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def two_logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("days")
+    program = replace(SHORT, pose_count=5, pose_hold_s=1.0, jogging_s=2.0, sweep_s=2.0, contact_count=0)
+    return [written(folder / f"{name}.mcap", program, seed) for seed, name in enumerate(("monday", "friday"), 1)]
+
+
+@pytest.fixture(scope="module")
+def one_orientation(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    program = replace(SHORT, pose_count=1, jogging_s=2.0, sweep_s=1.0, contact_count=0)
+    return written(tmp_path_factory.mktemp("rest") / "sunday.mcap", program, seed=0)
+
+
+@pytest.fixture(scope="module")
+def in_one_process(two_logs: list[Path]) -> IdentifiedLog:
+    return identify_log(two_logs, Topics(), allow_partial=True)
+
+
+def test_recordings_side_by_side_tell_what_they_tell_one_after_the_other(
+    two_logs: list[Path], in_one_process: IdentifiedLog
+) -> None:
+    # The same code on the same numbers: nothing may differ, not by rounding.
+    assert identify_log(two_logs, Topics(), allow_partial=True, processes=2) == in_one_process
+
+
+def test_what_is_written_of_two_recordings_can_be_read_again(in_one_process: IdentifiedLog, tmp_path: Path) -> None:
+    """Reading refuses a table that is not what its covariance says."""
+    check_one_record(in_one_process.result)
+    write_identified(tmp_path / "identified.yaml", in_one_process.result, in_one_process.provenance)
+    assert read_identified(tmp_path / "identified.yaml").result == in_one_process.result
+
+
+def test_what_is_given_counts_once_beside_two_recordings(two_logs: list[Path], in_one_process: IdentifiedLog) -> None:
+    mass = in_one_process.result.payload.mass_kg
+    assert mass.value is not None
+    assert mass.std is not None
+    prior = {"mass_kg": Given(value=mass.value, std=mass.std)}
+    found = identify_log(two_logs, Topics(), allow_partial=True, given=prior).result
+    check_one_record(found)
+    # As sharp as both logs together: 1/√2 of it, whatever each log alone knows.
+    assert found.payload.mass_kg.std == pytest.approx(mass.std / 2.0**0.5, rel=1e-9)
+
+
+def test_the_progress_comes_to_the_whole_in_small_parts(two_logs: list[Path]) -> None:
+    told: list[float] = []
+    identify_log(two_logs[0], Topics(), allow_partial=True, progress=told.append)
+    assert sum(told) == pytest.approx(1.0)
+    assert min(told) > 0.0
+    assert max(told) < 0.3
+
+
+def test_the_provenance_names_both_recordings(two_logs: list[Path], in_one_process: IdentifiedLog) -> None:
+    provenance = in_one_process.provenance
+    assert [entry["path"] for entry in provenance["logs"]] == [str(path) for path in two_logs]
+    (first, second), gap_s = provenance["recordings"], 3600.0
+    assert second[0] - first[0] == pytest.approx(gap_s, abs=1e-3)
+    assert provenance["time_span_s"] == first
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_of_several_recordings_the_one_that_fails_is_named(
+    two_logs: list[Path], one_orientation: Path, processes: int
+) -> None:
+    with pytest.raises(EstimateError, match=r"^sunday\.mcap: "):
+        identify_log([one_orientation, two_logs[0]], Topics(), processes=processes)
+
+
+def test_an_only_recording_needs_no_name(one_orientation: Path) -> None:
+    with pytest.raises(EstimateError) as refused:
+        identify_log(one_orientation, Topics())
+    assert "sunday" not in str(refused.value)

@@ -1,0 +1,145 @@
+"""Any path: each known log is opened by its content, everything else is refused in one clear sentence."""
+
+import bz2
+import gzip
+import hashlib
+import lzma
+import os
+import socket
+import subprocess
+import zipfile
+from pathlib import Path
+
+import lz4.frame  # type: ignore[import-untyped]  # the package carries no annotations
+import pyarrow as pa  # type: ignore[import-untyped]  # the package carries no annotations
+import pyarrow.parquet as pq  # type: ignore[import-untyped]  # the package carries no annotations
+import pytest
+from rosbags.rosbag2 import StoragePlugin
+
+from identification.errors import LogError
+from identification.logs.containers.mcap_file import McapContainer
+from identification.logs.containers.open import is_table, open_container, sha256_of
+from identification.logs.containers.ros1_bag import Ros1BagContainer
+from identification.logs.containers.rosbag2_folder import Rosbag2FolderContainer
+from identification.logs.containers.sqlite_bag import SqliteBagContainer
+from tests.identification.logs.containers.database import write_db3
+from tests.identification.logs.containers.stored import several, write_bag, write_folder
+
+SENTENCE = {
+    "empty.mcap": (b"", "is empty (0 bytes)"),
+    "notes.mcap": (b"Monday, third run\n", "is text (it starts with 'Monday, third run"),
+    "run.csv": (
+        b"t,fx\n0,1\n",
+        "is a table: its columns have no types that tell what they mean; map them in cell.yaml",
+    ),
+    "run.TSV": (b"t\tfx\n0\t1\n", "is a table"),
+    "latin.csv": ("Zeit,Kraft_ü\n0,1\n".encode("latin-1"), "is a table"),
+    "excel.csv": ("t;fx\n0;1\n".encode("utf-16"), "is a table"),
+    "no_text.csv": (bytes(range(256)), "is not a log: it starts with the bytes 00 01 02"),
+    "run.gz": (gzip.compress(b"x"), "is compressed with gzip"),
+    "run.bz2": (bz2.compress(b"x"), "is compressed with bzip2"),
+    "run.xz": (lzma.compress(b"x"), "is compressed with xz"),
+    "run.lz4": (lz4.frame.compress(b"x"), "is compressed with lz4"),
+    "cut.mcap": (b"\x89MCAP", "is truncated within its first 5 bytes"),
+    "old.bag": (b"#ROSBAG V1.2\n", "is a ROS 1 bag of version 1"),
+    "short.bag": (b"#ROSBAG V2", "is truncated within its first 10 bytes"),
+    "bare.db3": (b"SQLite format 3\0", "is damaged or no SQLite log"),
+    "noise.bin": (b"\x07\x01\x02\x03", "is not a log: it starts with the bytes 07 01 02 03"),
+}
+
+
+@pytest.mark.parametrize("name", SENTENCE)
+def test_what_is_no_log_is_told_in_one_sentence(tmp_path: Path, name: str) -> None:
+    data, complaint = SENTENCE[name]
+    (tmp_path / name).write_bytes(data)
+    for salvage in (False, True):
+        with pytest.raises(LogError) as caught:
+            open_container(tmp_path / name, salvage=salvage).survey()
+        text = str(caught.value)
+        assert text.startswith(name)
+        assert complaint in text
+        assert "\n" not in text
+        assert text.endswith(".")
+
+
+def test_archives_are_named(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "run.zip", "w") as archive:
+        archive.writestr("run.mcap", b"x")
+    with pytest.raises(LogError, match=r"run\.zip is a ZIP archive.*unpack it"):
+        open_container(tmp_path / "run.zip")
+
+
+def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
+    cases: dict[Path, str] = {
+        tmp_path / "absent.mcap": "cannot be read: No such file",
+        Path("/dev/zero"): "is not a regular file",
+        tmp_path / "nul\0.mcap": "is not a file name|cannot be read",
+        tmp_path / ("x" * 300): "cannot be read: File name too long",
+        tmp_path / "absent.mcap" / "inside": "cannot be read",
+    }
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / "socket"))
+        os.mkfifo(tmp_path / "pipe")
+        cases |= {tmp_path / "socket": "is not a regular file", tmp_path / "pipe": "is not a regular file"}
+        for path, complaint in cases.items():
+            with pytest.raises(LogError, match=complaint):
+                open_container(path)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_what_may_not_be_read_is_refused(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "run.bag", several(5))
+    path.chmod(0)
+    with pytest.raises(LogError, match="cannot be read: Permission denied"):
+        open_container(path)
+    tmp_path.chmod(0)
+    with pytest.raises(LogError, match="cannot be read: Permission denied"):
+        open_container(tmp_path)
+    tmp_path.chmod(0o700)
+
+
+def test_the_content_decides_not_the_name(tmp_path: Path) -> None:
+    write_folder(tmp_path / "mcap", several(5), StoragePlugin.MCAP)
+    write_folder(tmp_path / "sqlite", several(5))
+    kinds = {
+        (tmp_path / "mcap" / "mcap.mcap").rename(tmp_path / "one"): McapContainer,
+        (tmp_path / "sqlite" / "sqlite.db3").rename(tmp_path / "two.mcap"): SqliteBagContainer,
+        write_bag(tmp_path / "three.db3", several(5)): Ros1BagContainer,
+    }
+    folder = write_folder(tmp_path / "four.bag", several(5))
+    for path, kind in {**kinds, folder: Rosbag2FolderContainer}.items():
+        container = open_container(path)
+        assert isinstance(container, kind)
+        container.close()
+
+
+def test_tables_are_told_by_their_content(tmp_path: Path) -> None:
+    pq.write_table(pa.table({"a": [1.0]}), tmp_path / "any.name")
+    assert is_table(tmp_path / "any.name")
+    with pytest.raises(LogError, match="is a table"):
+        open_container(tmp_path / "any.name")
+    assert not is_table(write_bag(tmp_path / "run.csv", several(5)))
+    assert not is_table(write_db3(tmp_path / "run.txt", several(5)))
+    cut = tmp_path / "cut.csv"
+    # The first block that is looked at ends within a character of two bytes.
+    cut.write_bytes(b"a" * 4095 + "ü,1\n".encode() * 9)
+    assert is_table(cut)
+
+
+def test_recorded_tables_are_tables(shared_data: Path) -> None:
+    assert all(is_table(path) for path in (shared_data / "nj60").glob("*.csv"))
+
+
+def test_the_digest_is_that_of_the_bytes_and_of_a_folder_that_of_its_list(tmp_path: Path) -> None:
+    path = write_folder(tmp_path / "bag", several(20))
+    (path / ".hidden").write_bytes(b"x")
+    assert sha256_of(path / "bag.db3") == hashlib.sha256((path / "bag.db3").read_bytes()).hexdigest()
+    printed = subprocess.run(
+        "LC_ALL=C; sha256sum * | sha256sum", shell=True, cwd=path, capture_output=True, text=True, check=True
+    )
+    before = sha256_of(path)
+    assert before == printed.stdout.split()[0]
+    (path / "bag.db3").rename(path / "other.db3")
+    assert sha256_of(path) != before
+    with pytest.raises(LogError, match="cannot be read: No such file"):
+        sha256_of(tmp_path / "absent")

@@ -1,0 +1,55 @@
+"""Spikes of the wrench go, impacts and noise stay."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from identification.signals.recording import Recording
+from identification.signals.spikes import without_spikes
+
+
+def test_spikes_are_replaced_and_counted(demo_recording: Recording) -> None:
+    rng = np.random.default_rng(1)
+    force = demo_recording.wrench.force_n.copy()
+    at = np.sort(rng.choice(np.arange(5, len(force) - 5, 40), 200, replace=False))
+    force[at, 0] += 80.0 * rng.choice([-1.0, 1.0], 200)
+    spoilt = dataclasses.replace(demo_recording, wrench=dataclasses.replace(demo_recording.wrench, force_n=force))
+    clean, (finding,) = without_spikes(spoilt)
+    assert (finding.code, finding.severity) == ("spikes", "warning")
+    assert "has 200 single values" in finding.message
+    # The mean of two neighbours: their noise of 0.14 N, and what the motion bends within a sample.
+    assert np.max(np.abs(clean.wrench.force_n - demo_recording.wrench.force_n)) < 5.0 * 0.14 * np.sqrt(1.5) + 0.2
+    untouched = np.setdiff1d(np.arange(len(force)), at)
+    np.testing.assert_array_equal(clean.wrench.force_n[untouched], force[untouched])
+
+
+def test_a_log_without_spikes_stays_as_it_is(demo_recording: Recording) -> None:
+    """Four impacts, a sweep to 55 Hz and 270,000 samples of noise."""
+    clean, findings = without_spikes(demo_recording)
+    assert clean is demo_recording
+    assert findings == ()
+
+
+@pytest.mark.parametrize("samples_per_period", [4.3, 6.0, 9.7])
+def test_a_vibration_near_the_sampling_rate_is_no_row_of_spikes(
+    demo_recording: Recording, samples_per_period: float
+) -> None:
+    force = demo_recording.wrench.force_n.copy()
+    ticks = np.arange(4000)
+    burst = np.exp(-(((ticks - 2000) / 600.0) ** 2)) * np.sin(2.0 * np.pi * ticks / samples_per_period)
+    force[20000:24000, 0] += 60.0 * burst
+    shaking = dataclasses.replace(demo_recording, wrench=dataclasses.replace(demo_recording.wrench, force_n=force))
+    assert without_spikes(shaking)[0] is shaking
+
+
+def test_a_deadband_that_is_zero_most_of_the_time_has_no_spikes(demo_recording: Recording) -> None:
+    force = np.where(
+        np.abs(demo_recording.wrench.force_n - demo_recording.wrench.force_n[0]) < 20.0,
+        0.0,
+        demo_recording.wrench.force_n,
+    )
+    quiet = dataclasses.replace(demo_recording, wrench=dataclasses.replace(demo_recording.wrench, force_n=force))
+    # Noise at the deadband's edge comes and goes by single samples.
+    clean, _ = without_spikes(quiet)
+    assert clean is quiet

@@ -1,0 +1,151 @@
+"""Every touch ends in a surface or in a finding of severity error; scipy integrates payload and wall."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from identification.result import CONTACT_UNEXPLAINED, EnvironmentEstimate, Estimate, Status
+from identification.timeline.contact_slope import learn_slope
+from identification.timeline.contacts import find_contacts
+from identification.timeline.left_contacts import Accounted, SeenAxis, account_for_contacts
+from identification.timeline.timeline import build_timeline
+from identification.verdicts import unidentifiable
+from tests.identification.signals.test_segments import line, log_of
+from tests.identification.synthetic import ramp
+from tests.identification.timeline.test_contacts import H_S, LOAD, WALL_M, Press, driven, pressed, there_and_back
+
+FloatArray = NDArray[np.float64]
+
+K_S = Estimate(value=LOAD.stiffness, std=0.01 * LOAD.stiffness, status=Status.IDENTIFIED)
+UNTOLD = unidentifiable(note="not told")
+
+
+@cache
+def restless(stiffness: float, force_n: float, chatter_n: float = 0.0) -> Press:
+    """Press for a second without ever coming to rest, and with `chatter_n` shaken off the wall 12 times a second."""
+    rest, way = np.zeros(round(0.8 / H_S)), ramp(round(0.6 / H_S))
+    time = np.arange(round(1.0 / H_S)) * H_S
+    steady = WALL_M + force_n / stiffness + force_n / LOAD.stiffness
+    swing = (max(chatter_n, 0.4 * force_n) / stiffness) * np.sin(2.0 * np.pi * (12.0 if chatter_n else 3.0) * time)
+    # A swing is 3 periods or 12, so the way begins and ends in the middle.
+    return driven(stiffness, np.concatenate([rest, steady * way, steady + swing, steady * way[::-1], rest]))
+
+
+def pushed() -> Press:
+    """Move 4 mm, rest for 1.2 s with 30 N on the payload but for the first and last 0.1 s, and go back."""
+    rest, way, stay = np.zeros(round(0.8 / H_S)), 4e-3 * ramp(round(0.6 / H_S)), round(1.2 / H_S)
+    free = driven(2e5, np.concatenate([rest, way, np.full(stay, way[-1]), way[::-1], rest]))
+    force, edge = free.force_n.copy(), round(0.1 / H_S)
+    begin = len(rest) + len(way)
+    force[begin + edge : begin + stay - edge] -= 30.0
+    return replace(free, force_n=force)
+
+
+def seen(
+    *presses: Press, fitted: EnvironmentEstimate | None = None, sign: float = 1.0, coupling: Estimate = K_S
+) -> tuple[Accounted, SeenAxis]:
+    """What the time line finds of one axis, and where it ends."""
+    position = np.concatenate([press.position_m for press in presses])
+    force = np.concatenate([press.force_n for press in presses])
+    of, payload, motion = pressed(position, force, sign=sign)
+    found = find_contacts(of, payload, motion, H_S)
+    log = log_of(line(position))
+    phases = build_timeline(log, motion, log.force_S_n, [of], None, LOAD.mass, [found])
+    surfaces = () if fitted is None else ((int(sign), fitted),)
+    axis = SeenAxis(of=of, payload=payload, pressed=found, coupling=coupling, surfaces=surfaces)
+    return account_for_contacts(phases, [axis], H_S), axis
+
+
+def surface(name: str, stiffness: float) -> EnvironmentEstimate:
+    known = Estimate(value=stiffness, std=1e-3 * stiffness, status=Status.IDENTIFIED)
+    return EnvironmentEstimate(
+        name=name,
+        stiffness_n_per_m=known,
+        secant_stiffness_n_per_m=known,
+        damping_n_s_per_m=UNTOLD,
+        mass_kg=UNTOLD,
+        contacts=1,
+        peak_force_n=(30.0,),
+    )
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("chatter_n", [0.0, 60.0])
+@pytest.mark.parametrize("stiffness", [3e4, 2e5, 6e5])
+def test_a_press_without_a_hold_is_a_weak_surface_whose_range_holds_the_wall(
+    stiffness: float, chatter_n: float, sign: float
+) -> None:
+    accounted, _ = seen(restless(stiffness, 40.0, chatter_n), sign=sign)
+    (added,) = accounted.surfaces["x"]
+    assert added.name == "x1"
+    assert added.stiffness_n_per_m.status is Status.WEAK
+    assert added.stiffness_n_per_m.ci95 is not None
+    low, high = added.stiffness_n_per_m.ci95
+    assert low < stiffness < high
+    # Three deviations of 7 % each, and what K_s to 1 % leaves open of a wall twice as stiff as K_s.
+    assert high / low < 2.2
+    assert {f.severity for f in accounted.findings} == {"warning"}
+    assert {p.contact.surface for p in accounted.phases if p.contact is not None} == {"x1"}
+
+
+def test_a_peak_without_a_hold_is_that_of_the_whole_contact() -> None:
+    press = restless(2e5, 40.0, 60.0)
+    accounted, _ = seen(press)
+    (added,) = accounted.surfaces["x"]
+    # Five deviations of 0.1 N of noise.
+    assert max(added.peak_force_n) == pytest.approx(float(np.max(-press.force_n)), abs=0.5)
+    assert max(p.contact.peak_force_n for p in accounted.phases if p.contact) == pytest.approx(
+        float(np.max(-press.force_n)), abs=0.5
+    )
+
+
+def test_a_contact_on_a_fitted_surface_is_one_of_it_and_another_is_not() -> None:
+    soft, stiff = restless(3e4, 40.0), restless(2e5, 40.0)
+    accounted, _ = seen(soft, stiff, fitted=surface("x1", 3.1e4))
+    names = [p.contact.surface for p in accounted.phases if p.contact is not None]
+    assert names == ["x1", "x2"]
+    assert [s.name for s in accounted.surfaces["x"]] == ["x2"]
+    assert accounted.surfaces["x"][0].contacts == 1
+
+
+def test_what_the_way_in_does_not_show_is_an_error_with_its_time_and_peak() -> None:
+    press = there_and_back(1.5e5, 3e-4)
+    inside = slice(press.first + 300, press.last - 300)
+    cut = Press(position_m=press.position_m[inside], force_n=press.force_n[inside], first=0, last=0)
+    accounted, axis = seen(cut)
+    assert len(axis.pressed.untold) == 1
+    (finding,) = accounted.findings
+    assert (finding.code, finding.severity, finding.axis) == (CONTACT_UNEXPLAINED, "error", "x")
+    peak = float(np.max(np.abs(axis.of.axis.force_n)))
+    assert f"0.0 s ({peak:.1f} N)" in finding.message
+
+
+def test_without_a_coupling_no_slope_is_told() -> None:
+    _, axis = seen(restless(2e5, 40.0))
+    (contact,) = axis.pressed.contacts
+    assert learn_slope(axis.of, axis.payload, contact, K_S) is not None
+    assert learn_slope(axis.of, axis.payload, contact, UNTOLD) is None
+    # K_s to a third leaves more than half of a stiff wall open.
+    vague = replace(K_S, std=0.33 * LOAD.stiffness)
+    assert learn_slope(axis.of, axis.payload, contact, vague) is None
+
+
+@pytest.mark.parametrize("coupling", [K_S, replace(K_S, std=0.33 * LOAD.stiffness)])
+@pytest.mark.parametrize("order", [(3e4, 2e5), (2e5, 3e4, 3e4)])
+def test_as_many_touches_are_found_as_end_in_surfaces_and_findings(
+    order: tuple[float, ...], coupling: Estimate
+) -> None:
+    presses = [pushed(), *(restless(stiffness, 40.0) for stiffness in order), there_and_back(1e5, 4e-4)]
+    accounted, axis = seen(*presses, coupling=coupling)
+    touches = len(axis.pressed.contacts) + len(axis.pressed.untold)
+    assert touches == len(order) + 1
+    # A force that comes and goes while the flange rests is no surface's.
+    assert len(axis.pressed.by_hand) == 1
+    named = sum(s.contacts for s in accounted.surfaces["x"])
+    told = [f.message.count(" N)") for f in accounted.findings if f.code == CONTACT_UNEXPLAINED]
+    assert named + sum(told) == touches
+    # K_s to a third leaves 3 · 0.33 K_e/K_s open: 0.8 of 2e5, and 0.4 of 1e5.
+    assert named == sum(stiffness < 2e5 or coupling is K_S for stiffness in (*order, 1e5))

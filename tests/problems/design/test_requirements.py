@@ -1,0 +1,115 @@
+"""Requirements as values: what is soft, what it costs, what was achieved, and asking for less."""
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from problems.design.requirements import (
+    LARGEST_SHARE,
+    REQUIREMENTS,
+    AdmittanceTarget,
+    Asked,
+    NoiseLimit,
+    PassivityTarget,
+    Requirements,
+    achieved,
+    eased,
+    level,
+)
+from problems.errors import ParameterError
+from tests.problems.axes import LAW
+
+EVERYTHING = Requirements(
+    decay_rate_per_s=2.0,
+    max_peak_force_n=80.0,
+    command_noise=NoiseLimit(max_speed_rms_m_s=1e-3, force_noise_rms_n=0.2),
+    passivity=PassivityTarget(passive_below_hz=12.0),
+)
+UPPER = ("max_peak_force_n", "command_noise")
+
+
+def test_what_is_asked_is_told_by_name() -> None:
+    assert tuple(EVERYTHING.asked()) == REQUIREMENTS
+    assert "passivity" not in Requirements().asked()
+
+
+@pytest.mark.parametrize(
+    ("soft", "must"),
+    [
+        ({"stability": 1.0}, "given for modulus_margin"),
+        ({"passivity": 1.0}, "together with what is asked"),
+        ({"modulus_margin": 0.0}, "above 0"),
+        ({"modulus_margin": math.inf}, "above 0"),
+        ({"modulus_margin": 1e7}, "at most 1e\\+06 N"),
+    ],
+)
+def test_a_price_that_means_nothing_is_refused(soft: dict[str, float], must: str) -> None:
+    with pytest.raises(ParameterError, match=must):
+        Requirements(soft_n=soft)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: NoiseLimit(max_speed_rms_m_s=0.0),
+        lambda: NoiseLimit(max_speed_rms_m_s=1e-3, force_noise_rms_n=-1.0),
+        lambda: PassivityTarget(passive_below_hz=0.0),
+    ],
+)
+def test_limits_are_numbers_above_zero(make: Any) -> None:
+    with pytest.raises(ParameterError):
+        make()
+
+
+def test_missing_by_a_share_costs_that_share_of_the_price() -> None:
+    asked = Requirements(soft_n={"modulus_margin": 20.0})
+    assert asked.cost_n("modulus_margin", 0.9) == 0.0
+    assert asked.cost_n("modulus_margin", 1.25) == pytest.approx(5.0, rel=1e-15)
+    # However far away, a cost stays a number, so that the search can order what misses it.
+    assert asked.cost_n("modulus_margin", math.inf) == asked.cost_n("modulus_margin", math.nan) == 20.0 * LARGEST_SHARE
+
+
+def test_hard_and_soft_are_told_apart() -> None:
+    asked = Requirements(soft_n={"modulus_margin": 20.0})
+    assert asked.split({"modulus_margin": 1.2, "gain_margin_db": 0.9}) == (
+        {"gain_margin_db": 0.9},
+        {"modulus_margin": 1.2},
+    )
+
+
+def ratio_at(name: str, asked: Asked, reached: float) -> float:
+    """Required/achieved by its definition: above 1 is missed."""
+    return reached / level(asked) if name in UPPER else level(asked) / reached
+
+
+@LAW
+@given(name=st.sampled_from(REQUIREMENTS), ratio=st.floats(1e-3, 1e3))
+def test_what_is_achieved_has_that_ratio(name: str, ratio: float) -> None:
+    asked = EVERYTHING.asked()[name]
+    assert ratio_at(name, asked, achieved(name, asked, ratio)) == pytest.approx(ratio, rel=1e-12)
+
+
+def test_a_margin_without_limit_is_infinite_and_no_noise_is_none() -> None:
+    assert achieved("gain_margin_db", 6.0, 0.0) == math.inf
+    assert achieved("command_noise", EVERYTHING.asked()["command_noise"], 0.0) == 0.0
+
+
+@LAW
+@given(name=st.sampled_from(REQUIREMENTS), share=st.floats(1e-6, 0.5))
+def test_easing_asks_for_less_of_one_and_leaves_the_others(name: str, share: float) -> None:
+    less = eased(EVERYTHING, name, share)
+    before, after = EVERYTHING.asked(), less.asked()
+    # At what the first asked for, the eased one is met with something left.
+    assert ratio_at(name, after[name], level(before[name])) < 1.0
+    assert {key: value for key, value in after.items() if key != name} == {
+        key: value for key, value in before.items() if key != name
+    }
+
+
+def test_noise_is_counted_by_the_speed_that_it_makes() -> None:
+    limit = NoiseLimit(max_speed_rms_m_s=2e-3, force_noise_rms_n=0.5)
+    assert limit.ratio(4e-3) == pytest.approx(1.0, rel=1e-15)
+    assert AdmittanceTarget().scaled(0.5).min_m_s_per_n == 3.5e-4
