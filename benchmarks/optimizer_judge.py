@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.tuning.bounds import Box
-from problems.design.batch_evaluation import Screen, build_screen
+from problems.design.batch_evaluation import BatchEvaluator, build_batch_evaluator
 from problems.design.evaluation import build_scenarios
 from problems.design.problem import VARIABLES, DesignProblem
 
@@ -82,12 +82,12 @@ class Trace:
             )
 
 
-def screen_of(problem: DesignProblem, counts: tuple[int, int]) -> Screen:
+def screen_of(problem: DesignProblem, counts: tuple[int, int]) -> BatchEvaluator:
     """Prepare the evaluator over a grid of (stiffnesses, masses)."""
-    return build_screen(build_scenarios(problem, problem.scenarios(*counts)))
+    return build_batch_evaluator(build_scenarios(problem, problem.scenarios(*counts)))
 
 
-def judge(screen: Screen, design: FloatArray) -> Verdict:
+def judge(screen: BatchEvaluator, design: FloatArray) -> Verdict:
     """Evaluate one design over the screen's scenarios."""
     found = screen.evaluate(design[None], peaks_if_missed=True)
     return Verdict(
@@ -97,7 +97,7 @@ def judge(screen: Screen, design: FloatArray) -> Verdict:
     )
 
 
-def ranked_costs(screen: Screen, box: Box) -> Callable[[FloatArray], FloatArray]:
+def ranked_costs(screen: BatchEvaluator, box: Box) -> Callable[[FloatArray], FloatArray]:
     """Return costs (m,) of points (m, 4) of the unit cube for methods that know no constraints.
 
     The order is that of the search itself: every feasible design before every infeasible one (by what it misses)
@@ -156,7 +156,7 @@ class Standing:
     note: str
 
 
-def stand(trace: Trace, screen: Screen, best_n: float) -> Standing:
+def stand(trace: Trace, screen: BatchEvaluator, best_n: float) -> Standing:
     """Judge what a peer found: the first feasible design within 1 % of `best_n`, and the last one."""
     verdicts = [(each.seconds, judge(screen, each.design)) for each in trace.incumbents]
     close = [seconds for seconds, verdict in verdicts if verdict.is_feasible and verdict.objective_n <= 1.01 * best_n]

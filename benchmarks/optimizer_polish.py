@@ -18,7 +18,7 @@ from autotune.tuning.descent import descend
 from autotune.tuning.optimality import check_optimality
 from autotune.tuning.polish import LocalProblem, polish_exactly
 from autotune.tuning.search import solve_design
-from problems.design.batch_evaluation import Screen, build_screen
+from problems.design.batch_evaluation import BatchEvaluator, build_batch_evaluator
 from problems.design.problem import DesignProblem
 
 FloatArray = NDArray[np.float64]
@@ -61,7 +61,7 @@ class _Slack(ca.Callback):
         return self._derivatives[-1]
 
 
-def polish_by_ipopt(screen: Screen, design: FloatArray) -> FloatArray:
+def polish_by_ipopt(screen: BatchEvaluator, design: FloatArray) -> FloatArray:
     """Return what IPOPT makes of the local problem of a design; without soft requirements."""
     problem, count = LocalProblem(screen, design, backoff={}, reserve=RESERVE), len(design)
     x, slack = ca.MX.sym("x", count + 1), _Slack(problem, count + 1)
@@ -96,7 +96,7 @@ def _options() -> dict[str, Any]:
 def compare_polishes(name: str, problem: DesignProblem) -> list[dict[str, Any]]:
     """Polish one problem by both; the least processor time of a few runs each."""
     result = solve_design(problem)
-    screen, box = build_screen(result.active), Box(problem)
+    screen, box = build_batch_evaluator(result.active), Box(problem)
     start = box.design(descend(screen, box, box.unit(result.design)).unit)
     solvers: dict[str, Callable[[], FloatArray]] = {
         "before": lambda: start,

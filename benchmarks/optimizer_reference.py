@@ -10,7 +10,7 @@ from scipy.optimize import differential_evolution
 from autotune.tuning.bounds import Box
 from autotune.tuning.worst import DENSE_MASS, DENSE_STIFFNESS
 from benchmarks.optimizer_judge import DIMENSION, is_peak, ranked_costs
-from problems.design.batch_evaluation import build_screen
+from problems.design.batch_evaluation import build_batch_evaluator
 from problems.design.evaluation import PreparedScenarios, build_scenarios, normalise_margins
 from problems.design.problem import DesignProblem
 from problems.design.uncertainty import Scenario
@@ -46,7 +46,7 @@ def evolve_long(
 
     It ends before `generations` once the whole population agrees to 1e-7.
     """
-    box, screen = Box(problem), build_screen(build_scenarios(problem, scenarios))
+    box, screen = Box(problem), build_batch_evaluator(build_scenarios(problem, scenarios))
     costs, evaluations = ranked_costs(screen, box), 0
 
     def counted(units: FloatArray) -> FloatArray:

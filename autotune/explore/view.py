@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from problems.contact.transient import ContactTransient, SampledContact, transient_from
-from problems.design.batch_evaluation import Screen, build_screen
+from problems.design.batch_evaluation import BatchEvaluator, build_batch_evaluator
 from problems.design.evaluation import Evaluation, build_scenarios
 from problems.design.problem import DesignProblem
 from problems.design.uncertainty import Scenario
@@ -34,7 +34,7 @@ class PreparedView:
 
     problem: DesignProblem
     scenario: Scenario
-    screen: Screen
+    screen: BatchEvaluator
     own: int
     response: PlantResponse
     band: PlantResponse
@@ -148,7 +148,7 @@ def prepare_view(problem: DesignProblem, scenario: Scenario, around: Sequence[Sc
     return PreparedView(
         problem=problem,
         scenario=scenario,
-        screen=build_screen(prepared),
+        screen=build_batch_evaluator(prepared),
         own=own,
         response=plant_response(pair.contact, frequency_grid(pair.contact, _POINTS)),
         band=plant_response(pair.free, 2.0 * np.pi * np.geomspace(_LOWEST_HZ, highest, _POINTS)),

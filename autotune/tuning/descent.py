@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from problems.design.batch_evaluation import Screen
+from problems.design.batch_evaluation import BatchEvaluator
 
 from .bounds import Box
 
@@ -33,7 +33,12 @@ class Descent:
 
 
 def descend(
-    screen: Screen, box: Box, start: FloatArray, *, backoff: Mapping[str, float] = _NONE, reserve: float = BACKOFF
+    screen: BatchEvaluator,
+    box: Box,
+    start: FloatArray,
+    *,
+    backoff: Mapping[str, float] = _NONE,
+    reserve: float = BACKOFF,
 ) -> Descent:
     """Lower t, which no scenario's peak may exceed, while every margin keeps its limit, from a point (n,) on.
 
@@ -85,7 +90,7 @@ class _Around:
     """
 
     def __init__(
-        self, screen: Screen, box: Box, backoff: Mapping[str, float], reserve: float, start: FloatArray
+        self, screen: BatchEvaluator, box: Box, backoff: Mapping[str, float], reserve: float, start: FloatArray
     ) -> None:
         self.screen, self.box, self.backoff, self.reserve = screen, box, backoff, reserve
         self.evaluations, self.scale, self.spares = 0, 1.0, np.zeros((0, 0))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from problems.design.batch_evaluation import Screened, build_screen
+from problems.design.batch_evaluation import BatchEvaluation, build_batch_evaluator
 
 from .bounds import Box, spread_out
 from .descent import descend
@@ -58,7 +58,7 @@ class Reference:
 
 def find_reference(search: SearchResult) -> Reference:
     """Look for a better design than the search's, where less is asked; the same for the same search."""
-    problem, screen, box = search.problem, build_screen(search.active), Box(search.problem)
+    problem, screen, box = search.problem, build_batch_evaluator(search.active), Box(search.problem)
     units = qmc.Sobol(len(problem.variables), scramble=False).random_base2(_LOG2_OF_DESIGNS)
     order = np.argsort(_costs(screen.evaluate(box.design(units))), kind="stable")
     starts = spread_out(units[order], _APART, _DESCENTS)
@@ -79,7 +79,7 @@ def find_reference(search: SearchResult) -> Reference:
     )
 
 
-def _costs(found: Screened) -> FloatArray:
+def _costs(found: BatchEvaluation) -> FloatArray:
     """Order designs (m,): feasible ones by the objective, before the others by what they miss, before unstable ones."""
     with np.errstate(invalid="ignore"):
         judged = np.where(

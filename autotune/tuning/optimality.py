@@ -19,15 +19,15 @@ from scipy.optimize import nnls
 from problems.contact.transient import transient_from
 from problems.design.evaluation import PreparedScenarios, normalise_margins, normalise_plant, passivity_ratios
 from problems.design.gradients import (
-    Slope,
-    admittance_slope,
-    decay_slope,
-    delay_slope,
-    gain_slope,
-    modulus_slope,
-    passivity_slope,
-    peak_slope,
-    phase_slope,
+    Gradient,
+    admittance_gradient,
+    decay_gradient,
+    delay_gradient,
+    gain_gradient,
+    modulus_gradient,
+    passivity_gradient,
+    peak_gradient,
+    phase_gradient,
 )
 from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
 from problems.design.requirements import LARGEST_SHARE
@@ -53,11 +53,11 @@ LEAST_RATIO = 1e-100
 # The order of the controller's parameters in a slope.
 _PARAMETERS = (*VARIABLES, *FURTHER_VARIABLES)
 
-_MARGIN_SLOPES: dict[str, Callable[[SampledPlant, AdmittanceController], Slope | None]] = {
-    "gain_margin_db": gain_slope,
-    "phase_margin_deg": phase_slope,
-    "delay_margin_s": delay_slope,
-    "decay_rate_per_s": decay_slope,
+_MARGIN_SLOPES: dict[str, Callable[[SampledPlant, AdmittanceController], Gradient | None]] = {
+    "gain_margin_db": gain_gradient,
+    "phase_margin_deg": phase_gradient,
+    "delay_margin_s": delay_gradient,
+    "decay_rate_per_s": decay_gradient,
 }
 
 
@@ -220,7 +220,7 @@ def _peak_row(
     # A force that has crept so long is nearly at rest; unrolled that far, its derivative costs a hundred simulations.
     slope = None
     if moment <= _LATEST_TICK * problem.sample_time_s and _moves_exactly(problem, controller):
-        slope = peak_slope(pair.contact, controller, problem.approach, moment, at_sensor=at_sensor)
+        slope = peak_gradient(pair.contact, controller, problem.approach, moment, at_sensor=at_sensor)
     if slope is not None and abs(slope.value - value) <= _AGREES * value:
         return Row(name=PEAK, value=math.log(value), gradient=_scaled(slope, problem, widths) / value, is_exact=True)
 
@@ -239,9 +239,9 @@ def _margin_row(
     margins = plant.find(controller, spectral_radius(build_loop(plant.sampled, controller)))
     value = normalise_margins(problem.requirements, margins, problem.sample_time_s)[name]
     required = getattr(problem.requirements, name)
-    slope: Slope | None
+    slope: Gradient | None
     if name == "modulus_margin":
-        slope = modulus_slope(plant.sampled, controller, 2.0 * math.pi * margins.modulus_hz)
+        slope = modulus_gradient(plant.sampled, controller, 2.0 * math.pi * margins.modulus_hz)
     else:
         slope = _MARGIN_SLOPES[name](plant.sampled, controller)
     exact = slope is not None and _moves_exactly(problem, controller)
@@ -263,7 +263,7 @@ def _admittance_row(prepared: PreparedScenarios, design: FloatArray, widths: Flo
 
         gradient = _differences(log_of, design, widths)
         return Row(name=name, value=log_of(design), gradient=gradient, is_exact=False)
-    slopes = [admittance_slope(plant, controller, target.band_hz) for plant in robots.values()]
+    slopes = [admittance_gradient(plant, controller, target.band_hz) for plant in robots.values()]
     return _row(name, target.min_m_s_per_n, min(slopes, key=lambda slope: slope.value), problem, widths)
 
 
@@ -282,7 +282,7 @@ def _passivity_row(port: PreparedPort, problem: DesignProblem, design: FloatArra
         and value < math.log(LARGEST_SHARE)
         and fails_hz < 0.499 / port.sampled.sample_time_s
     ):
-        slope = passivity_slope(port.sampled, controller, fails_hz)
+        slope = passivity_gradient(port.sampled, controller, fails_hz)
         return _row("passivity", target.passive_below_hz, slope, problem, widths)
     return Row(name="passivity", value=value, gradient=_differences(log_of, design, widths), is_exact=False)
 
@@ -313,7 +313,7 @@ def _log_requirement(problem: DesignProblem, plant: PreparedMargins, name: str) 
     return log_of
 
 
-def _row(name: str, required: float, slope: Slope, problem: DesignProblem, widths: FloatArray) -> Row:
+def _row(name: str, required: float, slope: Gradient, problem: DesignProblem, widths: FloatArray) -> Row:
     return Row(
         name=name,
         value=math.log(required / slope.value),
@@ -322,7 +322,7 @@ def _row(name: str, required: float, slope: Slope, problem: DesignProblem, width
     )
 
 
-def _scaled(slope: Slope, problem: DesignProblem, widths: FloatArray) -> FloatArray:
+def _scaled(slope: Gradient, problem: DesignProblem, widths: FloatArray) -> FloatArray:
     free = [_PARAMETERS.index(name) for name in problem.variables]
     return np.asarray(slope.by_controller[free] * widths)
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from problems.design.batch_evaluation import Screen
+from problems.design.batch_evaluation import BatchEvaluator
 from problems.design.requirements import LARGEST_SHARE
 
 from .bounds import bounds_of, linear_variables
@@ -20,7 +20,9 @@ _ITERATIONS = 6
 _WALL = 1e3
 
 
-def polish_exactly(screen: Screen, design: FloatArray, *, backoff: Mapping[str, float], reserve: float) -> FloatArray:
+def polish_exactly(
+    screen: BatchEvaluator, design: FloatArray, *, backoff: Mapping[str, float], reserve: float
+) -> FloatArray:
     """Return a design (n,) near a stable one, with a lower peak if the gradients lead to one.
 
     Sequential quadratic programming on `LocalProblem`. Whether the result is better, and feasible, is for the caller
@@ -50,7 +52,9 @@ class LocalProblem:
     their limits. `moves` are the bounds of the moves, `prices` (N) those of the soft requirements.
     """
 
-    def __init__(self, screen: Screen, design: FloatArray, *, backoff: Mapping[str, float], reserve: float) -> None:
+    def __init__(
+        self, screen: BatchEvaluator, design: FloatArray, *, backoff: Mapping[str, float], reserve: float
+    ) -> None:
         problem = screen.prepared.problem
         self._screen, self._design = screen, design
         self._widths, self._bounds = unit_widths(problem, design), bounds_of(problem)
@@ -118,7 +122,7 @@ def _log_of_sum(levels: FloatArray, shares: FloatArray, count: int) -> tuple[flo
     return float(np.log(total)), np.concatenate([np.zeros(count), [peak / total], shares * missed / total])
 
 
-def _moves(screen: Screen, design: FloatArray, widths: FloatArray) -> list[tuple[float, float]]:
+def _moves(screen: BatchEvaluator, design: FloatArray, widths: FloatArray) -> list[tuple[float, float]]:
     """Return how far each variable may move: to its bounds, and not far."""
     moves, problem = [], screen.prepared.problem
     for value, width, name, linear in zip(design, widths, problem.variables, linear_variables(problem), strict=True):

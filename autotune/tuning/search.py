@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, differential_evolution
 
 from autotune.errors import InfeasibleError
-from problems.design.batch_evaluation import Screen, Screened, build_screen
+from problems.design.batch_evaluation import BatchEvaluator, BatchEvaluation, build_batch_evaluator
 from problems.design.evaluation import Evaluation, PlantMargins, PreparedScenarios, build_scenarios
 from problems.design.problem import DesignProblem
 from problems.design.uncertainty import Scenario
@@ -289,12 +289,12 @@ class Search:
             callback=has_gathered,
         )
 
-    def _screen(self, active: tuple[Scenario, ...]) -> Screen:
+    def _screen(self, active: tuple[Scenario, ...]) -> BatchEvaluator:
         self._calm = np.inf
-        return replace(build_screen(build_scenarios(self.problem, active)), goal=self.goal)
+        return replace(build_batch_evaluator(build_scenarios(self.problem, active)), goal=self.goal)
 
     def _costs(
-        self, screen: Screen, units: FloatArray, *, peaks_if_missed: bool, tightened: bool = False
+        self, screen: BatchEvaluator, units: FloatArray, *, peaks_if_missed: bool, tightened: bool = False
     ) -> FloatArray:
         """Order points (m, n): every feasible one before every infeasible one before every unstable one."""
         found = screen.evaluate(self.box.design(units), peaks_if_missed=peaks_if_missed)
@@ -350,7 +350,7 @@ class Search:
         """Return the points that miss least, of those that lie apart."""
         return spread_out((unit for _, unit in sorted(seen, key=lambda pair: pair[0])), _FAR, _OTHER_VALLEYS)
 
-    def _recover(self, screen: Screen, closest: list[FloatArray]) -> FloatArray:
+    def _recover(self, screen: BatchEvaluator, closest: list[FloatArray]) -> FloatArray:
         """Walk from points that miss something into the feasible set, or say why there is no way.
 
         A population may end beside the set, or in a valley that has none of it: neither tells that there is none. Where
@@ -376,10 +376,10 @@ class Search:
             raise self._refusal(screen.prepared, [*closest, *ends, *more])
         return more[int(np.argmin(costs))]
 
-    def _tightened_costs(self, screen: Screen, units: FloatArray) -> FloatArray:
+    def _tightened_costs(self, screen: BatchEvaluator, units: FloatArray) -> FloatArray:
         return self._costs(screen, units, peaks_if_missed=True, tightened=True)
 
-    def _slack(self, found: Screened) -> FloatArray:
+    def _slack(self, found: BatchEvaluation) -> FloatArray:
         """Return 1 − required/achieved per requirement (k, m), what the grid flattered taken off."""
         return np.array([1.0 - value * self._tightened(name) for name, value in found.requirements.items()]).reshape(
             len(found.rows), len(found.radius)
@@ -395,7 +395,7 @@ class Search:
                 flattered = min(value - 1.0, 0.02)
                 self.backoff[name] = self.backoff.get(name, 0.0) + 1.5 * flattered + BACKOFF
 
-    def local(self, screen: Screen, start: FloatArray) -> FloatArray:
+    def local(self, screen: BatchEvaluator, start: FloatArray) -> FloatArray:
         """Descend from a point, with what the grid flattered asked for."""
         found = descend(screen, self.box, start, backoff=self.backoff)
         self.evaluations += found.evaluations

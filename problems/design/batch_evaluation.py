@@ -31,7 +31,7 @@ from .batch_evaluation_kernel import (
     VERDICT,
     Band,
     Plants,
-    screen_designs,
+    evaluate_designs,
 )
 from .batch_kernel import Contacts
 from .evaluation import Evaluation, PreparedScenarios, decay_ratios, passivity_ratios
@@ -53,7 +53,7 @@ _CROSSOVERS = ("gain_margin_db", "phase_margin_deg", "delay_margin_s")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Screened:
+class BatchEvaluation:
     """Designs (m,): `radius` of the first plant found unstable, 0 where all are stable.
 
     `rows` maps each requirement to required/achieved (m, k), plant by plant or scenario by scenario as it depends on
@@ -68,7 +68,7 @@ class Screened:
     soft_rows: Mapping[str, FloatArray]
     asked: Requirements
 
-    def towards(self, goal: str) -> "Screened":
+    def towards(self, goal: str) -> "BatchEvaluation":
         """Return the same with one requirement, or with `EVERY_REQUIREMENT`, in the place of peaks and wishes."""
         rows = dict(self.rows)
         if goal == EVERY_REQUIREMENT:
@@ -111,10 +111,10 @@ class Screened:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Screen:
+class BatchEvaluator:
     """Prepared scenarios as the compiled loop takes them; `slow` are requirements that it does not know.
 
-    With a `goal` that requirement is minimised, see `Screened.towards`, and everything of every design is looked at.
+    With a `goal` that requirement is minimised, see `BatchEvaluation.towards`, and everything of every design is looked at.
     """
 
     prepared: PreparedScenarios
@@ -125,7 +125,7 @@ class Screen:
     slow: tuple[str, ...]
     goal: str | None = None
 
-    def evaluate(self, designs: FloatArray, *, peaks_if_missed: bool = False) -> Screened:
+    def evaluate(self, designs: FloatArray, *, peaks_if_missed: bool = False) -> BatchEvaluation:
         """Evaluate designs (m, n) as `PreparedScenarios.evaluate` does each.
 
         Where rounding could decide a verdict, and for requirements that no compiled form has, that function is asked.
@@ -137,7 +137,7 @@ class Screen:
         whole = np.empty((len(designs), COLUMNS))
         by_plant = np.empty((len(designs), len(self.prepared.plants), PLANT_COLUMNS))
         by_pair = np.empty((len(designs), len(self.prepared.pairs), PEAK_COLUMNS))
-        screen_designs(
+        evaluate_designs(
             self.plants,
             self.contacts,
             self.band,
@@ -150,7 +150,7 @@ class Screen:
             (whole, by_plant, by_pair),
         )
         hard, soft = self._rows(whole, by_plant, by_pair)
-        found = Screened(
+        found = BatchEvaluation(
             radius=self._radius(whole, controllers),
             rows=hard,
             peaks_n=np.nan_to_num(
@@ -169,7 +169,7 @@ class Screen:
             found.peaks_n[found.violation > 0.0] = np.inf
         return found if self.goal is None else found.towards(self.goal)
 
-    def _judge_slowly(self, found: Screened, index: int, controller: AdmittanceController) -> None:
+    def _judge_slowly(self, found: BatchEvaluation, index: int, controller: AdmittanceController) -> None:
         """Write the rows that no compiled form has."""
         asked, prepared = self.prepared.problem.requirements, self.prepared
         values: dict[str, FloatArray] = {}
@@ -214,7 +214,7 @@ class Screen:
         return rows, soft
 
 
-def _settle(found: Screened, index: int, evaluation: Evaluation) -> None:
+def _settle(found: BatchEvaluation, index: int, evaluation: Evaluation) -> None:
     """Write the evaluation of one design over what was screened."""
     found.radius[index] = evaluation.spectral_radius if not evaluation.is_stable else 0.0
     found.peaks_n[index] = evaluation.peak_n
@@ -223,7 +223,7 @@ def _settle(found: Screened, index: int, evaluation: Evaluation) -> None:
             value[index] = said.get(name, np.nan if not evaluation.is_stable else 0.0)
 
 
-def build_screen(prepared: PreparedScenarios) -> Screen:
+def build_batch_evaluator(prepared: PreparedScenarios) -> BatchEvaluator:
     """Stack prepared scenarios; plants in contact first, then those in free space."""
     asked, target = prepared.problem.requirements, prepared.target_response
     sampled = [plant.sampled for plant in prepared.plants]
@@ -235,7 +235,7 @@ def build_screen(prepared: PreparedScenarios) -> Screen:
     wanted = None if "free_space_admittance" in asked.soft_n else asked.free_space_admittance
     crosses = any(getattr(asked, name) is not None for name in _CROSSOVERS)
     nothing = np.zeros(0, dtype=np.complex128)
-    return Screen(
+    return BatchEvaluator(
         prepared=prepared,
         plants=(stack_loops(sampled), stack_responses(prepared.plants), stack_grids(prepared.plants)),
         contacts=stack_contacts(prepared.pairs),

@@ -33,7 +33,7 @@ SENSOR, CONTACT, PEAK_COLUMNS = 0, 1, 2
 
 
 @compiled
-def screen_designs(
+def evaluate_designs(
     plants: Plants,
     contacts: Contacts,
     band: Band,

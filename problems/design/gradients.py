@@ -33,7 +33,7 @@ _RESPONSES = (*_BREAKS, "admittance")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Slope:
+class Gradient:
     """A number and its derivative by the controller's parameters, (7,)."""
 
     value: float
@@ -49,9 +49,9 @@ class _Response:
     by_frequency: complex
 
 
-def peak_slope(
+def peak_gradient(
     sampled: SampledPlant, controller: AdmittanceController, approach: Approach, time_s: float, *, at_sensor: bool
-) -> Slope:
+) -> Gradient:
     """Differentiate the force [N] at `time_s` after the impact, F_e or −F, of a payload that has not left since.
 
     Between the ticks by the parabola through the three next to it. Whether the payload left is the caller's to know:
@@ -66,12 +66,14 @@ def peak_slope(
     u = moment - first
     weights = np.array([(u - 1.0) * (u - 2.0) / 2.0, u * (2.0 - u), u * (u - 1.0) / 2.0])
     ticks = slice(first, first + 3)
-    return Slope(
+    return Gradient(
         value=float(weights @ np.asarray(value).ravel()[ticks]), by_controller=weights @ np.asarray(slopes)[ticks]
     )
 
 
-def modulus_slope(sampled: SampledPlant, controller: AdmittanceController, at_rad_per_s: float | None = None) -> Slope:
+def modulus_gradient(
+    sampled: SampledPlant, controller: AdmittanceController, at_rad_per_s: float | None = None
+) -> Gradient:
     """Differentiate min |1 + L| over frequency and both break points; the loop must be stable.
 
     `at_rad_per_s` is where the minimum lies, if that is known (`Margins.modulus_hz`).
@@ -87,7 +89,7 @@ def modulus_slope(sampled: SampledPlant, controller: AdmittanceController, at_ra
     return min(found, key=lambda slope: slope.value)
 
 
-def gain_slope(sampled: SampledPlant, controller: AdmittanceController) -> Slope | None:
+def gain_gradient(sampled: SampledPlant, controller: AdmittanceController) -> Gradient | None:
     """Differentiate the gain margin [dB], the smallest |20 log10 |L|| where L passes the negative real axis."""
     found = []
     for point, omega in _crossings(sampled, controller, lambda loop: loop.imag, lambda loop: loop.real < 0.0):
@@ -98,29 +100,29 @@ def gain_slope(sampled: SampledPlant, controller: AdmittanceController) -> Slope
         along = response.by_controller.real + response.by_frequency.real * moves
         decibel = 20.0 * np.log10(-real)
         found.append(
-            Slope(value=abs(float(decibel)), by_controller=np.sign(decibel) * 20.0 / np.log(10.0) * along / real)
+            Gradient(value=abs(float(decibel)), by_controller=np.sign(decibel) * 20.0 / np.log(10.0) * along / real)
         )
     return min(found, key=lambda slope: slope.value, default=None)
 
 
-def phase_slope(sampled: SampledPlant, controller: AdmittanceController) -> Slope | None:
+def phase_gradient(sampled: SampledPlant, controller: AdmittanceController) -> Gradient | None:
     """Differentiate the phase margin [deg], the smallest turn that brings L to −1 where |L| = 1."""
     found = []
     for _, angle, slope, _ in _gain_crossovers(sampled, controller):
-        found.append(Slope(value=float(np.degrees(abs(angle))), by_controller=np.degrees(np.sign(angle) * slope)))
+        found.append(Gradient(value=float(np.degrees(abs(angle))), by_controller=np.degrees(np.sign(angle) * slope)))
     return min(found, key=lambda each: each.value, default=None)
 
 
-def delay_slope(sampled: SampledPlant, controller: AdmittanceController) -> Slope | None:
+def delay_gradient(sampled: SampledPlant, controller: AdmittanceController) -> Gradient | None:
     """Differentiate the delay margin [s], the smallest lag that brings L to −1 where |L| = 1."""
     found = []
     for omega, angle, slope, moves in _gain_crossovers(sampled, controller):
         lag = angle if angle > 0.0 else angle + 2.0 * np.pi
-        found.append(Slope(value=lag / omega, by_controller=slope / omega - lag / omega**2 * moves))
+        found.append(Gradient(value=lag / omega, by_controller=slope / omega - lag / omega**2 * moves))
     return min(found, key=lambda each: each.value, default=None)
 
 
-def decay_slope(sampled: SampledPlant, controller: AdmittanceController) -> Slope:
+def decay_gradient(sampled: SampledPlant, controller: AdmittanceController) -> Gradient:
     """Differentiate the decay rate −ln ρ/h [1/s] of the loop's slowest eigenvalue."""
     structure = Structure.like(sampled, controller)
     matrix, slopes = _loop(structure)(*arguments_of(sampled, controller))
@@ -138,10 +140,12 @@ def decay_slope(sampled: SampledPlant, controller: AdmittanceController) -> Slop
     radius = abs(values[slowest])
     by_radius = (np.conj(values[slowest]) * shift).real / radius
     h = sampled.sample_time_s
-    return Slope(value=float(-np.log(radius) / h), by_controller=-by_radius / (radius * h))
+    return Gradient(value=float(-np.log(radius) / h), by_controller=-by_radius / (radius * h))
 
 
-def admittance_slope(sampled: SampledPlant, controller: AdmittanceController, band_hz: tuple[float, float]) -> Slope:
+def admittance_gradient(
+    sampled: SampledPlant, controller: AdmittanceController, band_hz: tuple[float, float]
+) -> Gradient:
     """Differentiate min |G| [m/s/N] over a band, its ends included; the plant's surroundings do not matter."""
     low, high = 2.0 * np.pi * band_hz[0], 2.0 * np.pi * band_hz[1]
     grid = np.geomspace(low, high, _BAND_POINTS) if high > low else np.array([low])
@@ -153,11 +157,11 @@ def admittance_slope(sampled: SampledPlant, controller: AdmittanceController, ba
     return _slope(sampled, controller, "admittance", lowest, lambda response: response.value)
 
 
-def passivity_slope(sampled: SampledPlant, controller: AdmittanceController, fails_hz: float) -> Slope:
+def passivity_gradient(sampled: SampledPlant, controller: AdmittanceController, fails_hz: float) -> Gradient:
     """Differentiate the frequency [Hz] at which Re G turns negative, which is known: it moves so that Re G stays 0."""
     response = _response(sampled, controller, "admittance", 2.0 * np.pi * fails_hz)
     moves = -response.by_controller.real / response.by_frequency.real
-    return Slope(value=fails_hz, by_controller=moves / (2.0 * np.pi))
+    return Gradient(value=fails_hz, by_controller=moves / (2.0 * np.pi))
 
 
 def _slope(
@@ -166,11 +170,11 @@ def _slope(
     name: str,
     omega: float,
     vector: Callable[[_Response], complex],
-) -> Slope:
+) -> Gradient:
     """Return the length of a vector in the plane and its derivative at a fixed frequency."""
     response = _response(sampled, controller, name, omega)
     point = vector(response)
-    return Slope(value=abs(point), by_controller=(np.conj(point) * response.by_controller).real / abs(point))
+    return Gradient(value=abs(point), by_controller=(np.conj(point) * response.by_controller).real / abs(point))
 
 
 def _lowest(

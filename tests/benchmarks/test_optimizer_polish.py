@@ -6,12 +6,12 @@ import pytest
 from autotune.tuning.polish import polish_exactly
 from benchmarks.optimizer_page import tables
 from benchmarks.optimizer_polish import RESERVE, polish_by_ipopt
-from problems.design.batch_evaluation import build_screen
+from problems.design.batch_evaluation import build_batch_evaluator
 from tests.autotune.tuning.cases import solved
 
 
 def test_two_solvers_and_one_answer() -> None:
-    screen = build_screen(solved().active)
+    screen = build_batch_evaluator(solved().active)
     ours = polish_exactly(screen, solved().design, backoff={}, reserve=RESERVE)
     theirs = polish_by_ipopt(screen, solved().design)
     values = screen.evaluate(np.array([ours, theirs]), peaks_if_missed=True)

@@ -5,12 +5,12 @@ import pytest
 
 from autotune.tuning.bounds import Box, spread_out
 from autotune.tuning.descent import descend
-from problems.design.batch_evaluation import build_screen
+from problems.design.batch_evaluation import build_batch_evaluator
 from tests.autotune.tuning.cases import solved
 
 
 def test_it_comes_back_to_the_optimum_and_keeps_its_reserve() -> None:
-    screen, box = build_screen(solved().active), Box(solved().problem)
+    screen, box = build_batch_evaluator(solved().active), Box(solved().problem)
     start = np.clip(box.unit(solved().design) + np.array([0.05, 0.03, -0.1, 0.1]), 0.0, 1.0)
     ends = {reserve: descend(screen, box, start, reserve=reserve) for reserve in (0.0, 1e-2)}
     values = {}
@@ -26,7 +26,7 @@ def test_it_comes_back_to_the_optimum_and_keeps_its_reserve() -> None:
 
 
 def test_slopes_are_asked_for_once_per_step_and_not_at_every_trial() -> None:
-    screen, box = build_screen(solved().active), Box(solved().problem)
+    screen, box = build_batch_evaluator(solved().active), Box(solved().problem)
     asked: list[int] = []
     evaluate = screen.evaluate
 

@@ -6,7 +6,7 @@ import pytest
 
 from autotune.tuning.optimality_report import Standing, find_standing, standing_tree
 from autotune.tuning.search import SearchResult
-from problems.design.batch_evaluation import build_screen
+from problems.design.batch_evaluation import build_batch_evaluator
 from problems.design.evaluation import build_scenarios
 from tests.autotune.tuning.cases import fast_optimized, solved
 
@@ -26,7 +26,7 @@ def test_what_is_told_is_met_is_met_over_the_whole_grid() -> None:
     assert found.nearest is not None
     # By the compiled screen, over a grid that the search did not use.
     problem = search().problem
-    screen = build_screen(build_scenarios(problem, problem.scenarios(11, 2)))
+    screen = build_batch_evaluator(build_scenarios(problem, problem.scenarios(11, 2)))
     other = screen.evaluate(search().design[None]).requirements
     assert all(float(value[0]) <= found.ratio + 1e-6 for value in other.values())
     assert found.ratio == pytest.approx(1.0, abs=1e-3)

@@ -7,15 +7,15 @@ import pytest
 
 from autotune.tuning.optimality import check_optimality
 from autotune.tuning.polish import polish_exactly
-from problems.design.batch_evaluation import Screen, build_screen
+from problems.design.batch_evaluation import BatchEvaluator, build_batch_evaluator
 from problems.design.problem import VARIABLES
 from tests.autotune.tuning.cases import solved
 
 RESERVE = 1e-6
 
 
-def screen() -> Screen:
-    return build_screen(solved().active)
+def screen() -> BatchEvaluator:
+    return build_batch_evaluator(solved().active)
 
 
 def test_the_result_meets_the_conditions_to_many_digits() -> None:
@@ -55,7 +55,7 @@ def test_bounds_hold() -> None:
     }
     narrow = replace(found.problem, bounds=bounds)
     polished = polish_exactly(
-        build_screen(replace(found.active, problem=narrow)), found.design, backoff={}, reserve=RESERVE
+        build_batch_evaluator(replace(found.active, problem=narrow)), found.design, backoff={}, reserve=RESERVE
     )
     assert polished[2] == found.design[2]
     for value, name in zip(polished, VARIABLES, strict=True):

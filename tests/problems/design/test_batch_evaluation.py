@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from problems.contact.transient import Approach
-from problems.design.batch_evaluation import build_screen
+from problems.design.batch_evaluation import build_batch_evaluator
 from problems.design.evaluation import build_scenarios
 from problems.design.problem import AdmittanceTarget, DesignProblem, NoiseLimit, PassivityTarget, Requirements
 from problems.stability.margins import margin_grid
@@ -78,7 +78,7 @@ def random_designs(count: int, seed: int = 3) -> FloatArray:
 def test_every_number_is_that_of_the_evaluation(problem: DesignProblem, peaks_if_missed: bool) -> None:
     prepared = build_scenarios(problem, problem.scenarios(3, 2))
     designs = random_designs(60)
-    found = build_screen(prepared).evaluate(designs, peaks_if_missed=peaks_if_missed)
+    found = build_batch_evaluator(prepared).evaluate(designs, peaks_if_missed=peaks_if_missed)
     seen = {"stable": 0, "feasible": 0}
     for i, design in enumerate(designs):
         one = prepared.evaluate(design, peaks_if_missed=peaks_if_missed)
@@ -109,7 +109,7 @@ def test_every_number_is_that_of_the_evaluation(problem: DesignProblem, peaks_if
 def test_a_response_that_is_no_number_is_a_miss() -> None:
     """A grid of NaN stands for a plant whose numbers overflow."""
     problem = design_problem()
-    screen = build_screen(build_scenarios(problem, problem.scenarios(2, 2)))
+    screen = build_batch_evaluator(build_scenarios(problem, problem.scenarios(2, 2)))
     loops, responses, (omega, tangent, force, position, offsets) = screen.plants
     broken = replace(
         screen, plants=(loops, responses, (omega, tangent, np.full_like(force, np.nan), position, offsets))

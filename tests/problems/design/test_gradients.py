@@ -9,15 +9,15 @@ import pytest
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.design.evaluation import smallest_admittance
 from problems.design.gradients import (
-    Slope,
-    admittance_slope,
-    decay_slope,
-    delay_slope,
-    gain_slope,
-    modulus_slope,
-    passivity_slope,
-    peak_slope,
-    phase_slope,
+    Gradient,
+    admittance_gradient,
+    decay_gradient,
+    delay_gradient,
+    gain_gradient,
+    modulus_gradient,
+    passivity_gradient,
+    peak_gradient,
+    phase_gradient,
 )
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment, Payload, Plant
@@ -66,7 +66,7 @@ def differences(value: Callable[[AdmittanceController], float], controller: Admi
     return found
 
 
-def agree(slope: Slope, value: Callable[[AdmittanceController], float], controller: AdmittanceController) -> None:
+def agree(slope: Gradient, value: Callable[[AdmittanceController], float], controller: AdmittanceController) -> None:
     """The value to 1e-6, the slopes beside the largest of them, each by the size of its parameter."""
     assert slope.value == pytest.approx(value(controller), rel=1e-6)
     sizes = np.array([max(getattr(controller, name), 1e-2) for name in NAMES])
@@ -79,18 +79,18 @@ def agree(slope: Slope, value: Callable[[AdmittanceController], float], controll
 @pytest.mark.parametrize(
     ("slope_of", "margin_of"),
     [
-        (modulus_slope, lambda m: m.modulus),
-        (gain_slope, lambda m: m.gain_db),
-        (phase_slope, lambda m: m.phase_deg),
-        (delay_slope, lambda m: m.delay_s),
-        (decay_slope, lambda m: -np.log(m.spectral_radius) / H),
+        (modulus_gradient, lambda m: m.modulus),
+        (gain_gradient, lambda m: m.gain_db),
+        (phase_gradient, lambda m: m.phase_deg),
+        (delay_gradient, lambda m: m.delay_s),
+        (decay_gradient, lambda m: -np.log(m.spectral_radius) / H),
     ],
 )
 def test_margins(
     controller: AdmittanceController,
     stiffness: float,
     order: int,
-    slope_of: Callable[[SampledPlant, AdmittanceController], Slope | None],
+    slope_of: Callable[[SampledPlant, AdmittanceController], Gradient | None],
     margin_of: Callable[[Margins], float],
 ) -> None:
     plant = sampled(stiffness, order=order)
@@ -106,7 +106,7 @@ def test_margins(
 def test_a_known_frequency_saves_the_search(controller: AdmittanceController) -> None:
     plant = sampled(1.2e5)
     hint = 2.0 * np.pi * find_margins(plant, controller).modulus_hz
-    known, searched = modulus_slope(plant, controller, hint), modulus_slope(plant, controller)
+    known, searched = modulus_gradient(plant, controller, hint), modulus_gradient(plant, controller)
     assert known.value == pytest.approx(searched.value, rel=1e-9)
     assert known.by_controller == pytest.approx(searched.by_controller, rel=1e-3, abs=1e-9)
 
@@ -115,7 +115,7 @@ def test_a_known_frequency_saves_the_search(controller: AdmittanceController) ->
 @pytest.mark.parametrize("band_hz", [(0.1, 5.0), (2.0, 2.0)])
 def test_admittance(controller: AdmittanceController, band_hz: tuple[float, float]) -> None:
     free = sampled(0.0)
-    agree(admittance_slope(free, controller, band_hz), lambda c: smallest_admittance(free, c, band_hz), controller)
+    agree(admittance_gradient(free, controller, band_hz), lambda c: smallest_admittance(free, c, band_hz), controller)
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
@@ -124,9 +124,9 @@ def test_admittance(controller: AdmittanceController, band_hz: tuple[float, floa
 def test_peaks(controller: AdmittanceController, stiffness: float, approach: Approach) -> None:
     pair = build_sampled_contact(sampled(stiffness))
     run = simulate_contact(pair, controller, approach)
-    at_sensor = peak_slope(pair.contact, controller, approach, run.time_of_sensor_peak_s, at_sensor=True)
+    at_sensor = peak_gradient(pair.contact, controller, approach, run.time_of_sensor_peak_s, at_sensor=True)
     agree(at_sensor, lambda c: simulate_contact(pair, c, approach).peak_sensor_force_n, controller)
-    inside = peak_slope(pair.contact, controller, approach, run.time_of_peak_s, at_sensor=False)
+    inside = peak_gradient(pair.contact, controller, approach, run.time_of_peak_s, at_sensor=False)
     assert inside.value == pytest.approx(run.peak_contact_force_n, rel=2e-3)
     sizes = np.array([max(getattr(controller, name), 1e-2) for name in NAMES])
     expected = sizes * differences(lambda c: simulate_contact(pair, c, approach).peak_contact_force_n, controller)
@@ -137,5 +137,5 @@ def test_peaks(controller: AdmittanceController, stiffness: float, approach: App
 @pytest.mark.parametrize("order", [1, 2])
 def test_the_end_of_the_passive_band(controller: AdmittanceController, order: int) -> None:
     plant = sampled(1.1e5, order=order)
-    slope = passivity_slope(plant, controller, passive_below_hz(plant, controller))
+    slope = passivity_gradient(plant, controller, passive_below_hz(plant, controller))
     agree(slope, lambda law: passive_below_hz(plant, law), controller)

@@ -13,14 +13,14 @@ from problems.contact.nonlinear_simulation import simulate_fully
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.design.batch import are_stable, build_batch
 from problems.design.gradients import (
-    Slope,
-    admittance_slope,
-    decay_slope,
-    delay_slope,
-    gain_slope,
-    modulus_slope,
-    peak_slope,
-    phase_slope,
+    Gradient,
+    admittance_gradient,
+    decay_gradient,
+    delay_gradient,
+    gain_gradient,
+    modulus_gradient,
+    peak_gradient,
+    phase_gradient,
 )
 from problems.design.problem import DesignProblem
 from problems.design.serialization import problem_from_dict, problem_to_dict
@@ -158,15 +158,15 @@ def physical(plant: Plant) -> object:
     return control.ss(a, drive, [[0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0]], np.zeros((2, 1)))
 
 
-SLOPES: dict[str, Callable[..., Slope | None]] = {
-    "modulus": modulus_slope,
-    "gain": gain_slope,
-    "phase": phase_slope,
-    "delay": delay_slope,
-    "decay": decay_slope,
-    "admittance": lambda sampled, law: admittance_slope(sampled, law, (0.1, 2.0)),
-    "sensor": lambda sampled, law: peak_slope(sampled, law, FORCE, 0.02, at_sensor=True),
-    "contact": lambda sampled, law: peak_slope(sampled, law, FORCE, 0.02, at_sensor=False),
+SLOPES: dict[str, Callable[..., Gradient | None]] = {
+    "modulus": modulus_gradient,
+    "gain": gain_gradient,
+    "phase": phase_gradient,
+    "delay": delay_gradient,
+    "decay": decay_gradient,
+    "admittance": lambda sampled, law: admittance_gradient(sampled, law, (0.1, 2.0)),
+    "sensor": lambda sampled, law: peak_gradient(sampled, law, FORCE, 0.02, at_sensor=True),
+    "contact": lambda sampled, law: peak_gradient(sampled, law, FORCE, 0.02, at_sensor=False),
 }
 
 
@@ -175,7 +175,7 @@ def test_gradients_are_the_differences(name: str) -> None:
     """Central differences of 1e-5 of a parameter: 1e-10 of curvature, and 1e-6 of where a minimum was searched."""
     sampled = build_sampled_plant(FILTERED, PERIOD_S)
 
-    def at(law: AdmittanceController) -> Slope:
+    def at(law: AdmittanceController) -> Gradient:
         found = SLOPES[name](sampled, law)
         assert found is not None
         return found
