@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, differential_evolution
 
 from autotune.errors import InfeasibleError
-from problems.design.batch_evaluation import BatchEvaluator, BatchEvaluation, build_batch_evaluator
+from problems.design.batch_evaluation import BatchEvaluation, BatchEvaluator, build_batch_evaluator
 from problems.design.evaluation import Evaluation, PlantMargins, PreparedScenarios, build_scenarios
 from problems.design.problem import DesignProblem
 from problems.design.uncertainty import Scenario

@@ -114,7 +114,8 @@ class BatchEvaluation:
 class BatchEvaluator:
     """Prepared scenarios as the compiled loop takes them; `slow` are requirements that it does not know.
 
-    With a `goal` that requirement is minimised, see `BatchEvaluation.towards`, and everything of every design is looked at.
+    With a `goal` that requirement is minimised, see `BatchEvaluation.towards`, and every design is evaluated
+    in full.
     """
 
     prepared: PreparedScenarios
