@@ -23,9 +23,9 @@ from bokeh.plotting import figure
 from bokeh.transform import transform
 from numpy.typing import NDArray
 
+from autotune.charts.chart import decimate
+from autotune.charts.palette import COLOURS
 from autotune.formats.units import axis_units
-from autotune.report.decimate import decimate
-from autotune.report.palette import COLOURS
 from problems.design.problem import DesignProblem
 
 from .batched_update import Sender

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autotune.charts.chart import Chart, Line, Panel, Scale
 from autotune.formats.units import AxisUnits
 from identification.evidence import AxisEvidence
 from identification.joint_fit.result import FittedSpan
 
-from .charts import Chart, Line, Panel, Scale
 from .page import Cell, Table
 
 _PANELS = 3

@@ -7,12 +7,11 @@ from numpy.typing import NDArray
 from scipy.signal import csd, welch
 from scipy.stats import norm
 
+from autotune.charts.chart import Band, Bars, Chart, Element, Heat, Limit, Line, Panel, Points, Role, Scale
 from autotune.formats.units import AxisUnits
 from identification.evidence import AxisEvidence
 from identification.joint_fit.result import FittedSpan
 from identification.result import AxisEstimate, Covariance
-
-from .charts import Band, Bars, Chart, Element, Heat, Limit, Line, Panel, Points, Role, Scale
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -4,13 +4,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from autotune.charts.chart import Chart
 from autotune.formats.units import axis_units
 from autotune.parameter_rows import ParameterRow, parameter_rows
 from identification.evidence import AxisEvidence, Evidence
 from identification.logs.summary import ChannelSummary, LogSummary
 from identification.result import AxisEstimate, Finding, FitQuality, Identified
 
-from .charts import Chart
 from .contact_evidence import contact_charts, contact_table, contacts_seen
 from .identify_charts import correlation_chart, residual_charts, response_charts
 from .page import Block, Cell, Fact, Facts, Note, Page, Section, Table, Tone

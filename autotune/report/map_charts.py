@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from autotune.charts.chart import Chart, Element, Heat, Line, Panel, Points, Scale
 from problems.maps.maps import MapAxis, MapRequest, compute_map
 from problems.maps.parameters import MapQuantity, find_parameter
 from problems.model.plant import Plant
 
 from .axis_design import AxisDesign
-from .charts import Chart, Element, Heat, Line, Panel, Points, Scale
 
 FloatArray = NDArray[np.float64]
 

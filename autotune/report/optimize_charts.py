@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from autotune.charts.chart import Chart, Element, Limit, Line, Panel, Points, Role, Scale, Stretch
 from autotune.formats.controller_record import AdmittanceRequirement, ScenarioPrediction
 from autotune.formats.units import AxisUnits
 from autotune.scenario_text import off_nominal, stiffness_text
@@ -15,7 +16,6 @@ from problems.model.sampled import build_loop, build_sampled_plant, spectral_rad
 from problems.stability.margins import frequency_grid
 
 from .axis_design import AxisDesign, OverStiffness, contact_of, over_stiffness
-from .charts import Chart, Element, Limit, Line, Panel, Points, Role, Scale, Stretch
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

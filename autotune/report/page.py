@@ -3,7 +3,7 @@
 import base64
 import gzip
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from importlib.resources import files
@@ -12,12 +12,9 @@ from typing import Any, Literal
 from jinja2 import Environment, StrictUndefined, Template
 from markupsafe import Markup
 
+from autotune.charts.chart import MOST_POINTS, Band, Bars, Chart, Element, Heat, Limit, Line, Panel, Points
+from autotune.charts.palette import colour_variables, dark_colours
 from autotune.processes import map_in_processes
-
-from .charts import Chart, Element, Line
-from .decimate import MOST_POINTS, decimate
-from .legends import build_legend
-from .palette import colour_variables, dark_colours
 
 Tone = Literal["", "good", "warn", "bad", "quiet"]
 _GRAVITY: tuple[Tone, ...] = ("", "quiet", "good", "warn", "bad")
@@ -158,6 +155,49 @@ def render_page(page: Page, progress: Callable[[float], None] | None = None, *, 
     return _template().render(page=page, stills=drawn[0].figures, live=live.figures, engine=live.engine)
 
 
+@dataclass(frozen=True, kw_only=True)
+class LegendEntry:
+    """One mark and its name; `look` is the class of the style sheet that draws the mark."""
+
+    label: str
+    role: str
+    look: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Legend:
+    """The entries of the figure as a whole, or those of each panel where no two panels share one."""
+
+    whole: tuple[LegendEntry, ...]
+    panels: tuple[tuple[LegendEntry, ...], ...]
+
+
+def build_legend(chart: Chart) -> Legend:
+    """Return what a reader must be told once per figure, and what once per panel."""
+    panels = tuple(tuple(dict.fromkeys(_entries(panel))) for panel in chart.panels)
+    every = [entry for panel in panels for entry in panel]
+    apart = chart.beside and len(panels) > 1 and len(set(every)) == len(every)
+    if apart:
+        return Legend(whole=(), panels=panels)
+    return Legend(whole=tuple(dict.fromkeys(every)), panels=((),) * len(panels))
+
+
+def _entries(panel: Panel) -> Iterator[LegendEntry]:
+    for element in panel.elements:
+        if not isinstance(element, Heat) and element.label:
+            yield LegendEntry(label=element.label, role=element.role, look=_look(element))
+
+
+def _look(element: Element) -> str:
+    if isinstance(element, Line):
+        return "dashed" if element.dashed else "wide" if element.is_wide else "line"
+    if isinstance(element, Points):
+        return element.marker
+    if isinstance(element, Limit):
+        return "dotted"
+    return "bars" if isinstance(element, Bars) else "band" if isinstance(element, Band) else "stretch"
+
+
 def kind_of(block: Block) -> str:
     """Return by which part of the template a block is written."""
     return type(block).__name__.lower()
@@ -174,7 +214,7 @@ def _thinned(chart: Chart) -> Chart:
 def _thinned_element(element: Element) -> Element:
     if not isinstance(element, Line):
         return element
-    x, y = decimate(element.x, element.y, MOST_POINTS)
+    x, y = element.thinned(MOST_POINTS)
     return replace(element, x=x, y=y)
 
 
@@ -202,7 +242,7 @@ def _draw(drawing: _Drawing) -> _Drawn:
 
 def _stills(chart: Chart) -> tuple[dict[str, Any], ...]:
     # matplotlib and Bokeh take a second to import; what only reads or checks a page does without.
-    from .static import draw_stills  # noqa: PLC0415
+    from .stills import draw_stills  # noqa: PLC0415
 
     drawn = draw_stills(chart)
     return tuple(
@@ -212,13 +252,13 @@ def _stills(chart: Chart) -> tuple[dict[str, Any], ...]:
 
 
 def _live(chart: Chart) -> str:
-    from .live import draw_live  # noqa: PLC0415
+    from autotune.charts.bokeh_renderer import draw_live  # noqa: PLC0415
 
     return _packed(json.dumps(draw_live(chart), separators=(",", ":")))
 
 
 def _engine() -> str:
-    from .live import engine  # noqa: PLC0415
+    from autotune.charts.bokeh_renderer import engine  # noqa: PLC0415
 
     return _packed(engine())
 

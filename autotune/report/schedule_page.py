@@ -5,12 +5,12 @@ from typing import Any, Literal
 
 import numpy as np
 
+from autotune.charts.chart import Chart, Panel, Points, Role, Scale
 from autotune.formats.canonical import short
 from autotune.formats.records import rename_axis_keys
 from autotune.formats.schedule import ScheduleFile
 from autotune.formats.units import axis_units
 
-from .charts import Chart, Panel, Points, Role, Scale
 from .controller_tables import checksum_fact
 from .page import Cell, Facts, Note, Page, Section, Table
 

@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from autotune.charts.chart import Chart, Element, Line, Panel, Points, Scale
 from autotune.formats.units import AxisUnits
-
-from .charts import Chart, Element, Line, Panel, Points, Scale
 
 if TYPE_CHECKING:
     from autotune.tuning.search import SearchStep

@@ -5,12 +5,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from autotune.charts.chart import Chart, Element, Line, Panel, Role, Scale, Stretch
 from identification.evidence import Evidence
 from identification.phases import Kind, Timeline
 from identification.result import NoiseSpectrum
 from identification.signals.recording import Recording
-
-from .charts import Chart, Element, Line, Panel, Role, Scale, Stretch
 
 FloatArray = NDArray[np.float64]
 

@@ -4,12 +4,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from autotune.charts.chart import Band, Chart, Limit, Line, Panel, Scale, level_panels
 from autotune.formats.units import axis_units
 from autotune.validation.against_log import ComparedContact, LogComparison
 from autotune.validation.monte_carlo import BAND, AxisMonteCarlo
-
-from .charts import Band, Chart, Limit, Line, Panel, Scale
-from .framing import level_panels
 
 _PANELS = 3
 # What is beyond is in the table.

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from autotune.charts.chart import Heat, Line
 from autotune.formats.units import axis_units
-from autotune.report.charts import Heat, Line
 from autotune.report.contact_evidence import contact_charts, contact_table, contacts_seen
 from autotune.report.identify_charts import correlation_chart, residual_charts
 from identification.evidence import AxisEvidence

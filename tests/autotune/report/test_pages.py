@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from autotune.charts.chart import Chart, Heat, Line, Points
 from autotune.formats.controller import ControllerFile, controller_tree, short
 from autotune.formats.schedule import write_schedule
 from autotune.report.axis_design import axis_designs, contact_of, modulus_of, over_stiffness
-from autotune.report.charts import Chart, Heat, Line, Points
 from autotune.report.compared_tables import compared_blocks
 from autotune.report.from_files import report_files
 from autotune.report.optimize_charts import nyquist_chart

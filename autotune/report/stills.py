@@ -1,33 +1,27 @@
-"""Draw a chart as vector graphics that need nothing else: the only door of reports to matplotlib."""
+"""Draw a chart as vector graphics within a page, which refer to nothing and take their colours from its style sheet."""
 
 import io
 import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from .charts import Band, Bars, Chart, Element, Heat, Limit, Line, Panel, Points, Scale
-from .decimate import decimate
-from .framing import fitted_limits
-from .palette import COLOURS, FURNITURE, ONE_SIDED, TWO_SIDED, named_colours
+from autotune.charts.chart import Chart, Heat, Panel
+from autotune.charts.matplotlib_renderer import POINTS_PER_INCH, TEXT_LINE_INCHES, draw_panel
+from autotune.charts.palette import FURNITURE, named_colours
 
-_POINTS_PER_INCH = 72.0
+Span = tuple[float, float]
+
 _WIDTH_INCHES, _PANEL_INCHES, _NAMED_INCHES, _AROUND_NAMED_INCHES = 8.0, 1.85, 0.36, 1.6
 _MOST_BESIDE = 3
 _FONT, _GLYPH = 8.0, 0.62
-_TEXT_LINE_INCHES, _BELOW_INCHES, _TICKS_INCHES, _RIGHT_INCHES = 0.18, 0.45, 0.2, 0.14
+_BELOW_INCHES, _TICKS_INCHES, _RIGHT_INCHES = 0.45, 0.2, 0.14
 _BAR_GAP_INCHES, _BAR_INCHES, _BAR_TEXT_INCHES = 0.07, 0.11, 0.48
-_MOST_POINTS, _CROWD = 1400, 60
-_MARKERS = {"dot": "o", "star": "*", "diamond": "D"}
-_MOST_WRITTEN = 400
 # A hundredth of a point is no width on any paper, and the digits after it were a third of the file.
 # What stands between tags is text for people, and stays.
 _LONG_NUMBER = re.compile(r">[^<]*<|(\d\.\d\d)\d+")
@@ -36,8 +30,6 @@ _STYLE = re.compile(r"<defs>\s*<style[^>]*>[^<]*</style>\s*</defs>")
 # What the page's style sheet says of every text, and the air between elements.
 _NEEDLESS = re.compile(r"font-size: 8px; |font-family: [^;]*; | transform=\"rotate\(-0 [^\"]*\)\"|(?<=>)\s+(?=<)")
 _ID, _REFERENCE = re.compile(r' id="([^"]*)"'), re.compile(r'(url\(#|href="#)([^")]*)')
-# Where a logarithmic side shows fewer than two decades.
-_WITHIN_A_DECADE = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +69,7 @@ def draw_stills(chart: Chart) -> tuple[Still, ...]:
             figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
             svg = _as_part_of_a_page(stream.getvalue(), f"{chart.key}-{i}")
             is_wide = not chart.beside and not _cells_of(chart)
-            stills.append(Still(svg=svg, width_pt=_POINTS_PER_INCH * width, is_wide=is_wide))
+            stills.append(Still(svg=svg, width_pt=POINTS_PER_INCH * width, is_wide=is_wide))
     return tuple(stills)
 
 
@@ -106,7 +98,7 @@ def _as_part_of_a_page(drawing: str, key: str) -> str:
 def _draw(panels: Sequence[Panel], width: float, *, linked: bool) -> Figure:
     """Lay out in inches: the library's own layout measures every text twice, which took longer than the drawing."""
     close = [linked and i < len(panels) - 1 for i in range(len(panels))]
-    above = [_TEXT_LINE_INCHES * (bool(panel.title) + bool(panel.y.label)) + 0.08 for panel in panels]
+    above = [TEXT_LINE_INCHES * (bool(panel.title) + bool(panel.y.label)) + 0.08 for panel in panels]
     below = [0.02 if shut else _below_inches(panel) for shut, panel in zip(close, panels, strict=True)]
     heights = [_PANEL_INCHES * panel.height for panel in panels]
     height = sum(above) + sum(below) + sum(heights)
@@ -116,7 +108,7 @@ def _draw(panels: Sequence[Panel], width: float, *, linked: bool) -> Figure:
         top -= above[i] + heights[i]
         axes = figure.add_axes((0.1, top / height, 0.8, heights[i] / height))
         top -= below[i]
-        _draw_panel(axes, panel)
+        draw_panel(axes, panel, labels="above")
         if close[i]:
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)
@@ -133,14 +125,14 @@ def _below_inches(panel: Panel) -> float:
     for element in panel.elements:
         if isinstance(element, Heat) and element.names:
             longest = max(len(name) for name in element.names[0])
-            return 0.1 + longest * _GLYPH * _FONT * math.sin(math.radians(60.0)) / _POINTS_PER_INCH
+            return 0.1 + longest * _GLYPH * _FONT * math.sin(math.radians(60.0)) / POINTS_PER_INCH
     return _BELOW_INCHES if panel.x.label else _TICKS_INCHES
 
 
 def _place(figure: Figure, panels: Sequence[Panel], every: Sequence[Axes], width: float) -> None:
     """Give the axes the width that their numbers leave, and the scale of colours what is beside them."""
     letters = max(_most_letters(axes.yaxis) for axes in every)
-    left = (0.17 * _FONT * 10.0 / _POINTS_PER_INCH) + letters * _GLYPH * _FONT / _POINTS_PER_INCH
+    left = (0.17 * _FONT * 10.0 / POINTS_PER_INCH) + letters * _GLYPH * _FONT / POINTS_PER_INCH
     mapped = any(isinstance(each, Heat) for panel in panels for each in panel.elements)
     right = _BAR_GAP_INCHES + _BAR_INCHES + _BAR_TEXT_INCHES if mapped else _RIGHT_INCHES
     for panel, axes in zip(panels, every, strict=True):
@@ -164,97 +156,12 @@ def _most_letters(side: Axis) -> int:
     return max((len(text) for text in side.get_major_formatter().format_ticks(places)), default=1)
 
 
-def _draw_panel(axes: Axes, panel: Panel) -> None:
-    if not any(isinstance(each, Heat) for each in panel.elements):
-        axes.grid(linewidth=0.4, color=FURNITURE["grid"])
-    axes.set_axisbelow(True)
-    _set_scale(axes, "x", panel.x)
-    _set_scale(axes, "y", panel.y)
-    axes.set_xlabel(panel.x.label, labelpad=4.5)
-    # What a side shows stands above it: it can be read without turning the head, and is never longer than the side.
-    lines = [*([panel.title] if panel.title else []), panel.y.label]
-    for i, text in enumerate(reversed(lines)):
-        place: dict[str, Any] = {"textcoords": "offset points", "xycoords": "axes fraction", "annotation_clip": False}
-        weight = "bold" if i else "normal"
-        axes.annotate(text, (0.0, 1.0), (0.0, 4.5 + i * _TEXT_LINE_INCHES * _POINTS_PER_INCH), weight=weight, **place)
-    for role, parts in panel.stretches().items():
-        spans = [(each.low, each.high - each.low) for each in parts]
-        look: dict[str, Any] = {"facecolors": COLOURS[role], "alpha": 0.16, "linewidth": 0.0}
-        axes.broken_barh(spans, (0.0, 1.0), transform=axes.get_xaxis_transform(), **look)
-    for element in panel.elements:
-        _draw_element(axes, element)
-    for which, scale in (("x", panel.x), ("y", panel.y)):
-        if scale.spacing == "log":
-            _fill_decade(axes, which)
+def fitted_limits(x: Span, y: Span, shape: float) -> tuple[Span, Span]:
+    """Return limits that hold the given ones and have the same length per unit in both; `shape` is width by height."""
+    wide, high = x[1] - x[0], y[1] - y[0]
+    return _widened(x, max(wide, high * shape)), _widened(y, max(high, wide / shape))
 
 
-def _fill_decade(axes: Axes, which: str) -> None:
-    """Give a logarithmic side without two decades' ticks more of them: ticks without numbers say nothing."""
-    low, high = getattr(axes, f"get_{which}lim")()
-    below, above = math.floor(math.log10(low)), math.ceil(math.log10(high))
-    if sum(low <= 10.0**power <= high for power in range(below, above + 1)) < 2:
-        side = axes.xaxis if which == "x" else axes.yaxis
-        side.set_major_locator(LogLocator(subs=_WITHIN_A_DECADE))
-
-
-def _set_scale(axes: Axes, which: str, scale: Scale) -> None:
-    getattr(axes, f"set_{which}scale")(scale.spacing)
-    if scale.spacing == "log":
-        side = axes.xaxis if which == "x" else axes.yaxis
-        side.set_major_formatter(FuncFormatter(_plain))
-        side.set_minor_formatter(NullFormatter())
-    if scale.limits is not None:
-        getattr(axes, f"set_{which}lim")(*scale.limits)
-
-
-def _plain(value: float, _place: int | None) -> str:
-    """Write a tick of a logarithmic scale without mathematics to set, which took a third of the time."""
-    if 1e-3 <= value < 1e5:
-        return f"{value:g}"
-    digits, power = f"{value:.1e}".split("e")
-    return f"{digits.removesuffix('.0')}e{int(power)}"
-
-
-def _draw_element(axes: Axes, element: Element) -> None:
-    if isinstance(element, Heat):
-        _draw_heat(axes, element)
-        return
-    colour = COLOURS[element.role]
-    if isinstance(element, Line):
-        x, y = decimate(element.x, element.y, _MOST_POINTS)
-        drawn = "steps-post" if element.steps else "default"
-        style = "--" if element.dashed else "-"
-        thick = 2.0 if element.is_wide else 1.0
-        axes.plot(x, y, style, color=colour, linewidth=thick, drawstyle=drawn)
-    elif isinstance(element, Band):
-        axes.fill_between(element.x, element.low, element.high, color=colour, alpha=0.22, linewidth=0.0)
-    elif isinstance(element, Points):
-        size = 9.0 if element.marker == "star" else 4.0
-        edge = 0.5 if len(element.x) < _CROWD else 0.0
-        mark: dict[str, Any] = {"zorder": 4, "linestyle": "none", "markeredgecolor": FURNITURE["paper"]}
-        mark |= {"color": colour, "markersize": size, "markeredgewidth": edge}
-        axes.plot(element.x, element.y, _MARKERS[element.marker], **mark)
-    elif isinstance(element, Bars):
-        axes.stairs(element.heights, element.edges, fill=True, color=colour, alpha=0.75)
-    elif isinstance(element, Limit):
-        across = axes.axhline if element.along == "y" else axes.axvline
-        across(element.value, color=colour, linewidth=1.2, linestyle=":")
-
-
-def _draw_heat(axes: Axes, heat: Heat) -> None:
-    low, high = heat.span()
-    colours = TWO_SIDED if heat.is_two_sided else ONE_SIDED
-    # A map is a picture within the picture: as vectors its cells alone would outweigh the page.
-    many = heat.values.size > _MOST_WRITTEN
-    ground = Rectangle(
-        (0.0, 0.0), 1.0, 1.0, transform=axes.transAxes, color=FURNITURE["hole"], linewidth=0.0, zorder=0.0
-    )
-    axes.add_patch(ground)
-    axes.pcolormesh(heat.x, heat.y, heat.values, vmin=low, vmax=high, cmap=colours, shading="nearest", rasterized=many)
-    if heat.names is not None:
-        axes.set_xticks(heat.x, heat.names[0], rotation=60.0, ha="right", rotation_mode="anchor")
-        axes.set_yticks(heat.y, heat.names[1])
-        axes.invert_yaxis()
-    for x, y, text, is_dark in heat.writings():
-        colour = "white" if is_dark else "#222222"
-        axes.text(x, y, text, ha="center", va="center", fontsize=6.0, color=colour)
+def _widened(span: Span, length: float) -> Span:
+    middle = 0.5 * (span[0] + span[1])
+    return middle - 0.5 * length, middle + 0.5 * length

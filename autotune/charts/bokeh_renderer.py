@@ -1,4 +1,4 @@
-"""Draw a chart that can be zoomed and asked for numbers: the only door of reports to Bokeh."""
+"""Draw a chart with Bokeh, to be zoomed and asked for numbers in a browser: the only use of Bokeh in reports."""
 
 import json
 import re
@@ -24,8 +24,7 @@ from bokeh.plotting import figure
 from bokeh.resources import INLINE
 from numpy.typing import ArrayLike
 
-from .charts import Band, Bars, Chart, Heat, Limit, Line, Panel, Points, Scale, Stretch
-from .decimate import MOST_POINTS, decimate
+from .chart import MOST_POINTS, Band, Bars, Chart, Heat, Limit, Line, Panel, Points, Scale, Stretch
 from .palette import COLOURS, FURNITURE
 
 _PANEL_PIXELS, _BESIDE_PIXELS = 210, 240
@@ -53,21 +52,22 @@ def draw_live(chart: Chart) -> dict[str, Any]:
 
     The same chart gives the same text: the ids that the library counts up are counted anew for each chart.
     """
-    plots = [_draw_panel(panel, chart.beside) for panel in chart.panels]
+    plots = [draw_panel(panel, chart.beside) for panel in chart.panels]
     if chart.linked:
         for plot in plots[1:]:
             plot.x_range = plots[0].x_range
     document = Document()
     for plot in plots:
         document.add_root(plot)
-    told = serialize_json(document.to_json(deferred=False))
-    found = dict.fromkeys(_MODEL_ID.findall(told))
+    document_text = serialize_json(document.to_json(deferred=False))
+    found = dict.fromkeys(_MODEL_ID.findall(document_text))
     names = {old: f'"{chart.key}-{i}"' for i, old in enumerate(found)}
-    renamed = json.loads(_MODEL_ID.sub(lambda match: names[match.group()], told))
+    renamed = json.loads(_MODEL_ID.sub(lambda match: names[match.group()], document_text))
     return {"document": renamed, "roots": [root["id"] for root in renamed["roots"]]}
 
 
-def _draw_panel(panel: Panel, is_beside: bool) -> Any:
+def draw_panel(panel: Panel, is_beside: bool) -> Any:
+    """Return a plot of one panel."""
     height = int((_BESIDE_PIXELS if is_beside else _PANEL_PIXELS) * panel.height)
     ranges: dict[str, Any] = {}
     if not panel.equal:
@@ -140,7 +140,7 @@ def _draw_element(element: object, plot: Any) -> Any:
 
 @_draw_element.register
 def _(line: Line, plot: Any) -> Any:
-    x, y = decimate(line.x, line.y, MOST_POINTS)
+    x, y = line.thinned(MOST_POINTS)
     source = ColumnDataSource({"x": _short(x), "y": _short(y)})
     look: dict[str, Any] = {
         "color": COLOURS[line.role],

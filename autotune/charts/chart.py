@@ -1,7 +1,8 @@
-"""What a figure shows, told once: a picture that stands alone and one that can be zoomed are both drawn from it."""
+"""Charts as values: axes with units, lines, bands, markers and maps, described once and drawn by each renderer."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -10,6 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 FloatArray = NDArray[np.floating[Any]]
 Role = Literal["measured", "model", "before", "after", "target", "residual", "quiet", "bad", "good", "other"]
 Spacing = Literal["linear", "log"]
+
+
+MOST_POINTS = 2800
+"""Of a curve, as many as any drawing of it holds."""
+_MARGIN_SHARE = 0.06
 
 
 def _column(values: ArrayLike) -> NDArray[np.float64]:
@@ -38,6 +44,10 @@ class Line:
         object.__setattr__(self, "y", _column(self.y))
         if len(self.x) != len(self.y):
             raise ValueError(f"a curve needs as many y as x, found {len(self.y)} and {len(self.x)}")
+
+    def thinned(self, most: int) -> tuple[FloatArray, FloatArray]:
+        """Return at most `most` points (x, y) of the curve, its peaks among them."""
+        return decimate(self.x, self.y, most)
 
     @property
     def is_wide(self) -> bool:
@@ -211,3 +221,50 @@ class Chart:
     beside: bool = False
     linked: bool = False
     live: bool = True
+
+
+def level_panels(panels: Sequence[Panel]) -> tuple[Panel, ...]:
+    """Return panels that stand beside each other with one scale for y, which holds what any of them shows."""
+    values = np.concatenate([each for panel in panels for each in _heights(panel)])
+    values = values[np.isfinite(values)]
+    low, high = float(np.min(values, initial=0.0)), float(np.max(values, initial=0.0))
+    room = _MARGIN_SHARE * (high - low) or 1.0
+    ends = (low - room if low < 0.0 else 0.0, high + room if high > 0.0 else 0.0)
+    return tuple(replace(panel, y=replace(panel.y, limits=ends)) for panel in panels)
+
+
+def _heights(panel: Panel) -> Iterator[np.ndarray]:
+    for element in panel.elements:
+        if isinstance(element, Line | Points):
+            yield element.y
+        elif isinstance(element, Band):
+            yield element.low
+            yield element.high
+        elif isinstance(element, Limit) and element.along == "y":
+            yield np.array([element.value])
+
+
+def decimate(x: FloatArray, y: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
+    """Return at most `most` points of a curve over rising x (n,), with the smallest and largest y of every stretch.
+
+    Of each of most/2 stretches of as many points, the point where y is smallest and the one where it is largest are
+    kept in their order; where a stretch has a NaN, the curve stays broken there. The first and the last x are kept.
+    """
+    if len(x) <= most or most < 4:
+        return x, y
+    count = (most - 2) // 2
+    edges = np.linspace(1, len(x) - 1, count + 1).astype(np.int64)
+    kept = np.empty(2 * count + 2, dtype=np.int64)
+    kept[0], kept[-1] = 0, len(x) - 1
+    for i, (low, high) in enumerate(pairwise(edges.tolist())):
+        part = y[low:high]
+        broken = np.isnan(part)
+        if broken.any():
+            # One number that is none, and the largest of the others, so that a gap neither closes nor hides a peak.
+            best = int(np.nanargmax(np.abs(part))) if not broken.all() else 0
+            pair = (int(np.argmax(broken)), best)
+        else:
+            pair = (int(np.argmin(part)), int(np.argmax(part)))
+        kept[2 * i + 1], kept[2 * i + 2] = low + min(pair), low + max(pair)
+    kept = np.unique(kept)
+    return x[kept], y[kept]

@@ -7,14 +7,27 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 
-from autotune.report.charts import Band, Bars, Chart, Heat, Limit, Line, Panel, Points, Scale, Stretch
-from autotune.report.decimate import decimate
-from autotune.report.framing import fitted_limits, level_panels
-from autotune.report.legends import build_legend
-from autotune.report.live import draw_live
-from autotune.report.palette import colour_variables, dark_colours
-from autotune.report.static import draw_stills
+from autotune.charts.bokeh_renderer import draw_live
+from autotune.charts.chart import (
+    Band,
+    Bars,
+    Chart,
+    Heat,
+    Limit,
+    Line,
+    Panel,
+    Points,
+    Scale,
+    Stretch,
+    decimate,
+    level_panels,
+)
+from autotune.charts.matplotlib_renderer import draw
+from autotune.charts.palette import colour_variables, dark_colours
+from autotune.report.page import build_legend
+from autotune.report.stills import draw_stills, fitted_limits
 
 
 @pytest.mark.parametrize(
@@ -188,3 +201,30 @@ def test_the_numbers_in_a_table_of_names_have_no_sign_where_they_are_nothing() -
         x=np.arange(2.0), y=np.zeros(1), values=values, label="r", limits=(-1.0, 1.0), names=names, written=True
     )
     assert list(heat.writings()) == [(0.0, 0.0, "0", False), (1.0, 0.0, "−.70", True)]
+
+
+def test_a_chart_is_drawn_on_given_axes_or_as_a_figure_of_its_own() -> None:
+    chart = everything()
+    figure = draw(chart)
+    assert [axes.get_xlabel() for axes in figure.axes[:2]] == ["x", "a"]
+    given = Figure().subplots(1, 2)
+    assert draw(chart, given) is given[0].figure
+    plain, mapped = given
+    assert (plain.get_xscale(), plain.get_ylim(), plain.get_title()) == ("log", (0.0, 0.006), "plain")
+    assert {text.get_text() for text in plain.get_legend().get_texts()} == {
+        *("line", "band", "points", "stretch", "limit")
+    }
+    # The map has no named lines, and a scale of colours beside it.
+    assert mapped.get_legend() is None
+    assert [axes.get_ylabel() for axes in given[0].figure.axes] == ["y", "b", "margin"]
+    drawn = {tuple(line.get_xdata()) for line in plain.lines}
+    assert (1.0, 2.0, 4.0) in drawn
+    alone = Chart(key="one", title="One", alternative="A panel.", panels=chart.panels[:1])
+    axes = Figure().add_subplot()
+    assert draw(alone, axes, legend=False) is axes.figure
+    assert axes.get_legend() is None
+
+
+def test_axes_and_panels_must_be_as_many() -> None:
+    with pytest.raises(ValueError, match="has 2 panels and needs as many axes, found 1"):
+        draw(everything(), Figure().add_subplot())
