@@ -12,8 +12,8 @@ from ._table import print_table
 from ._terminal import tell
 
 if TYPE_CHECKING:
+    from autotune.studies.front import FrontRequest
     from autotune.studies.points import Front, Judgement, StudyRecord
-    from autotune.studies.trace import FrontRequest
     from autotune.tuning.optimize import Optimized
 
 _USUAL_STEM = "controller"
@@ -47,7 +47,11 @@ _DECLARED = (
         metavar="A,B",
         help="Leave discretization, compensation, lead or feedback to the study.",
     ),
-    click.option("--storage", metavar="URL", help="The study's storage; by default pareto.db beside pareto.yaml."),
+    click.option(
+        "--storage",
+        metavar="URL",
+        help="The study's storage: sqlite:///FILE or postgresql+psycopg://...; default pareto.db beside pareto.yaml.",
+    ),
     click.option("--study", metavar="NAME", help="Begin or continue the study of this name."),
     click.option("--trials", type=click.IntRange(min=1), metavar="N", help="Finished trials in all; 200 by default."),
     click.option("--sampler", type=click.Choice(["tpe", "nsga2"]), help="How the study draws; tpe by default."),
@@ -74,7 +78,7 @@ def _request(points: int | None, told: Mapping[str, Any], seed: int) -> "FrontRe
         if given:
             raise click.UsageError(f"--{next(iter(given))} is about a front, and --pareto is not there.")
         return None
-    from autotune.studies.trace import FrontRequest
+    from autotune.studies.front import FrontRequest
 
     if "require" in given:
         given["demands"] = given.pop("require")
@@ -95,7 +99,7 @@ class FrontWriter:
         self._prepared = None
         if request is not None:
             from autotune.formats.atomic import check_target
-            from autotune.studies.trace import prepare_fronts
+            from autotune.studies.front import prepare_fronts
 
             check_target(self.path, [])
             self._prepared = prepare_fronts(request, _beside(out, ".db"))
@@ -103,7 +107,7 @@ class FrontWriter:
     def trace(self, output: Output, found: "Optimized") -> None:
         """Trace the front of every axis."""
         if self._prepared is not None:
-            from autotune.studies.trace import trace_fronts
+            from autotune.studies.front import trace_fronts
 
             with output.progress("tracing the front", 1.0) as advance:
                 self._fronts = trace_fronts(self._prepared, found.searches, advance)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from autotune.formats.identified import IdentifiedFile
     from autotune.formats.units import AxisUnits
     from autotune.report.page import Page
-    from autotune.studies.trace import FrontRequest
+    from autotune.studies.front import FrontRequest
     from autotune.tuning.optimize import Optimized
     from autotune.validation.continuous import ProofWishes
 

@@ -1,20 +1,23 @@
-"""Points of a front: one controller, judged exactly over the dense grid of the uncertainty."""
+"""Points of a front: a controller in one of the structures, judged exactly over the dense grid of the uncertainty."""
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from autotune.errors import AutotuneError, UsageError
 from autotune.tuning.worst import WholeSet
 from problems.design.evaluation import Evaluation
 from problems.design.problem import DesignProblem
 from problems.errors import ParameterError
-from problems.model.controller import AdmittanceController
+from problems.model.controller import AdmittanceController, Discretization
 
 from .plugins import Demand, Objective
+
+FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +119,7 @@ def _beats(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
 
 
 def index_of(controller: AdmittanceController, points: Sequence[Judgement]) -> int | None:
-    """Return where a controller stands among the points."""
+    """Return the index of a controller among the points."""
     return next((i for i, point in enumerate(points) if point.controller == controller), None)
 
 
@@ -151,3 +154,64 @@ def thinned(
         distance = np.min(np.linalg.norm(scaled[:, None] - scaled[kept][None], axis=2), axis=1)
         kept.append(int(np.argmax(distance)))
     return tuple(points[i] for i in sorted(kept))
+
+
+STRUCTURES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "discretization": ("tustin", "backward_euler", "forward_euler"),
+        "compensation": ("off", "filtered"),
+        "lead": ("on", "off"),
+        "feedback": ("on", "off"),
+    }
+)
+"""Discrete choices that may be left to a study, beside the numbers; the first of each is what `optimize` writes."""
+
+_FORMS: Mapping[str, Discretization] = {
+    "tustin": "tustin",
+    "backward_euler": "backward_euler",
+    "forward_euler": "forward_euler",
+}
+
+
+def check_choices(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names; raises UsageError for one that is not in `STRUCTURES` or occurs twice."""
+    unknown = [name for name in names if name not in STRUCTURES]
+    if unknown:
+        raise UsageError(f"{unknown[0]!r} cannot be left to a study; there are: {', '.join(STRUCTURES)}.")
+    if len(set(names)) != len(names):
+        raise UsageError(f"Each choice may be named once; found {', '.join(names)}.")
+    return names
+
+
+def design_of(problem: DesignProblem, controller: AdmittanceController) -> FloatArray:
+    """Return the values of `problem.variables` (n,) that `problem.controller` makes this controller of."""
+    values = {
+        "mass": controller.mass_kg,
+        "damping": controller.damping_n_s_per_m,
+        "lead_s": controller.lead_s,
+        "feedback_damping_s": controller.feedback_damping_s,
+        "velocity_filter_rad_per_s": controller.velocity_filter_rad_per_s,
+        "acceleration_filter_rad_per_s": controller.acceleration_filter_rad_per_s,
+        "compensation_mass_kg": controller.compensation_mass_kg,
+    }
+    return np.array([values[name] for name in problem.variables])
+
+
+def build_controller(problem: DesignProblem, design: FloatArray, chosen: Mapping[str, str]) -> AdmittanceController:
+    """Return the controller of a design, the values of `problem.variables`, in the chosen structure.
+
+    `chosen` maps names of `STRUCTURES` to one of their values. With the compensation, P̂ is the middle of the payload's
+    range unless it is a variable; a part that is off has the gain 0, whatever the design says.
+    """
+    low, high = problem.payload_mass_kg
+    base = problem.controller(design)
+    compensation = base.compensation_mass_kg
+    if "compensation" in chosen:
+        compensation = (compensation or 0.5 * (low + high)) if chosen["compensation"] == "filtered" else 0.0
+    return replace(
+        base,
+        discretization=_FORMS[chosen.get("discretization", "tustin")],
+        compensation_mass_kg=compensation,
+        lead_s=0.0 if chosen.get("lead") == "off" else base.lead_s,
+        feedback_damping_s=0.0 if chosen.get("feedback") == "off" else base.feedback_damping_s,
+    )

@@ -1,27 +1,19 @@
-"""Optuna as the study layer: discrete choices, any objectives, many workers on one storage, resumed after a crash.
-
-Only this module and the sampler import Optuna, which takes half a second.
-"""
+"""Optuna studies: discrete choices, any objectives, many workers on one storage, resumed after a crash."""
 
 import itertools
 import math
-import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import optuna
 from numpy.typing import NDArray
-from optuna.storages import BaseStorage, JournalStorage, RDBStorage, RetryHeartbeatStaleTrialCallback
-from optuna.storages.journal import JournalFileBackend, JournalRedisBackend
+from optuna.distributions import BaseDistribution, FloatDistribution
+from optuna.samplers import BaseSampler, NSGAIISampler, TPESampler
+from optuna.search_space import intersection_search_space
 from optuna.trial import FrozenTrial, Trial, TrialState
-from sqlalchemy import event
-from sqlalchemy.engine import URL, make_url
-from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
 from autotune import __version__
 from autotune.errors import InfeasibleError, UsageError
@@ -34,28 +26,33 @@ from problems.model.controller import AdmittanceController
 from problems.stability.margins import UnstableLoopError
 
 from .plugins import Demand, Limit, Objective
-from .points import Front, Judge, Judgement, StudyRecord, index_of, thinned, undominated
-from .sampler import NumberedSampler, Sampler, is_feasible
-from .structures import STRUCTURES, build_controller
+from .points import (
+    STRUCTURES,
+    Front,
+    Judge,
+    Judgement,
+    StudyRecord,
+    build_controller,
+    index_of,
+    thinned,
+    undominated,
+)
+from .storage import Storage, named_failures, quiet_optuna
 
 FloatArray = NDArray[np.float64]
-Storage = BaseStorage
+Sampler = Literal["tpe", "nsga2"]
 
-HEARTBEAT_S = 10
-_GRACE_BEATS = 3
-_RETRIES = 3
 _FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
-# Two workers that meet a new storage both lay its tables; the slower one finds them a moment later.
-_OPENINGS, _OPENING_PAUSE_S = 5, 0.5
-_SQLITE_PATIENCE_S = 60
 # Constraints are logarithms of required/achieved: an unstable trial misses more than any stable one.
 _LARGEST_MISS = math.log(1e6)
 _UNSTABLE_MISS = 2.0 * _LARGEST_MISS
+_FEWEST_NEIGHBOURS = 3
+_LOCAL_SHARE = 0.02  # of a variable's range, so that neighbours that agree in it do not fix it
 
 
 @dataclass(frozen=True, kw_only=True)
 class StudyPlan:
-    """What a study looks at: objectives, demands, choices (names of `STRUCTURES`), trials in all, and a seed."""
+    """The settings of a study: objectives, demands, choices (names of `STRUCTURES`), trials in all, and a seed."""
 
     objectives: tuple[Objective, ...]
     demands: tuple[Demand, ...] = ()
@@ -65,93 +62,10 @@ class StudyPlan:
     seed: int = 0
 
 
-def open_storage(url: str | None, beside: Path, *, heartbeat_s: int = HEARTBEAT_S) -> BaseStorage:
-    """Open the storage of a study: `url`, or the SQLite file `beside`.
-
-    Relational storages get a heartbeat every `heartbeat_s` seconds, and a trial whose worker fell silent for three of
-    them is tried again, three times at most. Journals have no heartbeat: `journal:///FILE` and `redis://HOST/DB`.
-    Raises UsageError when the storage cannot be opened; the message hides the password.
-    """
-    try:
-        address = URL.create("sqlite", database=str(beside)) if url is None else make_url(url)
-    except SQLAlchemyError as error:
-        # The text is not repeated: whatever it is, it may hold a password.
-        raise UsageError("--storage is no URL; an example is sqlite:///study.db.") from error
-    try:
-        return _opened(address, heartbeat_s)
-    except Exception as error:
-        # Every driver has errors of its own, whose first line says what is wrong.
-        reason = next(iter(str(error.__cause__ or error).splitlines()), repr(error)).rstrip(".")
-        raise UsageError(
-            f"The study's storage {address.render_as_string(hide_password=True)} cannot be used: {reason}."
-        ) from error
-
-
-def close_storage(storage: Storage) -> None:
-    """Close the connections of a storage; it opens new ones when it is used again."""
-    if isinstance(storage, RDBStorage):
-        storage.remove_session()
-        storage.engine.dispose()
-
-
-def _opened(address: URL, heartbeat_s: int) -> BaseStorage:
-    text = address.render_as_string(hide_password=False)
-    kind = address.get_backend_name()
-    if kind == "redis":
-        with _quiet():
-            return JournalStorage(JournalRedisBackend(text))
-    if kind == "journal":
-        with _quiet():
-            return JournalStorage(JournalFileBackend(address.database or ""))
-    for opening in itertools.count(1):
-        try:
-            with _quiet():
-                storage = RDBStorage(
-                    text,
-                    engine_kwargs={"connect_args": {"timeout": _SQLITE_PATIENCE_S}} if kind == "sqlite" else None,
-                    heartbeat_interval=heartbeat_s,
-                    grace_period=_GRACE_BEATS * heartbeat_s,
-                    heartbeat_stale_trial_callback=RetryHeartbeatStaleTrialCallback(max_retry=_RETRIES),
-                )
-            if kind == "sqlite":
-                event.listen(storage.engine, "connect", _write_ahead)
-                storage.engine.dispose()  # what is open already was opened without
-            return storage
-        except (DBAPIError, optuna.exceptions.StorageInternalError):
-            if opening == _OPENINGS:
-                raise
-            time.sleep(_OPENING_PAUSE_S)
-    raise AssertionError("unreachable")
-
-
-def _write_ahead(connection: Any, _record: object) -> None:
-    """Let SQLite write ahead: a trial is 25 commits, each of which would otherwise wait for the disk.
-
-    A killed process loses nothing and a power failure at most the last trials, not the file.
-    """
-    cursor = connection.cursor()
-    cursor.execute("PRAGMA journal_mode=WAL")
-    cursor.execute("PRAGMA synchronous=NORMAL")
-    cursor.close()
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep Optuna's progress lines and its notes on experimental parts (the heartbeat is one) off the terminal."""
-    before = optuna.logging.get_verbosity()
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-            yield
-    finally:
-        optuna.logging.set_verbosity(before)
-
-
 def run_study(
     problem: DesignProblem,
     plan: StudyPlan,
-    storage: BaseStorage,
+    storage: Storage,
     *,
     start: FloatArray,
     name: str,
@@ -162,16 +76,16 @@ def run_study(
     """Run the study until it has `plan.trials` finished trials, and return its front, at most `points` of it.
 
     `start` is the solver's design, tried first, and then in every other structure; then come the designs that `seeds`
-    returns, which is asked once in the life of a study. A study of this name in the storage is continued, also by
+    returns, called once in the life of a study. A study of this name in the storage is continued, also by
     several processes at a time. A trial judges its controller over the dense grid; unstable
     ones are pruned, since no number of them means anything. The front is judged anew and not taken from the storage.
 
     Raises UsageError when the study of this name was made for something else, InfeasibleError when no trial meets
     every requirement.
     """
-    report = progress if progress is not None else _silent
+    report = progress or (lambda _: None)
     judge = Judge(problem, plan.objectives, plan.demands)
-    with _quiet(), _told_by_the_storage():
+    with quiet_optuna(), named_failures():
         study = _open_study(problem, plan, storage, start, name)
         _seed(study, problem, plan, seeds)
         done = len(study.get_trials(deepcopy=False, states=_FINISHED))
@@ -184,19 +98,8 @@ def run_study(
     return _front(trials, judge, plan, start, name, points)
 
 
-@contextmanager
-def _told_by_the_storage() -> Iterator[None]:
-    try:
-        yield
-    except (SQLAlchemyError, optuna.exceptions.StorageInternalError) as error:
-        reason = next(iter(str(error.__cause__ or error).splitlines()), repr(error)).rstrip(".")
-        raise UsageError(
-            f"The study's storage failed: {reason}. What is finished is kept; the same command goes on from there."
-        ) from error
-
-
 def _open_study(
-    problem: DesignProblem, plan: StudyPlan, storage: BaseStorage, start: FloatArray, name: str
+    problem: DesignProblem, plan: StudyPlan, storage: Storage, start: FloatArray, name: str
 ) -> optuna.Study:
     study = optuna.create_study(
         storage=storage,
@@ -294,7 +197,7 @@ def _front(
             f"None of {len(trials)} trials of the study {name} meets every requirement; {_closest(trials)}. Ask for "
             "less, or for more trials."
         )
-    told = [
+    recorded = [
         Judgement(
             controller=_controller(trial.params, judge.problem, plan),
             values=dict(zip((each.name for each in plan.objectives), trial.values, strict=True)),
@@ -302,7 +205,7 @@ def _front(
         )
         for trial in feasible
     ]
-    judged = [judge.judge(point.controller) for point in undominated(told, plan.objectives)]
+    judged = [judge.judge(point.controller) for point in undominated(recorded, plan.objectives)]
     first, front = judge.problem.controller(start), undominated(judged, plan.objectives)
     kept = thinned(front, plan.objectives, points, index_of(first, front))
     return Front(
@@ -321,11 +224,94 @@ def _closest(trials: Sequence[FrozenTrial]) -> str:
     if not judged:
         return "none of them is stable in every scenario"
     closest = min(judged, key=lambda missed: max(missed.values()))
-    told = (
+    missed = (
         f"{name} ({100.0 * math.exp(-value):.3g} % of what is asked)" for name, value in closest.items() if value > 0.0
     )
-    return f"the closest one misses {', '.join(told)}"
+    return f"the closest one misses {', '.join(missed)}"
 
 
-def _silent(_: float) -> None:
-    return None
+class NumberedSampler(BaseSampler):
+    """A sampler whose random numbers follow from the seed and the trial's number alone.
+
+    A resumed study draws what an uninterrupted one would have drawn, and two workers never draw the same. Where the
+    designs that meet every requirement are few in the whole box, each second trial is drawn beside them: from one of
+    them along the difference of two others, a step of differential evolution (Storn and Price 1997).
+    """
+
+    def __init__(self, kind: Sampler, seed: int) -> None:
+        self._kind, self._seed = kind, seed
+        self._inner = self._build(0)
+
+    def _build(self, number: int) -> BaseSampler:
+        seed = int(np.random.SeedSequence([self._seed, number]).generate_state(1)[0])
+        return NSGAIISampler(seed=seed) if self._kind == "nsga2" else TPESampler(seed=seed)
+
+    def before_trial(self, study: optuna.Study, trial: FrozenTrial) -> None:
+        """Draw anew for this number."""
+        self._inner = self._build(trial.number)
+        self._inner.before_trial(study, trial)
+
+    def infer_relative_search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
+        """Return what the sampler draws together: everything beside a neighbour."""
+        if _beside_neighbours(study, trial):
+            return intersection_search_space(study.get_trials(deepcopy=False))
+        return self._inner.infer_relative_search_space(study, trial)
+
+    def sample_relative(
+        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+    ) -> dict[str, Any]:
+        """Draw that."""
+        neighbours = _beside_neighbours(study, trial)
+        if neighbours:
+            return _drawn_beside(neighbours, search_space, np.random.default_rng([self._seed, trial.number]))
+        return self._inner.sample_relative(study, trial, search_space)
+
+    def sample_independent(
+        self, study: optuna.Study, trial: FrozenTrial, param_name: str, param_distribution: BaseDistribution
+    ) -> Any:
+        """Draw one value by itself."""
+        return self._inner.sample_independent(study, trial, param_name, param_distribution)
+
+    def after_trial(
+        self, study: optuna.Study, trial: FrozenTrial, state: TrialState, values: Sequence[float] | None
+    ) -> None:
+        """Let the sampler note the outcome."""
+        self._inner.after_trial(study, trial, state, values)
+
+
+def is_feasible(trial: FrozenTrial) -> bool:
+    """Return whether a finished trial is stable and meets every requirement."""
+    return trial.state is TrialState.COMPLETE and all(value <= 0.0 for value in trial.constraints.values())
+
+
+def _beside_neighbours(study: optuna.Study, trial: FrozenTrial) -> list[FrozenTrial]:
+    """Return the feasible trials beside which this one is drawn, none where it is not its turn."""
+    if trial.number % 2:
+        return []
+    found = [other for other in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)) if is_feasible(other)]
+    return found if len(found) >= _FEWEST_NEIGHBOURS else []
+
+
+def _drawn_beside(
+    neighbours: Sequence[FrozenTrial], space: dict[str, BaseDistribution], rng: np.random.Generator
+) -> dict[str, Any]:
+    """Return a design moved from one neighbour along the difference of two others; choices are those of the first."""
+    from_, one, other = (neighbours[i] for i in rng.choice(len(neighbours), 3, replace=False))
+    step = rng.uniform(0.0, 1.0)
+    drawn: dict[str, Any] = {}
+    for name, distribution in space.items():
+        if not isinstance(distribution, FloatDistribution):
+            drawn[name] = from_.params[name]
+            continue
+        low, high = _unit(distribution, distribution.low), _unit(distribution, distribution.high)
+        unit = _unit(distribution, from_.params[name])
+        unit += step * (_unit(distribution, one.params[name]) - _unit(distribution, other.params[name]))
+        unit += _LOCAL_SHARE * (high - low) * rng.standard_normal()
+        value = float(np.exp(unit)) if distribution.log else float(unit)
+        drawn[name] = float(np.clip(value, distribution.low, distribution.high))
+    return drawn
+
+
+def _unit(distribution: FloatDistribution, value: float) -> float:
+    """Return the value as the study counts it: by its logarithm where the distribution does."""
+    return float(np.log(value)) if distribution.log else float(value)

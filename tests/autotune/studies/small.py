@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.studies.objectives import Admittance, PeakForce
-from autotune.studies.study import StudyPlan, open_storage, run_study
+from autotune.studies.storage import open_storage
+from autotune.studies.study import StudyPlan, run_study
 from autotune.tuning.search import SearchResult, solve_design
 from problems.design.problem import DesignProblem
 from tests.autotune.tuning.cases import FAST_REQUIREMENTS, FAST_SPEC, design_problem

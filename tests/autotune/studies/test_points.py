@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 from autotune.errors import UsageError
 from autotune.studies.objectives import Admittance, PeakForce
 from autotune.studies.plugins import Objective
-from autotune.studies.points import Judge, Judgement, thinned, undominated
+from autotune.studies.points import Judge, Judgement, design_of, thinned, undominated
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.stability.margins import UnstableLoopError
@@ -86,3 +87,8 @@ def test_an_objective_that_fails_or_is_no_number_is_named() -> None:
 def test_an_unstable_controller_is_not_judged() -> None:
     with pytest.raises(UnstableLoopError):
         Judge(small_problem(), OBJECTIVES).judge(AdmittanceController(mass_kg=6.0, damping_n_s_per_m=300.0))
+
+
+def test_a_design_is_found_again_in_its_controller() -> None:
+    problem = small_problem()
+    np.testing.assert_array_equal(design_of(problem, problem.controller(START)), START)

@@ -20,10 +20,9 @@ from sqlalchemy import create_engine, text
 from autotune.errors import InfeasibleError, UsageError
 from autotune.studies.objectives import HandForce, PeakForce
 from autotune.studies.plugins import Limit
-from autotune.studies.points import Judge
-from autotune.studies.sampler import Sampler, is_feasible
-from autotune.studies.structures import STRUCTURES, build_controller, check_choices
-from autotune.studies.study import Storage, StudyPlan, _quiet, close_storage, open_storage, run_study
+from autotune.studies.points import STRUCTURES, Judge, build_controller, check_choices
+from autotune.studies.storage import Storage, close_storage, open_storage, quiet_optuna
+from autotune.studies.study import Sampler, StudyPlan, is_feasible, run_study
 from autotune.tuning.search import presentable
 from problems.design.evaluation import build_scenarios
 from problems.design.problem import VARIABLES
@@ -240,7 +239,7 @@ def test_a_structure_changes_what_it_names_and_nothing_else() -> None:
 def check_kill_and_resume(url: str, tmp_path: Path) -> None:
     """Kill a worker in the middle of a trial; the next one goes on, and tries the lost trial again."""
     trials = 40
-    with _quiet():
+    with quiet_optuna():
         storage = open_storage(url, tmp_path / "unused.db", heartbeat_s=1)
         worker = start_worker(url, trials)
         wait_for(storage, 6, worker)
@@ -270,7 +269,7 @@ def check_two_workers(url: str, tmp_path: Path) -> None:
         told, wrong = worker.communicate(timeout=120)
         assert worker.returncode == 0, wrong
         assert int(told) >= 1
-    with _quiet():
+    with quiet_optuna():
         storage = open_storage(url, tmp_path / "unused.db")
         found = trials_of(storage)
         close_storage(storage)
@@ -290,26 +289,21 @@ def test_two_processes_share_a_study(tmp_path: Path) -> None:
     check_two_workers(url_of(tmp_path / "study.db"), tmp_path)
 
 
-def test_a_journal_is_a_storage_without_heartbeat(tmp_path: Path) -> None:
-    url = f"journal:///{tmp_path / 'study.log'}"
-    front = run_study(small_problem(), small_plan(4), open_storage(url, tmp_path / "x"), start=START, name="shared")
-    assert front.study is not None
-    assert front.study.trials == 4
-    assert (tmp_path / "study.log").stat().st_size > 0
-
-
 @pytest.mark.parametrize(
-    ("url", "told"),
+    ("url", "said"),
     [
         ("nonsense", "is no URL"),
-        ("foo://user:secret@host/x", "foo://user:***@host/x cannot be used"),
+        ("redis://user:secret@host/0", "must be SQLite (sqlite:///FILE) or PostgreSQL"),
+        ("journal:///study.log", "found journal://."),
+        ("mysql+pymysql://user:secret@host/x", "found mysql+pymysql://."),
+        ("postgresql+foo://user:secret@host/x", "postgresql+foo://user:***@host/x cannot be used"),
         ("sqlite:////nonexistent/folder/x.db", "unable to open database file"),
     ],
 )
-def test_a_storage_that_does_not_open_is_named_without_its_password(tmp_path: Path, url: str, told: str) -> None:
+def test_a_storage_that_does_not_open_is_named_without_its_password(tmp_path: Path, url: str, said: str) -> None:
     with pytest.raises(UsageError) as refused:
         open_storage(url, tmp_path / "x")
-    assert told in str(refused.value)
+    assert said in str(refused.value)
     assert "secret" not in str(refused.value)
 
 
