@@ -5,9 +5,7 @@ import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import active_children, get_context
-from multiprocessing.reduction import ForkingPickler
-from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import TypeVar
 
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
@@ -61,18 +59,6 @@ def _nothing() -> None:
 def _done(result: _Result, done: Callable[[], None]) -> _Result:
     done()
     return result
-
-
-def _frozen(items: dict[Any, Any]) -> MappingProxyType[Any, Any]:
-    return MappingProxyType(items)
-
-
-def _told_frozen(mapping: MappingProxyType[Any, Any]) -> tuple[Callable[..., Any], tuple[dict[Any, Any]]]:
-    return _frozen, (dict(mapping),)
-
-
-# Frozen records hold read-only views of dictionaries, which pickle does not know by itself.
-ForkingPickler.register(MappingProxyType, _told_frozen)
 
 
 def _prepare() -> None:

@@ -3,10 +3,11 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
+
+from problems.frozen import freeze
 
 from .joint_fit.result import FittedSpan
 from .result import Finding
@@ -50,7 +51,7 @@ class Evidence:
     gain_error_share: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "axes", MappingProxyType(dict(self.axes)))
+        freeze(self, "axes")
 
     def __reduce__(self) -> tuple[Callable[[], "Evidence"], tuple[()]]:
         """Pickle by what the constructor takes: a view of a mapping has no copy of its own."""

@@ -3,7 +3,8 @@
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
+
+from problems.frozen import FrozenDict
 
 from .errors import EstimateError
 from .result import AxisEstimate, Estimate, Finding, Identified, Status
@@ -30,7 +31,7 @@ def axis_keys(axis: str) -> Mapping[str, str]:
 
     `mass_kg` and `sample_time_s` stand alone.
     """
-    return MappingProxyType(_ROTATIONAL_KEYS if axis.startswith("r") else _AXIS_KEYS)
+    return FrozenDict(_ROTATIONAL_KEYS if axis.startswith("r") else _AXIS_KEYS)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,12 +1,11 @@
 """What identification hands on: every parameter with its uncertainty and a verdict."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import partial
-from types import MappingProxyType
 
 from problems.errors import ParameterError
+from problems.frozen import freeze
 
 from .phases import Timeline
 
@@ -250,8 +249,4 @@ class Identified:
     timelines: tuple[Timeline, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "axes", MappingProxyType(dict(self.axes)))
-
-    def __reduce__(self) -> tuple[Callable[[], "Identified"], tuple[()]]:
-        """Pickle by what the constructor takes: a view of a mapping has no copy of its own."""
-        return partial(Identified, **{**vars(self), "axes": dict(self.axes)}), ()
+        freeze(self, "axes")

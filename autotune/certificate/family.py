@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from problems.design.uncertainty import FURTHER_UNCERTAIN, Scenario
 from problems.errors import ParameterError
+from problems.frozen import freeze
 from problems.model.plant import FREE_SPACE, Plant, write_plant
 from problems.model.robot_variation import bandwidth_hz, vary_robot
 from problems.model.sampled import split_delay
@@ -47,7 +47,7 @@ class Family:
     shared_delay: tuple[Interval, Interval] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "ranges", MappingProxyType(dict(self.ranges)))
+        freeze(self, "ranges")
         for name, (low, high) in self.ranges.items():
             if name not in PROVABLE:
                 raise ParameterError("ranges", name, f"one of {', '.join(PROVABLE)}")

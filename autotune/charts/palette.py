@@ -2,9 +2,10 @@
 
 import re
 from collections.abc import Mapping
-from types import MappingProxyType
 
-COLOURS: Mapping[str, str] = MappingProxyType(
+from problems.frozen import FrozenDict
+
+COLOURS: Mapping[str, str] = FrozenDict(
     {
         "measured": "#3b4a5a",
         "model": "#d55e00",
@@ -19,10 +20,10 @@ COLOURS: Mapping[str, str] = MappingProxyType(
     }
 )
 # What a figure has besides its data. The hole of a map, where there is no number, is neither paper nor on the scale.
-FURNITURE: Mapping[str, str] = MappingProxyType(
+FURNITURE: Mapping[str, str] = FrozenDict(
     {"ink": "#333333", "frame": "#7a7f85", "grid": "#d9dde1", "paper": "#fefefe", "hole": "#c3c8cd"}
 )
-_ON_DARK: Mapping[str, str] = MappingProxyType(
+_ON_DARK: Mapping[str, str] = FrozenDict(
     {
         "measured": "#c9d4de",
         "model": "#ff8f45",

@@ -1,10 +1,11 @@
 """What `--help` looks like: options in groups, the width of the terminal, examples as they are typed."""
 
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import Any
 
 import click
+
+from problems.frozen import FrozenDict
 
 _WIDEST = 100
 _COMMON = ("--json", "--quiet", "--debug", "--help")
@@ -21,7 +22,7 @@ class GroupedCommand(click.Command):
     def __init__(self, name: str | None, *, groups: Mapping[str, Sequence[str]] | None = None, **options: Any) -> None:
         super().__init__(name, **options)
         self.context_settings = {"max_content_width": _WIDEST, **self.context_settings}
-        self.groups = MappingProxyType(dict(groups or {}))
+        self.groups = FrozenDict(groups or {})
         known = {parameter.name for parameter in self.params if isinstance(parameter, click.Option)}
         unknown = [name for names in self.groups.values() for name in names if name not in known]
         if unknown:

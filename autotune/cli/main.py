@@ -10,7 +10,6 @@ import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from types import MappingProxyType
 from typing import Any
 
 import click
@@ -23,6 +22,7 @@ from autotune.cli.completion import COMPLETE_VARIABLE
 from autotune.errors import CertificateError, InfeasibleError, UsageError
 from identification.errors import EstimateError, LogError
 from problems.errors import ParameterError
+from problems.frozen import FrozenDict
 
 PROGRAM = "autotune"
 _GARBAGE = 50_000
@@ -58,7 +58,7 @@ class CommandEntry:
     help: str
 
 
-COMMANDS: Mapping[str, CommandEntry] = MappingProxyType(
+COMMANDS: Mapping[str, CommandEntry] = FrozenDict(
     {
         "inspect": CommandEntry(
             module="autotune.cli.inspect", help="Tell what a log holds and what it can be used for."

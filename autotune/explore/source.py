@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -38,6 +37,7 @@ from problems.design.evaluation import build_scenarios
 from problems.design.problem import DEFAULT_BOUNDS, FURTHER_VARIABLES, VARIABLES, DesignProblem
 from problems.design.requirements import REQUIREMENTS, AdmittanceTarget, Requirements
 from problems.design.uncertainty import Scenario
+from problems.frozen import freeze
 from problems.model.controller import AdmittanceController
 
 FloatArray = NDArray[np.float64]
@@ -83,8 +83,7 @@ class Exploration:
     threshold: ThresholdWish | None = None
 
     def __post_init__(self) -> None:
-        for name in ("axes", "provenance", "gains"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        freeze(self, "axes", "provenance", "gains")
 
 
 def read_exploration(path: Path, problem: Path | None = None, progress: Progress | None = None) -> Exploration:

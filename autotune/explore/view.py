@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from problems.design.batch_evaluation import BatchEvaluator, build_batch_evaluat
 from problems.design.evaluation import Evaluation, build_scenarios
 from problems.design.problem import DesignProblem
 from problems.design.uncertainty import Scenario
+from problems.frozen import FrozenDict
 from problems.model.response import PlantResponse, loop_at, plant_response, rendered_admittance
 from problems.model.sampled import build_loop, spectral_radius
 from problems.stability.margins import Margins, PreparedMargins, frequency_grid
@@ -74,12 +74,12 @@ class View:
     @property
     def ratios(self) -> Mapping[str, float]:
         """Required/achieved of everything asked, hard and soft, worst over the plants; empty where unstable."""
-        return MappingProxyType({**self.evaluation.requirements, **self.evaluation.soft})
+        return FrozenDict({**self.evaluation.requirements, **self.evaluation.soft})
 
     @property
     def missed(self) -> Mapping[str, float]:
         """Required/achieved of what must be met and is not."""
-        return MappingProxyType({name: value for name, value in self.evaluation.requirements.items() if value > 1.0})
+        return FrozenDict({name: value for name, value in self.evaluation.requirements.items() if value > 1.0})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,10 +5,10 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import MappingProxyType
 
 from autotune.errors import UsageError
 from autotune.formats.atomic import check_target
+from problems.frozen import FrozenDict
 
 CELL_MARK = "# Written by autotune export --target cell.\n"
 """The first line of a `cell` file, which is otherwise like the controller.yaml that `optimize` writes."""
@@ -35,7 +35,7 @@ def _is_json_controller(path: Path) -> bool:
     return isinstance(tree, dict) and tree.get("format") == "autotune/controller"
 
 
-_MADE_BY: Mapping[str, Callable[[Path], bool]] = MappingProxyType(
+_MADE_BY: Mapping[str, Callable[[Path], bool]] = FrozenDict(
     {
         "cell": _begins(re.escape(CELL_MARK.encode())),
         "json": _is_json_controller,

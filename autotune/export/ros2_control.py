@@ -8,13 +8,13 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 from autotune.errors import UsageError
 from autotune.formats.controller_record import AxisGains, Controller
 from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import axis_units
 from autotune.validation.law import AxisTask
+from problems.frozen import FrozenDict
 from problems.model.linear_controllers import LinearLaw
 from problems.model.third_party_controllers import SpringAdmittance
 
@@ -23,7 +23,7 @@ from .structure import Values, Variable, lost_gains
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 STANDARD_GRAVITY = 9.80665
-RELEASES: Mapping[str, tuple[int, int, int]] = MappingProxyType(
+RELEASES: Mapping[str, tuple[int, int, int]] = FrozenDict(
     {
         "humble": (2, 54, 0),
         "jazzy": (4, 42, 0),

@@ -2,10 +2,10 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from autotune.errors import CertificateError, UsageError
+from problems.frozen import FrozenDict
 
 if TYPE_CHECKING:
     from autotune.formats.controller import Controller
@@ -33,7 +33,7 @@ def render_json(controller: "Controller") -> str:
     return dump_json(controller_tree(controller))
 
 
-TARGETS: Mapping[str, Callable[["Controller"], str]] = MappingProxyType({"cell": render_cell, "json": render_json})
+TARGETS: Mapping[str, Callable[["Controller"], str]] = FrozenDict({"cell": render_cell, "json": render_json})
 EVERY_TARGET = (*TARGETS, "c")
 """Also those that are no text from which the controller could be read back."""
 PEER_TARGETS = ("ros2_control", "fzi_cartesian")

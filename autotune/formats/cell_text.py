@@ -3,17 +3,17 @@
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 
 from autotune.errors import UsageError
 from identification.logs.layouts import Role
 from identification.logs.summary import Candidate, LogSummary, RoleSummary
+from problems.frozen import FrozenDict
 
 from .atomic import write_atomic
 from .cell import check_cell_text
 
 _THREE, _SIX = '["…", "…", "…"]', '["…", "…", "…", "…", "…", "…"]'
-_FIELDS: Mapping[Role, str] = MappingProxyType(
+_FIELDS: Mapping[Role, str] = FrozenDict(
     {
         Role.WRENCH: f"fields: {{force: {_THREE}, torque: {_THREE}}}",
         Role.POSE: f"fields: {{position: {_THREE}, orientation: {_THREE}}}",
@@ -23,7 +23,7 @@ _FIELDS: Mapping[Role, str] = MappingProxyType(
         Role.DESIRED_FORCE: f"fields: {{force: {_THREE}, torque: {_THREE}}}",
     }
 )
-_QUESTIONS: Mapping[Role, Sequence[tuple[str, str]]] = MappingProxyType(
+_QUESTIONS: Mapping[Role, Sequence[tuple[str, str]]] = FrozenDict(
     {
         Role.WRENCH: (
             ("units: {force: N, torque: N·m}", "or kN, lbf, kgf; N·mm, kN·m, lbf·in, lbf·ft"),

@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from problems.design.requirements import NoiseLimit, PassivityTarget
 from problems.design.uncertainty import Ellipsoid, Scenario, Uncertainty
 from problems.errors import ParameterError
+from problems.frozen import FrozenDict, freeze
 from problems.model.plant import NO_FILTER, Coupling, Environment, Payload, Plant, WrenchFilter
 from problems.model.robot import RobotModel
 
@@ -44,11 +44,6 @@ class CollisionResponse(StrEnum):
     NONE = "none"
     RESET = "reset"
     STOP = "stop"
-
-
-def _freeze(record: object, *names: str) -> None:
-    for name in names:
-        object.__setattr__(record, name, MappingProxyType(dict(getattr(record, name))))
 
 
 def _check_interval(name: str, interval: Interval) -> None:
@@ -130,7 +125,7 @@ class ScenarioPrediction:
 
     def __post_init__(self) -> None:
         if self.further is not None:
-            _freeze(self, "further")
+            freeze(self, "further")
 
     def scenario(self) -> Scenario:
         """Return the point of the uncertainty."""
@@ -176,7 +171,7 @@ class ConfidenceSet:
     covariance: Mapping[str, Mapping[str, float]]
 
     def __post_init__(self) -> None:
-        _freeze(self, "centre", "covariance")
+        freeze(self, "centre", "covariance")
         for name, row in self.covariance.items():
             if set(row) != set(self.centre):
                 raise ParameterError(f"covariance.{name}", sorted(row), f"given for {', '.join(self.centre)}")
@@ -222,7 +217,7 @@ class AxisDomain:
         _check_interval("environment_stiffness_n_per_m", self.environment_stiffness_n_per_m)
         _check_interval("payload_mass_kg", self.payload_mass_kg)
         if self.uncertain is not None:
-            _freeze(self, "uncertain")
+            freeze(self, "uncertain")
             self.uncertainty()
         elif self.confidence is not None:
             raise ParameterError("confidence", self.confidence.level, "given together with the ranges that it cuts")
@@ -275,9 +270,7 @@ class AxisMargins:
         for name in ("gain_db", "phase_deg", "delay_s"):
             if getattr(self, name) == math.inf:
                 object.__setattr__(self, name, None)
-        object.__setattr__(
-            self, "worst", MappingProxyType({key: MappingProxyType(dict(case)) for key, case in self.worst.items()})
-        )
+        object.__setattr__(self, "worst", FrozenDict({key: FrozenDict(case) for key, case in self.worst.items()}))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -291,7 +284,7 @@ class Proof:
 
     def __post_init__(self) -> None:
         if self.numbers is not None:
-            _freeze(self, "numbers")
+            freeze(self, "numbers")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -374,13 +367,13 @@ class Certificate:
     continuous: Mapping[str, tuple[Reach, ...]] | None = None
 
     def __post_init__(self) -> None:
-        _freeze(self, "domain", "requirements", "margins")
+        freeze(self, "domain", "requirements", "margins")
         if self.continuous is not None:
-            _freeze(self, "continuous")
+            freeze(self, "continuous")
         if self.rotational_requirements is not None:
-            _freeze(self, "rotational_requirements")
+            freeze(self, "rotational_requirements")
         if self.soft is not None:
-            _freeze(self, "soft")
+            freeze(self, "soft")
 
     def requirements_of(self, axis: str) -> Asked | None:
         """Return what was asked of one axis; None for a rotational one of which the file does not say it."""
@@ -412,7 +405,7 @@ class Controller:
     limits: Limits | None = None
 
     def __post_init__(self) -> None:
-        _freeze(self, "axes", "predicted", "provenance")
+        freeze(self, "axes", "predicted", "provenance")
         if self.limits is not None and set(self.axes) - set(self.limits.axes):
             must = f"given for all tuned axes, {', '.join(self.axes)}"
             raise ParameterError("limits.axes", sorted(self.limits.axes), must)

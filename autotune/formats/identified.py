@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from autotune.errors import UsageError
 from identification.result import Identified, Status
+from problems.frozen import freeze
 
 from .atomic import write_atomic
 from .canonical import plain
@@ -28,7 +28,7 @@ class IdentifiedFile:
     sha256: str
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
+        freeze(self, "provenance")
 
 
 def identified_tree(result: Identified, provenance: Mapping[str, object]) -> dict[str, Any]:

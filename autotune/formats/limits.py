@@ -3,9 +3,9 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 from problems.errors import ParameterError
+from problems.frozen import FrozenDict, freeze
 
 MOST_REST_SAMPLES = 100_000
 
@@ -67,8 +67,7 @@ class Limits:
         if not 1 <= self.rest_samples <= MOST_REST_SAMPLES or self.rest_samples != int(self.rest_samples):
             raise ParameterError("rest_samples", self.rest_samples, f"a whole number from 1 to {MOST_REST_SAMPLES}")
         object.__setattr__(self, "rest_samples", int(self.rest_samples))
-        object.__setattr__(self, "axes", MappingProxyType(dict(self.axes)))
-        object.__setattr__(self, "reasons", MappingProxyType(dict(self.reasons)))
+        freeze(self, "axes", "reasons")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,9 +87,9 @@ class LimitsSpec:
     axes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
-        of_axes = {name: MappingProxyType(dict(each)) for name, each in self.axes.items()}
-        object.__setattr__(self, "axes", MappingProxyType(of_axes))
+        freeze(self, "values")
+        of_axes = {name: FrozenDict(each) for name, each in self.axes.items()}
+        object.__setattr__(self, "axes", FrozenDict(of_axes))
 
 
 def _check_positive(record: object, names: tuple[str, ...]) -> None:

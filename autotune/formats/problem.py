@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal
 
 from autotune.errors import UsageError
@@ -11,6 +10,7 @@ from problems.contact.transient import Approach
 from problems.design.problem import AdmittanceTarget, NoiseLimit, Objective, PassivityTarget, Requirements
 from problems.design.uncertainty import FURTHER_UNCERTAIN, UNCERTAIN
 from problems.errors import ParameterError
+from problems.frozen import freeze
 from problems.model.controller import check_feedback_damping
 
 from .canonical import Place, spell
@@ -64,8 +64,7 @@ class RotationalSpec:
     requirements: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("bounds", "uncertain", "requirements"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        freeze(self, "bounds", "uncertain", "requirements")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,8 +93,7 @@ class ProblemSpec:
     limits: LimitsSpec = field(default_factory=LimitsSpec)
 
     def __post_init__(self) -> None:
-        for name in ("bounds", "uncertain", "free"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        freeze(self, "bounds", "uncertain", "free")
 
 
 def read_problem(path: Path) -> ProblemSpec:

@@ -7,6 +7,7 @@ from enum import Enum
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from problems.errors import ParameterError
+from problems.frozen import FrozenDict
 
 from .canonical import Place, plain, spell
 
@@ -15,7 +16,7 @@ _Record = TypeVar("_Record")
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 ROTATIONAL_AXES = frozenset({"rx", "ry", "rz"})
 
-ROTATIONAL_KEYS: Mapping[str, str] = types.MappingProxyType(
+ROTATIONAL_KEYS: Mapping[str, str] = FrozenDict(
     {
         "stiffness_n_per_m": "stiffness_n_m_per_rad",
         "secant_stiffness_n_per_m": "secant_stiffness_n_m_per_rad",

@@ -4,9 +4,9 @@ import re
 from collections.abc import Mapping
 from hashlib import sha256
 from pathlib import Path
-from types import MappingProxyType
 
 from autotune.errors import AutotuneError, UsageError
+from problems.frozen import FrozenDict
 
 from .canonical import checksum, short
 
@@ -20,7 +20,7 @@ _PICTURES = (
     (b"\x89PNG\r\n\x1a\n", f"Software\0{PICTURE_MARK}".encode()),
     (b"<?xml ", f"<dc:title>{PICTURE_MARK}</dc:title>".encode()),
 )
-_NOUNS: Mapping[str, str] = MappingProxyType(
+_NOUNS: Mapping[str, str] = FrozenDict(
     {
         "c": "C export",
         "controller": "controller",

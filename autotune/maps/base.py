@@ -3,10 +3,10 @@
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 from autotune.errors import UsageError
 from identification.errors import EstimateError
+from problems.frozen import freeze
 from problems.maps.parameters import CONTROLLER_FIELDS, STANDS_FOR, controller_at, plant_at, value_of
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment, Payload, Plant
@@ -32,7 +32,7 @@ class Base:
     derived: Mapping[str, float]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "derived", MappingProxyType(dict(self.derived)))
+        freeze(self, "derived")
 
     def value(self, name: str) -> float:
         """Return the value of a parameter that does not vary."""

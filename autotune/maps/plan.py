@@ -3,10 +3,10 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 from autotune.errors import UsageError
 from problems.contact.transient import Approach
+from problems.frozen import freeze
 from problems.maps.maps import MapAxis, MapRequest, check_varied
 from problems.maps.parameters import MapParameter, MapQuantity, check_together
 from problems.maps.search import IntervalCase, IntervalRequest
@@ -41,7 +41,7 @@ class MapPlan:
     design: Mapping[str, float] | None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "fixed", MappingProxyType(dict(self.fixed)))
+        freeze(self, "fixed")
 
     def unit(self, parameter: MapParameter) -> str:
         """Return the unit of a parameter on this axis."""

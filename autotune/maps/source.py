@@ -5,7 +5,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError
 from identification.result import AxisEstimate, Estimate, Identified, Status
 from problems.contact.transient import Approach
+from problems.frozen import freeze
 from problems.model.controller import AdmittanceController
 from problems.model.plant import NO_FILTER, WrenchFilter
 from problems.model.robot import RobotModel
@@ -50,9 +50,7 @@ class MapSource:
     checksums: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "known", MappingProxyType(dict(self.known)))
-        object.__setattr__(self, "missing", MappingProxyType(dict(self.missing)))
-        object.__setattr__(self, "checksums", MappingProxyType(dict(self.checksums)))
+        freeze(self, "known", "missing", "checksums")
 
     @property
     def is_rotational(self) -> bool:

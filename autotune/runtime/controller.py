@@ -3,11 +3,11 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 from autotune.errors import CertificateError, UsageError
 from autotune.formats.limits import Limits
 from problems.errors import ParameterError
+from problems.frozen import FrozenDict
 
 from .guard import Guard
 from .law import AXES, TRANSLATIONS, AxisLaw, CollisionResponse, Payload, is_number
@@ -85,7 +85,7 @@ class RuntimeController:
 def _told_inertias(told: Mapping[str, float] | None) -> Mapping[str, float]:
     """Return the inertias by axis; an unknown name would be an inertia that is checked against nothing."""
     if told is None:
-        return MappingProxyType({})
+        return FrozenDict({})
     if not isinstance(told, Mapping):
         raise UsageError(f"payload_inertia_kg_m2 must hold inertias by axis, as {{'rz': 0.4}}; found {told!r}.")
     for name, inertia in told.items():

@@ -3,8 +3,9 @@
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
+
+from problems.frozen import FrozenDict
 
 Place = tuple[str | int, ...]
 Schema = Mapping[str, Any]
@@ -79,7 +80,7 @@ def _is_whole(value: object) -> bool:
     return _is_number(value) and float(value).is_integer()  # type: ignore[arg-type]  # a number, as just seen
 
 
-_TYPES: Mapping[str, Callable[[Any], bool]] = MappingProxyType(
+_TYPES: Mapping[str, Callable[[Any], bool]] = FrozenDict(
     {
         "array": lambda value: isinstance(value, list),
         "boolean": lambda value: isinstance(value, bool),
@@ -109,7 +110,7 @@ def _bound(holds: Callable[[Any, Any], bool]) -> Callable[[Any, Any], bool]:
     return lambda value, limit: not _is_number(value) or holds(value, limit)
 
 
-_RULES: Mapping[str, Callable[[Any, Any], bool]] = MappingProxyType(
+_RULES: Mapping[str, Callable[[Any, Any], bool]] = FrozenDict(
     {
         "type": _is_of_type,
         "const": _is_same,

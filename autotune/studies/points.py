@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from autotune.tuning.worst import WholeSet
 from problems.design.evaluation import Evaluation
 from problems.design.problem import DesignProblem
 from problems.errors import ParameterError
+from problems.frozen import FrozenDict
 from problems.model.controller import AdmittanceController, Discretization
 
 from .plugins import Demand, Objective
@@ -81,8 +81,8 @@ class Judge:
         asked = {each.name: _required(each.name, self._ask(each, evaluation)) for each in self.demands}
         return Judgement(
             controller=controller,
-            values=MappingProxyType(values),
-            requirements=MappingProxyType({**evaluation.requirements, **asked}),
+            values=FrozenDict(values),
+            requirements=FrozenDict({**evaluation.requirements, **asked}),
         )
 
     def _ask(self, plugin: Objective | Demand, evaluation: Evaluation) -> float:
@@ -156,7 +156,7 @@ def thinned(
     return tuple(points[i] for i in sorted(kept))
 
 
-STRUCTURES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+STRUCTURES: Mapping[str, tuple[str, ...]] = FrozenDict(
     {
         "discretization": ("tustin", "backward_euler", "forward_euler"),
         "compensation": ("off", "filtered"),

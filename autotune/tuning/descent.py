@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from problems.design.batch_evaluation import BatchEvaluator
+from problems.frozen import FrozenDict
 
 from .bounds import Box
 
@@ -21,7 +21,7 @@ _STEP = 1e-6
 _ITERATIONS = 12
 _TOLERANCE = 1e-8
 _WALL = 1e3
-_NONE: Mapping[str, float] = MappingProxyType({})
+_NONE: Mapping[str, float] = FrozenDict({})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from problems.frozen import freeze
 from problems.model.robot import RobotModel
 
 from .contacts import FoundContact
@@ -100,7 +100,7 @@ class JointFit:
     spans: tuple[FittedSpan, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "ci95", MappingProxyType(dict(self.ci95)))
+        freeze(self, "ci95")
         for name in ("values", "covariance"):
             array = np.array(getattr(self, name), dtype=np.float64)
             array.setflags(write=False)

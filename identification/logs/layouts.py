@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from types import MappingProxyType
+
+from problems.frozen import FrozenDict
 
 WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
 WRENCH = "geometry_msgs/msg/Wrench"
@@ -61,7 +62,7 @@ _POSES = {
 _STATE_WRENCH = Layout(fields=_vectors("wrench_base.wrench.", ("force", "torque")), header="")
 _STATE_GAINS = Layout(fields=tuple(f"{name}.data[{i}]" for name in ("mass", "damping") for i in range(6)), header="")
 
-LAYOUTS: Mapping[Role, Mapping[str, Layout]] = MappingProxyType(
+LAYOUTS: Mapping[Role, Mapping[str, Layout]] = FrozenDict(
     {
         Role.WRENCH: {**_WRENCHES, ADMITTANCE_STATE: _STATE_WRENCH},
         Role.POSE: _POSES,
@@ -72,7 +73,7 @@ LAYOUTS: Mapping[Role, Mapping[str, Layout]] = MappingProxyType(
     }
 )
 
-TIERS: Mapping[Role, tuple[frozenset[str], ...]] = MappingProxyType(
+TIERS: Mapping[Role, tuple[frozenset[str], ...]] = FrozenDict(
     {
         Role.WRENCH: (frozenset(_WRENCHES), frozenset({ADMITTANCE_STATE})),
         Role.POSE: (frozenset({POSE_STAMPED}), TRANSFORMS),

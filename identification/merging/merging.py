@@ -7,10 +7,11 @@ the calibration of the force sensor (in everything mechanical). A plan predicts 
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
+
+from problems.frozen import freeze
 
 from ..payload.gravity import LOCAL_GRAVITY_STD
 
@@ -118,8 +119,7 @@ class Merged:
     freedom: Mapping[str, int]
 
     def __post_init__(self) -> None:
-        for name in ("square", "freedom"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        freeze(self, "square", "freedom")
 
 
 def merge_normals(parts: Sequence[Normal], told: Sequence[Collection[str]], *, gain_share: float = 0.0) -> Merged:

@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from problems.frozen import freeze
 
 from ..errors import EstimateError, LogError
 from ..result import Finding
@@ -152,8 +153,7 @@ class Recording:
     keeps_holes: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "sha256", MappingProxyType(dict(self.sha256)))
-        object.__setattr__(self, "clocks", MappingProxyType(dict(self.clocks)))
+        freeze(self, "sha256", "clocks")
 
     def require_raw(self) -> None:
         """Raise EstimateError unless this holds a raw six-axis wrench and a whole pose in the base frame."""

@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
+
+from problems.frozen import freeze
 
 from ..phases import Phase
 from ..result import CONTACT_UNEXPLAINED, EnvironmentEstimate, Estimate, Finding, Status
@@ -54,7 +55,7 @@ class Accounted:
     findings: tuple[Finding, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "surfaces", MappingProxyType(dict(self.surfaces)))
+        freeze(self, "surfaces")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from .._checks import interval, non_negative, positive
 from ..contact.transient import Approach
 from ..errors import ParameterError
+from ..frozen import FrozenDict
 from ..model.controller import (
     PAPER_VELOCITY_FILTER_RAD_PER_S,
     SMALLEST_FEEDBACK_DAMPING_S,
@@ -42,7 +42,7 @@ Objective = Literal["contact_force", "sensor_force"]
 # 550..2000 N s/m, 0..0.025 s, 0..0.0075 s) and little more on the side of small mass and large lead: K_l/M_a is what
 # sensor noise is multiplied by on its way to the velocity command, and the measured limit of K_l was half the modelled.
 VARIABLES = ("mass", "damping", "lead_s", "feedback_damping_s")
-DEFAULT_BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
+DEFAULT_BOUNDS: Mapping[str, tuple[float, float]] = FrozenDict(
     {"mass": (5.0, 100.0), "damping": (100.0, 10000.0), "lead_s": (0.0, 0.03), "feedback_damping_s": (0.0, 0.05)}
 )
 FURTHER_VARIABLES = ("velocity_filter_rad_per_s", "acceleration_filter_rad_per_s", "compensation_mass_kg")
@@ -106,7 +106,7 @@ class DesignProblem:
         if "acceleration_filter_rad_per_s" in bounds and bounds.get("compensation_mass_kg", (0.0, 0.0))[1] == 0.0:
             must = "left out unless compensation_mass_kg is free too (the filter is that of the compensation)"
             raise ParameterError("bounds", "acceleration_filter_rad_per_s", must)
-        object.__setattr__(self, "bounds", MappingProxyType(bounds))
+        object.__setattr__(self, "bounds", FrozenDict(bounds))
 
     def _check_requirements(self) -> None:
         asked, nyquist = self.requirements, 0.5 / self.sample_time_s
@@ -137,7 +137,7 @@ class DesignProblem:
                 raise ParameterError(f"uncertain {name}", (low, high), f"around the nominal value {value:g}")
         object.__setattr__(self, "uncertainty", uncertainty)
         further = {name: pair for name, pair in uncertainty.ranges.items() if name in FURTHER_UNCERTAIN}
-        object.__setattr__(self, "uncertain", MappingProxyType(further))
+        object.__setattr__(self, "uncertain", FrozenDict(further))
         self._check_wrench_delay()
 
     def _check_wrench_delay(self) -> None:

@@ -3,11 +3,11 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from types import MappingProxyType
 from typing import Any
 
 from .._checks import interval, non_negative, positive
 from ..errors import ParameterError
+from ..frozen import freeze
 
 # What is missed more than a thousandfold costs no more, and no price is above this: costs stay comparable numbers.
 LARGEST_SHARE = 1e3
@@ -117,7 +117,7 @@ class Requirements:
                 raise ParameterError(f"{name}.soft_n", price, "given together with what is asked")
             if positive(f"{name}.soft_n", price) > LARGEST_PRICE_N:
                 raise ParameterError(f"{name}.soft_n", price, f"at most {LARGEST_PRICE_N:g} N (or ask for it outright)")
-        object.__setattr__(self, "soft_n", MappingProxyType(dict(self.soft_n)))
+        freeze(self, "soft_n")
 
     def asked(self) -> dict[str, Asked]:
         """Return what is asked, by name, hard and soft."""

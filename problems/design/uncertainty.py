@@ -8,7 +8,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from scipy.stats import qmc
 
 from .._checks import interval, positive
 from ..errors import ParameterError
+from ..frozen import FrozenDict
 from ..model.plant import Coupling, Environment, Payload, Plant, WrenchFilter
 from ..model.robot import RobotModel
 from ..model.robot_variation import has_damping_ratio, vary_robot
@@ -37,7 +37,7 @@ FURTHER_UNCERTAIN = (
     "wrench_delay_s",
 )
 UNCERTAIN = (*ALWAYS_UNCERTAIN, *FURTHER_UNCERTAIN)
-SYMBOLS: Mapping[str, str] = MappingProxyType(
+SYMBOLS: Mapping[str, str] = FrozenDict(
     dict(zip(UNCERTAIN, ("K_e", "M_p", "K_s", "B_s", "B_p", "B_e", "T_d", "f_b", "ζ_b", "τ_w", "T_w"), strict=True))
 )
 # A filter of the wrench is a state of the plant, and a state does not vanish within a set: τ_w is above 0 or absent.
@@ -204,7 +204,7 @@ class Uncertainty:
         checked = {name: interval(name, self.ranges[name]) for name in UNCERTAIN if name in self.ranges}
         for name in checked.keys() - _MAY_BE_ZERO:
             positive(name, checked[name][0])
-        object.__setattr__(self, "ranges", MappingProxyType(checked))
+        object.__setattr__(self, "ranges", FrozenDict(checked))
         object.__setattr__(self, "varying", tuple(n for n, (low, high) in checked.items() if high > low))
         if self.ellipsoid is None:
             return

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from .._checks import finite, positive
 from ..contact.transient import Approach
 from ..errors import ParameterError
+from ..frozen import freeze
 from ..model.controller import AdmittanceController, check_feedback_damping
 from ..model.plant import Plant
 from .designs import Designs, designs_around
@@ -100,7 +100,7 @@ class MapRequest:
     def __post_init__(self) -> None:
         object.__setattr__(self, "sample_time_s", positive("sample_time_s", self.sample_time_s))
         object.__setattr__(self, "quantity", MapQuantity(self.quantity))
-        object.__setattr__(self, "fixed", MappingProxyType(dict(self.fixed)))
+        freeze(self, "fixed")
         if self.where not in {"contact", "free_space", "both"}:
             raise ParameterError("where", self.where, "contact, free_space or both")
         if self.quantity.is_peak and self.where != "both":

@@ -4,10 +4,10 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from types import MappingProxyType
 from typing import Any, Literal
 
 from ..errors import ParameterError
+from ..frozen import FrozenDict
 from ..model.controller import SMALLEST_FEEDBACK_DAMPING_S, AdmittanceController
 from ..model.plant import Coupling, Environment, Payload, Plant
 from ..model.robot import RobotModel
@@ -73,13 +73,13 @@ def _table(part: Part, rows: tuple[tuple[str, str, str, tuple[str, str], bool], 
     }
 
 
-MAP_PARAMETERS: Mapping[str, MapParameter] = MappingProxyType(
+MAP_PARAMETERS: Mapping[str, MapParameter] = FrozenDict(
     _table("controller", _OF_CONTROLLER) | _table("plant", _OF_PLANT)
 )
 """Every parameter by its name. The payload frequency is ω = sqrt(K_s/M_p) and stands for M_p; its damping ratio
 ζ = B_p/(2 sqrt(M_p K_s)) stands for B_p; the bandwidth is that of a robot with one pole."""
 
-STANDS_FOR: Mapping[str, str] = MappingProxyType(
+STANDS_FOR: Mapping[str, str] = FrozenDict(
     {"payload_frequency_rad_per_s": "payload_mass", "payload_damping_ratio": "drag"}
 )
 """Parameters that determine another one: ω the mass M_p, ζ the damping B_p."""

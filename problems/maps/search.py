@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import positive
 from ..errors import ParameterError
+from ..frozen import FrozenDict, freeze
 from ..model.controller import AdmittanceController
 from ..model.plant import Plant
 from .designs import Designs, designs_around
@@ -41,7 +41,7 @@ class IntervalCase:
     fixed: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "fixed", MappingProxyType(dict(self.fixed)))
+        freeze(self, "fixed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,7 @@ class IntervalRequest:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sample_time_s", positive("sample_time_s", self.sample_time_s))
-        object.__setattr__(self, "cases", MappingProxyType(dict(self.cases)))
+        freeze(self, "cases")
         positive("tolerance", self.tolerance)
         if not self.cases:
             raise ParameterError("cases", "none", "at least one")
@@ -121,9 +121,7 @@ def find_stable_intervals(
                 found[name] += _on_controllers(request, case, values)
             if progress is not None:
                 progress(len(values) / (len(along) * len(request.cases)))
-    return IntervalResult(
-        request=request, intervals=MappingProxyType({name: tuple(each) for name, each in found.items()})
-    )
+    return IntervalResult(request=request, intervals=FrozenDict({name: tuple(each) for name, each in found.items()}))
 
 
 def _on_plants(request: IntervalRequest, case: IntervalCase, along: FloatArray) -> list[tuple[StableInterval, ...]]:

@@ -6,12 +6,12 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import MappingProxyType
 
 import pytest
 
 from autotune.processes import count_processors, map_in_processes
 from identification.errors import EstimateError
+from problems.frozen import FrozenDict
 
 # Work that another process can import: at the top of a module, and of none that pytest rewrites.
 _PIDS = """
@@ -113,7 +113,7 @@ def test_an_interrupt_ends_the_processes(tmp_path: Path, *, to_the_group: bool) 
 
 
 def test_read_only_mappings_pass_both_ways() -> None:
-    tasks = [MappingProxyType({"a": index}) for index in range(2)]
+    tasks = [FrozenDict({"a": index}) for index in range(2)]
     assert map_in_processes(same, tasks, 2) == tasks
 
 

@@ -1,12 +1,12 @@
 """Results pass from process to process."""
 
 import pickle
-from types import MappingProxyType
 
 import pytest
 
 from identification.result import Estimate, Identified, Status, WrenchFilterEstimate
 from problems.errors import ParameterError
+from problems.frozen import FrozenDict
 from tests.autotune.formats.samples import make_identified
 
 
@@ -15,9 +15,9 @@ def test_a_result_is_the_same_after_pickling_and_as_closed_to_changes() -> None:
     found = pickle.loads(pickle.dumps(told))
     assert isinstance(found, Identified)
     assert found == told
-    assert isinstance(found.axes, MappingProxyType)
+    assert isinstance(found.axes, FrozenDict)
     with pytest.raises(TypeError):
-        found.axes["z"] = told.axes["x"]  # type: ignore[index]
+        found.axes["z"] = told.axes["x"]
 
 
 def test_a_wrench_filter_is_one_of_two_and_no_lead() -> None:

@@ -10,7 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import MappingProxyType, ModuleType
+from types import ModuleType
 from typing import Any
 
 import click
@@ -23,6 +23,7 @@ from autotune.cli.main import COMMANDS, CommandEntry, ExitCode, exit_code_of, ma
 from autotune.errors import CertificateError, InfeasibleError, UsageError
 from identification.errors import EstimateError, LogError
 from problems.errors import AutotuneError, ParameterError
+from problems.frozen import FrozenDict
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 RunTiny = Callable[..., int]
@@ -319,8 +320,8 @@ def test_json_refuses_numbers_that_are_none(run_tiny: RunTiny, capsys: pytest.Ca
 
 
 def test_json_takes_the_values_that_the_project_uses(run_tiny: RunTiny, capsys: pytest.CaptureFixture[str]) -> None:
-    tree: Mapping[str, Any] = MappingProxyType(
-        {"code": ExitCode.LOG, "axes": MappingProxyType({"z": np.arange(2.0)}), "n": np.int64(3), "log": Path("a.mcap")}
+    tree: Mapping[str, Any] = FrozenDict(
+        {"code": ExitCode.LOG, "axes": FrozenDict({"z": np.arange(2.0)}), "n": np.int64(3), "log": Path("a.mcap")}
     )
     assert run_tiny(lambda output: output.result(tree, lambda: None), "--json") == 0
     assert json.loads(capsys.readouterr().out) == {"code": 3, "axes": {"z": [0.0, 1.0]}, "n": 3, "log": "a.mcap"}

@@ -4,7 +4,6 @@ import struct
 from collections.abc import Mapping
 from hashlib import sha256
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from hypothesis import given
 from autotune.formats.canonical import canonical_bytes, checksum, plain, short
 from identification.result import Status
 from problems.errors import ParameterError
+from problems.frozen import FrozenDict
 from tests.autotune.formats.samples import PLAIN, TREES
 
 
@@ -48,7 +48,7 @@ def test_every_bit_of_a_number_counts() -> None:
 
 
 def test_foreign_values_become_plain_ones() -> None:
-    value: Mapping[str, object] = MappingProxyType(
+    value: Mapping[str, object] = FrozenDict(
         {
             "array": np.array([1.5, 2.0]),
             "double": np.float64(0.1),
