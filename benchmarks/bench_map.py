@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.timing import best
+from problems.maps.loops import Where
 from problems.maps.maps import MapAxis, MapRequest, MapResult, compute_map
-from problems.maps.plants import Where
 from problems.maps.search import IntervalCase, IntervalRequest, find_stable_intervals
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment, Payload, Plant, build_plant_matrices

@@ -13,7 +13,7 @@ from problems.design.uncertainty import FURTHER_UNCERTAIN, Scenario
 from problems.errors import ParameterError
 from problems.frozen import freeze
 from problems.model.plant import FREE_SPACE, Plant, write_plant
-from problems.model.robot_variation import bandwidth_hz, vary_robot
+from problems.model.robot import bandwidth_hz, vary_robot
 from problems.model.sampled import split_delay
 
 from . import rational

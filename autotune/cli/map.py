@@ -11,7 +11,7 @@ from ._help import GroupedCommand
 from ._terminal import tell
 
 if TYPE_CHECKING:
-    from problems.maps.plants import Where
+    from problems.maps.loops import Where
 
 _EPILOG = """\b
 Examples:

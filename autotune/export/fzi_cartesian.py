@@ -16,7 +16,7 @@ from autotune.validation.law import AxisTask
 from problems.contact.linear_controller_contact import force_per_speed
 from problems.contact.transient import SampledContact, build_sampled_contact
 from problems.design.problem import DEFAULT_BOUNDS
-from problems.model.linear_controllers import LinearLaw
+from problems.model.linear_controllers import LinearController
 from problems.model.sampled import build_sampled_plant
 from problems.model.third_party_controllers import VELOCITY_KEPT, ForwardDynamics
 
@@ -118,7 +118,7 @@ class FziAxis:
         gain = float(f"{values[0]:.6g}")
         return {"p": gain, "d": float(f"{gain * values[1]:.6g}")}
 
-    def law(self, values: Values) -> LinearLaw:
+    def law(self, values: Values) -> LinearController:
         """Return the law that runs with the numbers as they are written."""
         gains = self.written(values)
         return ForwardDynamics(proportional=gains["p"], derivative=gains["d"]).law(self.task.sample_time_s)

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from autotune.errors import CertificateError, InfeasibleError
 from autotune.formats.controller_record import AdmittanceRequirement, Requirement
 from autotune.validation.law import MARGIN_OF, AxisTask, LawCertificate, certify_law
-from problems.contact.linear_controller_contact import simulate_law_contact
+from problems.contact.linear_controller_contact import simulate_linear_contact
 from problems.contact.transient import SampledContact, build_sampled_contact
 from problems.design.requirements import NoiseLimit, PassivityTarget
 from problems.design.uncertainty import Scenario
 from problems.errors import AutotuneError
-from problems.model.linear_controllers import LinearLaw
+from problems.model.linear_controllers import LinearController
 from problems.model.plant import FREE_SPACE
 from problems.model.response import PlantResponse, loop_at, plant_response, rendered_admittance
 from problems.model.sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
@@ -73,7 +73,7 @@ class QuickJudge:
             if isinstance(each, AdmittanceRequirement)
         }
 
-    def cost(self, law: LinearLaw) -> float:
+    def cost(self, law: LinearController) -> float:
         """Return the worst peak contact force [N], or far more for a law that misses something or is unstable."""
         if alternates(law):
             return math.inf
@@ -90,13 +90,13 @@ class QuickJudge:
             self.missed = {name: ratio for name, ratio in found.items() if ratio > 1.0}
             return _MISSED * min(missed, 1e3)
         approach, limit = self.task.approach(), self.task.asked.get("max_peak_force_n")
-        peak = max(simulate_law_contact(pair, law, approach).peak_contact_force_n for pair in self.pairs)
+        peak = max(simulate_linear_contact(pair, law, approach).peak_contact_force_n for pair in self.pairs)
         if isinstance(limit, float) and peak > limit:
             self.missed = {"max_peak_force_n": peak / limit}
             return _MISSED * peak / limit
         return peak
 
-    def ratios(self, law: LinearLaw, radius: float) -> dict[str, float]:
+    def ratios(self, law: LinearController, radius: float) -> dict[str, float]:
         """Return required/achieved by name of a stable law whose largest |z| in contact is `radius`; no peak yet."""
         h, names = law.sample_time_s, self.task.asked
         response = loop_at(self.seen, law, h)
@@ -116,7 +116,7 @@ class QuickJudge:
                 found[name] = self._other_ratio(name, asked, law, radius)
         return found
 
-    def _other_ratio(self, name: str, asked: Requirement, law: LinearLaw, radius: float) -> float:
+    def _other_ratio(self, name: str, asked: Requirement, law: LinearController, radius: float) -> float:
         """Return required/achieved of what is asked rarely; 0 for all else."""
         if name == "decay_rate_per_s" and isinstance(asked, float):
             return asked * law.sample_time_s / max(-math.log(radius), 1e-300) if radius > 0.0 else 0.0

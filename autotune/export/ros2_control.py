@@ -15,7 +15,7 @@ from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import axis_units
 from autotune.validation.law import AxisTask
 from problems.frozen import FrozenDict
-from problems.model.linear_controllers import LinearLaw
+from problems.model.linear_controllers import LinearController
 from problems.model.third_party_controllers import SpringAdmittance
 
 from .ros_yaml import Tree, check_keys, check_names, update_rate_hz
@@ -192,7 +192,7 @@ class Ros2Axis:
             filter_coefficient=self.options.filter_coefficient,
         )
 
-    def law(self, values: Values) -> LinearLaw:
+    def law(self, values: Values) -> LinearController:
         """Return its difference equation."""
         return self.rule(values).law(self.task.sample_time_s)
 

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from autotune.formats.controller_record import AxisGains
 from autotune.validation.law import AxisTask
-from problems.model.linear_controllers import LinearLaw
+from problems.model.linear_controllers import LinearController
 
 Values = tuple[float, ...]
 
@@ -35,7 +35,7 @@ class Structure(Protocol):
     def written(self, values: Values) -> Mapping[str, float]:
         """Return the axis' numbers as they are written into the file, in its own terms."""
 
-    def law(self, values: Values) -> LinearLaw:
+    def law(self, values: Values) -> LinearController:
         """Return the law that runs with the numbers as they are written."""
 
     def dropped(self) -> tuple[str, ...]:

@@ -8,9 +8,9 @@ from pathlib import Path
 from autotune.errors import UsageError
 from autotune.quantity import parse_quantities
 from problems.errors import ParameterError
+from problems.maps.loops import Where
 from problems.maps.maps import MapAxis, Spacing
 from problems.maps.parameters import MapParameter, MapQuantity, find_parameter
-from problems.maps.plants import Where
 
 STABLE_DAMPING, STABLE_LEAD = "stable-damping", "stable-lead"
 SHOWS = (*(quantity.value for quantity in MapQuantity), STABLE_DAMPING, STABLE_LEAD)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
-from problems.model.difference import controller_step, measured_motion, opposes, resume, through_deadband
+from problems.model.difference import controller_step, measured_motion, opposes_motion, resume, through_deadband
 
 from .arguments import TICKS, check_kind, each_of, place_of, six, tick_of
 from .controller import RuntimeController
@@ -263,7 +263,7 @@ def _phase(controller: RuntimeController, phase: Phase, ticks: Sequence[_Tick]) 
     """Return the phase from here on, and whether the command rests in this period (Algorithm 1 of the paper)."""
     if phase is Phase.WATCHING and controller.response is not CollisionResponse.NONE:
         met = any(
-            opposes(tick.seen, tick.way, controller.threshold_n)
+            opposes_motion(tick.seen, tick.way, controller.threshold_n)
             for axis, tick in zip(controller.axes, ticks, strict=True)
             if not axis.turns
         )

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from problems.compiled import compiled
-from problems.contact.events import advance_surface, contact_force, presses, switch_within
+from problems.contact.events import advance_surface, contact_force, is_in_contact, switch_within
 from problems.contact.kernel import Contact
 from problems.contact.transient import build_sampled_contact
 from problems.model.controller import controller_blocks, controller_step
@@ -76,7 +76,7 @@ def _advance(
     if not touching:
         # An environment with mass swings back on its own.
         advance_surface(swung, wall, 1.0)
-    if presses(following, swung, wall, rows, (newer, push), touching) != touching:
+    if is_in_contact(following, swung, wall, rows, (newer, push), touching) != touching:
         touching, _, _, _ = switch_within(flow, state, surface_state, wall, rows, inputs, fraction, touching, 1)
         return touching
     state[:], surface_state[:] = following, swung

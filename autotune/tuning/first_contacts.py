@@ -10,8 +10,8 @@ from autotune.formats.controller_record import AxisDomain, Controller
 from autotune.validation.disturbances import file_deadband
 from autotune.validation.monte_carlo import needed_substeps
 from autotune.validation.validate import admittance_controller
-from problems.contact.nonlinear_simulation import FullRun, simulate_fully
-from problems.contact.nonlinearities import NO_EFFECTS, Collision, Deadband, Effects
+from problems.contact.nonlinear_simulation import NonlinearRun, simulate_nonlinear
+from problems.contact.nonlinearities import NO_NONLINEARITIES, Collision, Deadband, Nonlinearities
 from problems.contact.transient import Approach
 from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
@@ -42,9 +42,11 @@ class FirstContacts:
         """The approach that the certificate speaks of."""
         return Approach(force_n=self.domain.approach_force_n, speed_m_s=self.domain.approach_speed_m_s)
 
-    def run(self, scenario: Scenario, threshold_n: float | None) -> FullRun:
+    def run(self, scenario: Scenario, threshold_n: float | None) -> NonlinearRun:
         """Simulate one contact from its impact on; `threshold_n` None is no response."""
-        effects = NO_EFFECTS if threshold_n is None else Effects(collision=Collision(threshold_n=threshold_n))
+        effects = (
+            NO_NONLINEARITIES if threshold_n is None else Nonlinearities(collision=Collision(threshold_n=threshold_n))
+        )
         return self._simulate(scenario, effects, self.duration_s, None)
 
     def free_motion_n(self, scenarios: Iterable[Scenario]) -> float:
@@ -60,7 +62,7 @@ class FirstContacts:
         distance = _FAR * speed * _APPROACH_S
         largest = 0.0
         for scenario in different:
-            for effects in (NO_EFFECTS, Effects(deadband=self.deadband)):
+            for effects in (NO_NONLINEARITIES, Nonlinearities(deadband=self.deadband)):
                 run = self._simulate(scenario, effects, _APPROACH_S, distance)
                 largest = max(largest, float(np.max(opposing_force(run, begins_moving=False))))
         return largest
@@ -69,12 +71,14 @@ class FirstContacts:
         """Yield the command (n,) of an approach from rest far from the wall, with the file's deadband and without."""
         speed = self.domain.approach_speed_m_s or (self.domain.approach_force_n or 0.0) / self.law.damping_n_s_per_m
         for scenario in scenarios:
-            for effects in (NO_EFFECTS, Effects(deadband=self.deadband)):
+            for effects in (NO_NONLINEARITIES, Nonlinearities(deadband=self.deadband)):
                 yield self._simulate(scenario, effects, _APPROACH_S, _FAR * speed * _APPROACH_S).command_m
 
-    def _simulate(self, scenario: Scenario, effects: Effects, duration_s: float, distance_m: float | None) -> FullRun:
+    def _simulate(
+        self, scenario: Scenario, effects: Nonlinearities, duration_s: float, distance_m: float | None
+    ) -> NonlinearRun:
         plant = scenario.plant(self.domain.nominal_plant())
-        return simulate_fully(
+        return simulate_nonlinear(
             plant,
             self.law,
             self.approach,
@@ -96,12 +100,12 @@ class RespondingContact:
 
     simulate: FirstContacts
     scenario: Scenario
-    plain: FullRun
+    plain: NonlinearRun
     ticks: NDArray[np.int64]
     levels: FloatArray
-    known: dict[int, FullRun] = field(default_factory=dict)
+    known: dict[int, NonlinearRun] = field(default_factory=dict)
 
-    def run(self, threshold_n: float) -> FullRun:
+    def run(self, threshold_n: float) -> NonlinearRun:
         """Return the contact with the response; it is `plain` where nothing passes the threshold."""
         place = int(np.searchsorted(self.levels, threshold_n, side="right"))
         if place == len(self.levels):
@@ -125,12 +129,12 @@ def build_contact(simulate: FirstContacts, scenario: Scenario) -> RespondingCont
     return RespondingContact(simulate=simulate, scenario=scenario, plain=plain, ticks=ticks, levels=opposing[ticks])
 
 
-def peaks_of(run: FullRun) -> Pair:
+def peaks_of(run: NonlinearRun) -> Pair:
     """Return the peaks at the contact and at the sensor."""
     return run.peak_contact_force_n, run.peak_sensor_force_n
 
 
-def opposing_force(run: FullRun, *, begins_moving: bool) -> FloatArray:
+def opposing_force(run: NonlinearRun, *, begins_moving: bool) -> FloatArray:
     """Return −F sign(v) (n,), N, at the ticks as the detection sees it, v being the way over the last period.
 
     `begins_moving`: the run begins at an impact, under way, and not at rest.

@@ -18,7 +18,7 @@ from identification.result import AxisEstimate, Covariance, Estimate, Status
 from problems.design.problem import DesignProblem
 from problems.design.uncertainty import Ellipsoid
 from problems.model.plant import Coupling
-from problems.model.robot_variation import bandwidth_share, has_damping_ratio, vary_robot
+from problems.model.robot import bandwidth_share, has_damping_ratio, vary_robot
 
 FloatArray = NDArray[np.float64]
 

@@ -13,13 +13,13 @@ from autotune.formats.units import axis_units
 from identification.errors import LogError
 from identification.signals.frames import Frames
 from identification.signals.recording import Recording
-from problems.contact.nonlinear_simulation import simulate_fully
-from problems.contact.nonlinearities import Effects
+from problems.contact.nonlinear_simulation import simulate_nonlinear
+from problems.contact.nonlinearities import Nonlinearities
 from problems.contact.transient import Approach
 from problems.design.uncertainty import Scenario
 
 from .disturbances import file_deadband
-from .law_in_log import Followed, follow_law
+from .law_in_log import ContactOutcome, follow_law
 from .log_contacts import ContactLog, LogContact, find_log_contacts
 from .monte_carlo import SAME_PEAK, needed_substeps
 from .report import Check
@@ -144,7 +144,7 @@ def compare_with_log(
     )
 
 
-def _refusal(followed: Sequence[Followed]) -> str:
+def _refusal(followed: Sequence[ContactOutcome]) -> str:
     best = min(each.left_share for each in followed)
     return (
         "The log was recorded with another controller: the law of the file must explain the command by the measured "
@@ -153,7 +153,7 @@ def _refusal(followed: Sequence[Followed]) -> str:
     )
 
 
-def _followed(controller: Controller, contact: LogContact, period_s: float) -> Followed:
+def _followed(controller: Controller, contact: LogContact, period_s: float) -> ContactOutcome:
     """Replay the law around the touch, on the controller's own clock."""
     h = controller.sample_time_s
     start = max((contact.onset * period_s) - _LAW_BEFORE_S, 0.0)
@@ -165,12 +165,14 @@ def _followed(controller: Controller, contact: LogContact, period_s: float) -> F
         for values in (contact.command_m, contact.position_m, contact.force_n)
     )
     if not np.all(np.isfinite([command, position, force])):
-        return Followed(desired_force=np.nan, left_share=np.inf)
+        return ContactOutcome(desired_force=np.nan, left_share=np.inf)
     law = admittance_controller(controller, contact.axis)
     return follow_law(law, controller.axes[contact.axis], h, command, position, force)
 
 
-def _compared(controller: Controller, log: ContactLog, contact: LogContact, followed: Followed) -> ComparedContact:
+def _compared(
+    controller: Controller, log: ContactLog, contact: LogContact, followed: ContactOutcome
+) -> ComparedContact:
     domain = controller.certificate.domain[contact.axis]
     simulate = _Simulator(controller, contact, followed)
     stiffness = contact.stiffness_n_per_m
@@ -212,19 +214,19 @@ def _compared(controller: Controller, log: ContactLog, contact: LogContact, foll
 class _Simulator:
     """The full simulation of one contact of the log, with the deadband of the file and without noise."""
 
-    def __init__(self, controller: Controller, contact: LogContact, followed: Followed) -> None:
+    def __init__(self, controller: Controller, contact: LogContact, followed: ContactOutcome) -> None:
         gains = controller.axes[contact.axis]
         self.h = controller.sample_time_s
         self.law = admittance_controller(controller, contact.axis)
         self.nominal = controller.certificate.domain[contact.axis].nominal_plant()
-        self.effects = Effects(deadband=file_deadband(gains))
+        self.effects = Nonlinearities(deadband=file_deadband(gains))
         self.approach = Approach(speed_m_s=contact.speed_m_s, after_impact_n=followed.desired_force)
         self.time = np.arange(round((_COMPARED_S + _EARLIEST_S) / self.h)) * self.h
 
     def trace(self, scenario: Scenario) -> FloatArray:
         """Return the pressing force at the sensor (n,), from the touch on."""
         plant = scenario.plant(self.nominal)
-        run = simulate_fully(
+        run = simulate_nonlinear(
             plant,
             self.law,
             self.approach,

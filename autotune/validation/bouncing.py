@@ -12,13 +12,13 @@ import numpy as np
 
 from autotune.formats.controller_record import AxisDomain, Proof
 from autotune.formats.units import axis_units
-from problems.contact.bouncing import Ending, Followed, follow_contact, settling_window
+from problems.contact.bouncing import ContactOutcome, Ending, follow_contact, settling_window
 from problems.contact.linear_controller_contact import force_per_speed
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
-from problems.model.linear_controllers import LinearLaw
+from problems.model.linear_controllers import LinearController
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import UnstableLoopError
 
@@ -60,7 +60,7 @@ class BounceSearch:
     plants: int
     decaying: int = 0
     found: Impact | None = None
-    bounced: Followed | None = None
+    bounced: ContactOutcome | None = None
     refusal: str = ""
 
     @property
@@ -122,7 +122,7 @@ def drawn_ratios(plants: int) -> tuple[tuple[float, ...], ...]:
 def search_bouncing(
     axis: str,
     domain: AxisDomain,
-    law: AdmittanceController | LinearLaw,
+    law: AdmittanceController | LinearController,
     sample_time_s: float,
     progress: Callable[[float], None] | None = None,
 ) -> BounceSearch:
@@ -158,14 +158,14 @@ def impacts_of(
     scenario: Scenario,
     pair: SampledContact,
     domain: AxisDomain,
-    law: AdmittanceController | LinearLaw,
+    law: AdmittanceController | LinearController,
     ratios: Sequence[float],
 ) -> tuple[Impact, ...]:
     """Return the impacts of one plant with these ratios s of speed and force.
 
     The speed is s times the approach's under its own force, and from twice on that speed under a smaller one.
     """
-    if isinstance(law, LinearLaw):
+    if isinstance(law, LinearController):
         resistance = force_per_speed(pair, law)
     else:
         resistance = law.damping_n_s_per_m + pair.free.plant.payload.drag_n_s_per_m

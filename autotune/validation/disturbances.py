@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from autotune.formats.controller_record import AxisGains, CollisionResponse, Controller, DeadbandType
 from autotune.formats.records import ROTATIONAL_AXES
-from problems.contact.nonlinearities import Collision, CommandLimits, Deadband, Effects, Response
+from problems.contact.nonlinearities import Collision, CommandLimits, Deadband, Nonlinearities, Response
 from problems.design.requirements import NoiseLimit
 from problems.errors import ParameterError
 
@@ -47,7 +47,7 @@ _RULES: tuple[tuple[str, Callable[[float], bool], str], ...] = (
 )
 
 
-def axis_effects(controller: Controller, name: str, told: Told, approach_speed: float) -> Effects:
+def axis_effects(controller: Controller, name: str, told: Told, approach_speed: float) -> Nonlinearities:
     """Return deadband, noise, clipping, limit on the command and late commands of one axis.
 
     The deadband is the file's. The noise is what the caller says, else that of the file's limit on the command's noise,
@@ -58,7 +58,7 @@ def axis_effects(controller: Controller, name: str, told: Told, approach_speed: 
     speed = told.speed_limit[turns]
     if speed is None and not turns:
         speed = max(_REDUCED_SPEED_M_S, _ABOVE_APPROACH * approach_speed)
-    return Effects(
+    return Nonlinearities(
         deadband=file_deadband(controller.axes[name]),
         force_limit_n=told.sensor_range[turns],
         force_noise_rms_n=_noise_rms(controller, name, told),

@@ -20,11 +20,11 @@ from autotune.formats.controller_record import (
     ScenarioPrediction,
 )
 from autotune.formats.units import axis_units
-from problems.contact.linear_controller_contact import force_per_speed, simulate_law_contact
+from problems.contact.linear_controller_contact import force_per_speed, simulate_linear_contact
 from problems.contact.transient import Approach, build_sampled_contact
 from problems.design.requirements import NoiseLimit, PassivityTarget
 from problems.design.uncertainty import Scenario
-from problems.model.linear_controllers import LinearLaw
+from problems.model.linear_controllers import LinearController
 from problems.model.plant import FREE_SPACE, Plant
 from problems.model.response import controller_response, free_space_admittance, plant_response
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
@@ -118,7 +118,7 @@ class LawCertificate:
         return not self.missed
 
 
-def certify_law(task: AxisTask, law: LinearLaw) -> LawCertificate:
+def certify_law(task: AxisTask, law: LinearController) -> LawCertificate:
     """Prove the law stable over the domain, sweep its margins, simulate its contacts and compare with what is asked."""
     units, plants, others = axis_units(task.axis), task.plants(), task.others()
     free, contact, share = prove_law(plants, law)
@@ -162,7 +162,7 @@ def certify_law(task: AxisTask, law: LinearLaw) -> LawCertificate:
     )
 
 
-def prove_law(plants: UncertainPlant, law: LinearLaw) -> tuple[StabilityProof, StabilityProof, float | None]:
+def prove_law(plants: UncertainPlant, law: LinearController) -> tuple[StabilityProof, StabilityProof, float | None]:
     """Prove stability in free space and in contact; the one place that names the method of proof.
 
     A weak spring leaves a pole next to z = 1, too near for a proof over cells. In free space the law is proved without
@@ -177,14 +177,14 @@ def prove_law(plants: UncertainPlant, law: LinearLaw) -> tuple[StabilityProof, S
     return prove_stability(plants.in_free_space(), loose, h), prove_stability(plants, law, h), share
 
 
-def _is_stable(plants: UncertainPlant, proof: StabilityProof, law: LinearLaw) -> bool:
+def _is_stable(plants: UncertainPlant, proof: StabilityProof, law: LinearController) -> bool:
     """Return whether the plant at which a proof failed is stable, by its eigenvalues."""
     stiffness = proof.failed_stiffness_n_per_m or 0.0
     found = (plants if stiffness > 0.0 else plants.in_free_space()).at(proof.failed_mass_kg or 0.0, stiffness)
     return spectral_radius(build_loop(build_sampled_plant(found, law.sample_time_s), law)) < 1.0
 
 
-def spring_share(plant: Plant, law: LinearLaw) -> float:
+def spring_share(plant: Plant, law: LinearController) -> float:
     """Return the largest −Re K H(e^{jωh}), H the position per force that the law's spring K closes its loop around.
 
     The loop with the spring has 1 + K H for its characteristic function over that of the loop without. H is analytic
@@ -200,12 +200,12 @@ def spring_share(plant: Plant, law: LinearLaw) -> float:
     return float(np.max(-gain.real))
 
 
-def worst_contact(task: AxisTask, law: LinearLaw) -> ScenarioPrediction:
+def worst_contact(task: AxisTask, law: LinearController) -> ScenarioPrediction:
     """Return the contact of the domain with the largest force on the environment."""
     units, nominal, approach, found = axis_units(task.axis), task.domain.nominal_plant(), task.approach(), []
     for scenario in task.contacts():
         pair = build_sampled_contact(build_sampled_plant(scenario.plant(nominal), law.sample_time_s))
-        seen = simulate_law_contact(pair, law, approach)
+        seen = simulate_linear_contact(pair, law, approach)
         found.append((seen.peak_contact_force_n, scenario, seen))
     _, scenario, seen = max(found, key=lambda each: each[0])
     return ScenarioPrediction(
@@ -220,7 +220,7 @@ def worst_contact(task: AxisTask, law: LinearLaw) -> ScenarioPrediction:
     )
 
 
-def smallest_admittance(task: AxisTask, law: LinearLaw, band_hz: tuple[float, float]) -> float:
+def smallest_admittance(task: AxisTask, law: LinearController, band_hz: tuple[float, float]) -> float:
     """Return the least |G| over the band, for the nominal robot and the slowest and fastest of the domain."""
     omega = 2.0 * np.pi * np.unique(np.clip(np.geomspace(*band_hz, _BAND_POINTS), *band_hz))
     nominal = task.plants().in_free_space().at(task.domain.payload_mass_kg[0], 0.0)
@@ -241,7 +241,7 @@ def smallest_admittance(task: AxisTask, law: LinearLaw, band_hz: tuple[float, fl
     )
 
 
-def _admittance(task: AxisTask, law: LinearLaw) -> FreeSpaceAdmittance:
+def _admittance(task: AxisTask, law: LinearController) -> FreeSpaceAdmittance:
     bands = [each.band_hz for each in task.asked.values() if isinstance(each, AdmittanceRequirement)]
     band = bands[0] if bands else _DEFAULT_BAND_HZ
     pair = build_sampled_contact(build_sampled_plant(task.domain.nominal_plant(), law.sample_time_s))
@@ -253,7 +253,7 @@ def _admittance(task: AxisTask, law: LinearLaw) -> FreeSpaceAdmittance:
 
 
 def _missed(
-    task: AxisTask, law: LinearLaw, swept: SweptMargins, worst: ScenarioPrediction | None, others: OtherPlants
+    task: AxisTask, law: LinearController, swept: SweptMargins, worst: ScenarioPrediction | None, others: OtherPlants
 ) -> Iterator[str]:
     """Say which requirements are not met, with both numbers."""
     units = axis_units(task.axis)
@@ -280,7 +280,7 @@ def _missed(
 
 
 def _missed_command(
-    task: AxisTask, law: LinearLaw, asked: NoiseLimit | PassivityTarget, others: OtherPlants
+    task: AxisTask, law: LinearController, asked: NoiseLimit | PassivityTarget, others: OtherPlants
 ) -> Iterator[str]:
     """Say whether the command's noise or the passive band misses what was asked."""
     h, units, nominal = law.sample_time_s, axis_units(task.axis), task.domain.nominal_plant()

@@ -14,7 +14,7 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Followed:
+class ContactOutcome:
     """How a stretch of command follows the law: the constant F^d that explains it best, and what is left unexplained.
 
     `left_share` is the RMS of what is left over that of the command's way off a straight line.
@@ -33,7 +33,7 @@ def felt(gains: AxisGains, force: FloatArray) -> FloatArray:
 
 def follow_law(
     law: AdmittanceController, gains: AxisGains, h: float, command: FloatArray, position: FloatArray, force: FloatArray
-) -> Followed:
+) -> ContactOutcome:
     """Hold a stretch of command (n,) against the law, with force and position (n,) at the controller's ticks.
 
     The law is linear behind the deadband, so that F^d and what it remembered at the beginning are found by least
@@ -53,7 +53,7 @@ def follow_law(
     time = np.arange(len(command))
     bend = command - np.polyval(np.polyfit(time, command, 1), time)
     share = float(np.sqrt(np.mean(left**2)) / max(float(np.sqrt(np.mean(bend**2))), 1e-12))
-    return Followed(desired_force=float(solution[0]), left_share=share)
+    return ContactOutcome(desired_force=float(solution[0]), left_share=share)
 
 
 def _memories(law: AdmittanceController) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from problems.model.plant import FREE_SPACE, Plant
-from problems.model.sampled import Law, SampledPlant, build_cut_loop, build_sampled_plant
+from problems.model.sampled import Controller, SampledPlant, build_cut_loop, build_sampled_plant
 from problems.stability.margins import LARGEST_GAIN_DB, frequency_grid, margins_on_grid
 
 from .proof import UncertainPlant
@@ -32,7 +32,7 @@ class SweptMargins:
 
 def sweep_margins(
     plants: UncertainPlant,
-    controller: Law,
+    controller: Controller,
     sample_time_s: float,
     *,
     stiffness: int,
@@ -65,7 +65,7 @@ def sweep_margins(
     return SweptMargins(values=values, worst=worst, plants=count, largest_radius=radius)
 
 
-def _margins(sampled: SampledPlant, controller: Law) -> tuple[dict[str, float], float]:
+def _margins(sampled: SampledPlant, controller: Controller) -> tuple[dict[str, float], float]:
     """Return the margins of one loop from 1 + L = ∏(z − λ_closed)/∏(z − λ_cut), and its largest |λ_closed| but 1.
 
     The loop is cut at the force or at the command; both polynomials are monic, and only a loop without delay has a

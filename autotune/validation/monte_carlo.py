@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.formats.controller_record import AxisDomain, Controller
-from problems.contact.nonlinear_simulation import FullRun, simulate_fully
-from problems.contact.nonlinearities import NO_EFFECTS, Effects
+from problems.contact.nonlinear_simulation import NonlinearRun, simulate_nonlinear
+from problems.contact.nonlinearities import NO_NONLINEARITIES, Nonlinearities
 from problems.contact.transient import Approach
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
@@ -76,7 +76,7 @@ class AxisMonteCarlo:
     axis: str
     count: int
     seed: int
-    effects: Effects
+    effects: Nonlinearities
     driving_force: float
     contact: SampledPeaks | None = None
     sensor: SampledPeaks | None = None
@@ -141,9 +141,9 @@ class _Contacts:
         force, speed = self.domain.approach_force_n or 0.0, self.domain.approach_speed_m_s
         return (force, force / resistance) if speed is None else (speed * resistance, speed)
 
-    def run(self, plant: Plant, effects: Effects, noise: np.random.Generator) -> FullRun:
+    def run(self, plant: Plant, effects: Nonlinearities, noise: np.random.Generator) -> NonlinearRun:
         """Simulate one contact."""
-        return simulate_fully(
+        return simulate_nonlinear(
             plant,
             self.law,
             self.approach,
@@ -181,7 +181,7 @@ def _axis_monte_carlo(
         noise = np.random.default_rng((seed, i))
         try:
             plant = scenario.plant(nominal)
-            linear, full = contacts.run(plant, NO_EFFECTS, noise), contacts.run(plant, effects, noise)
+            linear, full = contacts.run(plant, NO_NONLINEARITIES, noise), contacts.run(plant, effects, noise)
         except UnstableLoopError:
             return replace(result, unstable=scenario)
         except ParameterError as error:

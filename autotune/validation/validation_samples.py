@@ -7,8 +7,7 @@ from autotune.formats.controller_record import AxisDomain, AxisMargins, AxisPred
 from autotune.formats.units import axis_units
 from problems.design.uncertainty import SYMBOLS, Scenario, Uncertainty
 from problems.model.plant import Plant, WrenchFilter
-from problems.model.robot import RobotModel
-from problems.model.robot_variation import bandwidth_hz
+from problems.model.robot import RobotModel, bandwidth_hz
 
 from .bouncing import bouncing_claim
 

@@ -25,8 +25,8 @@ from examples.paper.paper_case import (
     in_series,
     printed_robot,
 )
-from problems.contact.nonlinear_simulation import FullRun, simulate_fully
-from problems.contact.nonlinearities import Collision, Deadband, Effects, Response, VariableDamping
+from problems.contact.nonlinear_simulation import NonlinearRun, simulate_nonlinear
+from problems.contact.nonlinearities import Collision, Deadband, Nonlinearities, Response, VariableDamping
 from problems.contact.transient import Approach
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
@@ -57,7 +57,7 @@ class Responses:
     robot_rad_per_s: float
     lead_s: float
     secant_n_per_m: float
-    runs: dict[Response, FullRun]
+    runs: dict[Response, NonlinearRun]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +70,7 @@ class Guided:
     varies: bool
     speed_m_s: float
     printed_peak_n: float
-    run: FullRun
+    run: NonlinearRun
 
     @property
     def damping_at_peak(self) -> float:
@@ -140,14 +140,14 @@ def _small_plant(rate: float, drag: float, damping: float, secant: float) -> Pla
     )
 
 
-def _small_run(plant: Plant, lead_s: float, response: Response) -> FullRun:
-    return simulate_fully(
+def _small_run(plant: Plant, lead_s: float, response: Response) -> NonlinearRun:
+    return simulate_nonlinear(
         plant,
         replace(SMALL_CONTROLLER, lead_s=lead_s),
         Approach(force_n=DESIRED_N),
         sample_time_s=SAMPLE_TIME_S,
         duration_s=1.0,
-        effects=Effects(deadband=DEADBAND, collision=Collision(response=response, threshold_n=THRESHOLD_N)),
+        effects=Nonlinearities(deadband=DEADBAND, collision=Collision(response=response, threshold_n=THRESHOLD_N)),
     )
 
 
@@ -164,13 +164,13 @@ def _guided(lead: bool, feedback: bool, detects: bool, varies: bool, speed_m_s: 
         lead_s=0.013 if lead else 0.0,
         feedback_damping_s=EXPERIMENT_FEEDBACK_S if feedback else 0.0,
     )
-    effects = Effects(
+    effects = Nonlinearities(
         deadband=DEADBAND,
         collision=Collision(threshold_n=THRESHOLD_N) if detects else None,
         variable_damping=VariableDamping() if varies else None,
     )
     approach = Approach(speed_m_s=speed_m_s, driven_by="hand", after_impact_n=HAND_AFTER_IMPACT_N)
-    run_ = simulate_fully(plant, controller, approach, sample_time_s=SAMPLE_TIME_S, duration_s=1.0, effects=effects)
+    run_ = simulate_nonlinear(plant, controller, approach, sample_time_s=SAMPLE_TIME_S, duration_s=1.0, effects=effects)
     return Guided(
         lead=lead,
         feedback=feedback,

@@ -1,7 +1,8 @@
 """The fast part of the contact transient: ticks between which the contact neither begins nor ends.
 
-For plants with a delay and a massless environment. `stretch` is the equations as they stand; `stretch_of_three` is the
-same for the plant with three states (a robot of one pole), kept in scalars, and three times as fast.
+For plants with a delay and a massless environment. `step_without_events` writes the equations as they
+stand; `step_three_states` is the same for the plant with three states (a robot of one pole), kept in scalars, and three
+times as fast.
 """
 
 import numpy as np
@@ -78,7 +79,7 @@ def _leave(
 
 
 @compiled
-def stretch(
+def step_without_events(
     step: FloatArray,
     rows: FloatArray,
     delay: tuple[int, int, float],
@@ -139,7 +140,7 @@ def stretch(
 
 
 @compiled
-def stretch_of_three(
+def step_three_states(
     step: FloatArray,
     rows: FloatArray,
     delay: tuple[int, int, float],
@@ -153,7 +154,7 @@ def stretch_of_three(
     found: FloatArray,
     crest: FloatArray,
 ) -> tuple[int, int]:
-    """Do what `stretch` does for a state (x, x_p, v_p h) with everything in scalars."""
+    """Do what `step_without_events` does for a state (x, x_p, v_p h) with everything in scalars."""
     (state, past, control, _), (whole, chain, _), (force, contact) = now, delay, traces
     head, last, touching, (k, aim, end) = flags[0], len(past) - 1, flags[1] == 1, span
     plain = blocks[4, 0] == 0.0 and blocks[4, 1] == 0.0 and blocks[4, 2] == 0.0

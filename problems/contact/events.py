@@ -10,8 +10,8 @@ FloatArray = NDArray[np.float64]
 Wall = tuple[float, float, float, float]
 
 # Between the ticks a contact is looked at this often per radian of its fastest oscillation.
-LOOKS_PER_RADIAN = 2.0
-MOST_LOOKS = 64
+SUBSTEPS_PER_RADIAN = 2.0
+MOST_SUBSTEPS = 64
 
 _TAYLOR_TERMS = 14
 _BISECTIONS = 44
@@ -45,7 +45,7 @@ def advance(rate: FloatArray, push: FloatArray, state: FloatArray, duration: flo
 
 
 @compiled
-def presses(
+def is_in_contact(
     state: FloatArray,
     surface_state: FloatArray,
     wall: Wall,
@@ -77,11 +77,11 @@ def contact_force(state: FloatArray, outputs: FloatArray, inputs: tuple[float, f
 
 
 @compiled
-def looks_apart(wall: Wall) -> int:
+def substeps_apart(wall: Wall) -> int:
     """Return in how many parts a sample is looked at while the environment's mass swings on its own."""
     if wall[2] == 0.0:
         return 1
-    return max(1, min(MOST_LOOKS, int(np.ceil(LOOKS_PER_RADIAN * np.sqrt(wall[0] / wall[2])))))
+    return max(1, min(MOST_SUBSTEPS, int(np.ceil(SUBSTEPS_PER_RADIAN * np.sqrt(wall[0] / wall[2])))))
 
 
 @compiled
@@ -110,7 +110,7 @@ def advance_surface(surface_state: FloatArray, wall: Wall, duration: float) -> N
 
 
 @compiled
-def change_touch(state: FloatArray, surface_state: FloatArray, wall: Wall, touching: bool) -> float:
+def apply_impact(state: FloatArray, surface_state: FloatArray, wall: Wall, touching: bool) -> float:
     """Let the payload leave, or meet the environment's mass without rebound; return the impulse on it times 1/h."""
     n = len(state)
     if wall[2] == 0.0:
@@ -159,7 +159,7 @@ def _switch_moment(
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         trial, swung = _moved(flow, state, surface_state, wall, held, touching, middle)
-        if presses(trial, swung, wall, outputs, held, touching) == touching:
+        if is_in_contact(trial, swung, wall, outputs, held, touching) == touching:
             low = middle
         else:
             high = middle
@@ -191,12 +191,12 @@ def switch_within(
         while at < stop:
             torn = touching and wall[2] > 0.0 and contact_force(state, outputs, held) < 0.0
             if torn and switches < _SWITCHES_PER_SAMPLE:
-                change_touch(state, surface_state, wall, touching)
+                apply_impact(state, surface_state, wall, touching)
                 touching, switches = False, switches + 1
             piece = min(stop - at, 1.0 / looks)
             end, swung = _moved(flow, state, surface_state, wall, held, touching, piece)
             # Whatever the limit, nothing passes through the environment.
-            switched = presses(end, swung, wall, outputs, held, touching) != touching
+            switched = is_in_contact(end, swung, wall, outputs, held, touching) != touching
             if switched and touching and switches >= _SWITCHES_PER_SAMPLE:
                 switched = False
             if switched:
@@ -209,7 +209,7 @@ def switch_within(
             state[:], surface_state[:] = end, swung
             at += piece
             if switched:
-                impulse = max(impulse, change_touch(state, surface_state, wall, touching))
+                impulse = max(impulse, apply_impact(state, surface_state, wall, touching))
                 touching = not touching
                 switches += 1
     return touching, impulse, best, moment
@@ -235,7 +235,7 @@ def largest_in_sample(
 
 
 @compiled
-def contact_slope(flow: FloatArray, outputs: FloatArray, inputs: tuple[float, float], state: FloatArray) -> float:
+def contact_force_rate(flow: FloatArray, outputs: FloatArray, inputs: tuple[float, float], state: FloatArray) -> float:
     """Return dF_e/dτ of a payload that stays on the environment; `inputs` as for `contact_force`."""
     n, total = len(state), 0.0
     for i in range(n):

@@ -5,16 +5,16 @@ from numpy.typing import NDArray
 
 from ..compiled import compiled
 from ..model.controller import controller_step
-from .event_free_steps import SETTLED, SHORTEST_QUARTER, stretch, stretch_of_three
+from .event_free_steps import SETTLED, SHORTEST_QUARTER, step_three_states, step_without_events
 from .events import (
     Wall,
     advance_surface,
-    change_touch,
+    apply_impact,
     contact_force,
-    contact_slope,
+    contact_force_rate,
+    is_in_contact,
     largest_in_sample,
-    looks_apart,
-    presses,
+    substeps_apart,
     switch_within,
 )
 
@@ -80,7 +80,7 @@ def run_contact(
 def first_moment(start: Start, wall: Wall, found: FloatArray) -> tuple[Moment, NDArray[np.int64]]:
     """Copy the start, with the environment at rest beside it, and let the impact happen."""
     state, surface_state = start[0].copy(), np.zeros(2)
-    found[4] = change_touch(state, surface_state, wall, False)
+    found[4] = apply_impact(state, surface_state, wall, False)
     return (state, start[1].copy(), start[2].copy(), surface_state), np.array([0, 1, 0])
 
 
@@ -103,7 +103,7 @@ def walk(
     found: FloatArray,
     crest: FloatArray,
 ) -> int:
-    """Step over the ticks of `span` and return the one that was reached, the aim (see `stretch`) or one behind it.
+    """Step over the ticks of `span` and return the tick that was reached: its aim or one behind it.
 
     Between stretches in which nothing switches lie the samples that are crossed one by one.
     """
@@ -112,11 +112,11 @@ def walk(
         if plain:
             step, part = motion[0][0 if flags[1] == 1 else 1], (done, aim, end)
             if len(now[0]) == 3:
-                done, aim = stretch_of_three(
+                done, aim = step_three_states(
                     step, outputs[0], delay, wall, blocks, now, flags, forces, part, traces, found, crest
                 )
             else:
-                done, aim = stretch(
+                done, aim = step_without_events(
                     step, outputs[0], delay, wall, blocks, now, flags, forces, part, traces, found, crest
                 )
         if done < aim:
@@ -158,9 +158,9 @@ def _step(
     if not touching:
         advance_surface(swung, wall, 1.0)
     # At the end of the sample the newer command is held.
-    inputs, stays = (older, newer, forces[1]), presses(following, swung, wall, rows, (newer, forces[1]), touching)
+    inputs, stays = (older, newer, forces[1]), is_in_contact(following, swung, wall, rows, (newer, forces[1]), touching)
     low, high = _looks(inside, state, inputs)
-    apart = looks_apart(wall)
+    apart = substeps_apart(wall)
     # A step of the command may tear the payload from a mass at the tick, and a mass apart may come and go in between.
     alone = low > 0.0 and (wall[2] == 0.0 or pressed >= 0.0) if touching else apart == 1
     if stays == touching and alone:
@@ -311,11 +311,11 @@ def _search_around(plant: Contact, tick: int, push: float, crest: FloatArray, fo
     behind, before = crest[tick & 1], crest[1 - tick & 1]
     whole, state = delay[2] == 0.0, behind[:n]
     if before[n + 2] == tick - 1:
-        falls = contact_slope(flow, rows, (before[n], push), state) < 0.0
+        falls = contact_force_rate(flow, rows, (before[n], push), state) < 0.0
         if not whole or behind[n + 2] != tick or falls:
             inputs = (before[n + 1], before[n], push)
             _note(found, tick - 1, largest_in_sample(flow, rows, inputs, before[:n], delay[2]))
-    if behind[n + 2] == tick and not (whole and contact_slope(flow, rows, (behind[n], push), state) <= 0.0):
+    if behind[n + 2] == tick and not (whole and contact_force_rate(flow, rows, (behind[n], push), state) <= 0.0):
         _note(found, tick, largest_in_sample(flow, rows, (behind[n + 1], behind[n], push), state, delay[2]))
 
 
@@ -326,3 +326,57 @@ def _add_rest(forces: tuple[float, float], count: int, found: FloatArray) -> Non
         found[0], found[1] = forces[0], count - 1
     if forces[0] + forces[1] > found[2]:
         found[2], found[3] = forces[0] + forces[1], count - 1
+
+
+@compiled
+def contact_forces(approach: tuple[float, float, bool, float], resistance: float) -> tuple[float, float, float, float]:
+    """Return (v, hand force before the impact, F^d after it, hand force after it).
+
+    `approach` is (force or 0, speed, whether a hand drives, force after the impact or NaN); `resistance` [N·s/m] is
+    the force that the loop needs per speed in free space.
+    """
+    given, speed, by_hand, after = approach
+    force = given if given > 0.0 else speed * resistance
+    held = force if np.isnan(after) else after
+    if by_hand:
+        return force / resistance, force, 0.0, held
+    return force / resistance, 0.0, held, 0.0
+
+
+@compiled
+def steady_start(
+    ramp: FloatArray,
+    c_position: FloatArray,
+    blocks: FloatArray,
+    chain: int,
+    h: float,
+    speed: float,
+    push: float,
+    force: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return plant state, past commands (a ring, newest first) and controller states of a steady approach.
+
+    Everything moves at `speed` (m/s) under the outside force `push`; `force` is e = F^d + F, which is B_a v. The
+    filters see a steady speed, the lag a steady force (and, with ideal compensation, a ramp).
+    """
+    n = ramp.shape[1] - 2
+    moved = ramp[0] * (speed * h) + ramp[1] * push
+    state, command = moved[:n].copy(), moved[n]
+    places = 1
+    while places < chain:
+        places *= 2
+    past = np.zeros(places)
+    for i in range(chain):
+        past[i] = command - (i + 1) * speed * h
+    position = np.sum(c_position * state)
+    ideal = blocks[4, 2]
+    acceleration = ideal * speed
+    control = np.empty(4)
+    control[2] = speed - blocks[2, 0] * position
+    control[3] = acceleration - blocks[3, 0] * (ideal * position + (1.0 - ideal) * speed)
+    share = 1.0 / (1.0 - blocks[1, 1])
+    slope = blocks[5, 2] * share
+    control[1] = (blocks[1, 2] * force - slope * speed * h) * share + slope * position
+    direct = (blocks[0, 0] + blocks[1, 0]) * force - blocks[4, 0] * speed
+    control[0] = command - control[1] - direct - blocks[5, 0] * acceleration - blocks[5, 1] * position
+    return state, past, control

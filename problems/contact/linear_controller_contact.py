@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from ..compiled import compiled
 from ..errors import ParameterError
-from ..model.linear_controllers import LinearLaw
+from ..model.linear_controllers import LinearController
 from ..model.sampled import SampledPlant, build_loop, hold, spectral_radius
 from ..stability.margins import UnstableLoopError
-from .bouncing_kernel import DECAYING, judge_window
 from .transient import Approach, SampledContact
 
 FloatArray = NDArray[np.float64]
@@ -31,7 +30,7 @@ _Moment = tuple[FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, kw_only=True)
-class LawContact:
+class LinearContact:
     """The peaks of one contact, as in `problems.contact.transient.ContactTransient`, and the approach before it.
 
     `driving_force_n` is F^d, which leads to `contact_speed_m_s` in free space.
@@ -44,12 +43,12 @@ class LawContact:
     driving_force_n: float
 
 
-def force_per_speed(pair: SampledContact, law: LinearLaw) -> float:
+def force_per_speed(pair: SampledContact, law: LinearController) -> float:
     """Return the steady force [N·s/m] that the law and the payload's drag take per speed in free space."""
     return 1.0 / _steady(pair, law, 1.0)[1]
 
 
-def simulate_law_contact(pair: SampledContact, law: LinearLaw, approach: Approach) -> LawContact:
+def simulate_linear_contact(pair: SampledContact, law: LinearController, approach: Approach) -> LinearContact:
     """Simulate one impact after a steady approach by F^d; a spring of the law rests where the wall is.
 
     The run lasts until the slowest part of the motion in contact has decayed. Raises UnstableLoopError for a loop
@@ -61,10 +60,10 @@ def simulate_law_contact(pair: SampledContact, law: LinearLaw, approach: Approac
     if not radius < 1.0:
         raise UnstableLoopError(radius)
     h, samples = pair.contact.sample_time_s, _samples(radius, pair.contact.sample_time_s)
-    found, (loop, moment, force, speed) = np.zeros(4), _begin(pair, law, approach)
-    _run(loop, moment, force, samples, True, found)
+    found, (loop, moment, force, speed) = np.zeros(4), begin_linear_contact(pair, law, approach)
+    run_linear_contact(loop, moment, force, samples, True, found)
     # A force that only creeps up to its value at rest counts with that value.
-    return LawContact(
+    return LinearContact(
         peak_sensor_force_n=max(float(found[0]), force),
         peak_contact_force_n=max(float(found[1]), force),
         time_of_peak_s=float(found[2]) * h,
@@ -73,28 +72,9 @@ def simulate_law_contact(pair: SampledContact, law: LinearLaw, approach: Approac
     )
 
 
-def follow_law_bounces(
-    pair: SampledContact,
-    law: LinearLaw,
-    approach: Approach,
-    window: int,
-    peaks: FloatArray,
-    switches: NDArray[np.int64],
-) -> tuple[int, int]:
-    """Follow a contact over windows, see `bouncing_kernel.follow_bounces`; a contact ends on the grid of the parts."""
-    loop, moment, force, _ = _begin(pair, law, approach)
-    force, touching = force if approach.after_impact_n is None else approach.after_impact_n, True
-    for w in range(len(peaks)):
-        found = np.zeros(4)
-        touching = _run(loop, moment, force, window, touching, found)
-        peaks[w], switches[w] = found[1], int(found[3])
-        verdict = judge_window(peaks, switches, w, touching, force)
-        if verdict >= 0:
-            return verdict, w + 1
-    return DECAYING, len(peaks)
-
-
-def _begin(pair: SampledContact, law: LinearLaw, approach: Approach) -> tuple[_Loop, _Moment, float, float]:
+def begin_linear_contact(
+    pair: SampledContact, law: LinearController, approach: Approach
+) -> tuple[_Loop, _Moment, float, float]:
     """Return the loop and its state at the impact, F^d of the approach and its speed."""
     if approach.driven_by != "desired_force":
         raise ParameterError("approach", approach, "driven by the desired force")
@@ -116,7 +96,7 @@ def _samples(radius: float, h: float) -> int:
     return math.ceil(max(_SHORTEST_S / h, min(decay, _LONGEST_S / h)))
 
 
-def _steady(pair: SampledContact, law: LinearLaw, force: float) -> tuple[FloatArray, float]:
+def _steady(pair: SampledContact, law: LinearController, force: float) -> tuple[FloatArray, float]:
     """Return the law's state and the speed of a steady approach under F^d, at the tick at which x_p = 0."""
     h, r, m = law.sample_time_s, law.state_count, law.steady()
     n = pair.free.state_count
@@ -153,7 +133,9 @@ def _step(plant: SampledPlant, duration: float) -> FloatArray:
 
 
 @compiled
-def _run(loop: _Loop, moment: _Moment, force: float, samples: int, touching: bool, found: FloatArray) -> bool:
+def run_linear_contact(
+    loop: _Loop, moment: _Moment, force: float, samples: int, touching: bool, found: FloatArray
+) -> bool:
     """Step on from a moment, which is advanced, and return whether it touches then.
 
     `found` gets the largest sensor force, contact force and its time in samples, and in how many samples the contact

@@ -15,7 +15,8 @@ from ..model.controller import AdmittanceController
 from ..model.plant import FREE_SPACE, Plant, build_plant_matrices
 from ..model.sampled import SampledPlant, build_loop, build_sampled_plant, controller_rest, spectral_radius
 from ..stability.margins import UnstableLoopError
-from .nonlinear_control import (
+from .kernel import steady_start
+from .nonlinear_kernel import (
     CLIPPED,
     DEAD,
     LIMITED,
@@ -23,18 +24,20 @@ from .nonlinear_control import (
     RESETTING,
     STOPPING,
     TOUCHING,
+    TRACES,
     WATCHING,
-    Law,
     Memory,
+    Motion,
+    NonlinearController,
+    Recording,
     blocks_at,
     damping_at,
     resume,
+    run_nonlinear,
     seen_force,
     steady_speed,
 )
-from .nonlinear_kernel import TRACES, Motion, Recording, run_full
-from .nonlinearities import NO_EFFECTS, CommandLimits, Deadband, Effects, Response, VariableDamping
-from .steady_approach import steady_start
+from .nonlinearities import NO_NONLINEARITIES, CommandLimits, Deadband, Nonlinearities, Response, VariableDamping
 from .transient import Approach, SampledContact, build_sampled_contact
 
 FloatArray = NDArray[np.float64]
@@ -48,7 +51,7 @@ _WHOLE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
-class FullRun:
+class NonlinearRun:
     """One simulated run: values at the controller's ticks `time_s` (n,), positions from the wall.
 
     `sensor_force_n` is −F, `seen_force_n` −F as the controller sees it, both positive when pressing;
@@ -95,19 +98,19 @@ class _Drive:
     push_n: tuple[float, float]
 
 
-def simulate_fully(
+def simulate_nonlinear(
     plant: Plant,
     controller: AdmittanceController,
     approach: Approach,
     *,
     sample_time_s: float,
     duration_s: float,
-    effects: Effects = NO_EFFECTS,
+    effects: Nonlinearities = NO_NONLINEARITIES,
     start_distance_m: float | None = None,
     substeps: int = 10,
     noise: np.random.Generator | None = None,
     even_if_unstable: bool = False,
-) -> FullRun:
+) -> NonlinearRun:
     """Simulate an approach and contact with everything in `effects`, by Runge–Kutta steps of order 4.
 
     Without `start_distance_m` the run begins at the impact, in the steady state of the approach (with deadband,
@@ -135,7 +138,7 @@ def simulate_fully(
     if start_distance_m is None:
         recording.found[4:6] = 0.0, drive.speed_m_s * h
     drawn = _noise(effects, noise, count), _late(effects, noise, count)
-    run_full(motion, law, start, drive.desired_n, drive.push_n, *drawn, recording)
+    run_nonlinear(motion, law, start, drive.desired_n, drive.push_n, *drawn, recording)
     return _run(recording, h, drive, is_stable=radius < 1.0)
 
 
@@ -150,7 +153,7 @@ def _check_plant(plant: Plant, h: float) -> None:
         )
 
 
-def _largest_radius(pair: SampledContact, controller: AdmittanceController, effects: Effects) -> float:
+def _largest_radius(pair: SampledContact, controller: AdmittanceController, effects: Nonlinearities) -> float:
     variable = effects.variable_damping
     dampings = (controller.damping_n_s_per_m,) if variable is None else variable.bounds_n_s_per_m
     return max(
@@ -187,12 +190,12 @@ def _motion(contact: SampledPlant, substeps: int) -> Motion:
     )
 
 
-def _law(controller: AdmittanceController, effects: Effects, h: float) -> Law:
+def _law(controller: AdmittanceController, effects: Nonlinearities, h: float) -> NonlinearController:
     deadband, limits = effects.deadband or Deadband(width_n=0.0), effects.limits or CommandLimits()
     collision, variable = effects.collision, effects.variable_damping or VariableDamping()
     if effects.variable_damping is not None and variable.update_period_s < h:
         raise ParameterError("variable_damping.update_period_s", variable.update_period_s, f"at least h = {h:g} s")
-    return Law(
+    return NonlinearController(
         parameters=controller.parameters(),
         h=h,
         theta=controller.theta,
@@ -216,7 +219,7 @@ def _or_infinite(value: float | None) -> float:
     return math.inf if value is None else value
 
 
-def _drive(pair: SampledContact, law: Law, approach: Approach, effects: Effects) -> _Drive:
+def _drive(pair: SampledContact, law: NonlinearController, approach: Approach, effects: Nonlinearities) -> _Drive:
     """Find the steady speed of the approach's force, or the force of its speed, with the effects in the balance."""
     h, by_hand = law.h, approach.driven_by == "hand"
     # F per speed: B_p, but for the ripple of F between the ticks.
@@ -240,7 +243,9 @@ def _drive(pair: SampledContact, law: Law, approach: Approach, effects: Effects)
     )
 
 
-def _needed_force(law: Law, speed: float, drag: float, deadband: Deadband | None, *, by_hand: bool) -> float:
+def _needed_force(
+    law: NonlinearController, speed: float, drag: float, deadband: Deadband | None, *, by_hand: bool
+) -> float:
     needed = damping_at(law, speed) * speed
     if not by_hand:
         return float(needed - seen_force(law, -drag * speed)[0])
@@ -253,7 +258,9 @@ def _needed_force(law: Law, speed: float, drag: float, deadband: Deadband | None
     return float(measured + drag * speed)
 
 
-def _steady(pair: SampledContact, law: Law, drive: _Drive, effects: Effects) -> tuple[FloatArray, FloatArray, Memory]:
+def _steady(
+    pair: SampledContact, law: NonlinearController, drive: _Drive, effects: Nonlinearities
+) -> tuple[FloatArray, FloatArray, Memory]:
     """Return the steady approach at the impact, as if the same had gone on for ever."""
     free, h, speed, push = pair.free, law.h, drive.speed_m_s, drive.push_n[0]
     way, damping = speed * h, damping_at(law, speed)
@@ -280,7 +287,7 @@ def _steady(pair: SampledContact, law: Law, drive: _Drive, effects: Effects) -> 
     return state, past, Memory(states, recent, older, command - way, way, damping, law.period, WATCHING)
 
 
-def _rest(free: SampledPlant, law: Law, distance: float) -> tuple[FloatArray, FloatArray, Memory]:
+def _rest(free: SampledPlant, law: NonlinearController, distance: float) -> tuple[FloatArray, FloatArray, Memory]:
     """Return everything at rest at a distance from the wall, no force applied yet."""
     place = -non_negative("start_distance_m", distance)
     damping, n = damping_at(law, 0.0), free.state_count
@@ -294,7 +301,7 @@ def _rest(free: SampledPlant, law: Law, distance: float) -> tuple[FloatArray, Fl
     return state, past, Memory(states, entry, entry, place, 0.0, damping, law.period, WATCHING)
 
 
-def _noise(effects: Effects, noise: np.random.Generator | None, count: int) -> FloatArray:
+def _noise(effects: Nonlinearities, noise: np.random.Generator | None, count: int) -> FloatArray:
     if effects.force_noise_rms_n == 0.0:
         return np.zeros(count)
     if noise is None:
@@ -302,7 +309,7 @@ def _noise(effects: Effects, noise: np.random.Generator | None, count: int) -> F
     return effects.force_noise_rms_n * noise.standard_normal(count)
 
 
-def _late(effects: Effects, noise: np.random.Generator | None, count: int) -> BoolArray:
+def _late(effects: Nonlinearities, noise: np.random.Generator | None, count: int) -> BoolArray:
     if effects.late_share == 0.0:
         return np.zeros(count, dtype=np.bool_)
     if noise is None:
@@ -310,7 +317,7 @@ def _late(effects: Effects, noise: np.random.Generator | None, count: int) -> Bo
     return np.asarray(noise.random(count) < effects.late_share)
 
 
-def _run(recording: Recording, h: float, drive: _Drive, *, is_stable: bool) -> FullRun:
+def _run(recording: Recording, h: float, drive: _Drive, *, is_stable: bool) -> NonlinearRun:
     traces, flags, found = recording.traces, recording.flags, recording.found
     traces[:2] *= -1.0
     time = np.asarray(np.arange(len(flags)) * h, dtype=np.float64)
@@ -319,7 +326,7 @@ def _run(recording: Recording, h: float, drive: _Drive, *, is_stable: bool) -> F
         array.setflags(write=False)
     touched, detected = not math.isnan(found[4]), not math.isnan(found[6])
     peaks = found[:4] if is_stable else np.full(4, math.nan)
-    return FullRun(
+    return NonlinearRun(
         time_s=time,
         sensor_force_n=traces[0],
         seen_force_n=traces[1],

@@ -88,7 +88,7 @@ class VariableDamping:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Effects:
+class Nonlinearities:
     """What the linear loop leaves out; by default nothing is.
 
     To the measured force comes first white noise of `force_noise_rms_n` per tick, then clipping at ±`force_limit_n`
@@ -112,4 +112,4 @@ class Effects:
             raise ParameterError("late_share", self.late_share, "at least 0 and below 1")
 
 
-NO_EFFECTS = Effects()
+NO_NONLINEARITIES = Nonlinearities()

@@ -13,9 +13,8 @@ from ..model.controller import AdmittanceController, controller_blocks
 from ..model.plant import FREE_SPACE
 from ..model.sampled import SampledPlant, build_loop, build_sampled_plant, check_wrench_delay, hold, spectral_radius
 from ..stability.margins import UnstableLoopError
-from .events import LOOKS_PER_RADIAN, MOST_LOOKS
-from .kernel import Contact, Start, run_contact
-from .steady_approach import contact_forces, steady_start
+from .events import MOST_SUBSTEPS, SUBSTEPS_PER_RADIAN
+from .kernel import Contact, Start, contact_forces, run_contact, steady_start
 
 FloatArray = NDArray[np.float64]
 
@@ -151,7 +150,7 @@ def _inside(contact: SampledPlant) -> FloatArray:
             f"{stiffness:g} N/m on {mass:g} kg",
             f"so that the contact swings at most {_FASTEST_SWING:g} rad in a sample (softer, or heavier)",
         )
-    looks = min(MOST_LOOKS, max(1, math.ceil(LOOKS_PER_RADIAN * fastest)))
+    looks = min(MOST_SUBSTEPS, max(1, math.ceil(SUBSTEPS_PER_RADIAN * fastest)))
     rows = np.zeros((looks - 1, n + 3))
     inputs = np.stack([contact.drive, contact.push], axis=1)
     for j in range(1, looks):

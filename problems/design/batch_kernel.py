@@ -4,8 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import compiled
-from ..contact.kernel import run_contact
-from ..contact.steady_approach import contact_forces, steady_start
+from ..contact.kernel import contact_forces, run_contact, steady_start
 from ..model.controller import blocks_of
 from ..stability.margin_kernel import MARGINS, MODULUS_ALONE, find_loop_margins
 from ..stability.polynomials import CONTROLLER_POWERS, STABLE, controller_polynomials, hurwitz, loop_polynomial

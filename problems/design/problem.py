@@ -18,8 +18,7 @@ from ..model.controller import (
     check_feedback_damping,
 )
 from ..model.plant import NO_FILTER, Coupling, Environment, Payload, Plant, WrenchFilter
-from ..model.robot import RobotModel
-from ..model.robot_variation import bandwidth_hz, damping_ratio, has_damping_ratio
+from ..model.robot import RobotModel, bandwidth_hz, damping_ratio, has_damping_ratio
 from .requirements import AdmittanceTarget, Asked, NoiseLimit, PassivityTarget, Requirements
 from .uncertainty import ALWAYS_UNCERTAIN, FURTHER_UNCERTAIN, SYMBOLS, Ellipsoid, Scenario, Uncertainty, check_robot
 

@@ -18,8 +18,7 @@ from .._checks import interval, positive
 from ..errors import ParameterError
 from ..frozen import FrozenDict
 from ..model.plant import Coupling, Environment, Payload, Plant, WrenchFilter
-from ..model.robot import RobotModel
-from ..model.robot_variation import has_damping_ratio, vary_robot
+from ..model.robot import RobotModel, has_damping_ratio, vary_robot
 
 FloatArray = NDArray[np.float64]
 Interval = tuple[float, float]

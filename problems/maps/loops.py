@@ -1,21 +1,70 @@
-"""Plants as the compiled test of stability takes them; everything else about them is built when it is asked for."""
+"""Closed loops of many controllers on many plants: stability, margins and peak forces, for the maps."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..contact.transient import Approach, build_sampled_contact
+from ..design.batch import build_batch
 from ..design.batch_kernel import Loops, judge_stability
 from ..errors import ParameterError
-from ..model.plant import PLANT_PARAMETERS, Plant
+from ..model.controller import SMALLEST_FEEDBACK_DAMPING_S, AdmittanceController
+from ..model.plant import FREE_SPACE, PLANT_PARAMETERS, Plant
 from ..model.sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius, split_delay
+from ..stability.margin_kernel import DELAY_S, DISK, GAIN_DB, MARGINS, MODULUS, PHASE_RAD
+from ..stability.margins import LARGEST_GAIN_DB, prepare_margins
 from ..stability.polynomials import DOUBTFUL, STABLE, UNSTABLE
-from .designs import Designs
-from .kernel import polynomials_of_plants
+from .kernel import margins_of_plant, polynomials_of_plants
+from .parameters import CONTROLLER_FIELDS, MapQuantity
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Designs:
+    """Controllers of one discretisation: `parameters` (m, 7) as `AdmittanceController.parameters` orders them."""
+
+    kind: AdmittanceController
+    parameters: FloatArray
+
+    @property
+    def count(self) -> int:
+        """How many controllers there are."""
+        return len(self.parameters)
+
+    def controller(self, index: int) -> AdmittanceController:
+        """Return one of the controllers."""
+        names = CONTROLLER_FIELDS.values()
+        return replace(self.kind, **dict(zip(names, map(float, self.parameters[index]), strict=True)))  # type: ignore[arg-type]
+
+    def alike(self) -> Iterator[tuple[NDArray[np.int64], bool]]:
+        """Yield the indices of controllers with and without ideal compensation, and whether it is ideal."""
+        ideal = (self.parameters[:, -1] > 0.0) & (self.kind.compensation == "ideal")
+        for value in (False, True):
+            chosen = np.flatnonzero(ideal == value)
+            if len(chosen):
+                yield chosen, value
+
+
+def designs_around(controller: AdmittanceController, varied: dict[str, FloatArray]) -> Designs:
+    """Return the controllers that differ from one by values (m,) of each of the parameters in `varied`.
+
+    The ranges are the caller's to check. A feedback damping too small to be a value in seconds is none at all
+    (MODEL.md, erratum 2), so that a range may begin at 0.
+    """
+    count = max((len(values) for values in varied.values()), default=1)
+    parameters = np.tile(controller.parameters(), (count, 1))
+    for name, values in varied.items():
+        column = list(CONTROLLER_FIELDS).index(name)
+        parameters[:, column] = values
+        if name == "feedback_damping_s":
+            parameters[:, column] *= values >= SMALLEST_FEEDBACK_DAMPING_S
+    return Designs(kind=controller, parameters=parameters)
+
 
 # Eigenvalues of larger loops take so long that a map of them would not end.
 MOST_DELAY_SAMPLES = 250
@@ -84,3 +133,106 @@ def check_delay(plant: Plant, sample_time_s: float) -> None:
     if plant.loop_delay_s > MOST_DELAY_SAMPLES * sample_time_s:
         must = f"at most {MOST_DELAY_SAMPLES} samples of {sample_time_s:g} s"
         raise ParameterError("delay_s", plant.loop_delay_s, must)
+
+
+Where = Literal["contact", "free_space", "both"]
+
+_COLUMNS = {
+    MapQuantity.MODULUS: MODULUS,
+    MapQuantity.GAIN: GAIN_DB,
+    MapQuantity.PHASE: PHASE_RAD,
+    MapQuantity.DELAY: DELAY_S,
+    MapQuantity.DISK: DISK,
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlantChunk:
+    """Plants with their environment (None when only free space is asked), and their distinct free spaces (or None).
+
+    `free_of` (p,) tells for each plant which free space is its own.
+    """
+
+    contact: PlantLoops | None
+    free: PlantLoops | None
+    free_of: NDArray[np.int64]
+
+    def one(self, index: int) -> "PlantChunk":
+        """Return the chunk of one of the plants."""
+        return PlantChunk(
+            contact=None if self.contact is None else self.contact.only(index),
+            free=None if self.free is None else self.free.only(int(self.free_of[index])),
+            free_of=np.zeros(1, dtype=np.int64),
+        )
+
+    def stable(self, designs: Designs) -> BoolArray:
+        """Tell for every controller on every plant, (m, p), whether the loop is stable wherever that is asked."""
+        out = np.ones((designs.count, len(self.free_of)), dtype=np.bool_)
+        if self.contact is not None:
+            out &= self.contact.stable(designs)
+        if self.free is not None:
+            out &= self.free.stable(designs)[:, self.free_of]
+        return out
+
+    def margins(self, designs: Designs, stable: BoolArray, quantity: MapQuantity) -> FloatArray:
+        """Return one margin (m, p), the smaller of contact and free space; NaN where `stable` (m, p) is False."""
+        out = np.full(stable.shape, np.inf)
+        for loops, place in ((self.contact, np.arange(len(self.free_of))), (self.free, self.free_of)):
+            if loops is None:
+                continue
+            for k in range(len(loops.plants)):
+                own = np.flatnonzero(place == k)
+                found = _margin(loops.sampled(k), designs, np.any(stable[:, own], axis=1), quantity)
+                out[:, own] = np.minimum(out[:, own], found[:, None])
+        return np.where(stable, out, np.nan)
+
+    def largest_radius(self, controller: AdmittanceController) -> float:
+        """Return the largest |z| on the first plant wherever stability is asked, by the eigenvalues."""
+        asked = [loops.sampled(0) for loops in (self.contact, self.free) if loops is not None]
+        return max(spectral_radius(build_loop(plant, controller)) for plant in asked)
+
+
+def build_chunk(plants: Sequence[Plant], sample_time_s: float, where: Where) -> PlantChunk:
+    """Sample plants, and each of their free spaces once."""
+    distinct: dict[Plant, int] = {}
+    free_of = [distinct.setdefault(plant.in_contact_with(FREE_SPACE), len(distinct)) for plant in plants]
+    return PlantChunk(
+        contact=None if where == "free_space" else build_plant_loops(plants, sample_time_s),
+        free=None if where == "contact" else build_plant_loops(tuple(distinct), sample_time_s),
+        free_of=np.array(free_of, dtype=np.int64),
+    )
+
+
+def peaks_of(
+    plants: Sequence[Plant], sample_time_s: float, designs: Designs, approach: Approach, quantity: MapQuantity
+) -> tuple[BoolArray, FloatArray]:
+    """Return stability in contact and free space, and one peak force [N], (m, p); NaN where the loop is unstable."""
+    for plant in plants:
+        check_delay(plant, sample_time_s)
+    batch = build_batch([build_sampled_contact(build_sampled_plant(plant, sample_time_s)) for plant in plants])
+    stable = np.zeros((designs.count, len(plants)), dtype=np.bool_)
+    peaks = np.full(stable.shape, np.nan)
+    for chosen, _ in designs.alike():
+        found = batch.evaluate([designs.controller(i) for i in chosen], approach, margins=False)
+        stable[chosen] = found.is_stable
+        at_contact = quantity is MapQuantity.PEAK_CONTACT
+        peaks[chosen] = found.peak_contact_force_n if at_contact else found.peak_sensor_force_n
+    return stable, np.where(stable, peaks, np.nan)
+
+
+def _margin(plant: SampledPlant, designs: Designs, wanted: BoolArray, quantity: MapQuantity) -> FloatArray:
+    """Return one margin (m,) of the loops that are wanted, in the units of `Margins`; infinite elsewhere."""
+    prepared = prepare_margins(plant)
+    found = np.full((designs.count, MARGINS), np.inf)
+    everything = quantity is not MapQuantity.MODULUS
+    for chosen, ideal in designs.alike():
+        sampling = (plant.sample_time_s, designs.kind.theta, ideal)
+        out = np.full((len(chosen), MARGINS), np.inf)
+        margins_of_plant(
+            prepared.polynomials, prepared.grid, designs.parameters[chosen], wanted[chosen], sampling, everything, out
+        )
+        found[chosen] = out
+    values = found[:, _COLUMNS[quantity]]
+    if quantity is MapQuantity.GAIN:
+        return np.where(values < LARGEST_GAIN_DB, values, np.inf)
+    return np.degrees(values) if quantity is MapQuantity.PHASE else values

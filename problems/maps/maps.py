@@ -14,10 +14,8 @@ from ..errors import ParameterError
 from ..frozen import freeze
 from ..model.controller import AdmittanceController, check_feedback_damping
 from ..model.plant import Plant
-from .designs import Designs, designs_around
-from .loops import check_delay
+from .loops import BoolArray, Designs, FloatArray, Where, build_chunk, check_delay, designs_around, peaks_of
 from .parameters import MapParameter, MapQuantity, Part, check_together, controller_at, find_parameter, plant_at
-from .plants import BoolArray, FloatArray, Where, build_chunk, peaks_of
 
 _Kind = TypeVar("_Kind", np.bool_, np.float64)
 Spacing = Literal["linear", "log"]

@@ -11,11 +11,9 @@ from ..errors import ParameterError
 from ..frozen import FrozenDict, freeze
 from ..model.controller import AdmittanceController
 from ..model.plant import Plant
-from .designs import Designs, designs_around
-from .loops import check_delay
+from .loops import BoolArray, Designs, FloatArray, PlantChunk, Where, build_chunk, check_delay, designs_around
 from .maps import PLANTS_PER_CHUNK, MapAxis, Progress, check_varied
 from .parameters import controller_at, plant_at
-from .plants import BoolArray, FloatArray, PlantChunk, Where, build_chunk
 
 DEFAULT_TOLERANCE = 1e-5
 

@@ -1,6 +1,6 @@
 """The controller's difference equation in plain arithmetic, needing no library (MODEL.md, "Continuous blocks").
 
-`problems.model.controller` and `problems.contact.nonlinear_control` compile these functions into their kernels; the
+`problems.model.controller` and `problems.contact.nonlinear_kernel` compile these functions into their kernels; the
 runtime calls them as
 they are, on a machine that has no compiler. `blocks` is anything that takes `[row, column]`: an array, or a dictionary.
 """
@@ -118,7 +118,7 @@ def through_deadband(force: float, width: float, subtractive: bool) -> float:
     return force - width if force > 0.0 else force + width
 
 
-def opposes(force: float, way: float, threshold: float) -> bool:
+def opposes_motion(force: float, way: float, threshold: float) -> bool:
     """Tell whether a force F on the flange opposes its way over the last period by more than the threshold [N].
 
     The detection of the paper's Algorithm 1: −F sign(v) > threshold. A flange that stands is not opposed.

@@ -13,7 +13,7 @@ ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LinearLaw:
+class LinearController:
     """x^d_k = C s_k + D_e e_k + D_x x_k and s_{k+1} = A s_k + B_e e_k + B_x x_k with e = F^d + F.
 
     `matrix` (r + 1, r + 2) has the states' rows first and the command's last, over (states, e, x). `rest` (r,) is the

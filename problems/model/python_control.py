@@ -50,7 +50,7 @@ class ControlObjects:
     closed_loop: Any
 
 
-def as_control(sampled: SampledPlant, controller: AdmittanceController) -> ControlObjects:
+def to_control(sampled: SampledPlant, controller: AdmittanceController) -> ControlObjects:
     """Return the blocks and the sampled loop of one axis as python-control objects with named signals."""
     plant, cut, h = sampled.plant, build_cut_loop(sampled, controller), sampled.sample_time_s
     velocity, acceleration = controller.velocity_filter_rad_per_s, controller.acceleration_filter_rad_per_s

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from ..compiled import equation
 from .controller import AdmittanceController, controller_blocks
-from .linear_controllers import LinearLaw
+from .linear_controllers import LinearController
 from .plant import Plant, WrenchFilter
-from .sampled import Law, SampledPlant, build_loop, check_wrench_delay
+from .sampled import Controller, SampledPlant, build_loop, check_wrench_delay
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -70,9 +70,9 @@ def controller_gains(blocks: Any, z: Any) -> Any:
     return forward, blocks[4, 0] * velocity - compensation
 
 
-def controller_response(controller: Law, z: ComplexArray, h: float) -> tuple[ComplexArray, ComplexArray]:
+def controller_response(controller: Controller, z: ComplexArray, h: float) -> tuple[ComplexArray, ComplexArray]:
     """Return the sampled forms of A(1 + C_ff) and of C_fb − A(1 + C_ff) P̂ O_a at the points `z`."""
-    if isinstance(controller, LinearLaw):
+    if isinstance(controller, LinearController):
         return controller.gains(z)
     forward, feedback = controller_gains(controller_blocks(controller, h), z)
     return np.asarray(forward, dtype=np.complex128), np.asarray(feedback, dtype=np.complex128)
@@ -87,7 +87,7 @@ class LoopResponse:
     at_command: ComplexArray
 
 
-def loop_response(sampled: SampledPlant, controller: Law, frequency_rad_per_s: FloatArray) -> LoopResponse:
+def loop_response(sampled: SampledPlant, controller: Controller, frequency_rad_per_s: FloatArray) -> LoopResponse:
     """Break the sampled loop at the force signal, L, and at the position command, L_x (MODEL.md, "Continuous blocks").
 
     1 + L_x = (1 + (C_fb − A(1 + C_ff) P̂ O_a) X/X^d)(1 + L), as in the continuous form.
@@ -96,15 +96,15 @@ def loop_response(sampled: SampledPlant, controller: Law, frequency_rad_per_s: F
     return loop_at(plant_response(sampled, frequency_rad_per_s), controller, sampled.sample_time_s)
 
 
-def loop_at(plant: PlantResponse, controller: Law, sample_time_s: float) -> LoopResponse:
+def loop_at(plant: PlantResponse, controller: Controller, sample_time_s: float) -> LoopResponse:
     """Return the same from the response of a plant, which one controller after another may ask.
 
-    A law that follows the position is cut behind what it adds to it (`LinearLaw.follows_position`).
+    A law that follows the position is cut behind what it adds to it (`LinearController.follows_position`).
     """
     forward, feedback = controller_response(controller, plant.z, sample_time_s)
     damped = feedback * plant.position
     command = damped - plant.force * forward
-    if isinstance(controller, LinearLaw) and controller.follows_position:
+    if isinstance(controller, LinearController) and controller.follows_position:
         command = (command + plant.position) / (1.0 - plant.position)
     return LoopResponse(
         frequency_rad_per_s=plant.frequency_rad_per_s,
@@ -113,7 +113,7 @@ def loop_at(plant: PlantResponse, controller: Law, sample_time_s: float) -> Loop
     )
 
 
-def rendered_admittance(plant: PlantResponse, controller: Law, sample_time_s: float) -> ComplexArray:
+def rendered_admittance(plant: PlantResponse, controller: Controller, sample_time_s: float) -> ComplexArray:
     """Return G = V/F [m/s/N] of the sampled controller and robot (MODEL.md, "F → V").
 
     The robot ignores F, so the payload does not enter G; V is the derivative of the position below the Nyquist rate.
@@ -126,13 +126,15 @@ def rendered_admittance(plant: PlantResponse, controller: Law, sample_time_s: fl
     return np.asarray(forward * velocity / (1.0 + feedback * plant.position), dtype=np.complex128)
 
 
-def free_space_admittance(sampled: SampledPlant, controller: Law, frequency_rad_per_s: FloatArray) -> ComplexArray:
+def free_space_admittance(
+    sampled: SampledPlant, controller: Controller, frequency_rad_per_s: FloatArray
+) -> ComplexArray:
     """Return the rendered admittance G [m/s/N] of a sampled plant, see `rendered_admittance`."""
     check_wrench_delay(sampled.plant, controller)
     return rendered_admittance(plant_response(sampled, frequency_rad_per_s), controller, sampled.sample_time_s)
 
 
-def hand_admittance(sampled: SampledPlant, controller: Law, frequency_rad_per_s: FloatArray) -> ComplexArray:
+def hand_admittance(sampled: SampledPlant, controller: Controller, frequency_rad_per_s: FloatArray) -> ComplexArray:
     """Return V_p/F_h [m/s/N]: the payload's velocity per force of a hand on it, in the closed sampled loop.
 
     The hand's force is held from tick to tick, which adds half a sample of lag. Below the loop's bandwidth in free

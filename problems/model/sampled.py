@@ -12,11 +12,11 @@ from .._checks import positive
 from ..compiled import compiled, equation
 from ..errors import ParameterError
 from .controller import CONTROLLER_STATES, AdmittanceController, controller_blocks, controller_step, needed_states
-from .linear_controllers import LinearLaw
+from .linear_controllers import LinearController
 from .plant import Plant, build_plant_matrices
 
 FloatArray = NDArray[np.float64]
-Law = AdmittanceController | LinearLaw
+Controller = AdmittanceController | LinearController
 
 # A delay this close to a whole number of samples (in samples) is that number; it is far below any clock's resolution.
 _WHOLE = 1e-9
@@ -310,14 +310,14 @@ def _closed(m: FloatArray, signal: int) -> FloatArray:
     return out
 
 
-def check_wrench_delay(plant: Plant, law: Law) -> None:
+def check_wrench_delay(plant: Plant, law: Controller) -> None:
     """Raise ParameterError for a law that reads the position beside a wrench that is a delay late.
 
     Position and wrench then belong to different moments, which the loop's shift chain does not hold.
     """
     if plant.wrench_filter.delay_s == 0.0:
         return
-    if isinstance(law, LinearLaw):
+    if isinstance(law, LinearController):
         reads = bool(np.any(law.matrix[:, law.state_count + 1]) or np.any(law.steady()[:, law.state_count + 1]))
     else:
         reads = law.feedback_damping_s != 0.0 or law.compensates
@@ -327,8 +327,8 @@ def check_wrench_delay(plant: Plant, law: Law) -> None:
         raise ParameterError("wrench_filter.delay_s", plant.wrench_filter.delay_s, must)
 
 
-def law_matrix(law: Law, sample_time_s: float) -> FloatArray:
-    """Return the difference equation at h as `LinearLaw` holds it; raises ParameterError for a law of another h."""
+def controller_matrix(law: Controller, sample_time_s: float) -> FloatArray:
+    """Return the difference equation at h as `LinearController` holds it; raises ParameterError for another h."""
     if isinstance(law, AdmittanceController):
         blocks = controller_blocks(law, sample_time_s)
         return controller_matrices(blocks, needed_states(blocks))
@@ -337,21 +337,22 @@ def law_matrix(law: Law, sample_time_s: float) -> FloatArray:
     return law.matrix
 
 
-def linear_law(controller: AdmittanceController, sample_time_s: float) -> LinearLaw:
+def linear_controller(controller: AdmittanceController, sample_time_s: float) -> LinearController:
     """Return the sampled form of an admittance controller as a law like any other."""
     blocks = controller_blocks(controller, sample_time_s)
     kept = needed_states(blocks)
     matrix = controller_matrices(blocks, kept)
-    return LinearLaw(matrix=matrix, rest=controller_rest(blocks)[kept], sample_time_s=sample_time_s)
+    return LinearController(matrix=matrix, rest=controller_rest(blocks)[kept], sample_time_s=sample_time_s)
 
 
-def build_cut_loop(sampled: SampledPlant, controller: Law) -> CutLoop:
+def build_cut_loop(sampled: SampledPlant, controller: Controller) -> CutLoop:
     """Lay out plant and sampled controller as one system that is cut at the force signal and at the command.
 
-    Of a law that follows the position (`LinearLaw.follows_position`) the cut at the command is that of what it adds.
+    Of a controller that follows the position (`LinearController.follows_position`) the cut at the command is that of
+    what it adds.
     """
     cut = _build_whole_cut(sampled, controller)
-    if isinstance(controller, LinearLaw) and controller.follows_position:
+    if isinstance(controller, LinearController) and controller.follows_position:
         # The position is added behind the cut: whatever enters there moves the robot from where it is.
         m, n = cut.matrix, sampled.state_count
         m[:, :n] += np.outer(m[:, cut.command], sampled.c_position)
@@ -359,9 +360,9 @@ def build_cut_loop(sampled: SampledPlant, controller: Law) -> CutLoop:
     return cut
 
 
-def _build_whole_cut(sampled: SampledPlant, controller: Law) -> CutLoop:
+def _build_whole_cut(sampled: SampledPlant, controller: Controller) -> CutLoop:
     check_wrench_delay(sampled.plant, controller)
-    matrix = law_matrix(controller, sampled.sample_time_s)
+    matrix = controller_matrix(controller, sampled.sample_time_s)
     plant = (
         sampled.phi,
         sampled.gamma,
@@ -375,7 +376,7 @@ def _build_whole_cut(sampled: SampledPlant, controller: Law) -> CutLoop:
     return CutLoop(matrix=m, state_count=len(m) - 2)
 
 
-def build_loop(sampled: SampledPlant, controller: Law) -> SampledLoop:
+def build_loop(sampled: SampledPlant, controller: Controller) -> SampledLoop:
     """Close the loop of `sampled` and the sampled form of `controller`, without approximation."""
     cut = _build_whole_cut(sampled, controller)
     m, n = cut.closed_at(cut.command, cut.force), cut.state_count
@@ -390,17 +391,17 @@ def build_loop(sampled: SampledPlant, controller: Law) -> SampledLoop:
         translation=translation_state(sampled, controller),
         sample_time_s=sampled.sample_time_s,
         is_anchored=sampled.plant.environment.is_anchored
-        or (isinstance(controller, LinearLaw) and controller.holds_position),
+        or (isinstance(controller, LinearController) and controller.holds_position),
     )
 
 
-def translation_state(sampled: SampledPlant, controller: Law) -> FloatArray:
+def translation_state(sampled: SampledPlant, controller: Controller) -> FloatArray:
     """Return the loop state in which flange, payload and command all rest at one metre and F = 0."""
     n = sampled.state_count
     # The robot chain's first state has unit gain at rest (r(0) = 1); then x_p.
     plant = np.zeros(n)
     plant[0] = plant[n - 2] = 1.0
-    if isinstance(controller, LinearLaw):
+    if isinstance(controller, LinearController):
         rest = controller.rest
     else:
         blocks = controller_blocks(controller, sampled.sample_time_s)

@@ -12,7 +12,7 @@ import numpy as np
 
 from .._checks import non_negative, positive
 from ..errors import ParameterError
-from .linear_controllers import LinearLaw
+from .linear_controllers import LinearController
 
 _ROUNDING = 1e-9
 VIRTUAL_STEP_S = 0.02
@@ -65,11 +65,11 @@ class SpringAdmittance:
         """
         return 1.0 - positive("sample_time_s", sample_time_s) * self.total_damping / self.mass
 
-    def law(self, sample_time_s: float) -> LinearLaw:
+    def law(self, sample_time_s: float) -> LinearController:
         """Return the difference equation at h; states f_{k−1}, v_k, p_k."""
         h = positive("sample_time_s", sample_time_s)
         spring = self._matrix(h, self.stiffness)
-        return LinearLaw(
+        return LinearController(
             matrix=spring,
             rest=np.array([0.0, 0.0, 1.0]),
             sample_time_s=h,
@@ -104,11 +104,11 @@ class ForwardDynamics:
         positive("proportional", self.proportional)
         non_negative("derivative", self.derivative)
 
-    def law(self, sample_time_s: float) -> LinearLaw:
+    def law(self, sample_time_s: float) -> LinearController:
         """Return the difference equation at h; states v_k, e_{k−1}."""
         step, share = VIRTUAL_STEP_S, VELOCITY_KEPT * VIRTUAL_STEP_S / VIRTUAL_MASS
         slope = self.derivative / step
-        return LinearLaw(
+        return LinearController(
             matrix=np.array(
                 [
                     [VELOCITY_KEPT, -share * slope, share * (self.proportional + slope), 0.0],
@@ -122,7 +122,7 @@ class ForwardDynamics:
         )
 
 
-def alternates(law: LinearLaw) -> bool:
+def alternates(law: LinearController) -> bool:
     """Return whether a pole that the law has by itself, nothing fed back, lies left of the imaginary axis of z.
 
     Such a part of the command changes sign from cycle to cycle, whatever the plant damps of it.

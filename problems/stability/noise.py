@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import non_negative
-from ..model.sampled import Law, SampledLoop, SampledPlant, build_loop, spectral_radius
+from ..model.sampled import Controller, SampledLoop, SampledPlant, build_loop, spectral_radius
 from .margins import UnstableLoopError
 
 FloatArray = NDArray[np.float64]
@@ -30,7 +30,7 @@ class CommandNoise:
     acceleration_rms_m_s2: float
 
 
-def predict_command_noise(sampled: SampledPlant, controller: Law, force_noise_rms_n: float) -> CommandNoise:
+def predict_command_noise(sampled: SampledPlant, controller: Controller, force_noise_rms_n: float) -> CommandNoise:
     """Predict the command's noise from the sampled loop's stationary covariance (no deadband).
 
     The noise enters the controller as F^d does. Without an environment that holds a position, the loop is looked at
@@ -50,7 +50,7 @@ def predict_command_noise(sampled: SampledPlant, controller: Law, force_noise_rm
     return CommandNoise(position_rms_m=position, speed_rms_m_s=speed / h, acceleration_rms_m_s2=acceleration / h**2)
 
 
-def command_speed_gain(sampled: SampledPlant, controller: Law) -> float:
+def command_speed_gain(sampled: SampledPlant, controller: Controller) -> float:
     """Return the RMS of the commanded speed per RMS of force noise [m/s per N] in a loop that is known to be stable.
 
     The `speed_rms_m_s` of `predict_command_noise` for 1 N, without asking for stability again.

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.linear_controllers import LinearLaw
+from ..model.linear_controllers import LinearController
 from ..model.response import PlantResponse, free_space_admittance, plant_response, rendered_admittance
 from ..model.sampled import (
-    Law,
+    Controller,
     SampledLoop,
     SampledPlant,
     build_cut_loop,
@@ -53,7 +53,7 @@ class PreparedPort:
     sampled: SampledPlant
     grid: PlantResponse
 
-    def check(self, controller: Law) -> Passivity:
+    def check(self, controller: Controller) -> Passivity:
         """Look where the real part of the rendered admittance turns negative, see `check_passivity`."""
         port = _port(self.sampled, controller)
         if not spectral_radius(port) < 1.0:
@@ -74,7 +74,7 @@ class PreparedPort:
             worst_hz=float(omega[worst] / (2.0 * np.pi)),
         )
 
-    def passive_below_hz(self, controller: Law) -> float:
+    def passive_below_hz(self, controller: Controller) -> float:
         """Return the frequency up to which the port is passive, at most the Nyquist frequency."""
         fails = self.check(controller).fails_above_hz
         return 0.5 / self.sampled.sample_time_s if fails is None else fails
@@ -85,7 +85,7 @@ def prepare_port(sampled: SampledPlant) -> PreparedPort:
     return PreparedPort(sampled=sampled, grid=plant_response(sampled, _frequencies(sampled)))
 
 
-def check_passivity(sampled: SampledPlant, controller: Law) -> Passivity:
+def check_passivity(sampled: SampledPlant, controller: Controller) -> Passivity:
     """Look where the real part of the rendered admittance G = V/F (sampled, delay and hold included) turns negative.
 
     The first sign change of a grid that is fine around every pole and zero of G is narrowed down to rounding.
@@ -93,18 +93,18 @@ def check_passivity(sampled: SampledPlant, controller: Law) -> Passivity:
     return prepare_port(sampled).check(controller)
 
 
-def passive_below_hz(sampled: SampledPlant, controller: Law) -> float:
+def passive_below_hz(sampled: SampledPlant, controller: Controller) -> float:
     """Return the frequency up to which the port is passive, at most the Nyquist frequency."""
     return prepare_port(sampled).passive_below_hz(controller)
 
 
-def _port(sampled: SampledPlant, controller: Law) -> SampledLoop:
+def _port(sampled: SampledPlant, controller: Controller) -> SampledLoop:
     """Return robot and controller with the force left to the outside; the robot does not feel the payload."""
     loop, cut = build_loop(sampled, controller), build_cut_loop(sampled, controller)
     payload = (sampled.state_count - 2, sampled.state_count - 1)
     kept = np.delete(np.arange(cut.state_count), payload)
     a = cut.closed_at(cut.command)[np.ix_(kept, kept)]
-    held = isinstance(controller, LinearLaw) and controller.holds_position
+    held = isinstance(controller, LinearController) and controller.holds_position
     return replace(loop, a=a, translation=loop.translation[kept], is_anchored=held)
 
 
@@ -127,11 +127,11 @@ def _around(roots: ComplexArray, nyquist: float) -> FloatArray:
     return np.unique(np.clip(np.concatenate([np.zeros(0), *near]), low, nyquist)) if near else np.zeros(0)
 
 
-def _real_part(sampled: SampledPlant, controller: Law, omega: FloatArray) -> FloatArray:
+def _real_part(sampled: SampledPlant, controller: Controller, omega: FloatArray) -> FloatArray:
     return np.asarray(free_space_admittance(sampled, controller, omega).real)
 
 
-def _root(sampled: SampledPlant, controller: Law, low: float, high: float) -> float:
+def _root(sampled: SampledPlant, controller: Controller, low: float, high: float) -> float:
     for _ in range(_NARROWINGS):
         omega = np.linspace(low, high, _SECTIONS + 1)
         outside = np.flatnonzero(_real_part(sampled, controller, omega[1:-1]) < 0.0)

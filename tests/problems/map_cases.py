@@ -2,8 +2,8 @@
 
 from typing import Any
 
+from problems.maps.loops import Where
 from problems.maps.maps import MapAxis, MapRequest
-from problems.maps.plants import Where
 from problems.maps.search import IntervalCase, IntervalRequest, StableInterval, find_stable_intervals
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Plant

@@ -12,7 +12,7 @@ from autotune.export.fzi_cartesian import KEYS_OF, FziOptions
 from autotune.export.peers import make_peer
 from autotune.export.ros2_control import Ros2Options
 from autotune.formats.controller import read_controller, write_controller
-from problems.model.linear_controllers import LinearLaw
+from problems.model.linear_controllers import LinearController
 from problems.model.third_party_controllers import ForwardDynamics, SpringAdmittance
 from tests.autotune.export.arm import (
     POSES,
@@ -33,7 +33,7 @@ FOLLOWS = -math.expm1(-20.0 * PERIOD_S)
 DRIFT = 1e-3
 
 
-def on_its_own(law: LinearLaw, force: float, steps: int, follows: float = 1.0) -> FloatArray:
+def on_its_own(law: LinearController, force: float, steps: int, follows: float = 1.0) -> FloatArray:
     """Return the positions of one axis whose robot goes the share `follows` of the way to the command in a period."""
     r, state, position, found = law.state_count, np.zeros(law.state_count), 0.0, np.empty(steps)
     for k in range(steps):

@@ -23,7 +23,7 @@ from autotune.formats.limits import AxisLimits, Limits
 from autotune.validation.bouncing import BounceSearch
 from autotune.validation.law import AxisTask, LawCertificate, certify_law
 from problems.design.uncertainty import Scenario
-from problems.model.linear_controllers import LinearLaw
+from problems.model.linear_controllers import LinearController
 from problems.model.third_party_controllers import SpringAdmittance, alternates
 from tests.autotune.export.peer_cases import (
     CELL,
@@ -344,7 +344,7 @@ def test_every_target_of_the_command_has_its_structure() -> None:
 def test_numbers_that_cannot_be_proved_are_a_certificate_that_does_not_hold(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def unproved(task: AxisTask, law: LinearLaw) -> LawCertificate:
+    def unproved(task: AxisTask, law: LinearController) -> LawCertificate:
         return replace(certify_law(task, law), missed=("not proved",), is_unproved=True)
 
     for module in (peers, retune_module):
@@ -365,5 +365,5 @@ def test_what_the_other_controller_runs_must_come_to_rest_at_a_contact(
     monkeypatch.setattr(peers, "search_bouncing", bounces)
     with pytest.raises(CertificateError, match=r"Axis x: with what that controller runs, the contact bounces for ever"):
         exported(tmp_path, peer_controller({"x": PLAIN}, EASY), Ros2Options())
-    assert isinstance(asked[0], LinearLaw)
+    assert isinstance(asked[0], LinearController)
     assert [path.name for path in tmp_path.iterdir()] == ["controller.yaml"]

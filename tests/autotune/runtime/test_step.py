@@ -20,8 +20,8 @@ from autotune.runtime import (
     rearm,
     step,
 )
-from problems.contact.nonlinear_simulation import FullRun, simulate_fully
-from problems.contact.nonlinearities import Collision, Deadband, Effects
+from problems.contact.nonlinear_simulation import NonlinearRun, simulate_nonlinear
+from problems.contact.nonlinearities import Collision, Deadband, Nonlinearities
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController, controller_blocks, controller_step
@@ -115,11 +115,11 @@ def test_the_deadband_is_of_the_kind_that_the_file_says(is_subtractive: bool, dr
 @pytest.mark.parametrize("response", ["none", "reset", "stop"])
 def test_collision_and_response_are_those_of_the_full_simulation(response: str) -> None:
     """The same force and motion, tick by tick, as the full simulation recorded them."""
-    effects = Effects(
+    effects = Nonlinearities(
         deadband=Deadband(width_n=5.0),
         collision=Collision(response=response, threshold_n=60.0),  # type: ignore[arg-type]  # one of the three
     )
-    run: FullRun = simulate_fully(
+    run: NonlinearRun = simulate_nonlinear(
         WALL,
         law_of(),
         Approach(force_n=60.0),

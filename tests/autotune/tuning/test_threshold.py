@@ -11,9 +11,9 @@ from autotune.formats.controller_record import Collision, CollisionResponse, Con
 from autotune.formats.problem import ProblemSpec
 from autotune.tuning.first_contacts import contacts_of, opposing_force
 from autotune.tuning.threshold import SAME_PEAK, ThresholdWish, choose_threshold, threshold_wish, without_response
-from problems.contact.nonlinear_simulation import FullRun, simulate_fully
+from problems.contact.nonlinear_simulation import NonlinearRun, simulate_nonlinear
 from problems.contact.nonlinearities import Collision as Detection
-from problems.contact.nonlinearities import Deadband, Effects
+from problems.contact.nonlinearities import Deadband, Nonlinearities
 from problems.design.uncertainty import Scenario
 from tests.autotune.tuning.cases import fast_optimized, identified_plant
 from tests.autotune.tuning.responding import SPEC, responding
@@ -74,17 +74,17 @@ def test_on_the_robot_of_the_paper_it_saves_a_tenth() -> None:
     assert told["limited_by"] == "free motion"
 
 
-def from_rest(controller: Controller, threshold: float, seed: int) -> FullRun:
+def from_rest(controller: Controller, threshold: float, seed: int) -> NonlinearRun:
     """Approach from rest with noise and deadband, and touch."""
     scenario = worst_scenario(controller)
     contacts = contacts_of(controller, "x")
-    return simulate_fully(
+    return simulate_nonlinear(
         scenario.plant(contacts.domain.nominal_plant()),
         contacts.law,
         contacts.approach,
         sample_time_s=contacts.sample_time_s,
         duration_s=1.2,
-        effects=Effects(
+        effects=Nonlinearities(
             deadband=Deadband(width_n=5.0), force_noise_rms_n=0.14, collision=Detection(threshold_n=threshold)
         ),
         start_distance_m=0.02,

@@ -18,8 +18,7 @@ from identification.result import AxisEstimate, CouplingEstimate, Covariance, Es
 from problems.contact.transient import Approach
 from problems.design.problem import DesignProblem
 from problems.design.uncertainty import Scenario
-from problems.model.robot import RobotModel
-from problems.model.robot_variation import bandwidth_share
+from problems.model.robot import RobotModel, bandwidth_share
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import find_margins
 from tests.autotune.tuning.cases import (

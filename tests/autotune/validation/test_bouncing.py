@@ -18,7 +18,7 @@ from autotune.validation.bouncing import (
     search_bouncing,
 )
 from autotune.validation.validate import admittance_controller, validate_controller
-from problems.model.sampled import linear_law
+from problems.model.sampled import linear_controller
 from tests.autotune.tuning.cases import small_controller, uncertain_optimized
 from tests.autotune.validation.bouncing_cases import bouncing_controller, written
 from tests.problems.contact.test_bouncing import BOUNCY, CALMED, PERIOD_S
@@ -70,7 +70,7 @@ def test_the_example_of_the_documents_does_not_bounce() -> None:
 
 def test_a_law_as_a_matrix_is_searched_too() -> None:
     domain = bouncing_controller().certificate.domain["x"]
-    seen = search_bouncing("x", domain, linear_law(BOUNCY, PERIOD_S), PERIOD_S)
+    seen = search_bouncing("x", domain, linear_controller(BOUNCY, PERIOD_S), PERIOD_S)
     assert seen.found is not None
     # The force that a law takes per speed is computed with the ripple between the ticks, a ten thousandth here.
     assert seen.found.speed <= 2.0 * 10.0 / (BOUNCY.damping_n_s_per_m + domain.drag_n_s_per_m) * (1.0 + 1e-3)

@@ -11,15 +11,15 @@ from autotune.validation.proof import StabilityProof
 from autotune.validation.validate import uncertain_plant
 from problems.design.requirements import NoiseLimit, PassivityTarget
 from problems.model.controller import AdmittanceController
-from problems.model.linear_controllers import LinearLaw
-from problems.model.sampled import build_loop, build_sampled_plant, linear_law, spectral_radius
+from problems.model.linear_controllers import LinearController
+from problems.model.sampled import build_loop, build_sampled_plant, linear_controller, spectral_radius
 from problems.model.third_party_controllers import ForwardDynamics, SpringAdmittance
 from problems.stability.margins import find_margins
 from tests.autotune.export.peer_cases import CELL, LEAD, PERIOD_S, peer_controller, requirements, task_of
 from tests.problems.axes import paper_plant
 
 
-def sprung(damping: float, stiffness: float, mass: float = 8.0) -> LinearLaw:
+def sprung(damping: float, stiffness: float, mass: float = 8.0) -> LinearController:
     return SpringAdmittance(
         mass=mass,
         damping_ratio=damping / (2.0 * np.sqrt(mass * stiffness)),
@@ -41,7 +41,7 @@ def test_the_file_s_own_law_is_certified_as_the_controller_s_margins_say(task: A
         lead_s=LEAD.lead_s,
         feedback_damping_s=LEAD.feedback_damping_s,
     )
-    found = certify_law(task, linear_law(controller, PERIOD_S))
+    found = certify_law(task, linear_controller(controller, PERIOD_S))
     assert found.missed == ()
     assert found.spring_share is None
     assert found.margins is not None

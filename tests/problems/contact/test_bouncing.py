@@ -15,7 +15,7 @@ from problems.contact.transient import Approach, SampledContact, build_sampled_c
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment, Payload, Plant
 from problems.model.robot import RobotModel
-from problems.model.sampled import build_loop, build_sampled_plant, linear_law, spectral_radius
+from problems.model.sampled import build_loop, build_sampled_plant, linear_controller, spectral_radius
 from problems.stability.margins import UnstableLoopError
 
 FloatArray = NDArray[np.float64]
@@ -143,7 +143,7 @@ def test_the_ending_hangs_on_the_ratio_of_speed_and_force_alone(ratio: float) ->
 @pytest.mark.parametrize("ratio", [2.0, 24.0])
 @pytest.mark.parametrize("gains", [BOUNCY, CALMED])
 def test_a_law_as_a_matrix_ends_as_the_paper_s_own(gains: AdmittanceController, ratio: float) -> None:
-    law, both = linear_law(gains, PERIOD_S), pair()
+    law, both = linear_controller(gains, PERIOD_S), pair()
     own, other = (follow_contact(both, each, impact(gains, ratio)) for each in (gains, law))
     assert own.ending is other.ending
     if own.ending is Ending.BOUNCING:

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import problems.contact.transient
-from problems.contact.event_free_steps import stretch, stretch_of_three
-from problems.contact.kernel import Contact, Moment, Start, run_contact
-from problems.contact.steady_approach import steady_start
+from problems.contact.event_free_steps import step_three_states, step_without_events
+from problems.contact.kernel import Contact, Moment, Start, run_contact, steady_start
 from problems.contact.transient import build_sampled_contact
 from problems.model.controller import AdmittanceController, controller_blocks, needed_states
 from problems.model.plant import Environment, Plant
@@ -82,7 +81,10 @@ def test_the_scalar_form_is_the_general_one(plant: Plant, controller: Admittance
     arguments, blocks, start = started(plant, controller, 0.01)
     # Apart, the walk begins a little in front of the wall.
     start[0][-2] -= 0.0 if touching else 1e-4
-    results = [walk(f, arguments, blocks, start, (0, SAMPLES), touching=touching) for f in (stretch, stretch_of_three)]
+    results = [
+        walk(f, arguments, blocks, start, (0, SAMPLES), touching=touching)
+        for f in (step_without_events, step_three_states)
+    ]
     (tick, now, flags, traces, found), (tick_3, now_3, flags_3, traces_3, found_3) = results
     assert (tick, flags) == (tick_3, flags_3)
     assert tick > 0
@@ -106,7 +108,7 @@ def test_a_stable_walk_is_the_same_to_rounding(name: str) -> None:
     assert spectral_radius(build_loop(build_sampled_plant(plant, PERIOD_S), stable(name))) < 1.0
     arguments, blocks, start = started(plant, stable(name), 0.01)
     (tick, now, _, traces, _), (tick_3, now_3, _, traces_3, _) = (
-        walk(f, arguments, blocks, start, (0, SAMPLES)) for f in (stretch, stretch_of_three)
+        walk(f, arguments, blocks, start, (0, SAMPLES)) for f in (step_without_events, step_three_states)
     )
     assert tick == tick_3
     np.testing.assert_allclose(traces_3, traces, rtol=0.0, atol=1e-12 * np.max(np.abs(traces)))
@@ -125,7 +127,7 @@ def peaks(plant: Contact, blocks: FloatArray, start: Start, samples: int = SAMPL
 
 def with_care(plant: Contact, monkeypatch: pytest.MonkeyPatch, model: Plant) -> Contact:
     """Return the same contact with looks between the ticks, which no stretch is made for."""
-    monkeypatch.setattr(problems.contact.transient, "LOOKS_PER_RADIAN", 40.0)
+    monkeypatch.setattr(problems.contact.transient, "SUBSTEPS_PER_RADIAN", 40.0)
     careful = build_sampled_contact(build_sampled_plant(model, PERIOD_S)).arguments
     assert len(plant[1][1]) == 0 < len(careful[1][1])
     return careful
@@ -164,7 +166,7 @@ def test_a_stretch_can_be_cut_anywhere(parts: tuple[int, ...]) -> None:
     """Tick by tick or all at once: the same numbers to the last digit."""
     arguments, blocks, start = started(paper_plant(stiffness=1e5), stable("lead"), 0.01)
     (step, _), (rows, _), delay, wall = arguments
-    for function in (stretch, stretch_of_three):
+    for function in (step_without_events, step_three_states):
         _, whole, _, traces, found = walk(function, arguments, blocks, start, (0, SAMPLES))
         now: Moment = (start[0].copy(), start[1].copy(), start[2].copy(), np.zeros(2))
         flags, pieces, peak = np.array([0, 1]), np.zeros((2, SAMPLES)), np.zeros(5)
@@ -186,7 +188,7 @@ def test_a_stretch_stops_at_the_sample_in_which_the_payload_leaves(
     plant: Plant, controller: AdmittanceController
 ) -> None:
     arguments, blocks, start = started(plant, controller, 0.05)
-    tick, _, flags, traces, _ = walk(stretch, arguments, blocks, start, (0, SAMPLES))
+    tick, _, flags, traces, _ = walk(step_without_events, arguments, blocks, start, (0, SAMPLES))
     whole, _ = peaks(arguments, blocks, start)
     away = np.flatnonzero(whole[1][1:] == 0.0) + 1
     # Away for the first time at the tick after the last one of the stretch, which itself still presses.
@@ -200,7 +202,7 @@ def test_a_stretch_stops_at_the_sample_in_which_the_payload_leaves(
 @given(touching_plants(), any_controllers())
 def test_the_peaks_of_a_stretch_are_those_of_its_traces(plant: Plant, controller: AdmittanceController) -> None:
     arguments, blocks, start = started(plant, controller, 0.05)
-    tick, _, _, traces, found = walk(stretch, arguments, blocks, start, (0, SAMPLES))
+    tick, _, _, traces, found = walk(step_without_events, arguments, blocks, start, (0, SAMPLES))
     assert found[0] == max(0.0, np.max(-traces[0][:tick], initial=0.0))
     assert found[2] == np.max(traces[1][:tick], initial=0.0)
     if found[2] > 0.0:

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from problems.contact.events import (
-    MOST_LOOKS,
+    MOST_SUBSTEPS,
     Wall,
     advance,
     advance_surface,
-    change_touch,
+    apply_impact,
     contact_force,
+    is_in_contact,
     largest_force,
     largest_in_sample,
-    looks_apart,
-    presses,
+    substeps_apart,
     switch_within,
 )
 from problems.contact.transient import SampledContact, build_sampled_contact
@@ -104,13 +104,13 @@ def test_a_massless_wall_pushes_behind_its_surface_and_pulls_nowhere(
     position: float, velocity: float, expected: bool, touching: bool
 ) -> None:
     state, wall = np.array([position, velocity]), (100.0, 7.0, 0.0, 1.0)
-    assert presses(state, np.zeros(2), wall, ROWS, (0.0, 0.0), touching) is expected
+    assert is_in_contact(state, np.zeros(2), wall, ROWS, (0.0, 0.0), touching) is expected
 
 
 @pytest.mark.parametrize(("gap", "expected"), [(0.1, False), (0.0, False), (-1e-9, True)])
 def test_a_mass_is_met_where_it_is(gap: float, expected: bool) -> None:
     state, wall = np.array([0.3, 1.0]), (100.0, 7.0, 2.0, 1.0 / 3.0)
-    assert presses(state, np.array([0.3 + gap, -5.0]), wall, ROWS, (0.0, 0.0), False) is expected
+    assert is_in_contact(state, np.array([0.3 + gap, -5.0]), wall, ROWS, (0.0, 0.0), False) is expected
 
 
 @LAW
@@ -129,7 +129,7 @@ def test_a_meeting_keeps_the_momentum_and_nothing_rebounds(
 ) -> None:
     wall: Wall = (1e5, 0.0, mass, payload / (payload + mass))
     state, surface = np.array([0.0, 0.0, speed]), np.array([0.0, surface_speed])
-    impulse = change_touch(state, surface, wall, False)
+    impulse = apply_impact(state, surface, wall, False)
     together = (payload * speed + mass * surface_speed) / (payload + mass)
     assert state[2] == pytest.approx(together, abs=1e-14)
     assert impulse == pytest.approx(payload * mass / (payload + mass) * (speed - surface_speed), abs=1e-12)
@@ -137,7 +137,7 @@ def test_a_meeting_keeps_the_momentum_and_nothing_rebounds(
 
 def test_the_surface_is_left_where_and_as_fast_as_the_payload_leaves_it() -> None:
     state, surface = np.array([0.5, 0.2, -0.3]), np.zeros(2)
-    assert change_touch(state, surface, (1e5, 0.0, 2.0, 0.5), True) == 0.0
+    assert apply_impact(state, surface, (1e5, 0.0, 2.0, 0.5), True) == 0.0
     assert surface.tolist() == [0.2, -0.3]
     assert state.tolist() == [0.5, 0.2, -0.3]
 
@@ -290,11 +290,11 @@ def test_a_mass_that_is_not_pushed_any_more_is_torn_off_at_once() -> None:
         ((0.0, 5.0, 2.0, 0.5), 1),
         ((0.01, 0.0, 1.0, 0.5), 1),
         ((4.0, 0.0, 1.0, 0.5), 4),
-        ((1e8, 0.0, 1.0, 0.5), MOST_LOOKS),
+        ((1e8, 0.0, 1.0, 0.5), MOST_SUBSTEPS),
     ],
 )
 def test_a_mass_apart_is_looked_at_twice_per_radian(wall: Wall, looks: int) -> None:
-    assert looks_apart(wall) == looks
+    assert substeps_apart(wall) == looks
 
 
 def bounce(plant: Plant, speed_m_s: float, samples: int) -> tuple[FloatArray, int]:
@@ -303,9 +303,9 @@ def bounce(plant: Plant, speed_m_s: float, samples: int) -> tuple[FloatArray, in
     n, mass = flow.shape[1], plant.environment.mass_kg
     state, surface = np.zeros(n), np.zeros(2)
     state[n - 1] = speed_m_s * PERIOD_S
-    change_touch(state, surface, wall, False)
+    apply_impact(state, surface, wall, False)
     energies, touching, flights = [], True, 0
-    looks = max(len(inside) + 1, looks_apart(wall))
+    looks = max(len(inside) + 1, substeps_apart(wall))
     for _ in range(samples):
         still, *_ = switch_within(flow, state, surface, wall, rows, (0.0, 0.0, 0.0), 0.0, touching, looks)
         flights, touching = flights + (touching and not still), bool(still)

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from problems.contact.event_free_steps import SETTLED
-from problems.contact.kernel import _settled, run_contact
-from problems.contact.steady_approach import contact_forces, steady_start
+from problems.contact.kernel import _settled, contact_forces, run_contact, steady_start
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact
 from problems.model.controller import AdmittanceController, controller_blocks, needed_states
 from problems.model.plant import Plant

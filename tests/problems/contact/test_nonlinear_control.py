@@ -6,13 +6,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from problems.contact.nonlinear_control import seen_force
-from problems.contact.nonlinear_simulation import FullRun, _law, simulate_fully
-from problems.contact.nonlinearities import Collision, CommandLimits, Deadband, Effects, VariableDamping
+from problems.contact.nonlinear_kernel import seen_force
+from problems.contact.nonlinear_simulation import NonlinearRun, _law, simulate_nonlinear
+from problems.contact.nonlinearities import Collision, CommandLimits, Deadband, Nonlinearities, VariableDamping
 from problems.contact.transient import Approach
 from problems.model.controller import AdmittanceController
 from tests.problems.axes import LAW, PERIOD_S, admittance, one_pole, paper_plant
-from tests.problems.full_runs import COMPENSATING, FIRM, PRESS, PRINTED, SUBTRACTIVE, THRESHOLD, light_plant, simulate
+from tests.problems.nonlinear_runs import (
+    COMPENSATING,
+    FIRM,
+    PRESS,
+    PRINTED,
+    SUBTRACTIVE,
+    THRESHOLD,
+    light_plant,
+    simulate,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -20,14 +29,14 @@ FloatArray = NDArray[np.float64]
 @pytest.mark.parametrize(
     ("effects", "expected"),
     [
-        (Effects(), [-40.0, -5.0, -4.0, 0.0, 5.0, 5.5, 40.0]),
-        (Effects(deadband=THRESHOLD), [-40.0, 0.0, 0.0, 0.0, 0.0, 5.5, 40.0]),
-        (Effects(deadband=SUBTRACTIVE), [-35.0, 0.0, 0.0, 0.0, 0.0, 0.5, 35.0]),
-        (Effects(force_limit_n=30.0), [-30.0, -5.0, -4.0, 0.0, 5.0, 5.5, 30.0]),
-        (Effects(force_limit_n=30.0, deadband=SUBTRACTIVE), [-25.0, 0.0, 0.0, 0.0, 0.0, 0.5, 25.0]),
+        (Nonlinearities(), [-40.0, -5.0, -4.0, 0.0, 5.0, 5.5, 40.0]),
+        (Nonlinearities(deadband=THRESHOLD), [-40.0, 0.0, 0.0, 0.0, 0.0, 5.5, 40.0]),
+        (Nonlinearities(deadband=SUBTRACTIVE), [-35.0, 0.0, 0.0, 0.0, 0.0, 0.5, 35.0]),
+        (Nonlinearities(force_limit_n=30.0), [-30.0, -5.0, -4.0, 0.0, 5.0, 5.5, 30.0]),
+        (Nonlinearities(force_limit_n=30.0, deadband=SUBTRACTIVE), [-25.0, 0.0, 0.0, 0.0, 0.0, 0.5, 25.0]),
     ],
 )
-def test_clipping_and_then_the_deadband_shape_the_force(effects: Effects, expected: list[float]) -> None:
+def test_clipping_and_then_the_deadband_shape_the_force(effects: Nonlinearities, expected: list[float]) -> None:
     law = _law(FIRM, effects, PERIOD_S)
     assert [seen_force(law, force)[0] for force in (-40.0, -5.0, -4.0, 0.0, 5.0, 5.5, 40.0)] == expected
 
@@ -35,7 +44,7 @@ def test_clipping_and_then_the_deadband_shape_the_force(effects: Effects, expect
 @pytest.mark.parametrize("kind", ["threshold", "subtractive"])
 def test_the_controller_sees_what_clipping_and_deadband_leave(kind: str) -> None:
     deadband = Deadband(width_n=8.0, kind=kind)  # type: ignore[arg-type]
-    plant, effects = paper_plant(stiffness=3e4), Effects(deadband=deadband, force_limit_n=28.0)
+    plant, effects = paper_plant(stiffness=3e4), Nonlinearities(deadband=deadband, force_limit_n=28.0)
     approach = Approach(force_n=27.0 if kind == "threshold" else 19.0, after_impact_n=None)
     run = simulate(plant, admittance(damping=1000.0), approach, effects=effects, distance=0.002, duration=2.0)
     clipped = np.clip(run.sensor_force_n, -28.0, 28.0)
@@ -51,7 +60,7 @@ def test_the_controller_sees_what_clipping_and_deadband_leave(kind: str) -> None
 @LAW
 @given(st.floats(0.004, 0.05), st.floats(0.05, 20.0), st.sampled_from([None, 0.005]))
 def test_the_command_never_exceeds_its_limits(speed: float, acceleration: float, distance: float | None) -> None:
-    effects = Effects(limits=CommandLimits(speed_m_s=speed, acceleration_m_s2=acceleration))
+    effects = Nonlinearities(limits=CommandLimits(speed_m_s=speed, acceleration_m_s2=acceleration))
     run = simulate(paper_plant(stiffness=2e5), PRINTED, effects=effects, distance=distance, duration=0.8)
     first = run.command_m[0] - (0.0 if distance is None else -distance)
     steps = np.diff(run.command_m) if distance is None else np.concatenate([[0.0, first], np.diff(run.command_m)])
@@ -62,13 +71,13 @@ def test_the_command_never_exceeds_its_limits(speed: float, acceleration: float,
 
 
 def test_a_limit_that_is_never_reached_changes_nothing() -> None:
-    plant, effects = paper_plant(), Effects(limits=CommandLimits(speed_m_s=1.0, acceleration_m_s2=1e3))
+    plant, effects = paper_plant(), Nonlinearities(limits=CommandLimits(speed_m_s=1.0, acceleration_m_s2=1e3))
     run, plain = simulate(plant, COMPENSATING, effects=effects), simulate(plant, COMPENSATING)
     assert not np.any(run.is_limited)
     np.testing.assert_array_equal(run.command_m, plain.command_m)
 
 
-def replay(run: FullRun, controller: AdmittanceController, desired: float, response: str) -> FloatArray:
+def replay(run: NonlinearRun, controller: AdmittanceController, desired: float, response: str) -> FloatArray:
     """Return x^d as the paper's difference equation and Algorithm 1 make it from what the controller saw.
 
     With feedback damping x^d = x_a − C_fb x, and the equation and the algorithm are those of x_a.
@@ -103,7 +112,7 @@ def test_the_commands_are_those_of_the_papers_difference_equation_and_algorithm(
 ) -> None:
     """Variable damping and the collision response act on x^d_t and x^d_{t−1}: the equation goes on from these."""
     collision = Collision(response=response, threshold_n=7.0)  # type: ignore[arg-type]
-    effects = Effects(deadband=Deadband(width_n=5.0), collision=collision, variable_damping=variable)
+    effects = Nonlinearities(deadband=Deadband(width_n=5.0), collision=collision, variable_damping=variable)
     run = simulate(light_plant(3.2e4), controller, effects=effects, duration=1.6)
     assert run.collision_time_s is not None
     assert variable is None or np.ptp(run.damping_n_s_per_m) > 50.0
@@ -137,13 +146,13 @@ def test_going_on_from_the_last_two_commands_changes_nothing_by_itself(discretiz
         update_period_s=PERIOD_S,
     )
     plain = simulate(plant, controller)
-    again = simulate_fully(
+    again = simulate_nonlinear(
         plant,
         controller,
         PRESS,
         sample_time_s=PERIOD_S,
         duration_s=0.32,
-        effects=Effects(variable_damping=variable),
+        effects=Nonlinearities(variable_damping=variable),
         even_if_unstable=True,  # at the floor, which is never reached
     )
     # Rounding of 1e-17 m at each of 400 ticks, divided by 1 − p = 0.17; as a force, times 1e5 N/m.
@@ -151,10 +160,10 @@ def test_going_on_from_the_last_two_commands_changes_nothing_by_itself(discretiz
     np.testing.assert_allclose(again.sensor_force_n, plain.sensor_force_n, atol=1e-8)
 
 
-def respond(response: str, stiffness: float, controller: AdmittanceController = PRINTED) -> FullRun:
+def respond(response: str, stiffness: float, controller: AdmittanceController = PRINTED) -> NonlinearRun:
     collision = Collision(response=response, threshold_n=7.0)  # type: ignore[arg-type]
     plant = light_plant(stiffness)
-    return simulate(plant, controller, effects=Effects(collision=collision), duration=2.0)
+    return simulate(plant, controller, effects=Nonlinearities(collision=collision), duration=2.0)
 
 
 @pytest.mark.parametrize("stiffness", [1.5e4, 2.4e4, 3.2e4])
@@ -170,7 +179,7 @@ def test_the_collision_response_lowers_the_peak_and_keeps_pressing(stiffness: fl
     assert plain.collision_time_s == reset.collision_time_s == stop.collision_time_s
 
 
-def first_opposed(run: FullRun, threshold: float) -> int:
+def first_opposed(run: NonlinearRun, threshold: float) -> int:
     """Return the first tick with −F·sign(v) above the threshold, v the way since the tick before."""
     moving = np.sign(np.diff(run.flange_position_m))
     return int(np.argmax(run.seen_force_n[1:] * moving > threshold)) + 1
@@ -186,7 +195,7 @@ def first_opposed(run: FullRun, threshold: float) -> int:
     ],
 )
 def test_a_collision_is_a_force_against_the_motion(approach: Approach, stiffness: float) -> None:
-    effects = Effects(collision=Collision(response="none", threshold_n=7.0))
+    effects = Nonlinearities(collision=Collision(response="none", threshold_n=7.0))
     run = simulate(light_plant(stiffness), PRINTED, approach, effects=effects, distance=0.002, duration=2.0)
     event = first_opposed(run, 7.0)
     assert run.impact_time_s is not None
@@ -221,12 +230,12 @@ def test_the_response_comes_once() -> None:
     assert still.tolist() == [round(run.collision_time_s / PERIOD_S)]
 
 
-def velocities(run: FullRun) -> FloatArray:
+def velocities(run: NonlinearRun) -> FloatArray:
     return np.asarray(np.diff(run.command_m) / PERIOD_S)
 
 
 def test_with_a_limited_acceleration_the_response_lasts_until_the_command_rests() -> None:
-    effects = Effects(collision=Collision(threshold_n=7.0), limits=CommandLimits(acceleration_m_s2=2.0))
+    effects = Nonlinearities(collision=Collision(threshold_n=7.0), limits=CommandLimits(acceleration_m_s2=2.0))
     run = simulate(light_plant(3.2e4), PRINTED, effects=effects, duration=0.2)
     assert run.collision_time_s is not None
     event, speed = round(run.collision_time_s / PERIOD_S), velocities(run)
@@ -256,13 +265,13 @@ def test_the_damping_stays_within_its_law_and_changes_little_by_little(
         update_period_s=period,
         largest_change_n_s_per_m=change,
     )
-    run = simulate_fully(
+    run = simulate_nonlinear(
         light_plant(1e4),
         PRINTED,
         Approach(force_n=60.0),
         sample_time_s=PERIOD_S,
         duration_s=0.6,
-        effects=Effects(variable_damping=variable),
+        effects=Nonlinearities(variable_damping=variable),
         start_distance_m=0.01,
         even_if_unstable=True,
     )
@@ -289,7 +298,7 @@ def test_the_damping_stays_within_its_law_and_changes_little_by_little(
 
 def test_variable_damping_is_back_up_only_after_the_peak() -> None:
     """Paper, "Variable Admittance": the damping comes up after the initial collision peak."""
-    effects = Effects(variable_damping=VariableDamping())
+    effects = Nonlinearities(variable_damping=VariableDamping())
     plant = light_plant(3.2e4)
     run = simulate(plant, PRINTED, Approach(speed_m_s=0.08), effects=effects, duration=1.0)
     after = run.damping_n_s_per_m[round(run.time_of_peak_s / PERIOD_S)]

@@ -6,14 +6,14 @@ import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
 from problems.contact.nonlinear_kernel import Motion, wall_force
-from problems.contact.nonlinearities import Effects
+from problems.contact.nonlinearities import Nonlinearities
 from problems.contact.transient import Approach
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
-from tests.problems.full_runs import COMPENSATING, FIRM, PRESS, exactly, simulate, worst
+from tests.problems.nonlinear_runs import COMPENSATING, FIRM, PRESS, exactly, simulate, worst
 
 TWO_POLES = RobotModel(numerator=np.array([900.0]), denominator=np.array([1.0, 48.0, 900.0]), delay_s=2.4e-3)
 
@@ -118,7 +118,7 @@ def test_work_is_stored_or_dissipated(driven_by: str) -> None:
 
 def test_small_noise_passes_through_the_linear_loop() -> None:
     plant = paper_plant(stiffness=1e5)
-    clean, noisy = (simulate(plant, effects=Effects(force_noise_rms_n=rms), seed=3) for rms in (0.0, 0.14))
+    clean, noisy = (simulate(plant, effects=Nonlinearities(force_noise_rms_n=rms), seed=3) for rms in (0.0, 0.14))
     assert np.all(noisy.is_touching[1:])
     loop = build_loop(build_sampled_plant(plant, PERIOD_S), FIRM)
     state, forces, commands = np.zeros(len(loop.a)), [], []
@@ -133,7 +133,7 @@ def test_small_noise_passes_through_the_linear_loop() -> None:
 
 def test_the_variance_of_force_and_command_is_that_of_the_linear_loop() -> None:
     plant, rms = paper_plant(stiffness=1e5), 0.14
-    run = simulate(plant, effects=Effects(force_noise_rms_n=rms), seed=4, duration=240.0)
+    run = simulate(plant, effects=Nonlinearities(force_noise_rms_n=rms), seed=4, duration=240.0)
     loop = build_loop(build_sampled_plant(plant, PERIOD_S), FIRM)
     covariance = solve_discrete_lyapunov(loop.a, rms**2 * np.outer(loop.b, loop.b))
     settled = slice(5000, None)
@@ -152,7 +152,7 @@ def test_a_command_that_does_not_arrive_leaves_the_robot_with_the_one_before(del
     """The flange follows, by the closed form of a lag, what arrives: where that is late, the command before."""
     rate, share, h = 20.0, 0.3, PERIOD_S
     robot = RobotModel(numerator=np.array([rate]), denominator=np.array([1.0, rate]), delay_s=delay_samples * h)
-    effects = Effects(late_share=share)
+    effects = Nonlinearities(late_share=share)
     run = simulate(paper_plant(stiffness=1e5, robot=robot), effects=effects, seed=5, duration=0.2, distance=1e-3)
     count = len(run.time_s)
     late = np.random.default_rng(5).random(count) < share
@@ -173,7 +173,7 @@ def test_late_commands_cost_as_much_as_a_longer_delay() -> None:
     plant = paper_plant(stiffness=1e5)
     later = replace(plant, robot=replace(plant.robot, delay_s=plant.robot.delay_s + 2.0 * PERIOD_S))
     clean, shaken, delayed = (
-        simulate(of, effects=Effects(late_share=share), seed=1).peak_contact_force_n
+        simulate(of, effects=Nonlinearities(late_share=share), seed=1).peak_contact_force_n
         for of, share in ((plant, 0.0), (plant, 0.5), (later, 0.0))
     )
     assert clean < shaken < delayed

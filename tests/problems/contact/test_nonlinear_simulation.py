@@ -4,14 +4,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from problems.contact.nonlinear_simulation import simulate_fully
-from problems.contact.nonlinearities import Collision, CommandLimits, Deadband, Effects, VariableDamping
+from problems.contact.nonlinear_simulation import simulate_nonlinear
+from problems.contact.nonlinearities import Collision, CommandLimits, Deadband, Nonlinearities, VariableDamping
 from problems.contact.transient import Approach
 from problems.errors import ParameterError
 from problems.model.plant import Environment, Plant
 from problems.stability.margins import UnstableLoopError
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
-from tests.problems.full_runs import FIRM, PRESS, PRINTED, SUBTRACTIVE, THRESHOLD, light_plant, simulate
+from tests.problems.nonlinear_runs import FIRM, PRESS, PRINTED, SUBTRACTIVE, THRESHOLD, light_plant, simulate
 
 HAND = Approach(force_n=4.0, driven_by="hand")
 FAST = Approach(speed_m_s=0.1)
@@ -58,7 +58,7 @@ def test_a_hand_that_lets_go_at_the_impact_pushes_until_then() -> None:
 def test_the_steady_approach_balances_with_the_deadband(
     approach: Approach, deadband: Deadband | None, speed: float
 ) -> None:
-    plant, controller, effects = paper_plant(stiffness=3e4), admittance(), Effects(deadband=deadband)
+    plant, controller, effects = paper_plant(stiffness=3e4), admittance(), Nonlinearities(deadband=deadband)
     # Before the impact the sensor shows the hold's ripple beside the drag: ωh/2 = 0.8 % of the drag.
     steady = simulate(plant, controller, approach, effects=effects)
     assert steady.impact_speed_m_s == pytest.approx(speed, rel=1e-3)
@@ -68,7 +68,7 @@ def test_the_steady_approach_balances_with_the_deadband(
 
 def test_a_drag_at_the_threshold_switches_back_and_forth_around_it() -> None:
     """13 N of drag: seen, the speed falls towards 30/1630 m/s, unseen, it rises towards 30/1000 m/s."""
-    effects, speed = Effects(deadband=Deadband(width_n=13.0)), 13.0 / 630.0
+    effects, speed = Nonlinearities(deadband=Deadband(width_n=13.0)), 13.0 / 630.0
     steady = simulate(paper_plant(stiffness=3e4), admittance(), effects=effects)
     assert steady.impact_speed_m_s == pytest.approx(speed, rel=1e-3)
     run = simulate(paper_plant(stiffness=3e4), admittance(), effects=effects, distance=0.03, duration=1.4)
@@ -85,7 +85,7 @@ def test_a_drag_at_the_threshold_switches_back_and_forth_around_it() -> None:
 @pytest.mark.parametrize("deadband", [Deadband(width_n=40.0), THRESHOLD, SUBTRACTIVE])
 def test_a_speed_driven_approach_finds_the_force_that_sustains_it(driven_by: str, deadband: Deadband) -> None:
     approach = Approach(speed_m_s=0.02, driven_by=driven_by)  # type: ignore[arg-type]
-    run = simulate(paper_plant(stiffness=3e4), admittance(), approach, effects=Effects(deadband=deadband))
+    run = simulate(paper_plant(stiffness=3e4), admittance(), approach, effects=Nonlinearities(deadband=deadband))
     drag, needed = 630.0 * 0.02, 1000.0 * 0.02
     seen_drag = {"threshold": drag if drag > deadband.width_n else 0.0, "subtractive": drag - 5.0}[deadband.kind]
     by_hand = drag + {"threshold": max(needed, deadband.width_n), "subtractive": needed + 5.0}[deadband.kind]
@@ -95,7 +95,7 @@ def test_a_speed_driven_approach_finds_the_force_that_sustains_it(driven_by: str
 
 
 def test_an_approach_at_the_speed_limit_is_steady_and_nothing_winds_up() -> None:
-    plant, effects = paper_plant(stiffness=3e4), Effects(limits=CommandLimits(speed_m_s=0.01))
+    plant, effects = paper_plant(stiffness=3e4), Nonlinearities(limits=CommandLimits(speed_m_s=0.01))
     near = simulate(plant, admittance(damping=1500.0, lead=0.02), effects=effects, duration=2.0)
     far = simulate(plant, admittance(damping=1500.0, lead=0.02), effects=effects, distance=0.005, duration=3.0)
     assert near.impact_speed_m_s == pytest.approx(0.01, rel=1e-12)
@@ -111,7 +111,7 @@ def test_an_approach_at_the_speed_limit_is_steady_and_nothing_winds_up() -> None
 
 
 def test_a_steady_approach_with_variable_damping_has_the_damping_of_its_speed() -> None:
-    effects, speed = Effects(variable_damping=VariableDamping()), 0.03
+    effects, speed = Nonlinearities(variable_damping=VariableDamping()), 0.03
     run = simulate(light_plant(3.2e4), PRINTED, Approach(speed_m_s=speed), effects=effects)
     damping = 800.0 * math.exp(-8.0 * speed)
     # One bisection and one exponential; the ripple of the hold is 0.8 % of the drag.
@@ -122,7 +122,7 @@ def test_a_steady_approach_with_variable_damping_has_the_damping_of_its_speed() 
 
 
 def test_noise_is_drawn_from_the_callers_generator() -> None:
-    plant, effects = paper_plant(), Effects(force_noise_rms_n=0.14)
+    plant, effects = paper_plant(), Nonlinearities(force_noise_rms_n=0.14)
     one, same, other = (simulate(plant, effects=effects, seed=seed, duration=4.0) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one.sensor_force_n, same.sensor_force_n)
     assert np.max(np.abs(one.sensor_force_n - other.sensor_force_n)) > 1e-3
@@ -142,9 +142,11 @@ def test_an_unstable_loop_is_refused_or_runs_without_a_peak() -> None:
     simulate(light, admittance(damping=2000.0))
     with pytest.raises(UnstableLoopError):
         simulate(
-            light, admittance(damping=2000.0), effects=Effects(variable_damping=VariableDamping(floor_n_s_per_m=20.0))
+            light,
+            admittance(damping=2000.0),
+            effects=Nonlinearities(variable_damping=VariableDamping(floor_n_s_per_m=20.0)),
         )
-    run = simulate_fully(plant, controller, PRESS, sample_time_s=PERIOD_S, duration_s=1.0, even_if_unstable=True)
+    run = simulate_nonlinear(plant, controller, PRESS, sample_time_s=PERIOD_S, duration_s=1.0, even_if_unstable=True)
     assert math.isnan(run.peak_sensor_force_n)
     assert math.isnan(run.peak_contact_force_n)
     # Bounded only by leaving the wall again and again.
@@ -186,13 +188,13 @@ def test_what_the_simulation_cannot_do_is_refused(
     plant: Plant, approach: Approach, effects: dict[str, object], options: dict[str, float], text: str
 ) -> None:
     with pytest.raises(ParameterError, match=text):
-        simulate_fully(
+        simulate_nonlinear(
             plant,
             FIRM,
             approach,
             sample_time_s=PERIOD_S,
             duration_s=options.get("duration", 0.1),
-            effects=Effects(**effects),  # type: ignore[arg-type]
+            effects=Nonlinearities(**effects),  # type: ignore[arg-type]
             start_distance_m=options.get("distance"),
             substeps=int(options.get("substeps", 10)),
             even_if_unstable=True,

@@ -3,7 +3,7 @@ from collections.abc import Callable
 
 import pytest
 
-from problems.contact.nonlinearities import Collision, CommandLimits, Deadband, Effects, VariableDamping
+from problems.contact.nonlinearities import Collision, CommandLimits, Deadband, Nonlinearities, VariableDamping
 from problems.errors import ParameterError
 
 
@@ -18,9 +18,9 @@ from problems.errors import ParameterError
         (lambda: Collision(threshold_n=1.0, response="halt"), "response"),  # type: ignore[arg-type]
         (lambda: VariableDamping(floor_n_s_per_m=0.0), "floor"),
         (lambda: VariableDamping(decay_s_per_m=-1.0), "decay"),
-        (lambda: Effects(force_limit_n=0.0), "force_limit_n"),
-        (lambda: Effects(force_noise_rms_n=-0.1), "force_noise_rms_n"),
-        (lambda: Effects(late_share=1.0), "late_share"),
+        (lambda: Nonlinearities(force_limit_n=0.0), "force_limit_n"),
+        (lambda: Nonlinearities(force_noise_rms_n=-0.1), "force_noise_rms_n"),
+        (lambda: Nonlinearities(late_share=1.0), "late_share"),
     ],
 )
 def test_values_that_cannot_be_are_refused(make: Callable[[], object], text: str) -> None:

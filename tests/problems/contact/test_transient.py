@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from problems.contact.steady_approach import contact_forces, steady_start
+from problems.contact.kernel import contact_forces, steady_start
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact, simulate_contact
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController, controller_blocks, needed_states

@@ -13,8 +13,7 @@ from scipy.stats import chi2
 from problems.design.uncertainty import ALWAYS_UNCERTAIN, MOST_CORNERS, UNCERTAIN, Ellipsoid, Scenario, Uncertainty
 from problems.errors import ParameterError
 from problems.model.plant import Coupling, Environment, Payload, Plant
-from problems.model.robot import RobotModel
-from problems.model.robot_variation import bandwidth_hz, bandwidth_share, damping_ratio, vary_robot
+from problems.model.robot import RobotModel, bandwidth_hz, bandwidth_share, damping_ratio, vary_robot
 from tests.problems.axes import LAW, between, one_pole
 
 K_E, M_P = ALWAYS_UNCERTAIN

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from problems.design.batch import are_stable
 from problems.errors import ParameterError
-from problems.maps.designs import designs_around
-from problems.maps.loops import build_plant_loops
+from problems.maps.loops import build_plant_loops, designs_around
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Payload, Plant
 from problems.model.sampled import build_sampled_plant

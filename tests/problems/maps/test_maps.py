@@ -9,11 +9,10 @@ import pytest
 
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.errors import ParameterError
-from problems.maps import maps
-from problems.maps import plants as map_plants
+from problems.maps import loops, maps
+from problems.maps.loops import PlantChunk, Where
 from problems.maps.maps import MapAxis, compute_map, evaluate_point
 from problems.maps.parameters import MapQuantity
-from problems.maps.plants import PlantChunk, Where
 from problems.model.plant import FREE_SPACE
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_sampled_plant
@@ -98,7 +97,7 @@ def test_peaks_are_those_of_single_contacts_and_nan_where_unstable(quantity: Map
 def test_10800_points_are_the_same_however_they_are_chunked(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = request(x=replace(STIFFNESS, count=120), y=replace(LEAD, count=90), quantity=MapQuantity.MODULUS)
     most: list[int] = []
-    build = map_plants.build_chunk
+    build = loops.build_chunk
 
     def watched(plants_here: Any, *rest: Any) -> PlantChunk:
         most.append(len(plants_here))

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from problems.errors import ParameterError
-from problems.maps.designs import designs_around
+from problems.maps.loops import designs_around
 from problems.maps.maps import MapAxis
 from problems.maps.parameters import MAP_PARAMETERS, controller_at, find_parameter, plant_at, value_of
 from problems.model.controller import AdmittanceController

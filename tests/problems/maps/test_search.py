@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from problems.errors import ParameterError
+from problems.maps.loops import Where
 from problems.maps.maps import MapAxis, compute_map, distance_at_boundary
 from problems.maps.parameters import controller_at
-from problems.maps.plants import Where
 from problems.maps.search import IntervalCase, IntervalRequest, find_stable_intervals
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant

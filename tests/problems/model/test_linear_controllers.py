@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from problems.contact.linear_controller_contact import force_per_speed, simulate_law_contact
+from problems.contact.linear_controller_contact import force_per_speed, simulate_linear_contact
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
-from problems.model.linear_controllers import LinearLaw
+from problems.model.linear_controllers import LinearController
 from problems.model.plant import FREE_SPACE
 from problems.model.response import controller_response, loop_response, plant_response, rendered_admittance
-from problems.model.sampled import build_cut_loop, build_loop, build_sampled_plant, linear_law, spectral_radius
+from problems.model.sampled import build_cut_loop, build_loop, build_sampled_plant, linear_controller, spectral_radius
 from problems.model.third_party_controllers import ForwardDynamics, SpringAdmittance
 from problems.stability.margins import UnstableLoopError
 from problems.stability.noise import command_speed_gain
@@ -34,7 +34,7 @@ def controller(request: pytest.FixtureRequest) -> AdmittanceController:
 @pytest.mark.parametrize("stiffness", [0.0, 9e4])
 def test_a_controller_as_a_law_makes_the_same_loop(controller: AdmittanceController, stiffness: float) -> None:
     sampled = build_sampled_plant(paper_plant(stiffness=stiffness, coupling_damping=150.0), PERIOD_S)
-    law = linear_law(controller, PERIOD_S)
+    law = linear_controller(controller, PERIOD_S)
     ours, its = build_loop(sampled, controller), build_loop(sampled, law)
     for name in ("a", "b", "b_push", "c_force", "c_command", "translation"):
         np.testing.assert_array_equal(getattr(its, name), getattr(ours, name))
@@ -45,7 +45,7 @@ def test_a_controller_as_a_law_makes_the_same_loop(controller: AdmittanceControl
 
 def test_a_controller_as_a_law_has_the_same_response(controller: AdmittanceController) -> None:
     sampled = build_sampled_plant(paper_plant(stiffness=9e4), PERIOD_S)
-    law, seen = linear_law(controller, PERIOD_S), plant_response(sampled, OMEGA)
+    law, seen = linear_controller(controller, PERIOD_S), plant_response(sampled, OMEGA)
     for its, ours in zip(law.gains(seen.z), controller_response(controller, seen.z, PERIOD_S), strict=True):
         np.testing.assert_allclose(its, ours, rtol=1e-9, atol=1e-15)
     its_loop, our_loop = loop_response(sampled, law, OMEGA), loop_response(sampled, controller, OMEGA)
@@ -59,9 +59,9 @@ def test_the_contact_of_a_law_is_that_of_the_exact_kernel(delay_s: float, coupli
     plant = paper_plant(stiffness=1.2e5, drag=330.0, coupling_damping=coupling_damping, robot=one_pole(delay_s))
     pair = build_sampled_contact(build_sampled_plant(plant, PERIOD_S))
     controller = AdmittanceController(mass_kg=6.0, damping_n_s_per_m=1300.0, lead_s=0.0209, feedback_damping_s=0.005)
-    law = linear_law(controller, PERIOD_S)
+    law = linear_controller(controller, PERIOD_S)
     for approach in (Approach(force_n=30.0), Approach(speed_m_s=0.02)):
-        exact, found = simulate_contact(pair, controller, approach), simulate_law_contact(pair, law, approach)
+        exact, found = simulate_contact(pair, controller, approach), simulate_linear_contact(pair, law, approach)
         assert found.contact_speed_m_s == pytest.approx(exact.contact_speed_m_s, rel=1e-9)
         assert found.driving_force_n == pytest.approx(exact.driving_force_n, rel=1e-9)
         assert found.peak_sensor_force_n == pytest.approx(exact.peak_sensor_force_n, rel=1e-9)
@@ -77,18 +77,18 @@ def test_a_payload_that_bounces_has_the_same_peak() -> None:
     pair = build_sampled_contact(build_sampled_plant(plant, PERIOD_S))
     controller = AdmittanceController(mass_kg=12.0, damping_n_s_per_m=3000.0, lead_s=0.01)
     exact = simulate_contact(pair, controller, Approach(speed_m_s=0.2))
-    found = simulate_law_contact(pair, linear_law(controller, PERIOD_S), Approach(speed_m_s=0.2))
+    found = simulate_linear_contact(pair, linear_controller(controller, PERIOD_S), Approach(speed_m_s=0.2))
     assert np.min(exact.contact_force_n[: int(exact.time_of_peak_s / PERIOD_S) + 200]) == 0.0  # it left the wall
     assert found.peak_contact_force_n == pytest.approx(exact.peak_contact_force_n, rel=2e-3)
 
 
 def test_an_unstable_contact_and_a_hand_have_no_peak() -> None:
     pair = build_sampled_contact(build_sampled_plant(paper_plant(), PERIOD_S))
-    law = linear_law(AdmittanceController(mass_kg=10.0, damping_n_s_per_m=300.0), PERIOD_S)
+    law = linear_controller(AdmittanceController(mass_kg=10.0, damping_n_s_per_m=300.0), PERIOD_S)
     with pytest.raises(UnstableLoopError):
-        simulate_law_contact(pair, law, Approach(force_n=30.0))
+        simulate_linear_contact(pair, law, Approach(force_n=30.0))
     with pytest.raises(ParameterError, match="desired force"):
-        simulate_law_contact(pair, law, Approach(force_n=30.0, driven_by="hand"))
+        simulate_linear_contact(pair, law, Approach(force_n=30.0, driven_by="hand"))
 
 
 def test_margins_at_the_command_of_a_law_that_follows_the_position_are_those_of_what_it_adds() -> None:
@@ -137,7 +137,7 @@ def test_a_law_that_holds_its_position_anchors_free_space() -> None:
 )
 def test_a_law_that_is_none_is_refused(matrix: np.ndarray, rest: np.ndarray, told: str) -> None:
     with pytest.raises(ParameterError, match=told):
-        LinearLaw(matrix=matrix, rest=rest, sample_time_s=PERIOD_S)
+        LinearController(matrix=matrix, rest=rest, sample_time_s=PERIOD_S)
 
 
 def test_a_law_of_another_period_is_refused() -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from problems.model.continuous import continuous_loop
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Environment, Plant
-from problems.model.python_control import ControlObjects, as_control
+from problems.model.python_control import ControlObjects, to_control
 from problems.model.response import controller_response, loop_response, plant_response
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius, stability_matrix
@@ -34,7 +34,7 @@ def _closed_figures() -> Iterator[None]:
 
 
 def objects_of(plant: Plant, controller: AdmittanceController) -> ControlObjects:
-    return as_control(build_sampled_plant(plant, PERIOD_S), controller)
+    return to_control(build_sampled_plant(plant, PERIOD_S), controller)
 
 
 def loops_of(objects: ControlObjects) -> list[Any]:
@@ -107,7 +107,7 @@ def test_frequency_responses_are_those_of_the_sampled_loop(
 ) -> None:
     # One radian per second as well, where the gain is large (python-control sorts).
     sampled, at = build_sampled_plant(plant, PERIOD_S), np.array([1.0, omega])
-    objects, expected = as_control(sampled, controller), loop_response(sampled, controller, at)
+    objects, expected = to_control(sampled, controller), loop_response(sampled, controller, at)
     # F is a difference of K_s x and K_s x_p, and x is known to 1e-12 where the robot is slow.
     forward, _ = controller_response(controller, np.exp(1j * at * PERIOD_S), PERIOD_S)
     size = np.abs(forward * plant.coupling.stiffness_n_per_m * plant_response(sampled, at).position)
@@ -142,7 +142,7 @@ def test_closing_either_loop_gives_the_poles_of_the_sampled_loop(
     """Equal monic polynomials, compared where no root is; poles that meet would be known to half the digits only."""
     sampled, z = build_sampled_plant(plant, PERIOD_S), 1.3 * np.exp(1j * angle)
     expected = stability_matrix(build_loop(sampled, controller))
-    for open_loop in loops_of(as_control(sampled, controller)):
+    for open_loop in loops_of(to_control(sampled, controller)):
         closed = control.feedback(open_loop, 1).A
         assert closed.shape == expected.shape
         eye = np.eye(len(expected))
@@ -153,7 +153,7 @@ def test_closing_either_loop_gives_the_poles_of_the_sampled_loop(
 @given(whole_plants(), whole_controllers())
 def test_a_step_of_either_input_runs_as_in_the_sampled_loop(plant: Plant, controller: AdmittanceController) -> None:
     sampled = build_sampled_plant(plant, PERIOD_S)
-    loop, closed = build_loop(sampled, controller), as_control(sampled, controller).closed_loop
+    loop, closed = build_loop(sampled, controller), to_control(sampled, controller).closed_loop
     count = 30
     for column, drive in enumerate((loop.b, loop.b_push)):
         inputs = np.zeros((2, count))
@@ -171,7 +171,7 @@ def test_a_step_of_either_input_runs_as_in_the_sampled_loop(plant: Plant, contro
 def test_the_contact_force_closes_the_balance_of_the_payload(plant: Plant, controller: AdmittanceController) -> None:
     """F_e = f − F − B_p v_p − M_p dv_p/dt, the acceleration taken from the plant's rates at the tick."""
     sampled = build_sampled_plant(plant, PERIOD_S)
-    loop, closed = build_loop(sampled, controller), as_control(sampled, controller).closed_loop
+    loop, closed = build_loop(sampled, controller), to_control(sampled, controller).closed_loop
     n, chain = sampled.state_count, sampled.chain_length
     inputs = np.array([[1.0, -2.0, 0.5, 3.0, 0.0, 1.0], [0.0, 1.0, 2.0, -1.0, 4.0, 1.0]])
     found, state = control.forced_response(closed, inputs=inputs).outputs, np.zeros(len(loop.a))
@@ -193,7 +193,7 @@ def test_states_are_scaled_for_methods_that_mix_them() -> None:
     """Unscaled, the state of the acceleration filter, above 1e3 per metre, stands beside states in metres."""
     sampled = build_sampled_plant(paper_plant(), PERIOD_S)
     assert np.max(np.abs(build_loop(sampled, COMPENSATED).a)) > 1e3
-    objects = as_control(sampled, COMPENSATED)
+    objects = to_control(sampled, COMPENSATED)
     for system in (*loops_of(objects), objects.closed_loop):
         assert np.max(np.abs(system.A)) < 10.0
 
@@ -220,7 +220,7 @@ def test_the_contact_force_is_the_continuous_one_at_a_small_period(delay: float)
     h, omega = 2e-5, 60.0
     plant = paper_plant(robot=one_pole(delay * h), coupling_damping=50.0).in_contact_with(DAMPED_WALL)
     controller = admittance(mass=20.0, damping=3000.0, lead=0.02)
-    found = as_control(build_sampled_plant(plant, h), controller).closed_loop(np.exp(1j * omega * h))
+    found = to_control(build_sampled_plant(plant, h), controller).closed_loop(np.exp(1j * omega * h))
     exact = continuous_loop(plant, controller, np.array([omega]), half_sample_of_s=h)
     wall, payload = exact.plant.environment[0], 1.0 / exact.plant.payload[0]
     for column, push in ((0, 0.0), (1, 1.0)):
@@ -270,7 +270,7 @@ def test_an_unstable_loop_is_told_by_both_forms() -> None:
     """MODEL.md, erratum 4."""
     printed = admittance(mass=10.0, lead=0.0)
     sampled = build_sampled_plant(paper_plant(), PERIOD_S)
-    radius = float(np.max(np.abs(control.poles(as_control(sampled, printed).closed_loop))))
+    radius = float(np.max(np.abs(control.poles(to_control(sampled, printed).closed_loop))))
     # One matrix, one eigenvalue routine.
     assert radius == pytest.approx(spectral_radius(build_loop(sampled, printed)), rel=1e-12)
     assert radius > 1.001

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from problems.contact.linear_controller_contact import force_per_speed, simulate_law_contact
+from problems.contact.linear_controller_contact import force_per_speed, simulate_linear_contact
 from problems.contact.transient import Approach, build_sampled_contact
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
-from problems.model.linear_controllers import LinearLaw
+from problems.model.linear_controllers import LinearController
 from problems.model.plant import FREE_SPACE, Plant, build_plant_matrices
 from problems.model.sampled import build_loop, build_sampled_plant, hold, spectral_radius
 from problems.model.third_party_controllers import ForwardDynamics, SpringAdmittance, alternates
@@ -64,7 +64,7 @@ def played_forward_dynamics(rule: ForwardDynamics) -> Rule:
     return update
 
 
-def stepped(law: LinearLaw) -> Rule:
+def stepped(law: LinearController) -> Rule:
     state, r = np.zeros(law.state_count), law.state_count
 
     def update(force: float, measured: float) -> float:
@@ -106,7 +106,7 @@ def test_the_contact_is_that_of_the_rule_played_against_the_wall(name: str) -> N
         "forward dynamics": (slow.law(PERIOD_S), played_forward_dynamics(slow)),
     }[name]
     pair = build_sampled_contact(build_sampled_plant(plant, PERIOD_S))
-    predicted = simulate_law_contact(pair, law, Approach(force_n=20.0))
+    predicted = simulate_linear_contact(pair, law, Approach(force_n=20.0))
     # A second of approach is enough for a steady speed.
     sensor, contact = _replayed(plant, played, 20.0, -predicted.contact_speed_m_s * 1.0)
     # The spring's pull over the approach (0.04 N) and the moment of touching inside a sample differ.

@@ -8,8 +8,8 @@ import control
 import numpy as np
 import pytest
 
-from problems.contact.linear_controller_contact import simulate_law_contact
-from problems.contact.nonlinear_simulation import simulate_fully
+from problems.contact.linear_controller_contact import simulate_linear_contact
+from problems.contact.nonlinear_simulation import simulate_nonlinear
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.design.batch import are_stable, build_batch
 from problems.design.gradients import (
@@ -26,14 +26,13 @@ from problems.design.problem import DesignProblem
 from problems.design.serialization import problem_from_dict, problem_to_dict
 from problems.design.uncertainty import Scenario, Uncertainty
 from problems.errors import ParameterError
-from problems.maps.designs import Designs
-from problems.maps.loops import build_plant_loops
+from problems.maps.loops import Designs, build_plant_loops
 from problems.model.continuous import continuous_loop
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Plant, WrenchFilter
-from problems.model.python_control import as_control
+from problems.model.python_control import to_control
 from problems.model.response import free_space_admittance, loop_response
-from problems.model.sampled import build_loop, build_sampled_plant, linear_law, spectral_radius
+from problems.model.sampled import build_loop, build_sampled_plant, linear_controller, spectral_radius
 from problems.stability.margins import UnstableLoopError, find_margins, margins_on_grid
 from problems.stability.passivity import check_passivity
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
@@ -124,7 +123,7 @@ def test_the_margins_are_those_of_python_controls_loop(plant: Plant, law: Admitt
 
     20,000 points per decade leave 1e-4 of a minimum and of a crossover.
     """
-    loop, h = as_control(build_sampled_plant(plant, PERIOD_S), law), PERIOD_S
+    loop, h = to_control(build_sampled_plant(plant, PERIOD_S), law), PERIOD_S
     omega = np.geomspace(1.0, np.pi / h * (1.0 - 1e-9), 60_000)
     s = 1j * omega
     blocks = {name: getattr(loop, name)(s) for name in ("wrench", "forward")}
@@ -198,11 +197,11 @@ def test_the_kernels_agree_on_a_filtered_plant() -> None:
     assert rows.peak_sensor_force_n[0, 0] == pytest.approx(sensor, rel=1e-12)
     assert rows.peak_contact_force_n[0, 0] == pytest.approx(contact, rel=1e-12)
     assert rows.modulus[0, 0] == pytest.approx(find_margins(pair.contact, CALM).modulus, rel=1e-9)
-    full = simulate_fully(FILTERED, CALM, FORCE, sample_time_s=PERIOD_S, duration_s=0.5, substeps=40)
+    full = simulate_nonlinear(FILTERED, CALM, FORCE, sample_time_s=PERIOD_S, duration_s=0.5, substeps=40)
     # Fourth order, and the first power of a step where B_e jumps in: 1e-4 is the issue's own grid.
     assert full.peak_sensor_force_n == pytest.approx(sensor, rel=1e-4)
     assert full.peak_contact_force_n == pytest.approx(contact, rel=1e-4)
-    law = simulate_law_contact(pair, linear_law(CALM, PERIOD_S), FORCE)
+    law = simulate_linear_contact(pair, linear_controller(CALM, PERIOD_S), FORCE)
     # F_e is looked at twenty times a sample there.
     assert law.peak_contact_force_n == pytest.approx(contact, rel=1e-4)
     assert law.peak_sensor_force_n == pytest.approx(sensor, rel=1e-9)
@@ -263,7 +262,7 @@ def test_a_late_wrench_is_a_longer_delay_for_a_law_of_the_force_alone() -> None:
 
 @pytest.mark.parametrize(
     "law",
-    [CALM, replace(FORCED, compensation_mass_kg=4.0), linear_law(CALM, PERIOD_S)],
+    [CALM, replace(FORCED, compensation_mass_kg=4.0), linear_controller(CALM, PERIOD_S)],
     ids=["feedback", "compensation", "any law"],
 )
 def test_a_law_that_reads_the_position_beside_a_late_wrench_is_refused(law: AdmittanceController) -> None:

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from problems.contact.nonlinear_simulation import FullRun, simulate_fully
-from problems.contact.nonlinearities import Deadband, Effects
+from problems.contact.nonlinear_simulation import NonlinearRun, simulate_nonlinear
+from problems.contact.nonlinearities import Deadband, Nonlinearities
 from problems.contact.transient import Approach, ContactTransient, build_sampled_contact, simulate_contact
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
@@ -32,18 +32,18 @@ def simulate(
     *,
     duration: float = 0.32,
     h: float = PERIOD_S,
-    effects: Effects | None = None,
+    effects: Nonlinearities | None = None,
     distance: float | None = None,
     substeps: int = 10,
     seed: int | None = None,
-) -> FullRun:
-    return simulate_fully(
+) -> NonlinearRun:
+    return simulate_nonlinear(
         plant,
         controller,
         approach,
         sample_time_s=h,
         duration_s=duration,
-        effects=effects if effects is not None else Effects(),
+        effects=effects if effects is not None else Nonlinearities(),
         start_distance_m=distance,
         substeps=substeps,
         noise=None if seed is None else np.random.default_rng(seed),
@@ -55,7 +55,7 @@ def exactly(plant: Plant, controller: AdmittanceController, approach: Approach, 
     return simulate_contact(pair, controller, approach, samples=samples)
 
 
-def worst(run: FullRun, exact: ContactTransient) -> float:
+def worst(run: NonlinearRun, exact: ContactTransient) -> float:
     return float(
         max(
             np.max(np.abs(run.sensor_force_n - exact.sensor_force_n)),
