@@ -19,6 +19,7 @@ from autotune.tuning.problems import Wishes
 from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller
 from identification.result import Estimate
+from problems.progress import no_progress
 
 STEPS = (
     "simulating a cell",
@@ -97,7 +98,7 @@ def run_demo(
     Files of an earlier demo in the same folder are replaced. Raises UsageError where one of these names stands for
     anything else: a file of another origin, or one that was changed since (`autotune.formats.made`).
     """
-    begin, report = step or _silent, progress or _silent
+    begin, report = step or no_progress, progress or no_progress
     directory.mkdir(parents=True, exist_ok=True)
     files = DemoFiles.inside(directory)
     made = MadeHere(directory, [each.name for each in (*vars(files).values(), directory / PAGE)])
@@ -140,10 +141,6 @@ def run_demo(
         files=files,
         made=made,
     )
-
-
-def _silent(_: object) -> None:
-    return None
 
 
 def compare(cell: Cell, found: IdentifiedLog) -> tuple[Comparison, ...]:

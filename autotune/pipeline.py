@@ -21,6 +21,7 @@ from identification.logs.runs import separate_runs
 from identification.merging.combine import NamedResult, combine_identified
 from identification.result import Finding, Identified
 from identification.signals.recording import Recording
+from problems.progress import no_progress
 
 _CONTRADICTIONS = frozenset({"given-contradicts", "logs-disagree"})
 _READING_SHARE = 0.25
@@ -80,7 +81,7 @@ def identify_log(
     `progress` is told the share of the work done since the last call: stage by stage of one recording, else recording
     by recording.
     """
-    report = progress if progress is not None else _silent
+    report = progress or no_progress
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     told = (Cell() if cell is None else cell.cell).with_topics(
         wrench=topics.wrench, pose=topics.pose, command=topics.command
@@ -156,7 +157,7 @@ def _identify_run(
     report: Callable[[float], None] | None = None,
 ) -> _Run:
     """Read and identify one recording; where it is one of many, errors bear its name."""
-    report = report if report is not None else _silent
+    report = report or no_progress
     name = ", ".join(path.name for path in run)
     try:
         recording = read_checked_recording(run, cell, salvage=salvage)
@@ -172,10 +173,6 @@ def _identify_run(
     kept = None if evidence is None or not with_evidence else replace(evidence, log=name, reading=recording.findings)
     told = NamedResult(name=name, result=found, gain_error_share=0.0 if evidence is None else evidence.gain_error_share)
     return _Run(told=told, source=_source(recording), evidence=kept)
-
-
-def _silent(_: float) -> None:
-    return None
 
 
 def _source(recording: Recording) -> _Source:

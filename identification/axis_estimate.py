@@ -7,6 +7,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from problems.progress import ProgressSlice
+
 from .axes.straight import AXIS_NAMES, AxisMotion, commanded_motion, free_motions, unguided_spans
 from .axes.turning import LEVER_M, AxisTurn, rests_after
 from .errors import EstimateError
@@ -20,7 +22,6 @@ from .joint_fit.gain import with_gain_error
 from .joint_fit.model import COUPLING_NAMES
 from .joint_fit.result import JointFit
 from .payload.gravity import GravityFit
-from .progress import Reach, part_of, unwatched
 from .result import AxisEstimate, CouplingEstimate, Finding, RobotEstimate
 from .robot.coupling import CouplingFit, Noise, identify_coupling
 from .robot.position_loop import RobotFit, identify_robot
@@ -98,10 +99,10 @@ class AxisView:
     weighed: tuple[float, float] | None = None
 
 
-def identify_axis(cell: CellSignals, axis: AxisMotion, reach: Reach = unwatched) -> AxisTold:
+def identify_axis(cell: CellSignals, axis: AxisMotion, progress: ProgressSlice | None = None) -> AxisTold:
     """Estimate one translational axis; what cannot be told is `unidentifiable`, with a finding of severity `error`.
 
-    `reach` is told the share of the work that is done.
+    `progress` is told the share of the work that is done.
     """
     holds, findings = _holds(cell, axis)
     view = AxisView(
@@ -115,7 +116,7 @@ def identify_axis(cell: CellSignals, axis: AxisMotion, reach: Reach = unwatched)
         in_units=partial(with_gain_error, share=cell.gravity.gain_error_share),
         weighed=(cell.gravity.mass_kg, cell.gravity.mass_std_kg),
     )
-    told = fit_axis(cell, view, reach)
+    told = fit_axis(cell, view, progress or ProgressSlice())
     findings += told.findings
     if told.fit is not None and not told.fit.is_weighed:
         disagreement = _about_masses(axis.name, cell.gravity, told.fit)
@@ -140,12 +141,12 @@ def _doubted(estimate: AxisEstimate) -> AxisEstimate:
     )
 
 
-def fit_axis(cell: CellSignals, view: AxisView, reach: Reach) -> AxisTold:
+def fit_axis(cell: CellSignals, view: AxisView, progress: ProgressSlice) -> AxisTold:
     """Let the stages find where to start, and the joint fit tell values and uncertainty."""
     axis, findings = view.axis, list[Finding]()
     robot_fit, robot = _robot(cell, view, findings)
     coupling = _coupling(view, cell.motion)
-    reach(_STAGES_SHARE)
+    progress.advance_to(_STAGES_SHARE)
     try:
         mass_kg = view.mass_kg if coupling is None or view.mass_kg is not None else coupling.mass_kg
         if mass_kg is None:
@@ -166,7 +167,7 @@ def fit_axis(cell: CellSignals, view: AxisView, reach: Reach) -> AxisTold:
             view.recording.pose.stamp_ns,
         )
         data = replace(data, weighed=view.weighed, shifted_s=view.recording.wrench_shifted_s)
-        found = identify_joint(data, part_of(reach, _STAGES_SHARE, 0.5 if view.priors else 1.0))
+        found = identify_joint(data, progress.part((0.5 if view.priors else 1.0) - _STAGES_SHARE))
         fit = view.in_units(found)
         with_priors = view.in_units(identify_joint(replace(data, priors=view.priors))) if view.priors else None
     except EstimateError as error:

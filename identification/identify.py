@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from problems.progress import ProgressSlice, no_progress
+
 from .axes.straight import AXIS_NAMES, find_axes
 from .axes.turning import LEVER_M, find_turns
 from .axis_estimate import AxisTold, CellSignals, axis_evidence, identify_axis
@@ -18,7 +20,6 @@ from .payload.gravity import identify_gravity
 from .payload.gravity_verdicts import com_estimate, gravity_findings, mass_estimate
 from .payload.inertia import InertiaFit, identify_inertia
 from .phases import Timeline
-from .progress import Progress, unwatched
 from .result import (
     AxisEstimate,
     EnvironmentEstimate,
@@ -64,7 +65,7 @@ def identify_cell(
     `unidentifiable` and named by a finding of severity `error`. Raises EstimateError when not even gravity can be told
     (nothing else can be without it), LogError when the channels do not fit together.
     """
-    return _identify(recording, frames, given or {}, unwatched)[0]
+    return _identify(recording, frames, given or {}, no_progress)[0]
 
 
 def identify_with_evidence(
@@ -77,7 +78,7 @@ def identify_with_evidence(
 
     `progress` is told the share of the work done since the last call.
     """
-    found, cell, told = _identify(recording, frames, given or {}, progress if progress is not None else unwatched)
+    found, cell, told = _identify(recording, frames, given or {}, progress if progress is not None else no_progress)
     return found, None if cell is None else _evidence(cell, told)
 
 
@@ -167,17 +168,17 @@ def _identify_axes(
     share = 1.0 / max(len(travel.axes) + len(cell.turns), 1)
     axes = {}
     for axis in travel.axes:
-        reach = Progress(report, share)
-        axes[axis.name] = identify_axis(cell, axis, reach)
-        reach(1.0)
+        part = ProgressSlice(report, share)
+        axes[axis.name] = identify_axis(cell, axis, part)
+        part.finish()
     for turn in cell.turns:
-        reach = Progress(report, share)
-        turned = identify_turn(cell, turn, inertia, reach)
+        part = ProgressSlice(report, share)
+        turned = identify_turn(cell, turn, inertia, part)
         if turned is None:
             findings.append(not_told(turn))
         else:
             axes[turn.name] = turned
-        reach(1.0)
+        part.finish()
     return axes, [*findings, *(finding for axis in axes.values() for finding in axis.findings)]
 
 

@@ -6,22 +6,25 @@ from functools import partial
 import numpy as np
 from scipy.signal import detrend
 
+from problems.progress import ProgressSlice
+
 from .axes.turning import LEVER_M, AxisTurn, Unrolled, rests_after, unroll
 from .axis_estimate import AxisTold, AxisView, CellSignals, axis_priors, fit_axis
 from .errors import EstimateError
 from .joint_fit.contacts import find_holds, hold_threshold_n
 from .joint_fit.rotation_fit import fit_about_axis, inertia_findings, path_of
 from .payload.inertia import InertiaFit
-from .progress import Reach, unwatched
 from .result import Finding
 
 
-def identify_turn(cell: CellSignals, turn: AxisTurn, inertia: InertiaFit, reach: Reach = unwatched) -> AxisTold | None:
+def identify_turn(
+    cell: CellSignals, turn: AxisTurn, inertia: InertiaFit, progress: ProgressSlice | None = None
+) -> AxisTold | None:
     """Estimate one rotational axis in N·m/rad, N·m·s/rad and kg·m²; None, with its reason, where it tells nothing.
 
     The turn is seen as motion along a straight path 0.2 m off the centre, for which all thresholds hold; the inertia is
     compared with that of the tensor. What is missing is a warning: a log whose translations are told is a good log.
-    `reach` is told the share of the work that is done.
+    `progress` is told the share of the work that is done.
     """
     try:
         unrolled = unroll(turn, cell.recording, cell.log)
@@ -48,7 +51,7 @@ def identify_turn(cell: CellSignals, turn: AxisTurn, inertia: InertiaFit, reach:
             },
             in_units=partial(fit_about_axis, turn=turn),
         ),
-        reach,
+        progress or ProgressSlice(),
     )
     if told.fit is None:
         return None

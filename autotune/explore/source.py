@@ -39,6 +39,7 @@ from problems.design.requirements import REQUIREMENTS, AdmittanceTarget, Require
 from problems.design.uncertainty import Scenario
 from problems.frozen import freeze
 from problems.model.controller import AdmittanceController
+from problems.progress import no_progress
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -96,7 +97,7 @@ def read_exploration(path: Path, problem: Path | None = None, progress: Progress
     """
     kind = kind_of_file(path)
     if kind == "identified":
-        return _from_identified(path, problem, progress if progress is not None else _silent)
+        return _from_identified(path, problem, progress or no_progress)
     if kind != "controller":
         raise UsageError(
             f"{path} is neither an identified plant nor a controller; give what identify or optimize wrote."
@@ -104,10 +105,6 @@ def read_exploration(path: Path, problem: Path | None = None, progress: Progress
     if problem is not None:
         raise UsageError(f"{path} says by itself what is asked of it; --problem goes with an identified plant.")
     return _from_controller(read_controller(path))
-
-
-def _silent(_: float) -> None:
-    return None
 
 
 def _from_identified(path: Path, problem_path: Path | None, progress: Progress) -> Exploration:

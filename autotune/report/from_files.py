@@ -24,6 +24,7 @@ from identification.evidence import Evidence
 from identification.given import Given
 from identification.logs import LogSummary
 from identification.logs.opened import digests
+from problems.progress import no_progress
 
 from .identify_page import build_identify_page
 from .log_summaries import summaries_of
@@ -96,7 +97,7 @@ def report_files(
     plants = {path: read_identified(path) for path in shown if kinds[str(path)] == "identified"}
     given = _match(logs, plants)
     before = None if old is None else read_controller(old)
-    report = progress if progress is not None else _silent
+    report = progress or no_progress
     pages, reports, part = list[tuple[str, Page]](), list[ValidationReport](), 1.0 / max(len(shown), 1)
     refusals: list[CertificateError] = []
     for path in shown:
@@ -121,10 +122,6 @@ def report_files(
             f"{paths[0]} is no file that autotune wrote; if it is a log, give the identified.yaml that came from it."
         )
     return FilesReport(page=join_pages("Report", pages), kinds=kinds, reports=tuple(reports), refusals=tuple(refusals))
-
-
-def _silent(_: float) -> None:
-    return None
 
 
 def _table_page(path: Path, kind: str) -> Page:

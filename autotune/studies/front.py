@@ -19,6 +19,7 @@ from autotune.tuning.bounds import Box
 from autotune.tuning.search import SearchResult, presentable, solve_design
 from problems.design.evaluation import Evaluation, PreparedScenarios, build_scenarios
 from problems.design.problem import AdmittanceTarget, DesignProblem
+from problems.progress import no_progress
 
 from .objectives import Admittance, PeakForce
 from .plugins import Demand, Objective, load_demands, load_objectives
@@ -50,7 +51,7 @@ def trace_front(
     grid, none is infeasible, and those that another one beats are left out. Deterministic for a seed. `progress` is
     called with the share of the work done since the last call.
     """
-    report = progress or (lambda _: None)
+    report = progress or no_progress
     problem = first.problem
     judge = Judge(problem, (PeakForce(), Admittance()))
     own = judge.judge(problem.controller(first.design))
@@ -228,7 +229,7 @@ def trace_fronts(
 
     Raises UsageError and InfeasibleError as `run_study` does.
     """
-    report = progress or (lambda _: None)
+    report = progress or no_progress
 
     def advance(done: float) -> None:
         report(done / len(searches))

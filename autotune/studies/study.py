@@ -23,6 +23,7 @@ from autotune.tuning.bounds import LINEAR_VARIABLES
 from autotune.tuning.search import presentable
 from problems.design.problem import DesignProblem
 from problems.model.controller import AdmittanceController
+from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
 
 from .plugins import Demand, Limit, Objective
@@ -83,7 +84,7 @@ def run_study(
     Raises UsageError when the study of this name was made for something else, InfeasibleError when no trial meets
     every requirement.
     """
-    report = progress or (lambda _: None)
+    report = progress or no_progress
     judge = Judge(problem, plan.objectives, plan.demands)
     with quiet_optuna(), named_failures():
         study = _open_study(problem, plan, storage, start, name)

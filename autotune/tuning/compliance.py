@@ -17,6 +17,7 @@ from autotune.formats.problem import ComplianceSpec, Interval, ProblemSpec, Unce
 from autotune.formats.records import ROTATIONAL_AXES
 from identification.result import Identified
 from problems.design.problem import DesignProblem
+from problems.progress import no_progress
 
 from .problems import Wishes, build_problems
 from .search import SearchResult, solve_design
@@ -175,7 +176,7 @@ def choose_compliance(
     Deterministic for a given seed. That no point meets the requirements is no error: the nearest one is chosen then.
     `step` is told each K_e [N/m] as its search begins, `progress` the share of the work done since the last call.
     """
-    begin, report = step or _silent, progress or _silent
+    begin, report = step or no_progress, progress or no_progress
     grid = _grid(asked.bounds)
     found = Compliance(asked=asked, points=())
     for stiffness in grid:
@@ -190,7 +191,7 @@ def settle_compliance(problem: DesignProblem, compliance: Compliance, search: Se
     stiffness = compliance.chosen.stiffness_n_per_m
     point = CompliancePoint(stiffness_n_per_m=stiffness, found=search, missed=0.0)
     found = replace(compliance.with_point(point), settled_n_per_m=stiffness)
-    return _narrowed(problem, found, seed, _silent, lambda: None)
+    return _narrowed(problem, found, seed, no_progress, lambda: None)
 
 
 def _narrowed(
@@ -283,7 +284,3 @@ def _asked(spec: ProblemSpec) -> ComplianceSpec:
 
 def _digits(value: float, count: int) -> float:
     return float(f"{value:.{count}g}")
-
-
-def _silent(_: float) -> None:
-    return None

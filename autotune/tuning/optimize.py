@@ -21,6 +21,7 @@ from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller
 from identification.result import Identified
 from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
+from problems.progress import ProgressSlice, no_progress
 
 from .compare import SideBySide, check_comparable, compare, start_design
 from .compliance import (
@@ -89,7 +90,7 @@ def optimize(
     eased: several times the work of a search), CertificateError when a claim cannot be proved or verified,
     EstimateError for a missing parameter, UsageError for wishes or an existing controller that do not fit.
     """
-    report = progress if progress is not None else _silent
+    report = progress or no_progress
     asked = proof if proof is not None else ProofWishes()
     build = build_problems if spec.compliance is None else build_compliance_problems
     problems = build(identified.result, spec, wishes)
@@ -97,9 +98,9 @@ def optimize(
         check_comparable(existing, problems)
     # Asked before the search, because it may refuse.
     payload = runtime_payload(identified.result, carried_mass_kg(identified.result, problems, spec, wishes))
-    chosen = _choose(problems, spec.compliance, seed, step or _silent, _Portion(report, _COMPLIANCE_SHARE))
+    chosen = _choose(problems, spec.compliance, seed, step or no_progress, ProgressSlice(report, _COMPLIANCE_SHARE))
     if chosen:
-        report = _Portion(report, 1.0 - _COMPLIANCE_SHARE)
+        report = ProgressSlice(report, 1.0 - _COMPLIANCE_SHARE)
         problems = {name: compliance.on_chosen(problems[name]) for name, compliance in chosen.items()}
     searches = _search_all(problems, existing, chosen, seed, relax, report)
     chosen = {name: settle_compliance(problems[name], each, searches[name], seed) for name, each in chosen.items()}
@@ -200,29 +201,13 @@ def check_within_bounds(search: SearchResult, name: str) -> None:
             )
 
 
-class _Portion:
-    """Passes on what is told of one part of the work, and at the end what of it was never told."""
-
-    def __init__(self, report: Callable[[float], None], whole: float) -> None:
-        self._report, self._left = report, whole
-        self._whole = whole
-
-    def __call__(self, done: float) -> None:
-        step = min(self._whole * done, self._left)
-        self._left -= step
-        self._report(step)
-
-    def finish(self) -> None:
-        self(1.0)
-
-
 def _prove(
     searches: Mapping[str, SearchResult], asked: ProofWishes, report: Callable[[float], None]
 ) -> dict[str, Proved]:
     """Return what is proved of every axis, see `prove_search`."""
     proved = {}
     for name, search in searches.items():
-        portion = _Portion(report, _PROOF_SHARE / len(searches))
+        portion = ProgressSlice(report, _PROOF_SHARE / len(searches))
         proved[name] = prove_search(name, search, asked, portion)
         portion.finish()
     return proved
@@ -233,7 +218,7 @@ def _choose(
     asked: ComplianceSpec | None,
     seed: int,
     step: Callable[[str], None],
-    portion: _Portion,
+    portion: ProgressSlice,
 ) -> dict[str, Compliance]:
     """Choose the compliance of the axis, none unless it is asked, and tell each stiffness as it is worked on."""
     found = {
@@ -260,7 +245,7 @@ def _search_all(
     """Search the design of every axis, from what is known of one."""
     searches = {}
     for name, problem in problems.items():
-        portion = _Portion(report, _SEARCH_SHARE / len(problems))
+        portion = ProgressSlice(report, _SEARCH_SHARE / len(problems))
         start = _start(name, problem, existing, chosen.get(name))
         with _told_where(name, chosen.get(name)):
             searches[name] = _search(name, problem, seed, start, relax, report, portion)
@@ -296,7 +281,7 @@ def _search(
     start: FloatArray | None,
     relax: bool,
     report: Callable[[float], None],
-    portion: _Portion,
+    portion: ProgressSlice,
 ) -> SearchResult:
     try:
         found = solve_design(problem, seed=seed, start=start, progress=portion)
@@ -304,7 +289,7 @@ def _search(
         if not relax:
             raise InfeasibleError(f"Axis {name}: {error}") from error
         # In the place of what a controller would still have to pass.
-        eased = find_relaxations(problem, seed=seed, progress=_Portion(report, 1.0 - _SEARCH_SHARE))
+        eased = find_relaxations(problem, seed=seed, progress=ProgressSlice(report, 1.0 - _SEARCH_SHARE))
         numbers = tuple((each.name, each.asked, each.possible) for each in eased)
         why = f"{error.bare}. {tell_relaxations(problem, eased)}" if eased else str(error)
         raise InfeasibleError(f"Axis {name}: {why}{_without_uncertainty(problem, seed)}", numbers) from error
@@ -325,10 +310,6 @@ def _without_uncertainty(problem: DesignProblem, seed: int) -> str:
         f"what stands in the way is how little is known of {', '.join(problem.uncertain)}. Record more, or say in "
         "problem.yaml what is sure."
     )
-
-
-def _silent(_: object) -> None:
-    return None
 
 
 def make_provenance(

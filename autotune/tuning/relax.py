@@ -12,6 +12,7 @@ from problems.design.batch_evaluation import EVERY_REQUIREMENT
 from problems.design.problem import DesignProblem
 from problems.design.requirements import UPPER_LIMITS, level
 from problems.design.uncertainty import Scenario
+from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
 
 from .scenario_exchange import margin_scenarios
@@ -46,10 +47,6 @@ class Relaxation:
         return f"{self.name} {self.possible:g} instead of {self.asked:g}"
 
 
-def _silent(_: float) -> None:
-    return None
-
-
 def find_relaxations(
     problem: DesignProblem, *, seed: int = 0, progress: Callable[[float], None] | None = None
 ) -> tuple[Relaxation, ...]:
@@ -60,7 +57,7 @@ def find_relaxations(
     easier side. Where no single one is enough, all together by one share (`EVERY_REQUIREMENT`, in per cent of what is
     asked). Empty where nothing is stable. `progress` is told the share of the work done since the last call.
     """
-    asked, report = asked_numbers(problem), progress if progress is not None else _silent
+    asked, report = asked_numbers(problem), progress or no_progress
 
     def least(goal: str) -> float | None:
         share, told = 1.0 / (len(asked) + 1), 0.0
@@ -107,7 +104,7 @@ def asked_numbers(problem: DesignProblem) -> dict[str, float]:
 
 
 def _least_ratio(
-    problem: DesignProblem, goal: str, seed: int, report: Callable[[float], None] = _silent
+    problem: DesignProblem, goal: str, seed: int, report: Callable[[float], None] = no_progress
 ) -> float | None:
     """Return the least required/achieved of one requirement over the whole uncertainty; None if others are missed.
 

@@ -20,6 +20,7 @@ from autotune.validation.validate import admittance_controller
 from identification.errors import EstimateError
 from problems.design.problem import Objective
 from problems.errors import ParameterError
+from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
 
 from .optimize import optimize
@@ -146,7 +147,7 @@ def tune_schedule(
     names all classes without a controller, and what `optimize` raises with the name of the class. That the hull has
     none is no error.
     """
-    report = progress if progress is not None else _silent
+    report = progress or no_progress
     if spec.compliance is not None:
         raise UsageError(
             "free.environment_stiffness_n_per_m in problem.yaml chooses one compliance, and a schedule has many "
@@ -299,7 +300,3 @@ def _scientific(value: float) -> str:
     number = Decimal(repr(value)).normalize()
     digits = "".join(map(str, number.as_tuple().digits))
     return f"{digits[0]}{'.' if len(digits) > 1 else ''}{digits[1:]}e{number.adjusted()}"
-
-
-def _silent(_: float) -> None:
-    return None

@@ -13,6 +13,7 @@ from problems.design.evaluation import Evaluation, PlantMargins, PreparedScenari
 from problems.design.problem import DesignProblem
 from problems.design.uncertainty import Scenario
 from problems.model.controller import SMALLEST_FEEDBACK_DAMPING_S
+from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
 
 from .beyond import NOTHING, Beyond, ImpactTest
@@ -95,7 +96,7 @@ def solve_design(
     Raises InfeasibleError with the closest miss when there is none. `progress` is called with the share of the work
     done since the last call.
     """
-    report = progress if progress is not None else _silent
+    report = progress or no_progress
     search, active = _begun(problem, seed, start, neighbour, beyond)
     whole = WholeSet(problem, seed, beyond.scenarios)
     # What was given stands ready if nothing better is found: margins held in reserve could cost a hair otherwise.
@@ -185,10 +186,6 @@ def _evaluated_exactly(whole: WholeSet, design: FloatArray) -> tuple[Evaluation,
     except UnstableLoopError:
         return whole.prepared.evaluate(design), ()
     return exact.evaluation, exact.margins
-
-
-def _silent(_: float) -> None:
-    return None
 
 
 class Search:

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import detrend
 
+from problems.progress import ProgressSlice
+
 from ..errors import EstimateError
-from ..progress import Reach, unwatched
 from .contacts import ContactStart, FoundContact, contact_segment, group_contacts, start_contact
 from .data import JointData
 from .delay_hypotheses import either_side
@@ -46,20 +47,21 @@ _OUTLYING, _ENOUGH_TO_TELL = 8.0, 3
 _BEGUN, _TOUCHED, _JOINED, _ROUNDED = 0.4, 0.55, 0.72, 0.8
 
 
-def identify_joint(data: JointData, reach: Reach = unwatched) -> JointFit:
+def identify_joint(data: JointData, progress: ProgressSlice | None = None) -> JointFit:
     """Fit force and pose of all usable spans together (MODEL.md, "Continuous blocks", exact under the held command).
 
     The likelihood is that of the pose given the command times that of the force given both: the flange's path is the
     robot's exact answer to the command plus what Wiener's filter keeps of the rest, and what remains of the force is
     whitened by an autoregression, fitted again after every round. Where free motion does not tell the payload, what
-    rings after taps and releases may, with the mass that gravity tells (`JointFit.is_weighed`). `reach` is told the
+    rings after taps and releases may, with the mass that gravity tells (`JointFit.is_weighed`). `progress` is told the
     share of the work that is done. Raises EstimateError when no span can be used.
     """
+    progress = progress or ProgressSlice()
     try:
-        return _identify(data, _free_motion, reach)
+        return _identify(data, _free_motion, progress)
     except EstimateError:
         try:
-            return replace(_identify(data, _ringing_alone, reach), is_weighed=True)
+            return replace(_identify(data, _ringing_alone, progress), is_weighed=True)
         except EstimateError:
             pass
         raise
@@ -68,7 +70,7 @@ def identify_joint(data: JointData, reach: Reach = unwatched) -> JointFit:
 _Beginning = Callable[[JointData, Problem, FloatArray], tuple[Problem, Point]]
 
 
-def _identify(data: JointData, begin: _Beginning, reach: Reach = unwatched) -> JointFit:
+def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> JointFit:
     """Fit everything, beginning with the payload alone."""
     start = np.concatenate([data.coupling, _robot_values(data), np.zeros(3)])
     start[3] = max(start[3], _LIGHTEST_SHARE * (data.mass_kg if data.mass_kg is not None else _LIGHT_KG))
@@ -77,12 +79,12 @@ def _identify(data: JointData, begin: _Beginning, reach: Reach = unwatched) -> J
     blurred = data.command is not None and data.command.is_mean
     problem, point, lag = fit_lag(problem, point, data.force_n, data.lag_s, 0.0, blurred=blurred)
     problem, point, lag = filter_or_delay(problem, point, data.force_n, lag, data.shifted_s)
-    reach(_BEGUN)
+    progress.advance_to(_BEGUN)
     contacts = _starts(data, problem, np.concatenate([point.values, start[-3:]]))
     alone = [fit_alone(problem, point, contact) for contact in contacts]
-    reach(_TOUCHED)
+    progress.advance_to(_TOUCHED)
     problem, point, found = _together(data, problem, point, [c for c in alone if c.is_sound])
-    reach(_JOINED)
+    progress.advance_to(_JOINED)
     for _ in range(_ROUNDS):
         problem = _recoloured(problem, point)
         point, _ = minimise(problem, point, _STEPS_LATER)
@@ -92,7 +94,7 @@ def _identify(data: JointData, begin: _Beginning, reach: Reach = unwatched) -> J
     elif not lag.is_whole:
         again = fit_lag(problem, point, data.force_n, data.lag_s, lag.applied_s, blurred=blurred)
         problem, point, lag = again[0], again[1], replace(again[2], evidence=lag.evidence)
-    reach(_ROUNDED)
+    progress.advance_to(_ROUNDED)
     problem, point = deepest_surfaces(problem, deepest_stiffness(problem, point))
     problem = _recoloured(problem, point)
     point, rival = either_side(problem, point)
