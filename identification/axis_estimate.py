@@ -14,13 +14,12 @@ from .axes.turning import LEVER_M, AxisTurn, rests_after
 from .errors import EstimateError
 from .evidence import AxisEvidence
 from .given import Given, axis_keys, settle_axis
-from .joint_fit.contacts import find_holds, hold_threshold_n
 from .joint_fit.data import JointData, build_joint_data, usual_coupling
 from .joint_fit.estimates import JointEstimates
 from .joint_fit.fit import identify_joint
-from .joint_fit.gain import with_gain_error
 from .joint_fit.model import COUPLING_NAMES
-from .joint_fit.result import JointFit
+from .joint_fit.result import JointFit, with_gain_error
+from .joint_fit.segments import find_holds, hold_threshold_n
 from .payload.gravity import GravityFit
 from .result import AxisEstimate, CouplingEstimate, Finding, RobotEstimate
 from .robot.coupling import CouplingFit, Noise, identify_coupling

@@ -14,12 +14,11 @@ from .axis_estimate import AxisTold, CellSignals, axis_evidence, identify_axis
 from .conventions.choice import read_by_weight
 from .evidence import Evidence
 from .given import Given, settle_cell
-from .joint_fit.wrench_filter import find_wrench_filter
+from .joint_fit.latency import find_wrench_filter
 from .partial import identify_partial
 from .payload.gravity import identify_gravity
 from .payload.gravity_verdicts import com_estimate, gravity_findings, mass_estimate
 from .payload.inertia import InertiaFit, identify_inertia
-from .phases import Timeline
 from .result import (
     AxisEstimate,
     EnvironmentEstimate,
@@ -29,15 +28,15 @@ from .result import (
     InertiaEstimate,
     PayloadEstimate,
     Status,
+    Timeline,
 )
-from .robot.admittance_estimates import AdmittanceRobots, identify_admittance_robots, with_compensated_force
+from .robot.admittance_robot import AdmittanceRobots, identify_admittance_robots, with_compensated_force
 from .sensor import describe_sensor
 from .signals.aligned import AlignedLog, align, check_regular, find_gaps
 from .signals.frames import Frames
-from .signals.lost_commands import restore_commands
 from .signals.recording import Recording
+from .signals.repairs import restore_commands, without_spikes
 from .signals.segments import find_motion
-from .signals.spikes import without_spikes
 from .timeline.contacts import find_contacts
 from .timeline.left_contacts import Accounted, SeenAxis, account_for_contacts
 from .timeline.payload import see_payload

@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import detrend
 
 from problems.progress import ProgressSlice
@@ -11,10 +12,15 @@ from problems.progress import ProgressSlice
 from .axes.turning import LEVER_M, AxisTurn, Unrolled, rests_after, unroll
 from .axis_estimate import AxisTold, AxisView, CellSignals, axis_priors, fit_axis
 from .errors import EstimateError
-from .joint_fit.contacts import find_holds, hold_threshold_n
-from .joint_fit.rotation_fit import fit_about_axis, inertia_findings, path_of
+from .joint_fit.model import COUPLING_NAMES
+from .joint_fit.result import JointFit
+from .joint_fit.segments import find_holds, hold_threshold_n
 from .payload.inertia import InertiaFit
 from .result import Finding
+
+FloatArray = NDArray[np.float64]
+_DISAGREEMENT_STDS = 3.0
+_DISAGREEMENT_SHARE = 0.03
 
 
 def identify_turn(
@@ -73,3 +79,69 @@ def _noise(cell: CellSignals, unrolled: Unrolled) -> float:
     """Return the force's noise at rest on the path, drift taken out, as the median rest has it."""
     rests = [unrolled.axis.force_n[span.slice] for span in cell.motion.still]
     return float(np.median([np.std(detrend(force)) for force in rests]))
+
+
+def path_of(torque: tuple[float, float]) -> tuple[float, float]:
+    """Return what a stiffness, damping or inertia about the axis, value and deviation, is on the unrolled path."""
+    return torque[0] / LEVER_M**2, torque[1] / LEVER_M**2
+
+
+def fit_about_axis(fit: JointFit, turn: AxisTurn) -> JointFit:
+    """Return the joint fit of an unrolled turn in N·m/rad, N·m·s/rad, kg·m² and N·m, under the same names.
+
+    The payload's weight turns with the payload, which the coupling lets turn further than the flange; what is taken off
+    turns with the flange. With κ = (the weight's stiffness)/K_s that makes K_s and B_s look smaller by κ, and all that
+    lies behind them by 2 κ, to first order. No model holds this, so as much is added to the covariance, in common.
+    """
+    scale = np.array([LEVER_M**2 if _is_mechanical(name) else 1.0 for name in fit.names])
+    values = fit.values * scale
+    share = abs(turn.weight_n_m_per_rad) / float(values[fit.names.index("stiffness_n_per_m")])
+    common = np.where(scale == 1.0, 0.0, 2.0 * share * values)
+    common[[fit.names.index(name) for name in COUPLING_NAMES[:2]]] *= 0.5
+    surfaces = tuple(
+        replace(
+            surface,
+            secant_n_per_m=LEVER_M**2 * surface.secant_n_per_m,
+            secant_std_n_per_m=LEVER_M**2
+            * float(np.hypot(surface.secant_std_n_per_m, 2.0 * share * surface.secant_n_per_m)),
+            peak_force_n=tuple(LEVER_M * peak for peak in surface.peak_force_n),
+        )
+        for surface in fit.surfaces
+    )
+    return replace(
+        fit,
+        values=values,
+        covariance=fit.covariance * np.outer(scale, scale) + np.outer(common, common),
+        ci95={name: (LEVER_M**2 * low, LEVER_M**2 * high) for name, (low, high) in fit.ci95.items()},
+        surfaces=surfaces,
+        spans=tuple(
+            replace(span, measured=LEVER_M * span.measured, predicted=LEVER_M * span.predicted) for span in fit.spans
+        ),
+    )
+
+
+def inertia_findings(fit: JointFit, turn: AxisTurn, inertia: InertiaFit) -> tuple[Finding, ...]:
+    """Compare the inertia from turning about an axis of S with the tensor's: two methods, one payload.
+
+    `fit` is in rotational units. Both hold about the origin of S; a tensor that is not told says nothing.
+    """
+    tensor = inertia.components[turn.index]
+    if tensor.value is None or tensor.std is None:
+        return ()
+    moved, moved_std = fit.value("mass_kg")
+    together = float(np.hypot(moved_std, tensor.std))
+    if abs(moved - tensor.value) <= max(_DISAGREEMENT_STDS * together, _DISAGREEMENT_SHARE * tensor.value):
+        return ()
+    return (
+        Finding(
+            code="inertia-disagreement",
+            severity="warning",
+            message=f"Axis {turn.name}: the inertia from turning about it, {moved:.4g} ± {moved_std:.2g} kg m², and "
+            f"from moves that turn the tool, {tensor.value:.4g} ± {tensor.std:.2g} kg m², disagree.",
+            advice="Check the torque's unit, the clocks of wrench and pose, and that the payload is the same.",
+        ),
+    )
+
+
+def _is_mechanical(name: str) -> bool:
+    return name.endswith(("stiffness_n_per_m", "damping_n_s_per_m", "drag_n_s_per_m", "mass_kg"))

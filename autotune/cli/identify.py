@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from autotune.formats.cell import CellFile
     from autotune.pipeline import IdentifiedLog, Topics
     from autotune.report.page import Page
-    from identification.phases import Timeline
-    from identification.result import Identified
+    from identification.result import Identified, Timeline
 
 _EPILOG = """\b
 Examples:

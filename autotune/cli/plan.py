@@ -14,11 +14,10 @@ from ._table import print_table
 from ._terminal import printable, tell
 
 if TYPE_CHECKING:
-    from identification.experiment_design.contacts import ContactPlan
+    from identification.experiment_design.contacts import ContactPlan, TapPlan
     from identification.experiment_design.poses import PosePlan
     from identification.experiment_design.result import ExperimentPlan, Prediction, Step
     from identification.experiment_design.sweep import SweepPlan
-    from identification.experiment_design.taps import TapPlan
     from identification.experiment_design.values import PlanValues
     from problems.model.controller import AdmittanceController
 

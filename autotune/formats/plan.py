@@ -6,12 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from identification.experiment_design.contacts import ContactPlan
-from identification.experiment_design.effect import PeakEffect
+from identification.experiment_design.contacts import ContactPlan, TapPlan
 from identification.experiment_design.poses import PosePlan
-from identification.experiment_design.result import ExperimentPlan, Prediction, Step
+from identification.experiment_design.result import ExperimentPlan, PeakEffect, Prediction, Step
 from identification.experiment_design.sweep import SweepPlan
-from identification.experiment_design.taps import TapPlan
 from problems.model.robot import RobotModel
 
 from .atomic import write_atomic

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from autotune.charts.chart import Chart, Element, Line, Panel, Role, Scale, Stretch
 from identification.evidence import Evidence
-from identification.phases import Kind, Timeline
-from identification.result import NoiseSpectrum
+from identification.result import Kind, NoiseSpectrum, Timeline
 from identification.signals.recording import Recording
 
 FloatArray = NDArray[np.float64]

@@ -12,15 +12,14 @@ from identification.axes.straight import AxisMotion, find_axes
 from identification.axes.turning import LEVER_M, Unrolled, find_turns, rests_after, unroll
 from identification.conventions.choice import read_by_weight
 from identification.errors import EstimateError, LogError
-from identification.joint_fit.contacts import find_holds, hold_threshold_n
+from identification.joint_fit.segments import find_holds, hold_threshold_n
 from identification.payload.gravity import GRAVITY_B_M_S2, GravityFit, identify_gravity
 from identification.payload.static_poses import collect_static_poses
 from identification.signals.aligned import AlignedLog, align
 from identification.signals.frames import Frames
 from identification.signals.recording import AXES, Recording
 from identification.signals.segments import Motion, Span, find_motion
-from identification.timeline.contacts import find_contacts
-from identification.timeline.law import ContactTimes, learn_law
+from identification.timeline.contacts import ContactTimes, find_contacts, learn_law
 from identification.timeline.payload import AxisContacts, press_sign, see_payload
 
 FloatArray = NDArray[np.float64]

@@ -11,8 +11,7 @@ from ..signals.aligned import AlignedLog, align
 from ..signals.frames import Frames
 from ..signals.recording import Recording
 from ..signals.segments import Motion, find_motion
-from .convention import Convention, Pull
-from .search import ConventionRanking, Verdict, rank_conventions
+from .search import Convention, ConventionRanking, Pull, Verdict, rank_conventions
 
 _SIGNIFICANT = 5.0
 

@@ -13,17 +13,17 @@ from ..signals.frames import Frames
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-
 _Fit = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
-
 QUARTER_TURNS = Rotation.create_group("O")
 """The 24 turns that take axes to axes."""
-
 _ROUNDS = 40
 _ALIKE = 1.5
 _OUTLIER_DEVIATIONS = 6.0
 _SMALLEST_SCATTER_N = 0.05
 _SMALLEST_SCATTER_N_M = 0.01
+_DIRECTION_ROUNDS = 30
+_SMALLEST_N = 1e-3
+_LARGEST_CONDITION = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -224,3 +224,38 @@ def _mount_freely(gravity: FloatArray, force: FloatArray) -> FreeMounting:
     best = min(found, key=lambda each: each.force_n2)
     declared = next(each for each in found if each.is_as_declared)
     return declared if declared.force_n2 < _ALIKE * best.force_n2 else best
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeaningGravity:
+    """The direction (3,) of gravity in the frame of the poses, its angle to the declared one, and what it leaves."""
+
+    direction_W: FloatArray
+    angle_rad: float
+    left_n: float
+
+
+def find_leaning_gravity(poses: Sequence[StaticPose]) -> LeaningGravity | None:
+    """Solve f = R_WSᵀ w + b for the weight w in W and the bias b, by least absolute deviations.
+
+    Rests in contact weigh little that way; `left_n` is what the middle rest leaves. None where the orientations do not
+    tell weight and bias apart.
+    """
+    to_sensor = Rotation.from_quat(np.array([pose.quaternion_xyzw for pose in poses])).inv().as_matrix()
+    rows = np.concatenate([to_sensor, np.broadcast_to(np.eye(3), to_sensor.shape)], axis=2)
+    force = np.array([pose.force_S_n for pose in poses])
+    if np.linalg.cond(rows.reshape(-1, 6)) > _LARGEST_CONDITION:
+        return None
+    root, found, left = np.ones(len(poses)), np.zeros(6), np.zeros(len(poses))
+    for _ in range(_DIRECTION_ROUNDS):
+        weighted = root[:, None, None] * rows
+        found = np.linalg.lstsq(weighted.reshape(-1, 6), (root[:, None] * force).reshape(-1), rcond=None)[0]
+        left = np.linalg.norm(force - rows @ found, axis=1)
+        root = 1.0 / np.sqrt(np.maximum(left, _SMALLEST_N))
+    size = float(np.linalg.norm(found[:3]))
+    if size <= 0.0:
+        return None
+    direction = found[:3] / size
+    down = GRAVITY_B_M_S2 / np.linalg.norm(GRAVITY_B_M_S2)
+    angle = float(np.arctan2(np.linalg.norm(np.cross(direction, down)), direction @ down))
+    return LeaningGravity(direction_W=direction, angle_rad=angle, left_n=float(np.median(left)))

@@ -12,13 +12,13 @@ from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment, Payload, Plant
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 
-from ..joint_fit.contacts import hold_threshold_n
-from ..merging.merging import noise_stds
+from ..joint_fit.segments import hold_threshold_n
+from ..merging.values import noise_stds
 from ..signals.segments import low_pass
+from .sweep import standard_deviations
 from .values import Known, PlanValues
 
 FloatArray = NDArray[np.float64]
-
 _SPEEDS_M_S = (0.005, 0.01, 0.02, 0.03, 0.05)
 _HOLDS_N = (10.0, 20.0, 30.0, 50.0, 80.0)
 _COUNTS = (3, 4, 6, 10)
@@ -29,6 +29,13 @@ _BAND_HZ = 60.0
 _ONSET_SKIP_S = 0.012
 _SIMULATED_S = 0.7
 _INDEPENDENT_MISFITS = 40.0
+ComplexArray = NDArray[np.complex128]
+_LARGEST_IMPULSE_N_S = 1.0  # a soft hammer in the hand
+_TAPS = 5
+_SPACING_S = 2.0
+_TAP_BAND_HZ = 250.0
+_YIELD_SHARE = 0.02  # a robot that holds its position gives way a little
+_POINTS = 20_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,4 +221,60 @@ def _repeated(values: PlanValues, touch: _Touch, count: int, controller: Admitta
         rigid_peak_n=touch.hold_n + touch.speed_m_s * float(np.sqrt(stiffness.value * values.mass_kg.value)),
         assumed_damping_n_s_per_m=controller.damping_n_s_per_m,
         std={_STIFFNESS: std[0], _DAMPING: std[1]},
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TapPlan:
+    """Taps along the axis while the robot holds its position: each peaks at the sensor near `peak_force_n`.
+
+    `std` is keyed as `PlanValues`: K_s and the total damping B_s + B_p (as `damping_n_s_per_m`) that the ring-down
+    shows, with the mass taken from the poses.
+    """
+
+    count: int
+    impulse_n_s: float
+    peak_force_n: float
+    spacing_s: float
+    std: dict[str, float]
+
+
+def plan_taps(values: PlanValues, *, max_force_n: float, mass_std_kg: float) -> TapPlan:
+    """Predict K_s and the total damping from the ring-down after taps of unknown strength, the flange held.
+
+    F(s) = J C/(M_p s² + B s + K_s), C = K_s, B = B_s + B_p: what rings is told by frequency and decay alone, so the
+    mass, known to `mass_std_kg`, turns them into stiffness and damping. Information (2/(σ² h)) ∫ |dF/dθ|² df.
+    """
+    mass, stiffness = values.mass_kg.value, values.stiffness_n_per_m.value
+    damping = values.damping_n_s_per_m.value + values.drag_n_s_per_m.value
+    swing = float(np.sqrt(stiffness / mass))
+    impulse = min(_LARGEST_IMPULSE_N_S, max_force_n / swing)
+    highest = min(_TAP_BAND_HZ, 0.4 / values.sample_time_s.value)
+    frequency = np.linspace(0.1, highest, _POINTS)
+    s = np.asarray(2j * np.pi * frequency, dtype=np.complex128)
+    slope = _ring_gradients(s, stiffness, damping, mass, impulse)
+    density = 2.0 * (highest - 0.1) / _POINTS / (values.force_noise_rms_n.value**2 * values.sample_time_s.value)
+    information = np.real(np.conj(slope).T @ slope) * density
+    # Every tap has a strength of its own; alike, they are one tap seen so many times.
+    information *= _TAPS
+    information[2, 2] += 1.0 / max(mass_std_kg, 1e-6 * mass) ** 2
+    std = standard_deviations(np.asarray(information))
+    return TapPlan(
+        count=_TAPS,
+        impulse_n_s=impulse,
+        peak_force_n=min(impulse * swing, max_force_n),
+        spacing_s=_SPACING_S,
+        std={
+            "stiffness_n_per_m": float(np.hypot(std[0], _YIELD_SHARE * stiffness)),
+            "damping_n_s_per_m": float(np.hypot(std[1], _YIELD_SHARE * values.critical_damping_n_s_per_m)),
+        },
+    )
+
+
+def _ring_gradients(s: ComplexArray, stiffness: float, damping: float, mass: float, impulse: float) -> ComplexArray:
+    """Return dF/dθ (n, 4) for K_s, B, M_p and J of F = J K_s/(M_p s² + B s + K_s)."""
+    below = mass * s**2 + damping * s + stiffness
+    force = impulse * stiffness / below
+    return np.stack(
+        [force / stiffness - force / below, -force * s / below, -force * s**2 / below, force / impulse], axis=1
     )

@@ -5,12 +5,10 @@ import numpy as np
 from problems.model.controller import AdmittanceController
 
 from ..errors import EstimateError
-from .contacts import ContactPlan, plan_contacts, through_coupling
-from .effect import PeakEffect, peak_effect
+from .contacts import ContactPlan, TapPlan, plan_contacts, plan_taps, through_coupling
 from .poses import PosePlan, plan_poses, smallest_tilt_deg
-from .result import LABELS, UNITS, ExperimentPlan, Limits, Prediction, Step, StepKind
+from .result import LABELS, UNITS, ExperimentPlan, Limits, PeakEffect, Prediction, Step, StepKind, peak_effect
 from .sweep import SweepLimits, SweepPlan, careful_force_n, plan_sweep
-from .taps import TapPlan, plan_taps
 from .values import PlanValues
 
 _SHARE = 0.05

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ..merging.merging import WEIGHED_MASS
+from ..merging.values import WEIGHED_MASS
 from ..payload.gravity import LOCAL_GRAVITY_STD
 from ..payload.static_poses import GRAVITY_B_M_S2, cross_matrix
 from .values import PlanValues

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from problems.model.robot import RobotModel
 
 from ..joint_fit.covariance import SHARPEST_DELAY_SAMPLES
-from ..merging.merging import shared_std
+from ..merging.values import shared_std
 from ..robot.coupling import felt_impedance
-from .values import Known, PlanValues
-from .worst import WorstCase, worst_case
+from .values import Known, PlanValues, WorstCase, worst_case
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -1,4 +1,4 @@
-"""The covariance of the joint fit, widened where the residuals say more than their size."""
+"""Other minima of the joint fit than the one that a descent reached."""
 
 import itertools
 from collections.abc import Sequence
@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .delay_hypotheses import Rival
-from .local_minima import forces_only, other_surfaces
-from .problem import Point, Problem, sizes_of
-from .solve import Block, cost, information
+from .latency import Rival
+from .solve import Block, Point, Problem, Summary, cost, information, linearise, minimise, sizes_of
 
+_STEPS = 4
+_DEEPER = 1.0
+_KNOWN_SHARE, _OTHER_STIFFNESSES, _STEPS_FAR = 0.02, (0.15, 0.4, 2.5), 12
+_OTHER_MASS_SHARE = 0.3
 FloatArray = NDArray[np.float64]
-
 _WHOLE_S = 1e4
 _PIECES_S = (0.1, 0.5, _WHOLE_S)
 _DOUBTFUL_STDS = 20.0
@@ -23,6 +24,64 @@ _UNKNOWN_SHARE = 0.25
 SHARPEST_DELAY_SAMPLES = 1e-3
 _SWING_STIFFNESS_SHARE, _SWING_DAMPING_SHARE = 0.02, 0.1
 _FREE_MISFITS, _CONTACT_MISFITS = 40, 10
+_LEVEL = 3.841  # the 95 % quantile of χ² with one degree of freedom
+_TWO_SIDED = 1.96
+_PROFILE_STEPS = 3
+_TRIES = 3
+
+
+def deepest_stiffness(problem: Problem, point: Point) -> Point:
+    """Return the deepest minimum over K_s, where it is not known to 2 %: a spring that hardly gives has several."""
+    matrix, _ = information(linearise(problem, point), len(problem.layout))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    inverse = np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale)
+    if inverse[0, 0] < _KNOWN_SHARE**2:
+        return point
+    best, here = point, cost(problem, point)
+    for factor in _OTHER_STIFFNESSES:
+        values = point.values.copy()
+        values[0] *= factor
+        values[1] *= min(factor, 1.0)
+        other, there = minimise(problem, replace(point, values=values), _STEPS_FAR)
+        if there < here - _DEEPER:
+            best, here = other, there
+    return best
+
+
+def deepest_surfaces(problem: Problem, point: Point) -> tuple[Problem, Point]:
+    """Return the point from which no other minimum of a surface (see `other_minima`) is deeper, all fitted again."""
+    for i in range(problem.layout.surfaces):
+        forces = forces_only(problem, point)
+        here = cost(forces, point)
+        for other, there in other_surfaces(forces, point, problem.layout.surface(i).start + 2):
+            if there < here - _DEEPER:
+                here, point = there, minimise(problem, other, _STEPS)[0]
+    return problem, point
+
+
+def forces_only(problem: Problem, point: Point) -> Problem:
+    """Return the problem with the robot as it is at a point."""
+    robot = tuple(range(problem.layout.robot.start, problem.layout.robot.stop))
+    return replace(problem, pose_spans=(), fixed=robot, known_path=problem.path(point.values))
+
+
+def other_surfaces(problem: Problem, point: Point, mass: int) -> list[tuple[Point, float]]:
+    """Return minima beside this one and their depths: a surface, told by its M_e's index, without mass or with."""
+    found = []
+    if point.values[mass] > 0.0:
+        massless = point.values.copy()
+        massless[mass] = 0.0
+        start = Point(values=massless, nuisances=point.nuisances)
+        found.append(minimise(_fixing(problem, mass), start, _STEPS))
+    heavy = point.values.copy()
+    heavy[mass] = _OTHER_MASS_SHARE * point.values[3]
+    heavy[mass - 1] = min(heavy[mass - 1], 0.05 * float(np.sqrt(heavy[mass - 2] * point.values[3])))
+    found.append(minimise(problem, Point(values=heavy, nuisances=point.nuisances), _STEPS))
+    return found
+
+
+def _fixing(problem: Problem, index: int) -> Problem:
+    return replace(problem, fixed=(*problem.fixed, index))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,3 +252,73 @@ def _factor(mean_square: float, count: int, misfits: int) -> float:
         return 1.0
     excess = max(mean_square - 1.0 - 4.0 * float(np.sqrt(2.0 / count)), 0.0)
     return float(np.sqrt(1.0 + excess * count / misfits))
+
+
+def bounded_intervals(
+    problem: Problem, point: Point, blocks: Sequence[Block], spread: Spread
+) -> dict[str, tuple[float, float]]:
+    """Return 95 % intervals by name of the dampings and masses that lie within 1.96 deviations of 0.
+
+    The profile of −2 log L over the parameter, all others fitted again, is compared with the 95 % quantile of χ²(1),
+    times the square of what `widened` did to the deviation. For a surface only its own contacts are computed again;
+    what all other spans say is their quadratic form.
+    """
+    layout = problem.layout
+    sizes = sizes_of(point.values, layout, problem.signals.period_s)
+    linear = [1, 2] + [layout.surface(i).start + k for i in range(layout.surfaces) for k in (1, 2)]
+    out = {}
+    for index in linear:
+        std = float(np.sqrt(spread.covariance[index, index])) * float(sizes[index])
+        if point.values[index] > _TWO_SIDED * std:
+            continue
+        part, start = _part(problem, point, blocks, index)
+        level = _LEVEL * float(spread.covariance[index, index] / spread.plain[index, index])
+        floor = cost(part, start)
+        upper = _crossing(part, start, index, float(point.values[index]) + _TWO_SIDED * std, level, floor)
+        at_zero = _profiled(part, start, index, 0.0) - floor
+        lower = 0.0
+        if at_zero > level:
+            lower = float(point.values[index]) * (1.0 - float(np.sqrt(level / at_zero)))
+        out[layout.names[index]] = (lower, max(upper, float(point.values[index])))
+    return out
+
+
+def _part(problem: Problem, point: Point, blocks: Sequence[Block], index: int) -> tuple[Problem, Point]:
+    """Return the spans that are computed again, the others being summed up."""
+    layout, first = problem.layout, problem.layout.robot.stop
+    surface = (index - first) // 3 if index >= first else None
+    kept = [i for i, s in enumerate(problem.segments) if surface is None or s.surface == surface]
+    matrix, _ = information([b for i, b in enumerate(blocks) if i not in kept], len(layout))
+    values, vectors = np.linalg.eigh(matrix)
+    summary = Summary(root=(vectors * np.sqrt(np.maximum(values, 0.0))).T, values=point.values)
+    part = replace(
+        problem,
+        segments=tuple(problem.segments[i] for i in kept),
+        pose_spans=(),
+        priors=(),
+        fixed=tuple(range(layout.robot.start, layout.robot.stop)),
+        known_path=problem.path(point.values),
+        summary=summary,
+    )
+    return part, Point(values=point.values, nuisances=tuple(point.nuisances[i] for i in kept))
+
+
+def _profiled(part: Problem, start: Point, index: int, value: float) -> float:
+    values = start.values.copy()
+    values[index] = value
+    held = replace(part, fixed=(*part.fixed, index))
+    return minimise(held, Point(values=values, nuisances=start.nuisances), _PROFILE_STEPS)[1]
+
+
+def _crossing(part: Problem, start: Point, index: int, guess: float, level: float, floor: float) -> float:
+    """Return where the profile passes the level above the estimate: √Δ is nearly a straight line."""
+    here, at = float(start.values[index]), guess
+    for _ in range(_TRIES):
+        rise = _profiled(part, start, index, at) - floor
+        if rise <= 0.0 or not np.isfinite(rise):
+            return float(np.inf)
+        share = float(np.sqrt(level / rise))
+        if abs(share - 1.0) < 0.05:
+            break
+        at = here + (at - here) * float(np.clip(share, 0.3, 3.0))
+    return at

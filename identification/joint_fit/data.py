@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from problems.model.robot import RobotModel
 
-from ..axes.ringing import find_rings
-from ..axes.straight import AxisMotion, keeps_orientation, unguided_spans
+from ..axes.straight import AxisMotion, find_rings, keeps_orientation, unguided_spans
 from ..robot.coupling import CouplingFit
 from ..signals.aligned import AlignedLog, find_gaps
 from ..signals.recording import PoseSignal, StampArray

@@ -10,18 +10,14 @@ from scipy.signal import detrend
 from problems.progress import ProgressSlice
 
 from ..errors import EstimateError
-from .contacts import ContactStart, FoundContact, contact_segment, group_contacts, start_contact
+from .covariance import deepest_stiffness, deepest_surfaces
 from .data import JointData
-from .delay_hypotheses import either_side
-from .filter import filter_or_delay, fit_filter, forces_left
-from .latency import fit_lag
-from .local_minima import deepest_stiffness, deepest_surfaces
+from .latency import either_side, filter_or_delay, fit_filter, fit_lag, forces_left
 from .model import Layout
 from .noise import Smoother, fit_smoother, fit_whitener
-from .problem import Point, Problem, Signals
 from .result import JointFit, describe
-from .segments import Segment
-from .solve import linearise, minimise
+from .segments import ContactStart, FoundContact, Segment, contact_segment, group_contacts, start_contact
+from .solve import Point, Problem, Signals, linearise, minimise
 from .start import fit_alone, start_coupling, start_surface
 
 FloatArray = NDArray[np.float64]

@@ -1,21 +1,44 @@
 """How late the wrench is against pose and command: a shift in time of one signal, fitted beside everything else."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from .problem import Point, Problem
-from .solve import information, linearise, minimise
+from ..result import Estimate, Finding, Status, WrenchFilterEstimate
+from ..verdicts import judged, weak_at_best
+from .noise import Whitener, fit_whitener
+from .path import Lateness
+from .segments import predict_force
+from .solve import Point, Problem, Signals, cost, information, linearise, minimise
 
 FloatArray = NDArray[np.float64]
-
 _ROUNDS = 6
 _STEPS = 4
 _SETTLED = 0.1
 _SIGNIFICANT_STDS = 2.0
 _BETWEEN_SAMPLES, _BLURRED_SAMPLES = 0.03, 0.06
+_NEAR_SAMPLES = 0.05
+_BESIDE_SAMPLES = 0.0005
+_COMPETING_STEPS = 6
+_FAST, _GONE = 0.5, 20.0
+_FILTER_ROUNDS, _DELAY_ROUNDS, _SIDES, _FILTER_STEPS = 8, 4, 3, 4
+_LARGEST_FACTOR = 2.5
+_VAGUE = 30.0
+# One that a driver computes from sample to sample already passes on the newest: it is early against that of a circuit.
+_EARLY_SAMPLES = (0.0, 0.5, 1.0)
+_MATTERS_SAMPLES, _MATTERS_S = 0.2, 2e-4
+_LATE_STDS = 4.0
+# −2 log L of one over the other: e^-12.5 to one that chance prefers the wrong one.
+DECIDED = 25.0
+_CLOCK_S = 0.03
+_FILTER_BETWEEN_SAMPLES = 0.03
+_METHOD = "maximum likelihood of pose and force, beside everything else"
+_IDENTIFIED_SHARE, _WEAK_SHARE = 0.1, 0.5
+_IDENTIFIED_SAMPLES = 0.2
+_APART_STDS, _APART_SHARE = 5.0, 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,3 +123,265 @@ def step_lag(problem: Problem, point: Point, prior: tuple[float, float], applied
     left = own - float(coupled[free] @ inverse @ coupled[free])
     step = (slope - float(coupled[free] @ inverse @ gradient[free])) / left
     return float(step * std), float(std / np.sqrt(left))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rival:
+    """Another minimum of nearly the same depth; `share` (0 to 1) is what it has of the likelihood of both."""
+
+    point: Point
+    share: float
+
+
+def either_side(problem: Problem, point: Point) -> tuple[Point, Rival | None]:
+    """Return the better minimum of those on both sides of a delay of whole samples, and the other one.
+
+    The velocity of a robot with one pole jumps with every step of its command, and the damping of the coupling turns
+    that into a jump of the force. A delay just below a whole number of samples puts the step just before the tick, one
+    just above it behind: the same force at all other times, but another one in the log. No slope tells of that jump.
+    Of a robot with two poles the rival is that of one pole, where the second pole is fast.
+    """
+    layout, period = problem.layout, problem.signals.period_s
+    if layout.robot_order == 2:
+        return point, _one_pole(problem, point)
+    if layout.robot_order != 1:
+        return point, None
+    index = layout.robot.stop - 1
+    delay = float(point.values[index]) / period
+    whole = float(np.round(delay))
+    if abs(delay - whole) > _NEAR_SAMPLES or whole < 1.0:
+        return point, None
+    beside = whole + (_BESIDE_SAMPLES if delay <= whole else -_BESIDE_SAMPLES)
+    held = replace(problem, fixed=(*problem.fixed, index))
+    here, (there, there_cost) = point, minimise(held, _at(point, index, beside * period), _COMPETING_STEPS)
+    here_cost = cost(problem, here)
+    if there_cost < here_cost:
+        here, there, here_cost, there_cost = there, here, there_cost, here_cost
+    ratio = float(np.exp(-0.5 * min(there_cost - here_cost, 200.0)))
+    return here, Rival(point=there, share=ratio / (1.0 + ratio))
+
+
+def _one_pole(problem: Problem, point: Point) -> Rival | None:
+    """Return the robot of one pole beside one whose second pole is so fast that it could be a delay 1/p as well."""
+    robot, period = problem.layout.robot, problem.signals.period_s
+    omega, zeta, delay = (float(v) for v in point.values[robot])
+    if zeta <= 1.0:
+        return None
+    root = float(np.sqrt(zeta**2 - 1.0))
+    slow, fast = omega / (zeta + root), omega * (zeta + root)
+    if fast * period < _FAST:
+        return None
+    values = point.values.copy()
+    gone = _GONE / period
+    values[robot] = np.sqrt(slow * gone), 0.5 * (slow + gone) / np.sqrt(slow * gone), delay + 1.0 / fast
+    # The place of the second pole is what is compared.
+    held = replace(problem, fixed=(*problem.fixed, robot.start + 1))
+    other, there = minimise(held, replace(point, values=values), _COMPETING_STEPS)
+    ratio = float(np.exp(-0.5 * np.clip(there - cost(problem, point), -200.0, 200.0)))
+    return Rival(point=other, share=ratio / (1.0 + ratio))
+
+
+def _at(point: Point, index: int, delay_s: float) -> Point:
+    values = point.values.copy()
+    values[index] = delay_s
+    return replace(point, values=values)
+
+
+def is_late(lag_s: float, std_s: float, period_s: float) -> bool:
+    """Return whether a lag is there and matters: four deviations, and a fifth of a sample or 0.2 ms, what is less."""
+    return lag_s > max(_LATE_STDS * std_s, min(_MATTERS_SAMPLES * period_s, _MATTERS_S))
+
+
+def taken_for_filter(shifted_s: float) -> float:
+    """Return how much of what was taken off the wrench's stamps may be the sensor's; 30 ms and more are a clock's."""
+    return shifted_s if abs(shifted_s) < _CLOCK_S else 0.0
+
+
+def filter_or_delay(
+    problem: Problem, point: Point, force_n: FloatArray, lag: Lag, shifted_s: float
+) -> tuple[Problem, Point, Lag]:
+    """Return the problem with a low-pass in its sensor where that explains a late wrench better than a delay.
+
+    `force_n` (n,) is the force as it was read, with `shifted_s` taken off its stamps as a clock's offset. A delay moves
+    all frequencies alike; a low-pass of corner ω moves them by atan(f/ω)/f and takes 1/√(1 + (f/ω)²) of them. Both are
+    fitted with everything else, and each judged with a noise of its own.
+    """
+    period = problem.signals.period_s
+    clock = taken_for_filter(shifted_s)
+    if not is_late(lag.seconds + clock, lag.std_s, period):
+        return problem, point, lag
+    raw = replace(problem.signals, force_n=force_n, lag_std_s=0.0)
+    there, best, whole = _deepest_delay(replace(problem, signals=raw), point, lag.seconds)
+    fits = [
+        _fitted_filter(
+            problem, raw, point, Lateness(time_constant_s=lag.seconds + clock, delay_s=-clock - early * period)
+        )
+        for early in _EARLY_SAMPLES
+    ]
+    filtered, here, std, deepest = min(fits, key=lambda fit: fit[3])
+    evidence = best - deepest
+    if evidence < 0.0 and whole is None:
+        return problem, point, replace(lag, evidence=evidence)
+    if evidence < 0.0 and whole is not None:
+        std = _FILTER_BETWEEN_SAMPLES * period
+        signals = replace(raw, force_n=sooner(force_n, whole), lag_std_s=std)
+        late = Lag(seconds=whole * period, std_s=std, applied_s=whole * period, is_whole=True, evidence=evidence)
+        return replace(problem, signals=signals), there, late
+    constant = filtered.signals.lateness.time_constant_s
+    return filtered, here, Lag(seconds=constant, std_s=std, applied_s=0.0, is_filter=True, evidence=evidence)
+
+
+def _fitted_filter(
+    problem: Problem, raw: Signals, point: Point, start: Lateness
+) -> tuple[Problem, Point, float, float]:
+    """Return the problem with a low-pass, its minimum, the deviation of the time constant, and the depth.
+
+    The side of a whole number of samples on which the robot's delay lies and the time constant move each other.
+    """
+    filtered, here, std = replace(problem, signals=replace(raw, lateness=start)), point, 0.0
+    for _ in range(_SIDES):
+        filtered, here, std = fit_filter(filtered, here)
+        here = _settled(filtered, here)
+    return filtered, here, std, depth(filtered, here)
+
+
+def _deepest_delay(problem: Problem, point: Point, lag_s: float) -> tuple[Point, float, int | None]:
+    """Return the deepest fit with a delay, its depth, and how many whole samples it is, None for a part of one.
+
+    A force that jumps with the held command keeps its jumps only where it is shifted by whole samples.
+    """
+    period = problem.signals.period_s
+    lateness = Lateness(delay_s=lag_s)
+    for _ in range(_DELAY_ROUNDS):
+        problem = replace(problem, signals=replace(problem.signals, lateness=lateness, lag_std_s=0.0))
+        step, std = step_lag(problem, point, (lateness.delay_s, _VAGUE * lag_s), lateness.delay_s)
+        lateness = Lateness(delay_s=lateness.delay_s + float(np.clip(step, -period, period)))
+        if abs(step) < _SETTLED * std:
+            break
+    about = lateness.delay_s / period
+    wholes = sorted({int(np.floor(about)), int(np.ceil(about)), round(lag_s / period)})
+    found = []
+    for whole in (None, *(each for each in wholes if each > 0)):
+        late = lateness if whole is None else Lateness(delay_s=whole * period)
+        trial = replace(problem, signals=replace(problem.signals, lateness=late))
+        there = _settled(trial, point)
+        found.append((depth(trial, there), there, whole))
+    best, there, whole = min(found, key=lambda each: each[0])
+    return there, best, whole
+
+
+def _settled(problem: Problem, point: Point) -> Point:
+    """Return the minimum, on the deeper side of a robot's delay of whole samples, where the command's steps are."""
+    own = whitened_by_itself(problem, minimise(problem, point, _FILTER_STEPS)[0])
+    return minimise(own, either_side(own, minimise(own, point, _FILTER_STEPS)[0])[0], _FILTER_STEPS)[0]
+
+
+def fit_filter(problem: Problem, point: Point) -> tuple[Problem, Point, float]:
+    """Fit the time constant of the problem's low-pass and all else; return its deviation [s], which is then doubted."""
+    std = problem.signals.lateness.time_constant_s
+    for _ in range(_FILTER_ROUNDS):
+        here = problem.signals.lateness.time_constant_s
+        step, std = step_lag(problem, point, (here, _VAGUE * here), here)
+        there = float(np.clip(here + step, here / _LARGEST_FACTOR, here * _LARGEST_FACTOR))
+        lateness = replace(problem.signals.lateness, time_constant_s=there)
+        problem = replace(problem, signals=replace(problem.signals, lateness=lateness, lag_std_s=0.0))
+        point, _ = minimise(problem, point, _FILTER_STEPS)
+        if abs(there - here) < _SETTLED * std:
+            break
+    # Between its samples the force has the steps of the held command, which straight lines do not.
+    std = float(np.hypot(std, _FILTER_BETWEEN_SAMPLES * problem.signals.period_s))
+    return replace(problem, signals=replace(problem.signals, lag_std_s=std)), point, std
+
+
+def depth(problem: Problem, point: Point) -> float:
+    """Return −2 log L but for a constant, each kind of span of the force whitened by what it leaves itself."""
+    own = whitened_by_itself(problem, point)
+    total = cost(own, point)
+    for kind in (False, True):
+        count = sum(len(s) for s in problem.segments if s.is_contact == kind)
+        total += 2.0 * count * float(np.log((own.contact_noise if kind else own.free_noise).rms))
+    return total
+
+
+def whitened_by_itself(problem: Problem, point: Point) -> Problem:
+    """Return the problem with the forces' whiteners fitted to what remains at a point."""
+    left = forces_left(problem, point)
+    return replace(
+        problem,
+        free_noise=_fitted(left[False], problem.free_noise),
+        contact_noise=_fitted(left[True], problem.contact_noise),
+    )
+
+
+def forces_left(problem: Problem, point: Point) -> dict[bool, list[FloatArray]]:
+    """Return predicted − measured force of every span in free motion (False) and in contact (True)."""
+    signals, layout = problem.signals, problem.layout
+    path, lateness = problem.path(point.values), problem.signals.lateness
+    left: dict[bool, list[FloatArray]] = {False: [], True: []}
+    for segment, nuisance in zip(problem.segments, point.nuisances, strict=True):
+        predicted = predict_force(point.values, nuisance, segment, path, layout, signals.period_s)
+        felt = lateness.shown(predicted, path, segment.slice, float(point.values[1]), signals.period_s)
+        error = felt - signals.force_n[segment.slice]
+        left[segment.is_contact].append(error[lateness.unknown(signals.period_s) :])
+    return left
+
+
+def _fitted(left: Sequence[FloatArray], before: Whitener) -> Whitener:
+    return fit_whitener(left) if left else before
+
+
+def find_wrench_filter(
+    lags: Mapping[str, Lag], shifted_s: float, period_s: float
+) -> tuple[WrenchFilterEstimate | None, tuple[Finding, ...]]:
+    """Return the low-pass or the delay that the axes show, None where the wrench is not late by what matters.
+
+    `lags` are those of the fits by axis, after `shifted_s` was taken off the wrench's stamps. Where axes show different
+    kinds, the one with more evidence counts; where they show different sizes, the latest one. What a wrench is early
+    by is a clock's, not a filter's, and left out.
+    """
+    clock = taken_for_filter(shifted_s)
+    whole = {n: lag if lag.is_filter else replace(lag, seconds=lag.seconds + clock) for n, lag in lags.items()}
+    late = {name: lag for name, lag in whole.items() if is_late(lag.seconds, lag.std_s, period_s)}
+    if not late:
+        return None, ()
+    evidence = sum(lag.evidence or 0.0 for lag in late.values())
+    is_filter = evidence > 0.0 or all(lag.is_filter for lag in late.values())
+    alike = {name: lag for name, lag in late.items() if lag.is_filter == is_filter} or late
+    seconds, std, why = _together(alike)
+    if abs(evidence) < DECIDED:
+        why = f"a {'delay' if is_filter else 'low-pass'} explains it nearly as well"
+    if is_filter:
+        corner = 1.0 / (2.0 * np.pi * seconds)
+        estimate = judged(
+            corner, corner * std / seconds, method=_METHOD, identified=_IDENTIFIED_SHARE, weak=_WEAK_SHARE
+        )
+        found = WrenchFilterEstimate(corner_hz=weak_at_best(estimate, why) if why else estimate)
+        told = f"passes a first-order low-pass of {corner:.3g} ± {corner * std / seconds:.2g} Hz"
+    else:
+        is_sharp = std < _IDENTIFIED_SAMPLES * period_s
+        status = Status.IDENTIFIED if is_sharp and not why else Status.WEAK
+        found = WrenchFilterEstimate(delay_s=Estimate(value=seconds, std=std, status=status, method=_METHOD, note=why))
+        told = f"comes {1e3 * seconds:.3f} ± {1e3 * std:.2g} ms late"
+    return found, (_told(told, tuple(alike), why),)
+
+
+def _together(alike: Mapping[str, Lag]) -> tuple[float, float, str]:
+    """Return mean and deviation of what the axes show, the largest where they disagree, and why it is weak then."""
+    values, stds = np.array([lag.seconds for lag in alike.values()]), np.array([lag.std_s for lag in alike.values()])
+    weights = stds**-2.0
+    mean = float(weights @ values / np.sum(weights))
+    apart = float(np.max(values) - np.min(values))
+    if apart > max(_APART_STDS * float(np.max(stds)), _APART_SHARE * mean):
+        return float(np.max(values)), apart, "the axes disagree; the latest counts"
+    squares = float(np.sum(weights * (values - mean) ** 2)) / max(len(values) - 1, 1)
+    return mean, float(np.min(stds)) * max(1.0, float(np.sqrt(squares))), ""
+
+
+def _told(told: str, axes: tuple[str, ...], why: str) -> Finding:
+    return Finding(
+        code="wrench-filter",
+        severity="warning" if why else "info",
+        message=f"The wrench {told} (axis {', '.join(axes)}){f': {why}' if why else ''}. It is in the loop, and in "
+        "`sensor.wrench_filter`.",
+        advice="",
+    )

@@ -9,24 +9,20 @@ from numpy.typing import NDArray
 from problems.frozen import freeze
 from problems.model.robot import RobotModel
 
-from .contacts import FoundContact
-from .covariance import Spread, beside_rival, count_misfits, other_minima, widened
+from .covariance import Spread, beside_rival, bounded_intervals, count_misfits, other_minima, widened
 from .data import HeldCommand
-from .delay_hypotheses import Rival
-from .latency import Lag
+from .latency import Lag, Rival
 from .model import robot_model
 from .noise import whiteness
-from .problem import Point, Problem, logarithmic, sizes_of, stiffest_seen_n_per_m
-from .profile import bounded_intervals
-from .segments import Segment, predict_force
-from .solve import Block, information, linearise, minimise
+from .segments import FoundContact, Segment, predict_force
+from .solve import Block, Point, Problem, information, linearise, logarithmic, minimise, sizes_of, stiffest_seen_n_per_m
 
 FloatArray = NDArray[np.float64]
-
 _STEPS = 4
 _LARGEST_STEP = 3.0
 # A K_s beyond this share of the stiffest that a sampling rate can show is not told: swinging at 0.8 of half that rate.
 _FASTEST_SEEN = 0.64
+_MECHANICAL = ("stiffness_n_per_m", "damping_n_s_per_m", "drag_n_s_per_m", "mass_kg")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -277,3 +273,18 @@ def _left_out(problem: Problem, point: Point, blocks: Sequence[Block], kind: Seq
     error = _force_error(problem, moved, segment, last)
     force = problem.signals.force_n[segment.slice]
     return float(np.linalg.norm(error) / max(float(np.linalg.norm(force - np.mean(force))), 1e-300))
+
+
+def with_gain_error(fit: JointFit, share: float) -> JointFit:
+    """Return the fit with a deviation of `share` common to all stiffnesses, dampings and masses, secants included.
+
+    F = Z(s) X: a force that is wrong by a share makes every coefficient of Z wrong by it, and no residual shows it.
+    """
+    if share == 0.0:
+        return fit
+    common = np.where([name.endswith(_MECHANICAL) for name in fit.names], share * fit.values, 0.0)
+    surfaces = tuple(
+        replace(surface, secant_std_n_per_m=float(np.hypot(surface.secant_std_n_per_m, share * surface.secant_n_per_m)))
+        for surface in fit.surfaces
+    )
+    return replace(fit, covariance=fit.covariance + np.outer(common, common), surfaces=surfaces)

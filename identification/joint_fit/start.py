@@ -7,11 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..signals.segments import low_pass
-from .contacts import ContactStart, FoundContact
 from .model import Layout
-from .problem import Point, Problem
-from .segments import Segment
-from .solve import information, linearise, minimise
+from .segments import ContactStart, FoundContact, Segment
+from .solve import Point, Problem, information, linearise, minimise
 
 FloatArray = NDArray[np.float64]
 

@@ -3,8 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from ..errors import LogError
-from ..listing import listed
+from ..errors import LogError, listed
 from ..result import Finding
 from .cell import Cell, PoseSource, Source
 from .heads import Head

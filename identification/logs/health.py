@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..result import Finding
-from ..signals.constant_runs import Runs, quantum, repeated_share, saturated_samples, stuck_runs
-from ..signals.deadband import find_deadband
+from ..signals.constant_runs import Runs, find_deadband, quantum, repeated_share, saturated_samples, stuck_runs
 from ..signals.recording import FloatArray
 from .stamps import StampReport, report_stamps, stamp_faults
 

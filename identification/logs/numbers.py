@@ -5,8 +5,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from ..errors import LogError
-from ..listing import listed
+from ..errors import LogError, listed
 from ..result import Finding
 from ..signals.recording import FloatArray
 from .containers.channel import Channel, Held

@@ -9,7 +9,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from ..payload.gravity import GRAVITY_B_M_S2
 from ..signals.aligned import AlignedLog
-from ..signals.quaternions import turn_vectors_rad
+from ..signals.frames import turn_vectors_rad
 from ..signals.segments import low_pass
 from .told import Told, Untold
 

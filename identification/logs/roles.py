@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from itertools import pairwise
 
-from ..listing import listed
+from ..errors import listed
 from .cell import Source
 from .containers.channel import Channel
 from .heads import Head

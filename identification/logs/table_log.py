@@ -5,8 +5,7 @@ from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
-from ..errors import LogError
-from ..listing import listed
+from ..errors import LogError, listed
 from ..result import Finding
 from .containers.channel import Channel, Held, Survey
 from .heads import Head

@@ -8,7 +8,7 @@ from scipy.ndimage import maximum_filter1d
 from ..result import Finding
 from ..signals.aligned import AlignedLog
 from ..signals.constant_runs import BoolArray, find_runs
-from ..signals.quaternions import turned_rad
+from ..signals.frames import turned_rad
 from ..signals.recording import FloatArray
 from ..signals.segments import low_pass
 

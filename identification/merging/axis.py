@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from ..joint_fit.estimates import DAMPING_FLOOR, MASS_FLOOR, describe_robot, robot_bandwidth
 from ..result import AxisEstimate, CouplingEstimate, Covariance, EnvironmentEstimate, Estimate, RobotEstimate
 from ..verdicts import judged, judged_damping
-from .merging import Normal, merge_normals, with_priors
-from .values import ORDER, Merge, is_beyond_chance, is_told, with_verdict
+from .values import ORDER, Merge, Normal, is_beyond_chance, is_told, merge_normals, with_priors, with_verdict
 
 FloatArray = NDArray[np.float64]
 Judge = Callable[[float, float], Estimate]

@@ -1,23 +1,241 @@
-"""Numbers of several logs as one: a mean by the rule of `merging`, and a finding where they disagree."""
+"""How knowledge from several recordings goes together: noise averages, what the recordings share does not.
 
-from collections.abc import Sequence
+x_i = θ + n_i + s with independent n_i of covariance N_i and one s of covariance S in all recordings:
+θ̂ = (Σ N_i⁻¹)⁻¹ Σ N_i⁻¹ x_i, with covariance (Σ N_i⁻¹)⁻¹ + S. Shared are local gravity (in a mass that was weighed) and
+the calibration of the force sensor (in everything mechanical). A plan predicts with the same rule.
+"""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from problems.frozen import freeze
+
+from ..payload.gravity import LOCAL_GRAVITY_STD
 from ..result import Estimate, Finding, Status, VectorEstimate
 from ..verdicts import IDENTIFIED_SHARE, weak_at_best
-from .merging import noise_stds, scatter, shared_std
 
 FloatArray = NDArray[np.float64]
-
+WEIGHED_MASS = "mass"
+# No sensor's scale is better known than this (`joint_covariance` adds as much to each of these).
+_CALIBRATION_SHARE = 0.0003
+_CALIBRATED = frozenset({"K_s", "B_p", "M_p"})
+_MECHANICAL = frozenset({"K_s", "B_s", "B_p", "M_p", "K_e", "B_e", "M_e"})
+_SPRINGS = frozenset({"K_s", "K_e"})
+_NOT_NEGATIVE = frozenset({"B_s", "B_p", "B_e", "M_e", "T_d"})
+# The share to which a cell repeats from one recording to the next: less scatter than this is no disagreement.
+_REPEATABILITY = 0.0005
+# No log knows its own noise better than this against what it states in all.
+_LEAST_NOISE_SHARE = 0.1
+_SINGULAR, _DEFINITE = 1e-13, 1e-9
+_HALVINGS = 100
 # Scatter that chance brings about once in a thousand is no chance.
 _CHANCE = 1e-3
 _WIDER = 1e-9
 ORDER = (Status.GIVEN, Status.IDENTIFIED, Status.WEAK, Status.UNIDENTIFIABLE)
 DISAGREE = "the logs disagree"
+
+
+def shared_std(symbol: str, value: float, *, gain_share: float = 0.0) -> float:
+    """Return the deviation that all recordings of one cell have in common for a parameter, in the value's unit.
+
+    `symbol` is `WEIGHED_MASS`, or a name as in `Covariance`. `gain_share` is the share by which the force's scale may
+    be wrong.
+    """
+    if symbol == WEIGHED_MASS:
+        return LOCAL_GRAVITY_STD * abs(value)
+    gain = gain_share if _kind(symbol) in _MECHANICAL else 0.0
+    return float(np.hypot(gain, _CALIBRATION_SHARE if symbol in _CALIBRATED else 0.0)) * abs(value)
+
+
+def noise_stds(stds: Sequence[float] | FloatArray, shared: float) -> tuple[FloatArray, float]:
+    """Return the deviations (n,) without what is shared, and that: it is in each, so never above the least."""
+    total = np.asarray(stds, dtype=np.float64)
+    common = min(shared, float(np.min(total)))
+    return np.sqrt(np.maximum(total**2 - common**2, (_LEAST_NOISE_SHARE * total) ** 2)), common
+
+
+def merged_std(stds: Sequence[float] | FloatArray, shared: float = 0.0) -> float:
+    """Return √(1/Σ(1/n_i²) + s²) for deviations σ_i² = n_i² + s² of which s does not average; 0 where one is exact."""
+    if float(np.min(stds)) == 0.0:
+        return 0.0
+    noise, common = noise_stds(stds, shared)
+    return min(float(np.hypot(np.sum(noise**-2.0) ** -0.5, common)), float(np.min(stds)))
+
+
+def scatter(values: FloatArray, noise: FloatArray) -> tuple[float, float]:
+    """Return χ² of values (n,) about their weighted mean, and the variance τ² that they have beyond their noise.
+
+    With τ² in each of them χ² is n − 1 (Paule and Mandel 1982); it is 0 where the noise alone explains the scatter.
+    Noise below what a cell repeats to counts as that.
+    """
+    noise = np.maximum(noise, np.maximum(_REPEATABILITY * np.abs(values), 1e-300))
+    freedom, square = len(values) - 1, _chi_square(values, noise, 0.0)
+    if square <= freedom:
+        return square, 0.0
+    low, high = 0.0, float(np.ptp(values)) ** 2
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _chi_square(values, noise, middle) > freedom else (low, middle)
+    return square, high
+
+
+def _chi_square(values: FloatArray, noise: FloatArray, beyond: float) -> float:
+    weights = 1.0 / (noise**2 + beyond)
+    mean = float(np.sum(weights * values) / np.sum(weights))
+    return float(np.sum(weights * (values - mean) ** 2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Normal:
+    """What one source tells of parameters: `values` (p,) with covariance `matrix` (p, p) in SI, by their names."""
+
+    names: tuple[str, ...]
+    values: FloatArray
+    matrix: FloatArray
+
+    @property
+    def std(self) -> FloatArray:
+        """Return the standard deviations (p,)."""
+        return np.sqrt(np.maximum(np.diag(self.matrix), 0.0))
+
+    def at(self, name: str) -> tuple[float, float]:
+        """Return value and deviation of one parameter."""
+        place = self.names.index(name)
+        return float(self.values[place]), float(self.std[place])
+
+    def select(self, names: Sequence[str]) -> "Normal":
+        """Return the marginal of these parameters, in this order."""
+        kept = [self.names.index(name) for name in names]
+        return Normal(names=tuple(names), values=self.values[kept], matrix=self.matrix[np.ix_(kept, kept)])
+
+    def added(self, variances: Mapping[str, float]) -> "Normal":
+        """Return the same with independent variances added."""
+        return replace(self, matrix=self.matrix + np.diag([variances.get(name, 0.0) for name in self.names]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Merged:
+    """The merged knowledge; `square` and `freedom` hold χ² and its degrees of freedom of what several sources tell."""
+
+    normal: Normal
+    square: Mapping[str, float]
+    freedom: Mapping[str, int]
+
+    def __post_init__(self) -> None:
+        freeze(self, "square", "freedom")
+
+
+def merge_normals(parts: Sequence[Normal], told: Sequence[Collection[str]], *, gain_share: float = 0.0) -> Merged:
+    """Merge what recordings of one cell tell of an axis: generalised least squares over all names.
+
+    Springs go in as compliances, since what a contact tells best, 1/K_s + 1/K_e, is linear in them. Where values
+    scatter more than their noise lets expect, each of them gets the variance that is beyond (`scatter`), so that the
+    mean is no log's own and its deviation reaches the logs; `told` holds for each part the names that count there (what
+    it hardly tells scatters by no normal law). `gain_share` is the smallest share by which the force's scale may be
+    wrong in any of them.
+    """
+    noises = [_noise(part, gain_share) for part in parts]
+    square, freedom, beyond = {}, {}, {}
+    for name in dict.fromkeys(name for part in parts for name in part.names):
+        seen = [part.at(name) for part, names in zip(noises, told, strict=True) if name in names]
+        if len(seen) > 1:
+            values, stds = np.array(seen).T
+            square[name], beyond[name] = scatter(values, stds)
+            freedom[name] = len(seen) - 1
+    merged = _least_squares([part.added(beyond) for part in noises])
+    matrix = merged.matrix + _gain(merged, gain_share) + _calibration(merged)
+    return Merged(normal=replace(merged, matrix=matrix), square=square, freedom=freedom)
+
+
+def with_priors(known: Normal, priors: Mapping[str, tuple[float, float]]) -> Normal:
+    """Return what is known together with independent normal knowledge, value and deviation by name (Bayes)."""
+    alone = [
+        Normal(names=(name,), values=np.array([value]), matrix=np.array([[std**2]]))
+        for name, (value, std) in priors.items()
+    ]
+    return _least_squares([known, *alone])
+
+
+def _kind(name: str) -> str:
+    return name.rpartition(".")[2]
+
+
+def _gain(part: Normal, gain_share: float) -> FloatArray:
+    """Return what a scale of the force that is off does: everything mechanical moves together."""
+    moved = np.array([gain_share if _kind(name) in _MECHANICAL else 0.0 for name in part.names]) * part.values
+    return np.outer(moved, moved)
+
+
+def _calibration(part: Normal) -> FloatArray:
+    share = np.array([_CALIBRATION_SHARE if name in _CALIBRATED else 0.0 for name in part.names])
+    return np.diag((share * part.values) ** 2)
+
+
+def _noise(part: Normal, gain_share: float) -> Normal:
+    """Return a part without what is shared, as far as it holds that."""
+    std = part.std
+    gain = _gain(part, gain_share)
+    for shared in (gain + _calibration(part), gain):
+        left = part.matrix - shared
+        if np.all(std > 0.0) and np.linalg.eigvalsh(left / np.outer(std, std))[0] > _DEFINITE:
+            return replace(part, matrix=left)
+    return part
+
+
+def _least_squares(parts: Sequence[Normal]) -> Normal:
+    """Return (Σ N_i⁻¹)⁻¹ Σ N_i⁻¹ x_i with its covariance; logarithms of springs where compliances would leave 0."""
+    solved = _solved([_mapped(part, lambda k: 1.0 / k, lambda k: -1.0 / k**2) for part in parts])
+    if all(value > 0.0 for name, value in zip(solved.names, solved.values, strict=True) if _kind(name) in _SPRINGS):
+        found = _mapped(solved, lambda c: 1.0 / c, lambda c: -1.0 / c**2)
+    else:
+        found = _mapped(_solved([_mapped(part, np.log, lambda k: 1.0 / k) for part in parts]), np.exp, np.exp)
+    bounded = np.array([_kind(name) in _NOT_NEGATIVE for name in found.names])
+    return replace(found, values=np.where(bounded, np.maximum(found.values, 0.0), found.values))
+
+
+def _mapped(part: Normal, to: Callable[[float], float], slope: Callable[[float], float]) -> Normal:
+    """Return the same with its springs in another coordinate, the covariance to first order."""
+    springs = [_kind(name) in _SPRINGS for name in part.names]
+    pairs = list(zip(part.values.tolist(), springs, strict=True))
+    values = np.array([to(value) if spring else value for value, spring in pairs])
+    slopes = np.array([slope(value) if spring else 1.0 for value, spring in pairs])
+    return Normal(names=part.names, values=values, matrix=part.matrix * np.outer(slopes, slopes))
+
+
+def _solved(parts: Sequence[Normal]) -> Normal:
+    names = tuple(dict.fromkeys(name for part in parts for name in part.names))
+    placed = [([names.index(name) for name in part.names], part, _positive(part)) for part in parts]
+    # Stiffness and seconds lie nine decades apart: all count in the smallest deviation that is stated, from one value.
+    scale, origin = np.full(len(names), np.inf), np.zeros(len(names))
+    for places, part, std in reversed(placed):
+        scale[places], origin[places] = np.minimum(scale[places], std), part.values
+    information, pull = np.zeros((len(names), len(names))), np.zeros(len(names))
+    for places, part, std in placed:
+        exact = np.diag(std**2 - part.std**2)
+        inverse = _inverse((part.matrix + exact) / np.outer(std, std)) * np.outer(
+            scale[places] / std, scale[places] / std
+        )
+        information[np.ix_(places, places)] += inverse
+        pull[places] += inverse @ ((part.values - origin[places]) / scale[places])
+    covariance = _inverse(information)
+    return Normal(names=names, values=origin + covariance @ pull * scale, matrix=covariance * np.outer(scale, scale))
+
+
+def _positive(part: Normal) -> FloatArray:
+    """Return the deviations (p,), none of them 0: what is exact is known to rounding."""
+    return np.asarray(np.maximum(part.std, 1e-12 * np.maximum(np.abs(part.values), 1e-12)))
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    """Return the inverse of a symmetric matrix of about 1 on its diagonal, finite where rounding leaves none."""
+    scale = np.sqrt(np.diag(matrix))
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    inverse = (vectors / np.maximum(values, _SINGULAR)) @ vectors.T / np.outer(scale, scale)
+    return np.asarray(0.5 * (inverse + inverse.T))
 
 
 @dataclass(frozen=True, kw_only=True)

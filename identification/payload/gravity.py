@@ -9,9 +9,8 @@ from scipy.special import stdtrit
 
 from ..errors import EstimateError
 from ..signals.aligned import AlignedLog
-from ..signals.quaternions import turned_rad
-from .pose_fit import BiasStep, PoseEquations, find_bias_step, robust_fit
-from .pose_terms import ResidualTerm, TermKind, find_terms
+from ..signals.frames import turned_rad
+from .pose_fit import BiasStep, PoseEquations, ResidualTerm, TermKind, find_bias_step, find_terms, robust_fit
 from .static_poses import GRAVITY_B_M_S2, StaticPose, collect_static_poses, group_by_gravity, group_means
 
 __all__ = [

@@ -7,7 +7,7 @@ import numpy as np
 from ..result import Estimate, Finding, Status, VectorEstimate
 from ..verdicts import judged, unidentifiable_vector
 from .gravity import GravityFit
-from .pose_terms import ResidualTerm, TermKind
+from .pose_fit import ResidualTerm, TermKind
 from .static_poses import GRAVITY_B_M_S2
 
 _METHOD = "least squares over static poses"

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..signals.aligned import AlignedLog
-from ..signals.quaternions import turn_vectors_rad
+from ..signals.frames import turn_vectors_rad
 from ..signals.segments import Motion, Span, low_pass
 from .gravity import GravityFit
 from .static_poses import StaticPose, cross_matrix

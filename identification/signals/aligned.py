@@ -9,7 +9,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from ..errors import LogError
-from .quaternions import slerp
+from .frames import slerp
 from .recording import PoseSignal, Recording, StampArray, WrenchSignal
 
 FloatArray = NDArray[np.float64]

@@ -9,7 +9,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from .aligned import AlignedLog, Span, edges_of, spans_of
-from .quaternions import turned_rad
+from .frames import turned_rad
 
 __all__ = ["Motion", "Span", "find_motion", "low_pass", "without_pauses", "without_short"]
 

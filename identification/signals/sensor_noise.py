@@ -10,7 +10,7 @@ from scipy.signal import detrend, welch
 
 from ..result import Estimate, Finding, NoiseSpectrum, Status
 from .aligned import AlignedLog
-from .deadband import Deadband, find_deadband
+from .constant_runs import Deadband, find_deadband
 from .recording import AXES, WrenchSignal
 from .segments import Span
 

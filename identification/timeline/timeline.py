@@ -6,12 +6,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..phases import ContactPhase, Kind, Phase, tell_surfaces
+from ..result import ContactPhase, Kind, Phase, tell_surfaces
 from ..signals.aligned import AlignedLog, Span, spans_of
 from ..signals.recording import PoseSignal
 from ..signals.segments import Motion
-from .contacts import Pressed, find_contacts
-from .law import ContactTimes
+from .contacts import ContactTimes, Pressed, find_contacts
 from .moves import Scene, judge_move, settle_moves
 from .payload import AxisContacts, see_payload
 

@@ -8,8 +8,7 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import Typesdict
 
-from ...errors import LogError
-from ...listing import listed
+from ...errors import LogError, listed
 from ...signals.recording import StampArray
 from ..containers.channel import Channel
 from .definitions import HEADER, ROS_ENCODINGS, TIME, needed_types

@@ -24,9 +24,9 @@ from autotune.formats.controller import (
     RuntimePayload,
     ScenarioPrediction,
 )
-from identification.phases import ContactPhase, Kind, Phase, Timeline
 from identification.result import (
     AxisEstimate,
+    ContactPhase,
     CouplingEstimate,
     Covariance,
     EnvironmentEstimate,
@@ -34,10 +34,13 @@ from identification.result import (
     Finding,
     FitQuality,
     Identified,
+    Kind,
     PayloadEstimate,
+    Phase,
     RobotEstimate,
     SensorEstimate,
     Status,
+    Timeline,
     VectorEstimate,
     WrenchFilterEstimate,
 )

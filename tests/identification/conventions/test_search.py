@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from identification.conventions.choice import ReadLog, read_by_weight
-from identification.conventions.convention import Pull
-from identification.conventions.search import Verdict, rank_conventions
+from identification.conventions.search import Pull, Verdict, rank_conventions
 from identification.conventions.weight_misfit import QUARTER_TURNS
 from identification.errors import EstimateError
 from identification.payload.gravity import identify_gravity

@@ -12,12 +12,11 @@ from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import Cell
 from identification.errors import EstimateError
-from identification.experiment_design.contacts import ContactPlan, plan_contacts, through_coupling
+from identification.experiment_design.contacts import ContactPlan, plan_contacts, plan_taps, through_coupling
 from identification.experiment_design.experiment import allowed_std, coupling_binds, plan_experiment
 from identification.experiment_design.poses import PosePlan
 from identification.experiment_design.result import ExperimentPlan, Limits, StepKind
 from identification.experiment_design.sweep import Sweep, SweepPlan, robot_limit_hz, sweep_information
-from identification.experiment_design.taps import plan_taps
 from identification.experiment_design.values import Known, PlanValues, usual_values, values_of
 from identification.identify import identify_cell
 from identification.result import Estimate, Status

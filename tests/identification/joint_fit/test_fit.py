@@ -11,13 +11,12 @@ from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import Cell
 from identification.axes.straight import commanded_motion, find_axes, free_motions, unguided_spans
 from identification.errors import EstimateError
-from identification.joint_fit.contacts import find_holds
 from identification.joint_fit.data import JointData, build_joint_data, hold_command, uncovered
 from identification.joint_fit.estimates import JointEstimates
 from identification.joint_fit.fit import identify_joint
-from identification.joint_fit.gain import with_gain_error
-from identification.joint_fit.problem import stiffest_seen_n_per_m
-from identification.joint_fit.result import JointFit, without_aliases
+from identification.joint_fit.result import JointFit, with_gain_error, without_aliases
+from identification.joint_fit.segments import find_holds
+from identification.joint_fit.solve import stiffest_seen_n_per_m
 from identification.payload.gravity import collect_static_poses, identify_gravity
 from identification.result import Status
 from identification.robot.coupling import Noise, identify_coupling

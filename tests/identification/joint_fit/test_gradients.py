@@ -12,8 +12,8 @@ from identification.joint_fit.gradients import bends_of, force_jacobian
 from identification.joint_fit.model import Layout
 from identification.joint_fit.noise import Smoother
 from identification.joint_fit.path import FlangePath, commanded_path, measured_path, path_slope
-from identification.joint_fit.problem import sizes_of
 from identification.joint_fit.segments import FREE, OFFSET, Segment, law_of, predict_force, run, shared_indices
+from identification.joint_fit.solve import sizes_of
 from problems.design.symbolic import Structure, build_symbolic_form
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment, Payload, Plant

@@ -1,20 +1,42 @@
 """A wrench that is stamped late, commands that the logger lost: they cost a little certainty and no truth."""
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.signal import cont2discrete, lfilter
 
 from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import Cell
+from identification.joint_fit.data import HeldCommand, JointData
 from identification.joint_fit.fit import identify_joint
-from identification.joint_fit.latency import sooner
+from identification.joint_fit.latency import Lag, find_wrench_filter, is_late, sooner
+from identification.joint_fit.path import Lateness, low_passed
 from identification.joint_fit.result import JointFit
-from identification.signals.lost_commands import restore_commands
+from identification.result import Status
 from identification.signals.recording import PoseSignal, Recording
-from tests.identification.joint_fit.test_fit import SHORT, gathered, scores
+from identification.signals.repairs import restore_commands
+from identification.signals.segments import Span
+from problems.model.robot import RobotModel
+from tests.identification.synthetic import Load, sweep
+
+from .test_fit import SHORT, gathered, scores
 
 H_S = Cell().sample_time_s
+FloatArray = NDArray[np.float64]
+LOAD = Load()
+OMEGA, DELAY_SAMPLES = 25.0, 3
+NOISE_N, JITTER_M = 0.14, 2e-6
+TRUTH = {
+    "stiffness_n_per_m": LOAD.stiffness,
+    "damping_n_s_per_m": LOAD.damping,
+    "drag_n_s_per_m": LOAD.drag,
+    "mass_kg": LOAD.mass,
+    "robot_frequency_rad_per_s": OMEGA,
+    "delay_s": DELAY_SAMPLES * H_S,
+}
 
 
 @pytest.fixture(scope="module")
@@ -110,3 +132,166 @@ def test_lost_commands_do_not_make_the_robot_slower(recording: Recording) -> Non
     assert command is not None
     fit = identify_joint(gathered(dataclasses.replace(recording, command=restore_commands(lossy(command, 0.01)))))
     assert np.max(np.abs(scores(fit, Cell()))) < 4.4
+
+
+def moved(corner_hz: float | None = None, late_samples: int = 0, shifted_s: float = 0.0) -> JointData:
+    """A sweep of 8 s between two rests: x' = ω (u − x), the payload on its spring, τ f' = F − f, all held over h."""
+    rest = np.zeros(round(1.5 / H_S))
+    command = np.concatenate([rest, 4.0 * sweep(8.0, 1.0 / H_S), rest])
+    k, b, p, m = LOAD.vector()
+    tau = 1e-3 if corner_hz is None else 1.0 / (2.0 * np.pi * corner_hz)
+    # x, x_p, v_p, f over u; F = K_s (x_p − x) + B_s (v_p − x').
+    force = np.array([-k + b * OMEGA, k, b, 0.0])
+    a = np.array(
+        [
+            [-OMEGA, 0.0, 0.0, 0.0],
+            [0.0, 0.0, 1.0, 0.0],
+            [*(-force[:2] / m), (-b - p) / m, 0.0],
+            [*(force[:3] / tau), -1.0 / tau],
+        ]
+    )
+    drive = np.array([[OMEGA], [0.0], [b * OMEGA / m], [-b * OMEGA / tau]])
+    step, push, *_ = cont2discrete((a, drive, np.eye(4), np.zeros((4, 1))), H_S)
+    acting = np.concatenate([np.zeros(DELAY_SAMPLES), command[:-DELAY_SAMPLES]])
+    states = np.zeros((len(command), 4))
+    for i in range(len(command) - 1):
+        states[i + 1] = step @ states[i] + push[:, 0] * acting[i]
+    felt = states[:, 3] if corner_hz is not None else states @ force - b * OMEGA * acting
+    shown = np.concatenate([np.zeros(late_samples), felt[: len(felt) - late_samples]])
+    rng = np.random.default_rng(5)
+    shown = shown + NOISE_N * rng.standard_normal(len(shown))
+    # What was read as an offset of clocks was taken off the stamps: the grid shows the force sooner by it.
+    sooner = np.interp(np.arange(len(shown)) + round(shifted_s / H_S), np.arange(len(shown)), shown)
+    moving = Span(start=len(rest), stop=len(command) - len(rest))
+    return JointData(
+        period_s=H_S,
+        position_m=states[:, 0] + JITTER_M * rng.standard_normal(len(shown)),
+        force_n=sooner,
+        command=HeldCommand(command_m=command, shift_s=0.0),
+        rests=(Span(start=0, stop=len(rest) - 50), Span(start=moving.stop + 400, stop=len(command))),
+        moving=(moving,),
+        free=(moving,),
+        holds=(),
+        coupling=1.1 * LOAD.vector(),
+        robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=1.02 * OMEGA, delay_s=2.5e-3),
+        mass_kg=LOAD.mass,
+        shifted_s=shifted_s,
+    )
+
+
+@pytest.mark.parametrize(("corner_hz", "shifted_s"), [(50.0, 0.0), (100.0, 0.0), (200.0, 0.0), (50.0, 4 * H_S)])
+def test_the_corner_of_a_low_pass_is_found_and_biases_nothing(corner_hz: float, shifted_s: float) -> None:
+    fit = identify_joint(moved(corner_hz, shifted_s=shifted_s))
+    assert fit.lag.is_filter
+    assert fit.lag.evidence is not None
+    assert fit.lag.evidence > 25.0
+    truth_s = 1.0 / (2.0 * np.pi * corner_hz)
+    # One value: 3.3 deviations are the quantile of 1e-3. A share of a sample is what the steps of the command cost.
+    assert abs(fit.lag.seconds - truth_s) < 3.3 * fit.lag.std_s
+    assert fit.lag.std_s < 0.05 * H_S
+    off = {name: (fit.value(name)[0] - value) / fit.value(name)[1] for name, value in TRUTH.items()}
+    # Six values, 4.2 deviations: the quantile of 1e-4 for all of them.
+    assert max(map(abs, off.values())) < 4.2, off
+    found, (finding,) = find_wrench_filter({"x": fit.lag}, shifted_s, H_S)
+    assert found is not None
+    assert found.corner_hz is not None
+    assert found.corner_hz.value is not None
+    assert found.corner_hz.std is not None
+    assert found.corner_hz.status is Status.IDENTIFIED
+    assert abs(found.corner_hz.value - corner_hz) < 3.3 * found.corner_hz.std
+    assert (finding.code, finding.severity) == ("wrench-filter", "info")
+
+
+def test_a_low_pass_that_a_driver_computes_sample_by_sample_is_found() -> None:
+    plain, share = moved(), 1.0 - float(np.exp(-2.0 * np.pi * 50.0 * H_S))
+    smoothed = lfilter([share], [1.0, share - 1.0], plain.force_n)
+    fit = identify_joint(replace(plain, force_n=smoothed))
+    assert fit.lag.is_filter
+    # Between the samples it follows no equation; a fifth of the 10 % up to which a corner is called identified.
+    assert fit.lag.seconds == pytest.approx(1.0 / (2.0 * np.pi * 50.0), rel=0.02)
+    off = {name: (fit.value(name)[0] - value) / fit.value(name)[1] for name, value in TRUTH.items()}
+    # Six values, 4.2 deviations: the quantile of 1e-4 for all of them.
+    assert max(map(abs, off.values())) < 4.2, off
+
+
+@pytest.mark.parametrize(("samples", "shifted_s"), [(1, 0.0), (2, 0.0), (2, 2 * H_S)])
+def test_a_delay_is_a_delay(samples: int, shifted_s: float) -> None:
+    fit = identify_joint(moved(late_samples=samples, shifted_s=shifted_s))
+    assert not fit.lag.is_filter
+    found, _ = find_wrench_filter({"x": fit.lag}, shifted_s, H_S)
+    assert found is not None
+    assert found.corner_hz is None
+    assert found.delay_s is not None
+    assert found.delay_s.value is not None
+    assert found.delay_s.std is not None
+    assert abs(found.delay_s.value - samples * H_S) < 3.3 * found.delay_s.std
+    assert found.delay_s.std < 0.2 * H_S
+    assert found.delay_s.status is Status.IDENTIFIED
+
+
+def test_a_wrench_that_is_not_late_has_no_filter() -> None:
+    fit = identify_joint(moved())
+    assert (fit.lag.is_filter, fit.lag.evidence) == (False, None)
+    assert find_wrench_filter({"x": fit.lag}, 0.0, H_S) == (None, ())
+
+
+def test_what_is_early_or_does_not_matter_is_no_filter() -> None:
+    # A fifth of a sample, or 0.2 ms, what is less; and four deviations.
+    assert not is_late(0.15 * H_S, 1e-6, H_S)
+    assert is_late(0.25 * H_S, 1e-6, H_S)
+    assert is_late(2.1e-4, 1e-6, 4e-3)
+    assert not is_late(1e-3, 3e-4, H_S)
+    assert find_wrench_filter({"x": lag(-2e-3)}, 0.0, H_S) == (None, ())
+    # 50 ms are a clock's; 3 ms that were taken off the stamps may be the sensor's.
+    assert find_wrench_filter({"x": lag(0.0)}, 0.05, H_S) == (None, ())
+    found, _ = find_wrench_filter({"x": lag(0.0)}, 3e-3, H_S)
+    assert found is not None
+    assert found.delay_s is not None
+    assert found.delay_s.value == 3e-3
+
+
+def lag(seconds: float, std_s: float = 1e-5, *, is_filter: bool = False, evidence: float | None = None) -> Lag:
+    return Lag(seconds=seconds, std_s=std_s, applied_s=0.0, is_filter=is_filter, evidence=evidence)
+
+
+def test_the_kind_with_more_evidence_counts_and_a_near_draw_is_weak() -> None:
+    filtered, delayed = lag(1e-3, is_filter=True, evidence=400.0), lag(1e-3, evidence=-30.0)
+    found, _ = find_wrench_filter({"x": filtered, "y": delayed}, 0.0, H_S)
+    assert found is not None
+    assert found.corner_hz is not None
+    assert found.corner_hz.value == pytest.approx(1.0 / (2.0 * np.pi * 1e-3))
+    near, (finding,) = find_wrench_filter({"x": lag(1e-3, evidence=-3.0)}, 0.0, H_S)
+    assert near is not None
+    assert near.delay_s is not None
+    assert near.delay_s.status is Status.WEAK
+    assert finding.severity == "warning"
+
+
+def test_axes_of_one_kind_are_averaged_and_where_they_disagree_the_latest_counts() -> None:
+    alike = {"x": lag(1e-3, evidence=-99.0), "y": lag(1.02e-3, evidence=-99.0)}
+    found, _ = find_wrench_filter(alike, 0.0, H_S)
+    assert found is not None
+    assert found.delay_s is not None
+    assert found.delay_s.value == pytest.approx(1.01e-3)
+    found, (finding,) = find_wrench_filter({**alike, "y": lag(2e-3, evidence=-99.0)}, 0.0, H_S)
+    assert found is not None
+    assert found.delay_s is not None
+    assert (found.delay_s.value, found.delay_s.status) == (2e-3, Status.WEAK)
+    assert "disagree" in finding.message
+
+
+def test_the_low_pass_is_that_of_its_equation_and_a_shift_is_one_in_time() -> None:
+    time, tau = np.arange(400) * H_S, 3e-3
+    omega = 2.0 * np.pi * 20.0
+    shown = low_passed(np.sin(omega * time)[None], tau, H_S)[0]
+    exact = np.sin(omega * time - np.arctan(omega * tau)) / np.hypot(1.0, omega * tau)
+    # Straight lines between samples of a wave: (ω h)²/8 of it at most; the start has died away after 12 τ.
+    np.testing.assert_allclose(shown[50:], exact[50:], atol=(omega * H_S) ** 2 / 8.0)
+    constant = np.full((2, 9), 4.0)
+    np.testing.assert_allclose(low_passed(constant, tau, H_S), constant, rtol=1e-12)
+    for delay in (0.4 * H_S, 2.0 * H_S, -1.3 * H_S):
+        later = Lateness(delay_s=delay).felt(np.sin(omega * time), H_S)
+        # Lagrange's cubic: 9/16 of (ω h)⁴/24 at most.
+        np.testing.assert_allclose(later[5:-5], np.sin(omega * (time - delay))[5:-5], atol=(omega * H_S) ** 4 / 40.0)
+    assert Lateness().unknown(H_S) == 0
+    assert replace(Lateness(), time_constant_s=1e-3).unknown(H_S) == 8

@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from identification.joint_fit.contacts import group_contacts
-from identification.joint_fit.covariance import count_misfits, widened
+from identification.joint_fit.covariance import bounded_intervals, count_misfits, widened
 from identification.joint_fit.model import Layout
 from identification.joint_fit.noise import Smoother, Whitener
-from identification.joint_fit.problem import Point, Problem, Signals, sizes_of
-from identification.joint_fit.profile import bounded_intervals
-from identification.joint_fit.segments import Segment, predict_force
-from identification.joint_fit.solve import information, linearise, minimise
+from identification.joint_fit.segments import Segment, group_contacts, predict_force
+from identification.joint_fit.solve import Point, Problem, Signals, information, linearise, minimise, sizes_of
 from tests.identification.synthetic import sweep
 
 FloatArray = NDArray[np.float64]

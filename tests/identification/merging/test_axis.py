@@ -9,16 +9,19 @@ from identification.given import Given
 from identification.merging.axis import estimate_of
 from identification.merging.combine import NamedResult, combine_identified
 from identification.payload.gravity import LOCAL_GRAVITY_STD
-from identification.phases import ContactPhase, Kind, Phase, Timeline
 from identification.result import (
+    ContactPhase,
     CouplingEstimate,
     Covariance,
     EnvironmentEstimate,
     Estimate,
     Finding,
     Identified,
+    Kind,
+    Phase,
     RobotEstimate,
     Status,
+    Timeline,
 )
 from tests.identification.merging.test_combine import UNTOLD, codes, combined, known, told, vector
 

@@ -12,7 +12,6 @@ from identification.errors import LogError
 from identification.given import Given
 from identification.merging.combine import NamedResult, combine_identified
 from identification.payload.gravity import LOCAL_GRAVITY_STD
-from identification.phases import Kind, Phase, Timeline
 from identification.result import (
     AxisEstimate,
     CouplingEstimate,
@@ -21,10 +20,13 @@ from identification.result import (
     Finding,
     FitQuality,
     Identified,
+    Kind,
     PayloadEstimate,
+    Phase,
     RobotEstimate,
     SensorEstimate,
     Status,
+    Timeline,
     VectorEstimate,
     WrenchFilterEstimate,
 )

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from identification.payload.gravity import GravityFit, identify_gravity
 from identification.payload.gravity_verdicts import com_estimate, gravity_findings, load_growth_findings, mass_estimate
-from identification.payload.pose_terms import ResidualTerm, TermKind
+from identification.payload.pose_fit import ResidualTerm, TermKind
 from identification.payload.static_poses import StaticPose
 from identification.result import Status
 from tests.identification.rests import Truth, poses_at

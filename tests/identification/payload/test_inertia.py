@@ -10,10 +10,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from identification.payload.gravity import GravityFit, identify_gravity
-from identification.payload.inertia import InertiaFit, identify_inertia, inertial_sign
-from identification.payload.pseudo_inertia import (
+from identification.payload.inertia import (
     PAIRS,
+    InertiaFit,
+    _unfold,
+    _unfold_slope,
+    identify_inertia,
     inertia_matrix,
+    inertial_sign,
     is_consistent,
     nearest_consistent,
     parameters_of,
@@ -26,7 +30,6 @@ from identification.signals.segments import Motion, find_motion
 from tests.identification.synthetic import ramp
 
 FloatArray = NDArray[np.float64]
-
 RATE_HZ = 500.0
 G_B = np.array([0.0, 0.0, -9.80665])
 # A payload of point masses: what it weighs and how it turns follows from sums over them alone.
@@ -238,3 +241,32 @@ def test_the_nearest_consistent_tensor_is_consistent_and_stationary() -> None:
     for share in np.linspace(0.02, 1.0, 50):
         between = (1.0 - share) * nearest + share * told
         assert float(np.sum(((between - wrong) / std) ** 2)) > distance * (1.0 - 1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_slope_of_the_free_numbers_is_that_of_finite_differences(seed: int) -> None:
+    free, step = np.random.default_rng(seed).normal(size=10), 1e-6
+    told = [
+        (parameters_of(_unfold(free + change)) - parameters_of(_unfold(free - change))) / (2.0 * step)
+        for change in step * np.eye(10)
+    ]
+    # Central differences of numbers of size 10: steps squared, and rounding over the step.
+    np.testing.assert_allclose(_unfold_slope(free), np.array(told).T, rtol=1e-7, atol=2e-8)
+
+
+def test_parameters_and_matrix_are_each_others_inverse() -> None:
+    parameters = np.array([3.0, 0.1, -0.2, 0.3, 0.5, 0.6, 0.4, 0.01, -0.02, 0.03])
+    found = parameters_of(pseudo_inertia(parameters))
+    # A sum and a difference of numbers below 1.
+    np.testing.assert_allclose(found, parameters, rtol=0.0, atol=1e-15)
+
+
+def test_a_moment_that_is_not_known_is_filled_consistently_at_no_cost() -> None:
+    # 20 kg at 0.1 m along z turn about x and y; nothing turned about z, whose moment is a guess of the fit.
+    told = np.array([20.0, 0.0, 0.0, 2.0, 0.6, 0.55, -40.0, 0.0, 0.0, 0.0])
+    std = np.array([0.01, 0.01, 0.01, 0.01, 2e-3, 2e-3, 100.0, 1e-3, 1e-3, 1e-3])
+    found, distance = nearest_consistent(told, np.diag(std**2))
+    assert is_consistent(found)
+    # A consistent moment about z lies within 0.41 standard deviations of the guess, and costs nothing else.
+    assert distance < 0.41**2
+    np.testing.assert_allclose(found[[0, 3, 4, 5]], told[[0, 3, 4, 5]], rtol=0.0, atol=1e-3)

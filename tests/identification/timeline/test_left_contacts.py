@@ -8,9 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from identification.result import CONTACT_UNEXPLAINED, EnvironmentEstimate, Estimate, Status
-from identification.timeline.contact_slope import learn_slope
 from identification.timeline.contacts import find_contacts
-from identification.timeline.left_contacts import Accounted, SeenAxis, account_for_contacts
+from identification.timeline.left_contacts import Accounted, SeenAxis, account_for_contacts, learn_slope
 from identification.timeline.timeline import build_timeline
 from identification.verdicts import unidentifiable
 from tests.identification.signals.test_segments import line, log_of

@@ -15,7 +15,7 @@ from autotune.simulation.phases import Program, Script, build_script
 from autotune.simulation.simulate import CellRun, simulate_cell
 from autotune.simulation.truth import Cell
 from identification.axes.straight import find_axes
-from identification.joint_fit.contacts import find_holds
+from identification.joint_fit.segments import find_holds
 from identification.payload.gravity import identify_gravity
 from identification.payload.static_poses import collect_static_poses
 from identification.signals.aligned import AlignedLog, align, spans_of

@@ -13,13 +13,12 @@ from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import Cell
 from identification.axes.straight import commanded_motion, find_axes, free_motions, unguided_spans
 from identification.axes.turning import LEVER_M, AxisTurn, find_turns, rests_after, unroll
-from identification.joint_fit.contacts import find_holds
 from identification.joint_fit.data import build_joint_data
 from identification.joint_fit.fit import identify_joint
 from identification.joint_fit.latency import Lag
 from identification.joint_fit.model import COUPLING_NAMES, Layout
 from identification.joint_fit.result import Diagnostics, JointFit, JointSurface
-from identification.joint_fit.rotation_fit import fit_about_axis, inertia_findings, path_of
+from identification.joint_fit.segments import find_holds
 from identification.payload.gravity import collect_static_poses, identify_gravity
 from identification.payload.inertia import InertiaFit
 from identification.result import Estimate, Status
@@ -27,6 +26,7 @@ from identification.robot.coupling import CouplingFit, FreeMotion, Noise, identi
 from identification.robot.position_loop import identify_robot
 from identification.signals.aligned import align
 from identification.signals.segments import find_motion
+from identification.turn_estimate import fit_about_axis, inertia_findings, path_of
 from identification.verdicts import unidentifiable
 from problems.model.controller import AdmittanceController
 from problems.model.robot import RobotModel

@@ -1,6 +1,6 @@
 import pytest
 
-from identification.listing import listed
+from identification.errors import listed
 from identification.logs.layouts import Role
 
 

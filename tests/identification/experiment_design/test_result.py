@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from identification.experiment_design.effect import peak_effect
 from identification.experiment_design.experiment import allowed_std, plan_experiment
-from identification.experiment_design.result import Limits, StepKind
+from identification.experiment_design.result import Limits, StepKind, peak_effect
 from identification.experiment_design.values import PlanValues, usual_values
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.model.plant import Coupling, Environment, Payload, Plant

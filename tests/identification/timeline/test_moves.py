@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import butter, lsim, sosfilt
 
-from identification.timeline.motion import Admittance, find_admittance, follows, is_hand_led, is_stepped
+from identification.timeline.moves import Admittance, find_admittance, follows, is_hand_led, is_stepped
 from tests.identification.synthetic import Load, felt_force, ramp, sweep
 
 FloatArray = NDArray[np.float64]

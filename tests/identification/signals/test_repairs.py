@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identification.signals.recording import Recording
-from identification.signals.spikes import without_spikes
+from identification.signals.repairs import without_spikes
 
 
 def test_spikes_are_replaced_and_counted(demo_recording: Recording) -> None:

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from identification.signals.quaternions import slerp, turn_vectors_rad, turned_rad
+from identification.signals.frames import slerp, turn_vectors_rad, turned_rad
 
 FloatArray = NDArray[np.float64]
 

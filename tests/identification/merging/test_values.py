@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from identification.merging.merging import (
+from identification.merging.values import (
     WEIGHED_MASS,
     Normal,
     merge_normals,
