@@ -1,8 +1,10 @@
 """What every container hands on: channels, what it holds of each, and their raw messages in batches."""
 
-from collections.abc import Callable, Collection, Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from types import TracebackType
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,10 @@ from ...signals.recording import StampArray
 
 ByteArray = NDArray[np.uint8]
 T = TypeVar("T")
+
+CHUNK_LIMIT_BYTES = 256 * 2**20
+"""Largest size a compressed chunk may unpack to; recorders use a few MiB."""
+_MOST_LISTED = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,3 +103,34 @@ class Container(Protocol):
     def close(self) -> None:
         """Close the files."""
         ...
+
+
+class Closing(ABC):
+    """What makes a container a context manager."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the files."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def salvaged(name: str, lost: Sequence[str]) -> tuple[Finding, ...]:
+    """Return one warning that names the damaged places of a file, or nothing where there are none."""
+    if not lost:
+        return ()
+    more = f"; and {len(lost) - _MOST_LISTED} more" if len(lost) > _MOST_LISTED else ""
+    return (
+        Finding(
+            code="salvaged",
+            severity="warning",
+            message=f"{name} is damaged, {len(lost)} part(s) of it are left out: {'; '.join(lost[:_MOST_LISTED])}{more}.",
+            advice="Use the result to look at the data; record again before a robot relies on it.",
+        ),
+    )

@@ -15,7 +15,7 @@ from ...errors import LogError
 from ...result import Finding
 from ...signals.recording import StampArray
 from .channel import Batch, Channel, Held, Survey, T
-from .closing import Closing
+from .channel import Closing
 from .file_bytes import FileBytes
 from .mcap_census import complete, total_counts
 from .mcap_definitions import Definition
@@ -26,7 +26,7 @@ from .mcap_pieces import Opened, Opener
 from .mcap_records import Damage, Piece
 from .mcap_salvage import salvage_layout
 from .ordered import map_in_order
-from .salvage import salvaged
+from .channel import salvaged
 
 _IDS = 2**16
 

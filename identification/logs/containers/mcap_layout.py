@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from mcap import records
 
-from .bounded_file import CHUNK_LIMIT_BYTES
+from .channel import CHUNK_LIMIT_BYTES
 from .channel import ByteArray
 from .file_bytes import FileBytes
 from .mcap_definitions import Definitions

@@ -8,7 +8,7 @@ import numpy as np
 import zstandard
 from zlib_ng import zlib_ng
 
-from .bounded_file import CHUNK_LIMIT_BYTES
+from .channel import CHUNK_LIMIT_BYTES
 from .channel import ByteArray
 from .file_bytes import FileBytes
 from .mcap_definitions import Definition, Definitions

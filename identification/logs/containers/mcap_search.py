@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .bounded_file import CHUNK_LIMIT_BYTES
+from .channel import CHUNK_LIMIT_BYTES
 from .channel import ByteArray
 from .file_bytes import FileBytes
 from .mcap_kernel import find_chunk, find_messages

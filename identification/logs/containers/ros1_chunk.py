@@ -1,94 +1,96 @@
-"""One chunk of a ROS 1 bag: unpacked within limits, walked over, and held against its own index."""
+"""One chunk of a ROS 1 bag: unpacked within limits, walked over by a compiled kernel, held against its own index.
+
+A record is a uint32 length, its header, a uint32 length, its data; a header is a row of fields, each a uint32 length
+and `name=value`. All numbers are little endian.
+"""
 
 import bz2
-import struct
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 import lz4.frame  # type: ignore[import-untyped]  # the package carries no annotations
 import numpy as np
+from numpy.typing import NDArray
 
-from .bounded_file import CHUNK_LIMIT_BYTES
-from .channel import Channel
-from .ros1_index import BagFile, ChunkPlace, Damage, add_connection
-from .ros1_records import Op, Walk, parse_header, walk_chunk
+from problems.compiled import compiled
+
+from ...signals.recording import StampArray
+from .channel import CHUNK_LIMIT_BYTES, ByteArray
 
 _FEED_BYTES = 2**16
 _INDEX_ENTRY = np.dtype([("s", "<u4"), ("ns", "<u4"), ("offset", "<u4")])
+_ROWS = 16_384
+_HEADER_LIMIT = 2**20
+_OP, _CONN, _TIME_S, _TIME_NS, _AT, _START, _SIZE, _NEXT = range(8)
+_COLUMNS = 8
+_MESSAGE = 2
 
 
-def read_chunk(file: BagFile, place: ChunkPlace, connections: dict[int, Channel]) -> tuple[bytes, Walk]:
-    """Unpack a chunk that the index names and find its messages; raise Damage unless all of it agrees."""
-    data = _unpack(file, place)
-    walk = walk_chunk(data, resume=False)
-    for damage in (*_broken(place, data, walk), *_define(place, data, walk, connections)):
-        raise damage
-    _check_index(file, place, walk)
-    return data, walk
+class Damage(Exception):  # noqa: N818 - a place in the file, which the container refuses or works around
+    """A place that cannot be read, and why."""
+
+    def __init__(self, offset: int, reason: str) -> None:
+        super().__init__(reason)
+        self.offset, self.reason = offset, reason
 
 
-def salvage_chunk(
-    file: BagFile, place: ChunkPlace, connections: dict[int, Channel], lost: list[Damage]
-) -> tuple[bytes, Walk]:
-    """Unpack what can be unpacked of a chunk, find the sound messages in it and note in `lost` what is not."""
-    try:
-        data = _unpack(file, place)
-    except Damage as damage:
-        lost.append(damage)
-        data = b""
-    walk = walk_chunk(data, resume=True)
-    lost.extend(_broken(place, data, walk))
-    lost.extend(_define(place, data, walk, connections))
-    return data, walk
+@dataclass(frozen=True, kw_only=True)
+class ChunkRecord:
+    """The record of a chunk: its place, its compression, its declared unpacked size, and where its data lie.
+
+    `stored` is how many bytes of its data there are; `is_whole` is False where that is fewer than the record says.
+    """
+
+    offset: int
+    compression: str
+    declared: int
+    data_at: int
+    stored: int
+    is_whole: bool
 
 
-def _broken(place: ChunkPlace, data: bytes, walk: Walk) -> Iterator[Damage]:
-    if walk.broken_at >= 0:
-        yield Damage(place.record.offset, f"the chunk here holds no record at byte {walk.broken_at} of its {len(data)}")
+@dataclass(frozen=True, kw_only=True)
+class Walk:
+    """The records found in a chunk in order: kind (message or connection), connection, time, and where the data lie.
+
+    `offsets` is where a record starts, `starts` where its data do, both counted from the start of the chunk;
+    `broken_at` is that of the first place that holds no record, or -1.
+    """
+
+    ops: StampArray
+    connections: StampArray
+    log_ns: StampArray
+    offsets: StampArray
+    starts: StampArray
+    sizes: StampArray
+    broken_at: int
 
 
-def _define(place: ChunkPlace, data: bytes, walk: Walk, connections: dict[int, Channel]) -> Iterator[Damage]:
-    """Add the connections that stand in a chunk to those that are known."""
-    for row in np.flatnonzero(walk.ops == Op.CONNECTION).tolist():
-        start, at = int(walk.starts[row]), int(walk.offsets[row])
-        (header_bytes,) = struct.unpack_from("<I", data, at)
-        try:
-            header = parse_header(data[at + 4 : at + 4 + header_bytes])
-            definition = data[start : start + int(walk.sizes[row])]
-            add_connection(connections, int(walk.connections[row]), place.record.offset, definition, header)
-        except ValueError as error:
-            yield Damage(place.record.offset, f"the chunk here holds a damaged connection ({error})")
-        except Damage as damage:
-            yield damage
-
-
-def _unpack(file: BagFile, place: ChunkPlace) -> bytes:
-    record = place.record
-    declared, kind = record.number("size"), record.fields.get("compression", b"")
-    if max(declared, place.data_bytes) > CHUNK_LIMIT_BYTES:
-        raise Damage(
-            record.offset,
-            f"a chunk of {max(declared, place.data_bytes)} bytes is more than the {CHUNK_LIMIT_BYTES} that are allowed",
-        )
-    packed = file.bytes_at(record.data_at, place.data_bytes)
-    is_whole = place.data_bytes == record.data_bytes
-    if kind == b"none":
+def unpack_chunk(record: ChunkRecord, read: Callable[[int, int], bytes]) -> bytes:
+    """Unpack a chunk, `read` from offset and size; raise Damage unless they give what the record declares."""
+    declared, most = record.declared, max(record.declared, record.stored)
+    if most > CHUNK_LIMIT_BYTES:
+        raise Damage(record.offset, f"a chunk of {most} bytes is more than the {CHUNK_LIMIT_BYTES} that are allowed")
+    packed = read(record.data_at, record.stored)
+    if record.compression == "none":
         data = packed
-    elif kind in (b"bz2", b"lz4"):
-        data = _decompress(kind.decode(), packed, declared, record.offset, keep_partial=not is_whole)
+    elif record.compression in ("bz2", "lz4"):
+        data = _decompress(record, packed)
     else:
-        raise Damage(record.offset, f"the chunk's compression {kind!r} is not one of none, bz2 or lz4")
-    if is_whole and len(data) != declared:
+        raise Damage(record.offset, f"the chunk's compression {record.compression!r} is not one of none, bz2 or lz4")
+    if record.is_whole and len(data) != declared:
         more = " or more" if len(data) > declared else ""
         raise Damage(record.offset, f"a chunk should unpack to {declared} bytes, its data give {len(data)}{more}")
     return data
 
 
-def _decompress(kind: str, packed: bytes, declared: int, offset: int, *, keep_partial: bool) -> bytes:
-    """Unpack at most one byte more than declared; `keep_partial` keeps what comes before the data break off."""
+def _decompress(record: ChunkRecord, packed: bytes) -> bytes:
+    """Unpack at most one byte more than declared; of data that break off keep what comes before."""
+    kind = record.compression
     unpacker = bz2.BZ2Decompressor() if kind == "bz2" else lz4.frame.LZ4FrameDecompressor()
     pieces: list[bytes] = []
-    left, at = declared + 1, 0
+    left, at = record.declared + 1, 0
     try:
         while left > 0 and not unpacker.eof and (at < len(packed) or not unpacker.needs_input):
             feed = b""
@@ -97,32 +99,32 @@ def _decompress(kind: str, packed: bytes, declared: int, offset: int, *, keep_pa
             pieces.append(unpacker.decompress(feed, max_length=left))
             left -= len(pieces[-1])
     except (OSError, RuntimeError, EOFError, ValueError, MemoryError) as error:
-        if not keep_partial:
-            raise Damage(offset, f"the chunk's {kind} data cannot be unpacked ({error})") from error
-    if not keep_partial and left > 0 and not unpacker.eof:
-        raise Damage(offset, f"the chunk's {kind} data break off")
+        if record.is_whole:
+            raise Damage(record.offset, f"the chunk's {kind} data cannot be unpacked ({error})") from error
+    if record.is_whole and left > 0 and not unpacker.eof:
+        raise Damage(record.offset, f"the chunk's {kind} data break off")
     return b"".join(pieces)
 
 
-def _check_index(file: BagFile, place: ChunkPlace, walk: Walk) -> None:
-    """Raise Damage unless the index records behind a chunk name exactly its messages with their times."""
-    told = {number: count for number, count in place.counts.items() if count}
-    is_message = walk.ops == Op.MESSAGE
+def check_index(
+    counts: dict[int, int], index: Iterable[tuple[int, int, bytes]], record: ChunkRecord, walk: Walk
+) -> None:
+    """Raise Damage unless the index names exactly the messages of a chunk, with their times.
+
+    `counts` is the number of messages per connection; `index` has offset, connection and entries of each index record.
+    """
+    expected = {number: count for number, count in counts.items() if count}
+    is_message = walk.ops == _MESSAGE
     held = Counter(walk.connections[is_message].tolist())
-    if held != told:
+    if held != expected:
         raise Damage(
-            place.record.offset,
-            f"the chunk here holds {held.total()} messages, the index counts {sum(told.values())} or others",
+            record.offset,
+            f"the chunk here holds {held.total()} messages, the index counts {sum(expected.values())} or others",
         )
     # An entry may point at the connection that stands before its message.
     rows = np.where(is_message, np.arange(walk.ops.size), walk.ops.size)
     message_from = np.minimum.accumulate(rows[::-1])[::-1]
-    offset = place.record.end
-    for _ in place.counts:
-        record = file.record_at(offset).expect(Op.INDEX)
-        number, data = record.number("conn"), file.data_of(record)
-        if record.number("ver") != 1 or len(data) != _INDEX_ENTRY.itemsize * record.number("count"):
-            raise Damage(offset, "the index of a chunk has an unknown version or another length than it says")
+    for offset, number, data in index:
         entries = np.frombuffer(data, dtype=_INDEX_ENTRY)
         at = np.minimum(np.searchsorted(walk.offsets, entries["offset"]), walk.offsets.size - 1)
         found = np.flatnonzero(is_message & (walk.connections == number))
@@ -135,4 +137,117 @@ def _check_index(file: BagFile, place: ChunkPlace, walk: Walk) -> None:
             or not np.array_equal(log_ns[order], walk.log_ns[found])
         ):
             raise Damage(offset, f"the index of connection {number} does not agree with the chunk before it")
-        offset = record.end
+
+
+def walk_chunk(data: bytes, *, resume: bool) -> Walk:
+    """Find all messages and connections of an unpacked chunk.
+
+    With `resume` the walk goes on at the next sound record behind a place that holds none.
+    """
+    array = np.frombuffer(data, dtype=np.uint8)
+    rows: list[NDArray[np.int64]] = []
+    position, broken_at = 0, -1
+    while position < array.size:
+        piece = np.empty((_ROWS, _COLUMNS), dtype=np.int64)
+        count, position, is_sound = _walk(array, position, piece)
+        rows.append(piece[:count])
+        if not is_sound:
+            broken_at = position if broken_at < 0 else broken_at
+            position = _find(array, position + 1) if resume else array.size
+    table = np.concatenate(rows) if rows else np.empty((0, _COLUMNS), dtype=np.int64)
+    return Walk(
+        ops=table[:, _OP],
+        connections=table[:, _CONN],
+        log_ns=table[:, _TIME_S] * 10**9 + table[:, _TIME_NS],
+        offsets=table[:, _AT],
+        starts=table[:, _START],
+        sizes=table[:, _SIZE],
+        broken_at=broken_at,
+    )
+
+
+def copy_messages(data: bytes, starts: StampArray, sizes: StampArray) -> ByteArray:
+    """Copy pieces of a buffer one behind the other."""
+    packed = np.empty(int(sizes.sum()), dtype=np.uint8)
+    _copy(np.frombuffer(data, dtype=np.uint8), starts, sizes, packed)
+    return packed
+
+
+# The helpers stand in this file because the disk cache of a
+# compiled function asks after the age of this file alone.
+
+
+@compiled
+def _uint32(data: ByteArray, at: int) -> int:
+    low = np.int64(data[at]) | np.int64(data[at + 1]) << 8
+    return int(low | np.int64(data[at + 2]) << 16 | np.int64(data[at + 3]) << 24)
+
+
+@compiled
+def _is_name(data: ByteArray, at: int, a: int, b: int, c: int, d: int) -> bool:
+    return bool(data[at] == a and data[at + 1] == b and data[at + 2] == c and data[at + 3] == d and data[at + 4] == 61)
+
+
+@compiled
+def _record(data: ByteArray, at: int, row: NDArray[np.int64]) -> bool:
+    """Parse the record at an offset into `row`; tell whether a message or a connection stands there."""
+    size = data.size
+    if at + 8 > size:
+        return False
+    header = _uint32(data, at)
+    if header < 8 or header > _HEADER_LIMIT or at + 8 + header > size:
+        return False
+    position, end = at + 4, at + 4 + header
+    row[_OP], row[_CONN], row[_TIME_S], row[_TIME_NS] = -1, -1, -1, 0
+    while position < end:
+        if position + 4 > end:
+            return False
+        length = _uint32(data, position)
+        position += 4
+        if length < 2 or position + length > end:
+            return False
+        if length == 4 and data[position] == 111 and data[position + 1] == 112 and data[position + 2] == 61:
+            row[_OP] = data[position + 3]
+        elif length == 9 and _is_name(data, position, 99, 111, 110, 110):
+            row[_CONN] = _uint32(data, position + 5)
+        elif length == 13 and _is_name(data, position, 116, 105, 109, 101):
+            row[_TIME_S] = _uint32(data, position + 5)
+            row[_TIME_NS] = _uint32(data, position + 9)
+        position += length
+    row[_AT] = at
+    row[_START] = end + 4
+    row[_SIZE] = _uint32(data, end)
+    row[_NEXT] = row[_START] + row[_SIZE]
+    is_message = row[_OP] == 2 and row[_TIME_S] >= 0 and row[_TIME_NS] < 1_000_000_000
+    return bool(row[_NEXT] <= size and row[_CONN] >= 0 and (is_message or row[_OP] == 7))
+
+
+@compiled
+def _walk(data: ByteArray, at: int, rows: NDArray[np.int64]) -> tuple[int, int, bool]:
+    """Fill `rows` from an offset on; return how many, where the next record starts, and whether all were sound."""
+    count = 0
+    while at < data.size and count < len(rows):
+        if not _record(data, at, rows[count]):
+            return count, at, False
+        at = int(rows[count, _NEXT])
+        count += 1
+    return count, at, True
+
+
+@compiled
+def _find(data: ByteArray, at: int) -> int:
+    """Return the offset of the next sound record, or the end."""
+    row = np.empty(_COLUMNS, dtype=np.int64)
+    while at < data.size:
+        if _record(data, at, row):
+            return at
+        at += 1
+    return int(data.size)
+
+
+@compiled
+def _copy(data: ByteArray, starts: StampArray, sizes: StampArray, packed: ByteArray) -> None:
+    at = 0
+    for i in range(starts.size):
+        packed[at : at + sizes[i]] = data[starts[i] : starts[i] + sizes[i]]
+        at += sizes[i]

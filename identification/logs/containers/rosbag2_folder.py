@@ -10,11 +10,11 @@ from typing import TypeVar
 from ...errors import LogError
 from ...result import Finding
 from .channel import Batch, Channel, Container, Held, Survey
-from .closing import Closing
+from .channel import Closing
 from .rosbag2_metadata import NAME, Metadata, read_metadata
-from .salvage import salvaged
+from .channel import salvaged
 from .single_file import open_file
-from .zstd_messages import unpack_message, unpack_messages
+from .batches import unpack_message, unpack_messages
 
 T = TypeVar("T")
 _ENDINGS = (".mcap", ".db3", ".bag")

@@ -4,13 +4,13 @@ import stat
 from pathlib import Path
 
 from ...errors import LogError
-from . import ros1_index, sqlite_file
+from . import ros1_bag, sqlite_file
 from .channel import Container
 from .mcap_file import McapContainer
 from .ros1_bag import Ros1BagContainer
 from .sqlite_bag import SqliteBagContainer
 from .zstd_file import ZstdFileContainer
-from .zstd_messages import ZSTD_MAGIC
+from .batches import ZSTD_MAGIC
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 _HEAD_BYTES = 4096
@@ -35,7 +35,7 @@ def open_file(path: Path, *, salvage: bool = False) -> Container:
     head = head_of(path)
     if head.startswith(MCAP_MAGIC):
         return McapContainer(path, salvage=salvage)
-    if head.startswith(ros1_index.MAGIC):
+    if head.startswith(ros1_bag.MAGIC):
         return Ros1BagContainer(path, salvage=salvage)
     if head.startswith(sqlite_file.MAGIC):
         return SqliteBagContainer(path, salvage=salvage)
@@ -93,7 +93,7 @@ def _what_else(path: Path, head: bytes) -> str:
         if head.startswith(magic):
             return f"{name} is {what}, no log that can be read; {advice}."
     known = "an MCAP file, a ROS 1 bag, a .db3 file or folder of rosbag2, CSV (.csv, .tsv, .txt) or Parquet"
-    if head.startswith((MCAP_MAGIC[: len(head)], ros1_index.MAGIC[: len(head)])):
+    if head.startswith((MCAP_MAGIC[: len(head)], ros1_bag.MAGIC[: len(head)])):
         return f"{name} is truncated within its first {len(head)} bytes; record again."
     if _is_text(head):
         return f"{name} is text (it starts with {head[:20].decode('latin-1')!r}), not a log; name {known}."

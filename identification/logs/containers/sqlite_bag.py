@@ -10,12 +10,12 @@ import numpy as np
 from ...errors import LogError
 from ...result import Finding
 from .channel import Batch, Channel, Held, Survey
-from .closing import Closing
-from .gather import Gatherer, pack
-from .salvage import salvaged
+from .channel import Closing
+from .batches import Gatherer, pack
+from .channel import salvaged
 from .sqlite_file import Row, SqliteFile
 from .sqlite_pages import SqlitePages
-from .zstd_messages import ZSTD_MAGIC, unpack_message, unpack_messages
+from .batches import ZSTD_MAGIC, unpack_message, unpack_messages
 
 T = TypeVar("T")
 _MESSAGE_COLUMNS = ("topic_id", "timestamp", "data")

@@ -6,7 +6,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from ...errors import LogError
-from .bounded_file import CHUNK_LIMIT_BYTES
+from .channel import CHUNK_LIMIT_BYTES
 
 MAGIC = b"SQLite format 3\x00"
 Row = tuple[object, ...]

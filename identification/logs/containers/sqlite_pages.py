@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
-from .bounded_file import CHUNK_LIMIT_BYTES
+from .channel import CHUNK_LIMIT_BYTES
 
 Row = tuple[int, int, int, bytes]
 _LEAF = 13

@@ -11,8 +11,8 @@ import zstandard
 from ...errors import LogError
 from ...result import Finding
 from .channel import Batch, Channel, Container, Survey
-from .closing import Closing
-from .salvage import salvaged
+from .channel import Closing
+from .channel import salvaged
 
 T = TypeVar("T")
 _FEED_BYTES = 2**14

@@ -208,7 +208,9 @@ def test_every_truncation_is_refused_and_salvaged_up_to_it(tmp_path: Path) -> No
         sound = told(messages)
         for size in [*range(13, 200, 17), *range(200, len(data), len(data) // 25)]:
             path.write_bytes(data[:size])
-            with pytest.raises(LogError, match=rf"^{compression}\.bag is damaged at byte \d+: .*--salvage"):
+            with pytest.raises(
+                LogError, match=rf"^{compression}\.bag is damaged at byte \d+: .*`rosbag reindex`.*--salvage"
+            ):
                 Ros1BagContainer(path)
             container = Ros1BagContainer(path, salvage=True)
             found = read_all(container)
@@ -341,14 +343,11 @@ HUGE = u32(2**30)
     ("data", "complaint"),
     [
         (bag_of(ONE, [(START_NS, 0)], head={"index_pos": struct.pack("<Q", 2**60)}), "the index should start at byte"),
-        (bag_of(ONE, [(START_NS, 0)], head={"index_pos": struct.pack("<Q", 14)}), "the index should start at byte 14"),
-        (
-            bag_of(ONE, [(START_NS, 0)], head={"conn_count": u32(2)}),
-            r"kind 7 \(connection\) should stand here, found 6",
-        ),
-        (bag_of(ONE, [(START_NS, 0)], head={"chunk_count": u32(2)}), "4 bytes should follow, the file has 0"),
+        (bag_of(ONE, [(START_NS, 0)], head={"index_pos": struct.pack("<Q", 14)}), "Header could not be read"),
+        (bag_of(ONE, [(START_NS, 0)], head={"conn_count": u32(2)}), "Record of type 'CHUNK_INFO' is unexpected"),
+        (bag_of(ONE, [(START_NS, 0)], head={"chunk_count": u32(2)}), "Header could not be read"),
         (bag_of(ONE, [(START_NS, 0)], head={"chunk_count": u32(0)}), "bytes follow the end of the index"),
-        (bag_of(ONE, [(START_NS, 0)], head={"conn_count": b"1"}), "`conn_count` is missing or has another size"),
+        (bag_of(ONE, [(START_NS, 0)], head={"conn_count": b"1"}), "Could not read uint32 field 'conn_count'"),
         (bag_of(ONE, [(START_NS, 0)], head={"encryptor": b"rosbag/AesCbcEncryptor"}), "is encrypted"),
         (bag_of(ONE, [(START_NS, 0)], compression=b"zstd"), "not one of none, bz2 or lz4"),
         (bag_of(ONE, [(START_NS, 0)], size=HUGE), "more than the 268435456 that are allowed"),
@@ -367,8 +366,8 @@ HUGE = u32(2**30)
         (bag_of(record(9), [(START_NS, 0)]), "holds no record at byte 0"),
         (bag_of(ONE.replace(time_of(START_NS), u32(5) + u32(10**9)), [(START_NS, 0)]), "holds no record at byte 0"),
         (b"#ROSBAG V1.2\n" + SOUND[13:], "must start with the line"),
-        (SOUND.replace(b"\x0f\0\0\0conn_count", b"\x0f\0\0\x7fconn_count"), "header field is damaged"),
-        (SOUND[:13] + u32(2**31) + SOUND[17:], "record header of 2147483648 bytes is not believable"),
+        (SOUND.replace(b"\x0f\0\0\0conn_count", b"\x0f\0\0\x7fconn_count"), "Declared field size is too large"),
+        (SOUND[:13] + u32(2**31) + SOUND[17:], "Header could not be read"),
     ],
 )
 def test_bags_assembled_to_mislead_are_refused(tmp_path: Path, data: bytes, complaint: str) -> None:
