@@ -4,7 +4,7 @@ import stat
 from pathlib import Path
 
 from ...errors import LogError
-from . import ros1_bag, sqlite_file
+from . import ros1_bag, sqlite_bag
 from .channel import Container
 from .mcap_file import McapContainer
 from .ros1_bag import Ros1BagContainer
@@ -37,7 +37,7 @@ def open_file(path: Path, *, salvage: bool = False) -> Container:
         return McapContainer(path, salvage=salvage)
     if head.startswith(ros1_bag.MAGIC):
         return Ros1BagContainer(path, salvage=salvage)
-    if head.startswith(sqlite_file.MAGIC):
+    if head.startswith(sqlite_bag.MAGIC):
         return SqliteBagContainer(path, salvage=salvage)
     if head.startswith(ZSTD_MAGIC):
         return ZstdFileContainer(path, lambda inner: _open_unpacked(inner, salvage=salvage), salvage=salvage)

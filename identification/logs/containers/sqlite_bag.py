@@ -1,31 +1,37 @@
-"""SQLite files (.db3) of rosbag2, in every version of its schema."""
+"""SQLite files (.db3) of rosbag2, in every version of its schema, opened without any right to change them."""
 
+import shutil
+import sqlite3
 from collections.abc import Callable, Collection, Iterator
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TypeVar, cast
+from urllib.parse import quote
 
 import numpy as np
 
 from ...errors import LogError
 from ...result import Finding
-from .channel import Batch, Channel, Held, Survey
-from .channel import Closing
-from .batches import Gatherer, pack
-from .channel import salvaged
-from .sqlite_file import Row, SqliteFile
-from .sqlite_pages import SqlitePages
-from .batches import ZSTD_MAGIC, unpack_message, unpack_messages
+from .batches import ZSTD_MAGIC, Gatherer, pack, unpack_message, unpack_messages
+from .channel import CHUNK_LIMIT_BYTES, Batch, Channel, Closing, Held, Survey, salvaged
 
 T = TypeVar("T")
-_MESSAGE_COLUMNS = ("topic_id", "timestamp", "data")
+Row = tuple[object, ...]
+MAGIC = b"SQLite format 3\x00"
 _NEEDED = {
     "topics": {"id", "name", "type", "serialization_format"},
-    "messages": {*_MESSAGE_COLUMNS},
+    "messages": {"topic_id", "timestamp", "data"},
 }
 _DEFINED = {"topic_type", "encoding", "encoded_message_definition", "type_description_hash"}
+_ROWS = "SELECT rowid, topic_id, timestamp, data FROM messages"
 _GROUP = 1000
+_FETCHED = 2000
 _KNOWN_SCHEMAS = ("ros2msg", "ros2idl")
+_FOREIGN = (sqlite3.Error, ValueError, OverflowError, MemoryError)
+_HOT_JOURNAL = bytes.fromhex("d9d505f920a163d7")
+_WAL_HEADER_BYTES = 32
 
 NO_CRC = Finding(
     code="crc-absent",
@@ -35,8 +41,131 @@ NO_CRC = Finding(
 )
 
 
+class SqliteFile:
+    """A database opened without any right to change it; with `salvage` even where it is cut."""
+
+    def __init__(self, path: Path, *, salvage: bool) -> None:
+        self.name = path.name
+        self._salvage = salvage
+        self._copies = ExitStack()
+        if not salvage:
+            _check_closed(path)
+        try:
+            path = _whole_pages(path, self._copies) if salvage else path
+            self._connection = sqlite3.connect(
+                f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1", uri=True, check_same_thread=False
+            )
+        except (sqlite3.Error, OSError) as error:
+            raise self.refusal(error) from error
+        self._connection.text_factory = _text
+        self._connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, CHUNK_LIMIT_BYTES)
+        self.all("PRAGMA trusted_schema=OFF")
+        if salvage:
+            # Lets SQLite accept a file that is shorter than its header says; nothing can be written anyway.
+            self.all("PRAGMA writable_schema=ON")
+
+    def refusal(self, error: Exception | str) -> LogError:
+        """Make the error that the user sees of one of SQLite."""
+        salvage = "" if self._salvage else "read what is sound of it with --salvage, "
+        return LogError(
+            f"{self.name} is damaged or no SQLite log ({error}); {salvage}"
+            f"recover it with `sqlite3 {self.name} .recover`, or record again."
+        )
+
+    def all(self, query: str, values: Row = ()) -> list[Row]:
+        """Return all rows of a query; raise LogError where they cannot be read."""
+        try:
+            return self._connection.execute(query, values).fetchall()
+        except _FOREIGN as error:
+            raise self.refusal(error) from error
+
+    def columns(self, table: str) -> tuple[str, ...]:
+        """Return the columns of a plain table, none where it is missing or something else (a view, virtual)."""
+        kinds = self.all("SELECT type, rootpage FROM sqlite_master WHERE name = ?", (table,))
+        if not any(kind == "table" and page for kind, page in kinds):
+            return ()
+        return tuple(str(row[1]) for row in self.all(f"PRAGMA table_info({table})"))
+
+    def fault(self) -> str:
+        """Say where the pages of the database do not fit together, nothing where they do."""
+        try:
+            found = self._connection.execute("PRAGMA quick_check(1)").fetchall()
+        except _FOREIGN as error:
+            return str(error)
+        return "" if found == [("ok",)] else " ".join(str(found[0][0]).split()) if found else "it cannot be checked"
+
+    def messages(self, topics: Collection[int]) -> Iterator[list[Row]]:
+        """Yield the rows (rowid, topic_id, timestamp, data) of some topics in order of recording."""
+        query = f"{_ROWS} WHERE topic_id IN ({','.join(map(str, topics))}) ORDER BY rowid"
+        try:
+            cursor = self._connection.execute(query)
+            while rows := cursor.fetchmany(_FETCHED):
+                yield rows
+        except _FOREIGN as error:
+            raise self.refusal(error) from error
+
+    def readable_messages(self, lost: list[str]) -> Iterator[Row]:
+        """Yield the rows before the first damaged page and behind the last one; note in `lost` what is between."""
+        last, after = 0, None
+        try:
+            for row in self._connection.execute(f"{_ROWS} ORDER BY rowid"):
+                last = cast(int, row[0])
+                yield row
+        except _FOREIGN:
+            with suppress(*_FOREIGN):
+                for row in self._connection.execute(f"{_ROWS} WHERE rowid > {last} ORDER BY rowid DESC"):
+                    after = cast(int, row[0])
+            if after is None:
+                lost.append(f"what followed message {last}, if anything, is missing")
+                return
+            lost.append(f"messages {last + 1} to {after - 1} are missing")
+            with suppress(*_FOREIGN):
+                yield from self._connection.execute(f"{_ROWS} WHERE rowid >= {after} ORDER BY rowid")
+
+    def close(self) -> None:
+        """Close the database."""
+        self._connection.close()
+        self._copies.close()
+
+
+def _whole_pages(path: Path, copies: ExitStack) -> Path:
+    """Return the file, or a temporary copy without a last page that was cut: SQLite would take its rest for zeros."""
+    with path.open("rb") as file:
+        page_bytes = int.from_bytes(file.read(18)[16:], "big")
+        page_bytes = 65_536 if page_bytes == 1 else max(page_bytes, 1)
+        left = path.stat().st_size // page_bytes * page_bytes
+        if left in (0, path.stat().st_size):
+            return path
+        copy = Path(copies.enter_context(TemporaryDirectory(prefix="autotune-"))) / path.name
+        file.seek(0)
+        with copy.open("wb") as target:
+            shutil.copyfileobj(file, target)
+            target.truncate(left)
+    return copy
+
+
+def _check_closed(path: Path) -> None:
+    """Raise LogError where SQLite has left messages or changes in a file beside the database."""
+    for ending, what in (("-wal", "PRAGMA wal_checkpoint(TRUNCATE)"), ("-journal", "PRAGMA integrity_check")):
+        beside = path.with_name(path.name + ending)
+        try:
+            with beside.open("rb") as file:
+                head = file.read(_WAL_HEADER_BYTES + 1)
+        except OSError:
+            continue
+        if head.startswith(_HOT_JOURNAL) if ending == "-journal" else len(head) > _WAL_HEADER_BYTES:
+            raise LogError(
+                f"{path.name} was not closed: {beside.name} beside it holds what is not yet in it; "
+                f'run `sqlite3 {path.name} "{what}"`, or read it without that with --salvage.'
+            )
+
+
+def _text(data: bytes) -> str:
+    return data.decode("utf-8", "replace")
+
+
 @dataclass
-class _Tally:
+class _Counted:
     """What was seen of a topic."""
 
     count: int = 0
@@ -55,8 +184,7 @@ class SqliteBagContainer(Closing):
     """A .db3 file of rosbag2, opened without any right to change it; messages come in the order of their ids."""
 
     def __init__(self, path: Path, *, salvage: bool = False) -> None:
-        self._path, self._name, self._salvage = path, path.name, salvage
-        self._pages: SqlitePages | None = None
+        self._name, self._salvage = path.name, salvage
         self._survey: Survey | None = None
         self._lost: list[str] = []
         self._is_checked = self._was_read = False
@@ -71,16 +199,16 @@ class SqliteBagContainer(Closing):
         """Count the messages; raise LogError where the database is damaged."""
         if self._survey is None:
             self._check()
-            tallies = self._salvaged_tallies() if self._salvage else self._tallies()
-            held = {channel: _Tally() for channel in self._topics.values()}
-            for topic, tally in tallies.items():
-                held[self._topics[topic]].add(tally.count, tally.first_message, *tally.log_ns)
-            times = [log_ns for tally in held.values() for log_ns in tally.log_ns]
+            counted = self._count_readable() if self._salvage else self._count()
+            held = {channel: _Counted() for channel in self._topics.values()}
+            for topic, seen in counted.items():
+                held[self._topics[topic]].add(seen.count, seen.first_message, *seen.log_ns)
+            times = [log_ns for seen in held.values() for log_ns in seen.log_ns]
             self._survey = Survey(
                 container="rosbag2 sqlite3",
                 held=tuple(
-                    Held(channel=channel, count=tally.count, first_message=self._plain(channel, tally.first_message))
-                    for channel, tally in sorted(held.items(), key=lambda item: (item[0].topic, item[0].type_name))
+                    Held(channel=channel, count=seen.count, first_message=self._plain(channel, seen.first_message))
+                    for channel, seen in sorted(held.items(), key=lambda item: (item[0].topic, item[0].type_name))
                 ),
                 start_ns=min(times, default=0),
                 end_ns=max(times, default=0),
@@ -146,7 +274,7 @@ class SqliteBagContainer(Closing):
         return topics
 
     def _check(self) -> None:
-        """Look once whether the pages fit together; raise LogError where not, with `salvage` go round them."""
+        """Look once whether the pages fit together; raise LogError where not, with `salvage` note it."""
         if self._is_checked:
             return
         fault = self._file.fault()
@@ -154,12 +282,10 @@ class SqliteBagContainer(Closing):
             raise self._file.refusal(fault)
         self._is_checked = True
         if fault:
-            self._lost.append(fault)
-            columns = self._file.columns("messages")
-            self._pages = SqlitePages(self._path, [columns.index(name) for name in _MESSAGE_COLUMNS])
+            self._lost.append(f"{fault} (`sqlite3 {self._name} .recover` may find more)")
 
-    def _tallies(self) -> dict[int, _Tally]:
-        tallies: dict[int, _Tally] = {}
+    def _count(self) -> dict[int, _Counted]:
+        counted: dict[int, _Counted] = {}
         for row in self._file.all(
             "SELECT topic_id, count(*), min(rowid), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
         ):
@@ -169,34 +295,27 @@ class SqliteBagContainer(Closing):
             data = self._file.all("SELECT data FROM messages WHERE rowid = ?", (first,))[0][0]
             if not isinstance(data, bytes):
                 raise self._file.refusal(ValueError(f"message {first} is no bytes"))
-            tallies[topic] = _Tally(count=cast(int, count), first_message=data, log_ns=[start_ns, end_ns])
-        return tallies
+            counted[topic] = _Counted(count=cast(int, count), first_message=data, log_ns=[start_ns, end_ns])
+        return counted
 
-    def _salvaged_tallies(self) -> dict[int, _Tally]:
-        tallies: dict[int, _Tally] = {}
+    def _count_readable(self) -> dict[int, _Counted]:
+        counted: dict[int, _Counted] = {}
         wrong = 0
-        for _, topic, log_ns, data in self._salvaged_rows(self._lost):
+        for _, topic, log_ns, data in self._file.readable_messages(self._lost):
             if isinstance(log_ns, int) and isinstance(data, bytes) and topic in self._topics:
-                tallies.setdefault(topic, _Tally()).add(1, data, log_ns)
+                counted.setdefault(topic, _Counted()).add(1, data, log_ns)
             else:
                 wrong += 1
         if wrong:
             self._lost.append(f"{wrong} messages have no defined topic, no time or no bytes")
-        return tallies
-
-    def _salvaged_rows(self, missing: list[str]) -> Iterator[Row]:
-        if self._pages is not None:
-            yield from self._pages.rows(missing)
-        else:
-            for rows in self._file.messages(None):
-                yield from rows
+        return counted
 
     def _rows(self, topics: Collection[int]) -> Iterator[list[Row]]:
         if not self._salvage:
             yield from self._file.messages(topics)
             return
         group: list[Row] = []
-        for row in self._salvaged_rows([]):
+        for row in self._file.readable_messages([]):
             _, topic, log_ns, data = row
             if topic in topics and isinstance(log_ns, int) and isinstance(data, bytes):
                 group.append(row)

@@ -11,9 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from identification.errors import LogError
-from identification.logs.containers import sqlite_file, zstd_messages
+from identification.logs.containers import batches, sqlite_bag
 from identification.logs.containers.sqlite_bag import SqliteBagContainer
-from identification.logs.containers.sqlite_pages import SqlitePages
 from tests.identification.logs.containers.database import TEXTS, change, write_db3
 from tests.identification.logs.containers.stored import (
     START_NS,
@@ -132,7 +131,7 @@ def test_messages_compressed_one_by_one_are_unpacked(tmp_path: Path) -> None:
 def test_compressed_messages_that_are_damaged_or_bombs_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(zstd_messages, "CHUNK_LIMIT_BYTES", 100_000)
+    monkeypatch.setattr(batches, "CHUNK_LIMIT_BYTES", 100_000)
     good = Stored(topic="/ft", log_ns=START_NS, data=zstandard.compress(b"good"))
     streaming = zstandard.ZstdCompressor(write_content_size=False)
     bad = {
@@ -152,23 +151,23 @@ def test_compressed_messages_that_are_damaged_or_bombs_are_refused(
 
 
 def test_truncated_files_are_refused_and_salvaged_up_to_it(tmp_path: Path) -> None:
-    messages = several()
-    path = write_db3(tmp_path / "run.db3", messages)
+    messages = several(1500)
+    path = write_db3(tmp_path / "run.db3", messages, page_bytes=4096)
     data, sound = path.read_bytes(), told(messages)
-    for size in [*range(16, 600, 97), *range(600, len(data), len(data) // 40)]:
+    for size in [*range(16, 4500, 997), *range(4500, len(data), len(data) // 40)]:
         path.write_bytes(data[:size])
-        with pytest.raises(LogError, match=r"^run\.db3 is .*(--salvage|name the \.db3)"):
+        with pytest.raises(LogError, match=r"^run\.db3 is .*(--salvage.*\.recover|name the \.db3)"):
             read_all(SqliteBagContainer(path))
         try:
             container = SqliteBagContainer(path, salvage=True)
         except LogError:
-            # The tables that tell the topics stand in the first pages.
-            assert size < 6000
+            # The tables that tell the topics and the root of the messages stand in the first ten pages.
+            assert size < 45_000
             continue
         found = read_all(container)
         assert all(each == sound[topic][: len(each)] for topic, each in found.items())
-        # A message takes about 180 bytes, which fills pages of 512 bytes well enough for one in 400.
-        assert sum(map(len, found.values())) >= min((size - 6000) // 400, 270)
+        # A message takes about 180 bytes, which fills pages of 4096 bytes well enough for one in 400.
+        assert sum(map(len, found.values())) >= min((size - 45_000) // 400, 1400)
         assert [finding.code for finding in container.findings()] == ["salvaged"]
 
 
@@ -179,15 +178,13 @@ def test_truncated_files_are_refused_and_salvaged_up_to_it(tmp_path: Path) -> No
 def test_a_page_that_cannot_be_read_costs_that_page_alone(
     tmp_path: Path, page_bytes: int, size: int, count: int
 ) -> None:
-    """Also where the root of the tree is lost, and with records that go on in other pages."""
+    """Also with records that go on in other pages."""
     messages = [Stored(topic="/ft", log_ns=START_NS + i, data=bytes([i % 200]) * (size + i % 3)) for i in range(count)]
     path = write_db3(tmp_path / "run.db3", messages, page_bytes=page_bytes)
     sound, data = told(messages)["/ft"], path.read_bytes()
-    with closing(sqlite3.connect(path)) as base:
-        (root,) = base.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'").fetchone()
     # The tables of topics and definitions stand in the first pages, and overflow pages start with 0.
     leaves = [page for page in range(8, len(data) // page_bytes) if data[page * page_bytes] == 13]
-    for page in (root - 1, leaves[len(leaves) // 2], leaves[-1]):
+    for page in (leaves[len(leaves) // 2], leaves[-1]):
         at = page * page_bytes
         path.write_bytes(data[:at] + bytes(page_bytes) + data[at + page_bytes :])
         with pytest.raises(LogError, match=r"run\.db3 is damaged"):
@@ -200,26 +197,18 @@ def test_a_page_that_cannot_be_read_costs_that_page_alone(
         assert container.findings()[0].code == "salvaged"
 
 
-@pytest.mark.parametrize("page_bytes", [512, 1024])
-def test_records_of_every_length_are_salvaged(tmp_path: Path, page_bytes: int) -> None:
-    """How much of a record stands in its page and how much in others depends on its length."""
-    messages = [Stored(topic="/ft", log_ns=START_NS + i, data=bytes([i % 250]) * i) for i in range(1800)]
-    path = write_db3(tmp_path / "run.db3", messages, page_bytes=page_bytes)
+def test_where_the_root_of_the_messages_is_lost_the_user_is_sent_to_recover(tmp_path: Path) -> None:
+    path = write_db3(tmp_path / "run.db3", several())
     with closing(sqlite3.connect(path)) as base:
         (root,) = base.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'").fetchone()
-    data = bytearray(path.read_bytes())
-    data[(root - 1) * page_bytes : root * page_bytes] = bytes(page_bytes)
-    path.write_bytes(data)
-    assert read_all(SqliteBagContainer(path, salvage=True)) == told(messages)
-
-
-def test_a_record_that_its_columns_do_not_fill_is_no_message(tmp_path: Path) -> None:
-    pages = SqlitePages(write_db3(tmp_path / "run.db3", []), (1, 2, 3))
-    record = bytes([5, 0, 1, 1, 18]) + b"\x07\x08abc"
-    assert pages._values(record) == (7, 8, b"abc")
-    for wrong in (record + b"d", record[:-1], bytes([6]) + record[1:], bytes([4]) + record[1:]):
-        with pytest.raises((ValueError, IndexError)):
-            pages._values(wrong)
+    data = path.read_bytes()
+    path.write_bytes(data[: (root - 1) * 512] + bytes(512) + data[root * 512 :])
+    with pytest.raises(LogError, match=r"damaged.*`sqlite3 run\.db3 \.recover`"):
+        read_all(SqliteBagContainer(path))
+    container = SqliteBagContainer(path, salvage=True)
+    assert read_all(container) == {}
+    assert "`sqlite3 run.db3 .recover` may find more" in container.findings()[0].message
+    assert "what followed message 0, if anything, is missing" in container.findings()[0].message
 
 
 def test_a_damaged_rowid_does_not_cost_what_follows(tmp_path: Path) -> None:
@@ -230,10 +219,11 @@ def test_a_damaged_rowid_does_not_cost_what_follows(tmp_path: Path) -> None:
     at = data.index(bytes([500 >> 7 | 0x80, 500 & 0x7F, 6]))
     data[at] ^= 0x40
     path.write_bytes(data)
+    with pytest.raises(LogError, match=r"run\.db3 is damaged.*--salvage.*\.recover"):
+        read_all(SqliteBagContainer(path))
     container = SqliteBagContainer(path, salvage=True)
-    found = read_all(container)["/ft"]
-    assert found == [message for index, message in enumerate(told(messages)["/ft"]) if index != 499]
-    assert "messages 500 to 500 are missing" in container.findings()[0].message
+    assert read_all(container) == told(messages)
+    assert "Rowid 8692 out of order" in container.findings()[0].message
 
 
 def test_flipped_bits_raise_nothing_else(tmp_path: Path) -> None:
@@ -304,7 +294,7 @@ def test_a_file_that_was_not_closed_is_refused(tmp_path: Path) -> None:
 
 def test_a_message_beyond_the_limit_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_db3(tmp_path / "run.db3", [Stored(topic="/ft", log_ns=START_NS, data=bytes(20_000))])
-    monkeypatch.setattr(sqlite_file, "CHUNK_LIMIT_BYTES", 10_000)
+    monkeypatch.setattr(sqlite_bag, "CHUNK_LIMIT_BYTES", 10_000)
     with pytest.raises(LogError, match="too big"):
         read_all(SqliteBagContainer(path))
 
