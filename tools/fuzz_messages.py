@@ -32,8 +32,7 @@ import numpy as np
 from rosbags.serde import SerdeError
 
 from identification.logs.containers.channel import Batch, Channel
-from identification.logs.containers.mcap_kernel import gather
-from identification.logs.containers.mcap_tally import Counting
+from identification.logs.containers.mcap_kernel import Counting, gather
 from identification.logs.messages.decode import MessageError, Part
 from identification.logs.messages.layout import parse_path
 from identification.logs.messages.read import build_decoder

@@ -1,8 +1,4 @@
-"""MCAP: own framing, so that what is not wanted is neither read nor unpacked, and what is wanted is checked.
-
-The records of the top are walked first, without the content of chunks. Chunks are then read, unpacked, checked and
-handed on in two threads. Counts in the file's summary and indexes have to agree with the messages that are read.
-"""
+"""What an MCAP file lacks that would protect its messages."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
@@ -14,19 +10,41 @@ import numpy as np
 from ...errors import LogError
 from ...result import Finding
 from ...signals.recording import StampArray
-from .channel import Batch, Channel, Held, Survey, T
-from .channel import Closing
+from .channel import Batch, Channel, Closing, Held, Survey, T, salvaged
 from .file_bytes import FileBytes
-from .mcap_census import complete, total_counts
-from .mcap_definitions import Definition
-from .mcap_findings import file_findings
+from .mcap_chunks import Opened, Opener, complete, map_in_order, total_counts
 from .mcap_kernel import gather
 from .mcap_layout import Layout, Walker
-from .mcap_pieces import Opened, Opener
-from .mcap_records import Damage, Piece
+from .mcap_records import Damage, Definition, Piece
 from .mcap_salvage import salvage_layout
-from .ordered import map_in_order
-from .channel import salvaged
+
+
+def file_findings(layout: Layout) -> tuple[Finding, ...]:
+    """Tell of messages without a checksum, and of a file without a summary."""
+    found = []
+    total = sum(sum((piece.counts or {}).values()) for piece in layout.pieces)
+    bare = sum(sum((piece.counts or {}).values()) for piece in layout.pieces if not piece.crc)
+    if bare and not layout.data_crc:
+        found.append(
+            Finding(
+                code="crc-absent",
+                severity="info",
+                message=f"{bare} of {total} messages carry no checksum (CRC): "
+                "a flipped bit in the file would not be noticed.",
+                advice="Let the recorder write chunk CRCs (rosbag2: storage option `noChunkCRC: false`).",
+            )
+        )
+    if layout.statistics is None:
+        found.append(
+            Finding(
+                code="summary-absent",
+                severity="info",
+                message=f"The file has no summary that would confirm that all its {total} messages are there.",
+                advice="Let the recorder write a summary (rosbag2: storage option `noSummary: false`).",
+            )
+        )
+    return tuple(found)
+
 
 _IDS = 2**16
 

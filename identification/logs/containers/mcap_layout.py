@@ -7,11 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from mcap import records
 
-from .channel import CHUNK_LIMIT_BYTES
-from .channel import ByteArray
+from .channel import CHUNK_LIMIT_BYTES, ByteArray
 from .file_bytes import FileBytes
-from .mcap_definitions import Definitions
-from .mcap_kernel import MESSAGE_HEAD_BYTES, skim
+from .mcap_kernel import MESSAGE_HEAD_BYTES, Counting, Tally, skim
 from .mcap_records import (
     CHUNK_HEAD_BYTES,
     FOOTER_BYTES,
@@ -23,13 +21,13 @@ from .mcap_records import (
     KNOWN,
     MAGIC,
     Damage,
+    Definitions,
     Kind,
     Piece,
     parse,
     parse_chunk,
     parse_index_head,
 )
-from .mcap_tally import Counting, Tally
 
 WINDOW_BYTES = 2**20
 _PEEK_BYTES = 4096

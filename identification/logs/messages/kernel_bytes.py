@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 
 from problems.compiled import inlined
 
+from ..containers.byte_order import big32, little32, little64
 from ..containers.channel import ByteArray
-from ..containers.words import big32, little32, little64
 
 BOOL, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64, FLOAT32, FLOAT64 = range(11)
 SIZES = (1, 1, 1, 2, 2, 4, 4, 8, 8, 4, 8)

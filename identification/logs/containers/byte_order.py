@@ -1,4 +1,4 @@
-"""Words out of bytes for compiled kernels.
+"""Whole numbers out of bytes of either order, for compiled kernels.
 
 Positions become unsigned first: with them the compiler sees one load where eight bytes are put together, with signed
 ones it sees eight loads and asks at each whether the index counts from the end.
