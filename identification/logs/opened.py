@@ -14,7 +14,7 @@ from ..signals.recording import FloatArray, StampArray
 from .cell import Cell
 from .choose import Choice
 from .containers.channel import Channel, Container, Survey
-from .containers.open import is_table, open_container, sha256_of
+from .containers.formats import is_table, open_container, sha256_of
 from .heads import Head, build_heads
 from .layouts import Role
 from .messages.read import read_series

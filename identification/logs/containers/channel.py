@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 CHUNK_LIMIT_BYTES = 256 * 2**20
 """Largest size a compressed chunk may unpack to; recorders use a few MiB."""
-_MOST_LISTED = 5
+_LISTED = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,12 +125,12 @@ def salvaged(name: str, lost: Sequence[str]) -> tuple[Finding, ...]:
     """Return one warning that names the damaged places of a file, or nothing where there are none."""
     if not lost:
         return ()
-    more = f"; and {len(lost) - _MOST_LISTED} more" if len(lost) > _MOST_LISTED else ""
+    more = f"; and {len(lost) - _LISTED} more" if len(lost) > _LISTED else ""
     return (
         Finding(
             code="salvaged",
             severity="warning",
-            message=f"{name} is damaged, {len(lost)} part(s) of it are left out: {'; '.join(lost[:_MOST_LISTED])}{more}.",
+            message=f"{name} is damaged, {len(lost)} part(s) of it are left out: {'; '.join(lost[:_LISTED])}{more}.",
             advice="Use the result to look at the data; record again before a robot relies on it.",
         ),
     )

@@ -9,15 +9,11 @@ from typing import TypeVar
 
 from ...errors import LogError
 from ...result import Finding
-from .channel import Batch, Channel, Container, Held, Survey
-from .channel import Closing
-from .rosbag2_metadata import NAME, Metadata, read_metadata
-from .channel import salvaged
-from .single_file import open_file
 from .batches import unpack_message, unpack_messages
+from .channel import Batch, Channel, Closing, Container, Held, Survey, salvaged
+from .rosbag2_metadata import NAME, Metadata, read_metadata
 
 T = TypeVar("T")
-_ENDINGS = (".mcap", ".db3", ".bag")
 _PACKED = (".zstd", ".zst")
 _DIGITS = re.compile(r"(\d+)")
 _TOLD = 5
@@ -26,8 +22,10 @@ _TOLD = 5
 class Rosbag2FolderContainer(Closing):
     """A folder of parts, each opened only while it is being read."""
 
-    def __init__(self, path: Path, *, salvage: bool = False) -> None:
-        self._path, self._salvage = path, salvage
+    def __init__(
+        self, path: Path, open_part: Callable[..., Container], endings: Collection[str], *, salvage: bool = False
+    ) -> None:
+        self._path, self._open_part, self._endings, self._salvage = path, open_part, tuple(endings), salvage
         self._name = path.name or str(path)
         self._lost: list[str] = []
         self._told: list[Finding] = []
@@ -127,9 +125,9 @@ class Rosbag2FolderContainer(Closing):
         if not files:
             raise LogError(
                 f"{self._name} is a folder without a log: it holds neither {NAME} nor files named "
-                f"{', '.join('*' + ending for ending in _ENDINGS)}; name a log file or the folder of a recording."
+                f"{', '.join('*' + ending for ending in self._endings)}; name a log file or the folder of a recording."
             )
-        if len({_stem(path.name) for path in files}) > 1:
+        if len({_stem(path.name, self._endings) for path in files}) > 1:
             raise LogError(
                 f"{self._name} is a folder without {NAME} that holds several logs "
                 f"({_names([path.name for path in files])}); name one of them."
@@ -146,10 +144,10 @@ class Rosbag2FolderContainer(Closing):
         return files
 
     def _log_files(self) -> list[Path]:
-        return [path for path in self._entries() if _stem(path.name) and path.is_file()]
+        return [path for path in self._entries() if _stem(path.name, self._endings) and path.is_file()]
 
     def _opened(self, part: Path) -> closing[Container]:
-        return closing(open_file(part, salvage=self._salvage))
+        return closing(self._open_part(part, salvage=self._salvage))
 
     def _survey_part(self, part: Path) -> None:
         try:
@@ -238,11 +236,11 @@ def _first_existing(folder: Path, name: str) -> Path | None:
     return next((folder / each for each in names if (folder / each).is_file()), None)
 
 
-def _stem(name: str) -> str:
+def _stem(name: str, endings: tuple[str, ...]) -> str:
     """Return a log's name without its last number, the same for all parts of a recording; empty for other files."""
     for packed in _PACKED:
         name = name.removesuffix(packed)
-    ending = next((ending for ending in _ENDINGS if name.endswith(ending)), None)
+    ending = next((ending for ending in endings if name.endswith(ending)), None)
     if ending is None or name.startswith("."):
         return ""
     pieces = _DIGITS.split(name.removesuffix(ending))

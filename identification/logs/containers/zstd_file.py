@@ -10,9 +10,7 @@ import zstandard
 
 from ...errors import LogError
 from ...result import Finding
-from .channel import Batch, Channel, Container, Survey
-from .channel import Closing
-from .channel import salvaged
+from .channel import Batch, Channel, Closing, Container, Survey, salvaged
 
 T = TypeVar("T")
 _FEED_BYTES = 2**14

@@ -6,7 +6,7 @@ from pathlib import Path
 from ...errors import LogError
 from ...signals.recording import FloatArray, StampArray
 from ..containers.channel import Channel
-from ..containers.single_file import head_of
+from ..containers.formats import head_of
 from ..messages.series import Series
 from . import csv_file, parquet_file
 from .layout import TableLayout

@@ -11,8 +11,7 @@ from ruamel.yaml import YAML
 
 from identification.errors import LogError
 from identification.logs.containers import zstd_file
-from identification.logs.containers.open import open_container
-from identification.logs.containers.rosbag2_folder import Rosbag2FolderContainer
+from identification.logs.containers.formats import open_container
 from tests.identification.logs.containers.database import write_db3
 from tests.identification.logs.containers.stored import (
     START_NS,
@@ -114,13 +113,13 @@ def test_a_packed_file_on_its_own_is_read(tmp_path: Path) -> None:
 def test_parts_follow_each_other_in_the_listed_order_as_one_log(tmp_path: Path) -> None:
     path, pieces = split_folder(tmp_path / "bag")
     messages = [message for piece in pieces for message in piece]
-    container = Rosbag2FolderContainer(path)
+    container = open_container(path)
     assert read_all(container) == told(messages)
     assert set(channels_of(container)) == set(TYPES)
-    assert read_all(Rosbag2FolderContainer(path), "/pose") == {"/pose": told(messages)["/pose"]}
+    assert read_all(open_container(path), "/pose") == {"/pose": told(messages)["/pose"]}
     edit(path, lambda tree: tree.update(relative_file_paths=[f"run_{index}.db3" for index in reversed(range(12))]))
     reverse = [message for piece in reversed(pieces) for message in piece]
-    assert read_all(Rosbag2FolderContainer(path)) == told(reverse)
+    assert read_all(open_container(path)) == told(reverse)
 
 
 def test_old_metadata_name_the_folder_before_the_file(tmp_path: Path) -> None:
@@ -128,7 +127,7 @@ def test_old_metadata_name_the_folder_before_the_file(tmp_path: Path) -> None:
     names = ["bag/run_0.db3", "bag/run_1.db3"]
     edit(path, lambda tree: tree.update(relative_file_paths=names))
     renamed = path.rename(tmp_path / "renamed")
-    assert read_all(Rosbag2FolderContainer(renamed)) == told([*pieces[0], *pieces[1]])
+    assert read_all(open_container(renamed)) == told([*pieces[0], *pieces[1]])
 
 
 def test_the_metadata_may_name_a_file_that_was_packed_or_unpacked_since(tmp_path: Path) -> None:
@@ -136,7 +135,7 @@ def test_the_metadata_may_name_a_file_that_was_packed_or_unpacked_since(tmp_path
     packed = path / "run_0.db3.zstd"
     packed.write_bytes(zstandard.compress((path / "run_0.db3").read_bytes()))
     (path / "run_0.db3").unlink()
-    container = Rosbag2FolderContainer(path)
+    container = open_container(path)
     assert read_all(container) == told([*pieces[0], *pieces[1]])
     assert codes(container) == ["crc-absent"]
 
@@ -145,8 +144,8 @@ def test_a_missing_part_is_named(tmp_path: Path) -> None:
     path, pieces = split_folder(tmp_path / "bag", 4)
     (path / "run_2.db3").unlink()
     with pytest.raises(LogError, match=r"bag lacks run_2\.db3, which its metadata\.yaml lists.*--salvage"):
-        Rosbag2FolderContainer(path)
-    container = Rosbag2FolderContainer(path, salvage=True)
+        open_container(path)
+    container = open_container(path, salvage=True)
     assert read_all(container) == told([*pieces[0], *pieces[1], *pieces[3]])
     assert "run_2.db3 is missing" in container.findings()[0].message
 
@@ -155,7 +154,7 @@ def test_a_file_that_is_not_listed_is_left_out_and_named(tmp_path: Path) -> None
     path, pieces = split_folder(tmp_path / "bag", 2)
     write_db3(path / "run_2.db3", several(10))
     (path / "notes.txt").write_text("by hand")
-    container = Rosbag2FolderContainer(path)
+    container = open_container(path)
     assert read_all(container) == told([*pieces[0], *pieces[1]])
     findings = container.survey().findings
     assert [finding.code for finding in findings] == ["unlisted-files", "crc-absent"]
@@ -181,10 +180,10 @@ def test_counts_that_do_not_agree_are_refused(
     path, pieces = split_folder(tmp_path / "bag", 2)
     edit(path, change)
     with pytest.raises(LogError, match=complaint):
-        Rosbag2FolderContainer(path).survey()
+        open_container(path).survey()
     with pytest.raises(LogError, match=complaint):
-        list(Rosbag2FolderContainer(path).read([], lambda batch: batch))
-    container = Rosbag2FolderContainer(path, salvage=True)
+        list(open_container(path).read([], lambda batch: batch))
+    container = open_container(path, salvage=True)
     assert read_all(container) == told([*pieces[0], *pieces[1]])
     assert codes(container) == ["crc-absent", "salvaged"]
 
@@ -192,7 +191,7 @@ def test_counts_that_do_not_agree_are_refused(
 def test_a_folder_without_metadata_is_read_in_natural_order_and_says_so(tmp_path: Path) -> None:
     path, pieces = split_folder(tmp_path / "bag")
     (path / "metadata.yaml").unlink()
-    container = Rosbag2FolderContainer(path)
+    container = open_container(path)
     assert read_all(container) == told([message for piece in pieces for message in piece])
     finding = container.survey().findings[0]
     assert (finding.code, finding.severity) == ("metadata-absent", "warning")
@@ -224,8 +223,8 @@ def test_a_damaged_part_is_refused_and_left_out_by_salvage(tmp_path: Path) -> No
     path, pieces = split_folder(tmp_path / "bag", 3)
     (path / "run_1.db3").write_bytes(b"SQLite format 3\0" + bytes(5000))
     with pytest.raises(LogError, match=r"run_1\.db3"):
-        Rosbag2FolderContainer(path).survey()
-    container = Rosbag2FolderContainer(path, salvage=True)
+        open_container(path).survey()
+    container = open_container(path, salvage=True)
     assert read_all(container) == told([*pieces[0], *pieces[2]])
     assert "run_1.db3 is damaged" in container.findings()[0].message
 
@@ -256,10 +255,10 @@ def test_metadata_that_are_none_are_refused_and_left_out_by_salvage(tmp_path: Pa
     data, complaint = BAD[name]
     (path / "metadata.yaml").write_bytes(data)
     with pytest.raises(LogError, match=complaint) as caught:
-        Rosbag2FolderContainer(path)
+        open_container(path)
     assert str(caught.value).startswith("bag/metadata.yaml")
     assert "\n" not in str(caught.value)
-    container = Rosbag2FolderContainer(path, salvage=True)
+    container = open_container(path, salvage=True)
     assert read_all(container) == told([*pieces[0], *pieces[1]])
     assert codes(container) == ["metadata-absent", "crc-absent", "salvaged"]
 
@@ -290,7 +289,7 @@ def test_metadata_that_say_what_cannot_be_are_refused(
     path, _ = split_folder(tmp_path / "bag", 2)
     edit(path, lambda tree: tree.update(changes))
     with pytest.raises(LogError, match=complaint):
-        Rosbag2FolderContainer(path)
+        open_container(path)
 
 
 def test_packed_files_that_are_damaged_or_bombs_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -371,5 +370,5 @@ def test_a_link_that_leads_out_of_the_folder_is_refused_and_not_quoted(
     folder.mkdir()
     (folder / name).symlink_to(tmp_path / "secret")
     with pytest.raises(LogError, match=rf"run/{name} is a symbolic link that leads out of the folder") as caught:
-        Rosbag2FolderContainer(folder, salvage=salvage)
+        open_container(folder, salvage=salvage)
     assert "hunter2" not in str(caught.value)

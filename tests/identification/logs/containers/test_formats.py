@@ -1,4 +1,4 @@
-"""Any path: each known log is opened by its content, everything else is refused in one clear sentence."""
+"""The registry of formats: each log is opened by its content, all else is refused in one clear sentence."""
 
 import bz2
 import gzip
@@ -8,23 +8,35 @@ import os
 import socket
 import subprocess
 import zipfile
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
+from typing import TypeVar
 
 import lz4.frame  # type: ignore[import-untyped]  # the package carries no annotations
+import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]  # the package carries no annotations
 import pyarrow.parquet as pq  # type: ignore[import-untyped]  # the package carries no annotations
 import pytest
+import zstandard
 from rosbags.rosbag2 import StoragePlugin
 
 from identification.errors import LogError
+from identification.logs.cell import Cell
+from identification.logs.containers import formats
+from identification.logs.containers.batches import pack
+from identification.logs.containers.channel import Batch, Channel, Closing, Held, Survey
+from identification.logs.containers.formats import LogFormat, is_table, open_container, sha256_of
 from identification.logs.containers.mcap_file import McapContainer
-from identification.logs.containers.open import is_table, open_container, sha256_of
 from identification.logs.containers.ros1_bag import Ros1BagContainer
 from identification.logs.containers.rosbag2_folder import Rosbag2FolderContainer
 from identification.logs.containers.sqlite_bag import SqliteBagContainer
+from identification.logs.messages.series import Wanted
+from identification.logs.opened import open_logs
+from identification.result import Finding
 from tests.identification.logs.containers.database import write_db3
 from tests.identification.logs.containers.stored import several, write_bag, write_folder
 
+T = TypeVar("T")
 SENTENCE = {
     "empty.mcap": (b"", "is empty (0 bytes)"),
     "notes.mcap": (b"Monday, third run\n", "is text (it starts with 'Monday, third run"),
@@ -143,3 +155,52 @@ def test_the_digest_is_that_of_the_bytes_and_of_a_folder_that_of_its_list(tmp_pa
     assert sha256_of(path) != before
     with pytest.raises(LogError, match="cannot be read: No such file"):
         sha256_of(tmp_path / "absent")
+
+
+class ToyContainer(Closing):
+    """A log of lines: time in ns, then a JSON message of the topic /toy."""
+
+    def __init__(self, path: Path, *, salvage: bool = False) -> None:
+        lines = [line.split(" ", 1) for line in path.read_text().splitlines()[1:]]
+        self._log_ns = np.array([int(time) for time, _ in lines])
+        self._messages = [text.encode() for _, text in lines]
+        self._channel = Channel(topic="/toy", type_name="", encoding="json", schema_encoding="", schema=b"")
+
+    def survey(self) -> Survey:
+        held = Held(channel=self._channel, count=len(self._messages), first_message=self._messages[0])
+        start, end = int(self._log_ns[0]), int(self._log_ns[-1])
+        return Survey(container="toy", held=(held,), start_ns=start, end_ns=end, findings=())
+
+    def read(self, wanted: Collection[Channel], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
+        sizes, data = pack(self._messages)
+        starts = np.cumsum(sizes) - sizes
+        batch = Batch(channel=self._channel, log_ns=self._log_ns, data=data, starts=starts, sizes=sizes)
+        yield from ((channel, handle(batch)) for channel in wanted)
+
+    def findings(self) -> tuple[Finding, ...]:
+        return ()
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def test_a_format_is_added_by_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A container and a line in the registry: files, parts of a folder, zstd and the refusal of others know of it."""
+    toy = LogFormat(name="a toy log", magic=b"TOY 1\n", ending=".toy", open=ToyContainer)
+    text = b"".join(b'%d {"force": %d.5}\n' % (10**9 + i, i) for i in range(5))
+    (tmp_path / "run").mkdir()
+    path = tmp_path / "run" / "run_0.toy"
+    path.write_bytes(toy.magic + text)
+    with pytest.raises(LogError, match="is text"):
+        open_container(path)
+    monkeypatch.setattr(formats, "FORMATS", [*formats.FORMATS, toy])
+    (tmp_path / "packed.toy.zst").write_bytes(zstandard.compress(path.read_bytes()))
+    for each in (path, path.parent, tmp_path / "packed.toy.zst"):
+        with open_logs((each,), Cell(), salvage=False) as logs:
+            (channel,) = (head.channel for head in logs.heads)
+            series = logs.read({channel: Wanted(fields=("force",), header="")})[channel]
+            assert series.values[:, 0].tolist() == [0.5, 1.5, 2.5, 3.5, 4.5]
+            assert series.log_ns.tolist() == [10**9 + i for i in range(5)]
+    (tmp_path / "other.bin").write_bytes(b"\x07\x01\x02\x03")
+    with pytest.raises(LogError, match=r"name an MCAP file, .*, a toy log, CSV"):
+        open_container(tmp_path / "other.bin")
