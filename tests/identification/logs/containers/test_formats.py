@@ -113,7 +113,7 @@ def test_what_may_not_be_read_is_refused(tmp_path: Path) -> None:
 def test_the_content_decides_not_the_name(tmp_path: Path) -> None:
     write_folder(tmp_path / "mcap", several(5), StoragePlugin.MCAP)
     write_folder(tmp_path / "sqlite", several(5))
-    kinds = {
+    kinds: dict[Path, type] = {
         (tmp_path / "mcap" / "mcap.mcap").rename(tmp_path / "one"): McapContainer,
         (tmp_path / "sqlite" / "sqlite.db3").rename(tmp_path / "two.mcap"): SqliteBagContainer,
         write_bag(tmp_path / "three.db3", several(5)): Ros1BagContainer,
