@@ -55,8 +55,7 @@ def parameter_rows(result: Identified) -> Iterator[ParameterRow]:
 def axis_rows(name: str, axis: AxisEstimate) -> Iterator[ParameterRow]:
     """Yield the parameters of one axis."""
     units = axis_units(name)
-    # Stiffnesses of translations are told in N/mm, as on data sheets.
-    stiffness, scale = ("N/mm", 1e-3) if units.stiffness == "N/m" else (units.stiffness, 1.0)
+    scale, stiffness = units.shown_stiffness
     yield _row(f"{name}: coupling K_s", axis.coupling.stiffness_n_per_m, stiffness, scale)
     yield _row(f"{name}: coupling B_s", axis.coupling.damping_n_s_per_m, units.damping)
     yield _row(f"{name}: drag B_p", axis.drag_n_s_per_m, units.damping)
@@ -70,7 +69,7 @@ def axis_rows(name: str, axis: AxisEstimate) -> Iterator[ParameterRow]:
 
 def _surface_rows(name: str, surface: EnvironmentEstimate) -> Iterator[ParameterRow]:
     units = axis_units(name)
-    stiffness, scale = ("N/mm", 1e-3) if units.stiffness == "N/m" else (units.stiffness, 1.0)
+    scale, stiffness = units.shown_stiffness
     told = f"{name}: {surface.name}, {surface.contacts} contact{'' if surface.contacts == 1 else 's'}"
     yield _row(f"{told}: K_e", surface.stiffness_n_per_m, stiffness, scale)
     yield _row(f"{told}: secant", surface.secant_stiffness_n_per_m, stiffness, scale)

@@ -5,8 +5,9 @@ from problems.design.uncertainty import SYMBOLS, Scenario
 
 
 def stiffness_text(value: float, units: AxisUnits) -> str:
-    """Return a stiffness (SI of the axis) as data sheets tell it: N/mm along an axis."""
-    return f"{1e-3 * value:.4g} N/mm" if units.stiffness == "N/m" else f"{value:.4g} {units.stiffness}"
+    """Return a stiffness (SI of the axis) in the unit in which people read it."""
+    scale, unit = units.shown_stiffness
+    return f"{scale * value:.4g} {unit}"
 
 
 def value_text(name: str, value: float, units: AxisUnits) -> str:

@@ -48,8 +48,7 @@ def command(output: Output, directory: Path, seed: int) -> None:
 
 def _page(found: "DemoResult") -> "Page":
     """Return what the log told and what was made of it as one page."""
-    from autotune.report.identify_page import build_identify_page
-    from autotune.report.log_summaries import summaries_of
+    from autotune.report.identify_page import build_identify_page, summaries_of
     from autotune.report.optimize_page import build_optimize_page
     from autotune.report.page import join_pages
 

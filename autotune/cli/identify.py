@@ -133,8 +133,7 @@ class _Seen:
 
     def page(self) -> "Page":
         """Build the page of what was found."""
-        from autotune.report.identify_page import build_identify_page
-        from autotune.report.log_summaries import summaries_of
+        from autotune.report.identify_page import build_identify_page, summaries_of
 
         if self.found is None:
             raise ValueError("nothing was found yet")

@@ -19,6 +19,11 @@ class AxisUnits:
     mass_name: str
     force_name: str
 
+    @property
+    def shown_stiffness(self) -> tuple[float, str]:
+        """Factor and unit in which people read a stiffness: N/mm along an axis, as on data sheets."""
+        return (1e-3, "N/mm") if self.stiffness == "N/m" else (1.0, self.stiffness)
+
 
 _TRANSLATION = AxisUnits(
     force="N",

@@ -1,4 +1,4 @@
-"""One axis of a controller with the plants that it is certified for, and what it does on them."""
+"""One axis of a controller with its certified plants, and the contacts and margins it has on them."""
 
 import math
 from collections.abc import Mapping
@@ -15,6 +15,7 @@ from autotune.formats.controller_record import (
     AxisPrediction,
     Controller,
     Reach,
+    ScenarioPrediction,
     SoftRequirement,
 )
 from autotune.formats.units import AxisUnits, axis_units
@@ -36,7 +37,7 @@ _STIFFNESS = "environment_stiffness_n_per_m"
 class AxisDesign:
     """An axis `name` that runs `law` every `sample_time_s`, and what its certificate says; SI units of the axis.
 
-    `reach` tells how far the modulus is proved.
+    `reach` is the region over which the modulus is proved.
     """
 
     name: str
@@ -66,6 +67,11 @@ class AxisDesign:
         soft = self.soft.get("modulus_margin")
         value = asked if soft is None else soft.asked
         return float(value) if isinstance(value, int | float) else None
+
+    @property
+    def worst_contact(self) -> ScenarioPrediction:
+        """The predicted contact with the largest peak at the contact."""
+        return max(self.predicted.scenarios, key=lambda each: each.peak_contact_force_n)
 
     def plant(self, scenario: Scenario) -> Plant:
         """Return the plant of a scenario, in contact."""

@@ -1,19 +1,27 @@
-"""A controller in tables: gains, what was asked and reached, and its certificate."""
+"""Tables of a controller: gains, requirements, compliance, comparison with another one, and its certificate."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from autotune.formats.canonical import short
-from autotune.formats.controller_record import AdmittanceRequirement, Controller, Proof, Requirement, SoftRequirement
+from autotune.formats.controller import ControllerFile
+from autotune.formats.controller_record import AdmittanceRequirement, Controller, Requirement, SoftRequirement
 from autotune.formats.units import AxisUnits, axis_units
 from autotune.scenario_text import scenario_text, stiffness_text, value_text
+from autotune.validation.validate import admittance_controller
 from problems.design.requirements import NoiseLimit, PassivityTarget
 from problems.design.uncertainty import SYMBOLS
-from problems.model.plant import NO_FILTER
+from problems.model.controller import AdmittanceController
+from problems.model.plant import NO_FILTER, Plant
+from problems.model.response import free_space_admittance
+from problems.model.sampled import build_sampled_plant
+from problems.stability.margins import UnstableLoopError, find_margins
 
-from .axis_design import AxisDesign
-from .page import Cell, Fact, Facts, Table, Tone
+from .axis_design import AxisDesign, contact_of
+from .page import Block, Cell, Fact, Facts, Note, Table, Tone, build_table
 
 _MARGINS = {
     "modulus_margin": ("modulus margin", "modulus", 1.0, ""),
@@ -21,12 +29,18 @@ _MARGINS = {
     "phase_margin_deg": ("phase margin", "phase_deg", 1.0, "°"),
     "delay_margin_s": ("delay margin", "delay_s", 1e3, "ms"),
 }
-_FULL = 0.99
+_NEARLY_USED = 0.99
+_UNSTABLE = "unstable"
+_BAND_POINTS = 100
 
 
 def number(value: float | None, scale: float = 1.0) -> str:
     """Return a number with four digits; "no limit" where there is none."""
     return "no limit" if value is None or math.isinf(value) else f"{scale * value:.4g}"
+
+
+def _with_unit(value: float | None, scale: float, unit: str) -> str:
+    return f"{number(value, scale)} {unit}".strip()
 
 
 def checksum_fact(checksum: str) -> Fact:
@@ -40,26 +54,28 @@ def design_facts(designs: Sequence[AxisDesign]) -> Facts:
     for design in designs:
         units, margins = design.units, design.margins
         mark = f"{design.name}: " if len(designs) > 1 else ""
-        worst = max(design.predicted.scenarios, key=lambda each: each.peak_contact_force_n)
+        worst = design.worst_contact
         sensor = max(each.peak_sensor_force_n for each in design.predicted.scenarios)
         free = design.predicted.free_space_admittance
-        facts += [
-            Fact(
-                label=f"{mark}largest peak at the contact",
-                value=f"{worst.peak_contact_force_n:.1f} {units.force}",
-                detail=f"at the sensor {sensor:.1f} {units.force}",
+        for label, value, detail in (
+            (
+                "largest peak at the contact",
+                f"{worst.peak_contact_force_n:.1f} {units.force}",
+                f"at the sensor {sensor:.1f} {units.force}",
             ),
-            Fact(label=f"{mark}modulus margin", value=f"{margins.modulus:.3f}", detail="over the whole domain"),
-            Fact(
-                label=f"{mark}gain, phase, delay",
-                value=f"{number(margins.gain_db)} dB, {number(margins.phase_deg)}°, {number(margins.delay_s, 1e3)} ms",
+            ("modulus margin", f"{margins.modulus:.3f}", "over the whole domain"),
+            (
+                "gain, phase, delay",
+                f"{number(margins.gain_db)} dB, {number(margins.phase_deg)}°, {number(margins.delay_s, 1e3)} ms",
+                "",
             ),
-            Fact(
-                label=f"{mark}free-space admittance",
-                value=f"{free.min_m_s_per_n:.3g} {units.admittance}",
-                detail=f"at least, {free.band_hz[0]:g} to {free.band_hz[1]:g} Hz",
+            (
+                "free-space admittance",
+                f"{free.min_m_s_per_n:.3g} {units.admittance}",
+                f"at least, {free.band_hz[0]:g} to {free.band_hz[1]:g} Hz",
             ),
-        ]
+        ):
+            facts.append(Fact(label=mark + label, value=value, detail=detail))
     return Facts(facts=tuple(facts))
 
 
@@ -68,30 +84,25 @@ def gains_table(controller: Controller) -> Table:
     rows = []
     for name, gains in controller.axes.items():
         units = axis_units(name)
-        texts = (
-            f"{gains.mass:g} {units.mass}",
-            f"{gains.damping:g} {units.damping}",
-            f"{1e3 * gains.lead_s:g} ms",
-            f"{1e3 * gains.feedback_damping_s:g} ms",
-            f"{gains.deadband:g} {units.force}, {gains.deadband_type}",
+        rows.append(
+            (
+                name,
+                f"{gains.mass:g} {units.mass}",
+                f"{gains.damping:g} {units.damping}",
+                f"{1e3 * gains.lead_s:g} ms",
+                f"{1e3 * gains.feedback_damping_s:g} ms",
+                f"{gains.deadband:g} {units.force}, {gains.deadband_type}",
+            )
         )
-        rows.append((Cell(text=name), *(Cell(text=text, is_number=True) for text in texts)))
-    filters = controller.filters
-    return Table(
-        caption=f"The controller, every {1e3 * controller.sample_time_s:g} ms; filters {filters.velocity_rad_per_s:g} "
-        f"and {filters.acceleration_rad_per_s:g} rad/s, compensated mass {controller.compensation_mass_kg:g} kg"
-        f"{_response_told(controller)}",
-        columns=("axis", "mass M_a", "damping B_a", "lead K_l", "feedback damping B_fb", "deadband"),
-        rows=tuple(rows),
-    )
-
-
-def _response_told(controller: Controller) -> str:
-    collision = controller.collision
-    return (
-        ""
-        if collision.threshold_n is None
-        else f", collision response {collision.response} at {collision.threshold_n:g} N"
+    filters, collision = controller.filters, controller.collision
+    response = f", collision response {collision.response} at {collision.threshold_n:g} N"
+    return build_table(
+        f"The controller, every {1e3 * controller.sample_time_s:g} ms; filters {filters.velocity_rad_per_s:g} and "
+        f"{filters.acceleration_rad_per_s:g} rad/s, compensated mass {controller.compensation_mass_kg:g} kg"
+        + ("" if collision.threshold_n is None else response),
+        ("axis", "mass M_a", "damping B_a", "lead K_l", "feedback damping B_fb", "deadband"),
+        rows,
+        numbers=range(1, 6),
     )
 
 
@@ -100,103 +111,195 @@ def response_table(design: AxisDesign) -> Table | None:
     without = {each.scenario(): each for each in design.predicted.scenarios}
     rows = []
     for each in design.predicted.with_collision_response:
-        plain = without.get(each.scenario())
+        both = (without.get(each.scenario()), each)
         peaks = (
-            None if plain is None else plain.peak_contact_force_n,
-            each.peak_contact_force_n,
-            None if plain is None else plain.peak_sensor_force_n,
-            each.peak_sensor_force_n,
+            None if run is None else getattr(run, name)
+            for name in ("peak_contact_force_n", "peak_sensor_force_n")
+            for run in both
         )
-        texts = ("" if peak is None else f"{peak:.1f} {design.units.force}" for peak in peaks)
-        rows.append((Cell(text=each.name), *(Cell(text=text, is_number=True) for text in texts)))
-    if not rows:
-        return None
+        rows.append((each.name, *("" if peak is None else f"{peak:.1f} {design.units.force}" for peak in peaks)))
     heads = ("contact", "at the contact", "with the response", "at the sensor", "with the response")
-    return Table(caption="Peaks without and with the collision response", columns=heads, rows=tuple(rows))
+    caption = "Peaks without and with the collision response"
+    return build_table(caption, heads, rows, numbers=range(1, 5)) if rows else None
 
 
-def prices_of(standing: Mapping[str, Any] | None) -> dict[str, float] | None:
-    """Return what one percent of each active requirement or bound costs (N, N·m), from what the file says of it."""
-    if standing is None:
+def compliance_tables(controller: Controller) -> Iterator[Table]:
+    """Yield for each axis whose compliance was chosen every stiffness that was tried."""
+    found = controller.provenance.get("compliance")
+    for name, chosen in found.items() if isinstance(found, Mapping) else ():
+        has_price = any("objective_n" in entry for entry in chosen["tried"])
+        keys = ("peak_force_n", *(("objective_n",) if has_price else ()))
+        heads = ("least worst peak [N]", "and the price of missed wishes [N]")
+        yield build_table(
+            f"Axis {name}: the compliance to build, to ± {100.0 * chosen['tolerance']:g} %",
+            ("K_e [N/mm]", *heads[: len(keys)], ""),
+            (_compliance_row(chosen, entry, keys) for entry in chosen["tried"]),
+            numbers=range(1 + len(keys)),
+        )
+
+
+def _compliance_row(
+    chosen: Mapping[str, Any], entry: Mapping[str, Any], keys: tuple[str, ...]
+) -> tuple[str | Cell, ...]:
+    stiffness, peak, bound = entry["environment_stiffness_n_per_m"], entry["peak_force_n"], chosen["active_bound"]
+    remarks = []
+    if stiffness == chosen["chosen_n_per_m"]:
+        remarks.append("chosen" if bound is None else f"chosen, at the {bound} bound")
+    elif stiffness == chosen["stiffest_within_one_percent_n_per_m"]:
+        remarks.append("the stiffest within 1 % of that")
+    if stiffness == chosen["stiffest_that_meets_all_n_per_m"]:
+        remarks.append("the stiffest that meets everything")
+    if not entry["meets_all"]:
+        remarks.append("no controller meets the requirements" if peak is None else "above max_peak_force_n")
+    values = ("-" if entry.get(key) is None else f"{entry[key]:.2f}" for key in keys)
+    tone: Tone = "" if entry["meets_all"] else "bad"
+    return (f"{stiffness * 1e-3:.6g}", *values, Cell(text=", ".join(remarks), tone=tone))
+
+
+def prices_of(optimality: Mapping[str, Any] | None) -> dict[str, float] | None:
+    """Return what one percent of each active requirement or bound costs (N, N·m), from the file's optimality report."""
+    if optimality is None:
         return None
     return {
         str(each["name"]): next(float(value) for key, value in each.items() if key.startswith("price_"))
-        for each in standing["active"]
+        for each in optimality["active"]
     }
 
 
 def requirement_table(design: AxisDesign, active: Mapping[str, float] | None) -> Table:
-    """Return what was asked beside what is reached, with the price of those that hold the peak up, if it is known."""
-    wished = {name: claim.asked for name, claim in design.soft.items()}
+    """Return what was required beside what is reached, with the price of the active ones, if it is known."""
+    soft = {name: claim.asked for name, claim in design.soft.items()}
     prices = dict(active or {})
-    rows = []
-    for name, asked in {**design.asked, **wished}.items():
-        title, want, got, share = _standing(design, name, asked)
-        rows.append(_row(title, want, got, share, prices.pop(name, None), design.units, is_wish=name in wished))
-    for name, price in prices.items():
-        rows.append(_row(name.replace("_", " "), "", "", None, price, design.units, is_wish=False))
-    heads: tuple[str, ...] = ("requirement", "asked", "reached", "used")
-    if active is not None:
-        heads = (*heads, "1 % less would save")
-        return Table(caption="What was asked, and what it costs", columns=heads, rows=tuple(rows))
-    return Table(caption="What was asked", columns=heads, rows=tuple(row[:4] for row in rows))
+    rows: list[tuple[str | Cell, ...]] = []
+    for name, required in {**design.asked, **soft}.items():
+        title, want, got, share = _achievement(design, name, required)
+        tone: Tone = "warn" if share is not None and share > _NEARLY_USED else ""
+        used = Cell(text="" if share is None else f"{100.0 * share:.1f} %", tone=tone)
+        price = _price(prices.pop(name, None), design.units)
+        rows.append((f"{title} (wished)" if name in soft else title, want, got, used, price))
+    rows += [(name.replace("_", " "), "", "", "", _price(price, design.units)) for name, price in prices.items()]
+    heads: tuple[str, ...] = ("requirement", "asked", "reached", "used", "1 % less would save")
+    caption = "What was asked, and what it costs"
+    if active is None:
+        heads, rows, caption = heads[:4], [row[:4] for row in rows], "What was asked"
+    return build_table(caption, heads, rows, numbers=range(1, 5))
 
 
-def _row(
-    title: str, want: str, got: str, share: float | None, price: float | None, units: AxisUnits, *, is_wish: bool
-) -> tuple[Cell, ...]:
-    tone: Tone = "warn" if share is not None and share > _FULL else ""
-    saved = "" if price is None else ("nothing by itself" if price < 1e-3 else f"{price:.2f} {units.force}")
-    return (
-        Cell(text=f"{title} (wished)" if is_wish else title),
-        Cell(text=want, is_number=True),
-        Cell(text=got, is_number=True),
-        Cell(text="" if share is None else f"{100.0 * share:.1f} %", is_number=True, tone=tone),
-        Cell(text=saved, is_number=True),
+def _price(price: float | None, units: AxisUnits) -> str:
+    if price is None:
+        return ""
+    return "nothing by itself" if price < 1e-3 else f"{price:.2f} {units.force}"
+
+
+def _achievement(design: AxisDesign, name: str, required: Requirement) -> tuple[str, str, str, float | None]:
+    """Return title, what is required, what is reached, and required/reached (of a limit reached/required) if known."""
+    units, soft = design.units, design.soft.get(name)
+    if name in _MARGINS and isinstance(required, int | float):
+        title, key, scale, unit = _MARGINS[name]
+        reached = getattr(design.margins, key)
+        want = f"{scale * required:g} {unit}".strip()
+        return title, want, _with_unit(reached, scale, unit), _share(required, reached)
+    if isinstance(required, AdmittanceRequirement):
+        low, high = required.band_hz
+        reached = design.predicted.free_space_admittance.min_m_s_per_n
+        want = f"{required.min_m_s_per_n:.4g} {units.admittance}, {low:g} to {high:g} Hz"
+        got = f"{reached:.4g} {units.admittance}"
+        return "free-space admittance", want, got, _share(required.min_m_s_per_n, reached)
+    if name == "max_peak_force_n" and isinstance(required, int | float):
+        reached = design.worst_contact.peak_contact_force_n
+        return "peak", f"at most {required:g} {units.force}", f"{reached:.4g} {units.force}", reached / required
+    if isinstance(required, NoiseLimit):
+        want = f"speed RMS at most {required.max_speed_rms_m_s:.4g} {units.speed}"
+        return "command noise", want, _soft_text(soft, units.speed), None
+    if isinstance(required, PassivityTarget):
+        return "passivity", f"up to {required.passive_below_hz:g} Hz", _soft_text(soft, "Hz"), None
+    return name.replace("_", " "), f"{required:g}", _soft_text(soft, ""), None
+
+
+def _share(required: float, reached: float | None) -> float | None:
+    return None if reached is None or reached <= 0.0 else required / reached
+
+
+def _soft_text(soft: SoftRequirement | None, unit: str) -> str:
+    return "met" if soft is None else _with_unit(soft.achieved, 1.0, unit)
+
+
+def law_before(old: ControllerFile | None, axis: str) -> AdmittanceController | None:
+    """Return what another controller runs on an axis, None where it does not know it."""
+    return None if old is None or axis not in old.controller.axes else admittance_controller(old.controller, axis)
+
+
+def compared_blocks(design: AxisDesign, old: ControllerFile | None, checksum: str) -> Iterator[Block]:
+    """Yield the comparison of one axis with another controller, nothing where there is none; `checksum` is its own."""
+    if old is None:
+        return
+    law = law_before(old, design.name)
+    if law is None:
+        yield Note(text=f"{old.path.name} has no axis {design.name} to compare with.", kind="before", tone="quiet")
+        return
+    if law == design.law:
+        same = f"{old.path.name} has the same gains: what is drawn for before lies under what is drawn for after."
+        yield Note(text=same, kind="before", tone="warn")
+    yield _compared_table(design, law, old, checksum)
+
+
+def _compared_table(design: AxisDesign, law: AdmittanceController, old: ControllerFile, checksum: str) -> Table:
+    units = design.units
+    worst = (design.worst_plant(key) for _, key, _, _ in _MARGINS.values())
+    found = (*design.corners(), design.free_plant(), *(each for each in worst if each is not None))
+    plants = tuple(dict.fromkeys(found))
+    rows = [("checksum", short(old.checksum), short(checksum))]
+    for title, name, scale in (
+        (f"M_a [{units.mass}]", "mass_kg", 1.0),
+        (f"B_a [{units.damping}]", "damping_n_s_per_m", 1.0),
+        ("K_l [ms]", "lead_s", 1e3),
+        ("B_fb [ms]", "feedback_damping_s", 1e3),
+    ):
+        before, after = (f"{scale * getattr(each, name):.6g}" for each in (law, design.law))
+        rows.append((title, before, after))
+    titles = (
+        f"largest peak at the contact [{units.force}]",
+        f"largest peak at the sensor [{units.force}]",
+        *(f"{title} [{unit}]" if unit else title for title, _, _, unit in _MARGINS.values()),
+        f"least free-space admittance [{units.admittance}]",
+    )
+    rows += zip(titles, *(_reached(design, each, plants) for each in (law, design.law)), strict=True)
+    return build_table(
+        f"Axis {design.name}, before and after on the same {len(design.predicted.scenarios)} contacts and "
+        f"{len(plants)} plants of the domain, its ends and its worst cases; before is {old.path.name}",
+        ("", "before", "after"),
+        (
+            (title, *(Cell(text=text, tone="bad" if text == _UNSTABLE else "") for text in (before, after)))
+            for title, before, after in rows
+        ),
+        numbers=(1, 2),
     )
 
 
-def _standing(design: AxisDesign, name: str, asked: Requirement) -> tuple[str, str, str, float | None]:
-    """Return title, what was asked, what is reached, and asked/reached (of a limit reached/asked) where it is known."""
-    units, soft = design.units, design.soft.get(name)
-    if name in _MARGINS and isinstance(asked, int | float):
-        title, key, scale, unit = _MARGINS[name]
-        reached = getattr(design.margins, key)
-        return (
-            title,
-            f"{scale * asked:g} {unit}".strip(),
-            f"{number(reached, scale)} {unit}".strip(),
-            _of(asked, reached),
-        )
-    if isinstance(asked, AdmittanceRequirement):
-        low, high = asked.band_hz
-        reached = design.predicted.free_space_admittance.min_m_s_per_n
-        want = f"{asked.min_m_s_per_n:.4g} {units.admittance}, {low:g} to {high:g} Hz"
-        return "free-space admittance", want, f"{reached:.4g} {units.admittance}", _of(asked.min_m_s_per_n, reached)
-    if name == "max_peak_force_n" and isinstance(asked, int | float):
-        reached = max(each.peak_contact_force_n for each in design.predicted.scenarios)
-        return "peak", f"at most {asked:g} {units.force}", f"{reached:.4g} {units.force}", reached / asked
-    if isinstance(asked, NoiseLimit):
-        want = f"speed RMS at most {asked.max_speed_rms_m_s:.4g} {units.speed}"
-        return "command noise", want, _achieved(soft, units.speed), None
-    if isinstance(asked, PassivityTarget):
-        return "passivity", f"up to {asked.passive_below_hz:g} Hz", _achieved(soft, "Hz"), None
-    return name.replace("_", " "), f"{asked:g}", _achieved(soft, ""), None
-
-
-def _of(asked: float, reached: float | None) -> float | None:
-    return None if reached is None or reached <= 0.0 else asked / reached
-
-
-def _achieved(soft: SoftRequirement | None, unit: str) -> str:
-    return "met" if soft is None else f"{number(soft.achieved)} {unit}".strip()
+def _reached(design: AxisDesign, law: AdmittanceController, plants: Sequence[Plant]) -> tuple[str, ...]:
+    """Return peaks, margins and admittance of one controller; of a loop that is unstable somewhere there are none."""
+    runs = [contact_of(design, law, each.scenario()) for each in design.predicted.scenarios]
+    stable = [run for run in runs if run is not None]
+    texts = [_UNSTABLE, _UNSTABLE]
+    if len(stable) == len(runs):
+        peaks = [(run.peak_contact_force_n, run.peak_sensor_force_n) for run in stable]
+        texts = [f"{max(each):.4g}" for each in zip(*peaks, strict=True)]
+    h = design.sample_time_s
+    try:
+        found = [find_margins(build_sampled_plant(plant, h), law) for plant in plants]
+    except UnstableLoopError:
+        return (*texts, *(_UNSTABLE for _ in _MARGINS), _UNSTABLE)
+    texts += [number(min(getattr(each, key) for each in found), scale) for _, key, scale, _ in _MARGINS.values()]
+    band = 2.0 * np.pi * np.geomspace(*design.predicted.free_space_admittance.band_hz, _BAND_POINTS)
+    least = np.min(np.abs(free_space_admittance(build_sampled_plant(design.free_plant(), h), law, band)))
+    return (*texts, f"{least:.4g}")
 
 
 def domain_table(design: AxisDesign) -> Table:
-    """Return the plants that the certificate speaks of."""
+    """Return the plants that the certificate covers."""
     domain, units = design.domain, design.units
     uncertain: Mapping[str, tuple[float, float]] = domain.uncertain or {}
-    stiffness, scale = ("N/mm", 1e-3) if units.stiffness == "N/m" else (units.stiffness, 1.0)
+    scale, stiffness = units.shown_stiffness
     entries: list[tuple[str, str, float | tuple[float, float], str]] = [
         ("environment stiffness", "K_e", domain.environment_stiffness_n_per_m, stiffness),
         (f"payload {units.mass_name}", "M_p", domain.payload_mass_kg, units.mass),
@@ -220,10 +323,6 @@ def domain_table(design: AxisDesign) -> Table:
     ):
         if value > 0.0 or name in uncertain:
             entries.append((title, SYMBOLS[name], value, "ms"))
-    rows = [
-        (Cell(text=title), Cell(text=symbol), *_span(spans.get(symbol, value), scales.get(unit, 1.0)), Cell(text=unit))
-        for title, symbol, value, unit in entries
-    ]
     approach = (
         f"{domain.approach_force_n:g} {units.force}"
         if domain.approach_force_n is not None
@@ -232,93 +331,91 @@ def domain_table(design: AxisDesign) -> Table:
         else "none"
     )
     cut = "" if domain.confidence is None else f"; cut by the {100.0 * domain.confidence.level:g} % confidence set"
-    return Table(
-        caption=f"Domain of axis {design.name}: approach with {approach}{cut}",
-        columns=("parameter", "", "from", "to", "unit"),
-        rows=tuple(rows),
+    return build_table(
+        f"Domain of axis {design.name}: approach with {approach}{cut}",
+        ("parameter", "", "from", "to", "unit"),
+        (
+            (title, symbol, *_span(spans.get(symbol, value), scales.get(unit, 1.0)), unit)
+            for title, symbol, value, unit in entries
+        ),
+        numbers=(2, 3),
     )
 
 
-def _span(value: float | tuple[float, float], scale: float) -> tuple[Cell, Cell]:
+def _span(value: float | tuple[float, float], scale: float) -> tuple[str, str]:
     low, high = (scale * end for end in (value if isinstance(value, tuple) else (value, value)))
-    end = "" if low == high else f"{high:.6g}"
-    return Cell(text=f"{low:.6g}", is_number=True), Cell(text=end, is_number=True)
+    return f"{low:.6g}", "" if low == high else f"{high:.6g}"
 
 
 def worst_table(design: AxisDesign) -> Table:
     """Return where each margin is smallest."""
-    rows = []
-    for title, key, scale, unit in _MARGINS.values():
-        case = design.margins.worst.get(key, {})
-        rows.append(
-            (
-                Cell(text=title),
-                Cell(text=f"{number(getattr(design.margins, key), scale)} {unit}".strip(), is_number=True),
-                Cell(text=_case(case, design.units)),
-            )
+    rows = [
+        (
+            title,
+            _with_unit(getattr(design.margins, key), scale, unit),
+            _case(design.margins.worst.get(key, {}), design.units),
         )
-    worst = max(design.predicted.scenarios, key=lambda each: each.peak_contact_force_n)
-    peak = Cell(text=f"{worst.peak_contact_force_n:.4g} {design.units.force}", is_number=True)
-    rows.append((Cell(text="peak at the contact"), peak, Cell(text=scenario_text(worst.scenario(), design.units))))
-    return Table(caption=f"Worst cases of axis {design.name}", columns=("", "value", "at"), rows=tuple(rows))
+        for title, key, scale, unit in _MARGINS.values()
+    ]
+    worst = design.worst_contact
+    peak = f"{worst.peak_contact_force_n:.4g} {design.units.force}"
+    rows.append(("peak at the contact", peak, scenario_text(worst.scenario(), design.units)))
+    return build_table(f"Worst cases of axis {design.name}", ("", "value", "at"), rows, numbers=(1,))
 
 
 def _case(case: Mapping[str, Any], units: AxisUnits) -> str:
-    told: list[str] = []
+    parts: list[str] = []
     for name, value in case.items():
         if name == "environment_stiffness_n_per_m" and value == 0.0:
-            told.insert(0, "free space")
+            parts.insert(0, "free space")
         elif isinstance(value, int | float):
-            told.append(value_text(name, value, units) if name in SYMBOLS else f"{name} {value:.4g}")
-    return ", ".join(told)
+            parts.append(value_text(name, value, units) if name in SYMBOLS else f"{name} {value:.4g}")
+    return ", ".join(parts)
 
 
 def reach_table(design: AxisDesign) -> Table | None:
     """Return how far the modulus is proved at all frequencies, None where the file does not say it."""
     if not design.reach:
         return None
-    rows = []
+    rows: list[tuple[str | Cell, ...]] = []
     for reach in design.reach:
         low, high = reach.environment_stiffness_n_per_m
-        tone: Tone = "good" if reach.share == 1.0 else "warn"
         rows.append(
             (
-                Cell(text=", ".join(SYMBOLS.get(name, name) for name in reach.over)),
-                Cell(text=f"{reach.modulus:.4g}", is_number=True),
-                Cell(text=f"{100.0 * reach.slack:.3g} %", is_number=True),
-                Cell(text=f"{100.0 * reach.share:.4g} %", is_number=True, tone=tone),
-                Cell(text=f"{stiffness_text(low, design.units)} to {stiffness_text(high, design.units)}"),
-                Cell(text=f"{reach.cells:.0f}, {reach.arcs:.0f}", is_number=True),
-                Cell(text=f"{reach.run_time_s:.2f} s", is_number=True),
+                ", ".join(SYMBOLS.get(name, name) for name in reach.over),
+                f"{reach.modulus:.4g}",
+                f"{100.0 * reach.slack:.3g} %",
+                Cell(text=f"{100.0 * reach.share:.4g} %", tone="good" if reach.share == 1.0 else "warn"),
+                f"{stiffness_text(low, design.units)} to {stiffness_text(high, design.units)}",
+                f"{reach.cells:.0f}, {reach.arcs:.0f}",
+                f"{reach.run_time_s:.2f} s",
                 Cell(text=reach.method, tone="quiet"),
             )
         )
-    return Table(
-        caption=f"Modulus margin of axis {design.name} that is proved at all frequencies, in contact and free space",
-        columns=("over", "modulus", "slack", "of the set", "whole for K_e", "cells, arcs", "run time", "by"),
-        rows=tuple(rows),
+    return build_table(
+        f"Modulus margin of axis {design.name} that is proved at all frequencies, in contact and free space",
+        ("over", "modulus", "slack", "of the set", "whole for K_e", "cells, arcs", "run time", "by"),
+        rows,
+        numbers=(1, 2, 3, 5, 6),
     )
 
 
 def proof_table(controller: Controller) -> Table:
     """Return what is proved, and what is only sampled."""
     certificate = controller.certificate
-    rows = [*_proofs(certificate.proved, "proved", "good"), *_proofs(certificate.sampled, "sampled", "quiet")]
-    return Table(
-        caption="What the certificate says: proved for every plant that is named, or looked for on many and not found",
-        columns=("claim", "", "over", "by", "numbers"),
-        rows=tuple(rows),
+    rows: list[tuple[str | Cell, ...]] = []
+    kinds: tuple[tuple[Any, str, Tone], ...] = (
+        (certificate.proved, "proved", "good"),
+        (certificate.sampled, "sampled", "quiet"),
     )
-
-
-def _proofs(proofs: Sequence[Proof], word: str, tone: Tone) -> Iterator[tuple[Cell, ...]]:
-    for proof in proofs:
-        over = proof.over if isinstance(proof.over, str) else ", ".join(f"{k} {v}" for k, v in proof.over.items())
-        told = ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in (proof.numbers or {}).items())
-        yield (
-            Cell(text=proof.claim),
-            Cell(text=word, tone=tone),
-            Cell(text=over),
-            Cell(text=proof.method, tone="quiet"),
-            Cell(text=told),
-        )
+    for proofs, word, tone in kinds:
+        for proof in proofs:
+            over = proof.over if isinstance(proof.over, str) else ", ".join(f"{k} {v}" for k, v in proof.over.items())
+            numbers = (f"{name.replace('_', ' ')} {value:.4g}" for name, value in (proof.numbers or {}).items())
+            method = Cell(text=proof.method, tone="quiet")
+            rows.append((proof.claim, Cell(text=word, tone=tone), over, method, ", ".join(numbers)))
+    return build_table(
+        "What the certificate says: proved for every plant that is named, or looked for on many and not found",
+        ("claim", "", "over", "by", "numbers"),
+        rows,
+    )

@@ -26,8 +26,7 @@ from identification.logs import LogSummary
 from identification.logs.opened import digests
 from problems.progress import no_progress
 
-from .identify_page import build_identify_page
-from .log_summaries import summaries_of
+from .identify_page import build_identify_page, summaries_of
 from .optimize_page import build_front_page, build_optimize_page
 from .page import Page, join_pages
 from .refused_page import refused_controller_page
@@ -83,7 +82,7 @@ def report_files(
     """Build one page of the files, a part for each but the logs, which go with what was identified from them.
 
     A controller is verified again, with `samples` simulated contacts; `old` is another one that is drawn beside it.
-    `progress` is told the share of the work done since the last call. Raises UsageError for a file that cannot be
+    `progress` receives the share of the work done since the last call. Raises UsageError for a file that cannot be
     shown, LogError for a log that is not the one that was identified, CertificateError for an altered `old`; that one
     of `paths` is altered stands in its part of the page.
     """

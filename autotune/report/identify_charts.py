@@ -1,17 +1,33 @@
-"""The figures of an identification: what was logged, what the model says, and what it leaves."""
+"""Charts and tables of the fit: contacts, signals and residuals, frequency responses, correlation of the errors."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import csd, welch
 from scipy.stats import norm
 
-from autotune.charts.chart import Band, Bars, Chart, Element, Heat, Limit, Line, Panel, Points, Role, Scale
+from autotune.charts.chart import (
+    Band,
+    Bars,
+    Chart,
+    Element,
+    Heat,
+    Limit,
+    Line,
+    Panel,
+    Points,
+    Role,
+    Scale,
+    level_panels,
+)
 from autotune.formats.units import AxisUnits
 from identification.evidence import AxisEvidence
 from identification.joint_fit.result import FittedSpan
 from identification.result import AxisEstimate, Covariance
+
+from .page import Table, build_table
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -21,16 +37,115 @@ _WINDOW_S = 2.0
 _COHERENT = 0.9
 _MOST_LAGS = 60
 _CHANCE_95 = 1.96
+_PANELS = 3
+# What is beyond is in the table: a page of sixty contacts would be no page that anybody reads.
+_MOST_DRAWN = 9
+_BEFORE_S, _AFTER_S = 0.2, 0.6
 _ROBOT_NAMES = {"omega": "robot ω", "zeta": "robot ζ"}
 
 
-def residual_charts(axis: str, units: AxisUnits, told: AxisEvidence, period_s: float) -> Iterator[Chart]:
-    """Draw the signal that was fitted and what the fit leaves: over time, as histogram, spectrum, autocorrelation."""
-    if not told.spans:
+@dataclass(frozen=True, kw_only=True)
+class ContactSeen:
+    """One contact that was fitted: `place` is the sample of its measured peak within the span."""
+
+    span: FittedSpan
+    place: int
+
+    @property
+    def measured(self) -> float:
+        """The measured peak, N or N·m."""
+        return float(np.max(np.abs(self.span.measured)))
+
+    @property
+    def model(self) -> float:
+        """The peak of the model, N or N·m."""
+        return float(np.max(np.abs(self.span.predicted)))
+
+    @property
+    def error(self) -> float:
+        """How far the model's peak lies above the measured one, of that."""
+        return self.model / self.measured - 1.0
+
+    def time_s(self, period_s: float) -> float:
+        """Return when the peak was, in s after the start of the log."""
+        return period_s * (self.span.start + self.place)
+
+
+def contacts_seen(evidence: AxisEvidence, surface: int) -> tuple[ContactSeen, ...]:
+    """Return the fitted contacts of one surface in the order of time."""
+    spans = sorted((span for span in evidence.spans if span.surface == surface), key=lambda span: span.start)
+    return tuple(ContactSeen(span=span, place=int(np.argmax(np.abs(span.measured)))) for span in spans)
+
+
+def contact_charts(
+    axis: str, units: AxisUnits, surface: str, seen: Sequence[ContactSeen], period_s: float
+) -> Iterator[Chart]:
+    """Draw the contacts of one surface, measured and modelled, all on one scale of force."""
+    strongest = sorted(seen, key=lambda each: -each.measured)[:_MOST_DRAWN]
+    shown = [each for each in seen if each in strongest]
+    if not shown:
         return
-    time, measured, model = _over_time(told.spans, period_s)
+    panels = level_panels([_contact_panel(each, units, period_s) for each in shown])
+    share = 100.0 * max(abs(each.error) for each in seen)
+    rows = -(-len(shown) // _PANELS)
+    beside = -(-len(shown) // rows)
+    groups = [panels[i : i + beside] for i in range(0, len(panels), beside)]
+    for number, group in enumerate(groups, 1):
+        part = f" ({number} of {rows})" if rows > 1 else ""
+        which = "" if len(shown) == len(seen) else f" The strongest {len(shown)} are drawn; the table has all."
+        yield Chart(
+            key=f"{axis}-{surface}-contacts" + (f"-{number}" if number > 1 else ""),
+            title=f"Contacts with {surface}, measured and modelled{part}",
+            alternative=f"{len(group)} of {len(seen)} contacts with {surface}; in all of them the model's peak is "
+            f"within {share:.1f} % of the measured one.",
+            caption=f"In all {len(seen)} contacts the peak of the model is within {share:.1f} % of the measured "
+            f"one.{which}"
+            if number == rows
+            else "",
+            panels=group,
+            beside=True,
+        )
+
+
+def _contact_panel(seen: ContactSeen, units: AxisUnits, period_s: float) -> Panel:
+    span, place = seen.span, seen.place
+    begin = max(0, place - round(_BEFORE_S / period_s))
+    stop = min(len(span.measured), place + round(_AFTER_S / period_s))
+    time = 1e3 * period_s * (np.arange(begin, stop) - place)
+    return Panel(
+        title=f"at {seen.time_s(period_s):.1f} s",
+        x=Scale(label="time from the peak [ms]"),
+        y=Scale(label=f"{units.force_name} [{units.force}]"),
+        elements=(
+            Line(x=time, y=span.measured[begin:stop], label="measured", wide=True),
+            Line(x=time, y=span.predicted[begin:stop], label="model", role="model"),
+        ),
+    )
+
+
+def contact_table(
+    axis: str, units: AxisUnits, surfaces: Sequence[tuple[str, Sequence[ContactSeen]]], period_s: float
+) -> Table:
+    """Return every contact that was fitted: when, with what, both peaks and the error."""
+    rows = []
+    seen = [(name, each) for name, group in surfaces for each in group]
+    for name, each in sorted(seen, key=lambda pair: pair[1].span.start):
+        rms = float(np.sqrt(np.mean((each.span.measured - each.span.predicted) ** 2)))
+        numbers = (f"{each.measured:.4g}", f"{each.model:.4g}", f"{100.0 * each.error + 0.0:+.1f}", f"{rms:.3g}")
+        rows.append((f"{each.time_s(period_s):.2f}", name, *numbers))
+    force = f"[{units.force}]"
+    columns = ("peak at [s]", "surface", f"measured peak {force}", f"model's peak {force}", "error [%]")
+    caption = f"Every contact along {axis}, measured against the model"
+    return build_table(caption, (*columns, f"residual RMS {force}"), rows, numbers=(0, 2, 3, 4, 5))
+
+
+def residual_charts(axis: str, units: AxisUnits, evidence: AxisEvidence, period_s: float) -> Iterator[Chart]:
+    """Draw the signal that was fitted and what the fit leaves: over time, as histogram, spectrum, autocorrelation."""
+    if not evidence.spans:
+        return
+    time, measured, model = _over_time(evidence.spans, period_s)
     left = measured - model
-    free, touching = (_joined(told.spans, period_s, contact=kind) for kind in (False, True))
+    free, touching = (_joined(evidence.spans, period_s, contact=kind) for kind in (False, True))
     rms = float(np.sqrt(np.nanmean(left**2)))
     yield Chart(
         key=f"{axis}-residual",
@@ -55,7 +170,7 @@ def residual_charts(axis: str, units: AxisUnits, told: AxisEvidence, period_s: f
             ),
         ),
     )
-    white = np.concatenate([span.white for span in told.spans])
+    white = np.concatenate([span.white for span in evidence.spans])
     yield Chart(
         key=f"{axis}-white",
         title="Whether it is noise",
@@ -67,7 +182,7 @@ def residual_charts(axis: str, units: AxisUnits, told: AxisEvidence, period_s: f
         panels=(
             _histogram(white),
             _spectra(units, free, touching, period_s),
-            _autocorrelation([span.white for span in told.spans], period_s),
+            _autocorrelation([span.white for span in evidence.spans], period_s),
         ),
     )
 
@@ -157,7 +272,7 @@ def _autocorrelation(spans: Sequence[FloatArray], period_s: float) -> Panel:
 
 
 def response_charts(
-    axis: str, units: AxisUnits, estimate: AxisEstimate, told: AxisEvidence | None, period_s: float
+    axis: str, units: AxisUnits, estimate: AxisEstimate, evidence: AxisEvidence | None, period_s: float
 ) -> Iterator[Chart]:
     """Draw the frequency responses of robot and coupling: measured where the motion excites them, and the fit."""
     top = min(0.4 / period_s, 200.0)
@@ -165,7 +280,9 @@ def response_charts(
     robot = _robot_response(estimate, frequency, period_s)
     if robot is not None:
         measured = (
-            None if told is None or told.command is None else _measured(told, told.command, told.position, period_s)
+            None
+            if evidence is None or evidence.command is None
+            else _measured(evidence, evidence.command, evidence.position, period_s)
         )
         delay, bandwidth = estimate.robot.delay_s.value, estimate.robot.bandwidth_hz.value
         facts = (
@@ -174,7 +291,7 @@ def response_charts(
         yield _bode(f"{axis}-robot", "Robot: from command to pose", "|x / x_d|", frequency, robot, measured, facts)
     coupling = _coupling_response(estimate, frequency)
     if coupling is not None:
-        measured = None if told is None else _measured(told, told.position, told.force, period_s)
+        measured = None if evidence is None else _measured(evidence, evidence.position, evidence.force, period_s)
         angle = "m" if units.force == "N" else "rad"
         name = f"|F / x| [{units.force}/{angle}]"
         yield _bode(
@@ -203,13 +320,13 @@ def _coupling_response(estimate: AxisEstimate, frequency: FloatArray) -> Complex
 
 
 def _measured(
-    told: AxisEvidence, drive: FloatArray, answer: FloatArray, period_s: float
+    evidence: AxisEvidence, drive: FloatArray, answer: FloatArray, period_s: float
 ) -> tuple[FloatArray, ComplexArray] | None:
     """Return frequency and response where free motion excites it: coherence above 0.9 (Welch's method)."""
     window = round(_WINDOW_S / period_s)
     total = np.zeros((3, window // 2 + 1), dtype=np.complex128)
     frequency = None
-    for span in told.free:
+    for span in evidence.free:
         u, y = drive[span.slice], answer[span.slice]
         if len(span) < window or not (np.isfinite(u).all() and np.isfinite(y).all()):
             continue
@@ -252,11 +369,9 @@ def _bode(
             )
         elements.append(Line(x=frequency, y=of(model), label="fit", role="model"))
         panels.append(Panel(x=Scale(label="frequency [Hz]", spacing="log"), y=scale, elements=tuple(elements)))
-    seen = (
-        "no measured response"
-        if measured is None
-        else (f"measured from {measured[0][0]:.2g} to {measured[0][-1]:.3g} Hz, where free motion excites it")
-    )
+    seen = "no measured response"
+    if measured is not None:
+        seen = f"measured from {measured[0][0]:.2g} to {measured[0][-1]:.3g} Hz, where free motion excites it"
     return Chart(
         key=key,
         title=title,

@@ -1,19 +1,29 @@
-"""The report of an identification: how healthy the log is, what was found, and how well the model explains it."""
+"""The page of an identification: parameters, health of the log, and how well the model explains it."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from autotune.charts.chart import Chart
+from autotune.formats.cell import CellFile
 from autotune.formats.units import axis_units
 from autotune.parameter_rows import ParameterRow, parameter_rows
+from identification.errors import LogError
 from identification.evidence import AxisEvidence, Evidence
-from identification.logs.summary import ChannelSummary, LogSummary
+from identification.logs import LogSummary, inspect_log
+from identification.logs.cell import Cell as LogSettings
 from identification.result import AxisEstimate, Finding, FitQuality, Identified
 
-from .contact_evidence import contact_charts, contact_table, contacts_seen
-from .identify_charts import correlation_chart, residual_charts, response_charts
-from .page import Block, Cell, Fact, Facts, Note, Page, Section, Table, Tone
+from .identify_charts import (
+    contact_charts,
+    contact_table,
+    contacts_seen,
+    correlation_chart,
+    residual_charts,
+    response_charts,
+)
+from .page import Block, Cell, Fact, Facts, Note, Page, Section, Table, Tone, build_table
 from .sensor_charts import noise_chart, wrench_charts
 
 _TONES: Mapping[str, Tone] = {
@@ -39,7 +49,7 @@ def build_identify_page(
     """Build the report of what `identify` found.
 
     `evidence` has the signals of every log, in the order of `result.timelines`; without it (a report from the file
-    alone) the figures are those that the parameters tell. `summaries` are the logs as `inspect` tells them.
+    alone) the figures are those of the parameters. `summaries` are those of `inspect`.
     """
     rows = list(parameter_rows(result))
     log = _log_section(result, evidence, summaries) if evidence or summaries or result.timelines else None
@@ -58,7 +68,7 @@ def build_identify_page(
 
 
 def _taken_out(sections: Sequence[Section]) -> tuple[Chart | None, list[Section]]:
-    """Return the figure that stands for the page, and the sections without it.
+    """Return the main figure of the page, and the sections without it.
 
     It is one of contacts, measured and modelled; where there is none, the first of the first section that has one.
     """
@@ -72,13 +82,13 @@ def _taken_out(sections: Sequence[Section]) -> tuple[Chart | None, list[Section]
 def _lead(result: Identified, rows: Sequence[ParameterRow]) -> str:
     verdicts = ("identified", "given", "weak", "unidentifiable")
     named = {word: [row.name for row in rows if row.verdict == word] for word in verdicts}
-    told = ", ".join(
+    counts = ", ".join(
         f"{len(names)} {word}" + (f" ({', '.join(names)})" if word in {"weak", "unidentifiable"} else "")
         for word, names in named.items()
         if names
     )
     axes = ", ".join(result.axes) or "none"
-    return f"Axes: {axes}. Parameters: {told}."
+    return f"Axes: {axes}. Parameters: {counts}."
 
 
 def _worst_tone(result: Identified, rows: Sequence[ParameterRow]) -> Tone:
@@ -109,20 +119,18 @@ def _detail(row: ParameterRow) -> str:
 
 
 def _parameter_table(rows: Sequence[ParameterRow]) -> Table:
-    return Table(
-        caption="Every parameter with one standard deviation and a verdict",
-        columns=("parameter", "value", "± std", "unit", "verdict", "how"),
-        rows=tuple(
+    return build_table(
+        "Every parameter with one standard deviation and a verdict",
+        ("parameter", "value", "± std", "unit", "verdict", "how"),
+        (
             (
-                Cell(text=row.name),
-                Cell(text=row.value, is_number=True),
-                Cell(text=row.std, is_number=True),
-                Cell(text=row.unit),
+                *(row.name, row.value, row.std, row.unit),
                 Cell(text=row.verdict, tone=_TONES.get(row.verdict, "")),
                 Cell(text="; ".join(_plain(part) for part in (row.method, row.note) if part), tone="quiet"),
             )
             for row in rows
         ),
+        numbers=(1, 2),
     )
 
 
@@ -139,12 +147,31 @@ def _plain(text: str) -> str:
     return text.replace("`", "")
 
 
-def health_blocks(summaries: Sequence[LogSummary], told: Sequence[Finding] = ()) -> Iterator[Block]:
-    """Yield the health of each log, and what was noticed in it; `told` are findings that need not be told again."""
-    seen = {finding.code for finding in told}
+def health_blocks(summaries: Sequence[LogSummary], known: Sequence[Finding] = ()) -> Iterator[Block]:
+    """Yield the health of each log and its findings, without those of the kinds `known`, which are shown elsewhere."""
+    seen = {finding.code for finding in known}
     for summary in summaries:
         yield _health_table(summary)
         yield from _notes([finding for finding in summary.findings if finding.code not in seen])
+
+
+def summaries_of(
+    logs: Sequence[Path], cell: CellFile | None, *, salvage: bool, evidence: Sequence[Evidence] = ()
+) -> tuple[LogSummary, ...]:
+    """Return the summary of each log, as `inspect` makes it; of a part that cannot be used alone there is none.
+
+    `evidence` is what identification kept of these logs: those that it read by themselves are not read once more.
+    """
+    settings, found = LogSettings() if cell is None else cell.cell, []
+    names = [log.name for log in logs]
+    known = {each.log: each.reading for each in evidence if names.count(each.log) == 1}
+    for log in logs:
+        try:
+            found.append(inspect_log(log, settings, salvage=salvage, reading=known.get(log.name)))
+        except LogError:
+            # A part of a recording need not hold everything by itself.
+            continue
+    return tuple(found)
 
 
 def _log_section(result: Identified, evidence: Sequence[Evidence], summaries: Sequence[LogSummary]) -> Section:
@@ -158,33 +185,29 @@ def _log_section(result: Identified, evidence: Sequence[Evidence], summaries: Se
 
 
 def _health_table(summary: LogSummary) -> Table:
-    return Table(
-        caption=f"Health of {summary.path.name}: {(summary.end_ns - summary.start_ns) / 1e9:.1f} s, "
+    rows: list[tuple[str | Cell, ...]] = []
+    for channel in summary.channels:
+        faults = channel.backwards_steps + channel.duplicates
+        rows.append(
+            (
+                channel.topic,
+                str(channel.count),
+                _number(channel.rate_hz, 1.0, 2),
+                _number(channel.max_gap_s, 1e3, 2),
+                Cell(text=f"{channel.backwards_steps} / {channel.duplicates}", tone="bad" if faults else ""),
+                _number(channel.header_minus_log_s, 1e3, 2),
+                ", ".join(role.entry for role in summary.roles if role.topic == channel.topic),
+            )
+        )
+    return build_table(
+        f"Health of {summary.path.name}: {(summary.end_ns - summary.start_ns) / 1e9:.1f} s, "
         f"{summary.size_bytes / 1e6:.1f} MB",
-        columns=(
-            "topic",
-            "messages",
-            "rate [Hz]",
-            "longest gap [ms]",
-            "backwards / duplicate",
-            "header − recording [ms]",
-            "serves as",
+        (
+            *("topic", "messages", "rate [Hz]", "longest gap [ms]", "backwards / duplicate"),
+            *("header − recording [ms]", "serves as"),
         ),
-        rows=tuple(_channel_row(summary, channel) for channel in summary.channels),
-    )
-
-
-def _channel_row(summary: LogSummary, channel: ChannelSummary) -> tuple[Cell, ...]:
-    serves = ", ".join(role.entry for role in summary.roles if role.topic == channel.topic)
-    faults = channel.backwards_steps + channel.duplicates
-    return (
-        Cell(text=channel.topic),
-        Cell(text=str(channel.count), is_number=True),
-        Cell(text=_number(channel.rate_hz, 1.0, 2), is_number=True),
-        Cell(text=_number(channel.max_gap_s, 1e3, 2), is_number=True),
-        Cell(text=f"{channel.backwards_steps} / {channel.duplicates}", is_number=True, tone="bad" if faults else ""),
-        Cell(text=_number(channel.header_minus_log_s, 1e3, 2), is_number=True),
-        Cell(text=serves),
+        rows,
+        numbers=range(1, 6),
     )
 
 
@@ -200,37 +223,32 @@ def _phase_table(result: Identified) -> Table:
             count, seconds = spent.get(phase.kind.value, (0, 0.0))
             spent[phase.kind.value] = count + 1, seconds + phase.stop_s - phase.start_s
         rows += [
-            (
-                *((Cell(text=timeline.log),) if many else ()),
-                Cell(text=kind.replace("-", " ")),
-                Cell(text=str(count), is_number=True),
-                Cell(text=f"{seconds:.1f}", is_number=True),
-            )
+            (timeline.log, kind.replace("-", " "), str(count), f"{seconds:.1f}")[0 if many else 1 :]
             for kind, (count, seconds) in spent.items()
         ]
-    columns = (*(("log",) if many else ()), "phase", "times", "seconds")
-    return Table(caption="Phases of the log", columns=columns, rows=tuple(rows))
+    columns = ("log", "phase", "times", "seconds")[0 if many else 1 :]
+    return build_table("Phases of the log", columns, rows, numbers=range(len(columns) - 2, len(columns)))
 
 
 def _axis_section(result: Identified, name: str, axis: AxisEstimate, evidence: Sequence[Evidence]) -> Section:
     units = axis_units(name)
     blocks: list[Block] = [_fit_table(axis.fits)] if axis.fits else []
     seen = [(each.period_s, each.axes[name]) for each in evidence if name in each.axes]
-    # Of several logs the one that told most is shown; all are in the table above.
-    period_s, told = max(seen, key=lambda pair: sum(len(span.measured) for span in pair[1].spans), default=(0.0, None))
+    # Of several logs the one with most samples is shown; all are in the table above.
+    period_s, shown = max(seen, key=lambda pair: sum(len(span.measured) for span in pair[1].spans), default=(0.0, None))
     period = period_s or result.sample_time_s.value or 1e-3
-    blocks += response_charts(name, units, axis, told, period)
-    if told is not None:
-        blocks += _contact_blocks(name, axis, told, period)
-        blocks += residual_charts(name, units, told, period)
+    blocks += response_charts(name, units, axis, shown, period)
+    if shown is not None:
+        blocks += _contact_blocks(name, axis, shown, period)
+        blocks += residual_charts(name, units, shown, period)
     if axis.covariance is not None:
         blocks.append(correlation_chart(name, axis.covariance))
     return Section(key=f"axis-{name}", title=f"Axis {name}", blocks=tuple(blocks))
 
 
-def _contact_blocks(name: str, axis: AxisEstimate, told: AxisEvidence, period_s: float) -> Iterator[Block]:
+def _contact_blocks(name: str, axis: AxisEstimate, evidence: AxisEvidence, period_s: float) -> Iterator[Block]:
     units = axis_units(name)
-    seen = [(surface.name, contacts_seen(told, i)) for i, surface in enumerate(axis.environments)]
+    seen = [(surface.name, contacts_seen(evidence, i)) for i, surface in enumerate(axis.environments)]
     for surface, contacts in seen:
         yield from contact_charts(name, units, surface, contacts, period_s)
     if any(contacts for _, contacts in seen):
@@ -238,36 +256,30 @@ def _contact_blocks(name: str, axis: AxisEstimate, told: AxisEvidence, period_s:
 
 
 def _fit_table(fits: Sequence[FitQuality]) -> Table:
-    def share(value: float | None) -> Cell:
-        return Cell(text="–" if value is None else f"{100.0 * value:.2f} %", is_number=True)
+    def share(value: float | None) -> str:
+        return "–" if value is None else f"{100.0 * value:.2f} %"
 
-    return Table(
-        caption="How well the model explains each log",
-        columns=(
-            "log",
-            "free spans",
-            "free: explained",
-            "free: residual / noise",
-            "free: left-out span missed by",
-            "contacts",
-            "contacts: explained",
-            "contacts: residual / noise",
-            "contacts: left-out one missed by",
+    return build_table(
+        "How well the model explains each log",
+        (
+            *("log", "free spans", "free: explained", "free: residual / noise", "free: left-out span missed by"),
+            *("contacts", "contacts: explained", "contacts: residual / noise", "contacts: left-out one missed by"),
         ),
-        rows=tuple(
+        (
             (
-                Cell(text=str(i + 1)),
-                Cell(text=str(fit.free_spans), is_number=True),
+                str(i + 1),
+                str(fit.free_spans),
                 share(fit.explained_free),
-                Cell(text=f"{fit.noise_ratio_free:.2f}", is_number=True),
+                f"{fit.noise_ratio_free:.2f}",
                 share(fit.left_out_free),
-                Cell(text=str(fit.contacts), is_number=True),
+                str(fit.contacts),
                 share(fit.explained_contact),
-                Cell(text="–" if fit.noise_ratio_contact is None else f"{fit.noise_ratio_contact:.2f}", is_number=True),
+                _number(fit.noise_ratio_contact, 1.0, 2),
                 share(fit.left_out_contact),
             )
             for i, fit in enumerate(fits)
         ),
+        numbers=range(1, 9),
     )
 
 

@@ -1,21 +1,26 @@
-"""The report of a controller as it was tuned: what it promises, what that rests on, and what it costs."""
+"""The page of a tuned controller: requirements, figures, the search, the front, and the certificate."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from autotune.charts.chart import Chart, Element, Line, Panel, Points, Scale
 from autotune.formats.canonical import short
 from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import Controller
-from autotune.formats.units import axis_units
+from autotune.formats.units import AxisUnits, axis_units
 
 from .axis_design import AxisDesign, axis_designs
-from .compared_tables import compared_blocks, law_before
-from .compliance_table import compliance_tables
+from .controller_charts import admittance_chart, contact_charts, map_chart, nyquist_chart, stiffness_chart
 from .controller_tables import (
     checksum_fact,
+    compared_blocks,
+    compliance_tables,
     design_facts,
     domain_table,
     gains_table,
+    law_before,
     prices_of,
     proof_table,
     reach_table,
@@ -23,10 +28,7 @@ from .controller_tables import (
     response_table,
     worst_table,
 )
-from .map_charts import map_chart
-from .optimize_charts import admittance_chart, contact_charts, nyquist_chart, stiffness_chart
-from .page import Block, Cell, Fact, Facts, Note, Page, Section, Table, Tone
-from .search_charts import convergence_chart, front_chart
+from .page import Block, Cell, Fact, Facts, Note, Page, Section, Table, Tone, build_table
 
 if TYPE_CHECKING:
     from autotune.tuning.search import SearchStep
@@ -59,7 +61,7 @@ def build_optimize_page(
                 *active_notes(controller),
             ),
         ),
-        *(design_section(design, standing_of(controller, design.name), old, checksum) for design in designs),
+        *(design_section(design, optimality_of(controller, design.name), old, checksum) for design in designs),
         *([] if fronts is None else [front_section(fronts)]),
         search_section(controller, steps or {}),
         certificate_section(controller, designs),
@@ -74,12 +76,12 @@ def build_optimize_page(
 
 
 def _lead(controller: Controller, designs: Sequence[AxisDesign]) -> str:
-    told = "; ".join(
-        f"axis {each.name}: at most {max(s.peak_contact_force_n for s in each.predicted.scenarios):.1f} "
-        f"{each.units.force} at the contact, modulus margin {each.margins.modulus:.3f}"
+    axes = (
+        f"axis {each.name}: at most {each.worst_contact.peak_contact_force_n:.1f} {each.units.force} at the contact, "
+        f"modulus margin {each.margins.modulus:.3f}"
         for each in designs
     )
-    return f"{controller.status.value.capitalize()}; {told}." if told else f"{controller.status.value.capitalize()}."
+    return f"{'; '.join((controller.status.value.capitalize(), *axes))}."
 
 
 def _before_fact(old: ControllerFile | None) -> Iterator[Fact]:
@@ -101,26 +103,26 @@ def footer(controller: Controller, checksum: str) -> str:
 def active_notes(controller: Controller) -> Iterator[Note]:
     """Yield what holds the peak of each axis up, in a sentence."""
     for name in controller.axes:
-        prices = prices_of(standing_of(controller, name))
+        prices = prices_of(optimality_of(controller, name))
         if prices is not None:
-            told = ", ".join(each.replace("_", " ") for each, price in prices.items() if price > _LEAST_PRICE)
-            text = f"what holds the peak up is {told}." if told else "no requirement holds the peak up."
+            active = ", ".join(each.replace("_", " ") for each, price in prices.items() if price > _LEAST_PRICE)
+            text = f"what holds the peak up is {active}." if active else "no requirement holds the peak up."
             yield Note(text=f"Axis {name}: {text}", kind="why", tone="quiet")
 
 
-def standing_of(controller: Controller, name: str) -> Mapping[str, Any] | None:
+def optimality_of(controller: Controller, name: str) -> Mapping[str, Any] | None:
     """Return what the file says of how near one axis is to the best, None where it does not."""
-    told = controller.provenance.get("optimality")
-    found = told.get(name) if isinstance(told, Mapping) else None
+    axes = controller.provenance.get("optimality")
+    found = axes.get(name) if isinstance(axes, Mapping) else None
     return found if isinstance(found, Mapping) else None
 
 
 def design_section(
-    design: AxisDesign, standing: Mapping[str, Any] | None, old: ControllerFile | None, checksum: str
+    design: AxisDesign, optimality: Mapping[str, Any] | None, old: ControllerFile | None, checksum: str
 ) -> Section:
     """Return requirements, comparison and figures of one axis."""
     before = law_before(old, design.name)
-    blocks: list[Block] = [requirement_table(design, prices_of(standing)), *compared_blocks(design, old, checksum)]
+    blocks: list[Block] = [requirement_table(design, prices_of(optimality)), *compared_blocks(design, old, checksum)]
     blocks += contact_charts(design, before)
     blocks += [stiffness_chart(design, before), admittance_chart(design, before), nyquist_chart(design, before)]
     blocks.append(map_chart(design))
@@ -133,35 +135,34 @@ def search_section(controller: Controller, steps: Mapping[str, Sequence["SearchS
     """Return how the search went, as far as it is known, and how near each axis is to the best."""
     blocks: list[Block] = [*compliance_tables(controller)]
     for name in controller.axes:
-        chart, standing = convergence_chart(name, axis_units(name), steps.get(name, ())), standing_of(controller, name)
+        chart, optimality = (
+            convergence_chart(name, axis_units(name), steps.get(name, ())),
+            optimality_of(controller, name),
+        )
         blocks += [] if chart is None else [chart]
-        blocks += [] if standing is None else [_standing_table(name, standing)]
+        blocks += [] if optimality is None else [_optimality_table(name, optimality)]
     return Section(key="search", title="The search", blocks=tuple(blocks))
 
 
-def _standing_table(name: str, standing: Mapping[str, Any]) -> Table:
-    against, force = standing["gap_against"], axis_units(name).force
+def _optimality_table(name: str, optimality: Mapping[str, Any]) -> Table:
+    against, force = optimality["gap_against"], axis_units(name).force
     least, elsewhere = (
         next(value for key, value in against.items() if key.startswith(f"{what}_"))
         for what in ("least", "from_elsewhere")
     )
     rows = [
-        ("requirements", "all met" if standing["feasible"] else "missed"),
-        ("contacts that this was seen on", str(standing["scenarios"])),
-        ("left over of the conditions of an optimum", f"at most {standing['kkt_residual']:.2g} of the gradient"),
-        ("unused slack is worth", f"at most {100.0 * standing['unused_slack']:.2g} % of the peak"),
-        ("gap to the least that was found", f"at most {100.0 * standing['gap']:.2g} %"),
+        ("requirements", "all met" if optimality["feasible"] else "missed"),
+        ("contacts that this was seen on", str(optimality["scenarios"])),
+        ("left over of the conditions of an optimum", f"at most {optimality['kkt_residual']:.2g} of the gradient"),
+        ("unused slack is worth", f"at most {100.0 * optimality['unused_slack']:.2g} % of the peak"),
+        ("gap to the least that was found", f"at most {100.0 * optimality['gap']:.2g} %"),
         ("the least, over the hardest contacts alone", f"{least:.4g} {force}"),
         (
             f"by {against['descents']} descents from the best of {against['designs']} other designs",
             "none met the requirements" if elsewhere is None else f"{elsewhere:.4g} {force}",
         ),
     ]
-    return Table(
-        caption=f"Axis {name}: how near it is to the best",
-        columns=("", "found"),
-        rows=tuple((Cell(text=what), Cell(text=value, is_number=True)) for what, value in rows),
-    )
+    return build_table(f"Axis {name}: how near it is to the best", ("", "found"), rows, numbers=(1,))
 
 
 def front_section(fronts: Mapping[str, Any]) -> Section:
@@ -174,28 +175,24 @@ def front_section(fronts: Mapping[str, Any]) -> Section:
 
 def _front_table(axis: str, tree: Mapping[str, Any]) -> Table:
     objectives = tree["objectives"]
-    heads = tuple(f"{each['name'].replace('_', ' ')} [{each['unit']}]".replace(" []", "") for each in objectives)
-    rows = []
+    heads = tuple(_side(each).label for each in objectives)
+    rows: list[tuple[str | Cell, ...]] = []
     for index, point in enumerate(tree["points"]):
         values = [point["values"][each["name"]] for each in objectives]
-        gains = [point[key] for key in ("mass", "damping", "lead_s", "feedback_damping_s")]
-        numbers = [Cell(text=f"{value:.5g}", is_number=True) for value in (*values, *gains)]
-        mark = "the controller written" if index == tree["chosen"] else ""
-        rows.append((Cell(text=str(index + 1)), *numbers, Cell(text=mark, tone="good")))
-    return Table(
-        caption=f"Controllers of axis {axis}",
-        columns=("", *heads, "M_a", "B_a", "K_l [s]", "B_fb [s]", ""),
-        rows=tuple(rows),
-    )
+        values += [point[key] for key in ("mass", "damping", "lead_s", "feedback_damping_s")]
+        mark = Cell(text="the controller written" if index == tree["chosen"] else "", tone="good")
+        rows.append((str(index + 1), *(f"{value:.5g}" for value in values), mark))
+    columns = ("", *heads, "M_a", "B_a", "K_l [s]", "B_fb [s]", "")
+    return build_table(f"Controllers of axis {axis}", columns, rows, numbers=range(1, len(columns) - 1))
 
 
 def build_front_page(tree: Mapping[str, Any]) -> Page:
     """Build the report of a `pareto.yaml`."""
     axes = tree["axes"]
-    told = "; ".join(f"axis {axis}: {len(front['points'])} controllers" for axis, front in axes.items())
+    counts = "; ".join(f"axis {axis}: {len(front['points'])} controllers" for axis, front in axes.items())
     return Page(
         title="What can be traded against what",
-        lead=f"{told}.".capitalize(),
+        lead=f"{counts}.".capitalize(),
         sections=(front_section(axes),),
         footer=str(tree["provenance"].get("tool", "")),
     )
@@ -209,3 +206,81 @@ def certificate_section(controller: Controller, designs: Sequence[AxisDesign]) -
         blocks += [] if reach is None else [reach]
         blocks += [domain_table(design), worst_table(design)]
     return Section(key="certificate", title="Certificate", blocks=tuple(blocks))
+
+
+def convergence_chart(name: str, units: AxisUnits, steps: Sequence["SearchStep"]) -> Chart | None:
+    """Draw the best value over the designs evaluated; None where nothing was recorded."""
+    if not steps:
+        return None
+    rounds = [step for step in steps if step.whole_n is not None]
+    count = np.array([step.evaluations for step in steps], dtype=np.float64)
+    best = np.array([step.best_n for step in steps])
+    elements: list[Element] = [Line(x=count, y=best, label="over the working scenarios", role="after", steps=True)]
+    whole = [step for step in rounds if step.whole_n is not None and np.isfinite(step.whole_n)]
+    names = tuple(f"round {i}: {step.scenarios} scenarios" for i, step in enumerate(rounds, 1))
+    if whole:
+        elements.append(
+            Points(
+                x=np.array([step.evaluations for step in whole], dtype=np.float64),
+                y=np.array([step.whole_n for step in whole], dtype=np.float64),
+                label="over the whole set, at the end of a round",
+                role="model",
+                marker="diamond",
+                names=names[-len(whole) :],
+            )
+        )
+    rounds_text = f"{len(rounds)} round{'' if len(rounds) == 1 else 's'} of adding the worst scenarios"
+    return Chart(
+        key=f"{name}-convergence",
+        title="How the search converged",
+        alternative=f"The best peak over {int(count[-1])} evaluated designs, from {best[0]:.4g} to {best[-1]:.4g} "
+        f"{units.force}, with {rounds_text}.",
+        caption=f"{int(count[-1])} designs evaluated; {rounds_text}, the last with {steps[-1].scenarios} scenarios.",
+        panels=(
+            Panel(
+                x=Scale(label="designs evaluated"),
+                y=Scale(label=f"peak {units.force_name} [{units.force}]"),
+                elements=tuple(elements),
+            ),
+        ),
+    )
+
+
+def front_chart(axis: str, tree: Mapping[str, Any]) -> Chart:
+    """Draw the first two objectives of a front of `pareto.yaml` against each other, the chosen controller marked."""
+    objectives, points, chosen = tree["objectives"], tree["points"], tree["chosen"]
+    y, x = objectives[0], objectives[min(1, len(objectives) - 1)]
+    values = {each["name"]: np.array([point["values"][each["name"]] for point in points]) for each in (x, y)}
+    names = tuple(
+        f"M_a {point['mass']:.4g}, B_a {point['damping']:.4g}, K_l {point['lead_s']:.4g} s, "
+        f"B_fb {point['feedback_damping_s']:.4g} s"
+        for point in points
+    )
+    order = np.argsort(values[x["name"]], kind="stable")
+    at, of = values[x["name"]], values[y["name"]]
+    elements: list[Element] = [
+        Line(x=at[order], y=of[order], role="quiet"),
+        Points(x=at, y=of, label="controllers", role="after", names=names),
+    ]
+    if chosen is not None:
+        one = slice(chosen, chosen + 1)
+        elements.append(Points(x=at[one], y=of[one], label="chosen", role="bad", marker="star", names=names[one]))
+    return Chart(
+        key=f"{axis}-front",
+        title=f"What can be traded: {_title(y)} against {_title(x)}",
+        alternative=f"{len(points)} controllers of axis {axis} of which none is beaten by another: {_title(y)} from "
+        f"{np.min(of):.4g} to {np.max(of):.4g} {y['unit']}, {_title(x)} from {np.min(at):.4g} to {np.max(at):.4g} "
+        f"{x['unit']}.",
+        caption=f"Every point holds in {tree['scenarios']} scenarios."
+        + (" Further objectives are in the table." if len(objectives) > 2 else ""),
+        panels=(Panel(x=_side(x), y=_side(y), elements=tuple(elements), height=1.4),),
+    )
+
+
+def _title(objective: Mapping[str, Any]) -> str:
+    return str(objective["name"]).replace("_", " ")
+
+
+def _side(objective: Mapping[str, Any]) -> Scale:
+    unit = f" [{objective['unit']}]" if objective["unit"] else ""
+    return Scale(label=f"{_title(objective)}{unit}")

@@ -1,9 +1,9 @@
-"""A report as one page: what stands in it, and the HTML that carries it without a network."""
+"""Reports: sections of tables, facts, notes and charts, rendered as one HTML page that needs no network."""
 
 import base64
 import gzip
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from importlib.resources import files
@@ -48,6 +48,22 @@ class Table:
             Cell(text=name, is_number=bool(cells) and all(cell.is_number for cell in cells))
             for name, cells in zip(self.columns, entries, strict=True)
         )
+
+
+def build_table(
+    caption: str, columns: Iterable[str], rows: Iterable[Iterable[str | Cell]], *, numbers: Collection[int] = ()
+) -> Table:
+    """Return a table of texts and cells; those in the columns `numbers` are set to the right."""
+    cells = (
+        tuple(
+            replace(each, is_number=each.is_number or i in numbers)
+            if isinstance(each, Cell)
+            else Cell(text=each, is_number=i in numbers)
+            for i, each in enumerate(row)
+        )
+        for row in rows
+    )
+    return Table(caption=caption, columns=tuple(columns), rows=tuple(cells))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,7 +154,7 @@ def render_page(page: Page, progress: Callable[[float], None] | None = None, *, 
 
     Every figure is a picture that stands alone, with its text alternative; those that can be zoomed carry what the
     engine needs, which draws them when asked. Pictures and engine are two libraries' work, done side by side by two
-    `processes`. `progress` is told the share of the figures drawn since the last call. The same page gives the same
+    `processes`. `progress` receives the share of the figures drawn since the last call. The same page gives the same
     text.
     """
     charts = [block for section in page.sections for block in section.blocks if isinstance(block, Chart)]
@@ -173,7 +189,7 @@ class Legend:
 
 
 def build_legend(chart: Chart) -> Legend:
-    """Return what a reader must be told once per figure, and what once per panel."""
+    """Return what the legend says once per figure, and what once per panel."""
     panels = tuple(tuple(dict.fromkeys(_entries(panel))) for panel in chart.panels)
     every = [entry for panel in panels for entry in panel]
     apart = chart.beside and len(panels) > 1 and len(set(every)) == len(every)

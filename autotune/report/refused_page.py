@@ -1,4 +1,4 @@
-"""The page of what was refused: that it is not valid or not found, why, and what could be seen all the same."""
+"""The page of what was refused: the verdict, the reason, and what could be read all the same."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,13 +12,12 @@ from autotune.formats.yaml12 import load_document
 from autotune.pipeline import Topics
 from identification.errors import LogError
 from identification.logs import read_recording
-from identification.logs.cell import Cell as CellTold
+from identification.logs.cell import Cell
 from identification.logs.opened import digests
 from identification.signals.recording import Recording
 
-from .identify_page import health_blocks
-from .log_summaries import summaries_of
-from .page import Block, Cell, Fact, Facts, Note, Page, Section, Table
+from .identify_page import health_blocks, summaries_of
+from .page import Block, Fact, Facts, Note, Page, Section, build_table
 from .sensor_charts import logged_charts
 
 NOT_IDENTIFIED = "NOT identified"
@@ -42,8 +41,8 @@ def refuse(
     """
     sentence = " ".join(str(error).split())
     large = Fact(label="outcome", value=verdict, tone="bad", is_large=True)
-    told = (Facts(facts=(large, *facts)), Note(text=sentence, kind="error", tone="bad"), *blocks)
-    section = Section(key="refusal", title="Outcome", blocks=told)
+    whole = (Facts(facts=(large, *facts)), Note(text=sentence, kind="error", tone="bad"), *blocks)
+    section = Section(key="refusal", title="Outcome", blocks=whole)
     rest = () if page is None else page.sections
     return Page(
         title=verdict if page is None else page.title,
@@ -74,10 +73,10 @@ def refused_log_page(
 
 
 def _readable(logs: Sequence[Path], topics: Topics, cell: CellFile | None, *, salvage: bool) -> Recording | None:
-    told = CellTold() if cell is None else cell.cell
-    told = told.with_topics(wrench=topics.wrench, pose=topics.pose, command=topics.command)
+    settings = Cell() if cell is None else cell.cell
+    settings = settings.with_topics(wrench=topics.wrench, pose=topics.pose, command=topics.command)
     try:
-        return read_recording(tuple(logs), told, salvage=salvage)
+        return read_recording(tuple(logs), settings, salvage=salvage)
     except AutotuneError:
         # Why it cannot be read is what the page says already.
         return None
@@ -120,13 +119,8 @@ def refused_search_page(error: Exception, plant: IdentifiedFile | None) -> Page:
         facts = [Fact(label="plant", value=plant.path.name, detail=f"axes {', '.join(plant.result.axes)}")]
         footer = f"from {plant.path} (sha256 {plant.sha256[:12]}…)"
     eased = error.relaxations if isinstance(error, InfeasibleError) else ()
-    rows = tuple(
-        (Cell(text=name), Cell(text=f"{asked:g}", is_number=True), Cell(text=f"{possible:.4g}", is_number=True))
-        for name, asked, possible in eased
-    )
-    columns = ("requirement", "asked", "possible")
-    table = Table(
-        caption="One of these, eased alone, would be enough (units of problem.yaml)", columns=columns, rows=rows
-    )
+    rows = [(name, f"{required:g}", f"{possible:.4g}") for name, required, possible in eased]
+    caption = "One of these, eased alone, would be enough (units of problem.yaml)"
+    table = build_table(caption, ("requirement", "asked", "possible"), rows, numbers=(1, 2))
     page = Page(title="No controller was written", lead="", sections=(), footer=footer)
     return refuse(NO_CONTROLLER, error, page, facts=facts, blocks=(table,) if rows else ())

@@ -1,4 +1,4 @@
-"""The report of a schedule: a controller per class of payload and surface, and what one for all would cost."""
+"""The page of a schedule: a controller per class of payload and surface, and the cost of one for all."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
@@ -12,7 +12,7 @@ from autotune.formats.schedule import ScheduleFile
 from autotune.formats.units import axis_units
 
 from .controller_tables import checksum_fact
-from .page import Cell, Facts, Note, Page, Section, Table
+from .page import Facts, Note, Page, Section, Table, build_table
 
 _RANGES = {"payload_mass_kg": ("payload [kg]", 1.0), "environment_stiffness_n_per_m": ("K_e [N/mm]", 1e-3)}
 
@@ -47,13 +47,13 @@ def _charts(tree: Mapping[str, Any]) -> Iterator[Chart]:
             if axis in each["axes"]
         ]
         points = [
-            _peaks("with its own controller", "after", "dot", [(i, n, told["peak_force_n"]) for i, n, told in seen])
+            _peaks("with its own controller", "after", "dot", [(i, n, found["peak_force_n"]) for i, n, found in seen])
         ]
         common = [
-            (i, n, told["peak_with_common_n"]) for i, n, told in seen if told.get("peak_with_common_n") is not None
+            (i, n, found["peak_with_common_n"]) for i, n, found in seen if found.get("peak_with_common_n") is not None
         ]
         points += [_peaks("with one for all", "before", "diamond", common)] if common else []
-        lowest, highest = (pick(told["peak_force_n"] for _, _, told in seen) for pick in (min, max))
+        lowest, highest = (pick(found["peak_force_n"] for _, _, found in seen) for pick in (min, max))
         yield Chart(
             key=f"{axis}-classes",
             title=f"Peak {units.force_name} of every class, axis {axis}",
@@ -82,19 +82,15 @@ def _table(tree: Mapping[str, Any]) -> Table:
     rows = []
     for entry in tree["classes"]:
         for axis, of_axis in entry["axes"].items():
-            told, force = rename_axis_keys(axis, of_axis, reading=True), axis_units(axis).force
+            found, force = rename_axis_keys(axis, of_axis, reading=True), axis_units(axis).force
             texts = [_span(entry.get(name), _RANGES[name][1]) for name in ranges]
-            texts += [f"{told['peak_force_n']:.4g} {force}"]
-            common, cost = told.get("peak_with_common_n"), told.get("cost_n")
+            texts += [f"{found['peak_force_n']:.4g} {force}"]
+            common, cost = found.get("peak_with_common_n"), found.get("cost_n")
             texts += ["" if common is None else f"{common:.4g} {force}", "" if cost is None else f"{cost:+.3g} {force}"]
-            cells = (Cell(text=text, is_number=True) for text in texts)
-            rows.append((Cell(text=entry["name"]), Cell(text=axis), *cells, Cell(text=short(entry["checksum"]))))
-    heads = (_RANGES[name][0] for name in ranges)
-    return Table(
-        caption="The classes, and what one controller for all would cost in each",
-        columns=("class", "axis", *heads, "peak", "with one for all", "costs", "checksum"),
-        rows=tuple(rows),
-    )
+            rows.append((entry["name"], axis, *texts, short(entry["checksum"])))
+    columns = ("class", "axis", *(_RANGES[name][0] for name in ranges), "peak", "with one for all", "costs", "checksum")
+    caption = "The classes, and what one controller for all would cost in each"
+    return build_table(caption, columns, rows, numbers=range(2, len(columns) - 1))
 
 
 def _span(interval: Sequence[float] | None, scale: float) -> str:

@@ -1,4 +1,4 @@
-"""The figures of the sensor: its wrench over the phases of a log, and its noise at rest."""
+"""Charts of the sensor: its wrench over the phases of a log, and its noise at rest."""
 
 from collections.abc import Iterator, Sequence
 
@@ -31,7 +31,7 @@ def wrench_charts(evidence: Evidence, timeline: Timeline | None, mark: str) -> I
         key=f"wrench-{mark}",
         title="Force of the sensor, and what happened when",
         alternative=f"Three curves over {time[-1]:.0f} s, Fx, Fy, Fz in the sensor frame, as logged and without weight "
-        f"and bias; without them the force reaches {_largest(evidence.compensated_S_n):.1f} N. {_told(timeline)}",
+        f"and bias; without them the force reaches {_largest(evidence.compensated_S_n):.1f} N. {_phases(timeline)}",
         caption="Shaded: the phases that were found. What is not shaded is rest.",
         panels=_panels(time, "F", "N", evidence.raw_S_n, evidence.compensated_S_n, shades),
         linked=True,
@@ -98,7 +98,7 @@ def _shades(timeline: Timeline) -> Iterator[Stretch]:
             yield Stretch(low=phase.start_s, high=phase.stop_s, label=label, role=_ROLES[phase.kind])
 
 
-def _told(timeline: Timeline | None) -> str:
+def _phases(timeline: Timeline | None) -> str:
     if timeline is None:
         return ""
     contacts = [p.contact for p in timeline.phases if p.contact is not None]

@@ -1,21 +1,27 @@
-"""The report of a validation: the verdict, every check, and the contacts that it simulated or found in a log."""
+"""The page of a validation: the verdict, every check, and the contacts that were simulated or found in a log."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from autotune.charts.chart import Band, Chart, Limit, Line, Panel, Scale, level_panels
 from autotune.formats.controller_record import Controller
 from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import axis_units
 from autotune.validation.against_log import ComparedContact, LogComparison
-from autotune.validation.monte_carlo import QUANTILES, AxisMonteCarlo
+from autotune.validation.monte_carlo import BAND, QUANTILES, AxisMonteCarlo
 from autotune.validation.report import ValidationReport
 
 from .axis_design import axis_designs
+from .controller_charts import contact_charts, stiffness_chart
 from .controller_tables import checksum_fact, design_facts
-from .optimize_charts import contact_charts, stiffness_chart
 from .optimize_page import certificate_section, footer
-from .page import Block, Cell, Fact, Facts, Page, Section, Table, Tone
-from .validate_charts import band_chart, measured_charts
+from .page import Block, Cell, Fact, Facts, Page, Section, Table, Tone, build_table
+
+_PANELS = 3
+# What is beyond is in the table.
+_MOST_CONTACTS = 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,12 +83,11 @@ def verdict_section(checksum: str, validated: Validated) -> Section:
 
 def checks_table(report: ValidationReport) -> Table:
     """Return every check with its verdict."""
-    rows = []
+    rows: list[tuple[str | Cell, ...]] = []
     for check in report.checks:
         tone: Tone = ("warn" if check.warns else "good") if check.passed else "bad"
-        verdict = Cell(text=check.verdict, tone=tone)
-        rows.append((Cell(text=check.name), Cell(text=check.axis), verdict, Cell(text=check.message)))
-    return Table(caption="Checks", columns=("check", "axis", "", "found"), rows=tuple(rows))
+        rows.append((check.name, check.axis, Cell(text=check.verdict, tone=tone), check.message))
+    return build_table("Checks", ("check", "axis", "", "found"), rows)
 
 
 def measured_section(validated: Validated) -> Iterator[Section]:
@@ -104,6 +109,7 @@ def _measured_table(contacts: Sequence[ComparedContact]) -> Table:
     for each in contacts:
         low, high = each.band_peaks_n
         numbers = (
+            f"{each.axis} at {each.onset_s:.2f} s",
             f"{1e3 * each.speed_m_s:.1f}",
             "" if each.stiffness_n_per_m is None else f"{1e-3 * each.stiffness_n_per_m:.{digits}f}",
             f"{each.measured_peak_n:.{digits}f}",
@@ -112,11 +118,10 @@ def _measured_table(contacts: Sequence[ComparedContact]) -> Table:
             f"{low:.{digits}f} to {high:.{digits}f}",
             f"{100.0 * each.share_inside:.1f}",
         )
-        where = Cell(text=f"{each.axis} at {each.onset_s:.2f} s")
-        rows.append((where, *(Cell(text=text, is_number=True) for text in numbers)))
-    return Table(
-        caption="Turns of the log that ended in contact" if turns else "Contacts of the log",
-        columns=(
+        rows.append(numbers)
+    return build_table(
+        "Turns of the log that ended in contact" if turns else "Contacts of the log",
+        (
             "contact",
             f"speed [m{units.speed}]",
             f"K_e [{'N·m/mrad' if turns else 'N/mm'}]",
@@ -126,7 +131,8 @@ def _measured_table(contacts: Sequence[ComparedContact]) -> Table:
             f"certified set [{units.force}]",
             "inside [%]",
         ),
-        rows=tuple(rows),
+        rows,
+        numbers=range(1, 8),
     )
 
 
@@ -147,11 +153,80 @@ def _peaks_table(simulated: Sequence[AxisMonteCarlo]) -> Table:
         for what, of in (("contact", each.contact), ("sensor", each.sensor)):
             if of is not None:
                 values = (of.predicted, of.linear.largest, *of.observed.quantiles, of.observed.largest, of.limit)
-                numbers = tuple(Cell(text=f"{value:.2f}", is_number=True) for value in values)
-                rows.append((Cell(text=f"{each.axis}, {what} [{force}]"), *numbers))
+                rows.append((f"{each.axis}, {what} [{force}]", *(f"{value:.2f}" for value in values)))
     quantiles = tuple(f"{100.0 * share:g} %" for share in QUANTILES)
-    return Table(
-        caption="Peaks: what the file predicts, its own model on the sampled plants, and the full simulation",
-        columns=("force", "predicted", "own model, largest", *quantiles, "largest", "may reach"),
-        rows=tuple(rows),
+    columns = ("force", "predicted", "own model, largest", *quantiles, "largest", "may reach")
+    caption = "Peaks: what the file predicts, its own model on the sampled plants, and the full simulation"
+    return build_table(caption, columns, rows, numbers=range(1, len(columns)))
+
+
+def band_chart(found: AxisMonteCarlo) -> Chart | None:
+    """Draw the contact force of the simulated plants over time; None where nothing could be simulated."""
+    if found.band is None or found.contact is None:
+        return None
+    units, time = axis_units(found.axis), 1e3 * found.band.time_s
+    lowest, low, middle, high, highest = found.band.levels
+    promised, limit = found.contact.predicted, found.contact.limit
+    return Chart(
+        key=f"{found.axis}-band",
+        title=f"{found.count} contacts simulated with everything that disturbs",
+        alternative=f"Contact {units.force_name} over time of {found.count} plants of the certified set with deadband, "
+        f"noise, clipping and late commands; the largest is {found.contact.observed.largest:.4g} {units.force}, where "
+        f"{promised:.4g} {units.force} is predicted.",
+        caption=f"Dark: {100.0 * BAND[0]:g} to {100.0 * BAND[-1]:g} % of the contacts; pale: all of them. What is "
+        f"disturbed may reach {limit:.4g} {units.force}.",
+        panels=(
+            Panel(
+                x=Scale(label="time after touching [ms]"),
+                y=Scale(label=f"{units.force_name} [{units.force}]"),
+                elements=(
+                    Band(x=time, low=lowest, high=highest, label="all", role="quiet"),
+                    Band(x=time, low=low, high=high, label=f"{100.0 * (BAND[-1] - BAND[0]):g} %", role="after"),
+                    Line(x=time, y=middle, label="median", role="after"),
+                    Limit(value=promised, label="largest predicted", role="target"),
+                    Limit(value=limit, label="limit", role="bad"),
+                ),
+            ),
+        ),
+    )
+
+
+def measured_charts(found: LogComparison) -> Iterator[Chart]:
+    """Draw the contacts of a log beside the prediction and what the certified set allows, in the order of time."""
+    strongest = sorted(found.contacts, key=lambda each: -each.measured_peak_n)[:_MOST_CONTACTS]
+    shown = sorted(strongest, key=lambda each: each.onset_s)
+    errors = [100.0 * abs(each.peak_error_n) / each.measured_peak_n for each in found.contacts]
+    inside = sum(each.is_inside for each in found.contacts)
+    summary = (
+        f"of {len(found.contacts)} contacts the predicted peak is within {max(errors):.1f} % of the measured one; "
+        f"{inside} lie inside the band all the time."
+    )
+    which = "" if len(shown) == len(found.contacts) else f" The strongest {len(shown)} are drawn; the table has all."
+    panels = level_panels([_measured_panel(each) for each in shown])
+    for number, start in enumerate(range(0, len(shown), _PANELS), 1):
+        is_last = start + _PANELS >= len(shown)
+        yield Chart(
+            key="measured" + (f"-{number}" if number > 1 else ""),
+            title="Measured contacts beside the prediction" + (f" ({number})" if len(shown) > _PANELS else ""),
+            alternative=f"Force at the sensor over time after touching, measured and predicted: {summary}",
+            caption=f"O{summary[1:]} Shaded: what the certified set allows.{which}" if is_last else "",
+            panels=panels[start : start + _PANELS],
+            beside=True,
+        )
+
+
+def _measured_panel(contact: ComparedContact) -> Panel:
+    units, trace = axis_units(contact.axis), contact.trace
+    last = min(float(trace.measured_s[-1]), float(trace.time_s[-1]))
+    used = trace.time_s <= last
+    time = 1e3 * trace.time_s[used]
+    return Panel(
+        title=f"{contact.axis} at {contact.onset_s:.2f} s",
+        x=Scale(label="time after touching [ms]", limits=(0.0, 1e3 * last)),
+        y=Scale(label=f"{units.force_name} at the sensor [{units.force}]"),
+        elements=(
+            Band(x=time, low=trace.low[used], high=trace.high[used], label="certified", role="target"),
+            Line(x=1e3 * np.asarray(trace.measured_s), y=trace.measured, label="measured", wide=True),
+            Line(x=time, y=trace.predicted[used], label="predicted", role="model", dashed=True),
+        ),
     )

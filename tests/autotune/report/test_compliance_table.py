@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from autotune.report.compliance_table import compliance_tables
+from autotune.report.controller_tables import compliance_tables
 
 
 def controller(tried: list[tuple[float, float | None, bool]], **more: Any) -> Any:

@@ -5,8 +5,13 @@ import pytest
 
 from autotune.charts.chart import Heat, Line
 from autotune.formats.units import axis_units
-from autotune.report.contact_evidence import contact_charts, contact_table, contacts_seen
-from autotune.report.identify_charts import correlation_chart, residual_charts
+from autotune.report.identify_charts import (
+    contact_charts,
+    contact_table,
+    contacts_seen,
+    correlation_chart,
+    residual_charts,
+)
 from identification.evidence import AxisEvidence
 from identification.joint_fit.result import FittedSpan
 from identification.result import Covariance

@@ -13,9 +13,9 @@ from autotune.charts.chart import Chart, Heat, Line, Points
 from autotune.formats.controller import ControllerFile, controller_tree, short
 from autotune.formats.schedule import write_schedule
 from autotune.report.axis_design import axis_designs, contact_of, modulus_of, over_stiffness
-from autotune.report.compared_tables import compared_blocks
+from autotune.report.controller_charts import nyquist_chart
+from autotune.report.controller_tables import compared_blocks
 from autotune.report.from_files import report_files
-from autotune.report.optimize_charts import nyquist_chart
 from autotune.report.optimize_page import build_front_page, build_optimize_page
 from autotune.report.page import Facts, Note, Page, Section, Table, join_pages, render_page
 from autotune.report.validate_page import Validated, build_validate_page

@@ -1,16 +1,21 @@
-"""The figures of a controller: its contacts, what a hand feels, how far it is from instability, and what it costs."""
+"""Charts of a controller: contacts, admittance, Nyquist, margin and peak over stiffness, and maps of its gains."""
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
+from contourpy import contour_generator
 from numpy.typing import NDArray
 
-from autotune.charts.chart import Chart, Element, Limit, Line, Panel, Points, Role, Scale, Stretch
+from autotune.charts.chart import Chart, Element, Heat, Limit, Line, Panel, Points, Role, Scale, Stretch
 from autotune.formats.controller_record import AdmittanceRequirement, ScenarioPrediction
 from autotune.formats.units import AxisUnits
 from autotune.scenario_text import off_nominal, stiffness_text
 from problems.contact.transient import ContactTransient
+from problems.maps.maps import MapAxis, MapRequest, compute_map
+from problems.maps.parameters import MapQuantity, find_parameter
 from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant
 from problems.model.response import free_space_admittance, loop_response
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from problems.stability.margins import frequency_grid
@@ -28,6 +33,8 @@ _LOOP_POINTS = 700
 # What the picture shows of the plane of L, and how far its curves are carried, so that they end at the frame.
 _RE, _IM, _FAR = (-2.3, 1.1), (-1.8, 1.1), 30.0
 _STIFFNESS_POINTS, _BEYOND = 40, 3.0
+_MAP_COUNT, _MAP_LOW, _MAP_HIGH = 40, 0.4, 2.5
+_LEAST_LEAD_S, _LEAST_FEEDBACK_S = 0.02, 0.01
 
 
 def contact_charts(design: AxisDesign, old: AdmittanceController | None) -> Iterator[Chart]:
@@ -35,10 +42,10 @@ def contact_charts(design: AxisDesign, old: AdmittanceController | None) -> Iter
     scenarios = design.predicted.scenarios
     groups: dict[str, list[ScenarioPrediction]] = {}
     for each in scenarios:
-        told = _WORST if each.further else f"payload {_mass(design, each.payload_mass_kg)}"
-        groups.setdefault(told, []).append(each)
-    for index, (told, group) in enumerate(groups.items()):
-        chart = _contact_chart(design, old, f"{design.name}-contact-{index + 1}", told, _spread(group))
+        title = _WORST if each.further else f"payload {_mass(design, each.payload_mass_kg)}"
+        groups.setdefault(title, []).append(each)
+    for index, (title, group) in enumerate(groups.items()):
+        chart = _contact_chart(design, old, f"{design.name}-contact-{index + 1}", title, _spread(group))
         if chart is not None:
             yield chart
 
@@ -58,7 +65,7 @@ def _contact_chart(
     design: AxisDesign,
     old: AdmittanceController | None,
     key: str,
-    told: str,
+    title: str,
     shown: Sequence[ScenarioPrediction],
 ) -> Chart | None:
     laws = [("after", design.law)] if old is None else [("before", old), ("after", design.law)]
@@ -86,10 +93,10 @@ def _contact_chart(
     lost = sum(run.get("before", run["after"]) is None for run in runs)
     return Chart(
         key=key,
-        title=f"Predicted contact, {told}",
+        title=f"Predicted contact, {title}",
         alternative=f"{units.force_name.capitalize()} over time after touching {len(shown)} surfaces; the largest peak "
         f"is {worst.peak_contact_force_n:.4g} {units.force} at the surface, {1e3 * worst.time_of_peak_s:.0f} ms after "
-        f"touching {stiffness_text(worst.environment_stiffness_n_per_m, units)}.{_before_told(runs, units)}",
+        f"touching {stiffness_text(worst.environment_stiffness_n_per_m, units)}.{_peak_before(runs, units)}",
         caption=f"Blue: at the surface; dashed: at the sensor.{beside}"
         + (f" In {lost} of these the controller before is unstable and not drawn." if lost else "")
         + (f" Other than nominal: {others}." if others else ""),
@@ -98,7 +105,7 @@ def _contact_chart(
     )
 
 
-def _before_told(runs: Sequence[dict[str, ContactTransient | None]], units: AxisUnits) -> str:
+def _peak_before(runs: Sequence[dict[str, ContactTransient | None]], units: AxisUnits) -> str:
     peaks = [run.peak_contact_force_n for each in runs if (run := each.get("before")) is not None]
     return f" Before it was up to {max(peaks):.4g} {units.force}." if peaks else ""
 
@@ -112,8 +119,8 @@ def _contact_lines(run: dict[str, ContactTransient | None], duration: float, *, 
         time = 1e3 * seen.time_s[used]
         yield Line(x=time, y=seen.contact_force_n[used], label="at the surface" if alone else name, role=role)
         if name == "after":
-            told = "at the sensor" if alone else "after, at the sensor"
-            yield Line(x=time, y=seen.sensor_force_n[used], label=told, role=role, dashed=True)
+            label = "at the sensor" if alone else "after, at the sensor"
+            yield Line(x=time, y=seen.sensor_force_n[used], label=label, role=role, dashed=True)
             peak = np.array([1e3 * seen.time_of_peak_s]), np.array([seen.peak_contact_force_n])
             if seen.time_of_peak_s <= duration:
                 yield Points(x=peak[0], y=peak[1], role=role, marker="diamond", names=("peak",))
@@ -143,9 +150,9 @@ def admittance_chart(design: AxisDesign, old: AdmittanceController | None) -> Ch
         if law is not None:
             role: Role = "after" if name == "after" else "before"
             found = free_space_admittance(free, law, 2.0 * np.pi * frequency)
-            told = "" if old is None else name
-            gains.append(Line(x=frequency, y=np.abs(found), label=told, role=role))
-            phases.append(Line(x=frequency, y=np.degrees(np.unwrap(np.angle(found))), label=told, role=role))
+            label = "" if old is None else name
+            gains.append(Line(x=frequency, y=np.abs(found), label=label, role=role))
+            phases.append(Line(x=frequency, y=np.degrees(np.unwrap(np.angle(found))), label=label, role=role))
     x = Scale(label="frequency [Hz]", spacing="log")
     reached = design.predicted.free_space_admittance
     target = "" if asked is None else f"; asked are {asked.min_m_s_per_n:.3g} {units.admittance}"
@@ -198,12 +205,12 @@ def nyquist_chart(design: AxisDesign, old: AdmittanceController | None) -> Chart
         )
         for k, where in enumerate(("force", "command"))
     )
-    told = "" if asked is None else f" Asked are {asked:g}: the dashed circle."
+    required = "" if asked is None else f" Asked are {asked:g}: the dashed circle."
     return Chart(
         key=f"{design.name}-nyquist",
         title="How far from instability: Nyquist",
         alternative=f"The open loop, cut at the force and at the command, around the point −1. Over the whole domain "
-        f"it stays {radius:.3f} away from it.{told}",
+        f"it stays {radius:.3f} away from it.{required}",
         caption="Positive frequencies; at low ones the curves go on beyond the frame. "
         f"Over the whole domain L stays {radius:.3f} away from −1 (modulus margin)."
         + ("" if asked is None else f" The dashed circle is what was asked, {asked:g}."),
@@ -234,7 +241,7 @@ def stiffness_chart(design: AxisDesign, old: AdmittanceController | None) -> Cha
     low, high = design.domain.environment_stiffness_n_per_m
     grid = np.geomspace(max(low, 1e-3 * high) / _BEYOND, high * _BEYOND, _STIFFNESS_POINTS)
     units, masses = design.units, sorted(set(design.domain.payload_mass_kg))
-    scale, unit = (1e-3, "N/mm") if units.stiffness == "N/m" else (1.0, units.stiffness)
+    scale, unit = units.shown_stiffness
     now = [over_stiffness(design, design.law, mass, grid) for mass in masses]
     roles: tuple[Role, ...] = ("after", "model")
     before = [] if old is None else [over_stiffness(design, old, mass, grid) for mass in masses[-1:]]
@@ -258,7 +265,7 @@ def stiffness_chart(design: AxisDesign, old: AdmittanceController | None) -> Cha
         key=f"{design.name}-stiffness",
         title="How it depends on what is touched",
         alternative=f"Modulus margin and peak contact {units.force_name} over the environment stiffness from "
-        f"{scale * grid[0]:.3g} to {scale * grid[-1]:.3g} {unit}. {_told_inside(now, low, high, units)}",
+        f"{scale * grid[0]:.3g} to {scale * grid[-1]:.3g} {unit}. {_extremes_inside(now, low, high, units)}",
         caption="Shaded: the interval that the certificate speaks of; beyond it nothing is promised. "
         "A curve ends where the loop is unstable.",
         panels=(
@@ -296,7 +303,7 @@ def _curves(cases: Sequence[tuple[str, Role, OverStiffness]], scale: float, what
         yield Line(x=scale * each.stiffness, y=getattr(each, what), label=name, role=role, dashed=role == "before")
 
 
-def _told_inside(now: Sequence[OverStiffness], low: float, high: float, units: AxisUnits) -> str:
+def _extremes_inside(now: Sequence[OverStiffness], low: float, high: float, units: AxisUnits) -> str:
     inside = [(each.stiffness >= low) & (each.stiffness <= high) for each in now]
     margins = np.concatenate([each.modulus[kept] for each, kept in zip(now, inside, strict=True)])
     peaks = np.concatenate([each.peak_n[kept] for each, kept in zip(now, inside, strict=True)])
@@ -306,3 +313,93 @@ def _told_inside(now: Sequence[OverStiffness], low: float, high: float, units: A
         f"Inside the certified interval the margin is at least {np.nanmin(margins):.3f} and the peak at most "
         f"{np.nanmax(peaks):.4g} {units.force}."
     )
+
+
+def map_chart(design: AxisDesign) -> Chart:
+    """Draw the smallest modulus margin over two pairs of gains, with the design in them."""
+    worst, law = design.worst_plant(), design.law
+    plants = tuple(dict.fromkeys((*design.corners(), *(() if worst is None else (worst,)))))
+    pairs = (
+        (
+            _gain_axis("damping", law.damping_n_s_per_m),
+            _gain_axis("lead_s", law.lead_s, _LEAST_LEAD_S),
+            (law.damping_n_s_per_m, law.lead_s),
+        ),
+        (
+            _gain_axis("mass", law.mass_kg),
+            _gain_axis("feedback_damping_s", law.feedback_damping_s, _LEAST_FEEDBACK_S),
+            (law.mass_kg, law.feedback_damping_s),
+        ),
+    )
+    margins = [_smallest_margin(design, plants, x, y) for x, y, _ in pairs]
+    highest = max(float(np.nanmax(margin, initial=design.margins.modulus)) for margin in margins)
+    shares = [100.0 * float(np.mean(np.isfinite(margin))) for margin in margins]
+    return Chart(
+        key=f"{design.name}-map",
+        title="Where the gains are stable",
+        alternative=f"Two maps of the smallest modulus margin, over damping and lead gain ({shares[0]:.0f} % of it "
+        f"stable) and over mass and feedback damping ({shares[1]:.0f} % stable), with the design marked at "
+        f"{design.margins.modulus:.3f}.",
+        caption=f"Colour: the smallest modulus margin over {len(plants)} plants, the ends of the domain and its worst "
+        "case, free space included. Grey: unstable.",
+        panels=tuple(
+            _map_panel(design, x, y, margin, (0.0, highest), point)
+            for (x, y, point), margin in zip(pairs, margins, strict=True)
+        ),
+        beside=True,
+    )
+
+
+def _gain_axis(name: str, value: float, least: float | None = None) -> MapAxis:
+    """Return an axis around a gain; one that may be 0 begins there and goes on at least to `least`."""
+    low, high = (_MAP_LOW * value, _MAP_HIGH * value) if least is None else (0.0, max(_MAP_HIGH * value, least))
+    return MapAxis(name=name, low=low, high=high, count=_MAP_COUNT)
+
+
+def _smallest_margin(design: AxisDesign, plants: Sequence[Plant], x: MapAxis, y: MapAxis) -> FloatArray:
+    found = np.full((y.count, x.count), np.inf)
+    for plant in plants:
+        request = MapRequest(
+            plant=plant,
+            controller=design.law,
+            sample_time_s=design.sample_time_s,
+            x=x,
+            y=y,
+            quantity=MapQuantity.MODULUS,
+            where="free_space" if plant.environment.is_free_space else "both",
+        )
+        found = np.minimum(found, compute_map(request).values)
+    return found
+
+
+def _map_panel(
+    design: AxisDesign,
+    x: MapAxis,
+    y: MapAxis,
+    margin: FloatArray,
+    colours: tuple[float, float],
+    point: tuple[float, float],
+) -> Panel:
+    heat = Heat(x=x.values(), y=y.values(), values=margin, label="smallest modulus margin", limits=colours)
+    elements: list[Element] = [heat]
+    if design.modulus_asked is not None:
+        edge = level_lines(heat, design.modulus_asked)
+        if len(edge[0]):
+            elements.append(Line(x=edge[0], y=edge[1], label="margin as asked", role="bad", dashed=True))
+    star: dict[str, Any] = {"role": "bad", "marker": "star", "names": ("the design",)}
+    elements.append(Points(x=np.array(point[:1]), y=np.array(point[1:]), label="the design", **star))
+    sides = []
+    for axis in (x, y):
+        parameter = find_parameter(axis.name)
+        unit = parameter.unit_of(rotational=design.units.force != "N")
+        label = f"{parameter.label} {parameter.symbol}" + (f" [{unit}]" if unit else "")
+        sides.append(Scale(label=label, spacing=axis.spacing))
+    return Panel(x=sides[0], y=sides[1], elements=tuple(elements), height=1.35)
+
+
+def level_lines(heat: Heat, level: float) -> tuple[FloatArray, FloatArray]:
+    """Return x and y of the lines on which a map has the value `level`, each ended by NaN; unstable counts as 0."""
+    found = contour_generator(heat.x, heat.y, np.nan_to_num(heat.values, nan=0.0)).lines(level)
+    gap = np.array([[np.nan, np.nan]])
+    points = np.concatenate([part for line in found for part in (np.asarray(line), gap)] or [np.empty((0, 2))])
+    return points[:, 0], points[:, 1]
