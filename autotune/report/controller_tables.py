@@ -95,11 +95,13 @@ def gains_table(controller: Controller) -> Table:
             )
         )
     filters, collision = controller.filters, controller.collision
-    response = f", collision response {collision.response} at {collision.threshold_n:g} N"
+    response = ""
+    if collision.threshold_n is not None:
+        response = f", collision response {collision.response} at {collision.threshold_n:g} N"
     return build_table(
         f"The controller, every {1e3 * controller.sample_time_s:g} ms; filters {filters.velocity_rad_per_s:g} and "
         f"{filters.acceleration_rad_per_s:g} rad/s, compensated mass {controller.compensation_mass_kg:g} kg"
-        + ("" if collision.threshold_n is None else response),
+        f"{response}",
         ("axis", "mass M_a", "damping B_a", "lead K_l", "feedback damping B_fb", "deadband"),
         rows,
         numbers=range(1, 6),
