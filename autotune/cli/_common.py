@@ -5,14 +5,18 @@ import functools
 import json
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Protocol, TypeVar
 
 import click
 
-from ._terminal import look_at, printable
+from ._terminal import detect_terminal, printable
+
+if TYPE_CHECKING:
+    from rich.progress import ProgressColumn
 
 _Parameters = ParamSpec("_Parameters")
 _Result = TypeVar("_Result")
@@ -91,11 +95,9 @@ class Output:
 
         With `total` it tells how much time is left, without only how much has gone.
         """
-        if self.quiet or not look_at(sys.stderr).can_redraw:
+        if self.quiet or not detect_terminal(sys.stderr).can_redraw:
             yield _advance_nothing
             return
-        from ._progress import progress_bar
-
         with progress_bar(printable(description), total) as advance:
             yield advance
 
@@ -147,6 +149,76 @@ def _reader_may_leave() -> Iterator[None]:
         yield
     except BrokenPipeError:
         discard_output()
+
+
+@contextlib.contextmanager
+def progress_bar(description: str, total: float | None) -> Iterator[Advance]:
+    """Draw the bar on standard error while the block runs, and wipe it; yields `advance(n)`, n in the unit of `total`.
+
+    `advance(n, doing)` writes something else beside the bar from then on; with `total` None only the time is shown.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    columns: list[ProgressColumn] = [TextColumn("{task.description}", markup=False), BarColumn(bar_width=30)]
+    columns += [] if total is None else [TextColumn("{task.percentage:>3.0f} %", markup=False)]
+    console = Console(file=sys.stderr, no_color=not detect_terminal(sys.stderr).has_colour)
+    with Progress(*columns, _times_column(), console=console, transient=True, get_time=time.monotonic) as bars:
+        bar = bars.add_task(description, total=total)
+
+        def advance(n: float, doing: str | None = None, /) -> None:
+            if doing is not None:
+                bars.update(bar, description=printable(doing))
+            bars.advance(bar, n)
+
+        yield advance
+
+
+def _times_column() -> "ProgressColumn":
+    """Return the column `0:07, 0:12 left`: the time that has gone, and what is left at the mean rate so far.
+
+    Rich's own looks at the last half minute only, in which a long step may show nothing.
+    """
+    from rich.progress import ProgressColumn, Task
+    from rich.text import Text
+
+    class TimesColumn(ProgressColumn):
+        max_refresh = 0.5
+
+        def __init__(self) -> None:
+            super().__init__()
+            self._seen: dict[int, tuple[float, float]] = {}
+
+        def render(self, task: Task) -> Text:
+            elapsed = (task.finished_time if task.finished else task.elapsed) or 0.0
+            text = clock(elapsed)
+            if task.total:
+                completed, at = self._seen.get(task.id, (0.0, 0.0))
+                if task.completed != completed:
+                    completed, at = self._seen[task.id] = (task.completed, elapsed)
+                left = remaining_s(elapsed, at, completed / task.total)
+                text += "" if left is None else f", {clock(left)} left"
+            return Text(text, style="progress.elapsed")
+
+    return TimesColumn()
+
+
+def remaining_s(elapsed_s: float, at_s: float, done: float) -> float | None:
+    """Return how long it takes from now on when the share `done` had taken `at_s`.
+
+    None while nothing is done, and where a step takes longer than all that was expected.
+    """
+    if not done > 0.0:
+        return None
+    left = at_s * (1.0 - done) / done - (elapsed_s - at_s)
+    return left if left > 0.0 else None
+
+
+def clock(seconds: float) -> str:
+    """Return minutes and seconds as `0:07`, with hours from an hour on."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
 def _advance_nothing(_n: float, _doing: str | None = None, /) -> None:

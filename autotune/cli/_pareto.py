@@ -1,4 +1,4 @@
-"""The options of `autotune optimize` that ask for a front, and what is printed of it."""
+"""Options of `autotune optimize` for the proof and for a Pareto front, and the printed front."""
 
 import functools
 from collections.abc import Callable, Iterator, Mapping
@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output
-from ._table import print_table
-from ._terminal import tell
+from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
     from autotune.studies.front import FrontRequest
     from autotune.studies.points import Front, Judgement, StudyRecord
     from autotune.tuning.optimize import Optimized
+    from autotune.validation.continuous import ProofWishes
 
 _USUAL_STEM = "controller"
 _OPTIONS = ("objectives", "require", "choose", "storage", "study", "trials", "sampler")
@@ -24,7 +24,7 @@ def _names(_context: click.Context, _option: click.Parameter, text: str | None) 
     return None if text is None else tuple(part.strip() for part in text.split(",") if part.strip())
 
 
-_DECLARED = (
+_PARETO_OPTIONS = (
     click.option(
         "--pareto",
         is_flag=False,
@@ -67,7 +67,7 @@ def pareto_options(function: Callable[..., Any]) -> Callable[..., Any]:
         points = kwargs.pop("pareto")
         return function(*args, pareto=_request(points, told, kwargs["seed"]), **kwargs)
 
-    for option in reversed(_DECLARED):
+    for option in reversed(_PARETO_OPTIONS):
         command = option(command)
     return command
 
@@ -85,6 +85,47 @@ def _request(points: int | None, told: Mapping[str, Any], seed: int) -> "FrontRe
     if "choose" in given:
         given["choices"] = given.pop("choose")
     return FrontRequest(points=points, seed=seed, **given)
+
+
+_PROOF_OPTIONS = (
+    click.option(
+        "--slack",
+        type=click.FloatRange(min=0.1, max=50.0),
+        metavar="PERCENT",
+        help="Prove the modulus to this much below the swept one; 5 by default.",
+    ),
+    click.option(
+        "--proof-budget",
+        type=click.FloatRange(min=0.0, max=1e6),
+        metavar="SECONDS",
+        help="Prove over all that is uncertain, for about so long (10); 0 leaves it out.",
+    ),
+)
+
+
+def proof_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options to a command and hand it `proof`: what is asked, or None."""
+
+    @functools.wraps(function)
+    def command(*args: Any, **kwargs: Any) -> Any:
+        return function(*args, proof=_wishes(kwargs.pop("slack"), kwargs.pop("proof_budget")), **kwargs)
+
+    for option in reversed(_PROOF_OPTIONS):
+        command = option(command)
+    return command
+
+
+def _wishes(slack: float | None, budget_s: float | None) -> "ProofWishes | None":
+    if slack is None and budget_s is None:
+        return None
+    from autotune.validation.continuous import ProofWishes
+
+    usual = ProofWishes()
+    return ProofWishes(
+        slack=usual.slack if slack is None else 0.01 * slack,
+        budget_s=max(usual.budget_s, budget_s or 0.0),
+        further_s=usual.further_s if budget_s is None else budget_s,
+    )
 
 
 class FrontWriter:
@@ -142,7 +183,7 @@ def print_fronts(fronts: Mapping[str, "Front"], path: Path) -> None:
         told = " and ".join(each.name for each in front.objectives)
         study = front.study
         by = "" if study is None else _share(study)
-        tell(f"axis {axis}: front of {told}, every point in {front.scenario_count} scenarios{by}")
+        print_message(f"axis {axis}: front of {told}, every point in {front.scenario_count} scenarios{by}")
         heads = [f"{each.name} [{objective_unit(axis, each)}]" for each in front.objectives]
         gains = [
             f"M_a [{units.mass}]",
@@ -160,7 +201,7 @@ def print_fronts(fronts: Mapping[str, "Front"], path: Path) -> None:
         count = len(heads)
         numbers = (*range(count + 4), count + 5)
         print_table([(*heads, *gains), *rows], left=(count + 4, count + 6), point=numbers, indent="  ", stacks=True)
-    tell(f"written: {path}")
+    print_message(f"written: {path}")
 
 
 def _share(study: "StudyRecord") -> str:

@@ -11,7 +11,7 @@ from autotune.errors import CertificateError, InfeasibleError, UsageError
 from identification.errors import EstimateError, LogError
 
 from ._common import Output
-from ._terminal import tell
+from ._terminal import print_message
 
 if TYPE_CHECKING:
     from autotune.report.page import Page
@@ -105,4 +105,4 @@ def _stays(report: Path) -> str:
 def print_report_path(report: Path | None) -> None:
     """Print where the page is, if there is one."""
     if report is not None:
-        tell(f"report: {report}")
+        print_message(f"report: {report}")

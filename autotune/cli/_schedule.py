@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output
-from ._table import print_table
-from ._terminal import echo, painted, printable, tell
+from ._terminal import echo, painted, print_message, print_table, printable
 
 if TYPE_CHECKING:
     from autotune.tuning.schedule import ScheduleClass
@@ -168,7 +167,7 @@ def _print(tree: Mapping[str, Any], classes: "Sequence[ScheduleClass]", folder: 
     from autotune.formats.canonical import short
 
     files = len(classes) + (tree["common"]["file"] is not None)
-    tell(f"written: {folder}, {files} controllers and schedule.yaml, checksum {short(tree['checksum'])}")
+    print_message(f"written: {folder}, {files} controllers and schedule.yaml, checksum {short(tree['checksum'])}")
 
 
 def print_schedule(tree: Mapping[str, Any]) -> None:
@@ -194,15 +193,15 @@ def print_schedule(tree: Mapping[str, Any]) -> None:
     print_table(rows, left=(0, len(scheduled) + 1, first + 4), point=range(first, first + 3), stacks=True)
     common = tree["common"]
     if common["file"] is None:
-        tell(f"no controller serves all classes: {common['refusal']}")
+        print_message(f"no controller serves all classes: {common['refusal']}")
     for axis, (percent, newton, name) in costs.items():
         unit = "N·m" if axis in ROTATIONAL_AXES else "N"
         most = (
             f"costs up to {percent:.1f} % of peak ({newton:.3g} {unit}), in {name}" if newton > 0.0 else "costs nothing"
         )
-        tell(f"axis {axis}: one controller for all, {common['file']}, {most}")
+        print_message(f"axis {axis}: one controller for all, {common['file']}, {most}")
     for name in scheduled:
-        tell(_coverage(name, tree["covered"][name]))
+        print_message(_coverage(name, tree["covered"][name]))
 
 
 def _numbers(told: Mapping[str, Any]) -> tuple[str, ...]:
@@ -262,7 +261,7 @@ def _print_validated(tree: Mapping[str, Any]) -> None:
         failed = [check for check in each["checks"] if not check["passed"]]
         told = "; ".join(f"axis {check['axis']}, {check['name']}: {check['message']}" for check in failed)
         verdict = told or f"{len(each['checks'])} checks passed"
-        tell(f"{each['file']}: {verdict}", verdict=f"{'FAILED' if failed else 'ok':6} ")
+        print_message(f"{each['file']}: {verdict}", verdict=f"{'FAILED' if failed else 'ok':6} ")
     verdict = painted("valid" if tree["passed"] else "NOT valid")
     echo(f"{printable(tree['path'])}: {verdict}, checksum {tree['short_checksum']}")
 

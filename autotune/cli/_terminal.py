@@ -1,13 +1,13 @@
-"""What a stream can show, the few colours, and lines folded to a terminal's width.
+"""Detect what a terminal shows; print messages, coloured verdicts and tables within its width.
 
-A pipe or a file gets the plain text, one line for each thing that is told.
+A pipe or a file gets the plain text, one line for each message.
 """
 
 import os
 import re
 import sys
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TextIO
 
@@ -19,6 +19,10 @@ _BLOCKS = "▁█"
 # A number and its unit stay on one line.
 _UNIT = re.compile(r"(?<=\d) (?=\S{1,7}(?:[\s,;)]|$))")
 _FIXED = "\N{NO-BREAK SPACE}"
+
+_NUMBER = re.compile(r"([+-]?\d+|-)((?:\.\d+)?(?:e[+-]?\d+)?)$")
+_GAP = "  "
+_NARROWEST_TEXT = 24
 
 # Every word that judges, with its colour; errors are in bold as well.
 _WORDS = {
@@ -44,8 +48,8 @@ class Screen:
     columns: int | None
 
 
-def look_at(stream: TextIO | None, environment: Mapping[str, str] = os.environ) -> Screen:
-    """Tell what `stream` can show (None: the process has no such stream).
+def detect_terminal(stream: TextIO | None, environment: Mapping[str, str] = os.environ) -> Screen:
+    """Return what `stream` can show (None: the process has no such stream).
 
     `NO_COLOR` set to anything switches colour off, even where it is forced; `FORCE_COLOR` or `CLICOLOR_FORCE` set to
     anything but 0 switches it on, even in a pipe; `CLICOLOR=0` and `TERM=dumb` switch it off on a terminal. Lines are
@@ -108,22 +112,24 @@ def painted(text: str, *, error: bool = False) -> str:
     """
     word = text.strip(" :")
     colour = _COLOURS.get(word)
-    if colour is None or not look_at(sys.stderr if error else sys.stdout).has_colour:
+    if colour is None or not detect_terminal(sys.stderr if error else sys.stdout).has_colour:
         return text
     return text.replace(word, click.style(word, fg=colour, bold=True if colour == "red" else None))
 
 
-def tell(text: str = "", *, verdict: str = "", indent: str = "") -> None:
+def print_message(text: str = "", *, verdict: str = "", indent: str = "") -> None:
     """Print a line on standard output; `verdict` stands before it, in colour where there is any.
 
-    On a terminal the line is folded between words, what follows standing under its beginning.
+    On a terminal the line is folded between words, what follows indented to its beginning.
     """
-    for line in told_lines(printable(text), verdict=verdict, indent=indent, columns=look_at(sys.stdout).columns):
+    for line in wrap_lines(
+        printable(text), verdict=verdict, indent=indent, columns=detect_terminal(sys.stdout).columns
+    ):
         echo(line)
 
 
-def told_lines(text: str, *, verdict: str = "", indent: str = "", columns: int | None = None) -> list[str]:
-    """Return the lines of `tell` for a width of `columns`, None for any."""
+def wrap_lines(text: str, *, verdict: str = "", indent: str = "", columns: int | None = None) -> list[str]:
+    """Return the lines of `print_message` for a width of `columns`, None for any."""
     whole = f"{indent}{verdict}{text}".rstrip()
     before = len(indent + verdict) if verdict else len(whole) - len(whole.lstrip()) + 2
     lines = [whole] if columns is None else _folded(whole, " " * before, columns)
@@ -152,3 +158,105 @@ def _folded(text: str, under: str, columns: int) -> list[str]:
 def echo(line: str) -> None:
     """Print a line that is finished; colours in it were put there because they are wanted."""
     click.echo(line, color=True)
+
+
+def print_table(
+    rows: Sequence[Sequence[str]],
+    *,
+    left: Sequence[int] = (0,),
+    point: Sequence[int] = (),
+    verdict: int | None = None,
+    indent: str = "",
+    stacks: bool = False,
+) -> None:
+    """Print `table_lines`, on a terminal within its width as far as that can be done."""
+    columns = detect_terminal(sys.stdout).columns
+    lines = table_lines(rows, left=left, point=point, verdict=verdict, indent=indent, columns=columns, stacks=stacks)
+    for line in lines:
+        echo(line)
+
+
+def table_lines(
+    rows: Sequence[Sequence[str]],
+    *,
+    left: Sequence[int] = (0,),
+    point: Sequence[int] = (),
+    verdict: int | None = None,
+    indent: str = "",
+    columns: int | None = None,
+    stacks: bool = False,
+) -> Iterator[str]:
+    """Yield one line per row, columns aligned: those in `left` to the left, in `point` at the decimal point.
+
+    The others are aligned to the right. The words of the column `verdict`, the last one, are coloured where that is
+    wanted. For lines of at most `columns`, the last column is folded if it is one of text; with `stacks` it goes below
+    its row where there is no room beside it, and else every row becomes a block of lines under the headings of the
+    first row. What cannot be made to fit stays as it is.
+    """
+    from rich.cells import cell_len
+
+    cells = [[printable(text) for text in row] for row in rows]
+    texts = [_at_point(column) if i in point else column for i, column in enumerate(zip(*cells, strict=True))]
+    widths = [max(map(cell_len, column)) for column in texts]
+    is_left = [i in left or i in point for i in range(len(widths))]
+    last, width = len(widths) - 1, len(indent) + sum(widths) + len(_GAP) * (len(widths) - 1)
+    is_folded = columns is not None and width > columns
+    if columns is not None and is_folded:
+        room = columns - (width - widths[last])
+        if last in left and room >= _NARROWEST_TEXT:
+            widths[last] = room
+        elif stacks and last in left and room >= -len(_GAP):
+            for row, line in zip(cells, _grid_lines(texts[:last], widths[:last], is_left), strict=True):
+                yield (indent + line).rstrip()
+                yield from _folded(indent + 2 * _GAP + row[last], indent + 2 * _GAP, columns) if row[last] else ()
+            return
+        elif stacks:
+            yield from _stacked(cells, indent, named=0 not in left)
+            return
+    for i, line in enumerate(_grid_lines(texts, widths, is_left)):
+        word = "" if verdict is None or is_folded else cells[i][verdict]
+        yield (indent + line).rstrip().removesuffix(word) + painted(word)
+
+
+def _grid_lines(texts: Sequence[Sequence[str]], widths: Sequence[int], is_left: Sequence[bool]) -> list[str]:
+    """Return columns of texts as lines, the last column folded to its width."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    grid = Table.grid(padding=(0, len(_GAP), 0, 0))
+    for i, width in enumerate(widths):
+        grid.add_column(width=width, justify="left" if is_left[i] else "right", no_wrap=i < len(widths) - 1)
+    for row in zip(*texts, strict=True):
+        grid.add_row(*(Text(text, overflow="fold") for text in row))
+    console = Console(width=sum(widths) + len(_GAP) * len(widths), color_system=None, legacy_windows=False)
+    with console.capture() as found:
+        console.print(grid)
+    return found.get().splitlines()
+
+
+def _at_point(texts: Sequence[str]) -> list[str]:
+    """Return texts of one width, numbers with their decimal points in one place."""
+    from rich.cells import cell_len
+
+    parts = [_NUMBER.match(text) for text in texts]
+    before = max((len(part[1]) for part in parts if part), default=0)
+    behind = max((len(part[2]) for part in parts if part), default=0)
+    placed = [
+        f"{part[1]:>{before}}{part[2]:<{behind}}" if part else text for part, text in zip(parts, texts, strict=True)
+    ]
+    width = max(map(cell_len, placed))
+    return [" " * (width - cell_len(text)) + text for text in placed]
+
+
+def _stacked(cells: Sequence[Sequence[str]], indent: str, *, named: bool) -> Iterator[str]:
+    """Yield each row as a block; `named`: its first cell is a number and says nothing without its heading."""
+    from rich.cells import cell_len
+
+    headings, *rows = cells
+    width = max(map(cell_len, headings[1:]))
+    for row in rows:
+        yield f"{indent}{headings[0]} {row[0]}" if named else (indent + row[0]).rstrip()
+        for heading, text in zip(headings[1:], row[1:], strict=True):
+            if text:
+                yield f"{indent}{_GAP}{heading}{' ' * (width - cell_len(heading))}{_GAP}{text}"

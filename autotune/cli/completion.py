@@ -2,7 +2,7 @@
 
 import click
 
-from ._help import GroupedCommand
+from ._options import GroupedCommand
 
 COMPLETE_VARIABLE = "_AUTOTUNE_COMPLETE"
 _EPILOG = """\b
@@ -27,7 +27,7 @@ def command(context: click.Context, shell: str) -> None:
     """
     from click.shell_completion import get_completion_class
 
-    from ._files import register
+    from ._options import register
 
     register()
     complete = get_completion_class(shell)

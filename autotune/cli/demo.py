@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output, output_options
-from ._help import GroupedCommand
-from ._table import print_table
-from ._terminal import tell
+from ._options import GroupedCommand
+from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
     from autotune.demo import Comparison, DemoResult
@@ -65,7 +64,7 @@ def _page(found: "DemoResult") -> "Page":
 def _tree(found: "DemoResult") -> dict[str, Any]:
     from autotune.formats.controller import controller_tree
 
-    from ._optimality import active_tree
+    from ._optimized import active_tree
     from .validate import checks_tree
 
     return {
@@ -93,7 +92,7 @@ def _print(found: "DemoResult", page: Path) -> None:
     from autotune.formats.units import axis_units
     from autotune.scenario_text import scenario_text
 
-    from ._optimality import active_lines
+    from ._optimized import active_lines
 
     _heading("Identified from the log, beside the truth of the simulation")
     rows: list[tuple[str, ...]] = [("parameter", "identified", "± std", "truth", "error", "unit", "verdict")]
@@ -102,20 +101,20 @@ def _print(found: "DemoResult", page: Path) -> None:
     controller = found.optimized.controller
     for name, gains in controller.axes.items():
         _heading(f"Controller chosen for axis {name}")
-        tell(
+        print_message(
             f"  M_a {gains.mass:g} kg, B_a {gains.damping:g} N·s/m, K_l {gains.lead_s:g} s, "
             f"B_fb {gains.feedback_damping_s:g} s"
         )
         worst = max(controller.predicted[name].scenarios, key=lambda s: s.peak_contact_force_n)
-        tell(
+        print_message(
             f"  worst predicted peak {worst.peak_contact_force_n:.1f} N at the contact, "
             f"{worst.peak_sensor_force_n:.1f} N at the sensor ({scenario_text(worst.scenario(), axis_units(name))})"
         )
         for line in active_lines(found.optimized, name):
-            tell(f"  {line}")
+            print_message(f"  {line}")
     _heading("Proved and verified, from the written file alone")
     for check in found.report.checks:
-        tell(f"{check.name}: {check.message}", indent="  ", verdict=f"{check.verdict:6} ")
+        print_message(f"{check.name}: {check.message}", indent="  ", verdict=f"{check.verdict:6} ")
     _heading(f"Files (checksum of the controller: {short(found.checksum)})")
     for told, path in (
         ("log", found.files.log),
@@ -124,12 +123,12 @@ def _print(found: "DemoResult", page: Path) -> None:
         ("its JSON twin", found.files.twin),
         ("report with figures", page),
     ):
-        tell(f"  {told:24}{path}")
+        print_message(f"  {told:24}{path}")
 
 
 def _heading(text: str) -> None:
-    tell()
-    tell(text)
+    print_message()
+    print_message(text)
 
 
 def _comparison(c: "Comparison") -> tuple[str, ...]:

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ._common import Output, output_options
-from ._files import SETTINGS, FilePath
-from ._help import GroupedCommand
+from ._options import SETTINGS, FilePath, GroupedCommand
 
 if TYPE_CHECKING:
     from autotune.explore.source import Exploration

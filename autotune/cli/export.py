@@ -8,9 +8,8 @@ import click
 from autotune.export.targets import EVERY_TARGET, PEER_TARGETS
 
 from ._common import Output, output_options
-from ._files import KEYS, SETTINGS, FilePath
-from ._help import GroupedCommand
-from ._terminal import tell
+from ._options import KEYS, SETTINGS, FilePath, GroupedCommand
+from ._terminal import print_message
 
 if TYPE_CHECKING:
     from autotune.export.trust import Trust
@@ -138,7 +137,7 @@ def command(
     result = {"target": target, "path": str(out), "checksum": checksum, "short_checksum": short(checksum)}
 
     def text() -> None:
-        tell(f"{out}: {target}, checksum {short(checksum)}")
+        print_message(f"{out}: {target}, checksum {short(checksum)}")
         _tell_replaced(earlier, target)
 
     output.result({**result, "replaced": bool(earlier)}, text)
@@ -154,7 +153,7 @@ def _note_unverified(output: Output, controller: Path, public_key: Path | None) 
 
 def _tell_replaced(earlier: tuple[Path, ...], target: str) -> None:
     for path in earlier:
-        tell(f"{path}: an earlier export --target {target} was replaced")
+        print_message(f"{path}: an earlier export --target {target} was replaced")
 
 
 def _export_peer(
@@ -180,18 +179,18 @@ def _export_peer(
     head["replaced"] = bool(earlier)
 
     def text() -> None:
-        tell(f"{out}: {target}, from the file with checksum {short(checksum)}")
+        print_message(f"{out}: {target}, from the file with checksum {short(checksum)}")
         _tell_replaced(earlier, target)
         for axis in made.axes:
             how = "translated" if axis.tuned_because is None else f"tuned anew, since {axis.tuned_because}"
             numbers = ", ".join(f"{name} {value:g}" for name, value in axis.written.items())
-            tell(f"axis {axis.axis}: {numbers} ({how})")
-            tell(f"axis {axis.axis}: peak force {axis.price()}")
+            print_message(f"axis {axis.axis}: {numbers} ({how})")
+            print_message(f"axis {axis.axis}: peak force {axis.price()}")
             for note in axis.notes:
-                tell(note)
+                print_message(note)
         for line in made.dropped:
-            tell(f"dropped: {line}")
+            print_message(f"dropped: {line}")
         for line in made.notes:
-            tell(f"note: {line}")
+            print_message(f"note: {line}")
 
     output.result({**head, **made.tree()}, text)

@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING
 import click
 
 from ._common import Output, output_options
-from ._files import LOGS, SETTINGS, FilePath
-from ._help import GroupedCommand
+from ._options import LOGS, SETTINGS, FilePath, GroupedCommand
 from ._report import check_report, print_report_path, report_option, tells_refusal, write_report
-from ._table import print_table
-from ._terminal import tell
+from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
     from autotune.formats.cell import CellFile
@@ -159,10 +157,10 @@ def print_identified(result: "Identified", out: Path) -> None:
     ]
     print_table(rows, left=(0, 3, 4), point=(1, 2), verdict=4)
     for timeline in result.timelines:
-        tell(_timeline_line(timeline))
+        print_message(_timeline_line(timeline))
     for finding in result.findings:
-        tell(f"{finding.message} {finding.advice}", verdict=f"{finding.severity}: ")
-    tell(f"written: {out}")
+        print_message(f"{finding.message} {finding.advice}", verdict=f"{finding.severity}: ")
+    print_message(f"written: {out}")
 
 
 def _timeline_line(timeline: "Timeline") -> str:

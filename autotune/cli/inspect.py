@@ -9,10 +9,8 @@ import click
 from autotune.errors import UsageError
 
 from ._common import Output, output_options
-from ._files import LOGS, SETTINGS, FilePath
-from ._help import GroupedCommand
-from ._table import print_table
-from ._terminal import tell
+from ._options import LOGS, SETTINGS, FilePath, GroupedCommand
+from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
     from identification.logs import ChannelSummary, LogSummary
@@ -70,28 +68,28 @@ def summary_tree(summary: "LogSummary") -> dict[str, Any]:
 def print_summary(summary: "LogSummary") -> None:
     """Print a summary: the channels as a table, their roles, then findings, then what is missing."""
     others = f" and {len(summary.sha256s) - 1} more" if len(summary.sha256s) > 1 else ""
-    tell(
+    print_message(
         f"{summary.path}{others} · {summary.container} · {summary.size_bytes / 1e6:.1f} MB · "
         f"{_duration_s(summary):.1f} s · sha256 {summary.sha256[:12]}…"
     )
-    tell()
+    print_message()
     print_table([_HEADINGS, *(_row(channel) for channel in summary.channels)], left=_LEFT, stacks=True)
     chosen = [role for role in summary.roles if role.topic is not None]
     if chosen:
-        tell()
-        tell("Roles")
+        print_message()
+        print_message("Roles")
         for role in chosen:
             pair = f", {role.child} in {role.parent}" if role.parent is not None else ""
-            tell(f"{role.entry}: {role.topic}{pair} ({role.reason})", indent="  ")
+            print_message(f"{role.entry}: {role.topic}{pair} ({role.reason})", indent="  ")
     if summary.findings:
-        tell()
-        tell("Findings")
+        print_message()
+        print_message("Findings")
         for finding in summary.findings:
-            tell(f"{finding.message} {finding.advice}", verdict=f"{finding.severity}: ", indent="  ")
-    tell()
-    tell("Missing for identify" if summary.missing else "Every channel that identify needs is there.")
+            print_message(f"{finding.message} {finding.advice}", verdict=f"{finding.severity}: ", indent="  ")
+    print_message()
+    print_message("Missing for identify" if summary.missing else "Every channel that identify needs is there.")
     for sentence in summary.missing:
-        tell(f"- {sentence}", indent="  ")
+        print_message(f"- {sentence}", indent="  ")
 
 
 _HEADINGS = (

@@ -179,7 +179,7 @@ def _run(cli: click.Group, arguments: list[str], delivery: Delivery) -> int:
     if instruction:
         from click.shell_completion import shell_complete
 
-        from autotune.cli._files import register
+        from autotune.cli._options import register
 
         register()
         return shell_complete(cli, {}, PROGRAM, COMPLETE_VARIABLE, instruction)

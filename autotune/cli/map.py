@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output, output_options
-from ._files import SETTINGS, FilePath
-from ._help import GroupedCommand
-from ._terminal import tell
+from ._options import SETTINGS, FilePath, GroupedCommand
+from ._terminal import print_message
 
 if TYPE_CHECKING:
     from problems.maps.loops import Where
@@ -144,7 +143,7 @@ def command(
 def print_summary(tree: dict[str, Any]) -> None:
     """Print what was found in a few lines, and where the files are."""
     for line in summary_lines(tree):
-        tell(line)
+        print_message(line)
 
 
 def summary_lines(tree: dict[str, Any]) -> list[str]:

@@ -8,20 +8,21 @@ from typing import TYPE_CHECKING
 import click
 
 from ._common import Output, output_options
-from ._compare import compare_lines, compare_tree
-from ._compliance import print_compliance
-from ._files import SETTINGS, FilePath
-from ._help import GroupedCommand
-from ._limits import limit_lines
-from ._optimality import active_lines, active_tree
-from ._pareto import FrontWriter, pareto_options
-from ._proof import proof_options
+from ._optimized import (
+    active_lines,
+    active_tree,
+    compare_lines,
+    compare_tree,
+    contact_spark,
+    limit_lines,
+    print_compliance,
+    response_lines,
+)
+from ._options import SETTINGS, FilePath, GroupedCommand
+from ._pareto import FrontWriter, pareto_options, proof_options
 from ._report import check_report, print_report_path, report_option, tells_refusal, write_report
-from ._response import response_lines
 from ._schedule import check_range, fields_with_unit, said_range, schedule_options
-from ._spark import contact_spark
-from ._table import print_table
-from ._terminal import echo, look_at, tell
+from ._terminal import detect_terminal, echo, print_message, print_table
 
 if TYPE_CHECKING:
     from autotune.formats.controller import ControllerFile, ScenarioPrediction
@@ -257,41 +258,41 @@ def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "Con
         print_compliance(name, compliance, found.searches[name].problem)
     for name, gains in controller.axes.items():
         units = axis_units(name)
-        tell(
+        print_message(
             f"axis {name}: M_a {gains.mass:g} {units.mass}, B_a {gains.damping:g} {units.damping}, "
             f"K_l {gains.lead_s:g} s, B_fb {gains.feedback_damping_s:g} s"
         )
         if found.searches[name].problem.variables != VARIABLES:
             filters, compensation = controller.filters, controller.compensation_mass_kg
-            tell(
+            print_message(
                 f"  ω_v {filters.velocity_rad_per_s:g} rad/s, ω_a {filters.acceleration_rad_per_s:g} rad/s, "
                 f"P̂ {compensation:g} kg"
             )
         _print_peaks(controller.predicted[name].scenarios, units)
         _print_spark(found, name, units)
         for line in active_lines(found, name):
-            tell(f"  {line}")
+            print_message(f"  {line}")
     for line in (*response_lines(controller), *limit_lines(controller)):
-        tell(line)
+        print_message(line)
     for check in found.report.checks:
         axis = f"{check.axis}: " if len(controller.axes) > 1 else ""
         verdict = f"{check.verdict:6} "
-        tell(f"{axis}{check.name}: {check.message}", verdict=verdict, indent="  ")
+        print_message(f"{axis}{check.name}: {check.message}", verdict=verdict, indent="  ")
     for claim in controller.certificate.sampled:
-        tell(f"  sampled, not proved: {claim.claim}; over {claim.over}")
+        print_message(f"  sampled, not proved: {claim.claim}; over {claim.over}")
     if existing is not None:
         for line in compare_lines(existing, found.compared):
             echo(line)
-    tell(f"written: {out}, checksum {checksum}")
+    print_message(f"written: {out}, checksum {checksum}")
 
 
 def _print_spark(found: "Optimized", name: str, units: "AxisUnits") -> None:
     """Draw the force of the predicted contact with the highest peak, where somebody sees it."""
-    if not look_at(sys.stdout).has_blocks:
+    if not detect_terminal(sys.stdout).has_blocks:
         return
     search = found.searches[name]
     worst = max(found.controller.predicted[name].scenarios, key=lambda each: each.peak_contact_force_n)
-    tell(f"  {contact_spark(search.problem, search.problem.controller(search.design), worst, units)}")
+    print_message(f"  {contact_spark(search.problem, search.problem.controller(search.design), worst, units)}")
 
 
 def _print_peaks(scenarios: "Iterable[ScenarioPrediction]", units: "AxisUnits") -> None:

@@ -7,11 +7,8 @@ from typing import TYPE_CHECKING
 import click
 
 from ._common import Output, output_options
-from ._files import SETTINGS, FilePath
-from ._help import GroupedCommand
-from ._quantity import QuantityRange
-from ._table import print_table
-from ._terminal import printable, tell
+from ._options import SETTINGS, FilePath, GroupedCommand, QuantityRange
+from ._terminal import print_message, print_table, printable
 
 if TYPE_CHECKING:
     from identification.experiment_design.contacts import ContactPlan, TapPlan
@@ -184,14 +181,14 @@ def print_plan(plan: "ExperimentPlan", out: Path) -> None:
     """Print the steps in their order, then what each parameter would gain, then what was assumed."""
     from identification.experiment_design.result import LABELS, UNITS
 
-    tell(f"axis {plan.axis}, binding uncertainty: {LABELS[plan.binding]}{_reference(plan)}")
+    print_message(f"axis {plan.axis}, binding uncertainty: {LABELS[plan.binding]}{_reference(plan)}")
     if not any(step.is_needed for step in plan.steps):
-        tell("everything is known well enough; what follows would make it sharper, and is not needed")
+        print_message("everything is known well enough; what follows would make it sharper, and is not needed")
     for number, step in enumerate(plan.steps, start=1):
         wanted = "" if step.is_needed else " (not needed)"
-        tell(f"{step.kind.value}{wanted}: {step.why}", verdict=f"{number}. ")
+        print_message(f"{step.kind.value}{wanted}: {step.why}", verdict=f"{number}. ")
         for line in _settings(step, plan):
-            tell(f"   {line}")
+            print_message(f"   {line}")
     heads = ("parameter", "value", "± now", "± after", "allowed", "unit", "peak ± now", "± after [N]", "by")
     rows: list[tuple[str, ...]] = [heads]
     rows += [
@@ -202,8 +199,8 @@ def print_plan(plan: "ExperimentPlan", out: Path) -> None:
     print_table(rows, left=(0, 5, 8), point=(1, 2, 3, 4, 6, 7))
     if plan.values.assumed:
         told = ", ".join(f"{name} {value:.4g}" for name, value in plan.values.assumed.items())
-        tell(f"assumed, not measured: {told}")
-    tell(f"written: {out}")
+        print_message(f"assumed, not measured: {told}")
+    print_message(f"written: {out}")
 
 
 def _row(entry: "Prediction", label: str, told_in: tuple[str, float], step: str) -> tuple[str, ...]:

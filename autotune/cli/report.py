@@ -5,10 +5,9 @@ from pathlib import Path
 import click
 
 from ._common import Output, output_options
-from ._files import LOGS, SETTINGS, FilePath
-from ._help import GroupedCommand
+from ._options import LOGS, SETTINGS, FilePath, GroupedCommand
 from ._report import check_report, tells_refusal, write_report
-from ._terminal import tell
+from ._terminal import print_message
 
 _EPILOG = """\b
 Examples:
@@ -57,7 +56,7 @@ def command(output: Output, files: tuple[Path, ...], out: Path, old: Path | None
         found = report_files(files, old=old, samples=samples, progress=advance)
     is_richer = out.is_file() and _SEARCH in out.read_bytes()
     tree = {**write_report(output, out, lambda: found.page), "files": dict(found.kinds)}
-    output.result(tree, lambda: tell(f"written: {out}"))
+    output.result(tree, lambda: print_message(f"written: {out}"))
     if is_richer and _SEARCH not in out.read_bytes():
         output.note(f"{out} was a page of optimize; how the search converged is in no file, and no longer on it.")
     found.require()

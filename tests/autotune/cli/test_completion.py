@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 import pytest
 
-from autotune.cli._files import LOGS, SETTINGS, FilePath
+from autotune.cli._options import LOGS, SETTINGS, FilePath
 from autotune.cli.main import COMMANDS, main
 
 WRITTEN = {"out", "data", "report", "start_path"}

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import pytest
 
-from autotune.cli._help import GroupedCommand
+from autotune.cli._options import GroupedCommand
 from autotune.cli.main import COMMANDS, build_cli
 
 NAMES = [name for name in COMMANDS if name != "completion"]

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from autotune.cli._spark import contact_spark, spark
+from autotune.cli._optimized import contact_spark, spark
 from autotune.formats.units import axis_units
 from problems.contact.transient import build_sampled_contact, simulate_contact
 from problems.model.sampled import build_sampled_plant

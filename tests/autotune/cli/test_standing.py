@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from autotune.cli._optimality import active_lines
+from autotune.cli._optimized import active_lines
 from autotune.tuning.explain import Active
 from autotune.tuning.optimize import Optimized
 from tests.autotune.tuning.cases import fast_optimized

@@ -1,9 +1,9 @@
 """Columns of text, and lines for a width."""
 
 import pytest
+from rich.cells import cell_len
 
-from autotune.cli._table import display_width, table_lines
-from autotune.cli._terminal import told_lines
+from autotune.cli._terminal import table_lines, wrap_lines
 
 ROWS = [
     ("parameter", "value", "± std", "unit", "verdict"),
@@ -28,9 +28,9 @@ def test_numbers_stand_with_their_points_in_one_place_and_units_in_one_column() 
 
 
 def test_widths_are_those_of_a_terminal() -> None:
-    assert [display_width(text) for text in ("P̂ [kg]", "日本", "N·m²", "ω_v")] == [6, 4, 4, 3]
+    assert [cell_len(text) for text in ("P̂ [kg]", "日本", "N·m²", "ω_v")] == [6, 4, 4, 3]
     lines = list(table_lines([("P̂", "x"), ("ab", "x"), ("日", "x")]))
-    assert len({display_width(line) for line in lines}) == 1
+    assert len({cell_len(line) for line in lines}) == 1
 
 
 def test_control_characters_of_a_file_do_not_reach_the_terminal() -> None:
@@ -57,13 +57,13 @@ def test_a_table_too_wide_is_told_row_by_row_where_that_is_wanted() -> None:
 
 def test_a_folded_line_hangs_under_its_beginning_and_keeps_numbers_with_units() -> None:
     text = "the certified set reaches from 15.8 to 16.6 kg and nothing beyond that is claimed by anyone"
-    lines = told_lines(text, verdict="ok     ", indent="  ", columns=47)
+    lines = wrap_lines(text, verdict="ok     ", indent="  ", columns=47)
     assert lines[0].startswith("  ok     the certified")
     assert all(line.startswith(" " * 9) for line in lines[1:])
     assert all(len(line) <= 47 for line in lines)
     assert any("16.6 kg" in line for line in lines)
-    assert told_lines(text, verdict="ok     ") == [f"ok     {text}"]
-    assert {line[:5].count(" ") for line in told_lines(f"   {text}", columns=47)[1:]} == {5}
+    assert wrap_lines(text, verdict="ok     ") == [f"ok     {text}"]
+    assert {line[:5].count(" ") for line in wrap_lines(f"   {text}", columns=47)[1:]} == {5}
 
 
 @pytest.mark.parametrize("columns", [None, 40, 200])
@@ -71,17 +71,17 @@ def test_folding_loses_no_word(columns: int | None) -> None:
     text = (
         "info: 5 rests did not fit the payload's weight, 99.9995 % of it used up, /a/very/long/topic/name/indeed/it/is"
     )
-    assert " ".join(" ".join(told_lines(text, columns=columns)).split()) == text
+    assert " ".join(" ".join(wrap_lines(text, columns=columns)).split()) == text
 
 
 def test_a_last_column_without_room_beside_goes_below_its_row_or_becomes_part_of_a_block() -> None:
     rows = [("K_e [N/mm]", "peak [N]", "otherwise"), ("95.9", "52.1", "nominal"), ("144.0", "56.4", OTHERWISE)]
     below = list(table_lines(rows, left=(2,), indent="  ", columns=40, stacks=True))
-    assert all(display_width(line) <= 40 for line in below)
+    assert all(cell_len(line) <= 40 for line in below)
     assert below[:4] == ["  K_e [N/mm]  peak [N]", "      otherwise", "        95.9      52.1", "      nominal"]
     assert " ".join(line.strip() for line in below[5:]) == OTHERWISE
     block = list(table_lines(rows, left=(2,), indent="  ", columns=20, stacks=True))
     assert "    peak [N]   56.4" in block
     beside = list(table_lines(rows, left=(2,), indent="  ", columns=60, stacks=True))
-    assert all(display_width(line) <= 60 for line in beside)
+    assert all(cell_len(line) <= 60 for line in beside)
     assert beside[0] == "  K_e [N/mm]  peak [N]  otherwise"

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from autotune.cli._common import Output
-from autotune.cli._progress import clock, remaining_s
-from autotune.cli._terminal import look_at, painted
+from autotune.cli._common import Output, clock, remaining_s
+from autotune.cli._terminal import detect_terminal, painted
 from autotune.cli.main import main
 from autotune.cli.optimize import print_optimized
 from autotune.formats.controller import write_controller
@@ -61,7 +60,7 @@ def controller_file(tmp_path: Path) -> Path:
     ],
 )
 def test_who_says_whether_there_is_colour(is_terminal: bool, environment: Mapping[str, str], coloured: bool) -> None:
-    screen = look_at(Stream(is_terminal), environment)
+    screen = detect_terminal(Stream(is_terminal), environment)
     assert screen.has_colour == coloured
     assert screen.can_redraw == (is_terminal and environment.get("TERM") != "dumb")
     assert (screen.columns is None) == (not is_terminal)
@@ -70,7 +69,7 @@ def test_who_says_whether_there_is_colour(is_terminal: bool, environment: Mappin
 def test_no_stream_and_a_closed_one_are_no_terminals() -> None:
     closed = io.StringIO()
     closed.close()
-    assert [look_at(stream, {}).is_terminal for stream in (None, closed)] == [False, False]
+    assert [detect_terminal(stream, {}).is_terminal for stream in (None, closed)] == [False, False]
 
 
 def test_only_words_that_judge_are_coloured() -> None:

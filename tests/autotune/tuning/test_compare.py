@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from autotune.cli._common import json_text
-from autotune.cli._compare import compare_lines, compare_tree
+from autotune.cli._optimized import compare_lines, compare_tree
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import Collision, CollisionResponse, Controller, ControllerStatus, Filters

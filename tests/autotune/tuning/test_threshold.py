@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autotune.cli._response import response_lines
+from autotune.cli._optimized import response_lines
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller_record import Collision, CollisionResponse, Controller
 from autotune.formats.problem import ProblemSpec

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from autotune.cli._against_log import print_comparison
+from autotune.cli.validate import print_comparison
 from autotune.report.page import Table
 from autotune.report.validate_page import Validated, measured_section
 from autotune.simulation.phases import Program

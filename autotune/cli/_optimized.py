@@ -1,0 +1,362 @@
+"""What `optimize` prints of its result: optimality, compliance, collision response, limits, comparison."""
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from ._terminal import painted, print_message, print_table, printable, table_lines
+
+if TYPE_CHECKING:
+    from autotune.formats.controller import ControllerFile
+    from autotune.formats.controller_record import Controller, ScenarioPrediction
+    from autotune.formats.units import AxisUnits
+    from autotune.tuning.compare import SideBySide, Standing
+    from autotune.tuning.compliance import Compliance, CompliancePoint
+    from autotune.tuning.explain import Active
+    from autotune.tuning.multistart import Reference
+    from autotune.tuning.optimize import Optimized
+    from problems.design.problem import DesignProblem
+    from problems.model.controller import AdmittanceController
+
+# How many decimals of a price are told: what is none in them is told as nothing.
+_DECIMALS = {"N": 2, "N·m": 4}
+
+
+def active_tree(found: "Optimized") -> dict[str, Any]:
+    """Return, per axis, the active requirements and bounds with the price of one percent in N, or in N·m."""
+    from autotune.formats.records import ROTATIONAL_AXES
+
+    return {
+        name: [
+            {
+                "name": a.name,
+                "price_n_m_per_percent" if name in ROTATIONAL_AXES else "price_n_per_percent": a.price_n,
+                **({"soft": True} if a.soft else {}),
+            }
+            for a in standing.active
+        ]
+        for name, standing in found.standings.items()
+    }
+
+
+def active_lines(found: "Optimized", name: str) -> list[str]:
+    """Say in words what holds the peak of one axis up, and how far the result is shown to be the best."""
+    from autotune.formats.units import axis_units
+
+    standing, units = found.standings[name], axis_units(name)
+    lines = [_active_line(entry, found.searches[name].problem, units) for entry in standing.active]
+    if not standing.active:
+        lines.append(f"no requirement is active: the peak is the approach {units.force_name} itself")
+    return [*lines, *_standing_lines(standing, units, bool(found.searches[name].problem.requirements.soft_n))]
+
+
+def _active_line(entry: "Active", problem: "DesignProblem", units: "AxisUnits") -> str:
+    decimals = _DECIMALS[units.force]
+    saved, is_nothing = f"{entry.price_n:.{decimals}f} {units.force}", entry.price_n < 0.5 * 10.0**-decimals
+    side, _, variable = entry.name.partition(" bound of ")
+    if variable:
+        limit = problem.bounds[variable][0 if side == "lower" else 1]
+        if is_nothing:
+            return f"the {entry.name}, {limit:g}, is active, and widening it saves nothing"
+        return f"the {entry.name}, {limit:g}, is active: 1 % wider saves {saved}; widen it, or accept"
+    if is_nothing:
+        return f"{entry.name} is active, easing it alone saves nothing"
+    if entry.soft:
+        return f"{entry.name} is wished, not required: wishing 1 % less saves {saved} of peak and price"
+    return f"{entry.name} holds the peak up: easing it by 1 % saves {saved}, asking 1 % more costs as much"
+
+
+def _standing_lines(standing: "Standing", units: "AxisUnits", has_wishes: bool) -> Iterator[str]:
+    """Yield whether the design is feasible, an optimum of its surroundings, and the best that anyone found.
+
+    With wishes, what was minimised is the peak and the prices of what is missed.
+    """
+    what = f"{units.force} of peak and price" if has_wishes else units.force
+    near = ""
+    if standing.nearest is not None:
+        near = f"; nearest to its limit is {standing.nearest}, {100.0 * standing.ratio:.4f} % of it used up"
+    met = "every requirement is met" if standing.is_feasible else "a requirement is missed"
+    yield f"{met} over {standing.scenario_count} contacts{near}"
+    optimality, slack = standing.optimality, standing.optimality.slack * standing.objective_n
+    yield (
+        f"conditions of an optimum: {optimality.relative_residual:.1e} of the gradient is left over (KKT residual), "
+        f"unused slack is worth {slack:.3f} {units.force}"
+    )
+    yield (
+        f"gap {100.0 * standing.gap:.3f} % to a reference: {standing.reference.least_n:.2f} {what} is the least "
+        f"that was found {_where_it_was_looked(standing.reference)}"
+    )
+
+
+def _where_it_was_looked(reference: "Reference") -> str:
+    told = (
+        f"over the {reference.scenarios} hardest contacts alone with nothing kept in reserve, from here and by "
+        f"{reference.descents} descents from the best of {reference.designs} other designs"
+    )
+    if not math.isfinite(reference.elsewhere_n):
+        return f"{told}, none of which met the requirements"
+    return f"{told}, {reference.arrived} of which end there"
+
+
+def compare_tree(old: "ControllerFile", found: Mapping[str, "SideBySide"]) -> dict[str, Any]:
+    """Return the comparison as plain data; a margin without limit and every number of an unstable loop are null."""
+    from autotune.formats.records import rename_axis_keys
+
+    axes = {
+        name: {"started_from_old": both.is_start, "old": _standing_tree(both.old), "new": _standing_tree(both.new)}
+        for name, both in found.items()
+    }
+    return {
+        "path": str(old.path),
+        "checksum": old.checksum,
+        "axes": {name: rename_axis_keys(name, tree, reading=False) for name, tree in axes.items()},
+    }
+
+
+def _standing_tree(standing: "Standing") -> dict[str, Any]:
+    law, does, at = standing.law, standing.performance, standing.unstable_at
+    margins = {} if does is None else does.margins
+    return {
+        "mass": law.mass_kg,
+        "damping": law.damping_n_s_per_m,
+        "lead_s": law.lead_s,
+        "feedback_damping_s": law.feedback_damping_s,
+        "is_stable": does is not None,
+        "unstable_at": None if at is None else {"payload_mass_kg": at[0], "environment_stiffness_n_per_m": at[1]},
+        "peak_sensor_force_n": None if does is None else does.peak_sensor_force_n,
+        "peak_contact_force_n": None if does is None else does.peak_contact_force_n,
+        "margins": {name: value if math.isfinite(value) else None for name, value in margins.items()} or None,
+        "min_m_s_per_n": None if does is None else does.min_m_s_per_n,
+        "hand_force_n_per_m_s": None if does is None else does.hand_force_n_per_m_s,
+        "missed": None if does is None else {name: 1.0 / value for name, value in does.missed.items()},
+    }
+
+
+def compare_lines(old: "ControllerFile", found: Mapping[str, "SideBySide"]) -> Iterator[str]:
+    """Yield the comparison in words: a table per axis, then what the old controller misses."""
+    from autotune.formats.canonical import short
+    from autotune.formats.units import axis_units
+
+    yield f"beside {printable(str(old.path))}, checksum {short(old.checksum)}, on the same problem"
+    for name, both in found.items():
+        units = axis_units(name)
+        yield from table_lines([("", "old", "new"), *_rows(both, units)], point=(1, 2), indent=f"  {name}  ")
+        for told, standing in (("old", both.old), ("new", both.new)):
+            yield f"  {name}  {told}: {_verdict(standing, units)}"
+
+
+def _rows(both: "SideBySide", units: "AxisUnits") -> Iterator[tuple[str, str, str]]:
+    sides = (both.old, both.new)
+    for what, name in (
+        (f"M_a [{units.mass}]", "mass_kg"),
+        (f"B_a [{units.damping}]", "damping_n_s_per_m"),
+        ("K_l [s]", "lead_s"),
+        ("B_fb [s]", "feedback_damping_s"),
+    ):
+        old, new = (f"{getattr(side.law, name):.6g}" for side in sides)
+        yield what, old, new
+    for what, name, scale in (
+        (f"peak at sensor [{units.force}]", "peak_sensor_force_n", 1.0),
+        (f"peak at contact [{units.force}]", "peak_contact_force_n", 1.0),
+        (f"least admittance [{units.admittance}]", "min_m_s_per_n", 1.0),
+        (f"hand {units.force_name} [{units.hand}]", "hand_force_n_per_m_s", 1.0),
+        ("modulus margin", "modulus", 1.0),
+        ("gain margin [dB]", "gain_db", 1.0),
+        ("phase margin [deg]", "phase_deg", 1.0),
+        ("delay margin [ms]", "delay_s", 1e3),
+    ):
+        old, new = (_number(side, name, scale) for side in sides)
+        yield what, old, new
+
+
+def _number(side: "Standing", name: str, scale: float) -> str:
+    if side.performance is None:
+        return "-"
+    value = side.performance.margins.get(name)
+    value = float(getattr(side.performance, name)) if value is None else value
+    return "no limit" if math.isinf(value) else f"{value * scale:.4g}"
+
+
+def _verdict(side: "Standing", units: "AxisUnits") -> str:
+    if side.unstable_at is not None:
+        mass, stiffness = side.unstable_at
+        where = f"K_e {stiffness:.4g} {units.stiffness}" if stiffness > 0.0 else "free space"
+        return f"{painted('UNSTABLE')} in {where} with {mass:.4g} {units.mass} (largest |z| {side.spectral_radius:.5f})"
+    missed = {} if side.performance is None else side.performance.missed
+    told = ", ".join(f"{name} ({min(100.0 / value, 99.99):.4g} %)" for name, value in missed.items())
+    return f"misses {told} of what is asked" if told else "meets every requirement"
+
+
+def print_compliance(name: str, compliance: "Compliance", problem: "DesignProblem") -> None:
+    """Print what is to be built, every stiffness that was tried with its least worst peak, and what bounds the choice.
+
+    `problem` is the one that the controller was found for.
+    """
+    low, high = problem.environment_stiffness_n_per_m
+    tolerance = 100.0 * compliance.asked.tolerance
+    print_message(
+        f"axis {name}: build K_e {compliance.chosen.stiffness_n_per_m:g} N/m to ± {tolerance:g} %, certified from "
+        f"{low:g} to {high:g} N/m"
+    )
+    place = "contact" if problem.objective == "contact_force" else "sensor"
+    # Where there are wishes, it is the peak and their price that is least.
+    prices = ("and price [N]",) if problem.requirements.soft_n else ()
+    heads = ("K_e [N/mm]", f"least worst peak at {place} [N]", *prices, "")
+    rows = [(*_numbers(point, len(prices)), _remark(compliance, point)) for point in compliance.points]
+    last = len(heads) - 1
+    print_table([heads, *rows], left=(last,), point=range(last), indent="  ")
+    for line in _lines(compliance, problem):
+        print_message(f"  {line}")
+
+
+def _numbers(point: "CompliancePoint", prices: int) -> tuple[str, ...]:
+    evaluation = None if point.found is None else point.found.evaluation
+    values = () if evaluation is None else (evaluation.peak_n, evaluation.objective_n)
+    told = [f"{value:.2f}" for value in values] or ["-", "-"]
+    return f"{point.stiffness_n_per_m * 1e-3:.6g}", *told[: 1 + prices]
+
+
+def _remark(compliance: "Compliance", point: "CompliancePoint") -> str:
+    """Return what is said of one row."""
+    if point.found is None:
+        return "no controller meets the requirements"
+    if point.missed > 0.0:
+        return "above max_peak_force_n"
+    told = []
+    if point is compliance.chosen:
+        told.append("chosen")
+    elif point is compliance.nearly_as_good:
+        told.append("the stiffest within 1 % of that")
+    if point is compliance.stiffest and point is not compliance.points[-1]:
+        told.append("the stiffest that meets everything")
+    return ", ".join(told)
+
+
+def _lines(compliance: "Compliance", problem: "DesignProblem") -> Iterator[str]:
+    from autotune.tuning.compliance import RESOLUTION
+
+    low, high = compliance.asked.bounds
+    if compliance.active_bound is not None:
+        bound = low if compliance.active_bound == "lower" else high
+        yield f"the {compliance.active_bound} bound of K_e, {bound:g} N/m, is active: widen it, or accept"
+    if low < high:
+        yield (
+            f"between two rows nothing was tried; above each that is named the next one is at most "
+            f"{100.0 * RESOLUTION:g} % stiffer. To take another one, give it as "
+            "free.environment_stiffness_n_per_m: [K, K]"
+        )
+    damping = problem.uncertain.get("environment_damping_n_s_per_m", (problem.environment_damping_n_s_per_m,) * 2)
+    told = f"{damping[0]:g}" if damping[0] == damping[1] else f"{damping[0]:g} to {damping[1]:g}"
+    yield (
+        f"assumed of the compliance: damping B_e {told} N·s/m, and no mass that moves with it; once it is built, "
+        "identify it and ask validate --identified"
+    )
+
+
+_SHOWN_N = 0.005
+_ENDS = {
+    "free motion": "a lower one, which free motion and noise forbid, might save more",
+    "lower bound": "the lower bound is active",
+    "upper bound": "the upper bound is active",
+}
+
+
+def response_lines(controller: "Controller") -> Iterator[str]:
+    """Say which threshold was chosen in `controller.provenance`, where one was asked for, and what it saves."""
+    told: Mapping[str, Any] | None = controller.provenance.get("collision")
+    if told is None:
+        return
+    where = "at the contact" if told["objective"] == "contact_force" else "at the sensor"
+    without, with_it = told["worst_peak_n"]["without"], told["worst_peak_n"]["with"]
+    best, (low, high), lowest = told["best_threshold_n"], told["bounds_n"], told["lowest_n"]
+    if told["response"] == "reset":
+        end = f"; {_ENDS[told['limited_by']]}" if told["limited_by"] in _ENDS else ""
+        yield (
+            f"collision response: reset at {best:g} N takes the worst peak {where} from {without:.2f} to {with_it:.2f} "
+            f"N ({100.0 * (with_it / without - 1.0):+.1f} %){end}"
+        )
+    else:
+        rises = with_it > without + _SHOWN_N
+        at_best = f"the best, {best:g} N, makes it {with_it:.2f} N" if rises else "at best it stays as it is"
+        yield (
+            f"collision response: none. No threshold from {max(low, lowest):.4g} to {high:g} N lowers the worst peak "
+            f"{where} of {without:.2f} N by 0.1 % without raising the other one; {at_best}"
+        )
+    if told.get("noise_is_assumed", False):
+        yield (
+            f"the sensor's noise was not identified: {told['noise_rms_n']:.3g} N RMS was taken; record rests, which "
+            "tell it"
+        )
+    if low < lowest:
+        yield (
+            f"thresholds below {lowest:.4g} N are left out: {told['free_motion_n']:.3g} N stand against the motion as "
+            f"the approach begins in free space, and the noise of {told['noise_rms_n']:.3g} N RMS comes on top"
+        )
+
+
+def limit_lines(controller: "Controller") -> Iterator[str]:
+    """Say in two lines what a reading and a command must stay within; nothing for a file without limits."""
+    from autotune.formats.units import axis_units
+
+    limits = controller.limits
+    if limits is None:
+        return
+    commands = ", ".join(
+        f"{name} {each.speed:g} {axis_units(name).speed} and {each.acceleration:g} {axis_units(name).speed}²"
+        for name, each in limits.axes.items()
+    )
+    yield f"limits of the runtime: sensor ±{limits.force_n:g} N and ±{limits.torque_n_m:g} N·m; command {commands}"
+    yield (
+        f"  pose {limits.pose_speed_m_s:g} m/s and {limits.pose_speed_rad_s:g} rad/s; unchanged under a moving command "
+        f"{limits.stale_wrench_s:g} s (wrench), {limits.stale_pose_s:g} s (pose); left over at the start "
+        f"{limits.rest_force_n:g} N and {limits.rest_torque_n_m:g} N·m of {limits.rest_samples} readings"
+    )
+
+
+_BLOCKS = "▁▂▃▄▅▆▇█"
+_CELLS = 40
+# What is shown ends where the force stays this near to its last value.
+_SETTLED_SHARE = 0.02
+_BEHIND_THE_PEAK = 3.0
+
+
+def spark(values: Sequence[float], cells: int = _CELLS) -> str:
+    """Return non-negative `values` as at most `cells` blocks: the largest of each cell, in eighths of the largest.
+
+    Nothing but zeros is the lowest block throughout; raises ValueError where there is no value.
+    """
+    if not len(values):
+        raise ValueError("A line of blocks needs at least one value.")
+    count = min(cells, len(values))
+    ends = [round(i * len(values) / count) for i in range(count + 1)]
+    tops = [max(values[a:b]) for a, b in itertools.pairwise(ends)]
+    whole = max(tops)
+    eighths = [0 if whole <= 0.0 else round(max(top, 0.0) / whole * (len(_BLOCKS) - 1)) for top in tops]
+    return "".join(_BLOCKS[each] for each in eighths)
+
+
+def contact_spark(
+    problem: "DesignProblem", controller: "AdmittanceController", worst: "ScenarioPrediction", units: "AxisUnits"
+) -> str:
+    """Return the predicted force at the contact of one scenario, from the impact until it has settled."""
+    from problems.contact.transient import build_sampled_contact, simulate_contact
+    from problems.model.sampled import build_sampled_plant
+
+    plant = problem.plant(worst.scenario())
+    pair = build_sampled_contact(build_sampled_plant(plant, problem.sample_time_s))
+    found = simulate_contact(pair, controller, problem.approach)
+    force = [float(value) for value in found.contact_force_n]
+    stop = max(_settled(force), round(_BEHIND_THE_PEAK * found.time_of_peak_s / problem.sample_time_s), 2)
+    shown = force[:stop]
+    return (
+        f"{spark(shown)}  the hardest contact, {1e3 * len(shown) * problem.sample_time_s:.0f} ms, "
+        f"peak {found.peak_contact_force_n:.3g} {units.force}"
+    )
+
+
+def _settled(force: Sequence[float]) -> int:
+    """Return from which sample on the force stays near its last value."""
+    near = _SETTLED_SHARE * max(abs(value) for value in force)
+    off = [i for i, value in enumerate(force) if abs(value - force[-1]) > near]
+    return off[-1] + 2 if off else 1

@@ -1,0 +1,104 @@
+"""Option types, completion of file names, and the layout of `--help`."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+from click.shell_completion import BashComplete, CompletionItem, add_completion_class
+
+from problems.frozen import FrozenDict
+
+SETTINGS = (".yaml", ".yml")
+LOGS = (".mcap", ".bag", ".db3", ".csv", ".parquet")
+KEYS = (".pem", ".pub", ".key")
+_WIDEST = 100
+_COMMON = ("--json", "--quiet", "--debug", "--help")
+_LAST = "Messages and output"
+
+
+class FilePath(click.Path):
+    """A file whose name ends in one of `endings`; the shell proposes those, and folders on the way to them."""
+
+    def __init__(self, *endings: str, **options: Any) -> None:
+        super().__init__(path_type=Path, **{"dir_okay": False, **options})
+        self.endings = endings
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Return the files of the kind that begin with `incomplete`, and leave the folders to the shell."""
+        del ctx, param
+        folder, _, begin = incomplete.rpartition("/")
+        lead = incomplete[: len(incomplete) - len(begin)]
+        where = Path(folder or ("/" if lead else ".")).expanduser()
+        try:
+            names = sorted(each.name for each in where.iterdir() if self._fits(each, begin))
+        except OSError:
+            names = []
+        # The script for bash forgets what came before a folder, so that comes first.
+        return [CompletionItem(incomplete, type="dir"), *(CompletionItem(lead + name) for name in names)]
+
+    def _fits(self, path: Path, begin: str) -> bool:
+        is_shown = begin.startswith(".") or not path.name.startswith(".")
+        return is_shown and path.name.startswith(begin) and path.suffix.lower() in self.endings and path.is_file()
+
+
+class BothComplete(BashComplete):
+    """Completion for bash that proposes folders beside names, where click's own would do so instead of them."""
+
+    # As file names, a blank in one of them is quoted.
+    source_template = BashComplete.source_template.replace("compopt -o dirnames", "compopt -o plusdirs -o filenames")
+
+
+def register() -> None:
+    """Let bash be completed by `BothComplete`."""
+    add_completion_class(BothComplete, "bash")
+
+
+class QuantityRange(click.FloatRange):
+    """A number of a kind (`autotune.quantity`) between bounds in SI."""
+
+    def __init__(self, kind: str, *, least: float, most: float) -> None:
+        super().__init__(min=least, max=most)
+        self.kind = kind
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number in SI, inside the bounds."""
+        from autotune.quantity import parse_quantity
+
+        if isinstance(value, str):
+            try:
+                value = parse_quantity(value, self.kind).value
+            except ValueError as error:
+                self.fail(str(error), param, ctx)
+        return super().convert(value, param, ctx)
+
+
+class GroupedCommand(click.Command):
+    """A command whose help puts its options under headings.
+
+    `groups` maps a heading to the names of its parameters; what is in none of them comes first, under "Options", and
+    what every command has comes last, under "Messages and output". Raises ValueError for a name that is no option.
+    """
+
+    def __init__(self, name: str | None, *, groups: Mapping[str, Sequence[str]] | None = None, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.context_settings = {"max_content_width": _WIDEST, **self.context_settings}
+        self.groups = FrozenDict(groups or {})
+        known = {parameter.name for parameter in self.params if isinstance(parameter, click.Option)}
+        unknown = [name for names in self.groups.values() for name in names if name not in known]
+        if unknown:
+            raise ValueError(f"The command {self.name} has no option {unknown[0]}.")
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the groups, each in the order in which its options were declared."""
+        heading_of = {name: heading for heading, names in self.groups.items() for name in names}
+        sections: dict[str, list[tuple[str, str]]] = {heading: [] for heading in ("Options", *self.groups, _LAST)}
+        for option in (each for each in self.get_params(ctx) if isinstance(each, click.Option)):
+            record = option.get_help_record(ctx)
+            heading = _LAST if option.opts[-1] in _COMMON else heading_of.get(option.name or "", "Options")
+            if record is not None:
+                sections[heading].append(record)
+        for heading, records in sections.items():
+            if records:
+                with formatter.section(heading):
+                    formatter.write_dl(records)
