@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from autotune.tuning.compliance import Compliance, CompliancePoint
     from autotune.tuning.explain import Active
     from autotune.tuning.multistart import Reference
+    from autotune.tuning.optimality_report import Standing as OptimalityReport
     from autotune.tuning.optimize import Optimized
     from problems.design.problem import DesignProblem
     from problems.model.controller import AdmittanceController
@@ -48,7 +49,7 @@ def active_lines(found: "Optimized", name: str) -> list[str]:
     lines = [_active_line(entry, found.searches[name].problem, units) for entry in standing.active]
     if not standing.active:
         lines.append(f"no requirement is active: the peak is the approach {units.force_name} itself")
-    return [*lines, *_standing_lines(standing, units, bool(found.searches[name].problem.requirements.soft_n))]
+    return [*lines, *_optimality_lines(standing, units, bool(found.searches[name].problem.requirements.soft_n))]
 
 
 def _active_line(entry: "Active", problem: "DesignProblem", units: "AxisUnits") -> str:
@@ -67,7 +68,7 @@ def _active_line(entry: "Active", problem: "DesignProblem", units: "AxisUnits") 
     return f"{entry.name} holds the peak up: easing it by 1 % saves {saved}, asking 1 % more costs as much"
 
 
-def _standing_lines(standing: "Standing", units: "AxisUnits", has_wishes: bool) -> Iterator[str]:
+def _optimality_lines(standing: "OptimalityReport", units: "AxisUnits", has_wishes: bool) -> Iterator[str]:
     """Yield whether the design is feasible, an optimum of its surroundings, and the best that anyone found.
 
     With wishes, what was minimised is the peak and the prices of what is missed.
