@@ -26,7 +26,7 @@ from .robot.coupling import CouplingFit, Noise, identify_coupling
 from .robot.position_loop import RobotFit, identify_robot
 from .signals.aligned import AlignedLog
 from .signals.recording import Recording
-from .signals.segments import Motion, Span
+from .signals.segments import MotionSpans, Span
 from .timeline.timeline import AxisContacts
 from .verdicts import judged, missing, unidentifiable, unidentifiable_vector, vector, weak_at_best
 
@@ -58,7 +58,7 @@ class CellSignals:
 
     recording: Recording
     log: AlignedLog
-    motion: Motion
+    motion: MotionSpans
     gravity: GravityFit
     force_S_n: FloatArray
     given: Mapping[str, Given]
@@ -67,7 +67,7 @@ class CellSignals:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AxisTold:
+class AxisResult:
     """What is told of one axis: the estimate, what there is to know about it, and the fit that only the log is in.
 
     `contacts` are its rests under force with the coupling as far as it is known; `data` is what the fit began with.
@@ -98,7 +98,7 @@ class AxisView:
     weighed: tuple[float, float] | None = None
 
 
-def identify_axis(cell: CellSignals, axis: AxisMotion, progress: ProgressSlice | None = None) -> AxisTold:
+def identify_axis(cell: CellSignals, axis: AxisMotion, progress: ProgressSlice | None = None) -> AxisResult:
     """Estimate one translational axis; what cannot be told is `unidentifiable`, with a finding of severity `error`.
 
     `progress` is told the share of the work that is done.
@@ -140,7 +140,7 @@ def _doubted(estimate: AxisEstimate) -> AxisEstimate:
     )
 
 
-def fit_axis(cell: CellSignals, view: AxisView, progress: ProgressSlice) -> AxisTold:
+def fit_axis(cell: CellSignals, view: AxisView, progress: ProgressSlice) -> AxisResult:
     """Let the stages find where to start, and the joint fit tell values and uncertainty."""
     axis, findings = view.axis, list[Finding]()
     robot_fit, robot = _robot(cell, view, findings)
@@ -173,7 +173,7 @@ def fit_axis(cell: CellSignals, view: AxisView, progress: ProgressSlice) -> Axis
         findings.append(missing("coupling", f"Axis {axis.name}: {error}"))
         estimate, contradictions = settle_axis(axis.name, _without_coupling(robot, str(error)), None, cell.given)
         contacts = AxisContacts(axis=axis, holds=view.holds, coupling=usual_coupling(cell.gravity.mass_kg))
-        return AxisTold(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=None)
+        return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=None)
     left_n = _left_beside(axis, cell.motion.still, view.holds)
     findings += _about_contacts(axis.name, _first_rests(cell.motion.still, data.holds), fit, left_n)
     findings += [*_about_lag(axis.name, fit), *_about_fit(axis.name, fit)]
@@ -181,10 +181,10 @@ def fit_axis(cell: CellSignals, view: AxisView, progress: ProgressSlice) -> Axis
     both = alone if with_priors is None else _estimate(axis, with_priors, robot, data.period_s)
     estimate, contradictions = settle_axis(axis.name, alone, both, cell.given)
     contacts = AxisContacts(axis=axis, holds=view.holds, coupling=found.values[: len(COUPLING_NAMES)])
-    return AxisTold(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=fit, data=data)
+    return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=fit, data=data)
 
 
-def axis_evidence(told: AxisTold) -> AxisEvidence:
+def axis_evidence(told: AxisResult) -> AxisEvidence:
     """Return the signals of an axis that the joint fit could use or not, a turn in rad and N·m."""
     axis, data = told.contacts.axis, told.data
     lever = LEVER_M if axis.name not in AXIS_NAMES else 1.0
@@ -264,7 +264,7 @@ def _without_coupling(robot: RobotEstimate, why: str) -> AxisEstimate:
     )
 
 
-def _coupling(view: AxisView, motion: Motion) -> CouplingFit | None:
+def _coupling(view: AxisView, motion: MotionSpans) -> CouplingFit | None:
     """Return a start for the joint fit, None where free motion does not show the coupling in the frequency domain."""
     axis, period = view.axis, view.log.period_s
     noise = Noise(force_rms_n=view.noise_rms_n, position_rms_m=_position_noise(axis.position_m, motion.still))

@@ -10,7 +10,7 @@ from problems.progress import ProgressSlice, no_progress
 
 from .axes.straight import AXIS_NAMES, find_axes
 from .axes.turning import LEVER_M, find_turns
-from .axis_estimate import AxisTold, CellSignals, axis_evidence, identify_axis
+from .axis_estimate import AxisResult, CellSignals, axis_evidence, identify_axis
 from .conventions.choice import read_by_weight
 from .evidence import Evidence
 from .given import Given, settle_cell
@@ -38,10 +38,10 @@ from .signals.recording import Recording
 from .signals.repairs import restore_commands, without_spikes
 from .signals.segments import find_motion
 from .timeline.contacts import find_contacts
-from .timeline.left_contacts import Accounted, SeenAxis, account_for_contacts
-from .timeline.payload import see_payload
-from .timeline.timeline import build_timeline, tell_surfaces
-from .turn_estimate import identify_turn, not_told
+from .timeline.left_contacts import Accounted, ObservedAxis, account_for_contacts
+from .timeline.payload import observe_payload
+from .timeline.timeline import build_timeline, name_surfaces
+from .turn_estimate import identify_turn, unidentified_turn
 from .verdicts import missing
 
 FloatArray = NDArray[np.float64]
@@ -83,7 +83,7 @@ def identify_with_evidence(
 
 def _identify(
     recording: Recording, frames: Frames | None, given: Mapping[str, Given], report: Callable[[float], None]
-) -> tuple[Identified, CellSignals | None, Mapping[str, AxisTold]]:
+) -> tuple[Identified, CellSignals | None, Mapping[str, AxisResult]]:
     if recording.wrench.gravity_compensated:
         partial = settle_cell(identify_partial(recording, _sample_time(recording)), given)
         report(1.0)
@@ -141,7 +141,7 @@ def _identify(
     return settle_cell(found, cell.given), cell, told
 
 
-def _evidence(cell: CellSignals, told: Mapping[str, AxisTold]) -> Evidence:
+def _evidence(cell: CellSignals, told: Mapping[str, AxisResult]) -> Evidence:
     """Gather what the pictures of this log show."""
     return Evidence(
         period_s=cell.log.period_s,
@@ -156,7 +156,7 @@ def _evidence(cell: CellSignals, told: Mapping[str, AxisTold]) -> Evidence:
 
 def _identify_axes(
     cell: CellSignals, inertia: InertiaFit, report: Callable[[float], None]
-) -> tuple[dict[str, AxisTold], list[Finding]]:
+) -> tuple[dict[str, AxisResult], list[Finding]]:
     """Estimate every axis along which, or about which, the tool moved."""
     findings: list[Finding] = []
     travel = find_axes(cell.log, cell.motion, cell.force_S_n)
@@ -174,27 +174,27 @@ def _identify_axes(
         part = ProgressSlice(report, share)
         turned = identify_turn(cell, turn, inertia, part)
         if turned is None:
-            findings.append(not_told(turn))
+            findings.append(unidentified_turn(turn))
         else:
             axes[turn.name] = turned
         part.finish()
     return axes, [*findings, *(finding for axis in axes.values() for finding in axis.findings)]
 
 
-def _accounted(cell: CellSignals, told: Mapping[str, AxisTold]) -> Accounted:
+def _accounted(cell: CellSignals, told: Mapping[str, AxisResult]) -> Accounted:
     """Return what happened when, contacts with the names of their surfaces, and the surfaces that no fit told."""
     contacts, period = [axis.contacts for axis in told.values()], cell.log.period_s
-    payloads = [see_payload(of, period) for of in contacts]
+    payloads = [observe_payload(of, period) for of in contacts]
     pressed = [find_contacts(of, seen, cell.motion, period) for of, seen in zip(contacts, payloads, strict=True)]
     command, mass = cell.recording.command, cell.gravity.mass_kg
     phases = build_timeline(cell.log, cell.motion, cell.force_S_n, contacts, command, mass, pressed)
     axes = []
     for (name, axis), payload, found in zip(told.items(), payloads, pressed, strict=True):
         surfaces = () if axis.fit is None else axis.fit.surfaces
-        phases = tell_surfaces(phases, name, [[onset * period for onset in surface.onsets] for surface in surfaces])
+        phases = name_surfaces(phases, name, [[onset * period for onset in surface.onsets] for surface in surfaces])
         signs = [surface.sign for surface in surfaces]
         axes.append(
-            SeenAxis(
+            ObservedAxis(
                 of=axis.contacts,
                 payload=payload,
                 pressed=found,

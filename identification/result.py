@@ -10,7 +10,7 @@ from problems.frozen import freeze
 _SAME_ONSET_S = 0.3
 
 
-class Kind(StrEnum):
+class PhaseKind(StrEnum):
     """What a phase of a log is."""
 
     REST = "rest"
@@ -27,7 +27,7 @@ class ContactPhase:
     """What happens in a contact, in s after the start of the log, None where it is not shown.
 
     `hold_s` from when to when the payload rested on the surface; `bounces_s` when it left the surface before that;
-    `surface` is the name of what was touched, None until told (`tell_surfaces`); `hand_suspected` that somebody pushed
+    `surface` is the name of what was touched, None until told (`name_surfaces`); `hand_suspected` that somebody pushed
     meanwhile, None where the log does not tell.
     """
 
@@ -42,13 +42,13 @@ class ContactPhase:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Phase:
+class LogPhase:
     """One stretch of a log, `start_s` to `stop_s` after its start; `axis` of S where it goes along or about one.
 
     A contact begins with the first touch and ends with the last.
     """
 
-    kind: Kind
+    kind: PhaseKind
     start_s: float
     stop_s: float
     axis: str | None = None
@@ -59,17 +59,17 @@ class Phase:
 class Timeline:
     """What happened when in one log, each instant told once; `log` is its name where there are several."""
 
-    phases: tuple[Phase, ...]
+    phases: tuple[LogPhase, ...]
     log: str = ""
 
 
-def tell_surfaces(phases: Sequence[Phase], axis: str, onsets_s: Sequence[Sequence[float]]) -> tuple[Phase, ...]:
+def name_surfaces(phases: Sequence[LogPhase], axis: str, onsets_s: Sequence[Sequence[float]]) -> tuple[LogPhase, ...]:
     """Give the contacts of an axis the names of their surfaces, `x1` for the first one on axis x.
 
     `onsets_s` holds for each surface when it was touched, in s after the start of the log.
     """
 
-    def surface(phase: Phase) -> str | None:
+    def surface(phase: LogPhase) -> str | None:
         within = [
             f"{axis}{index + 1}"
             for index, onsets in enumerate(onsets_s)

@@ -10,7 +10,7 @@ from scipy.signal import detrend
 from problems.progress import ProgressSlice
 
 from .axes.turning import LEVER_M, AxisTurn, Unrolled, rests_after, unroll
-from .axis_estimate import AxisTold, AxisView, CellSignals, axis_priors, fit_axis
+from .axis_estimate import AxisResult, AxisView, CellSignals, axis_priors, fit_axis
 from .errors import EstimateError
 from .joint_fit.model import COUPLING_NAMES
 from .joint_fit.result import JointFit
@@ -25,7 +25,7 @@ _DISAGREEMENT_SHARE = 0.03
 
 def identify_turn(
     cell: CellSignals, turn: AxisTurn, inertia: InertiaFit, progress: ProgressSlice | None = None
-) -> AxisTold | None:
+) -> AxisResult | None:
     """Estimate one rotational axis in N·m/rad, N·m·s/rad and kg·m²; None, with its reason, where it tells nothing.
 
     The turn is seen as motion along a straight path 0.2 m off the centre, for which all thresholds hold; the inertia is
@@ -65,7 +65,7 @@ def identify_turn(
     return replace(told, findings=(*findings, *inertia_findings(told.fit, turn, inertia)))
 
 
-def not_told(turn: AxisTurn) -> Finding:
+def unidentified_turn(turn: AxisTurn) -> Finding:
     """Return the finding that an axis about which the tool turned does not tell its coupling."""
     return Finding(
         code="turn-not-told",

@@ -111,7 +111,7 @@ def command(
     from autotune.formats.plan import plan_tree, write_plan
     from identification.experiment_design.experiment import plan_experiment
     from identification.experiment_design.poses import FEWEST_POSES
-    from identification.experiment_design.result import Limits
+    from identification.experiment_design.result import ExperimentLimits
     from identification.experiment_design.values import usual_values
 
     check_target(out, [path for path in (identified, present) if path is not None], kind="plan")
@@ -119,7 +119,7 @@ def command(
         raise UsageError(
             f"--poses must be 0 (none) or at least {FEWEST_POSES}, which tell mass and centre; found {poses}."
         )
-    limits = Limits(
+    limits = ExperimentLimits(
         max_tilt_deg=max_tilt,
         pose_count=poses,
         max_speed_m_s=max_speed,

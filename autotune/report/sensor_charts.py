@@ -7,19 +7,19 @@ from numpy.typing import NDArray
 
 from autotune.charts.chart import Chart, Element, Line, Panel, Role, Scale, Stretch
 from identification.evidence import Evidence
-from identification.result import Kind, NoiseSpectrum, Timeline
+from identification.result import NoiseSpectrum, PhaseKind, Timeline
 from identification.signals.recording import Recording
 
 FloatArray = NDArray[np.float64]
 
 _TIME = "time [s]"
-_ROLES: dict[Kind, Role] = {
-    Kind.TURNING: "other",
-    Kind.FREE_MOTION: "good",
-    Kind.COMMANDED_MOTION: "after",
-    Kind.HAND_LED_MOTION: "residual",
-    Kind.CONTACT: "bad",
-    Kind.UNKNOWN: "before",
+_ROLES: dict[PhaseKind, Role] = {
+    PhaseKind.TURNING: "other",
+    PhaseKind.FREE_MOTION: "good",
+    PhaseKind.COMMANDED_MOTION: "after",
+    PhaseKind.HAND_LED_MOTION: "residual",
+    PhaseKind.CONTACT: "bad",
+    PhaseKind.UNKNOWN: "before",
 }
 
 

@@ -18,9 +18,9 @@ from identification.payload.static_poses import collect_static_poses
 from identification.signals.aligned import AlignedLog, align
 from identification.signals.frames import Frames
 from identification.signals.recording import AXES, Recording
-from identification.signals.segments import Motion, Span, find_motion
+from identification.signals.segments import MotionSpans, Span, find_motion
 from identification.timeline.contacts import ContactTimes, find_contacts, learn_law
-from identification.timeline.payload import AxisContacts, press_sign, see_payload
+from identification.timeline.payload import AxisContacts, observe_payload, press_sign
 
 FloatArray = NDArray[np.float64]
 
@@ -120,13 +120,13 @@ class _Weighed:
 
     recording: Recording
     log: AlignedLog
-    motion: Motion
+    motion: MotionSpans
     force_S_n: FloatArray
     gravity: GravityFit | None
 
 
 def _weighed(
-    recording: Recording, log: AlignedLog, motion: Motion, controller: Controller, frames: Frames | None
+    recording: Recording, log: AlignedLog, motion: MotionSpans, controller: Controller, frames: Frames | None
 ) -> _Weighed:
     try:
         identify_gravity(collect_static_poses(log, motion.still))
@@ -176,7 +176,7 @@ def _turns(weighed: _Weighed, controller: Controller) -> list[_Turn]:
     return found
 
 
-def _check_weight(force_S_n: FloatArray, motion: Motion, controller: Controller) -> None:
+def _check_weight(force_S_n: FloatArray, motion: MotionSpans, controller: Controller) -> None:
     """Raise LogError where no rest is free of force: another payload, another bias or another sign."""
     left = [float(np.linalg.norm(np.median(force_S_n[span.slice], axis=0))) for span in motion.still]
     limit = _UNEXPLAINED_N + _UNEXPLAINED_SHARE * 9.81 * controller.payload.mass_kg
@@ -226,7 +226,7 @@ def _axis_contacts(
 ) -> Iterator[LogContact]:
     log, motion = weighed.log, weighed.motion
     of = AxisContacts(axis=axis, holds=holds, coupling=coupling)
-    payload = see_payload(of, log.period_s)
+    payload = observe_payload(of, log.period_s)
     free = [span for span in motion.still if span not in holds]
     for times in find_contacts(of, payload, motion, log.period_s).contacts:
         if times.onset is None:

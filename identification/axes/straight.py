@@ -14,7 +14,7 @@ from ..payload.gravity import orientation_spread_rad
 from ..robot.coupling import FreeMotion
 from ..signals.aligned import AlignedLog, check_regular, find_gaps
 from ..signals.recording import PoseSignal, Recording, StampArray
-from ..signals.segments import Motion, Span
+from ..signals.segments import MotionSpans, Span
 
 FloatArray = NDArray[np.float64]
 AXIS_NAMES = ("x", "y", "z")
@@ -37,7 +37,7 @@ _LARGEST_TRAVEL_M = 2e-3
 
 @dataclass(frozen=True, kw_only=True)
 class AxisMotion:
-    """Motion along one axis of S with constant orientation.
+    """MotionSpans along one axis of S with constant orientation.
 
     `position_m`, `force_n` (n,) on the log's clock, force without bias and weight; `spans` of motion along this axis.
     """
@@ -57,7 +57,7 @@ class Travel:
     oblique_share: float
 
 
-def find_axes(log: AlignedLog, motion: Motion, force_S_n: FloatArray) -> Travel:
+def find_axes(log: AlignedLog, motion: MotionSpans, force_S_n: FloatArray) -> Travel:
     """Assign every span of translation to the axis of S along which it went."""
     by_axis: dict[int, list[Span]] = {}
     oblique = total = 0.0
@@ -106,7 +106,7 @@ def unguided_spans(axis: AxisMotion) -> tuple[Span, ...]:
 
 
 def free_motions(axis: AxisMotion, spans: Sequence[Span], period_s: float) -> tuple[FreeMotion, ...]:
-    """Cut the spans out, with a little of the rest on both sides."""
+    """PathSegment the spans out, with a little of the rest on both sides."""
     edge = round(_EDGE_S / period_s)
     cuts = [slice(max(0, s.start - edge), min(len(axis.position_m), s.stop + edge)) for s in spans]
     return tuple(FreeMotion(position_m=axis.position_m[cut], force_n=axis.force_n[cut]) for cut in cuts)
@@ -172,7 +172,7 @@ def _moving_ns(log: AlignedLog, axis: AxisMotion, command_ns: StampArray, pose_n
     return max(first, float(pose_ns[0])), min(last, float(pose_ns[-1]))
 
 
-def find_rings(
+def find_ringing(
     axis: AxisMotion,
     moving: Sequence[Span],
     free: Sequence[Span],

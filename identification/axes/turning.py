@@ -11,7 +11,7 @@ from ..errors import EstimateError
 from ..payload.gravity import GRAVITY_B_M_S2, GravityFit
 from ..signals.aligned import AlignedLog, align
 from ..signals.recording import PoseSignal, Recording
-from ..signals.segments import Motion, Span, low_pass
+from ..signals.segments import MotionSpans, Span, low_pass
 from .straight import AxisMotion
 
 FloatArray = NDArray[np.float64]
@@ -84,7 +84,11 @@ class Unrolled:
 
 
 def find_turns(
-    recording: Recording, log: AlignedLog, motion: Motion, gravity: GravityFit, origin_S_m: FloatArray | None = None
+    recording: Recording,
+    log: AlignedLog,
+    motion: MotionSpans,
+    gravity: GravityFit,
+    origin_S_m: FloatArray | None = None,
 ) -> tuple[AxisTurn, ...]:
     """Return the axes of S about which the tool went to and fro, the point `origin_S_m` of S (its origin) at rest.
 

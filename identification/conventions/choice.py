@@ -10,8 +10,8 @@ from ..result import Finding
 from ..signals.aligned import AlignedLog, align
 from ..signals.frames import Frames
 from ..signals.recording import Recording
-from ..signals.segments import Motion, find_motion
-from .search import Convention, ConventionRanking, Pull, Verdict, rank_conventions
+from ..signals.segments import MotionSpans, find_motion
+from .search import Convention, ConventionRanking, ConventionVerdict, SignOrigin, rank_conventions
 
 _SIGNIFICANT = 5.0
 
@@ -26,14 +26,14 @@ class ReadLog:
 
     recording: Recording
     log: AlignedLog
-    motion: Motion
+    motion: MotionSpans
     poses: tuple[StaticPose, ...]
     ranking: ConventionRanking
     convention: Convention | None
     findings: tuple[Finding, ...]
 
 
-def read_by_weight(recording: Recording, log: AlignedLog, motion: Motion, frames: Frames | None = None) -> ReadLog:
+def read_by_weight(recording: Recording, log: AlignedLog, motion: MotionSpans, frames: Frames | None = None) -> ReadLog:
     """Check the declared conventions by the payload's weight and read the log anew where only others fit.
 
     `log` and `motion` are those of `recording`, `frames` what the cell declares. A force of the wrong sign is the
@@ -43,7 +43,7 @@ def read_by_weight(recording: Recording, log: AlignedLog, motion: Motion, frames
     poses = collect_static_poses(log, motion.still)
     ranking = rank_conventions(poses, frames)
     findings = ranking.findings()
-    if ranking.verdict is Verdict.ASK and _differ_in_pull_only(ranking):
+    if ranking.verdict is ConventionVerdict.ASK and _differ_in_pull_only(ranking):
         told = _told_by_moves(recording, ranking, frames)
         if told is not None:
             chosen, sign = told
@@ -51,7 +51,7 @@ def read_by_weight(recording: Recording, log: AlignedLog, motion: Motion, frames
                 code="convention-found",
                 severity="warning",
                 message="The weight has the wrong sign as declared; the forces of acceleration tell that "
-                f"{chosen.pull.value} ({abs(sign):.0f} standard deviations): read as "
+                f"{chosen.sign_origin.value} ({abs(sign):.0f} standard deviations): read as "
                 f"`{', '.join(chosen.entries(frames))}`.",
                 advice="Declare it in cell.yaml.",
             )
@@ -71,7 +71,7 @@ def read_by_weight(recording: Recording, log: AlignedLog, motion: Motion, frames
 
 
 def _differ_in_pull_only(ranking: ConventionRanking) -> bool:
-    return len(ranking.alike) == 2 and ranking.alike[0].reading == ranking.alike[1].reading
+    return len(ranking.alike) == 2 and ranking.alike[0].hypothesis == ranking.alike[1].hypothesis
 
 
 def _read(
@@ -99,12 +99,12 @@ def _told_by_moves(
     recording: Recording, ranking: ConventionRanking, frames: Frames | None
 ) -> tuple[Convention, float] | None:
     """Read the wrench as the other body's: the inertia comes out positive if it is, negative if gravity is reversed."""
-    by_pull = {each.pull: each for each in ranking.alike}
-    tried = _read(recording, ranking, by_pull[Pull.WRENCH], frames, ())
+    by_pull = {each.sign_origin: each for each in ranking.alike}
+    tried = _read(recording, ranking, by_pull[SignOrigin.WRENCH], frames, ())
     try:
         sign = inertial_sign(tried.log, tried.motion, tried.poses, identify_gravity(tried.poses))
     except EstimateError:
         return None
     if abs(sign) < _SIGNIFICANT:
         return None
-    return (by_pull[Pull.WRENCH] if sign > 0.0 else by_pull[Pull.GRAVITY]), sign
+    return (by_pull[SignOrigin.WRENCH] if sign > 0.0 else by_pull[SignOrigin.GRAVITY]), sign

@@ -13,7 +13,15 @@ from ..payload.static_poses import StaticPose, group_by_orientation
 from ..result import Finding
 from ..signals.frames import Frames
 from ..signals.recording import PoseSignal, Recording
-from .weight_misfit import READINGS, FreeMounting, LeaningGravity, Reading, Scores, find_leaning_gravity, score_readings
+from .weight_misfit import (
+    HYPOTHESES,
+    ConventionHypothesis,
+    FreeMounting,
+    GravityDirection,
+    Scores,
+    find_gravity_direction,
+    score_hypotheses,
+)
 
 FloatArray = NDArray[np.float64]
 _ALIKE_LOG_LIKELIHOOD = float(np.log(1000.0))
@@ -27,7 +35,7 @@ _FAR_BETTER = 3.0
 _LARGEST_LEAN_RAD = np.radians(135.0)
 
 
-class Pull(StrEnum):
+class SignOrigin(StrEnum):
     """What a force of the opposite sign comes from; rests alone cannot tell the latter two apart."""
 
     AS_DECLARED = "as declared"
@@ -39,13 +47,13 @@ class Pull(StrEnum):
 class Convention:
     """One way to read the log, relative to the declared one, and how well the weight fits it.
 
-    `reading` says how the orientation's numbers are taken and by which quarter turn the sensor's axes are turned;
-    the residuals are over the orientations that fit the best reading; `short_by` is the log likelihood that this one is
+    `hypothesis` says how the orientation's numbers are taken and by which quarter turn the sensor's axes are turned;
+    the residuals are over the orientations that fit the best one; `short_by` is the log likelihood that this one is
     short of it, `ratio` the larger of its residuals over those of the best one.
     """
 
-    reading: Reading
-    pull: Pull
+    hypothesis: ConventionHypothesis
+    sign_origin: SignOrigin
     mass_kg: float
     residual_rms_n: float
     torque_residual_rms_n_m: float
@@ -54,9 +62,16 @@ class Convention:
 
     @property
     def changes(self) -> int:
-        """The number of entries of cell.yaml that differ from what is declared; 0 for the declared reading."""
-        reading = self.reading
-        return sum((reading.order != "xyzw", reading.inverted, self.pull is not Pull.AS_DECLARED, reading.is_turned))
+        """The number of entries of cell.yaml that differ from what is declared; 0 for the declared hypothesis."""
+        hypothesis = self.hypothesis
+        return sum(
+            (
+                hypothesis.order != "xyzw",
+                hypothesis.inverted,
+                self.sign_origin is not SignOrigin.AS_DECLARED,
+                hypothesis.is_turned,
+            )
+        )
 
     @property
     def fits_best(self) -> bool:
@@ -66,16 +81,16 @@ class Convention:
     def entries(self, frames: Frames | None = None) -> tuple[str, ...]:
         """Return what cell.yaml would have to say, given the frames that it declares now."""
         told, declared = [], Frames.plain() if frames is None else frames
-        if self.reading.order != "xyzw":
+        if self.hypothesis.order != "xyzw":
             told.append("pose.orientation_as: quaternion_wxyz")
-        if self.reading.inverted:
+        if self.hypothesis.inverted:
             told.append("pose.parent and pose.child: swapped (what is logged is flange from base)")
-        if self.pull is Pull.WRENCH:
+        if self.sign_origin is SignOrigin.WRENCH:
             told.append("wrench.exerted_by: sensor (payload where it is sensor now)")
-        if self.pull is Pull.GRAVITY:
+        if self.sign_origin is SignOrigin.GRAVITY:
             told.append(f"gravity_direction: {numbers_text(declared.R_WB.inv().apply([0.0, 0.0, 1.0]))}")
-        if self.reading.is_turned:
-            told.append(f"sensor.orientation: {numbers_text((declared.R_FS * self.reading.quarter_turn).as_quat())}")
+        if self.hypothesis.is_turned:
+            told.append(f"sensor.orientation: {numbers_text((declared.R_FS * self.hypothesis.quarter_turn).as_quat())}")
         return tuple(told) or ("as declared",)
 
     def apply(self, recording: Recording, frames: Frames | None = None) -> Recording:
@@ -84,9 +99,9 @@ class Convention:
         A twist is left out where it is not known in which frame it is (an inverted pose, gravity reversed).
         """
         declared = Frames.plain() if frames is None else frames
-        sign = -1.0 if self.pull is Pull.WRENCH else 1.0
+        sign = -1.0 if self.sign_origin is SignOrigin.WRENCH else 1.0
         wrench = recording.wrench
-        keeps_base = not self.reading.inverted and self.pull is not Pull.GRAVITY
+        keeps_base = not self.hypothesis.inverted and self.sign_origin is not SignOrigin.GRAVITY
         return replace(
             recording,
             wrench=replace(wrench, force_n=sign * wrench.force_n, torque_n_m=sign * wrench.torque_n_m),
@@ -97,13 +112,13 @@ class Convention:
 
     def _read(self, pose: PoseSignal, frames: Frames) -> PoseSignal:
         logged = Rotation.from_quat(pose.quaternion_xyzw)
-        turned = self.reading.orientation(logged, frames)
+        turned = self.hypothesis.orientation(logged, frames)
         position = np.array(pose.position_m)
-        if self.reading.inverted:
+        if self.hypothesis.inverted:
             # p_BF = −R_BF p_FB, in our base on both sides.
-            flange = frames.R_WB.inv() * turned * self.reading.quarter_turn.inv() * frames.R_FS.inv()
+            flange = frames.R_WB.inv() * turned * self.hypothesis.quarter_turn.inv() * frames.R_FS.inv()
             position = -frames.R_WB.apply(flange.apply(frames.R_WB.inv().apply(position)))
-        if self.pull is Pull.GRAVITY:
+        if self.sign_origin is SignOrigin.GRAVITY:
             over = Rotation.from_rotvec([np.pi, 0.0, 0.0])
             turned, position = over * turned, over.apply(position)
         return replace(pose, position_m=position, quaternion_xyzw=turned.as_quat(canonical=True))
@@ -119,7 +134,7 @@ def numbers_text(values: FloatArray) -> str:
     return "[" + ", ".join(f"{round(float(value), 6) + 0.0:g}" for value in np.asarray(values)) + "]"
 
 
-class Verdict(StrEnum):
+class ConventionVerdict(StrEnum):
     """What the weight says about the declared conventions; each value tells what follows."""
 
     DECLARED = "the declared conventions fit"
@@ -131,37 +146,37 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class ConventionRanking:
-    """All readings, best first, and what follows; `declared` is the one in cell.yaml or assumed.
+    """All hypotheses, best first, and what follows; `declared` is the one in cell.yaml or assumed.
 
     `orientations` distinct ones took part; `swing_rms_n` is how much the force changed between them. `mounting` is the
-    flange-from-sensor rotation that fits far better than any quarter turn, where there is one; `leaning` the direction
-    of gravity that does, where nothing fits as declared.
+    flange-from-sensor rotation that fits far better than any quarter turn, where there is one; `gravity_direction` that
+    of gravity, where another one does.
     """
 
-    verdict: Verdict
+    verdict: ConventionVerdict
     candidates: tuple[Convention, ...]
     declared: Convention | None
     orientations: int
     swing_rms_n: float
     frames: Frames
     mounting: Rotation | None = None
-    leaning: LeaningGravity | None = None
+    gravity_direction: GravityDirection | None = None
 
     @property
     def alike(self) -> tuple[Convention, ...]:
-        """The readings that fit as well as the best one, those of fewest changes first."""
+        """The hypotheses that fit as well as the best one, those of fewest changes first."""
         return tuple(sorted((c for c in self.candidates if c.fits_best), key=lambda c: (c.changes, c.short_by)))
 
     def chosen(self) -> Convention | None:
-        """Return the reading to use, None where the rests do not tell and the declared one stands unchecked.
+        """Return the hypothesis to use, None where the rests do not tell and the declared one stands unchecked.
 
-        Raises EstimateError where several readings fit alike or none does.
+        Raises EstimateError where several hypotheses fit alike or none does.
         """
-        if self.verdict is Verdict.DECLARED:
+        if self.verdict is ConventionVerdict.DECLARED:
             return self.declared
-        if self.verdict is Verdict.FOUND:
+        if self.verdict is ConventionVerdict.FOUND:
             return self.alike[0]
-        if self.verdict is Verdict.UNTOLD:
+        if self.verdict is ConventionVerdict.UNTOLD:
             return None
         raise EstimateError(self._question())
 
@@ -176,15 +191,16 @@ class ConventionRanking:
                 "(xyzw, flange from sensor) after checking it against the drawing, or `gravity_direction` if the base "
                 "is tilted."
             )
-        if self.leaning is not None:
-            told = ", ".join(f"{each:.5f}" for each in self.frames.R_WB.inv().apply(self.leaning.direction_W))
+        if self.gravity_direction is not None:
+            direction, lean = self.gravity_direction, np.degrees(self.gravity_direction.angle_rad)
+            components = ", ".join(f"{each:.5f}" for each in self.frames.R_WB.inv().apply(direction.direction_W))
             return (
-                f"Gravity leans by {np.degrees(self.leaning.angle_rad):.1f} degrees from where it is assumed: that "
-                f"leaves {self.leaning.left_n:.2f} N, the best of {len(self.candidates)} conventions "
+                f"Gravity leans by {lean:.1f} degrees from where it is assumed: that "
+                f"leaves {direction.left_n:.2f} N, the best of {len(self.candidates)} conventions "
                 f"{best.residual_rms_n:.2f} N of a swing of {self.swing_rms_n:.2f} N. If the base is mounted that way, "
-                f"declare `gravity_direction: [{told}]` in cell.yaml; else level it."
+                f"declare `gravity_direction: [{components}]` in cell.yaml; else level it."
             )
-        if self.verdict is Verdict.NONE:
+        if self.verdict is ConventionVerdict.NONE:
             return (
                 f"The force must follow gravity as the tool turns, found {best.residual_rms_n:.2f} N left of a swing "
                 f"of {self.swing_rms_n:.2f} N under the best of {len(self.candidates)} conventions; check that wrench "
@@ -210,7 +226,7 @@ class ConventionRanking:
 
     def findings(self) -> tuple[Finding, ...]:
         """Return what the user should know: a convention that was found, or that nothing could be checked."""
-        if self.verdict is Verdict.FOUND:
+        if self.verdict is ConventionVerdict.FOUND:
             best = self.alike[0]
             return (
                 Finding(
@@ -221,7 +237,7 @@ class ConventionRanking:
                     advice="Declare it in cell.yaml.",
                 ),
             )
-        if self.verdict is Verdict.UNTOLD:
+        if self.verdict is ConventionVerdict.UNTOLD:
             return (
                 Finding(
                     code="conventions-unchecked",
@@ -234,17 +250,17 @@ class ConventionRanking:
 
 
 def rank_conventions(poses: Sequence[StaticPose], frames: Frames | None = None) -> ConventionRanking:
-    """Rank 192 readings of the rests by what the payload's weight leaves unexplained.
+    """Rank 192 hypotheses of the rests by what the payload's weight leaves unexplained.
 
     Quaternion order, inverse, sensor axes by quarter turns, and the sign of the force, which is the wrench's or
-    gravity's: rests cannot tell which, so that both are candidates. The declared reading stands unless it is
+    gravity's: rests cannot tell which, so that both are candidates. The declared hypothesis stands unless it is
     significantly worse than the best one: less likely than 1 : 1000 (the noise's size left open, but no less than that
     within the rests) and 20 % more residual. `frames` are those that the cell declares and that are in the poses.
     """
     declared = Frames.plain() if frames is None else frames
     groups = group_by_orientation(poses)
     untold = ConventionRanking(
-        verdict=Verdict.UNTOLD,
+        verdict=ConventionVerdict.UNTOLD,
         candidates=(),
         declared=None,
         orientations=len(np.unique(groups)),
@@ -253,7 +269,7 @@ def rank_conventions(poses: Sequence[StaticPose], frames: Frames | None = None) 
     )
     if len(np.unique(groups)) < _FEWEST_ORIENTATIONS:
         return untold
-    scores = score_readings(poses, groups, declared)
+    scores = score_hypotheses(poses, groups, declared)
     if scores.orientations < _FEWEST_ORIENTATIONS:
         return untold
     candidates = _candidates(scores)
@@ -265,9 +281,9 @@ def rank_conventions(poses: Sequence[StaticPose], frames: Frames | None = None) 
         swing_rms_n=float(np.sqrt(scores.swing_n2 / (3.0 * scores.orientations))),
     )
     judged = _judged(ranked, scores)
-    if judged.verdict is not Verdict.NONE or judged.mounting is not None:
+    if judged.verdict is not ConventionVerdict.NONE or judged.mounting is not None:
         return judged
-    return replace(judged, leaning=_leaning(judged, poses))
+    return replace(judged, gravity_direction=_leaning(judged, poses))
 
 
 def _judged(ranked: ConventionRanking, scores: Scores) -> ConventionRanking:
@@ -277,15 +293,15 @@ def _judged(ranked: ConventionRanking, scores: Scores) -> ConventionRanking:
         return replace(ranked, verdict=_verdict(ranked, scores))
     if free.angle_rad > _SMALLEST_ANGLE_RAD or not free.is_as_declared:
         mounting = ranked.frames.R_FS * free.turn if free.is_as_declared else None
-        return replace(ranked, verdict=Verdict.NONE, mounting=mounting)
+        return replace(ranked, verdict=ConventionVerdict.NONE, mounting=mounting)
     # A little off the declared axes is for the mounting's estimate to say.
     nearly = free.turn.magnitude() < _SMALLEST_ANGLE_RAD and ranked.declared is not None
-    return replace(ranked, verdict=Verdict.DECLARED if nearly else _verdict(ranked, scores))
+    return replace(ranked, verdict=ConventionVerdict.DECLARED if nearly else _verdict(ranked, scores))
 
 
-def _leaning(ranking: ConventionRanking, poses: Sequence[StaticPose]) -> LeaningGravity | None:
+def _leaning(ranking: ConventionRanking, poses: Sequence[StaticPose]) -> GravityDirection | None:
     """Return where gravity points, if that explains the force far better than any convention."""
-    found = find_leaning_gravity(poses)
+    found = find_gravity_direction(poses)
     if found is None or found.angle_rad > _LARGEST_LEAN_RAD:
         return None
     explains = found.left_n < np.sqrt(_UNEXPLAINED) * ranking.swing_rms_n
@@ -299,37 +315,37 @@ def _is_far_better(free: FreeMounting, ranking: ConventionRanking, scores: Score
     return explains and ranking.candidates[0].residual_rms_n > _FAR_BETTER * left
 
 
-def _verdict(ranking: ConventionRanking, scores: Scores) -> Verdict:
+def _verdict(ranking: ConventionRanking, scores: Scores) -> ConventionVerdict:
     alike, best = ranking.alike, ranking.candidates[0]
     noise = float(np.sqrt(scores.force_floor_n2))
     if ranking.declared in alike:
         if best.residual_rms_n < np.sqrt(_UNEXPLAINED) * ranking.swing_rms_n:
-            return Verdict.DECLARED
+            return ConventionVerdict.DECLARED
         # Nothing swings with the orientation: gravity may have been removed, which is for the estimate of mass to say.
-        return Verdict.UNTOLD if ranking.swing_rms_n < 10.0 * noise else Verdict.NONE
+        return ConventionVerdict.UNTOLD if ranking.swing_rms_n < 10.0 * noise else ConventionVerdict.NONE
     if best.residual_rms_n >= np.sqrt(_UNEXPLAINED) * ranking.swing_rms_n:
-        return Verdict.NONE
-    return Verdict.FOUND if len(alike) == 1 else Verdict.ASK
+        return ConventionVerdict.NONE
+    return ConventionVerdict.FOUND if len(alike) == 1 else ConventionVerdict.ASK
 
 
 def _candidates(scores: Scores) -> tuple[Convention, ...]:
-    """Return the readings, best first: of either sign of the force the one that makes the mass positive."""
+    """Return the hypotheses, best first: of either sign of the force the one that makes the mass positive."""
     short = scores.log_likelihood_short()
     best = int(np.argmin(short))
     count = 3.0 * scores.orientations
     found = []
-    for i, reading in enumerate(READINGS):
-        pulls = (Pull.AS_DECLARED,) if scores.mass_kg[i] > 0.0 else (Pull.WRENCH, Pull.GRAVITY)
+    for i, hypothesis in enumerate(HYPOTHESES):
+        pulls = (SignOrigin.AS_DECLARED,) if scores.mass_kg[i] > 0.0 else (SignOrigin.WRENCH, SignOrigin.GRAVITY)
         found += [
             Convention(
-                reading=reading,
-                pull=pull,
+                hypothesis=hypothesis,
+                sign_origin=sign_origin,
                 mass_kg=abs(float(scores.mass_kg[i])),
                 residual_rms_n=float(np.sqrt(scores.force_n2[i] / count)),
                 torque_residual_rms_n_m=float(np.sqrt(scores.torque_n2_m2[i] / count)),
                 short_by=float(short[i]),
                 ratio=scores.ratio(i, best),
             )
-            for pull in pulls
+            for sign_origin in pulls
         ]
     return tuple(sorted(found, key=lambda each: (each.short_by, each.changes)))

@@ -1,4 +1,4 @@
-"""The weight's misfit under every reading of pose and wrench at once."""
+"""Misfit of the payload's weight under every convention hypothesis, and the direction of gravity that fits best."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ _LARGEST_CONDITION = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reading:
+class ConventionHypothesis:
     """How the logged orientation's numbers are taken, and by which quarter turn the sensor's axes are turned."""
 
     order: str
@@ -54,8 +54,8 @@ class Reading:
         return frames.R_WB * flange * frames.R_FS * self.quarter_turn
 
 
-READINGS = tuple(
-    Reading(order=order, inverted=inverted, turn=turn)
+HYPOTHESES = tuple(
+    ConventionHypothesis(order=order, inverted=inverted, turn=turn)
     for order in ("xyzw", "wxyz")
     for inverted in (False, True)
     for turn in range(len(QUARTER_TURNS))
@@ -66,10 +66,10 @@ READINGS = tuple(
 class FreeMounting:
     """The turn of the sensor's axes, as seen from the declared ones, under which the force fits best of all turns.
 
-    `reading` says how the orientation's numbers are taken, `sign` is that of the force, `force_n2` what is left.
+    `hypothesis` says how the orientation's numbers are taken, `sign` is that of the force, `force_n2` what is left.
     """
 
-    reading: Reading
+    hypothesis: ConventionHypothesis
     sign: float
     turn: Rotation
     force_n2: float
@@ -77,7 +77,7 @@ class FreeMounting:
     @property
     def is_as_declared(self) -> bool:
         """Whether nothing but the turn differs from what is declared."""
-        return self.sign > 0.0 and not self.reading.inverted and self.reading.order == "xyzw"
+        return self.sign > 0.0 and not self.hypothesis.inverted and self.hypothesis.order == "xyzw"
 
     @property
     def angle_rad(self) -> float:
@@ -87,7 +87,7 @@ class FreeMounting:
 
 @dataclass(frozen=True, kw_only=True)
 class Scores:
-    """Per reading (r,): signed mass, sums of squares of force and torque over the orientations that fit the best one.
+    """Per hypothesis (r,): signed mass, sums of squares of force and torque over the orientations without outliers.
 
     `orientations` of them there are; `swing_n2` is the sum of squares of the force about its mean, `force_floor_n2` and
     `torque_floor_n2_m2` the variances of one mean that noise leaves.
@@ -103,9 +103,9 @@ class Scores:
     free_mounting: FreeMounting
 
     def log_likelihood_short(self) -> FloatArray:
-        """Return by how much each reading's log likelihood is short of the best one's, the noise's size left open.
+        """Return by how much each hypothesis's log likelihood is short of the best one's, the noise's size left open.
 
-        The noise is at least what the sensor shows within the rests, so that readings within it are alike.
+        The noise is at least what the sensor shows within the rests, so that hypotheses within it are alike.
         """
         force, torque = 3 * self.orientations - 4, 3 * self.orientations - 6
         force_sum = np.maximum(self.force_n2, force * self.force_floor_n2)
@@ -113,28 +113,30 @@ class Scores:
         cost = 0.5 * force * np.log(force_sum) + 0.5 * torque * np.log(torque_sum)
         return np.asarray(cost - np.min(cost))
 
-    def ratio(self, reading: int, best: int) -> float:
-        """Return the larger of the rms ratios of force and torque between two readings, no rms below the noise's."""
+    def ratio(self, hypothesis: int, best: int) -> float:
+        """Return the larger of the rms ratios of force and torque between two hypotheses, no rms below the noise's."""
         count = 3.0 * self.orientations
         force = np.maximum(self.force_n2, count * self.force_floor_n2)
         torque = np.maximum(self.torque_n2_m2, count * self.torque_floor_n2_m2)
-        return float(np.sqrt(max(force[reading] / force[best], torque[reading] / torque[best])))
+        return float(np.sqrt(max(force[hypothesis] / force[best], torque[hypothesis] / torque[best])))
 
 
-def score_readings(poses: Sequence[StaticPose], groups: IntArray, frames: Frames) -> Scores:
-    """Fit f = m g_S + b_f and τ = h × g_S + b_τ under every reading, the mass of either sign.
+def score_hypotheses(poses: Sequence[StaticPose], groups: IntArray, frames: Frames) -> Scores:
+    """Fit f = m g_S + b_f and τ = h × g_S + b_τ under every hypothesis, the mass of either sign.
 
-    The readings are compared over the rests that fit the one of least absolute misfit, each orientation once.
+    The hypotheses are compared over the rests that fit the one of least absolute misfit, each orientation once.
     """
     logged = Rotation.from_quat([pose.quaternion_xyzw for pose in poses])
-    gravity = np.array([reading.orientation(logged, frames).inv().apply(GRAVITY_B_M_S2) for reading in READINGS])
+    gravity = np.array(
+        [hypothesis.orientation(logged, frames).inv().apply(GRAVITY_B_M_S2) for hypothesis in HYPOTHESES]
+    )
     force = np.array([pose.force_S_n for pose in poses])
     torque = np.array([pose.torque_S_n_m for pose in poses])
     keep = _inliers(gravity, force, torque, group_shares(groups))
     groups = groups[keep]
     means = np.array([group_means(each[keep], groups) for each in gravity])
     force, torque = group_means(force[keep], groups), group_means(torque[keep], groups)
-    even = np.ones((len(READINGS), len(force)))
+    even = np.ones((len(HYPOTHESES), len(force)))
     force_left, torque_left = _force_misfit(means, force, even), _torque_misfit(means, torque, even)
     return Scores(
         mass_kg=_mass(*_centred(means, force, even), even),
@@ -149,12 +151,12 @@ def score_readings(poses: Sequence[StaticPose], groups: IntArray, frames: Frames
 
 
 def _inliers(gravity: FloatArray, force: FloatArray, torque: FloatArray, shares: FloatArray) -> BoolArray:
-    """Return which rests (n,) fit the reading whose force misfits least in sum."""
-    pull = _least_absolute(gravity, force, shares, _SMALLEST_SCATTER_N, fit=_force_misfit)
-    best = int(np.argmin(np.sum(shares * pull, axis=1)))
+    """Return which rests (n,) fit the hypothesis whose force misfits least in sum."""
+    misfits = _least_absolute(gravity, force, shares, _SMALLEST_SCATTER_N, fit=_force_misfit)
+    best = int(np.argmin(np.sum(shares * misfits, axis=1)))
     twist = _least_absolute(gravity[best : best + 1], torque, shares, _SMALLEST_SCATTER_N_M, fit=_torque_misfit)
     keep = np.ones(len(force), dtype=bool)
-    for misfit, floor in ((pull[best], _SMALLEST_SCATTER_N), (twist[0], _SMALLEST_SCATTER_N_M)):
+    for misfit, floor in ((misfits[best], _SMALLEST_SCATTER_N), (twist[0], _SMALLEST_SCATTER_N_M)):
         scatter = max(1.4826 * weighted_median(misfit, shares), floor)
         keep &= misfit < _OUTLIER_DEVIATIONS * scatter
     return keep
@@ -205,29 +207,29 @@ def _torque_misfit(gravity: FloatArray, values: FloatArray, weights: FloatArray)
 def _mount_freely(gravity: FloatArray, force: FloatArray) -> FreeMounting:
     """Solve f = ±m Qᵀ g + b for the turn Q by the singular values of Σ f gᵀ (Kabsch 1976, Wahba's problem).
 
-    Of readings that leave alike little the declared one is returned.
+    Of hypotheses that leave alike little the declared one is returned.
     """
-    pull = force - force.mean(axis=0)
+    centred = force - force.mean(axis=0)
     found = []
-    for reading, each in zip(READINGS, gravity, strict=True):
-        if reading.is_turned:
+    for hypothesis, each in zip(HYPOTHESES, gravity, strict=True):
+        if hypothesis.is_turned:
             continue
         swing = each - each.mean(axis=0)
         for sign in (1.0, -1.0):
-            left, size, right = np.linalg.svd(sign * pull.T @ swing)
+            left, size, right = np.linalg.svd(sign * centred.T @ swing)
             handed = np.array([1.0, 1.0, np.linalg.det(left @ right)])
             mass = float(np.sum(size * handed)) / max(float(np.sum(swing**2)), 1e-12)
             turned = left @ np.diag(handed) @ right
-            misfit = float(np.sum((pull - sign * mass * swing @ turned.T) ** 2))
+            misfit = float(np.sum((centred - sign * mass * swing @ turned.T) ** 2))
             turn = Rotation.from_matrix(turned.T)
-            found.append(FreeMounting(reading=reading, sign=sign, turn=turn, force_n2=misfit))
+            found.append(FreeMounting(hypothesis=hypothesis, sign=sign, turn=turn, force_n2=misfit))
     best = min(found, key=lambda each: each.force_n2)
     declared = next(each for each in found if each.is_as_declared)
     return declared if declared.force_n2 < _ALIKE * best.force_n2 else best
 
 
 @dataclass(frozen=True, kw_only=True)
-class LeaningGravity:
+class GravityDirection:
     """The direction (3,) of gravity in the frame of the poses, its angle to the declared one, and what it leaves."""
 
     direction_W: FloatArray
@@ -235,7 +237,7 @@ class LeaningGravity:
     left_n: float
 
 
-def find_leaning_gravity(poses: Sequence[StaticPose]) -> LeaningGravity | None:
+def find_gravity_direction(poses: Sequence[StaticPose]) -> GravityDirection | None:
     """Solve f = R_WSᵀ w + b for the weight w in W and the bias b, by least absolute deviations.
 
     Rests in contact weigh little that way; `left_n` is what the middle rest leaves. None where the orientations do not
@@ -258,4 +260,4 @@ def find_leaning_gravity(poses: Sequence[StaticPose]) -> LeaningGravity | None:
     direction = found[:3] / size
     down = GRAVITY_B_M_S2 / np.linalg.norm(GRAVITY_B_M_S2)
     angle = float(np.arctan2(np.linalg.norm(np.cross(direction, down)), direction @ down))
-    return LeaningGravity(direction_W=direction, angle_rad=angle, left_n=float(np.median(left)))
+    return GravityDirection(direction_W=direction, angle_rad=angle, left_n=float(np.median(left)))

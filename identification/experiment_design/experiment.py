@@ -7,7 +7,7 @@ from problems.model.controller import AdmittanceController
 from ..errors import EstimateError
 from .contacts import ContactPlan, TapPlan, plan_contacts, plan_taps, through_coupling
 from .poses import PosePlan, plan_poses, smallest_tilt_deg
-from .result import LABELS, UNITS, ExperimentPlan, Limits, PeakEffect, Prediction, Step, StepKind, peak_effect
+from .result import LABELS, UNITS, ExperimentLimits, ExperimentPlan, PeakEffect, Prediction, Step, StepKind, peak_effect
 from .sweep import SweepLimits, SweepPlan, careful_force_n, plan_sweep
 from .values import PlanValues
 
@@ -54,7 +54,7 @@ def allowed_std(values: PlanValues) -> dict[str, float]:
 
 
 def plan_experiment(
-    axis: str, values: PlanValues, limits: Limits, controller: AdmittanceController | None = None
+    axis: str, values: PlanValues, limits: ExperimentLimits, controller: AdmittanceController | None = None
 ) -> ExperimentPlan:
     """Plan the next recording on one axis within `limits`.
 
@@ -125,7 +125,7 @@ def _is_needed(entry: Prediction, effect: PeakEffect | None) -> bool:
     return entry.urgency > 1.0
 
 
-def _force_limit(limits: Limits, std: dict[str, float | None], *names: str) -> float:
+def _force_limit(limits: ExperimentLimits, std: dict[str, float | None], *names: str) -> float:
     return careful_force_n(limits.max_force_n, [std[name] for name in names])
 
 
@@ -140,7 +140,7 @@ def _improve(after: dict[str, float | None], std: dict[str, float]) -> None:
 
 
 def _poses(
-    values: PlanValues, limits: Limits, allowed: dict[str, float], after: dict[str, float | None]
+    values: PlanValues, limits: ExperimentLimits, allowed: dict[str, float], after: dict[str, float | None]
 ) -> PosePlan | None:
     if limits.pose_count == 0:
         return None
@@ -166,7 +166,7 @@ def _poses(
 
 
 def _taps(
-    values: PlanValues, limits: Limits, allowed: dict[str, float], after: dict[str, float | None]
+    values: PlanValues, limits: ExperimentLimits, allowed: dict[str, float], after: dict[str, float | None]
 ) -> TapPlan | None:
     """Return taps where the sweep leaves K_s above half of what is allowed and they tell it better."""
     swept = after["stiffness_n_per_m"]
@@ -190,7 +190,7 @@ def _with_coupling(values: PlanValues, std: dict[str, float], stiffness_std: flo
 def _ordered(
     axis: str,
     values: PlanValues,
-    limits: Limits,
+    limits: ExperimentLimits,
     predictions: dict[str, Prediction],
     settings: tuple[PosePlan | None, SweepPlan, TapPlan | None, ContactPlan | None],
     effect: PeakEffect | None,

@@ -144,7 +144,7 @@ class StepKind(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
+class ExperimentLimits:
     """What the cell allows; `pose_count` 0 leaves the poses out. Raises ParameterError where that leaves nothing."""
 
     max_tilt_deg: float = 60.0
@@ -212,4 +212,4 @@ class ExperimentPlan:
     effect: PeakEffect | None
     steps: tuple[Step, ...]
     values: PlanValues
-    limits: Limits
+    limits: ExperimentLimits

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .latency import Rival
+from .latency import CompetingMinimum
 from .solve import Block, Point, Problem, Summary, cost, information, linearise, minimise, sizes_of
 
 _STEPS = 4
@@ -119,12 +119,12 @@ def widened(blocks: Sequence[Block], count: int, period_s: float) -> Spread:
 
 
 def _doubtful(blocks: Sequence[Block], covariance: FloatArray, count: int) -> FloatArray:
-    """Return Σ δ δᵀ, δ the shift of all parameters by each force that the model may lack (`Block.doubts`)."""
-    told = [b for b in blocks if b.doubts is not None]
-    shift = np.zeros((count, max((b.doubts.shape[1] for b in told if b.doubts is not None), default=0)))
+    """Return Σ δ δᵀ, δ the shift of all parameters by each force that the model may lack (`Block.systematic`)."""
+    told = [b for b in blocks if b.systematic is not None]
+    shift = np.zeros((count, max((b.systematic.shape[1] for b in told if b.systematic is not None), default=0)))
     for block in told:
-        if block.doubts is not None:
-            shift[block.indices] += block.jacobian.T @ block.doubts
+        if block.systematic is not None:
+            shift[block.indices] += block.jacobian.T @ block.systematic
     moved = covariance @ shift
     return np.asarray(moved @ moved.T)
 
@@ -208,11 +208,14 @@ def _swing_left(problem: Problem, surface: int, damping: float, mass: float) -> 
     return float(np.exp(-0.5 * damping / mass * max(min(pauses), 0) * problem.signals.period_s))
 
 
-def beside_rival(problem: Problem, point: Point, spread: Spread, rival: Rival | None, *, blurred: bool) -> Spread:
-    """Return the covariance with what a rival minimum adds, as in `other_minima`; a delay is known to 0.001 samples.
+def with_competing_minimum(
+    problem: Problem, point: Point, spread: Spread, competing: CompetingMinimum | None, *, blurred: bool
+) -> Spread:
+    """Return the covariance with what a competing minimum adds, as in `other_minima`.
 
-    At a step of the command beside a tick the force jumps, of which a derivative knows nothing. A command that is
-    `blurred` over every sample costs ω h²/8 of the delay and, of ω, half of what that is of its own time constant.
+    A delay is known to 0.001 samples at best. At a step of the command beside a tick the force jumps, of which a
+    derivative knows nothing. A command that is `blurred` over every sample costs ω h²/8 of the delay and, of ω, half of
+    what that is of its own time constant.
     """
     covariance = spread.covariance.copy()
     if problem.layout.robot_order:
@@ -221,10 +224,10 @@ def beside_rival(problem: Problem, point: Point, spread: Spread, rival: Rival | 
         # The delay's unit is the period, that of ω is itself.
         covariance[last, last] += SHARPEST_DELAY_SAMPLES**2 + turned**2
         covariance[first, first] += (0.5 * turned * float(point.values[first]) * problem.signals.period_s) ** 2
-    if rival is not None:
-        apart = rival.point.values - point.values
+    if competing is not None:
+        apart = competing.point.values - point.values
         apart = apart / sizes_of(point.values, problem.layout, problem.signals.period_s)
-        covariance += rival.share * np.outer(apart, apart)
+        covariance += competing.share * np.outer(apart, apart)
     return replace(spread, covariance=covariance)
 
 

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from problems.model.robot import RobotModel
 
-from ..axes.straight import AxisMotion, find_rings, keeps_orientation, unguided_spans
+from ..axes.straight import AxisMotion, find_ringing, keeps_orientation, unguided_spans
 from ..robot.coupling import CouplingFit
 from ..signals.aligned import AlignedLog, find_gaps
 from ..signals.recording import PoseSignal, StampArray
-from ..signals.segments import Motion, Span
+from ..signals.segments import MotionSpans, Span
 
 FloatArray = NDArray[np.float64]
 
@@ -53,8 +53,8 @@ class JointData:
     wrench may be stamped, mean and standard deviation, after `shifted_s` was taken off its stamps when it was read;
     `measured`, first tick at which the pose was measured and every how many it was (between them it is interpolated).
     `mass_kg`, from gravity, is a start too and no information; M_p is looked for between a fifth of it and five times
-    it. `priors` maps names of `Layout.names` to value and standard deviation known from elsewhere; `weighed` is M_p
-    from gravity with its deviation, for ringing that has nothing else to go by.
+    it. `priors` maps names of `ParameterLayout.names` to value and standard deviation known from elsewhere; `weighed`
+    is M_p from gravity with its deviation, for ringing that has nothing else to go by.
     """
 
     period_s: float
@@ -117,7 +117,7 @@ def uncovered(command: PoseSignal, log: AlignedLog) -> tuple[Span, ...]:
 
 def build_joint_data(
     log: AlignedLog,
-    motion: Motion,
+    motion: MotionSpans,
     axis: AxisMotion,
     holds: Sequence[Span],
     coupling: CouplingFit | None,
@@ -146,7 +146,7 @@ def build_joint_data(
         rests=tuple(s for s in motion.still if (s.start, s.stop) not in pressed),
         moving=_most_telling(_off_holes(axis.spans, holes, log.period_s), axis, log.period_s, _MOST_MOVING_S),
         free=_most_telling(_off_holes(free, holes, log.period_s), axis, log.period_s, _MOST_FREE_S),
-        rings=_off_holes(find_rings(axis, steady, free, holds, noise_rms_n, log.period_s), holes, log.period_s),
+        rings=_off_holes(find_ringing(axis, steady, free, holds, noise_rms_n, log.period_s), holes, log.period_s),
         holds=_few_of_each_place(_approached(holds, holes, log.period_s), axis),
         coupling=usual_coupling(mass_kg) if coupling is None else _values(coupling),
         robot=robot,

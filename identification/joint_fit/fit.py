@@ -12,11 +12,11 @@ from problems.progress import ProgressSlice
 from ..errors import EstimateError
 from .covariance import deepest_stiffness, deepest_surfaces
 from .data import JointData
-from .latency import either_side, filter_or_delay, fit_filter, fit_lag, forces_left
-from .model import Layout
+from .latency import compare_delay_hypotheses, filter_or_delay, fit_filter, fit_latency, forces_left
+from .model import ParameterLayout
 from .noise import Smoother, fit_smoother, fit_whitener
-from .result import JointFit, describe
-from .segments import ContactStart, FoundContact, Segment, contact_segment, group_contacts, start_contact
+from .result import JointFit, build_joint_fit
+from .segments import ContactCandidate, FoundContact, Segment, contact_segment, group_contacts, start_contact
 from .solve import Point, Problem, Signals, linearise, minimise
 from .start import fit_alone, start_coupling, start_surface
 
@@ -73,7 +73,7 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
     base, start = _robot_first(data, start)
     problem, point = begin(data, base, start[:-3])
     blurred = data.command is not None and data.command.is_mean
-    problem, point, lag = fit_lag(problem, point, data.force_n, data.lag_s, 0.0, blurred=blurred)
+    problem, point, lag = fit_latency(problem, point, data.force_n, data.lag_s, 0.0, blurred=blurred)
     problem, point, lag = filter_or_delay(problem, point, data.force_n, lag, data.shifted_s)
     progress.advance_to(_BEGUN)
     contacts = _starts(data, problem, np.concatenate([point.values, start[-3:]]))
@@ -86,17 +86,19 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
         point, _ = minimise(problem, point, _STEPS_LATER)
     if lag.is_filter:
         problem, point, std = fit_filter(problem, point)
-        lag = replace(lag, seconds=problem.signals.lateness.time_constant_s, std_s=std)
+        lag = replace(lag, seconds=problem.signals.sensor_dynamics.time_constant_s, std_s=std)
     elif not lag.is_whole:
-        again = fit_lag(problem, point, data.force_n, data.lag_s, lag.applied_s, blurred=blurred)
+        again = fit_latency(problem, point, data.force_n, data.lag_s, lag.applied_s, blurred=blurred)
         problem, point, lag = again[0], again[1], replace(again[2], evidence=lag.evidence)
     progress.advance_to(_ROUNDED)
     problem, point = deepest_surfaces(problem, deepest_stiffness(problem, point))
     problem = _recoloured(problem, point)
-    point, rival = either_side(problem, point)
+    point, competing = compare_delay_hypotheses(problem, point)
     _require_mass(problem, float(point.values[3]))
     resting = np.concatenate([_settled(data.force_n[s]) for s in _quiet_rests(data)])
-    fit = describe(problem, point, found, rival, command=data.command, lag=lag, rest_rms_n=float(np.std(resting)))
+    fit = build_joint_fit(
+        problem, point, found, competing, command=data.command, lag=lag, rest_rms_n=float(np.std(resting))
+    )
     if not np.all(np.isfinite(fit.covariance)) or fit.diagnostics.fit_share[0] < _LEAST_EXPLAINED:
         explained = 100.0 * max(fit.diagnostics.fit_share[0], 0.0)
         raise EstimateError(
@@ -118,9 +120,9 @@ def _require_mass(problem: Problem, mass_kg: float) -> None:
         )
 
 
-def _starts(data: JointData, problem: Problem, values: FloatArray) -> list[ContactStart]:
+def _starts(data: JointData, problem: Problem, values: FloatArray) -> list[ContactCandidate]:
     """Return the contacts, with what a coarse search says of each, for one value of the shared parameters."""
-    layout = Layout(robot_order=problem.layout.robot_order, surfaces=1)
+    layout = ParameterLayout(robot_order=problem.layout.robot_order, surfaces=1)
     path = problem.path(values)
     starts = [start_contact(hold, path, data.force_n, values.copy(), layout, data.period_s) for hold in data.holds]
     return [s for s in starts if s is not None]
@@ -139,7 +141,7 @@ def _robot_values(data: JointData) -> FloatArray:
 
 def _robot_first(data: JointData, start: FloatArray) -> tuple[Problem, FloatArray]:
     """Fit the robot to the pose alone; only then what the pose shows beside it can be told from a wrong robot."""
-    layout, rests = Layout(robot_order=data.robot_order, surfaces=0), _quiet_rests(data)
+    layout, rests = ParameterLayout(robot_order=data.robot_order, surfaces=0), _quiet_rests(data)
     if not rests:
         raise EstimateError("The noise is told by spans at rest without contact, found none; stand still for 1 s.")
     signals = Signals(
@@ -304,7 +306,7 @@ def _together(
     groups = group_contacts(
         [(c.start.segment.sign, c.secant_n_per_m, c.secant_std_n_per_m) for c in found], _SAME_SECANT
     )
-    layout = Layout(robot_order=problem.layout.robot_order, surfaces=max(groups, default=-1) + 1)
+    layout = ParameterLayout(robot_order=problem.layout.robot_order, surfaces=max(groups, default=-1) + 1)
     order = sorted(range(len(found)), key=lambda i: groups[i])
     surfaces: list[FloatArray] = []
     own: list[FloatArray] = []

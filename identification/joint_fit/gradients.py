@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from .force_kernel import OFF, ON, TURNS, carry_contact, carry_free
 from .kernel import TINY
-from .model import Layout, body, held, robot_rate
-from .path import Cut, FlangePath
-from .segments import OFFSET, Law, Run, Segment, law_of, run, steps_of, surface_of
+from .model import ParameterLayout, body, held, robot_rate
+from .path import FlangePath, PathSegment
+from .segments import OFFSET, Run, Segment, SegmentModel, run, segment_model, steps_of, surface_of
 
 FloatArray = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ def force_jacobian(
     path: FlangePath,
     path_slopes: Callable[[int], FlangePath],
     indices: NDArray[np.intp],
-    layout: Layout,
+    layout: ParameterLayout,
     period_s: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the prediction (n,) and its derivatives (p, n) by the shared parameters `indices`, then its nuisances.
@@ -40,10 +40,12 @@ def force_jacobian(
     cut, robot = path.cut(segment.slice), range(layout.robot.start, layout.robot.stop)
     # The first are those of the coupling, and a surface's are the last.
     moved = [path_slopes(i).cut(segment.slice) for i in indices.tolist() if i in robot]
-    law = law_of(values, nuisance, segment, path, layout, period_s)
-    bends = bends_of(values, segment, path, layout, period_s, moves_robot=bool(moved))
+    law = segment_model(values, nuisance, segment, path, layout, period_s)
+    derivatives = step_derivatives(values, segment, path, layout, period_s, moves_robot=bool(moved))
     found = run(law, cut, segment)
-    slopes = _carried(law, bends, cut, moved, found, segment, _places(law, nuisance, moved, segment, len(indices)))
+    slopes = _carried(
+        law, derivatives, cut, moved, found, segment, _places(law, nuisance, moved, segment, len(indices))
+    )
     rows = np.empty((len(indices) + segment.nuisance_count, len(segment)))
     rows[len(indices) + OFFSET] = 1.0
     kept = np.arange(len(rows)) != len(indices) + OFFSET
@@ -51,7 +53,7 @@ def force_jacobian(
     return np.asarray(segment.sign * found.force + nuisance[OFFSET]), rows
 
 
-class Bends(NamedTuple):
+class StepDerivatives(NamedTuple):
     """The derivatives of a law by its parameters, which come last: the span's own ones, at the end, have none.
 
     `steps` (2, 2 + m, 2, p) are those of phi and gamma side by side, transposed, in free motion and contact; `swing`
@@ -63,11 +65,17 @@ class Bends(NamedTuple):
     body: FloatArray
 
 
-def bends_of(
-    values: FloatArray, segment: Segment, path: FlangePath, layout: Layout, period_s: float, *, moves_robot: bool
-) -> Bends:
+def step_derivatives(
+    values: FloatArray,
+    segment: Segment,
+    path: FlangePath,
+    layout: ParameterLayout,
+    period_s: float,
+    *,
+    moves_robot: bool,
+) -> StepDerivatives:
     """Return the derivatives of a segment's law, those by the robot only if it moves, one complex step for each."""
-    return _bends(
+    return _step_derivatives(
         tuple(values[:_COUPLING].tolist()),
         tuple(values[layout.robot].tolist()) if moves_robot else (),
         tuple(surface_of(values, segment, layout).tolist()),
@@ -80,7 +88,7 @@ def bends_of(
 
 # All spans in free motion have the same, and all contacts with one surface.
 @lru_cache(maxsize=16)
-def _bends(
+def _step_derivatives(
     coupling: tuple[float, ...],
     robot: tuple[float, ...],
     surface: tuple[float, ...],
@@ -88,12 +96,12 @@ def _bends(
     fraction: float,
     period_s: float,
     touches: bool,
-) -> Bends:
+) -> StepDerivatives:
     values = (*coupling, *robot, *(surface if touches else ()))
     count, last = len(values) + (3 if touches else 2), _COUPLING + len(robot)
     of_robot = None if rows is None else np.array(rows)
     width = 4 + (0 if of_robot is None else len(of_robot) + 2)
-    out = Bends(np.zeros((2, 2 + width, 2, count)), np.zeros((2, 2, count)), np.zeros((7, count)))
+    out = StepDerivatives(np.zeros((2, 2 + width, 2, count)), np.zeros((2, 2, count)), np.zeros((7, count)))
     for i in range(len(values)):
         turned = [complex(value, TINY if i == j else 0.0) for j, value in enumerate(values)]
         of = body(turned[:_COUPLING], turned[last:] if touches else surface, period_s)
@@ -109,7 +117,9 @@ def _bends(
     return out
 
 
-def _places(law: Law, nuisance: FloatArray, moved: list[Cut], segment: Segment, shared: int) -> FloatArray:
+def _places(
+    law: SegmentModel, nuisance: FloatArray, moved: list[PathSegment], segment: Segment, shared: int
+) -> FloatArray:
     """Return the derivatives of the wall and of the payload's place and velocity at first, (3, p)."""
     out, sign, k_s = np.zeros((3, shared + segment.nuisance_count - 1)), segment.sign, law.body[0].real
     out[1:, 0] = -nuisance[:2] / k_s**2
@@ -124,12 +134,18 @@ def _places(law: Law, nuisance: FloatArray, moved: list[Cut], segment: Segment, 
 
 
 def _carried(
-    law: Law, bends: Bends, cut: Cut, moved: list[Cut], found: Run, segment: Segment, places: FloatArray
+    law: SegmentModel,
+    derivatives: StepDerivatives,
+    cut: PathSegment,
+    moved: list[PathSegment],
+    found: Run,
+    segment: Segment,
+    places: FloatArray,
 ) -> FloatArray:
     """Return the slopes (n, p) of the coupling's force in the direction of pressing."""
     sign, of, start = float(segment.sign), np.array(law.body), places[1:].copy()
     k_s, b_s = float(of[0]), float(of[1])
-    pushed = _pushed(law, bends, cut, moved, found, sign, places[0])
+    pushed = _pushed(law, derivatives, cut, moved, found, sign, places[0])
     from_wall = law.wall * np.array([1.0, 0.0, 1.0, 0.0])
     if segment.is_contact:
         turns = np.flatnonzero(found.modes >= TURNS)
@@ -138,18 +154,24 @@ def _carried(
         for i, each in enumerate(moved, _COUPLING):
             ends[:, :, i] += sign * each.ends[turns]
         way = sign * cut.ends[turns] - from_wall, ends
-        swing, bodies = (law.swing, bends.swing), (of, bends.body)
+        swing, bodies = (law.swing, derivatives.swing), (of, derivatives.body)
         out = carry_contact(law.phi, swing, pushed, start, bodies, way, found.states, found.modes)
     else:
         out = carry_free(law.phi[0], pushed, start, k_s, b_s)
-    out += (found.states[:, :2] - sign * cut.ends[:, :2] + from_wall[:2]) @ bends.body[:2] + k_s * places[0]
+    out += (found.states[:, :2] - sign * cut.ends[:, :2] + from_wall[:2]) @ derivatives.body[:2] + k_s * places[0]
     for i, each in enumerate(moved, _COUPLING):
         out[:, i] -= sign * (each.ends[:, :2] @ of[:2])
     return out
 
 
 def _pushed(
-    law: Law, bends: Bends, cut: Cut, moved: list[Cut], found: Run, sign: float, walls: FloatArray
+    law: SegmentModel,
+    derivatives: StepDerivatives,
+    cut: PathSegment,
+    moved: list[PathSegment],
+    found: Run,
+    sign: float,
+    walls: FloatArray,
 ) -> FloatArray:
     """Return what a sample adds to the slopes of the payload's state, phi' x + gamma' w + gamma w', (n, 2, p)."""
     width, count = cut.drive.shape[1], len(walls)
@@ -164,7 +186,7 @@ def _pushed(
         if len(here) == 0:
             continue
         at: slice | NDArray[np.intp] = slice(None) if len(here) == len(modes) else here
-        part = (seen[at] @ bends.steps[mode].reshape(2 + width, 2 * count)).reshape(-1, 2, count)
+        part = (seen[at] @ derivatives.steps[mode].reshape(2 + width, 2 * count)).reshape(-1, 2, count)
         part -= np.outer(law.gamma[mode, :, place], walls)
         gamma = sign * law.gamma[mode]
         for i, each in enumerate(moved, _COUPLING):

@@ -10,7 +10,7 @@ from scipy.interpolate import make_interp_spline
 from ..result import Estimate, Finding, Status, WrenchFilterEstimate
 from ..verdicts import judged, weak_at_best
 from .noise import Whitener, fit_whitener
-from .path import Lateness
+from .path import SensorDynamics
 from .segments import predict_force
 from .solve import Point, Problem, Signals, cost, information, linearise, minimise
 
@@ -42,7 +42,7 @@ _APART_STDS, _APART_SHARE = 5.0, 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lag:
+class WrenchLatency:
     """The force is stamped `seconds` ± `std_s` late; `applied_s` of it was taken out of the problem's force.
 
     Where `is_filter`, that is the time constant of a first-order low-pass, which the problem's prediction passes.
@@ -58,7 +58,7 @@ class Lag:
     evidence: float | None = None
 
 
-def fit_lag(
+def fit_latency(
     problem: Problem,
     point: Point,
     force_n: FloatArray,
@@ -66,36 +66,37 @@ def fit_lag(
     applied_s: float,
     *,
     blurred: bool,
-) -> tuple[Problem, Point, Lag]:
-    """Fit the wrench's lag, take it out where it shows, and fit all again; the problem then doubts what is left of it.
+) -> tuple[Problem, Point, WrenchLatency]:
+    """Fit the wrench's latency, take it out where it shows, and fit all again.
 
-    `force_n` (n,) is the force as logged, `prior` the lag's mean and deviation [s], `applied_s` what the problem's
-    force is already shifted by. One Gauss-Newton step of the lag beside all other parameters, -F'(t) being what it does
-    to the force, repeated while it moves. A lag within two deviations of what is applied is left where it is: shifting
-    interpolates the noise. `blurred`: the command is a mean over every sample.
+    What is left of it counts as a systematic error. `force_n` (n,) is the force as logged, `prior` the latency's mean
+    and deviation [s], `applied_s` what the problem's force is already shifted by. One Gauss-Newton step of the lag
+    beside all other parameters, -F'(t) being what it does to the force, repeated while it moves. A lag within two
+    deviations of what is applied is left where it is: shifting interpolates the noise. `blurred`: the command is a mean
+    over every sample.
     """
     period = problem.signals.period_s
     for _ in range(_ROUNDS):
-        step, std = step_lag(problem, point, prior, applied_s)
+        step, std = latency_step(problem, point, prior, applied_s)
         if abs(step) < _SIGNIFICANT_STDS * std:
             break
         applied_s += step
-        signals = replace(problem.signals, force_n=sooner(force_n, applied_s / period))
+        signals = replace(problem.signals, force_n=advance_in_time(force_n, applied_s / period))
         problem = replace(problem, signals=signals)
         point, _ = minimise(problem, point, _STEPS)
         if abs(step) < _SETTLED * std:
             break
-    step, std = step_lag(problem, point, prior, applied_s)
+    step, std = latency_step(problem, point, prior, applied_s)
     if blurred or applied_s != 0.0:
         # Between its samples the force has the steps of the held command, which no spline and no mean knows.
         std = float(np.hypot(std, (_BLURRED_SAMPLES if blurred else _BETWEEN_SAMPLES) * period))
     # What may be left: the deviation, and the part that was not worth a shift.
     left = float(np.hypot(std, step))
-    problem = replace(problem, signals=replace(problem.signals, lag_std_s=left))
-    return problem, point, Lag(seconds=applied_s + step, std_s=std, applied_s=applied_s)
+    problem = replace(problem, signals=replace(problem.signals, latency_std_s=left))
+    return problem, point, WrenchLatency(seconds=applied_s + step, std_s=std, applied_s=applied_s)
 
 
-def sooner(force_n: FloatArray, samples: float) -> FloatArray:
+def advance_in_time(force_n: FloatArray, samples: float) -> FloatArray:
     """Return the force (n,) that was logged `samples` later, by a cubic spline."""
     if samples == 0.0:
         return force_n
@@ -103,17 +104,17 @@ def sooner(force_n: FloatArray, samples: float) -> FloatArray:
     return np.asarray(make_interp_spline(ticks, force_n, k=3)(np.clip(ticks + samples, 0.0, ticks[-1])))
 
 
-def step_lag(problem: Problem, point: Point, prior: tuple[float, float], applied_s: float) -> tuple[float, float]:
+def latency_step(problem: Problem, point: Point, prior: tuple[float, float], applied_s: float) -> tuple[float, float]:
     """Return by how much the lag should grow, and its deviation with all other parameters free [s]."""
     mean, std = prior
-    blocks = linearise(replace(problem, signals=replace(problem.signals, lag_std_s=std)), point)
+    blocks = linearise(replace(problem, signals=replace(problem.signals, latency_std_s=std)), point)
     count = len(problem.layout)
     matrix, gradient = information(blocks, count)
     free = np.setdiff1d(np.arange(count), problem.fixed)
     coupled, own, slope = np.zeros(count), 1.0, (mean - applied_s) / std
     for block in blocks:
-        if block.doubts is not None:
-            column = block.doubts[:, -1]
+        if block.systematic is not None:
+            column = block.systematic[:, -1]
             coupled[block.indices] += block.jacobian.T @ column
             own += float(column @ column)
             slope += float(column @ block.residual)
@@ -126,20 +127,20 @@ def step_lag(problem: Problem, point: Point, prior: tuple[float, float], applied
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rival:
+class CompetingMinimum:
     """Another minimum of nearly the same depth; `share` (0 to 1) is what it has of the likelihood of both."""
 
     point: Point
     share: float
 
 
-def either_side(problem: Problem, point: Point) -> tuple[Point, Rival | None]:
+def compare_delay_hypotheses(problem: Problem, point: Point) -> tuple[Point, CompetingMinimum | None]:
     """Return the better minimum of those on both sides of a delay of whole samples, and the other one.
 
     The velocity of a robot with one pole jumps with every step of its command, and the damping of the coupling turns
     that into a jump of the force. A delay just below a whole number of samples puts the step just before the tick, one
     just above it behind: the same force at all other times, but another one in the log. No slope tells of that jump.
-    Of a robot with two poles the rival is that of one pole, where the second pole is fast.
+    Of a robot with two poles the competing is that of one pole, where the second pole is fast.
     """
     layout, period = problem.layout, problem.signals.period_s
     if layout.robot_order == 2:
@@ -158,10 +159,10 @@ def either_side(problem: Problem, point: Point) -> tuple[Point, Rival | None]:
     if there_cost < here_cost:
         here, there, here_cost, there_cost = there, here, there_cost, here_cost
     ratio = float(np.exp(-0.5 * min(there_cost - here_cost, 200.0)))
-    return here, Rival(point=there, share=ratio / (1.0 + ratio))
+    return here, CompetingMinimum(point=there, share=ratio / (1.0 + ratio))
 
 
-def _one_pole(problem: Problem, point: Point) -> Rival | None:
+def _one_pole(problem: Problem, point: Point) -> CompetingMinimum | None:
     """Return the robot of one pole beside one whose second pole is so fast that it could be a delay 1/p as well."""
     robot, period = problem.layout.robot, problem.signals.period_s
     omega, zeta, delay = (float(v) for v in point.values[robot])
@@ -178,7 +179,7 @@ def _one_pole(problem: Problem, point: Point) -> Rival | None:
     held = replace(problem, fixed=(*problem.fixed, robot.start + 1))
     other, there = minimise(held, replace(point, values=values), _COMPETING_STEPS)
     ratio = float(np.exp(-0.5 * np.clip(there - cost(problem, point), -200.0, 200.0)))
-    return Rival(point=other, share=ratio / (1.0 + ratio))
+    return CompetingMinimum(point=other, share=ratio / (1.0 + ratio))
 
 
 def _at(point: Point, index: int, delay_s: float) -> Point:
@@ -187,7 +188,7 @@ def _at(point: Point, index: int, delay_s: float) -> Point:
     return replace(point, values=values)
 
 
-def is_late(lag_s: float, std_s: float, period_s: float) -> bool:
+def is_significant_latency(lag_s: float, std_s: float, period_s: float) -> bool:
     """Return whether a lag is there and matters: four deviations, and a fifth of a sample or 0.2 ms, what is less."""
     return lag_s > max(_LATE_STDS * std_s, min(_MATTERS_SAMPLES * period_s, _MATTERS_S))
 
@@ -198,8 +199,8 @@ def taken_for_filter(shifted_s: float) -> float:
 
 
 def filter_or_delay(
-    problem: Problem, point: Point, force_n: FloatArray, lag: Lag, shifted_s: float
-) -> tuple[Problem, Point, Lag]:
+    problem: Problem, point: Point, force_n: FloatArray, lag: WrenchLatency, shifted_s: float
+) -> tuple[Problem, Point, WrenchLatency]:
     """Return the problem with a low-pass in its sensor where that explains a late wrench better than a delay.
 
     `force_n` (n,) is the force as it was read, with `shifted_s` taken off its stamps as a clock's offset. A delay moves
@@ -208,13 +209,13 @@ def filter_or_delay(
     """
     period = problem.signals.period_s
     clock = taken_for_filter(shifted_s)
-    if not is_late(lag.seconds + clock, lag.std_s, period):
+    if not is_significant_latency(lag.seconds + clock, lag.std_s, period):
         return problem, point, lag
-    raw = replace(problem.signals, force_n=force_n, lag_std_s=0.0)
+    raw = replace(problem.signals, force_n=force_n, latency_std_s=0.0)
     there, best, whole = _deepest_delay(replace(problem, signals=raw), point, lag.seconds)
     fits = [
         _fitted_filter(
-            problem, raw, point, Lateness(time_constant_s=lag.seconds + clock, delay_s=-clock - early * period)
+            problem, raw, point, SensorDynamics(time_constant_s=lag.seconds + clock, delay_s=-clock - early * period)
         )
         for early in _EARLY_SAMPLES
     ]
@@ -224,21 +225,23 @@ def filter_or_delay(
         return problem, point, replace(lag, evidence=evidence)
     if evidence < 0.0 and whole is not None:
         std = _FILTER_BETWEEN_SAMPLES * period
-        signals = replace(raw, force_n=sooner(force_n, whole), lag_std_s=std)
-        late = Lag(seconds=whole * period, std_s=std, applied_s=whole * period, is_whole=True, evidence=evidence)
+        signals = replace(raw, force_n=advance_in_time(force_n, whole), latency_std_s=std)
+        late = WrenchLatency(
+            seconds=whole * period, std_s=std, applied_s=whole * period, is_whole=True, evidence=evidence
+        )
         return replace(problem, signals=signals), there, late
-    constant = filtered.signals.lateness.time_constant_s
-    return filtered, here, Lag(seconds=constant, std_s=std, applied_s=0.0, is_filter=True, evidence=evidence)
+    constant = filtered.signals.sensor_dynamics.time_constant_s
+    return filtered, here, WrenchLatency(seconds=constant, std_s=std, applied_s=0.0, is_filter=True, evidence=evidence)
 
 
 def _fitted_filter(
-    problem: Problem, raw: Signals, point: Point, start: Lateness
+    problem: Problem, raw: Signals, point: Point, start: SensorDynamics
 ) -> tuple[Problem, Point, float, float]:
     """Return the problem with a low-pass, its minimum, the deviation of the time constant, and the depth.
 
     The side of a whole number of samples on which the robot's delay lies and the time constant move each other.
     """
-    filtered, here, std = replace(problem, signals=replace(raw, lateness=start)), point, 0.0
+    filtered, here, std = replace(problem, signals=replace(raw, sensor_dynamics=start)), point, 0.0
     for _ in range(_SIDES):
         filtered, here, std = fit_filter(filtered, here)
         here = _settled(filtered, here)
@@ -251,19 +254,19 @@ def _deepest_delay(problem: Problem, point: Point, lag_s: float) -> tuple[Point,
     A force that jumps with the held command keeps its jumps only where it is shifted by whole samples.
     """
     period = problem.signals.period_s
-    lateness = Lateness(delay_s=lag_s)
+    sensor_dynamics = SensorDynamics(delay_s=lag_s)
     for _ in range(_DELAY_ROUNDS):
-        problem = replace(problem, signals=replace(problem.signals, lateness=lateness, lag_std_s=0.0))
-        step, std = step_lag(problem, point, (lateness.delay_s, _VAGUE * lag_s), lateness.delay_s)
-        lateness = Lateness(delay_s=lateness.delay_s + float(np.clip(step, -period, period)))
+        problem = replace(problem, signals=replace(problem.signals, sensor_dynamics=sensor_dynamics, latency_std_s=0.0))
+        step, std = latency_step(problem, point, (sensor_dynamics.delay_s, _VAGUE * lag_s), sensor_dynamics.delay_s)
+        sensor_dynamics = SensorDynamics(delay_s=sensor_dynamics.delay_s + float(np.clip(step, -period, period)))
         if abs(step) < _SETTLED * std:
             break
-    about = lateness.delay_s / period
+    about = sensor_dynamics.delay_s / period
     wholes = sorted({int(np.floor(about)), int(np.ceil(about)), round(lag_s / period)})
     found = []
     for whole in (None, *(each for each in wholes if each > 0)):
-        late = lateness if whole is None else Lateness(delay_s=whole * period)
-        trial = replace(problem, signals=replace(problem.signals, lateness=late))
+        late = sensor_dynamics if whole is None else SensorDynamics(delay_s=whole * period)
+        trial = replace(problem, signals=replace(problem.signals, sensor_dynamics=late))
         there = _settled(trial, point)
         found.append((depth(trial, there), there, whole))
     best, there, whole = min(found, key=lambda each: each[0])
@@ -273,24 +276,24 @@ def _deepest_delay(problem: Problem, point: Point, lag_s: float) -> tuple[Point,
 def _settled(problem: Problem, point: Point) -> Point:
     """Return the minimum, on the deeper side of a robot's delay of whole samples, where the command's steps are."""
     own = whitened_by_itself(problem, minimise(problem, point, _FILTER_STEPS)[0])
-    return minimise(own, either_side(own, minimise(own, point, _FILTER_STEPS)[0])[0], _FILTER_STEPS)[0]
+    return minimise(own, compare_delay_hypotheses(own, minimise(own, point, _FILTER_STEPS)[0])[0], _FILTER_STEPS)[0]
 
 
 def fit_filter(problem: Problem, point: Point) -> tuple[Problem, Point, float]:
     """Fit the time constant of the problem's low-pass and all else; return its deviation [s], which is then doubted."""
-    std = problem.signals.lateness.time_constant_s
+    std = problem.signals.sensor_dynamics.time_constant_s
     for _ in range(_FILTER_ROUNDS):
-        here = problem.signals.lateness.time_constant_s
-        step, std = step_lag(problem, point, (here, _VAGUE * here), here)
+        here = problem.signals.sensor_dynamics.time_constant_s
+        step, std = latency_step(problem, point, (here, _VAGUE * here), here)
         there = float(np.clip(here + step, here / _LARGEST_FACTOR, here * _LARGEST_FACTOR))
-        lateness = replace(problem.signals.lateness, time_constant_s=there)
-        problem = replace(problem, signals=replace(problem.signals, lateness=lateness, lag_std_s=0.0))
+        sensor_dynamics = replace(problem.signals.sensor_dynamics, time_constant_s=there)
+        problem = replace(problem, signals=replace(problem.signals, sensor_dynamics=sensor_dynamics, latency_std_s=0.0))
         point, _ = minimise(problem, point, _FILTER_STEPS)
         if abs(there - here) < _SETTLED * std:
             break
     # Between its samples the force has the steps of the held command, which straight lines do not.
     std = float(np.hypot(std, _FILTER_BETWEEN_SAMPLES * problem.signals.period_s))
-    return replace(problem, signals=replace(problem.signals, lag_std_s=std)), point, std
+    return replace(problem, signals=replace(problem.signals, latency_std_s=std)), point, std
 
 
 def depth(problem: Problem, point: Point) -> float:
@@ -316,13 +319,13 @@ def whitened_by_itself(problem: Problem, point: Point) -> Problem:
 def forces_left(problem: Problem, point: Point) -> dict[bool, list[FloatArray]]:
     """Return predicted − measured force of every span in free motion (False) and in contact (True)."""
     signals, layout = problem.signals, problem.layout
-    path, lateness = problem.path(point.values), problem.signals.lateness
+    path, sensor_dynamics = problem.path(point.values), problem.signals.sensor_dynamics
     left: dict[bool, list[FloatArray]] = {False: [], True: []}
     for segment, nuisance in zip(problem.segments, point.nuisances, strict=True):
         predicted = predict_force(point.values, nuisance, segment, path, layout, signals.period_s)
-        felt = lateness.shown(predicted, path, segment.slice, float(point.values[1]), signals.period_s)
+        felt = sensor_dynamics.shown(predicted, path, segment.slice, float(point.values[1]), signals.period_s)
         error = felt - signals.force_n[segment.slice]
-        left[segment.is_contact].append(error[lateness.unknown(signals.period_s) :])
+        left[segment.is_contact].append(error[sensor_dynamics.unknown(signals.period_s) :])
     return left
 
 
@@ -331,7 +334,7 @@ def _fitted(left: Sequence[FloatArray], before: Whitener) -> Whitener:
 
 
 def find_wrench_filter(
-    lags: Mapping[str, Lag], shifted_s: float, period_s: float
+    lags: Mapping[str, WrenchLatency], shifted_s: float, period_s: float
 ) -> tuple[WrenchFilterEstimate | None, tuple[Finding, ...]]:
     """Return the low-pass or the delay that the axes show, None where the wrench is not late by what matters.
 
@@ -341,7 +344,7 @@ def find_wrench_filter(
     """
     clock = taken_for_filter(shifted_s)
     whole = {n: lag if lag.is_filter else replace(lag, seconds=lag.seconds + clock) for n, lag in lags.items()}
-    late = {name: lag for name, lag in whole.items() if is_late(lag.seconds, lag.std_s, period_s)}
+    late = {name: lag for name, lag in whole.items() if is_significant_latency(lag.seconds, lag.std_s, period_s)}
     if not late:
         return None, ()
     evidence = sum(lag.evidence or 0.0 for lag in late.values())
@@ -365,7 +368,7 @@ def find_wrench_filter(
     return found, (_told(told, tuple(alike), why),)
 
 
-def _together(alike: Mapping[str, Lag]) -> tuple[float, float, str]:
+def _together(alike: Mapping[str, WrenchLatency]) -> tuple[float, float, str]:
     """Return mean and deviation of what the axes show, the largest where they disagree, and why it is weak then."""
     values, stds = np.array([lag.seconds for lag in alike.values()]), np.array([lag.std_s for lag in alike.values()])
     weights = stds**-2.0

@@ -32,7 +32,7 @@ ROBOT_NAMES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Layout:
+class ParameterLayout:
     """Where each parameter stands in the vector: coupling, robot (order 0 is none), then the surfaces."""
 
     robot_order: int

@@ -42,7 +42,7 @@ class RobotRun:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cut:
+class PathSegment:
     """The flange at some ticks, time counted in samples.
 
     `drive` (n, m) is what `payload_step` takes: robot state, older and newer command, and Taylor coefficients of the
@@ -78,7 +78,7 @@ class FlangePath:
     robot: FloatArray | None
     hold: Hold
     keeps: int = MOST_CUTS
-    _cuts: dict[tuple[int, int], Cut] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _cuts: dict[tuple[int, int], PathSegment] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def misfit(self, used: slice) -> FloatArray:
         """Return measured − robot [m] at the ticks of a slice."""
@@ -87,7 +87,7 @@ class FlangePath:
             return measured
         return np.asarray(measured - self.run.states(used.start, used.stop)[:: used.step, 0])
 
-    def cut(self, used: slice) -> Cut:
+    def cut(self, used: slice) -> PathSegment:
         """Return the path at the ticks of a span."""
         key = used.start, used.stop
         found = self._cuts.pop(key, None)
@@ -98,7 +98,7 @@ class FlangePath:
         self._cuts[key] = found
         return found
 
-    def _cut(self, first: int, stop: int) -> Cut:
+    def _cut(self, first: int, stop: int) -> PathSegment:
         # The last sample ends at a tick of its own, but for that of the log, which goes on as it began.
         beyond = min(stop + 1, len(self.position_m))
         count = stop - first
@@ -121,7 +121,7 @@ class FlangePath:
         ends[: len(arriving), 2], ends[: len(arriving), 3] = position[1:], arriving
         if beyond == stop:
             ends[-1, 2:] = position[-1] + velocity[-1], velocity[-1]
-        return Cut(drive=np.concatenate(drive, axis=1), ends=ends)
+        return PathSegment(drive=np.concatenate(drive, axis=1), ends=ends)
 
     def _rest(self, first: int, stop: int) -> FloatArray:
         """Return value and three derivatives over factorials (stop - first, 4) of what the pose shows beside."""
@@ -219,7 +219,7 @@ def _taylor(c: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lateness:
+class SensorDynamics:
     """The sensor shows F(t − delay) behind 1/(time_constant s + 1); a delay below zero is early."""
 
     time_constant_s: float = 0.0
@@ -240,7 +240,7 @@ class Lateness:
         A robot of one pole changes its speed with the command at once, `path.hold.fraction` of a sample after a tick,
         and the force with it by −B_s of that. Those steps are held, the rest of the force is smooth.
         """
-        if self == Lateness():
+        if self == SensorDynamics():
             return force
         if path.robot is None or path.robot[0, -1] == 0.0:
             return self.felt(force, period_s)

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from problems.frozen import freeze
 from problems.model.robot import RobotModel
 
-from .covariance import Spread, beside_rival, bounded_intervals, count_misfits, other_minima, widened
+from .covariance import Spread, bounded_intervals, count_misfits, other_minima, widened, with_competing_minimum
 from .data import HeldCommand
-from .latency import Lag, Rival
+from .latency import CompetingMinimum, WrenchLatency
 from .model import robot_model
 from .noise import whiteness
 from .segments import FoundContact, Segment, predict_force
@@ -91,7 +91,7 @@ class JointFit:
     robot: RobotModel | None
     surfaces: tuple[JointSurface, ...]
     diagnostics: Diagnostics
-    lag: Lag
+    lag: WrenchLatency
     is_weighed: bool = False
     spans: tuple[FittedSpan, ...] = ()
 
@@ -113,14 +113,14 @@ class JointFit:
         return float(self.values[index]), float(self.std[index])
 
 
-def describe(
+def build_joint_fit(
     problem: Problem,
     point: Point,
     found: Sequence[FoundContact],
-    rival: Rival | None,
+    competing: CompetingMinimum | None,
     *,
     command: HeldCommand | None,
-    lag: Lag,
+    lag: WrenchLatency,
     rest_rms_n: float,
 ) -> JointFit:
     """Turn the minimum into a result; the delay counts from the command and not from the tick before it."""
@@ -128,7 +128,7 @@ def describe(
     share, ratio = _fit(problem, point, rest_rms_n)
     spread = other_minima(problem, point, widened(blocks, len(layout), problem.signals.period_s))
     blurred = command is not None and command.is_mean
-    spread = beside_rival(problem, point, spread, rival, blurred=blurred)
+    spread = with_competing_minimum(problem, point, spread, competing, blurred=blurred)
     spread = count_misfits(problem, spread, ratio)
     sizes = sizes_of(point.values, layout, problem.signals.period_s)
     covariance = spread.covariance * np.outer(sizes, sizes)
@@ -242,7 +242,7 @@ def _force_error(problem: Problem, point: Point, segment: Segment, index: int) -
     path = problem.path(point.values)
     period = problem.signals.period_s
     predicted = predict_force(point.values, point.nuisances[index], segment, path, problem.layout, period)
-    felt = problem.signals.lateness.shown(predicted, path, segment.slice, float(point.values[1]), period)
+    felt = problem.signals.sensor_dynamics.shown(predicted, path, segment.slice, float(point.values[1]), period)
     return np.asarray(felt - problem.signals.force_n[segment.slice])
 
 

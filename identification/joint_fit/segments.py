@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from ..signals.segments import Span, low_pass
 from .force_kernel import ModeArray, RealBody, run_contact, run_free
 from .kernel import Body, returns_at_once
-from .model import Array, Layout, body, payload_step, swing_step
-from .path import Cut, FlangePath
+from .model import Array, ParameterLayout, body, payload_step, swing_step
+from .path import FlangePath, PathSegment
 
 FloatArray = NDArray[np.float64]
 _NO_SURFACE = np.zeros(3)
@@ -66,18 +66,23 @@ class Segment:
 
 
 def predict_force(
-    values: FloatArray, nuisance: FloatArray, segment: Segment, path: FlangePath, layout: Layout, period_s: float
+    values: FloatArray,
+    nuisance: FloatArray,
+    segment: Segment,
+    path: FlangePath,
+    layout: ParameterLayout,
+    period_s: float,
 ) -> FloatArray:
-    """Return F (n,) of a segment; `values` as `Layout` orders them, `nuisance` as `Segment` does.
+    """Return F (n,) of a segment; `values` as `ParameterLayout` orders them, `nuisance` as `Segment` does.
 
     F = K_s (x_p − x) + B_s (v_p − v) + offset, with F_e = M_e dv_p/dt + B_e v_p + K_e (x_p − x_w) ≥ 0 in contact.
     """
     cut = path.cut(segment.slice)
-    law = law_of(values, nuisance, segment, path, layout, period_s)
+    law = segment_model(values, nuisance, segment, path, layout, period_s)
     return np.asarray(segment.sign * run(law, cut, segment).force + nuisance[OFFSET])
 
 
-class Law(NamedTuple):
+class SegmentModel(NamedTuple):
     """What a span's motion follows.
 
     `phi` (2, 2, 2) and `gamma` (2, 2, m) of free motion and contact, `swing` (2, 2) of a freed environment; `wall` is
@@ -92,25 +97,30 @@ class Law(NamedTuple):
     start: tuple[float, float]
 
 
-def law_of(
-    values: FloatArray, nuisance: FloatArray, segment: Segment, path: FlangePath, layout: Layout, period_s: float
-) -> Law:
+def segment_model(
+    values: FloatArray,
+    nuisance: FloatArray,
+    segment: Segment,
+    path: FlangePath,
+    layout: ParameterLayout,
+    period_s: float,
+) -> SegmentModel:
     """Return what a span's motion follows, for what `predict_force` takes."""
     of = body(values[:4], surface_of(values, segment, layout), period_s)
     x, v = (segment.sign * float(end) for end in path.cut(segment.slice).ends[0, :2])
     wall = segment.sign * float(nuisance[3]) if segment.is_contact else x
     start = x - wall + float(nuisance[0]) / of[0].real, v + float(nuisance[1]) / of[0].real
     phi, gamma, swing = steps_of(of, path.robot, path.hold.fraction, touches=segment.is_contact)
-    return Law(phi=phi, gamma=gamma, swing=swing, body=of, wall=wall, start=start)
+    return SegmentModel(phi=phi, gamma=gamma, swing=swing, body=of, wall=wall, start=start)
 
 
-def surface_of(values: FloatArray, segment: Segment, layout: Layout) -> FloatArray:
+def surface_of(values: FloatArray, segment: Segment, layout: ParameterLayout) -> FloatArray:
     """Return K_e, B_e, M_e of what a segment touches, zeros for nothing."""
     return values[layout.surface(segment.surface)] if segment.is_contact else _NO_SURFACE
 
 
 def steps_of(of: Body, robot: Array | None, fraction: complex, *, touches: bool) -> tuple[Array, Array, Array]:
-    """Return phi, gamma and swing as `Law` has them; those of a contact are of use only if it `touches`."""
+    """Return phi, gamma and swing as `SegmentModel` has them; those of a contact are of use only if it `touches`."""
     free = payload_step(of, robot, fraction, touching=False)
     touched = payload_step(of, robot, fraction, touching=True) if touches else free
     swing = swing_step(of, back_at_once=not touches or returns_at_once(plain(of)))
@@ -131,7 +141,7 @@ class Run(NamedTuple):
     modes: ModeArray
 
 
-def run(law: Law, cut: Cut, segment: Segment) -> Run:
+def run(law: SegmentModel, cut: PathSegment, segment: Segment) -> Run:
     """Return a span's motion in the direction of pressing."""
     count = len(segment)
     states, modes = np.empty((count, 4 if segment.is_contact else 2)), np.zeros(count, dtype=np.int8)
@@ -143,7 +153,7 @@ def run(law: Law, cut: Cut, segment: Segment) -> Run:
     return Run(force, states, modes)
 
 
-def shared_indices(segment: Segment, layout: Layout, *, through_robot: bool) -> NDArray[np.intp]:
+def shared_indices(segment: Segment, layout: ParameterLayout, *, through_robot: bool) -> NDArray[np.intp]:
     """Return which shared parameters a segment's force depends on."""
     robot = np.arange(layout.robot.start, layout.robot.stop if through_robot else layout.robot.start)
     surface = np.arange(*layout.surface(segment.surface).indices(len(layout))) if segment.is_contact else np.empty(0)
@@ -151,7 +161,7 @@ def shared_indices(segment: Segment, layout: Layout, *, through_robot: bool) -> 
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContactStart:
+class ContactCandidate:
     """A span from free motion into a hold, where its onset is, and the best of a coarse search for K_e, B_e and x_w.
 
     `softer` is the same of the next softer stiffness, from where a descent comes to another side of the onset's sample.
@@ -171,7 +181,7 @@ class ContactStart:
 class FoundContact:
     """A contact fitted alone, the coupling known: K_e, B_e, M_e, the span's own parameters, and the secant."""
 
-    start: ContactStart
+    start: ContactCandidate
     surface: FloatArray
     nuisance: FloatArray
     secant_n_per_m: float
@@ -227,9 +237,9 @@ def contact_segment(
 
 
 def start_contact(
-    hold: Span, path: FlangePath, force_n: FloatArray, values: FloatArray, layout: Layout, period_s: float
-) -> ContactStart | None:
-    """Cut the contact out and search K_e and B_e on a grid; the hold's balance of forces tells x_w for each.
+    hold: Span, path: FlangePath, force_n: FloatArray, values: FloatArray, layout: ParameterLayout, period_s: float
+) -> ContactCandidate | None:
+    """PathSegment the contact out and search K_e and B_e on a grid; the hold's balance of forces tells x_w for each.
 
     `values` holds the shared parameters of a `layout` with one surface, which is overwritten. None without an onset.
     """
@@ -260,7 +270,7 @@ def start_contact(
         return None
     softer = best[1] * np.array([_STIFFNESSES[0] / _STIFFNESSES[1], 1.0, 1.0])
     pressed = -sign * force_n[onset - round(0.02 / period_s) : hold.stop]
-    return ContactStart(
+    return ContactCandidate(
         segment=segment,
         onset=onset,
         surface=best[1],

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .gradients import force_jacobian
-from .model import Layout
+from .model import ParameterLayout
 from .noise import Smoother, Whitener
-from .path import MOST_CUTS, FlangePath, Lateness, commanded_path, low_passed, measured_path, path_slope
+from .path import MOST_CUTS, FlangePath, SensorDynamics, commanded_path, low_passed, measured_path, path_slope
 from .segments import Segment, predict_force, shared_indices
 
 FloatArray = NDArray[np.float64]
@@ -44,8 +44,8 @@ class Signals:
     """One axis on one clock: flange position, force without weight and bias, command; (n,) each, the last or None.
 
     `command_m[k]` is the command issued at or after tick k and before the next; `smoother` belongs to the pose. The
-    force is shown with a `lateness`, whose time constant, or without one delay, may be off by `lag_std_s`; the pose was
-    measured at tick `measured[0]` and every `measured[1]` ticks.
+    force passes `sensor_dynamics`, whose time constant, or without one delay, may be off by `latency_std_s`; the pose
+    was measured at tick `measured[0]` and every `measured[1]` ticks.
     """
 
     period_s: float
@@ -53,8 +53,8 @@ class Signals:
     force_n: FloatArray
     command_m: FloatArray | None
     smoother: Smoother
-    lag_std_s: float = 0.0
-    lateness: Lateness = field(default_factory=Lateness)
+    latency_std_s: float = 0.0
+    sensor_dynamics: SensorDynamics = field(default_factory=SensorDynamics)
     measured: tuple[int, int] = (0, 1)
     paths: Paths = field(default_factory=Paths, init=False, repr=False, compare=False)
 
@@ -63,7 +63,7 @@ class Signals:
         first, every = self.measured
         return slice(span.start + (first - span.start) % every, span.stop, every)
 
-    def path(self, values: FloatArray, layout: Layout) -> FlangePath:
+    def path(self, values: FloatArray, layout: ParameterLayout) -> FlangePath:
         """Return the flange's path for robot parameters, which is kept for a while."""
         return self.paths.of(values[layout.robot], self)
 
@@ -100,7 +100,7 @@ class Problem:
     """
 
     signals: Signals
-    layout: Layout
+    layout: ParameterLayout
     segments: tuple[Segment, ...]
     pose_spans: tuple[slice, ...]
     free_noise: Whitener
@@ -130,7 +130,7 @@ def stiffest_seen_n_per_m(mass_kg: float, period_s: float) -> float:
     return float(mass_kg * (np.pi / period_s) ** 2)
 
 
-def sizes_of(values: FloatArray, layout: Layout, period_s: float) -> FloatArray:
+def sizes_of(values: FloatArray, layout: ParameterLayout, period_s: float) -> FloatArray:
     """Return a unit for every parameter: itself where it cannot vanish, else a tenth of what would be critical."""
     out = np.array(values, dtype=np.float64)
     mass = float(values[3])
@@ -144,7 +144,7 @@ def sizes_of(values: FloatArray, layout: Layout, period_s: float) -> FloatArray:
     return out
 
 
-def logarithmic(layout: Layout) -> NDArray[np.bool_]:
+def logarithmic(layout: ParameterLayout) -> NDArray[np.bool_]:
     """Return which parameters are stepped in their logarithm: K_s, M_p, ω, ζ and K_e."""
     out = np.zeros(len(layout), dtype=bool)
     out[[0, 3]] = True
@@ -158,14 +158,14 @@ def logarithmic(layout: Layout) -> NDArray[np.bool_]:
 class Block:
     """One span, whitened: residual and derivatives by the scaled shared parameters, free of the span's own ones.
 
-    `doubts` are forces that the model may lack, treated alike: see `_untimed`; the last one is the wrench's lag.
+    `systematic` are forces that the model may lack, treated alike: see `_untimed`; the last one is the wrench's lag.
     """
 
     residual: FloatArray
     jacobian: FloatArray
     indices: NDArray[np.intp]
     own: tuple[FloatArray, FloatArray, FloatArray] | None  # R, Qᵀr, QᵀJ: how the span's own parameters follow
-    doubts: FloatArray | None = None
+    systematic: FloatArray | None = None
 
 
 def linearise(problem: Problem, point: Point) -> list[Block]:
@@ -208,17 +208,17 @@ def _force_block(
     period = signals.period_s
     predicted, jacobian = force_jacobian(values, nuisance, segment, here, slope, indices, layout, period)
     jacobian[: len(indices)] *= sizes[indices, None]
-    if signals.lateness != Lateness():
-        predicted = signals.lateness.shown(predicted, here, segment.slice, float(values[1]), period)
-        jacobian = signals.lateness.felt(jacobian, period)
+    if signals.sensor_dynamics != SensorDynamics():
+        predicted = signals.sensor_dynamics.shown(predicted, here, segment.slice, float(values[1]), period)
+        jacobian = signals.sensor_dynamics.felt(jacobian, period)
     lines = [(predicted - signals.force_n[segment.slice])[None], jacobian]
     if here.robot is None:
         lines.append(_untimed(values, segment, here, signals.period_s))
-    if signals.lag_std_s > 0.0:
-        constant = signals.lateness.time_constant_s
+    if signals.latency_std_s > 0.0:
+        constant = signals.sensor_dynamics.time_constant_s
         moved = predicted if constant == 0.0 else low_passed(predicted, constant, period)
-        lines.append((signals.lag_std_s / period * np.gradient(moved))[None])
-    rows = problem.noise(segment).apply(np.concatenate(lines).T)[signals.lateness.unknown(period) :]
+        lines.append((signals.latency_std_s / period * np.gradient(moved))[None])
+    rows = problem.noise(segment).apply(np.concatenate(lines).T)[signals.sensor_dynamics.unknown(period) :]
     return _block(rows, indices, segment.nuisance_count)
 
 
@@ -247,24 +247,24 @@ def _apart(problem: Problem, values: FloatArray) -> FloatArray:
 
 
 def _block(rows: FloatArray, indices: NDArray[np.intp], own_count: int) -> Block:
-    """Split (residual, shared columns, own columns, doubts) and project the own ones out."""
+    """Split (residual, shared columns, own columns, systematic) and project the own ones out."""
     shared_end = 1 + len(indices)
     own_end = shared_end + own_count
     residual, shared, own = rows[:, 0], rows[:, 1:shared_end], rows[:, shared_end:own_end]
     q, r = np.linalg.qr(own)
     to_residual, to_shared = q.T @ residual, q.T @ shared
-    doubts = rows[:, own_end:]
+    systematic = rows[:, own_end:]
     return Block(
         residual=residual - q @ to_residual,
         jacobian=shared - q @ to_shared,
         indices=indices,
         own=(r, to_residual, to_shared),
-        doubts=doubts - q @ (q.T @ doubts) if doubts.shape[1] else None,
+        systematic=systematic - q @ (q.T @ systematic) if systematic.shape[1] else None,
     )
 
 
 def _untimed(values: FloatArray, segment: Segment, path: FlangePath, period_s: float) -> FloatArray:
-    """Return the force that is missed if the flange takes its speed half a sample sooner or later, (2, n).
+    """Return the force that is missed if the flange takes its speed half a sample advance_in_time or later, (2, n).
 
     Between the ticks the pose says nothing. A robot that follows a held command jumps in speed at every tick, by up to
     h (a + ω v); the coupling's damping passes that on. ω stands for 2π·5 Hz, the damping for at least a twentieth of
@@ -292,9 +292,11 @@ def cost(problem: Problem, point: Point) -> float:
     total = 0.0
     for segment, nuisance in zip(problem.segments, point.nuisances, strict=True):
         predicted = predict_force(point.values, nuisance, segment, path, layout, signals.period_s)
-        predicted = signals.lateness.shown(predicted, path, segment.slice, float(point.values[1]), signals.period_s)
+        predicted = signals.sensor_dynamics.shown(
+            predicted, path, segment.slice, float(point.values[1]), signals.period_s
+        )
         error = problem.noise(segment).apply(predicted - signals.force_n[segment.slice])
-        error = error[signals.lateness.unknown(signals.period_s) :]
+        error = error[signals.sensor_dynamics.unknown(signals.period_s) :]
         with np.errstate(over="ignore"):  # a trial that runs away is worse than any
             total += float(error @ error)
     if layout.robot_order and problem.pose_spans:

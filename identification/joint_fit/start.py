@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..signals.segments import low_pass
-from .model import Layout
-from .segments import ContactStart, FoundContact, Segment
+from .model import ParameterLayout
+from .segments import ContactCandidate, FoundContact, Segment
 from .solve import Point, Problem, information, linearise, minimise
 
 FloatArray = NDArray[np.float64]
@@ -62,7 +62,7 @@ def _slow_payload(problem: Problem, values: FloatArray, segment: Segment) -> tup
     return max(float(drag), 0.0), max(float(mass), 0.05)
 
 
-def fit_alone(problem: Problem, point: Point, contact: ContactStart) -> FoundContact:
+def fit_alone(problem: Problem, point: Point, contact: ContactCandidate) -> FoundContact:
     """Fit one contact with everything else as it is: from massless starts and from some with mass; the best counts."""
     single = _contacts_only(problem, point, (contact.segment,))
     layout = single.layout
@@ -138,7 +138,7 @@ def start_surface(
 
 
 def _contacts_only(problem: Problem, point: Point, segments: tuple[Segment, ...]) -> Problem:
-    layout = Layout(robot_order=problem.layout.robot_order, surfaces=1)
+    layout = ParameterLayout(robot_order=problem.layout.robot_order, surfaces=1)
     return replace(
         problem,
         layout=layout,

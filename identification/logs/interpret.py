@@ -10,7 +10,7 @@ from ..errors import LogError
 from ..signals.frames import Frames
 from ..signals.recording import (
     AXES,
-    Deadband,
+    AppliedDeadband,
     FloatArray,
     GainsSignal,
     PoseSignal,
@@ -134,7 +134,7 @@ def interpret_wrench(
         gravity_compensated=gravity_compensated,
         deadband=None
         if deadband is None
-        else Deadband(type=deadband.type.value, force_n=deadband.force_n, torque_n_m=deadband.torque_n_m),
+        else AppliedDeadband(type=deadband.type.value, force_n=deadband.force_n, torque_n_m=deadband.torque_n_m),
         measured_axes=_measured(has),
     )
 

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from ..result import Estimate, Finding
 from ..signals.aligned import AlignedLog
-from ..signals.segments import Motion
+from ..signals.segments import MotionSpans
 from ..verdicts import judged, unidentifiable
 from .gravity import GravityFit
 from .inertia_rows import MotionRows, build_motion_rows
@@ -74,7 +74,9 @@ class MotionSolution:
     fits: BoolArray
 
 
-def identify_inertia(log: AlignedLog, motion: Motion, poses: Sequence[StaticPose], gravity: GravityFit) -> InertiaFit:
+def identify_inertia(
+    log: AlignedLog, motion: MotionSpans, poses: Sequence[StaticPose], gravity: GravityFit
+) -> InertiaFit:
     """Solve the Newton–Euler equations over free moves for I, with m and m c as the rests tell them.
 
     The inertia is that of the payload and of the sensor's outer part, about the origin of the pose's frame. Components
@@ -116,7 +118,7 @@ def identify_inertia(log: AlignedLog, motion: Motion, poses: Sequence[StaticPose
     )
 
 
-def inertial_sign(log: AlignedLog, motion: Motion, poses: Sequence[StaticPose], gravity: GravityFit) -> float:
+def inertial_sign(log: AlignedLog, motion: MotionSpans, poses: Sequence[StaticPose], gravity: GravityFit) -> float:
     """Return the inertia over its standard deviation, of the axis that the moves tell best; 0 without moves.
 
     Below −5 the forces of acceleration have the sign of the weight: gravity points the other way in the base than
@@ -130,7 +132,7 @@ def inertial_sign(log: AlignedLog, motion: Motion, poses: Sequence[StaticPose], 
 
 
 def solve_motion(
-    log: AlignedLog, motion: Motion, poses: Sequence[StaticPose], gravity: GravityFit
+    log: AlignedLog, motion: MotionSpans, poses: Sequence[StaticPose], gravity: GravityFit
 ) -> MotionSolution | None:
     """Solve for m, h, I, biases and lag without constraint, leaving out moves that do not fit; None if too few do."""
     data = build_motion_rows(log, motion, poses, gravity)

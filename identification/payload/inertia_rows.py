@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..signals.aligned import AlignedLog
 from ..signals.frames import turn_vectors_rad
-from ..signals.segments import Motion, Span, low_pass
+from ..signals.segments import MotionSpans, Span, low_pass
 from .gravity import GravityFit
 from .static_poses import StaticPose, cross_matrix
 
@@ -42,7 +42,7 @@ class MotionRows:
 
 
 def build_motion_rows(
-    log: AlignedLog, motion: Motion, poses: Sequence[StaticPose], gravity: GravityFit
+    log: AlignedLog, motion: MotionSpans, poses: Sequence[StaticPose], gravity: GravityFit
 ) -> MotionRows | None:
     """Write F = m (g − a) − α × h − ω × (ω × h) and τ = h × (g − a) − I α − ω × I ω for the moves that turn the tool.
 
@@ -82,7 +82,7 @@ class _SmoothWrench:
     noise: FloatArray
 
 
-def _smooth_wrench(log: AlignedLog, motion: Motion, gravity: GravityFit, at: NDArray[np.int64]) -> _SmoothWrench:
+def _smooth_wrench(log: AlignedLog, motion: MotionSpans, gravity: GravityFit, at: NDArray[np.int64]) -> _SmoothWrench:
     values, lag, noise = np.empty((len(at), 6)), np.empty((len(at), 6)), np.empty(6)
     # Column by column: the whole wrench of a long log, filtered twice, would be the most that is ever in memory.
     for first, compensated, measured in (
@@ -117,7 +117,7 @@ class _Signals:
         return filtered.reshape(columns.shape)[at - around.start]
 
 
-def _attenuation(columns: FloatArray, signals: _Signals, motion: Motion, edge: int, step: int) -> FloatArray:
+def _attenuation(columns: FloatArray, signals: _Signals, motion: MotionSpans, edge: int, step: int) -> FloatArray:
     """Compare the columns' power (10,) at rest, which is noise, with that in the moves."""
     rests = sorted(motion.still, key=len)[-_RESTS_FOR_NOISE:]
     quiet = [np.arange(rest.start + edge, rest.stop - edge, step) for rest in rests if len(rest) > 2 * edge + step]
@@ -145,7 +145,7 @@ def _turn_rate_S(log: AlignedLog) -> FloatArray:
 def _is_free_turn(
     span: Span,
     log: AlignedLog,
-    motion: Motion,
+    motion: MotionSpans,
     poses: Sequence[StaticPose],
     gravity: GravityFit,
     rate: FloatArray,

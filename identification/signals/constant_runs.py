@@ -172,7 +172,7 @@ def repeated_share(values: FloatArray) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Deadband:
+class FoundDeadband:
     """`zero_share` of the samples are exactly 0; `width` in the unit of the axis, None where it cannot be told."""
 
     kind: Literal["threshold", "subtractive"]
@@ -180,7 +180,7 @@ class Deadband:
     zero_share: float
 
 
-def find_deadband(values: FloatArray) -> Deadband | None:
+def find_deadband(values: FloatArray) -> FoundDeadband | None:
     """Look for a deadband in one axis (n,).
 
     A threshold leaves no value between 0 and its width; a subtractive one continues at 0. Its width shows in the time
@@ -197,10 +197,10 @@ def find_deadband(values: FloatArray) -> Deadband | None:
     spacing = float(np.median(steps)) if steps.size else float(near[0])
     share = count / len(values)
     if near[0] > _GAP_SPACINGS * spacing and near[0] > 0.0:
-        return Deadband(kind="threshold", width=float(near[0]), zero_share=share)
+        return FoundDeadband(kind="threshold", width=float(near[0]), zero_share=share)
     if _is_a_level(values[~zero], count, spacing):
         return None
-    return Deadband(kind="subtractive", width=_crossing_width(values), zero_share=share)
+    return FoundDeadband(kind="subtractive", width=_crossing_width(values), zero_share=share)
 
 
 def _is_a_level(others: FloatArray, zeros: int, spacing: float) -> bool:

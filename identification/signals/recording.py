@@ -44,7 +44,7 @@ def _freeze(signal: object, **widths: int) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Deadband:
+class AppliedDeadband:
     """A deadband that was applied before recording.
 
     `type` is `subtractive` (the band is taken off what exceeds it) or `threshold` (what exceeds it is left as it is);
@@ -70,7 +70,7 @@ class WrenchSignal:
     force_n: FloatArray
     torque_n_m: FloatArray
     gravity_compensated: bool = False
-    deadband: Deadband | None = None
+    deadband: AppliedDeadband | None = None
     measured_axes: tuple[str, ...] = AXES
 
     def __post_init__(self) -> None:

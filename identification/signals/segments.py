@@ -11,7 +11,7 @@ from scipy.signal import butter, sosfiltfilt
 from .aligned import AlignedLog, Span, edges_of, spans_of
 from .frames import turned_rad
 
-__all__ = ["Motion", "Span", "find_motion", "low_pass", "without_pauses", "without_short"]
+__all__ = ["MotionSpans", "Span", "find_motion", "low_pass", "without_pauses", "without_short"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -30,7 +30,7 @@ _SHAKE_FLOOR_N = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motion:
+class MotionSpans:
     """`velocity_S_m_s` (n, 3) of the flange in the sensor frame, and what it says: `still` and `moving` spans."""
 
     velocity_S_m_s: FloatArray
@@ -66,10 +66,10 @@ def rate_of(values: FloatArray, period_s: float) -> FloatArray:
     return rate
 
 
-def find_motion(log: AlignedLog) -> Motion:
+def find_motion(log: AlignedLog) -> MotionSpans:
     """Split the log into spans at rest (≥ 0.4 s) and spans of motion between them, neither across a hole of the log.
 
-    Motion ends 0.15 s off a hole: what is derived from it looks that far beyond a span.
+    MotionSpans ends 0.15 s off a hole: what is derived from it looks that far beyond a span.
     """
     smooth = low_pass(log.position_B_m, log.period_s, _MOTION_BAND_HZ)
     velocity_B = np.gradient(smooth, log.period_s, axis=0)
@@ -88,7 +88,7 @@ def find_motion(log: AlignedLog) -> Motion:
     margin = round(_HOLE_MARGIN_S / log.period_s)
     for hole in log.holes:
         away[max(0, hole.start - margin) : hole.stop + margin] = False
-    return Motion(velocity_S_m_s=velocity_S, still=spans_of(rest), moving=spans_of(~rest & away))
+    return MotionSpans(velocity_S_m_s=velocity_S, still=spans_of(rest), moving=spans_of(~rest & away))
 
 
 def without_pauses(mask: BoolArray, longest: int) -> BoolArray:

@@ -10,7 +10,7 @@ from scipy.signal import detrend, welch
 
 from ..result import Estimate, Finding, NoiseSpectrum, Status
 from .aligned import AlignedLog
-from .constant_runs import Deadband, find_deadband
+from .constant_runs import FoundDeadband, find_deadband
 from .recording import AXES, WrenchSignal
 from .segments import Span
 
@@ -56,7 +56,7 @@ class SensorNoise:
     rms_std: FloatArray
     bandwidth_hz: FloatArray
     resolution: tuple[float | None, ...]
-    deadband: tuple[Deadband | None, ...]
+    deadband: tuple[FoundDeadband | None, ...]
     lines: tuple[SpectralLine, ...]
     rest_s: float
     findings: tuple[Finding, ...]
@@ -227,7 +227,7 @@ def _coarse(resolution: tuple[float | None, ...], rms: FloatArray) -> tuple[Find
     )
 
 
-def _deadbands(deadband: tuple[Deadband | None, ...]) -> tuple[Finding, ...]:
+def _deadbands(deadband: tuple[FoundDeadband | None, ...]) -> tuple[Finding, ...]:
     told = [
         f"{AXES[i]} {band.kind}, {'width unknown' if band.width is None else f'{band.width:.3g}'}, "
         f"{100.0 * band.zero_share:.0f} % of the time"

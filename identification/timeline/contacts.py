@@ -9,9 +9,9 @@ from scipy.optimize import nnls
 from scipy.special import fdtri
 
 from ..signals.aligned import spans_of
-from ..signals.segments import Motion, Span, low_pass, without_pauses, without_short
+from ..signals.segments import MotionSpans, Span, low_pass, without_pauses, without_short
 from .moves import is_hand_led
-from .payload import AxisContacts, Payload, least_touch, press_sign, span_median
+from .payload import AxisContacts, PayloadMotion, least_touch, press_sign, span_median
 
 FloatArray = NDArray[np.float64]
 _ONSET_SKIP_S = 0.012
@@ -59,7 +59,7 @@ class ContactTimes:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Law:
+class ForceLaw:
     """F_e = K_e (x_p − x_w) + B_e v_p with K_e, B_e ≥ 0, and the share of the variance of F_e that it leaves.
 
     `unsigned_share` is what it would leave with any signs: a hand that drives the payload is a damping below zero.
@@ -86,7 +86,7 @@ class Law:
         return self.left_share > _BROKEN_LAW
 
 
-def learn_law(contact: ContactTimes, of: AxisContacts, payload: Payload, period_s: float) -> Law | None:
+def learn_law(contact: ContactTimes, of: AxisContacts, payload: PayloadMotion, period_s: float) -> ForceLaw | None:
     """Learn the law of what is touched on the way in, from the last touch into the hold, or else on the way out.
 
     None where the log shows neither, or has a hole there.
@@ -111,7 +111,7 @@ def learn_law(contact: ContactTimes, of: AxisContacts, payload: Payload, period_
     solution, left = nnls(rows / size, force)
     unsigned = force - rows / size @ np.linalg.lstsq(rows / size, force, rcond=None)[0]
     energy = max(float(force @ force), 1e-300)
-    return Law(
+    return ForceLaw(
         stiffness=float(solution[0] / size[0]),
         damping=float(solution[1] / size[1]),
         left_share=float(left**2 / energy),
@@ -119,7 +119,7 @@ def learn_law(contact: ContactTimes, of: AxisContacts, payload: Payload, period_
     )
 
 
-def _last_touch(contact: ContactTimes, of: AxisContacts, payload: Payload) -> int:
+def _last_touch(contact: ContactTimes, of: AxisContacts, payload: PayloadMotion) -> int:
     """Return the first sample of the touch that lasts into the hold."""
     if not contact.bounces:
         return contact.span.start
@@ -130,14 +130,14 @@ def _last_touch(contact: ContactTimes, of: AxisContacts, payload: Payload) -> in
 
 
 def suspect_hand(
-    contact: ContactTimes, law: Law, payload: Payload, free: Sequence[Span], period_s: float
+    contact: ContactTimes, law: ForceLaw, payload: PayloadMotion, free: Sequence[Span], period_s: float
 ) -> bool | None:
     """Return whether the force on the surface follows something else than the payload's way into it.
 
     What the law leaves of F_e from the hold to the release is a hand (or a wall that moves). Its means over 50 ms are
     held against those at rest by an F-test of level `FALSE_ALARM`, widened by a tenth of what the law says changes and
-    by 4 % of the hold's force. A hand that is there on the way in leaves no law (`Law.is_broken`). None where the log
-    is too short.
+    by 4 % of the hold's force. A hand that is there on the way in leaves no law (`ForceLaw.is_broken`). None where the
+    log is too short.
     """
     if law.is_broken:
         return True
@@ -182,7 +182,7 @@ class Pressed:
     restless: tuple[ContactTimes, ...] = ()
 
 
-def find_contacts(of: AxisContacts, payload: Payload, motion: Motion, period_s: float) -> Pressed:
+def find_contacts(of: AxisContacts, payload: PayloadMotion, motion: MotionSpans, period_s: float) -> Pressed:
     """Find how each rest under force began and ended; rests that the payload did not leave in between are one contact.
 
     The payload touches where F_e is above a tenth of the hold's, the least contact force and six deviations of the
@@ -223,15 +223,15 @@ def find_contacts(of: AxisContacts, payload: Payload, motion: Motion, period_s: 
     )
 
 
-def _is_hand(law: Law, of: AxisContacts) -> bool:
+def _is_hand(law: ForceLaw, of: AxisContacts) -> bool:
     """Return whether what is touched is softer than any surface, or drives the payload."""
     return law.stiffness < of.softest_n_per_m or law.is_driving
 
 
 def _restless(
     of: AxisContacts,
-    payload: Payload,
-    motion: Motion,
+    payload: PayloadMotion,
+    motion: MotionSpans,
     contacts: Sequence[ContactTimes],
     noise: float,
     period_s: float,

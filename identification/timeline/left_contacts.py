@@ -7,10 +7,10 @@ import numpy as np
 
 from problems.frozen import freeze
 
-from ..result import CONTACT_UNEXPLAINED, EnvironmentEstimate, Estimate, Finding, Phase, Status
+from ..result import CONTACT_UNEXPLAINED, EnvironmentEstimate, Estimate, Finding, LogPhase, Status
 from ..verdicts import unidentifiable
 from .contacts import ContactTimes, Pressed
-from .payload import AxisContacts, Payload, press_sign
+from .payload import AxisContacts, PayloadMotion, press_sign
 
 _TOUCHED_SHARE = 0.1
 _FEWEST_SAMPLES = 12
@@ -30,7 +30,7 @@ _ADVICE = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Slope:
+class ContactSlope:
     """K_e of what is touched lies between `low_n_per_m` and `high_n_per_m`; `sign` is that of the direction."""
 
     sign: int
@@ -43,7 +43,9 @@ class Slope:
         return 0.5 * (self.low_n_per_m + self.high_n_per_m)
 
 
-def learn_slope(of: AxisContacts, payload: Payload, contact: ContactTimes, coupling: Estimate) -> Slope | None:
+def learn_slope(
+    of: AxisContacts, payload: PayloadMotion, contact: ContactTimes, coupling: Estimate
+) -> ContactSlope | None:
     """Return the slope of F_e = K_e (x_p − x_w) over the samples in which a contact touches, None if it is not clear.
 
     The lower end is the slope of force over way, the upper end the inverse of that of way over force (errors in either
@@ -64,18 +66,18 @@ def learn_slope(of: AxisContacts, payload: Payload, contact: ContactTimes, coupl
     left_open = _STDS * float(np.hypot(_LEFT_OUT_SHARE, high * coupling.std / coupling.value**2))
     if low < _CLEAR_SHARE * high or low < of.softest_n_per_m or left_open > _MOST_SHARE:
         return None
-    return Slope(sign=sign, low_n_per_m=low * (1.0 - left_open), high_n_per_m=high * (1.0 + left_open))
+    return ContactSlope(sign=sign, low_n_per_m=low * (1.0 - left_open), high_n_per_m=high * (1.0 + left_open))
 
 
 @dataclass(frozen=True, kw_only=True)
-class SeenAxis:
+class ObservedAxis:
     """An axis with its contacts, and what the fit says: K_s, and each surface with the sign of its direction.
 
     On a turning axis `of` and `payload` are on the path with the lever `lever_m`, estimates in N·m/rad.
     """
 
     of: AxisContacts
-    payload: Payload
+    payload: PayloadMotion
     pressed: Pressed
     coupling: Estimate
     surfaces: tuple[tuple[int, EnvironmentEstimate], ...] = ()
@@ -91,7 +93,7 @@ class SeenAxis:
 class Accounted:
     """The time line with every contact's surface, the surfaces that were added by axis, and what is left."""
 
-    phases: tuple[Phase, ...]
+    phases: tuple[LogPhase, ...]
     surfaces: Mapping[str, tuple[EnvironmentEstimate, ...]]
     findings: tuple[Finding, ...]
 
@@ -104,12 +106,12 @@ class _Left:
     """A contact that no fit used: its place in the time line or None, and its slope if that is clear."""
 
     phase: int | None
-    slope: Slope | None
+    slope: ContactSlope | None
     start_s: float
     peak_n: float
 
 
-def account_for_contacts(phases: Sequence[Phase], axes: Sequence[SeenAxis], period_s: float) -> Accounted:
+def account_for_contacts(phases: Sequence[LogPhase], axes: Sequence[ObservedAxis], period_s: float) -> Accounted:
     """Give every contact of a time line a surface, or name it in a finding of severity `error`.
 
     `phases` name the surfaces of the contacts that a fit used. Of the others, `learn_slope` tells the stiffness: that
@@ -139,7 +141,7 @@ def account_for_contacts(phases: Sequence[Phase], axes: Sequence[SeenAxis], peri
     return Accounted(phases=tuple(changed), surfaces=surfaces, findings=tuple(findings))
 
 
-def _left_of(axis: SeenAxis, phases: Sequence[Phase], period_s: float) -> list[_Left]:
+def _left_of(axis: ObservedAxis, phases: Sequence[LogPhase], period_s: float) -> list[_Left]:
     """Return the contacts of an axis that have no surface yet, without those that are a hand's."""
     places = {
         round(phase.start_s / period_s): (i, phase.contact.surface)
@@ -167,7 +169,7 @@ def _left_of(axis: SeenAxis, phases: Sequence[Phase], period_s: float) -> list[_
     return [*left, *(each for each in perhaps if each.slope is not None)]
 
 
-def _on_path(axis: SeenAxis) -> Estimate:
+def _on_path(axis: ObservedAxis) -> Estimate:
     """Return K_s in N/m of the path on which the axis is seen."""
     known, square = axis.coupling, axis.lever_m**2
     if known.value is None or known.std is None:
@@ -175,7 +177,7 @@ def _on_path(axis: SeenAxis) -> Estimate:
     return replace(known, value=known.value / square, std=known.std / square)
 
 
-def _fitted(axis: SeenAxis, slope: Slope) -> str | None:
+def _fitted(axis: ObservedAxis, slope: ContactSlope) -> str | None:
     """Return the name of the fitted surface that a slope is of."""
     stiffness = axis.lever_m**2 * slope.stiffness_n_per_m
     for sign, surface in axis.surfaces:
@@ -187,9 +189,9 @@ def _fitted(axis: SeenAxis, slope: Slope) -> str | None:
     return None
 
 
-def _grouped(slopes: Sequence[Slope]) -> tuple[tuple[Slope, ...], ...]:
+def _grouped(slopes: Sequence[ContactSlope]) -> tuple[tuple[ContactSlope, ...], ...]:
     """Return the slopes by surface: of one side, and none above 1.25 times the softest."""
-    groups: list[list[Slope]] = []
+    groups: list[list[ContactSlope]] = []
     for slope in sorted(slopes, key=lambda s: (s.sign, s.stiffness_n_per_m)):
         first = groups[-1][0] if groups else None
         is_same_side = first is not None and first.sign == slope.sign
@@ -204,15 +206,15 @@ def _grouped(slopes: Sequence[Slope]) -> tuple[tuple[Slope, ...], ...]:
 class _Surfaces:
     """The new surfaces of an axis, named after the fitted ones."""
 
-    axis: SeenAxis
-    groups: tuple[tuple[Slope, ...], ...]
+    axis: ObservedAxis
+    groups: tuple[tuple[ContactSlope, ...], ...]
 
     @property
     def names(self) -> tuple[str, ...]:
         """Return their names in the order of the groups."""
         return tuple(f"{self.axis.name}{len(self.axis.surfaces) + i + 1}" for i in range(len(self.groups)))
 
-    def name(self, slope: Slope) -> str:
+    def name(self, slope: ContactSlope) -> str:
         """Return the name of the surface that a slope is of."""
         return next(name for name, group in zip(self.names, self.groups, strict=True) if slope in group)
 
@@ -245,7 +247,7 @@ class _Surfaces:
         )
 
 
-def _added(axis: SeenAxis, surface: EnvironmentEstimate) -> Finding:
+def _added(axis: ObservedAxis, surface: EnvironmentEstimate) -> Finding:
     ends, unit = surface.stiffness_n_per_m.ci95 or (0.0, 0.0), "N/m" if axis.lever_m == 1.0 else "N·m/rad"
     force = "N" if axis.lever_m == 1.0 else "N·m"
     times = "1 contact" if surface.contacts == 1 else f"{surface.contacts} contacts"
@@ -260,7 +262,7 @@ def _added(axis: SeenAxis, surface: EnvironmentEstimate) -> Finding:
     )
 
 
-def _unexplained(axis: SeenAxis, left: Sequence[_Left]) -> Finding:
+def _unexplained(axis: ObservedAxis, left: Sequence[_Left]) -> Finding:
     unit = "N" if axis.lever_m == 1.0 else "N·m"
     told = ", ".join(f"{each.start_s:.1f} s ({each.peak_n:.1f} {unit})" for each in left[:_MOST_LISTED])
     more = f" and {len(left) - _MOST_LISTED} more" if len(left) > _MOST_LISTED else ""

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from ..payload.gravity import orientation_spread_rad
-from ..result import Kind
+from ..result import PhaseKind
 from ..signals.aligned import AlignedLog, Span
 from ..signals.recording import PoseSignal
-from ..signals.segments import Motion, low_pass
-from .payload import AxisContacts, Payload, unexplained_share
+from ..signals.segments import MotionSpans, low_pass
+from .payload import AxisContacts, PayloadMotion, unexplained_share
 
 FloatArray = NDArray[np.float64]
 _FOLLOWED_SHARE = 0.3
@@ -47,14 +47,14 @@ def is_hand_led(position_m: FloatArray, force_n: FloatArray, period_s: float, ma
 
 
 @dataclass(frozen=True, kw_only=True)
-class Admittance:
+class FoundAdmittance:
     """M_a and B_a as the command shows them."""
 
     mass_kg: float
     damping_n_s_per_m: float
 
 
-def find_admittance(command_m: FloatArray, force_n: FloatArray, period_s: float) -> Admittance | None:
+def find_admittance(command_m: FloatArray, force_n: FloatArray, period_s: float) -> FoundAdmittance | None:
     """Return the admittance that explains how the command moves, M_a a + B_a v = F + F^d, (n,) each; None if none.
 
     Changes over 50 ms below 8 Hz, fitted by least absolute deviations with M_a, B_a ≥ 0: F^d may step a few times. A
@@ -77,10 +77,10 @@ def find_admittance(command_m: FloatArray, force_n: FloatArray, period_s: float)
     if not np.sum(np.abs(target)[explained]) > _WRENCH_DRIVEN * np.sum(np.abs(target)):
         return None
     mass, damping = (found / size).tolist()
-    return Admittance(mass_kg=mass, damping_n_s_per_m=damping)
+    return FoundAdmittance(mass_kg=mass, damping_n_s_per_m=damping)
 
 
-def is_stepped(command_m: FloatArray, force_n: FloatArray, period_s: float, law: Admittance) -> bool:
+def is_stepped(command_m: FloatArray, force_n: FloatArray, period_s: float, law: FoundAdmittance) -> bool:
     """Return whether all that drives the command through an admittance, beyond the force, is F^d that steps.
 
     M_a a + B_a v − F then changes at few instants and rests in between.
@@ -113,10 +113,10 @@ class Scene:
     """What judging a motion needs: `rests` without contact, and by how much the force may be off."""
 
     log: AlignedLog
-    motion: Motion
+    motion: MotionSpans
     force_S_n: FloatArray
     axes: Sequence[AxisContacts]
-    payloads: Sequence[Payload]
+    payloads: Sequence[PayloadMotion]
     command: PoseSignal | None
     mass_kg: float
     offset_n: float
@@ -128,9 +128,9 @@ class Move:
     """A piece of motion; `law` is the admittance that drives its command, `signals` command and force without one."""
 
     piece: Span
-    kind: Kind
+    kind: PhaseKind
     axis: str | None
-    law: Admittance | None = None
+    law: FoundAdmittance | None = None
     signals: tuple[FloatArray, FloatArray] | None = None
 
 
@@ -139,7 +139,7 @@ def judge_move(scene: Scene, span: Span, piece: Span) -> Move:
     log = scene.log
     mover = next((i for i, of in enumerate(scene.axes) if span in of.axis.spans), None)
     if orientation_spread_rad(log.orientation_BS[piece.slice]) > _TURNING_RAD:
-        return Move(piece=piece, kind=Kind.TURNING, axis=None if mover is None else scene.axes[mover].axis.name)
+        return Move(piece=piece, kind=PhaseKind.TURNING, axis=None if mover is None else scene.axes[mover].axis.name)
     velocity = scene.motion.velocity_S_m_s[piece.slice]
     _, directions = np.linalg.eigh(velocity.T @ velocity)
     direction_S = directions[:, -1]
@@ -155,26 +155,26 @@ def judge_move(scene: Scene, span: Span, piece: Span) -> Move:
     commanded = None if command is None else (command - origin) @ direction_B
     is_followed = commanded is not None and follows(commanded[mine], position[mine])
     law = find_admittance(commanded, force, log.period_s) if commanded is not None and is_followed else None
-    move = Move(piece=piece, kind=Kind.FREE_MOTION, axis=axis, law=law)
+    move = Move(piece=piece, kind=PhaseKind.FREE_MOTION, axis=axis, law=law)
     if is_hand_led(position[mine], force[mine], log.period_s, scene.mass_kg, scene.offset_n):
-        return replace(move, kind=Kind.HAND_LED_MOTION)
+        return replace(move, kind=PhaseKind.HAND_LED_MOTION)
     if mover is not None:
         of, payload = scene.axes[mover], scene.payloads[mover]
         if unexplained_share(of, payload, piece, log.period_s) > _UNEXPLAINED_SHARE:
-            return replace(move, kind=Kind.UNKNOWN, law=None)
+            return replace(move, kind=PhaseKind.UNKNOWN, law=None)
     if commanded is None or not is_followed or law is not None:
         return move
-    return replace(move, kind=Kind.COMMANDED_MOTION, signals=(commanded, force))
+    return replace(move, kind=PhaseKind.COMMANDED_MOTION, signals=(commanded, force))
 
 
-def settle_moves(moves: Sequence[Move], period_s: float) -> Iterator[tuple[Span, Kind, str | None]]:
+def settle_moves(moves: Sequence[Move], period_s: float) -> Iterator[tuple[Span, PhaseKind, str | None]]:
     """Yield the moves; where other moves tell the admittance, one that a desired force alone drives is free too."""
     laws = [move.law for move in moves if move.law is not None]
     middle = sorted(laws, key=lambda law: law.damping_n_s_per_m)[len(laws) // 2] if laws else None
     for move in moves:
         kind = move.kind
-        if kind is Kind.COMMANDED_MOTION and middle is not None and move.signals is not None:
-            kind = Kind.FREE_MOTION if is_stepped(*move.signals, period_s, middle) else kind
+        if kind is PhaseKind.COMMANDED_MOTION and middle is not None and move.signals is not None:
+            kind = PhaseKind.FREE_MOTION if is_stepped(*move.signals, period_s, middle) else kind
         yield move.piece, kind, move.axis
 
 

@@ -35,7 +35,7 @@ class AxisContacts:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Payload:
+class PayloadMotion:
     """The payload behind the coupling, (n,) each: position, velocity, and the force on what it touches or holds it."""
 
     position_m: FloatArray
@@ -43,7 +43,7 @@ class Payload:
     touch_n: FloatArray
 
 
-def see_payload(of: AxisContacts, period_s: float) -> Payload:
+def observe_payload(of: AxisContacts, period_s: float) -> PayloadMotion:
     """See the payload through the coupling, x_p = x + (F − B_s/K_s dF/dt)/K_s, and F_e = −F − B_p v_p − M_p a_p.
 
     Below 60 Hz or two resonances (MODEL.md, "Continuous blocks"); positive forces press towards +axis.
@@ -56,10 +56,10 @@ def see_payload(of: AxisContacts, period_s: float) -> Payload:
     position = position + (force - damping / stiffness * rate_of(force, period_s)) / stiffness
     velocity = rate_of(position, period_s)
     touch = -force - drag * velocity - mass * rate_of(velocity, period_s)
-    return Payload(position_m=position, velocity_m_s=velocity, touch_n=np.asarray(touch))
+    return PayloadMotion(position_m=position, velocity_m_s=velocity, touch_n=np.asarray(touch))
 
 
-def unexplained_share(of: AxisContacts, payload: Payload, span: Span, period_s: float) -> float:
+def unexplained_share(of: AxisContacts, payload: PayloadMotion, span: Span, period_s: float) -> float:
     """Return the share of the force's energy over a span, below 8 Hz, that the payload's own motion does not explain.
 
     0 where what is left is no more than the least contact force.
@@ -80,7 +80,7 @@ def press_sign(of: AxisContacts, hold: Span) -> float:
     return -1.0 if span_median(of.axis.force_n, hold) > 0.0 else 1.0
 
 
-def least_touch(of: AxisContacts, payload: Payload, hold: Span) -> float:
+def least_touch(of: AxisContacts, payload: PayloadMotion, hold: Span) -> float:
     """Return the force above which the payload touches what a hold presses on: a tenth of the hold's, or the least."""
     return max(of.smallest_n, _TOUCHED_SHARE * press_sign(of, hold) * span_median(payload.touch_n, hold))
 

@@ -6,15 +6,15 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..result import ContactPhase, Kind, Phase, tell_surfaces
+from ..result import ContactPhase, LogPhase, PhaseKind, name_surfaces
 from ..signals.aligned import AlignedLog, Span, spans_of
 from ..signals.recording import PoseSignal
-from ..signals.segments import Motion
+from ..signals.segments import MotionSpans
 from .contacts import ContactTimes, Pressed, find_contacts
 from .moves import Scene, judge_move, settle_moves
-from .payload import AxisContacts, see_payload
+from .payload import AxisContacts, observe_payload
 
-__all__ = ["AxisContacts", "ContactPhase", "Kind", "Phase", "build_timeline", "tell_surfaces"]
+__all__ = ["AxisContacts", "ContactPhase", "LogPhase", "PhaseKind", "build_timeline", "name_surfaces"]
 
 FloatArray = NDArray[np.float64]
 
@@ -24,13 +24,13 @@ _SMALLEST_OFFSET_N = 0.2
 
 def build_timeline(
     log: AlignedLog,
-    motion: Motion,
+    motion: MotionSpans,
     force_S_n: FloatArray,
     axes: Sequence[AxisContacts],
     command: PoseSignal | None,
     mass_kg: float,
     pressed: Sequence[Pressed] | None = None,
-) -> tuple[Phase, ...]:
+) -> tuple[LogPhase, ...]:
     """Label the whole log, without gaps or overlaps, from 0 to its length.
 
     `force_S_n` (n, 3) is free of weight and bias, `axes` hold the rests under force of each axis that moved,
@@ -41,7 +41,7 @@ def build_timeline(
     log hides, a rest under force whose beginning and end are not shown, and motion against a force that is neither
     the payload's nor a contact with a hold. A rest in a hand is a rest.
     """
-    payloads = [see_payload(of, log.period_s) for of in axes]
+    payloads = [observe_payload(of, log.period_s) for of in axes]
     if pressed is None:
         pressed = [find_contacts(of, payload, motion, log.period_s) for of, payload in zip(axes, payloads, strict=True)]
     held = {hold for of in axes for hold in of.holds}
@@ -59,14 +59,14 @@ def build_timeline(
     )
     # Each sample bears the number of its phase; what comes later goes over what came before.
     number = np.zeros(len(log), dtype=np.int64)
-    labels: list[tuple[Kind, str | None, ContactTimes | None]] = [(Kind.UNKNOWN, None, None)]
+    labels: list[tuple[PhaseKind, str | None, ContactTimes | None]] = [(PhaseKind.UNKNOWN, None, None)]
     for span in (*free, *(contact.hold for each in pressed for contact in each.by_hand)):
         number[span.slice] = len(labels)
-        labels.append((Kind.REST, None, None))
+        labels.append((PhaseKind.REST, None, None))
     for of, each in zip(axes, pressed, strict=True):
         for contact in each.contacts:
             number[contact.span.slice] = len(labels)
-            labels.append((Kind.CONTACT, of.axis.name, contact))
+            labels.append((PhaseKind.CONTACT, of.axis.name, contact))
     moves = [judge_move(scene, span, piece) for span in motion.moving for piece in _pieces(span, number)]
     for piece, kind, axis in settle_moves(moves, log.period_s):
         number[piece.slice] = len(labels)
@@ -74,7 +74,7 @@ def build_timeline(
     return tuple(_phase(span, *labels[index], log.period_s) for index, span in _runs(number))
 
 
-def _rests(motion: Motion, contacts: Sequence[Span]) -> tuple[Span, ...]:
+def _rests(motion: MotionSpans, contacts: Sequence[Span]) -> tuple[Span, ...]:
     """Return the rests that are no part of a contact."""
     return tuple(s for s in motion.still if not any(c.start < s.stop and s.start < c.stop for c in contacts))
 
@@ -92,10 +92,10 @@ def _runs(number: NDArray[np.int64]) -> Iterator[tuple[int, Span]]:
         yield int(number[start]), Span(start=start, stop=stop)
 
 
-def _phase(span: Span, kind: Kind, axis: str | None, contact: ContactTimes | None, period_s: float) -> Phase:
+def _phase(span: Span, kind: PhaseKind, axis: str | None, contact: ContactTimes | None, period_s: float) -> LogPhase:
     start, stop = span.start * period_s, span.stop * period_s
     if contact is None:
-        return Phase(kind=kind, start_s=start, stop_s=stop, axis=axis)
+        return LogPhase(kind=kind, start_s=start, stop_s=stop, axis=axis)
     told = ContactPhase(
         onset_s=None if contact.onset is None else contact.onset * period_s,
         peak_s=contact.peak * period_s,
@@ -106,7 +106,7 @@ def _phase(span: Span, kind: Kind, axis: str | None, contact: ContactTimes | Non
         surface=None,
         hand_suspected=contact.hand_suspected,
     )
-    return Phase(kind=kind, start_s=start, stop_s=stop, axis=axis, contact=told)
+    return LogPhase(kind=kind, start_s=start, stop_s=stop, axis=axis, contact=told)
 
 
 def _pieces(span: Span, number: NDArray[np.int64]) -> Iterator[Span]:

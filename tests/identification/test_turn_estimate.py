@@ -15,8 +15,8 @@ from identification.axes.straight import commanded_motion, find_axes, free_motio
 from identification.axes.turning import LEVER_M, AxisTurn, find_turns, rests_after, unroll
 from identification.joint_fit.data import build_joint_data
 from identification.joint_fit.fit import identify_joint
-from identification.joint_fit.latency import Lag
-from identification.joint_fit.model import COUPLING_NAMES, Layout
+from identification.joint_fit.latency import WrenchLatency
+from identification.joint_fit.model import COUPLING_NAMES, ParameterLayout
 from identification.joint_fit.result import Diagnostics, JointFit, JointSurface
 from identification.joint_fit.segments import find_holds
 from identification.payload.gravity import collect_static_poses, identify_gravity
@@ -53,7 +53,7 @@ def joint_fit(names: tuple[str, ...], values: FloatArray) -> JointFit:
                 peak_force_n=(40.0,),
             ),
         ),
-        lag=Lag(seconds=0.0, std_s=1e-5, applied_s=0.0),
+        lag=WrenchLatency(seconds=0.0, std_s=1e-5, applied_s=0.0),
         diagnostics=Diagnostics(
             fit_share=(1.0, 1.0),
             whiteness=(0.5, 0.5),
@@ -71,7 +71,7 @@ def any_turn(weight_n_m_per_rad: float) -> AxisTurn:
 
 
 def test_a_fit_is_told_in_the_units_of_a_rotation() -> None:
-    names = Layout(robot_order=2, surfaces=1).names
+    names = ParameterLayout(robot_order=2, surfaces=1).names
     values = np.array([2e5, 100.0, 200.0, 12.0, 20.0, 0.7, 3e-3, 8e4, 30.0, 0.5])
     told = fit_about_axis(joint_fit(names, values), any_turn(0.0))
     square = LEVER_M**2

@@ -34,9 +34,9 @@ from identification.result import (
     Finding,
     FitQuality,
     Identified,
-    Kind,
+    LogPhase,
     PayloadEstimate,
-    Phase,
+    PhaseKind,
     RobotEstimate,
     SensorEstimate,
     Status,
@@ -361,8 +361,8 @@ def timelines() -> st.SearchStrategy[Timeline]:
         hand_suspected=st.none() | st.booleans(),
     )
     phase = st.builds(
-        Phase,
-        kind=st.sampled_from(Kind),
+        LogPhase,
+        kind=st.sampled_from(PhaseKind),
         start_s=FLOATS,
         stop_s=FLOATS,
         axis=st.none() | st.sampled_from(("x", "rz")),

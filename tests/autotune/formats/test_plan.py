@@ -10,7 +10,7 @@ from autotune.formats.plan import plan_tree, write_plan
 from autotune.formats.schema import violations
 from autotune.formats.yaml12 import load_document
 from identification.experiment_design.experiment import plan_experiment
-from identification.experiment_design.result import ExperimentPlan, Limits
+from identification.experiment_design.result import ExperimentLimits, ExperimentPlan
 from identification.experiment_design.values import Known, usual_values
 from problems.errors import ParameterError
 from problems.model.robot import RobotModel
@@ -21,7 +21,7 @@ def slow() -> ExperimentPlan:
     """A plan that holds every kind of step: the robot is too slow for the payload's swing."""
     robot = RobotModel.from_bandwidth(bandwidth_rad_per_s=1.0, delay_s=2.4e-3)
     values = replace(usual_values(), robot=robot, misfit_share=Known(value=0.05))
-    return plan_experiment("y", values, Limits())
+    return plan_experiment("y", values, ExperimentLimits())
 
 
 def test_every_kind_of_step_is_written_and_read_back(slow: ExperimentPlan, tmp_path: Path) -> None:

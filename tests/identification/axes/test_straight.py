@@ -14,7 +14,7 @@ from identification.axes.straight import (
     AxisMotion,
     commanded_motion,
     find_axes,
-    find_rings,
+    find_ringing,
     free_motions,
     unguided_spans,
 )
@@ -189,7 +189,7 @@ def on_axis(force: "np.ndarray[tuple[int], np.dtype[np.float64]]") -> AxisMotion
 
 def test_a_ring_begins_when_the_tap_is_over_and_ends_before_the_next() -> None:
     force = ringing(1000, 4000, 40.0) + ringing(2000, 4000, 30.0)
-    first, second = find_rings(on_axis(force), [Span(start=990, stop=3000)], [], [], 0.1, MS)
+    first, second = find_ringing(on_axis(force), [Span(start=990, stop=3000)], [], [], 0.1, MS)
     # The highest force comes a quarter of a period (12 ms) after each beginning; 25 ms later a hand is off.
     assert first.start == pytest.approx(1000 + 12 + 25, abs=3)
     assert first.stop == pytest.approx(2000 + 12 - 25, abs=3)
@@ -198,17 +198,19 @@ def test_a_ring_begins_when_the_tap_is_over_and_ends_before_the_next() -> None:
 
 def test_what_is_free_anyway_or_no_louder_than_noise_is_not_told_twice() -> None:
     span = Span(start=990, stop=3000)
-    assert find_rings(on_axis(ringing(1000, 4000, 40.0)), [span], [span], [], 0.1, MS) == ()
-    assert find_rings(on_axis(ringing(1000, 4000, 0.5)), [span], [], [], 0.1, MS) == ()
+    assert find_ringing(on_axis(ringing(1000, 4000, 40.0)), [span], [span], [], 0.1, MS) == ()
+    assert find_ringing(on_axis(ringing(1000, 4000, 0.5)), [span], [], [], 0.1, MS) == ()
 
 
 def test_after_a_hold_the_payload_is_free_where_the_force_changes_its_sign() -> None:
     force = np.concatenate([np.full(1000, -20.0), np.linspace(-20.0, 5.0, 500), np.full(1000, 5.0)])
-    (ring,) = find_rings(on_axis(force), [Span(start=1000, stop=2400)], [], [Span(start=200, stop=1000)], 0.1, MS)
+    (ring,) = find_ringing(on_axis(force), [Span(start=1000, stop=2400)], [], [Span(start=200, stop=1000)], 0.1, MS)
     assert ring.start == 1000 + round(500 * 20.0 / 25.0) + 25
     assert ring.stop == 2400
     pressed = np.full(2500, -20.0)
-    assert find_rings(on_axis(pressed), [Span(start=1000, stop=2400)], [], [Span(start=200, stop=1000)], 0.1, MS) == ()
+    assert (
+        find_ringing(on_axis(pressed), [Span(start=1000, stop=2400)], [], [Span(start=200, stop=1000)], 0.1, MS) == ()
+    )
 
 
 @pytest.fixture(scope="module")

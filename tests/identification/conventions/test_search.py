@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from identification.conventions.choice import ReadLog, read_by_weight
-from identification.conventions.search import Pull, Verdict, rank_conventions
+from identification.conventions.search import ConventionVerdict, SignOrigin, rank_conventions
 from identification.conventions.weight_misfit import QUARTER_TURNS
 from identification.errors import EstimateError
 from identification.payload.gravity import identify_gravity
@@ -67,7 +67,7 @@ def noisy(orientation: Rotation, seed: int = 1, truth: Truth = PAYLOAD) -> tuple
 @pytest.mark.parametrize("seed", range(8))
 def test_what_is_declared_rightly_stands(seed: int) -> None:
     ranking = rank_conventions(noisy(general(seed=seed), seed))
-    assert ranking.verdict is Verdict.DECLARED
+    assert ranking.verdict is ConventionVerdict.DECLARED
     chosen = ranking.chosen()
     assert chosen is not None
     assert chosen.entries() == ("as declared",)
@@ -84,12 +84,12 @@ def test_orders_inverses_and_quarter_turns_are_found(wxyz: bool, inverted: bool,
     ranking = rank_conventions(log)
     chosen = ranking.chosen()
     assert chosen is not None
-    assert chosen.reading.order == ("wxyz" if wxyz else "xyzw")
-    assert chosen.reading.inverted == inverted
-    assert (chosen.reading.quarter_turn * quarter.inv()).magnitude() < 1e-9
-    assert chosen.pull is Pull.AS_DECLARED
+    assert chosen.hypothesis.order == ("wxyz" if wxyz else "xyzw")
+    assert chosen.hypothesis.inverted == inverted
+    assert (chosen.hypothesis.quarter_turn * quarter.inv()).magnitude() < 1e-9
+    assert chosen.sign_origin is SignOrigin.AS_DECLARED
     plain = not wxyz and not inverted and quarter.magnitude() < 0.1
-    assert ranking.verdict is (Verdict.DECLARED if plain else Verdict.FOUND)
+    assert ranking.verdict is (ConventionVerdict.DECLARED if plain else ConventionVerdict.FOUND)
     assert len(ranking.findings()) == (0 if plain else 1)
     # The noise of a mean, 0.3 N / √1000, is what the right reading leaves: 27 numbers, 4 parameters; 3 deviations.
     assert chosen.residual_rms_n == pytest.approx(0.3 / np.sqrt(1000) * np.sqrt(23 / 27), rel=0.45)
@@ -97,8 +97,8 @@ def test_orders_inverses_and_quarter_turns_are_found(wxyz: bool, inverted: bool,
 
 def test_a_reversed_sign_is_a_question_with_both_answers() -> None:
     ranking = rank_conventions(misread(noisy(general()), sign=-1.0))
-    assert ranking.verdict is Verdict.ASK
-    assert {each.pull for each in ranking.alike} == {Pull.WRENCH, Pull.GRAVITY}
+    assert ranking.verdict is ConventionVerdict.ASK
+    assert {each.sign_origin for each in ranking.alike} == {SignOrigin.WRENCH, SignOrigin.GRAVITY}
     with pytest.raises(EstimateError, match=r"mass negative, and 2 others fit it alike.*cell\.yaml") as caught:
         ranking.chosen()
     assert "wrench.exerted_by: sensor" in str(caught.value)
@@ -110,17 +110,17 @@ def test_readings_that_the_poses_cannot_tell_apart_are_asked_with_their_residual
     # is a sensor turned about its axis with the sign reversed.
     log = misread(noisy(tilted(9, 1.1)), inverted=True)
     ranking = rank_conventions(log)
-    assert ranking.verdict is Verdict.ASK
+    assert ranking.verdict is ConventionVerdict.ASK
     assert [each.changes for each in ranking.alike] == [1, 2, 2]
-    assert {each.reading.inverted for each in ranking.alike} == {False, True}
+    assert {each.hypothesis.inverted for each in ranking.alike} == {False, True}
     with pytest.raises(EstimateError, match=r"3 others fit it alike.*swapped.*N·m left.*turn about the vertical"):
         ranking.chosen()
     # The very same fault is found once the poses differ in their turn about the vertical too.
-    assert rank_conventions(misread(noisy(general()), inverted=True)).verdict is Verdict.FOUND
+    assert rank_conventions(misread(noisy(general()), inverted=True)).verdict is ConventionVerdict.FOUND
 
 
 def test_the_declared_one_wins_where_others_fit_alike() -> None:
-    assert rank_conventions(noisy(tilted(9, 1.1))).verdict is Verdict.DECLARED
+    assert rank_conventions(noisy(tilted(9, 1.1))).verdict is ConventionVerdict.DECLARED
     assert len(rank_conventions(noisy(tilted(9, 1.1))).alike) > 1
 
 
@@ -137,7 +137,7 @@ def test_declared_frames_are_taken_into_account() -> None:
     chosen = ranking.chosen()
     assert chosen is not None
     assert chosen.entries(frames) == ("pose.orientation_as: quaternion_wxyz",)
-    assert rank_conventions(poses).verdict is not Verdict.FOUND
+    assert rank_conventions(poses).verdict is not ConventionVerdict.FOUND
 
 
 def test_touched_rests_do_not_decide() -> None:
@@ -154,7 +154,7 @@ def test_touched_rests_do_not_decide() -> None:
 def test_a_sensor_at_an_angle_is_refused_with_the_entry_that_mends_it(degrees: float) -> None:
     angle = Rotation.from_euler("z", degrees, degrees=True)
     ranking = rank_conventions(misread(noisy(general()), turn=angle))
-    assert ranking.verdict is Verdict.NONE
+    assert ranking.verdict is ConventionVerdict.NONE
     assert ranking.mounting is not None
     assert (ranking.mounting * angle.inv()).magnitude() < np.radians(0.1)
     with pytest.raises(EstimateError, match=r"cell\.yaml") as caught:
@@ -167,7 +167,7 @@ def test_a_sensor_at_an_angle_is_refused_with_the_entry_that_mends_it(degrees: f
 
 def test_a_few_degrees_off_are_left_to_the_mounting() -> None:
     ranking = rank_conventions(misread(noisy(general()), turn=Rotation.from_euler("z", 4, degrees=True)))
-    assert ranking.verdict is Verdict.DECLARED
+    assert ranking.verdict is ConventionVerdict.DECLARED
 
 
 def test_a_wrench_that_follows_nothing_fits_no_convention() -> None:
@@ -175,18 +175,18 @@ def test_a_wrench_that_follows_nothing_fits_no_convention() -> None:
     rng = np.random.default_rng(3)
     mixed = [replace(pose, force_S_n=100.0 * rng.standard_normal(3)) for pose in poses]
     ranking = rank_conventions(mixed)
-    assert ranking.verdict is Verdict.NONE
+    assert ranking.verdict is ConventionVerdict.NONE
     with pytest.raises(EstimateError, match="force must follow gravity"):
         ranking.chosen()
 
 
 def test_too_few_or_weightless_rests_tell_nothing() -> None:
     few = rank_conventions(noisy(tilted(3, 1.0)))
-    assert few.verdict is Verdict.UNTOLD
+    assert few.verdict is ConventionVerdict.UNTOLD
     assert few.chosen() is None
     assert [finding.code for finding in few.findings()] == ["conventions-unchecked"]
     removed = noisy(general(), truth=Truth(mass_kg=0.0))
-    assert rank_conventions(removed).verdict is Verdict.UNTOLD
+    assert rank_conventions(removed).verdict is ConventionVerdict.UNTOLD
 
 
 def pose_read(pose: PoseSignal, change: Callable[[Rotation, FloatArray], tuple[Rotation, FloatArray]]) -> PoseSignal:
@@ -214,7 +214,7 @@ def test_an_inverted_pose_is_read_back_with_its_position(demo_recording: Recordi
     )
     found = read(inverted)
     assert found.convention is not None
-    assert found.convention.reading.inverted
+    assert found.convention.hypothesis.inverted
     # Turned there and back: rounding of numbers near 1.
     np.testing.assert_allclose(found.recording.pose.position_m, demo_recording.pose.position_m, rtol=0.0, atol=1e-12)
     back = Rotation.from_quat(found.recording.pose.quaternion_xyzw)
@@ -231,13 +231,13 @@ def test_moves_tell_a_wrench_of_the_other_body_from_gravity_reversed(demo_record
         pose=pose_read(demo_recording.pose, lambda turn, at: (hanging * turn, hanging.apply(at))),
         command=None,
     )
-    readings = {Pull.WRENCH: read(flipped), Pull.GRAVITY: read(upside_down)}
+    readings = {SignOrigin.WRENCH: read(flipped), SignOrigin.GRAVITY: read(upside_down)}
     for pull, found in readings.items():
         assert found.convention is not None
-        assert found.convention.pull is pull
+        assert found.convention.sign_origin is pull
         assert [finding.code for finding in found.findings] == ["convention-found"]
         assert identify_gravity(found.poses).mass_kg == pytest.approx(16.2, rel=5e-3)
-    np.testing.assert_array_equal(readings[Pull.WRENCH].recording.wrench.force_n, wrench.force_n)
+    np.testing.assert_array_equal(readings[SignOrigin.WRENCH].recording.wrench.force_n, wrench.force_n)
 
 
 @pytest.mark.parametrize("lean_deg", [15.0, 90.0])
@@ -248,7 +248,7 @@ def test_a_base_that_leans_is_told_with_its_direction(lean_deg: float) -> None:
     # One rest in contact.
     poses[3] = replace(poses[3], force_S_n=poses[3].force_S_n + np.array([0.0, 0.0, 30.0]))
     ranking = rank_conventions(poses)
-    assert ranking.verdict is Verdict.NONE
+    assert ranking.verdict is ConventionVerdict.NONE
     with pytest.raises(EstimateError, match=r"declare `gravity_direction: \[") as caught:
         ranking.chosen()
     told = re.search(r"gravity_direction: \[(.*?)\]", str(caught.value))

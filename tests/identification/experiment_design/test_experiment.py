@@ -15,7 +15,7 @@ from identification.errors import EstimateError
 from identification.experiment_design.contacts import ContactPlan, plan_contacts, plan_taps, through_coupling
 from identification.experiment_design.experiment import allowed_std, coupling_binds, plan_experiment
 from identification.experiment_design.poses import PosePlan
-from identification.experiment_design.result import ExperimentPlan, Limits, StepKind
+from identification.experiment_design.result import ExperimentLimits, ExperimentPlan, StepKind
 from identification.experiment_design.sweep import Sweep, SweepPlan, robot_limit_hz, sweep_information
 from identification.experiment_design.values import Known, PlanValues, usual_values, values_of
 from identification.identify import identify_cell
@@ -72,7 +72,7 @@ def settings_of(plan: ExperimentPlan, kind: StepKind) -> object:
 
 @pytest.mark.slow
 def test_the_planned_recording_gives_the_predicted_deviations() -> None:
-    plan = plan_experiment("x", exact_cell(), Limits())
+    plan = plan_experiment("x", exact_cell(), ExperimentLimits())
     sweep, contacts = settings_of(plan, StepKind.SWEEP), settings_of(plan, StepKind.CONTACTS)
     assert isinstance(sweep, SweepPlan)
     assert isinstance(contacts, ContactPlan)
@@ -175,8 +175,8 @@ def test_a_sweep_that_cannot_reach_the_payloads_swing_is_helped_by_taps() -> Non
         values, robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=1.0, delay_s=2.4e-3), misfit_share=Known(value=0.05)
     )
     assert robot_limit_hz(slow.robot) < 0.2 * slow.payload_frequency_hz
-    assert settings_of(plan_experiment("x", values, Limits()), StepKind.TAPS) is None
-    plan = plan_experiment("x", slow, Limits())
+    assert settings_of(plan_experiment("x", values, ExperimentLimits()), StepKind.TAPS) is None
+    plan = plan_experiment("x", slow, ExperimentLimits())
     (taps,) = [step for step in plan.steps if step.kind is StepKind.TAPS]
     assert "taps on the payload tell coupling K_s better" in taps.why
     sweep = settings_of(plan, StepKind.SWEEP)
@@ -193,7 +193,7 @@ def test_a_sweep_that_cannot_reach_the_payloads_swing_is_helped_by_taps() -> Non
     ],
 )
 def test_no_sweep_passes_a_limit(limit: dict[str, float], bound_by: str) -> None:
-    limits = Limits(**{"max_stroke_m": 0.004, **limit})  # type: ignore[arg-type]  # all of them floats
+    limits = ExperimentLimits(**{"max_stroke_m": 0.004, **limit})  # type: ignore[arg-type]  # all of them floats
     found = settings_of(plan_experiment("x", usual_values(), limits), StepKind.SWEEP)
     assert isinstance(found, SweepPlan)
     assert found.bound_by == bound_by
@@ -212,7 +212,9 @@ def test_no_sweep_passes_a_limit(limit: dict[str, float], bound_by: str) -> None
 def test_the_worst_case_is_never_less_than_what_is_expected(mass: float, stiffness: float, highest: float) -> None:
     """Also where no resonance lies in the band, and the drag makes the force."""
     values = usual_values(mass_kg=mass, stiffness_n_per_m=stiffness)
-    found = settings_of(plan_experiment("x", values, Limits(max_frequency_hz=highest, pose_count=0)), StepKind.SWEEP)
+    found = settings_of(
+        plan_experiment("x", values, ExperimentLimits(max_frequency_hz=highest, pose_count=0)), StepKind.SWEEP
+    )
     assert isinstance(found, SweepPlan)
     assert found.peak_force_n <= found.worst_peak_force_n * (1.0 + 1e-12)
     assert found.worst_peak_force_n <= found.abort_force_n * (1.0 + 1e-9)
@@ -224,7 +226,7 @@ def test_what_is_known_of_the_coupling_makes_the_first_sweep_louder_and_spares_t
     sharp = {name: replace(usual.known()[name], std=0.03 * usual.known()[name].value) for name in allowed_std(usual)}
     sharp["bandwidth_hz"] = replace(usual.bandwidth_hz, std=0.01 * usual.bandwidth_hz.value)
     told = with_known(usual, sharp)
-    first, later = (settings_of(plan_experiment("x", v, Limits()), StepKind.SWEEP) for v in (usual, told))
+    first, later = (settings_of(plan_experiment("x", v, ExperimentLimits()), StepKind.SWEEP) for v in (usual, told))
     assert isinstance(first, SweepPlan)
     assert isinstance(later, SweepPlan)
     assert first.repeat is not None
@@ -247,7 +249,7 @@ def test_contacts_stay_below_the_force_that_is_allowed(stiffness: float) -> None
 
 
 def test_a_first_recording_needs_everything_and_begins_with_the_poses() -> None:
-    plan = plan_experiment("x", usual_values(), Limits())
+    plan = plan_experiment("x", usual_values(), ExperimentLimits())
     assert [step.kind for step in plan.steps] == [StepKind.POSES, StepKind.SWEEP, StepKind.CONTACTS]
     assert all(step.is_needed for step in plan.steps)
     assert isinstance(settings_of(plan, StepKind.POSES), PosePlan)
@@ -267,7 +269,7 @@ def test_a_first_recording_needs_everything_and_begins_with_the_poses() -> None:
 )
 def test_what_is_known_worst_comes_first(worst: str, first: str) -> None:
     values = usual_values()
-    plan = plan_experiment("x", known(values, **{worst: 3.0 * allowed_std(values)[worst]}), Limits())
+    plan = plan_experiment("x", known(values, **{worst: 3.0 * allowed_std(values)[worst]}), ExperimentLimits())
     assert plan.binding == worst
     assert plan.steps[0].kind == first
     assert [step.is_needed for step in plan.steps] == [True, False, False]
@@ -284,7 +286,7 @@ def test_where_the_coupling_binds_the_sweep_comes_first_and_contacts_do_not_help
     assert share == pytest.approx(4.0 * 0.04 * 3e5)
     stuck = known(values, stiffness_n_per_m=0.04 * 3e5, environment_stiffness_n_per_m=1.05 * share)
     assert coupling_binds(stuck)
-    plan = plan_experiment("x", stuck, Limits(max_force_n=300.0))
+    plan = plan_experiment("x", stuck, ExperimentLimits(max_force_n=300.0))
     assert plan.binding == "environment_stiffness_n_per_m"
     assert plan.steps[0].kind is StepKind.SWEEP
     assert "sweep" in plan.steps[0].why
@@ -298,10 +300,10 @@ def test_where_the_coupling_binds_the_sweep_comes_first_and_contacts_do_not_help
 def test_two_degrees_are_refused_where_poses_are_needed_and_only_there() -> None:
     values = usual_values()
     with pytest.raises(EstimateError, match="it takes 15 degrees"):
-        plan_experiment("x", values, Limits(max_tilt_deg=2.0))
-    kinds = [step.kind for step in plan_experiment("x", values, Limits(max_tilt_deg=2.0, pose_count=0)).steps]
+        plan_experiment("x", values, ExperimentLimits(max_tilt_deg=2.0))
+    kinds = [step.kind for step in plan_experiment("x", values, ExperimentLimits(max_tilt_deg=2.0, pose_count=0)).steps]
     assert kinds == [StepKind.SWEEP, StepKind.CONTACTS]
-    enough = plan_experiment("x", known(values), Limits(max_tilt_deg=2.0))
+    enough = plan_experiment("x", known(values), ExperimentLimits(max_tilt_deg=2.0))
     assert settings_of(enough, StepKind.POSES) is None
     assert not any(step.is_needed for step in enough.steps)
 
@@ -347,4 +349,4 @@ def test_the_noise_of_the_pose_that_was_measured_is_planned_with() -> None:
 )
 def test_limits_that_leave_nothing_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ParameterError):
-        Limits(**wrong)  # type: ignore[arg-type]  # on purpose
+        ExperimentLimits(**wrong)  # type: ignore[arg-type]  # on purpose

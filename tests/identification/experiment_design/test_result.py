@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from identification.experiment_design.experiment import allowed_std, plan_experiment
-from identification.experiment_design.result import Limits, StepKind, peak_effect
+from identification.experiment_design.result import ExperimentLimits, StepKind, peak_effect
 from identification.experiment_design.values import PlanValues, usual_values
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.model.plant import Coupling, Environment, Payload, Plant
@@ -56,7 +56,7 @@ def test_what_moves_the_peak_most_binds_and_not_what_is_known_worst_in_percent()
     told = known(
         values, damping_n_s_per_m=1.5 * allowed["damping_n_s_per_m"], drag_n_s_per_m=0.9 * allowed["drag_n_s_per_m"]
     )
-    plan = plan_experiment("x", told, Limits())
+    plan = plan_experiment("x", told, ExperimentLimits())
     entries = {entry.name: entry for step in plan.steps for entry in step.predictions}
     damping, drag = entries["damping_n_s_per_m"], entries["drag_n_s_per_m"]
     assert damping.urgency > drag.urgency
@@ -70,7 +70,7 @@ def test_what_moves_the_peak_most_binds_and_not_what_is_known_worst_in_percent()
 def test_what_hardly_moves_the_peak_makes_no_recording_necessary() -> None:
     values = exact_cell()
     told = known(values, damping_n_s_per_m=1.5 * allowed_std(values)["damping_n_s_per_m"])
-    plan = plan_experiment("x", told, Limits())
+    plan = plan_experiment("x", told, ExperimentLimits())
     (sweep,) = [step for step in plan.steps if step.kind is StepKind.SWEEP]
     (damping,) = [entry for entry in sweep.predictions if entry.name == "damping_n_s_per_m"]
     assert plan.effect is not None
@@ -87,7 +87,7 @@ def test_where_no_usual_controller_is_stable_the_share_of_what_is_allowed_binds(
     )
     assert peak_effect(hard) is None
     told = known(hard, bandwidth_hz=3.0 * allowed_std(hard)["bandwidth_hz"])
-    plan = plan_experiment("x", told, Limits(pose_count=0))
+    plan = plan_experiment("x", told, ExperimentLimits(pose_count=0))
     assert plan.effect is None
     assert plan.binding == "bandwidth_hz"
     assert all(entry.peak_now_n is None for step in plan.steps for entry in step.predictions)

@@ -8,11 +8,11 @@ import pytest
 from numpy.typing import NDArray
 
 from identification.joint_fit.force_kernel import TURNS
-from identification.joint_fit.gradients import bends_of, force_jacobian
-from identification.joint_fit.model import Layout
+from identification.joint_fit.gradients import force_jacobian, step_derivatives
+from identification.joint_fit.model import ParameterLayout
 from identification.joint_fit.noise import Smoother
 from identification.joint_fit.path import FlangePath, commanded_path, measured_path, path_slope
-from identification.joint_fit.segments import FREE, OFFSET, Segment, law_of, predict_force, run, shared_indices
+from identification.joint_fit.segments import FREE, OFFSET, Segment, predict_force, run, segment_model, shared_indices
 from identification.joint_fit.solve import sizes_of
 from problems.design.symbolic import Structure, build_symbolic_form
 from problems.model.controller import AdmittanceController
@@ -44,9 +44,9 @@ class Case:
     start: int = 0
 
     @property
-    def layout(self) -> Layout:
+    def layout(self) -> ParameterLayout:
         order = len(self.robot) - 1 if self.robot else 0
-        return Layout(robot_order=order, surfaces=1 if self.surface else 0)
+        return ParameterLayout(robot_order=order, surfaces=1 if self.surface else 0)
 
     @property
     def values(self) -> FloatArray:
@@ -160,7 +160,7 @@ def test_at_a_corner_the_derivative_is_that_of_a_larger_value(name: str, index: 
 def test_the_cases_touch_and_leave_as_they_say(name: str, least: int) -> None:
     case = CASES[name]
     path = case.path(case.values)
-    law = law_of(case.values, np.array(case.own), case.segment, path, case.layout, H_S)
+    law = segment_model(case.values, np.array(case.own), case.segment, path, case.layout, H_S)
     modes = run(law, path.cut(case.segment.slice), case.segment).modes
     assert np.sum(modes >= TURNS) >= least
 
@@ -201,10 +201,10 @@ def test_the_derivatives_of_a_sample_are_those_of_the_symbolic_model(robot: list
     exact = ca.Function("exact", [z], [ca.jacobian(ca.vec(sample), z)])(values).full()
     expected = exact.reshape(-1, 2, len(values))
     touches = surface[0] > 0.0
-    layout = Layout(robot_order=n, surfaces=1)
+    layout = ParameterLayout(robot_order=n, surfaces=1)
     path = commanded_path(values[4 : 4 + len(robot)], np.zeros(2), np.zeros(2), NOTHING, H_S)
     segment = Segment(start=0, stop=2, surface=0 if touches else FREE)
-    ours = bends_of(values, segment, path, layout, H_S, moves_robot=True).steps[1 if touches else 0]
+    ours = step_derivatives(values, segment, path, layout, H_S, moves_robot=True).steps[1 if touches else 0]
     shared = len(values) if touches else len(values) - 3
     for i in range(shared):
         size = np.max(np.abs(expected[:, :, i]))

@@ -12,8 +12,8 @@ from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import Cell
 from identification.joint_fit.data import HeldCommand, JointData
 from identification.joint_fit.fit import identify_joint
-from identification.joint_fit.latency import Lag, find_wrench_filter, is_late, sooner
-from identification.joint_fit.path import Lateness, low_passed
+from identification.joint_fit.latency import WrenchLatency, advance_in_time, find_wrench_filter, is_significant_latency
+from identification.joint_fit.path import SensorDynamics, low_passed
 from identification.joint_fit.result import JointFit
 from identification.result import Status
 from identification.signals.recording import PoseSignal, Recording
@@ -66,8 +66,8 @@ def test_the_force_is_shifted_as_time_is() -> None:
     ticks = np.arange(200.0)
     force = np.sin(0.05 * ticks)
     # A cubic spline of a wave of 126 samples: 0.05⁴/384.
-    np.testing.assert_allclose(sooner(force, 0.4)[5:-5], np.sin(0.05 * (ticks + 0.4))[5:-5], atol=1e-7)
-    assert sooner(force, 0.0) is force
+    np.testing.assert_allclose(advance_in_time(force, 0.4)[5:-5], np.sin(0.05 * (ticks + 0.4))[5:-5], atol=1e-7)
+    assert advance_in_time(force, 0.0) is force
 
 
 def lossy(command: PoseSignal, share: float) -> PoseSignal:
@@ -160,13 +160,13 @@ def moved(corner_hz: float | None = None, late_samples: int = 0, shifted_s: floa
     shown = np.concatenate([np.zeros(late_samples), felt[: len(felt) - late_samples]])
     rng = np.random.default_rng(5)
     shown = shown + NOISE_N * rng.standard_normal(len(shown))
-    # What was read as an offset of clocks was taken off the stamps: the grid shows the force sooner by it.
-    sooner = np.interp(np.arange(len(shown)) + round(shifted_s / H_S), np.arange(len(shown)), shown)
+    # What was read as an offset of clocks was taken off the stamps: the grid shows the force advance_in_time by it.
+    advance_in_time = np.interp(np.arange(len(shown)) + round(shifted_s / H_S), np.arange(len(shown)), shown)
     moving = Span(start=len(rest), stop=len(command) - len(rest))
     return JointData(
         period_s=H_S,
         position_m=states[:, 0] + JITTER_M * rng.standard_normal(len(shown)),
-        force_n=sooner,
+        force_n=advance_in_time,
         command=HeldCommand(command_m=command, shift_s=0.0),
         rests=(Span(start=0, stop=len(rest) - 50), Span(start=moving.stop + 400, stop=len(command))),
         moving=(moving,),
@@ -237,10 +237,10 @@ def test_a_wrench_that_is_not_late_has_no_filter() -> None:
 
 def test_what_is_early_or_does_not_matter_is_no_filter() -> None:
     # A fifth of a sample, or 0.2 ms, what is less; and four deviations.
-    assert not is_late(0.15 * H_S, 1e-6, H_S)
-    assert is_late(0.25 * H_S, 1e-6, H_S)
-    assert is_late(2.1e-4, 1e-6, 4e-3)
-    assert not is_late(1e-3, 3e-4, H_S)
+    assert not is_significant_latency(0.15 * H_S, 1e-6, H_S)
+    assert is_significant_latency(0.25 * H_S, 1e-6, H_S)
+    assert is_significant_latency(2.1e-4, 1e-6, 4e-3)
+    assert not is_significant_latency(1e-3, 3e-4, H_S)
     assert find_wrench_filter({"x": lag(-2e-3)}, 0.0, H_S) == (None, ())
     # 50 ms are a clock's; 3 ms that were taken off the stamps may be the sensor's.
     assert find_wrench_filter({"x": lag(0.0)}, 0.05, H_S) == (None, ())
@@ -250,8 +250,10 @@ def test_what_is_early_or_does_not_matter_is_no_filter() -> None:
     assert found.delay_s.value == 3e-3
 
 
-def lag(seconds: float, std_s: float = 1e-5, *, is_filter: bool = False, evidence: float | None = None) -> Lag:
-    return Lag(seconds=seconds, std_s=std_s, applied_s=0.0, is_filter=is_filter, evidence=evidence)
+def lag(
+    seconds: float, std_s: float = 1e-5, *, is_filter: bool = False, evidence: float | None = None
+) -> WrenchLatency:
+    return WrenchLatency(seconds=seconds, std_s=std_s, applied_s=0.0, is_filter=is_filter, evidence=evidence)
 
 
 def test_the_kind_with_more_evidence_counts_and_a_near_draw_is_weak() -> None:
@@ -290,8 +292,8 @@ def test_the_low_pass_is_that_of_its_equation_and_a_shift_is_one_in_time() -> No
     constant = np.full((2, 9), 4.0)
     np.testing.assert_allclose(low_passed(constant, tau, H_S), constant, rtol=1e-12)
     for delay in (0.4 * H_S, 2.0 * H_S, -1.3 * H_S):
-        later = Lateness(delay_s=delay).felt(np.sin(omega * time), H_S)
+        later = SensorDynamics(delay_s=delay).felt(np.sin(omega * time), H_S)
         # Lagrange's cubic: 9/16 of (ω h)⁴/24 at most.
         np.testing.assert_allclose(later[5:-5], np.sin(omega * (time - delay))[5:-5], atol=(omega * H_S) ** 4 / 40.0)
-    assert Lateness().unknown(H_S) == 0
-    assert replace(Lateness(), time_constant_s=1e-3).unknown(H_S) == 8
+    assert SensorDynamics().unknown(H_S) == 0
+    assert replace(SensorDynamics(), time_constant_s=1e-3).unknown(H_S) == 8

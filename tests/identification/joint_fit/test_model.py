@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
 from identification.joint_fit.kernel import MOST_TAKEN, pressing, switch
-from identification.joint_fit.model import Layout, body, held, payload_step, robot_model
+from identification.joint_fit.model import ParameterLayout, body, held, payload_step, robot_model
 from identification.joint_fit.noise import Smoother
 from identification.joint_fit.path import commanded_path, measured_path
 from identification.joint_fit.segments import Segment, predict_force
@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 
 H_S = 1e-3
 LOAD = Load()
-FREE = Layout(robot_order=0, surfaces=0)
+FREE = ParameterLayout(robot_order=0, surfaces=0)
 
 
 # A filter that keeps everything: only the spline's own coefficients.
@@ -59,7 +59,7 @@ def test_the_force_in_free_motion_is_that_of_scipys_linear_system() -> None:
 def test_the_force_in_a_contact_is_that_of_scipys_integrator(stiffness: float, depth_m: float) -> None:
     made = touch(LOAD, stiffness, 50.0, H_S, depth_m=depth_m)
     path = measured_path(made.position_m, KEEP_ALL)
-    layout = Layout(robot_order=0, surfaces=1)
+    layout = ParameterLayout(robot_order=0, surfaces=1)
     values = np.concatenate([LOAD.vector(), [stiffness, 50.0, 0.0]])
     segment = Segment(start=0, stop=len(made.force_n), surface=0)
     predicted = predict_force(values, np.array([0.0, 0.0, 0.0, 8e-3]), segment, path, layout, H_S)
@@ -69,7 +69,7 @@ def test_the_force_in_a_contact_is_that_of_scipys_integrator(stiffness: float, d
 
 def test_a_wall_on_the_other_side_is_the_same_wall() -> None:
     made = touch(LOAD, 6.0e4, 50.0, H_S, depth_m=1e-3)
-    layout, values = Layout(robot_order=0, surfaces=1), np.concatenate([LOAD.vector(), [6.0e4, 50.0, 1.0]])
+    layout, values = ParameterLayout(robot_order=0, surfaces=1), np.concatenate([LOAD.vector(), [6.0e4, 50.0, 1.0]])
     forces = []
     for sign in (1, -1):
         path = measured_path(sign * made.position_m, KEEP_ALL)
@@ -82,7 +82,7 @@ def test_a_wall_on_the_other_side_is_the_same_wall() -> None:
 def test_a_commanded_path_holds_what_the_robot_alone_does_between_the_ticks() -> None:
     """With the command the force is exact though the flange jumps in speed at every tick."""
     values = np.concatenate([LOAD.vector(), [20.0, 2.3e-3]])
-    layout = Layout(robot_order=1, surfaces=0)
+    layout = ParameterLayout(robot_order=1, surfaces=0)
     command = sweep(1.0, 1.0 / H_S, high_hz=20.0)
     path = commanded_path(values[4:], command, np.zeros(len(command)), Smoother(taps=None), H_S)
     # What the pose shows beside the robot is left out here, but for its mean, which no force depends on.
@@ -160,7 +160,7 @@ def test_a_step_that_is_kept_cannot_be_changed() -> None:
 
 
 def test_names_stand_where_the_slices_say() -> None:
-    layout = Layout(robot_order=2, surfaces=2)
+    layout = ParameterLayout(robot_order=2, surfaces=2)
     assert layout.names[layout.robot] == ("robot_frequency_rad_per_s", "robot_damping_ratio", "delay_s")
     assert layout.names[layout.surface(1)][0] == "environment2_stiffness_n_per_m"
     assert len(layout) == 13

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from identification.joint_fit.covariance import bounded_intervals, count_misfits, widened
-from identification.joint_fit.model import Layout
+from identification.joint_fit.model import ParameterLayout
 from identification.joint_fit.noise import Smoother, Whitener
 from identification.joint_fit.segments import Segment, group_contacts, predict_force
 from identification.joint_fit.solve import Point, Problem, Signals, information, linearise, minimise, sizes_of
@@ -16,7 +16,7 @@ from tests.identification.synthetic import sweep
 FloatArray = NDArray[np.float64]
 
 H_S = 1e-3
-LAYOUT = Layout(robot_order=1, surfaces=1)
+LAYOUT = ParameterLayout(robot_order=1, surfaces=1)
 TRUTH = np.array([2.4e5, 120.0, 280.0, 14.0, 20.0, 2.35e-3, 5.0e4, 60.0, 2.0])
 NOISE_N, NOISE_M = 0.1, 1e-6
 OWN = (np.zeros(3), np.array([-3.0, 0.5, 0.1, 8e-3]))

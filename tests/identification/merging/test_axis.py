@@ -17,8 +17,8 @@ from identification.result import (
     Estimate,
     Finding,
     Identified,
-    Kind,
-    Phase,
+    LogPhase,
+    PhaseKind,
     RobotEstimate,
     Status,
     Timeline,
@@ -171,7 +171,7 @@ def test_a_renamed_surface_is_renamed_in_the_time_line_and_the_messages() -> Non
         onset_s=1.0, peak_s=1.1, peak_force_n=40.0, hold_s=None, release_s=None, bounces_s=(), surface="x1",
         hand_suspected=None,
     )  # fmt: skip
-    line = Timeline(phases=(Phase(kind=Kind.CONTACT, start_s=1.0, stop_s=2.0, axis="x", contact=touch),))
+    line = Timeline(phases=(LogPhase(kind=PhaseKind.CONTACT, start_s=1.0, stop_s=2.0, axis="x", contact=touch),))
     about = Finding(code="impact-spike", severity="warning", message="Surface x1: a blow.", advice="")
     second = replace(with_surfaces(SOFT, HARD), timelines=(line,), findings=(about,))
     found = combined(with_surfaces(HARD), second)

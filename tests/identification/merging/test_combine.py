@@ -20,9 +20,9 @@ from identification.result import (
     Finding,
     FitQuality,
     Identified,
-    Kind,
+    LogPhase,
     PayloadEstimate,
-    Phase,
+    PhaseKind,
     RobotEstimate,
     SensorEstimate,
     Status,
@@ -232,7 +232,7 @@ def test_the_worst_of_a_known_and_an_unknown_noise_is_the_known_one() -> None:
 
 
 def test_each_log_keeps_its_time_line_under_its_name() -> None:
-    phase = Phase(kind=Kind.REST, start_s=0.0, stop_s=1.0)
+    phase = LogPhase(kind=PhaseKind.REST, start_s=0.0, stop_s=1.0)
     parts = [replace(told(), timelines=(Timeline(phases=(phase,)),)) for _ in range(2)]
     assert [line.log for line in combined(*parts).timelines] == ["log0", "log1"]
 

@@ -26,7 +26,7 @@ from identification.payload.inertia import (
 from identification.payload.static_poses import StaticPose, collect_static_poses
 from identification.result import Status
 from identification.signals.aligned import AlignedLog
-from identification.signals.segments import Motion, find_motion
+from identification.signals.segments import MotionSpans, find_motion
 from tests.identification.synthetic import ramp
 
 FloatArray = NDArray[np.float64]
@@ -56,7 +56,7 @@ def turns(axes: FloatArray, angle_rad: float = 0.9) -> Rotation:
 @dataclass(frozen=True, kw_only=True)
 class Scene:
     log: AlignedLog
-    motion: Motion
+    motion: MotionSpans
     poses: tuple[StaticPose, ...]
     gravity: GravityFit
 

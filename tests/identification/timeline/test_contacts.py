@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 from identification.axes.straight import AxisMotion
-from identification.signals.segments import Motion, find_motion
+from identification.signals.segments import MotionSpans, find_motion
 from identification.timeline.contacts import Pressed, find_contacts
-from identification.timeline.payload import AxisContacts, Payload, see_payload
+from identification.timeline.payload import AxisContacts, PayloadMotion, observe_payload
 from tests.identification.signals.test_segments import RATE_HZ, line, log_of
 from tests.identification.synthetic import Load, ramp
 
@@ -25,7 +25,7 @@ WALL_M = 8e-3
 
 def pressed(
     position: FloatArray, force: FloatArray, *, sign: float = 1.0, seed: int = 2, jitter_m: float = 0.0
-) -> tuple[AxisContacts, Payload, Motion]:
+) -> tuple[AxisContacts, PayloadMotion, MotionSpans]:
     """One axis in front of a wall, with 0.1 N of noise; held where it rests with force on it."""
     rng = np.random.default_rng(seed)
     noisy = force + 0.1 * rng.standard_normal(len(force))
@@ -40,7 +40,7 @@ def pressed(
     )
     holds = tuple(span for span in motion.still if abs(float(np.median(noisy[span.slice]))) > 4.0)
     of = AxisContacts(axis=axis, holds=holds, coupling=LOAD.vector())
-    return of, see_payload(of, H_S), motion
+    return of, observe_payload(of, H_S), motion
 
 
 @dataclass(frozen=True, kw_only=True)

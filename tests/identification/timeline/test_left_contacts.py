@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from identification.result import CONTACT_UNEXPLAINED, EnvironmentEstimate, Estimate, Status
 from identification.timeline.contacts import find_contacts
-from identification.timeline.left_contacts import Accounted, SeenAxis, account_for_contacts, learn_slope
+from identification.timeline.left_contacts import Accounted, ObservedAxis, account_for_contacts, learn_slope
 from identification.timeline.timeline import build_timeline
 from identification.verdicts import unidentifiable
 from tests.identification.signals.test_segments import line, log_of
@@ -45,7 +45,7 @@ def pushed() -> Press:
 
 def seen(
     *presses: Press, fitted: EnvironmentEstimate | None = None, sign: float = 1.0, coupling: Estimate = K_S
-) -> tuple[Accounted, SeenAxis]:
+) -> tuple[Accounted, ObservedAxis]:
     """What the time line finds of one axis, and where it ends."""
     position = np.concatenate([press.position_m for press in presses])
     force = np.concatenate([press.force_n for press in presses])
@@ -54,7 +54,7 @@ def seen(
     log = log_of(line(position))
     phases = build_timeline(log, motion, log.force_S_n, [of], None, LOAD.mass, [found])
     surfaces = () if fitted is None else ((int(sign), fitted),)
-    axis = SeenAxis(of=of, payload=payload, pressed=found, coupling=coupling, surfaces=surfaces)
+    axis = ObservedAxis(of=of, payload=payload, pressed=found, coupling=coupling, surfaces=surfaces)
     return account_for_contacts(phases, [axis], H_S), axis
 
 

@@ -5,13 +5,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import butter, lsim, sosfilt
 
-from identification.timeline.moves import Admittance, find_admittance, follows, is_hand_led, is_stepped
+from identification.timeline.moves import FoundAdmittance, find_admittance, follows, is_hand_led, is_stepped
 from tests.identification.synthetic import Load, felt_force, ramp, sweep
 
 FloatArray = NDArray[np.float64]
 
 H_S = 2e-3
-LAW = Admittance(mass_kg=14.0, damping_n_s_per_m=1100.0)
+LAW = FoundAdmittance(mass_kg=14.0, damping_n_s_per_m=1100.0)
 
 
 def slow_force(seconds: float, size_n: float, seed: int = 0) -> FloatArray:

@@ -22,7 +22,7 @@ from identification.signals.aligned import AlignedLog, align, spans_of
 from identification.signals.recording import PoseSignal
 from identification.signals.segments import find_motion, without_pauses, without_short
 from identification.timeline.payload import AxisContacts
-from identification.timeline.timeline import ContactPhase, Kind, Phase, build_timeline, tell_surfaces
+from identification.timeline.timeline import ContactPhase, LogPhase, PhaseKind, build_timeline, name_surfaces
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment
 from problems.model.robot import RobotModel
@@ -46,7 +46,7 @@ class Told:
 
     run: CellRun
     log: AlignedLog
-    timeline: tuple[Phase, ...]
+    timeline: tuple[LogPhase, ...]
 
     @property
     def contacts(self) -> list[ContactPhase]:
@@ -123,7 +123,7 @@ def told(seed: int) -> Told:
     return tell(simulate_cell(cell, program, seed=seed))
 
 
-def label(phases: tuple[Phase, ...], count: int, period_s: float) -> Labels:
+def label(phases: tuple[LogPhase, ...], count: int, period_s: float) -> Labels:
     labels = np.full(count, "", dtype=object)
     for phase in phases:
         labels[round(phase.start_s / period_s) : round(phase.stop_s / period_s)] = phase.kind.value
@@ -136,13 +136,13 @@ def script_labels(run: CellRun) -> tuple[Labels, NDArray[np.bool_]]:
     turning = np.linalg.norm(np.gradient(script.rotation_rad, period, axis=0), axis=1)
     quiet = (np.abs(np.gradient(axis.flange_m, period)) < 1.5e-3) & (turning < 0.02)
     still = without_short(~without_pauses(~quiet, round(0.24 / period)), round(0.4 / period))
-    labels = np.full(len(script), Kind.FREE_MOTION.value, dtype=object)
-    labels[without_pauses(turning > 0.0, round(0.5 / period))] = Kind.TURNING.value
-    labels[without_pauses(script.command_m != 0.0, round(0.5 / period))] = Kind.COMMANDED_MOTION.value
+    labels = np.full(len(script), PhaseKind.FREE_MOTION.value, dtype=object)
+    labels[without_pauses(turning > 0.0, round(0.5 / period))] = PhaseKind.TURNING.value
+    labels[without_pauses(script.command_m != 0.0, round(0.5 / period))] = PhaseKind.COMMANDED_MOTION.value
     led = script.homing_n_per_m > 0.0
-    labels[led] = Kind.HAND_LED_MOTION.value
-    labels[still] = Kind.REST.value
-    labels[without_pauses(axis.contact_force_n > 0.0, round(0.3 / period))] = Kind.CONTACT.value
+    labels[led] = PhaseKind.HAND_LED_MOTION.value
+    labels[still] = PhaseKind.REST.value
+    labels[without_pauses(axis.contact_force_n > 0.0, round(0.3 / period))] = PhaseKind.CONTACT.value
     return labels, led
 
 
@@ -156,13 +156,18 @@ def test_the_line_is_the_scripts(seed: int) -> None:
     for change in np.flatnonzero(labels[1:count] != labels[: count - 1]):
         near[max(0, change - border) : change + border] = True
     # A hand that rests is a rest or a part of its motion, as one likes; how it began may not be told.
-    rests = [Kind.REST.value, Kind.HAND_LED_MOTION.value]
-    either = np.isin(mine, rests) | ((mine == Kind.UNKNOWN.value) & (labels[:count] == Kind.REST.value))
+    rests = [PhaseKind.REST.value, PhaseKind.HAND_LED_MOTION.value]
+    either = np.isin(mine, rests) | ((mine == PhaseKind.UNKNOWN.value) & (labels[:count] == PhaseKind.REST.value))
     either &= led[:count]
     assert np.mean((mine == labels[:count]) | near | either) >= 0.98
-    assert {Kind.REST, Kind.TURNING, Kind.HAND_LED_MOTION, Kind.COMMANDED_MOTION, Kind.FREE_MOTION, Kind.CONTACT} <= {
-        phase.kind for phase in found.timeline
-    }
+    assert {
+        PhaseKind.REST,
+        PhaseKind.TURNING,
+        PhaseKind.HAND_LED_MOTION,
+        PhaseKind.COMMANDED_MOTION,
+        PhaseKind.FREE_MOTION,
+        PhaseKind.CONTACT,
+    } <= {phase.kind for phase in found.timeline}
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -216,8 +221,8 @@ def test_a_hand_during_a_contact_is_noticed(seed: int, size_n: float, monkeypatc
 
 def test_without_a_command_a_sweep_is_free_motion() -> None:
     kinds = {phase.kind for phase in tell(told(0).run, with_command=False).timeline}
-    assert Kind.COMMANDED_MOTION not in kinds
-    assert {Kind.FREE_MOTION, Kind.HAND_LED_MOTION, Kind.CONTACT} <= kinds
+    assert PhaseKind.COMMANDED_MOTION not in kinds
+    assert {PhaseKind.FREE_MOTION, PhaseKind.HAND_LED_MOTION, PhaseKind.CONTACT} <= kinds
 
 
 def test_contacts_get_the_number_of_the_surface_that_is_touched_there() -> None:
@@ -226,13 +231,13 @@ def test_contacts_get_the_number_of_the_surface_that_is_touched_there() -> None:
     assert first.onset_s is not None
     assert second.onset_s is not None
     axis = found.run.cell.approach_axis
-    line = tell_surfaces(found.timeline, axis, [[second.onset_s + 0.02], [first.onset_s - 0.02]])
+    line = name_surfaces(found.timeline, axis, [[second.onset_s + 0.02], [first.onset_s - 0.02]])
     assert [phase.contact.surface for phase in line if phase.contact is not None] == [f"{axis}2", f"{axis}1"]
     other = "y" if axis == "x" else "x"
-    assert tell_surfaces(found.timeline, other, [[first.onset_s]]) == found.timeline
+    assert name_surfaces(found.timeline, other, [[first.onset_s]]) == found.timeline
 
 
-def check_whole(phases: tuple[Phase, ...], log: AlignedLog) -> None:
+def check_whole(phases: tuple[LogPhase, ...], log: AlignedLog) -> None:
     """From 0 to the end, each phase where the last one stopped, none empty."""
     assert phases[0].start_s == 0.0
     assert [phase.start_s for phase in phases[1:]] == [phase.stop_s for phase in phases[:-1]]
@@ -291,7 +296,7 @@ def test_the_line_covers_any_log_once(
     check_whole(phases, log)
     for missing in log.holes:
         inside = [p for p in phases if p.start_s <= missing.start * log.period_s < p.stop_s]
-        assert [p.kind for p in inside] == [Kind.UNKNOWN]
+        assert [p.kind for p in inside] == [PhaseKind.UNKNOWN]
 
 
 def test_a_rest_under_force_whose_way_in_is_not_shown_is_unknown() -> None:
@@ -302,7 +307,7 @@ def test_a_rest_under_force_whose_way_in_is_not_shown_is_unknown() -> None:
     (axis,) = find_axes(log, motion, log.force_S_n).axes
     of = AxisContacts(axis=axis, holds=motion.still, coupling=np.array([2e5, 100.0, 300.0, 12.0]))
     phases = build_timeline(log, motion, log.force_S_n, [of], None, 12.0)
-    assert {phase.kind for phase in phases} == {Kind.UNKNOWN}
+    assert {phase.kind for phase in phases} == {PhaseKind.UNKNOWN}
 
 
 def test_a_commanded_move_is_commanded_and_one_without_command_is_free() -> None:
@@ -312,5 +317,5 @@ def test_a_commanded_move_is_commanded_and_one_without_command_is_free() -> None
         [phase.kind for phase in build_timeline(log, motion, log.force_S_n, (), command, 12.0)]
         for command in (command_of(log), None, replace(command_of(log), position_m=np.zeros((len(log), 3))))
     ]
-    assert kinds[0] == [Kind.REST, Kind.COMMANDED_MOTION, Kind.REST]
-    assert kinds[1] == kinds[2] == [Kind.REST, Kind.FREE_MOTION, Kind.REST]
+    assert kinds[0] == [PhaseKind.REST, PhaseKind.COMMANDED_MOTION, PhaseKind.REST]
+    assert kinds[1] == kinds[2] == [PhaseKind.REST, PhaseKind.FREE_MOTION, PhaseKind.REST]
