@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from autotune.export.targets import export_controller
+from autotune.export.export import export_controller
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.identified import read_identified, write_identified
 from autotune.formats.made import MadeHere

@@ -1,18 +1,14 @@
-"""`export --target c`: the runtime's step with the numbers of one controller, as one C99 source and its header."""
+"""Render the runtime's step with the numbers of one controller as one C99 source and its header."""
 
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from string import Template
 from typing import Any
 
 from autotune import __version__
-from autotune.errors import UsageError
-from autotune.formats.atomic import write_atomic
 from autotune.formats.canonical import short
-from autotune.formats.controller import read_controller
 from autotune.runtime.controller import SAME_SAMPLE_TIME, RuntimeController
 from autotune.runtime.frames import LARGEST_SKEW, LARGEST_WAY, SMALLEST_TRACE
 from autotune.runtime.guard import (
@@ -26,14 +22,10 @@ from autotune.runtime.guard import (
     WEIGHT_WAY,
 )
 from autotune.runtime.law import AxisLaw, CollisionResponse
-from autotune.runtime.load import read_law
 
 from .c_header import HEADER
 from .c_text import SOURCE_CODE, SOURCE_DATA
-from .replace import check_replaceable
-from .trust import Trust, check_law
 
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
 _RESPONSES = (CollisionResponse.NONE, CollisionResponse.RESET, CollisionResponse.STOP)
 
 
@@ -43,33 +35,6 @@ class CSource:
 
     header: str
     source: str
-
-
-def export_c(
-    path: Path | str,
-    out: Path | str,
-    trust: Trust,
-    progress: Callable[[float], None] | None = None,
-) -> str:
-    """Verify the controller file `path`, write `out`, a `.c`, and the `.h` beside it, and return the checksum.
-
-    The name before `.c` is that of the functions. Each file is replaced in one step, the header first; a source beside
-    the header of another controller does not compile.
-
-    Raises CertificateError: the file is altered, not validated, not as `trust` asks, or false. UsageError: `out` is no
-    name for C, is not writable, or is the file of somebody else.
-    """
-    source, header = Path(out), Path(out).with_suffix(".h")
-    if source.suffix != ".c" or not _NAME.fullmatch(source.stem):
-        raise UsageError(f"{out} must be a name for C functions followed by .c, such as cell.c; name another file.")
-    verified = read_controller(path)
-    check_replaceable(out, "c", path)
-    signed_by = trust.verify(verified)
-    check_law(verified, progress)
-    text = render_c(read_law(path), source.stem, verified.controller.provenance, signed_by)
-    write_atomic(header, text.header)
-    write_atomic(source, text.source)
-    return verified.checksum
 
 
 def render_c(

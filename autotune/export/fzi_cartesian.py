@@ -1,28 +1,28 @@
-"""The force controller of FZI's cartesian_controllers: what it can be, and its parameter file.
+"""Export to the force controller of FZI's cartesian_controllers: options, parameter file and notes.
 
-Its rule is `problems.model.third_party_controllers.ForwardDynamics`. Read in the sources of branch ros2
-(cartesian_controller_base at
-commit 4e84f69, cartesian_force_controller of the same time); docs/targets.md tells what was read where.
+Its rule is that of `fzi_axis`. Read in the sources of branch ros2 (cartesian_controller_base at commit 4e84f69,
+cartesian_force_controller of the same time); docs/targets.md says what was read where.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from typing import TYPE_CHECKING
 
-from autotune.formats.controller_record import AxisGains, Controller
-from autotune.formats.units import axis_units
-from autotune.validation.law import AxisTask
-from problems.contact.linear_controller_contact import force_per_speed
-from problems.contact.transient import SampledContact, build_sampled_contact
-from problems.design.problem import DEFAULT_BOUNDS
-from problems.model.linear_controllers import LinearController
-from problems.model.sampled import build_sampled_plant
-from problems.model.third_party_controllers import VELOCITY_KEPT, ForwardDynamics
+from autotune.errors import UsageError
 
-from .fzi_axes import Quaternion, check_orientation
-from .ros_yaml import Tree, check_keys, check_names, update_rate_hz
-from .structure import Values, Variable, lost_gains
+from .ros_yaml import NAME_OPTIONS, Tree, check_keys, check_names, update_rate_hz
+from .target import ExportRequest, Rendered, Target, TargetOption, begins_with
+
+if TYPE_CHECKING:
+    from autotune.formats.controller import ControllerFile
+    from autotune.formats.controller_record import AxisGains, Controller
+    from autotune.validation.law import AxisTask
+
+    from .retune import Structure
+    from .third_party import ParameterFile, Translation
+
+Quaternion = tuple[float, float, float, float]
 
 LINK_MASS_KEY = "solver/forward_dynamics/link_mass"
 """One name with slashes, as it is declared; keys that are nested in the file are joined by points."""
@@ -45,16 +45,36 @@ KNOWN_KEYS = frozenset(
 )
 """Every parameter that the force controller declares with the solver forward_dynamics."""
 
-# Gains that a search may choose, as ratios of the translated one; the lead stays where our own K_l does, for noise.
-_GAIN_RATIO, _LONGEST_LEAD_S = (0.03, 10.0), DEFAULT_BOUNDS["lead_s"][1]
 # The mass (kg) of the inner links, which the law leaves out: at 1e-4 they take 0.04 % of the motion, at the default of
 # 0.1 more than a quarter.
 _LINK_MASS = 1e-4
+# How far from 1 the length of a quaternion may be that a person types.
+_UNIT = 0.01
+
+
+def parse_orientation(text: str) -> Quaternion:
+    """Return the quaternion (x, y, z, w) of a text as "0,0,0,1"; raises UsageError for one that is none."""
+    try:
+        numbers = [float(each) for each in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != len("xyzw"):
+        raise UsageError(f"--orientation must be four numbers QX,QY,QZ,QW, a quaternion; found {text}.")
+    return numbers[0], numbers[1], numbers[2], numbers[3]
+
+
+def check_orientation(orientation: Quaternion) -> None:
+    """Raise UsageError for a quaternion that is not of length 1."""
+    length = math.hypot(*orientation)
+    if not abs(length - 1.0) <= _UNIT:
+        raise UsageError(
+            f"--orientation must be a quaternion QX,QY,QZ,QW of length 1, found {orientation} of length {length:.6g}."
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class FziOptions:
-    """The names that the file needs beyond the controller, and how the sensor stands in the base where it is used.
+    """The names that the file needs beyond the controller, and the sensor's orientation in the base where it is used.
 
     `orientation` is a quaternion (x, y, z, w) that takes vectors from the sensor's axes, those that were tuned, to the
     base's. Raises UsageError for a name or a quaternion that is none.
@@ -80,66 +100,6 @@ class FziOptions:
             check_names(what, (name,))
 
 
-@dataclass(frozen=True)
-class FziAxis:
-    """One axis: the gain p and the derivative's share of it (s), which leads as K_l does."""
-
-    task: AxisTask
-    gains: AxisGains
-    options: FziOptions
-
-    @cached_property
-    def pair(self) -> SampledContact:
-        """The nominal plant; how fast this controller moves depends on the robot's lag."""
-        return build_sampled_contact(build_sampled_plant(self.task.domain.nominal_plant(), self.task.sample_time_s))
-
-    @cached_property
-    def translated(self) -> Values:
-        """The gain that moves as fast per newton as B_a does, and K_l."""
-        twice, once = (self._force_per_speed(ForwardDynamics(proportional=p, derivative=0.0)) for p in (1.0, 2.0))
-        # What a speed takes is the drag, and what the gain is divided into.
-        inverse = 2.0 * (twice - once)
-        return inverse / (self.gains.damping + self.task.domain.drag_n_s_per_m - (twice - inverse)), self.gains.lead_s
-
-    def _force_per_speed(self, rule: ForwardDynamics) -> float:
-        return force_per_speed(self.pair, rule.law(self.task.sample_time_s))
-
-    @property
-    def variables(self) -> tuple[Variable, ...]:
-        """p, and d/p (s)."""
-        gain = self.translated[0]
-        return (
-            Variable(name="p", low=gain * _GAIN_RATIO[0], high=gain * _GAIN_RATIO[1]),
-            Variable(name="lead", low=0.0, high=_LONGEST_LEAD_S, ratio=False),
-        )
-
-    def written(self, values: Values) -> Mapping[str, float]:
-        """Return p and d with six digits, as the file holds them."""
-        gain = float(f"{values[0]:.6g}")
-        return {"p": gain, "d": float(f"{gain * values[1]:.6g}")}
-
-    def law(self, values: Values) -> LinearController:
-        """Return the law that runs with the numbers as they are written."""
-        gains = self.written(values)
-        return ForwardDynamics(proportional=gains["p"], derivative=gains["d"]).law(self.task.sample_time_s)
-
-    def dropped(self) -> tuple[str, ...]:
-        """Say what of the gains is left out."""
-        units = axis_units(self.task.axis)
-        mass = f"axis {self.task.axis}: mass M_a = {self.gains.mass:g} {units.mass} (it is not free)"
-        return (mass, *lost_gains(self.task, self.gains, expressed=("lead_s",)))
-
-    def told(self, values: Values) -> Iterator[str]:
-        """Say what mass and damping the gains come to on this robot at this rate."""
-        units, h = axis_units(self.task.axis), self.task.sample_time_s
-        damping = force_per_speed(self.pair, self.law(values)) - self.task.domain.drag_n_s_per_m
-        lag = -h / math.log(VELOCITY_KEPT)
-        yield (
-            f"axis {self.task.axis}: rendered damping {damping:.4g} {units.damping} and mass {lag * damping:.3g} "
-            f"{units.mass}; the speed dies out within {lag * 1e3:.3g} ms at this update rate, whatever the gains."
-        )
-
-
 def notes() -> Iterator[str]:
     """Say what the controller does of itself."""
     yield (
@@ -147,8 +107,8 @@ def notes() -> Iterator[str]:
         "file holds for its update_rate alone. The command starts from the measured position in every cycle."
     )
     yield (
-        "That takes the robot's own lag out of the loop, and the peaks told rest on the robot model more than those of "
-        "a controller that integrates by itself: measure one contact before relying on them."
+        "That takes the robot's own lag out of the loop, and the predicted peaks rest on the robot model more than "
+        "those of a controller that integrates by itself: measure one contact before relying on them."
     )
     yield (
         "The wrench comes by a topic (~/ft_sensor_wrench), unfiltered and with gravity and bias already removed: its "
@@ -162,7 +122,7 @@ def notes() -> Iterator[str]:
 
 
 def parameter_tree(
-    controller: Controller, values: Mapping[str, Mapping[str, float]], options: FziOptions
+    controller: "Controller", values: Mapping[str, Mapping[str, float]], options: FziOptions
 ) -> tuple[Tree, int]:
     """Return the whole file as a tree, and the update rate [Hz] that it holds for; `values` by axis of the base."""
     rate = update_rate_hz(controller.sample_time_s)
@@ -183,3 +143,49 @@ def parameter_tree(
     name = options.controller_name
     manager: Tree = {"update_rate": rate, name: {"type": "cartesian_force_controller/CartesianForceController"}}
     return {"controller_manager": {"ros__parameters": manager}, name: {"ros__parameters": parameters}}, rate
+
+
+def translate(
+    source: "ControllerFile", options: FziOptions, progress: Callable[[float], None] | None = None
+) -> "Translation":
+    """Return the controller as this program runs it, certified; raises as `third_party.translate_controller`."""
+    from .fzi_axis import FziAxis, base_axes, check_kinds, orientation_notes  # noqa: PLC0415
+    from .third_party import ParameterFile, translate_controller  # noqa: PLC0415
+
+    def build_axes(tasks: Mapping[str, "AxisTask"], gains: Mapping[str, "AxisGains"]) -> tuple[list["Structure"], bool]:
+        check_kinds(tasks, options.orientation)
+        return [FziAxis(task, gains[name]) for name, task in tasks.items()], False
+
+    def build_file(controller: "Controller", written: Mapping[str, Mapping[str, float]]) -> "ParameterFile":
+        places = base_axes(written, options.orientation)
+        tree, rate = parameter_tree(controller, {places[axis]: gains for axis, gains in written.items()}, options)
+        return ParameterFile(
+            tree=tree,
+            update_rate_hz=rate,
+            software="cartesian_controllers (FZI), cartesian_force_controller, branch ros2",
+            notes=(*orientation_notes(written, options.orientation, options.base_link), *notes()),
+        )
+
+    return translate_controller(source, options.joints, build_axes, build_file, progress)
+
+
+def _render(request: ExportRequest) -> Rendered:
+    return translate(request.source, FziOptions(**request.options), request.progress).rendered()
+
+
+FZI_CARTESIAN = Target(
+    name="fzi_cartesian",
+    summary="parameters of FZI's Cartesian force controller.",
+    render=_render,
+    is_own=begins_with(rb"# Written by autotune \S+ for cartesian_controllers "),
+    options=(
+        *NAME_OPTIONS,
+        TargetOption(
+            flag="--orientation",
+            metavar="QX,QY,QZ,QW",
+            help="The sensor's orientation in the base where it is used, for gains that are not alike.",
+            parse=parse_orientation,
+        ),
+    ),
+    runs_same_law=False,
+)

@@ -7,13 +7,15 @@ worse joins the plants.
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from autotune.errors import CertificateError, InfeasibleError
-from autotune.formats.controller_record import AdmittanceRequirement, Requirement
+from autotune.formats.controller_record import AdmittanceRequirement, AxisGains, Requirement
 from autotune.validation.law import MARGIN_OF, AxisTask, LawCertificate, certify_law
 from problems.contact.linear_controller_contact import simulate_linear_contact
 from problems.contact.transient import SampledContact, build_sampled_contact
@@ -29,9 +31,9 @@ from problems.stability.margins import frequency_grid, margins_on_grid
 from problems.stability.noise import command_speed_gain
 from problems.stability.passivity import passive_below_hz
 
-from .structure import Structure, Values
-
 FloatArray = NDArray[np.float64]
+
+Values = tuple[float, ...]
 
 _FIRST_GRID, _FINER_GRID, _LEVELS = 13, 5, 9
 _ROUNDS = 5
@@ -44,10 +46,62 @@ _RESERVE = 0.004
 _MISSED, _UNSTABLE = 1e9, 1e15
 
 
-class QuickJudge:
-    """The plants of a search, prepared once; `cost` is what a law is to be small in.
+@dataclass(frozen=True, kw_only=True)
+class Variable:
+    """A free number of a structure and its bounds; a search goes by equal ratios, or by equal steps without `ratio`."""
 
-    `missed` tells of the last law that missed something by how much: required/achieved by name.
+    name: str
+    low: float
+    high: float
+    ratio: bool = True
+
+
+class Structure(Protocol):
+    """One axis of another controller."""
+
+    @property
+    def task(self) -> AxisTask:
+        """What the axis was certified for."""
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        """What a search may choose."""
+
+    @property
+    def translated(self) -> Values:
+        """The numbers that come nearest to the gains of the file."""
+
+    def written(self, values: Values) -> Mapping[str, float]:
+        """Return the axis' numbers as they are written into the file, in its own terms."""
+
+    def law(self, values: Values) -> LinearController:
+        """Return the law that runs with the numbers as they are written."""
+
+    def dropped(self) -> tuple[str, ...]:
+        """Say what of the gains the structure cannot express."""
+
+    def notes(self, values: Values) -> Iterator[str]:
+        """Say what the numbers mean for who runs them."""
+
+
+def lost_gains(task: AxisTask, gains: AxisGains, expressed: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """Say which gains of an axis have no place in a structure that expresses but the named ones beside M_a and B_a."""
+    known = {
+        "lead_s": ("lead K_l", gains.lead_s, "s"),
+        "feedback_damping_s": ("feedback damping B_fb", gains.feedback_damping_s, "s"),
+        "deadband": ("deadband", gains.deadband, "N·m" if task.axis.startswith("r") else "N"),
+    }
+    return tuple(
+        f"axis {task.axis}: {what} = {value:g} {unit}"
+        for name, (what, value, unit) in known.items()
+        if name not in expressed and value != 0.0
+    )
+
+
+class QuickJudge:
+    """The plants of a search, prepared once; `cost` is what is minimised.
+
+    `missed` holds required/achieved by name of the last law that missed something.
     """
 
     def __init__(self, task: AxisTask, scenarios: tuple[Scenario, ...], reserve: float) -> None:
@@ -143,7 +197,7 @@ def retune(task: AxisTask, structure: Structure) -> tuple[Values, LawCertificate
         judge = QuickJudge(task, scenarios, reserve)
         values, cost = _zoom(structure, judge)
         if cost >= _MISSED:
-            raise InfeasibleError(_told(structure, judge, values))
+            raise InfeasibleError(_nearest(structure, judge, values))
         certificate = certify_law(task, structure.law(values))
         if certificate.holds:
             return values, certificate
@@ -237,7 +291,7 @@ def _unit(structure: Structure) -> tuple[float, ...]:
     return tuple(found)
 
 
-def _told(structure: Structure, judge: QuickJudge, values: Values) -> str:
+def _nearest(structure: Structure, judge: QuickJudge, values: Values) -> str:
     """Say how near the best that was found came."""
     numbers = ", ".join(f"{name} {value:.4g}" for name, value in structure.written(values).items())
     if judge.cost(structure.law(values)) >= _UNSTABLE:

@@ -1,25 +1,28 @@
-"""The admittance controller of ros2_controllers: what it can be, and its parameter file.
+"""Export to the admittance controller of ros2_controllers: options, parameter file and notes.
 
-Its rule is `problems.model.third_party_controllers.SpringAdmittance` on every axis, those that were tuned and those
-that must not move. docs/targets.md says which versions were read, and what in which file.
+Its rule, on every axis, tuned or not, is that of `ros2_axis`. docs/targets.md says which versions were read, and what
+in which file.
 """
 
 import math
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from autotune.errors import UsageError
-from autotune.formats.controller_record import AxisGains, Controller
-from autotune.formats.records import ROTATIONAL_AXES
-from autotune.formats.units import axis_units
-from autotune.validation.law import AxisTask
 from problems.frozen import FrozenDict
-from problems.model.linear_controllers import LinearController
-from problems.model.third_party_controllers import SpringAdmittance
 
-from .ros_yaml import Tree, check_keys, check_names, update_rate_hz
-from .structure import Values, Variable, lost_gains
+from .ros_yaml import NAME_OPTIONS, Tree, check_keys, check_names, update_rate_hz
+from .target import ExportRequest, Rendered, Target, TargetOption, begins_with
+
+if TYPE_CHECKING:
+    from autotune.formats.controller import ControllerFile
+    from autotune.formats.controller_record import AxisGains, Controller, RuntimePayload
+    from autotune.validation.law import AxisTask
+
+    from .retune import Structure
+    from .third_party import ParameterFile, Translation
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 STANDARD_GRAVITY = 9.80665
@@ -35,12 +38,9 @@ RELEASES: Mapping[str, tuple[int, int, int]] = FrozenDict(
 """The releases that are known by name, with the newest version of the package that is known of each."""
 KNOWN_RANGES = (((2, 54, 0), (3, 0, 0)), ((4, 0, 0), (7, 0, 0)))
 """The versions that run this rule: from, and before."""
+FIRST_WITHOUT_ROBOT_DESCRIPTION = (4, 3, 0)
+FIRST_WITH_WRENCH_REFERENCE = (4, 18, 0)
 FIRST_WITH_MASS_IN_CONTROL_FRAME = (6, 4, 0)
-JOINT_DAMPING_PER_S = 5.0
-"""What takes 5 times the joints' speed off their acceleration: the controller's default, written as it is."""
-RETURN_TIME_S = 36e3
-"""The time constant of the return spring where none is given: a minute takes back 0.17 % of the way."""
-
 KNOWN_KEYS = frozenset(
     {
         "joints",
@@ -71,13 +71,6 @@ KNOWN_KEYS = frozenset(
 )
 """Every parameter that the controller declares in 4.x, 5.x and 6.x (admittance_controller_parameters.yaml)."""
 
-# The dampings that a search may choose, as ratios of the file's own, and the longest M/D, of the file's own or of h.
-_DAMPING_RATIO, _LONGEST = (0.1, 30.0), 50.0
-# The least M/(h·D) of a search: numbers with six digits then still have M ≥ h·D.
-_LEAST = 1.0 + 2e-5
-# The least share of the damping that is the axis' own, beside that of the joints: D ≥ 0.1 (D + J M).
-_OWN_SHARE = 0.1
-_LONGEST_S = (1.0 - _OWN_SHARE) / JOINT_DAMPING_PER_S
 # The inverse of the Jacobian is damped by this; it takes motion away, at 0.0005 less than 1 % beyond singularities.
 _ALPHA = 0.0005
 
@@ -87,11 +80,11 @@ class Ros2Options:
     """What the file needs beyond the controller: version, names, and the numbers that the user may choose.
 
     `return_stiffness` (N/m; N·m/rad about rx, ry, rz) is the spring without which there is no damping; without one
-    it is the damping over `RETURN_TIME_S`.
+    it is the damping over `ros2_axis.RETURN_TIME_S`.
     Raises UsageError for a version or a name that is none, and numbers out of range.
     """
 
-    version: str = "jazzy"
+    ros2_version: str = "jazzy"
     controller_name: str = "admittance_controller"
     joints: tuple[str, ...] = tuple(f"joint_{i}" for i in range(1, 7))
     base_link: str = "base_link"
@@ -103,7 +96,7 @@ class Ros2Options:
     filter_coefficient: float = 1.0
 
     def __post_init__(self) -> None:
-        parse_version(self.version)
+        parse_version(self.ros2_version)
         check_names("--joints", self.joints)
         for what, name in (
             ("--controller-name", self.controller_name),
@@ -139,86 +132,6 @@ def parse_version(text: str) -> tuple[int, int, int]:
     return version[0], version[1], version[2]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Ros2Axis:
-    """One axis: mass and damping are free, the latter written as a ratio at a small stiffness.
-
-    The damping B = D + J M is that of the axis and the joints together. A search goes by M/B and B, since M ≥ h·B (see
-    `SpringAdmittance.own_pole`) and D ≥ 0.1 B are then bounds of its box. With `fixed_mass` B alone is free (the masses
-    of versions that read them in the base frame must be equal).
-    """
-
-    task: AxisTask
-    gains: AxisGains
-    options: Ros2Options
-    fixed_mass: float | None = None
-
-    @property
-    def variables(self) -> tuple[Variable, ...]:
-        """M/B (s) and B (N·s/m), or B alone."""
-        h, damping = self.task.sample_time_s, self.gains.damping
-        low, high = damping * _DAMPING_RATIO[0], damping * _DAMPING_RATIO[1]
-        if self.fixed_mass is not None:
-            least, most = self.fixed_mass / _LONGEST_S, self.fixed_mass / (_LEAST * h)
-            low = max(least, min(low, _DAMPING_RATIO[0] * most))
-            return (Variable(name="damping", low=low, high=max(low, min(high, most))),)
-        longest = min(_LONGEST * max(self.gains.mass / damping, h), _LONGEST_S)
-        return (
-            Variable(name="mass over damping", low=_LEAST * h, high=longest),
-            Variable(name="damping", low=low, high=high),
-        )
-
-    @property
-    def translated(self) -> Values:
-        """M_a/B_a and B_a, or B_a alone; more than B_a where the joints alone would take most of it."""
-        mass = self.gains.mass if self.fixed_mass is None else self.fixed_mass
-        damping = max(self.gains.damping, mass / _LONGEST_S)
-        return (damping,) if self.fixed_mass is not None else (mass / damping, damping)
-
-    def written(self, values: Values) -> Mapping[str, float]:
-        """Return mass, damping ratio and stiffness with six digits, as the file holds them."""
-        damping, given = values[-1], self.options.return_stiffness
-        mass = float(f"{self.fixed_mass or values[0] * damping:.6g}")
-        stiffness = float(f"{damping / RETURN_TIME_S:.6g}") if given is None else given
-        own = damping - JOINT_DAMPING_PER_S * mass
-        ratio = float(f"{own / (2.0 * math.sqrt(mass * stiffness)):.6g}")
-        return {"mass": mass, "damping_ratio": ratio, "stiffness": stiffness}
-
-    def rule(self, values: Values) -> SpringAdmittance:
-        """Return the rule that runs with the numbers as they are written."""
-        return SpringAdmittance(
-            **self.written(values),
-            joint_damping_per_s=JOINT_DAMPING_PER_S,
-            filter_coefficient=self.options.filter_coefficient,
-        )
-
-    def law(self, values: Values) -> LinearController:
-        """Return its difference equation."""
-        return self.rule(values).law(self.task.sample_time_s)
-
-    def dropped(self) -> tuple[str, ...]:
-        """Say what of the gains is left out."""
-        return lost_gains(self.task, self.gains)
-
-    def told(self, values: Values) -> Iterator[str]:
-        """Say what the return spring does, and where the law's own pole is."""
-        rule, turns = self.rule(values), self.task.axis in ROTATIONAL_AXES
-        h, units = self.task.sample_time_s, axis_units(self.task.axis)
-        travel, force = ("0.1 rad", "N·m") if turns else ("100 mm", "N")
-        returns_s = rule.total_damping / rule.stiffness
-        yield (
-            f"axis {self.task.axis}: the spring that the damping needs pulls back to the reference with "
-            f"{0.1 * rule.stiffness:.3g} {force} per {travel}, with a time constant of {returns_s:.3g} s: what was "
-            f"pushed away comes back by {100.0 * -math.expm1(-60.0 / returns_s):.2g} % in a minute."
-        )
-        yield (
-            f"axis {self.task.axis}: of the damping {rule.total_damping:.6g} {units.damping}, joint_damping makes "
-            f"{JOINT_DAMPING_PER_S:g} 1/s times the mass, {JOINT_DAMPING_PER_S * rule.mass:.4g}; the law's own pole is "
-            f"z = 1 − h·(D/M + J) = {rule.own_pole(h):.3g} at this update rate; M ≥ h·(D + J·M) keeps it from being "
-            "negative, where the speed would change sign in every cycle."
-        )
-
-
 def damped_rows(values: Mapping[str, Mapping[str, float]]) -> dict[str, Mapping[str, float]]:
     """Return mass, damping ratio and stiffness of all six axes, from those of the tuned ones as written.
 
@@ -229,7 +142,7 @@ def damped_rows(values: Mapping[str, Mapping[str, float]]) -> dict[str, Mapping[
     most = max(values.values(), key=lambda each: each["damping_ratio"] * math.sqrt(each["stiffness"] / each["mass"]))
     rows = dict[str, Mapping[str, float]]()
     for axis in AXES:
-        kind = AXES[3:] if axis in ROTATIONAL_AXES else AXES[:3]
+        kind = AXES[3:] if axis in AXES[3:] else AXES[:3]
         mass = max((values[each]["mass"] for each in kind if each in values), default=1.0)
         stiffness = float(f"{most['stiffness'] * mass / most['mass']:.6g}")
         still = {"mass": mass, "damping_ratio": most["damping_ratio"], "stiffness": stiffness}
@@ -238,9 +151,11 @@ def damped_rows(values: Mapping[str, Mapping[str, float]]) -> dict[str, Mapping[
 
 
 def parameter_tree(
-    controller: Controller, values: Mapping[str, Mapping[str, float]], options: Ros2Options
+    controller: "Controller", values: Mapping[str, Mapping[str, float]], options: Ros2Options
 ) -> tuple[Tree, int]:
     """Return the whole file as a tree, and the update rate [Hz] that it holds for; `values` by axis, as written."""
+    from .ros2_axis import JOINT_DAMPING_PER_S  # noqa: PLC0415
+
     rate = update_rate_hz(controller.sample_time_s)
     payload, frame = controller.payload, options.sensor_frame
     rows = damped_rows(values)
@@ -282,24 +197,122 @@ def parameter_tree(
     return {"controller_manager": {"ros__parameters": manager}, name: {"ros__parameters": parameters}}, rate
 
 
-def with_common_masses(axes: Mapping[str, Ros2Axis], version: tuple[int, int, int]) -> dict[str, Ros2Axis]:
-    """Give x, y, z one mass, and rx, ry, rz too, where the version reads masses in the base frame.
+def notes(payload: "RuntimePayload", tuned: Mapping[str, object], options: Ros2Options) -> Iterator[str]:
+    """Say what differs between versions, what the rule does when it fails, and how bias and drift are kept off."""
+    from .ros2_axis import JOINT_DAMPING_PER_S  # noqa: PLC0415
 
-    It is the largest of theirs, and no less than h·B_a of any. Equal masses are held as well: a search for one axis
-    alone would part them.
-    """
-    found = dict(axes)
-    if version >= FIRST_WITH_MASS_IN_CONTROL_FRAME:
-        return found
-    for group in (AXES[:3], AXES[3:]):
-        members = {axis: axes[axis] for axis in group if axis in axes}
-        if len(members) > 1:
-            mass = max(_least_mass(each) for each in members.values())
-            found |= {axis: replace(each, fixed_mass=mass) for axis, each in members.items()}
-    return found
+    version = parse_version(options.ros2_version)
+    if version < FIRST_WITH_MASS_IN_CONTROL_FRAME:
+        yield (
+            "admittance.mass is read in the frame of kinematics.base before 6.4.0 (and in the control frame from then "
+            "on); x, y, z have one mass here, and so have rx, ry, rz, which holds in any frame."
+        )
+    if version < FIRST_WITHOUT_ROBOT_DESCRIPTION:
+        yield (
+            "Before 4.3.0 the controller reads the URDF from its own parameter robot_description, which is not in this "
+            "file: add it where the controller is launched."
+        )
+    yield from _bias_notes(payload, options, has_reference=version >= FIRST_WITH_WRENCH_REFERENCE)
+    yield (
+        "Where the kinematics plugin reports an error, at a singularity or beyond the reach, the rule commands its "
+        "reference in that cycle: the arm jumps by the whole way that it was pushed. Keep the work away from there, "
+        "limit the joints' speed below the controller, and reactivate it after a long push: it then starts from there."
+    )
+    still = [axis for axis in AXES if axis not in tuned]
+    if still:
+        yield (
+            f"{', '.join(still)} {'was' if len(still) == 1 else 'were'} not tuned: no force moves them, and they are "
+            "damped and sprung as the tuned ones. Without that the rule, which integrates the joints' speed, would "
+            "make a drift of them that no force stops."
+        )
+    yield (
+        f"joint_damping is {JOINT_DAMPING_PER_S:g} 1/s, the controller's default, and part of the damping that is "
+        f"certified. filter_coefficient is {options.filter_coefficient:g} per cycle; its default of 0.05 would be a "
+        "low-pass far below the loop."
+    )
 
 
-def _least_mass(axis: Ros2Axis) -> float:
-    """Return M_a, or what B_a needs if that is more."""
-    needed = axis.task.sample_time_s * axis.gains.damping
-    return axis.gains.mass if axis.gains.mass >= needed else _LEAST * needed
+def _bias_notes(payload: "RuntimePayload", options: Ros2Options, *, has_reference: bool) -> Iterator[str]:
+    """Say how the sensor's bias is taken off."""
+    bias = (*payload.force_bias_n, *payload.torque_bias_n_m)
+    if not has_reference:
+        yield "Before 4.18.0 there is no desired force (~/wrench_reference); the reference alone moves to a contact."
+    if not any(bias):
+        return
+    if has_reference:
+        numbers = ", ".join(f"{0.0 - each:g}" for each in bias)
+        yield (
+            "The controller takes no bias off the wrench, which is a force that moves the arm. What is published on "
+            f"~/wrench_reference in the frame {options.sensor_frame} is added to the measured wrench: publish −bias "
+            f"there before a contact, ({numbers}) N and N·m, and F^d − bias for a desired force. Until the first "
+            "message the bias acts."
+        )
+    else:
+        yield (
+            "The controller takes no bias off the wrench, which is a force that moves the arm, and this version has no "
+            "~/wrench_reference to add −bias on: take it off in the sensor's driver."
+        )
+
+
+def translate(
+    source: "ControllerFile", options: Ros2Options, progress: Callable[[float], None] | None = None
+) -> "Translation":
+    """Return the controller as this program runs it, certified; raises as `third_party.translate_controller`."""
+    from .ros2_axis import Ros2Axis, with_common_masses  # noqa: PLC0415
+    from .third_party import ParameterFile, translate_controller  # noqa: PLC0415
+
+    version = parse_version(options.ros2_version)
+
+    def build_axes(tasks: Mapping[str, "AxisTask"], gains: Mapping[str, "AxisGains"]) -> tuple[list["Structure"], bool]:
+        axes = {
+            name: Ros2Axis(
+                task=task,
+                gains=gains[name],
+                return_stiffness=options.return_stiffness,
+                filter_coefficient=options.filter_coefficient,
+            )
+            for name, task in tasks.items()
+        }
+        same = axes if version >= FIRST_WITH_MASS_IN_CONTROL_FRAME else with_common_masses(axes)
+        return list(same.values()), same != axes
+
+    def build_file(controller: "Controller", written: Mapping[str, Mapping[str, float]]) -> "ParameterFile":
+        tree, rate = parameter_tree(controller, written, options)
+        return ParameterFile(
+            tree=tree,
+            update_rate_hz=rate,
+            software=f"ros2_controllers admittance_controller {'.'.join(map(str, version))} ({options.ros2_version})",
+            notes=tuple(notes(controller.payload, written, options)),
+        )
+
+    return translate_controller(source, options.joints, build_axes, build_file, progress)
+
+
+def _render(request: ExportRequest) -> Rendered:
+    return translate(request.source, Ros2Options(**request.options), request.progress).rendered()
+
+
+ROS2_CONTROL = Target(
+    name="ros2_control",
+    summary="parameters of the admittance controller of ros2_controllers.",
+    render=_render,
+    is_own=begins_with(rb"# Written by autotune \S+ for ros2_controllers "),
+    options=(
+        TargetOption(
+            flag="--ros2-version",
+            metavar="NAME",
+            help="humble, jazzy (default), kilted, lyrical, rolling, or 6.4.0.",
+        ),
+        *NAME_OPTIONS,
+        TargetOption(flag="--sensor-name", metavar="NAME", help="The sensor in the robot description (ft_sensor)."),
+        TargetOption(flag="--control-frame", metavar="NAME", help="The frame of the tuned axes (the sensor's)."),
+        TargetOption(
+            flag="--return-stiffness",
+            metavar="N/M",
+            type=float,
+            help="The spring without which there is no damping there (so weak that it takes 10 h).",
+        ),
+        TargetOption(flag="--filter-coefficient", metavar="A", type=float, help="The force filter, 1 being none (1)."),
+    ),
+    runs_same_law=False,
+)

@@ -10,12 +10,26 @@ import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 
-import numpy as np
-
 from autotune.errors import UsageError
 from problems.errors import ParameterError
 
+from .target import TargetOption
+
 Tree = Mapping[str, "Tree | float | bool | int | str | list[float] | list[bool] | list[str]"]
+
+NAME_OPTIONS = (
+    TargetOption(flag="--controller-name", metavar="NAME", help="The name of the controller in the parameter file."),
+    TargetOption(
+        flag="--joints",
+        metavar="NAME,…",
+        help="The robot's joints, from base to tip (joint_1 to joint_6).",
+        parse=lambda text: tuple(name.strip() for name in text.split(",")),
+    ),
+    TargetOption(flag="--base-link", metavar="NAME", help="The robot's base (base_link)."),
+    TargetOption(flag="--tip-link", metavar="NAME", help="The robot's last link (tool0)."),
+    TargetOption(flag="--sensor-frame", metavar="NAME", help="The frame of the sensor's wrench (ft_frame)."),
+)
+"""Options for the names of an installation, which every parameter file needs."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
 _WIDTH = 110
@@ -43,7 +57,7 @@ def check_joint_count(joints: tuple[str, ...], axes: int) -> None:
         )
 
 
-def joints_told(joints: tuple[str, ...], axis: str) -> Iterator[str]:
+def joint_notes(joints: tuple[str, ...], axis: str) -> Iterator[str]:
     """Warn of a robot with fewer joints than a body has directions."""
     if len(joints) < _DIRECTIONS:
         yield (
@@ -106,5 +120,7 @@ def _scalar(value: object) -> str:
     if isinstance(value, float):
         if not math.isfinite(value):
             raise ParameterError("parameters", value, "finite")
+        import numpy as np  # noqa: PLC0415 - slow to import, and the list of options does without
+
         return np.format_float_positional(value, trim="0")
     return str(value) if isinstance(value, int) else json.dumps(value, ensure_ascii=False)

@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -14,12 +14,17 @@ from .replaceable import check_kind, kind_of
 
 
 def check_target(
-    path: Path | str, sources: Iterable[Path | str] | None = None, *, kind: str | None = None, option: str = "-o"
+    path: Path | str,
+    sources: Iterable[Path | str] | None = None,
+    *,
+    kind: str | None = None,
+    option: str = "-o",
+    is_own: Callable[[Path], bool] | None = None,
 ) -> None:
     """Raise UsageError now if `write_atomic` could not write there later: worth asking before long work.
 
     With `sources`, what the work reads, the target may be none of them, nor a file that is not one of the tool's own.
-    With `kind` it may be none but one of that kind (see `autotune.formats.replaceable`).
+    With `kind` it may be none but one of that kind (`is_own` as in `autotune.formats.replaceable.check_kind`).
     `option` is what names the target on the command line.
     """
     folder = Path(path).resolve().parent
@@ -33,8 +38,8 @@ def check_target(
                 f"{path} is what is read, and would be replaced by the result; name another file with {option}."
             )
     if kind is not None:
-        check_kind(path, kind, option=option)
-    if sources is not None and kind_of(Path(path)) is None:
+        check_kind(path, kind, option=option, is_own=is_own)
+    elif sources is not None and kind_of(Path(path)) is None:
         raise UsageError(
             f"{path} exists and is no file of this tool, so it is not replaced; name another one with {option}."
         )

@@ -1,7 +1,7 @@
-"""What stands under a name before a command writes there: a file that it may replace, and says so, or another's."""
+"""Recognise the file that a command would replace: one of the same kind, or another, which is kept."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from hashlib import sha256
 from pathlib import Path
 
@@ -37,7 +37,7 @@ _SEALED = ("controller", "schedule")
 
 
 def kind_of(path: Path) -> str | None:
-    """Return which of the tool's files stands there, such as "controller"; None for one of another program.
+    """Return the kind of a file of this tool, such as "controller"; None for a file of another program.
 
     "" where nothing is lost: no file, an empty one or a device.
     """
@@ -58,7 +58,7 @@ def kind_of(path: Path) -> str | None:
 
 
 def standing(path: Path | str) -> str:
-    """Say in a few words which file stands there, with its checksum; "" where nothing would be lost.
+    """Return in a few words which file exists there, with its checksum; "" where nothing would be lost.
 
     A controller or schedule has a checksum of its own, others that of their bytes (sha256).
     """
@@ -71,7 +71,7 @@ def standing(path: Path | str) -> str:
     noun = _NOUNS.get(kind, kind)
     if kind not in _SEALED:
         return f"the {noun} of sha256 {short(sha256(path.read_bytes()).hexdigest())}"
-    from .yaml12 import load_yaml  # noqa: PLC0415 - slow to import, and mostly nothing stands there
+    from .yaml12 import load_yaml  # noqa: PLC0415 - slow to import, and mostly there is no file
 
     try:
         tree = load_yaml(path)
@@ -81,24 +81,19 @@ def standing(path: Path | str) -> str:
     return f"the {noun} of checksum {short(found)}" if tree.get("checksum") == found else f"a {noun} that is not whole"
 
 
-def check_kind(path: Path | str, kind: str, *, option: str = "-o") -> str:
+def check_kind(path: Path | str, kind: str, *, option: str = "-o", is_own: Callable[[Path], bool] | None = None) -> str:
     """Return what a file of `kind` will replace, in words as `standing`; "" where nothing would be lost.
 
-    Raises UsageError where something else stands there: only a file of the same kind is replaced.
+    `is_own` decides instead of `kind_of` for kinds that this module does not know, such as exports. Raises UsageError
+    where another file exists: only a file of the same kind is replaced.
     """
     path = Path(path)
     try:
         found = kind_of(path)
-        if found in ("", kind):
+        if found == "" or (found == kind if is_own is None else is_own(path)):
             return standing(path)
     except OSError as error:
         raise UsageError(f"{path} cannot be read: {error.strerror or error}.") from error
-    noun = _NOUNS.get(kind, kind)
-    if found is None:
-        raise UsageError(
-            f"{path} exists and is no file of this tool, so it is not replaced; name another one with {option}."
-        )
-    raise UsageError(
-        f"{path} exists and is no {noun} ({_NOUNS.get(found, found)}), so it is not replaced; name another one with "
-        f"{option}."
-    )
+    noun = "file of this tool" if found is None and is_own is None else _NOUNS.get(kind, kind)
+    what = f" ({_NOUNS.get(found, found)})" if found is not None else ""
+    raise UsageError(f"{path} exists and is no {noun}{what}, so it is not replaced; name another one with {option}.")

@@ -11,8 +11,7 @@ from tests.autotune.browser import chromium
 @pytest.fixture
 def unchecked_law(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the samples be exported, which claim what their law does not hold, where only the form of a file matters."""
-    monkeypatch.setattr("autotune.export.trust.check_law", lambda *_: None)
-    monkeypatch.setattr("autotune.export.c_source.check_law", lambda *_: None)
+    monkeypatch.setattr("autotune.export.export.check_law", lambda *_: None)
 
 
 @pytest.fixture(scope="module")

@@ -90,7 +90,7 @@ def test_an_earlier_export_is_replaced_and_told_and_another_file_is_exit_2(
     source.with_name("out.c").write_text("notes\n", encoding="utf-8")
     refused = run_cli(*arguments)
     assert (refused.returncode, refused.stdout, refused.stderr.count("\n")) == (2, "", 1)
-    assert "out.c exists and was not made by export" in refused.stderr
+    assert "out.c exists and is no export to" in refused.stderr
     assert source.with_name("out.c").read_text(encoding="utf-8") == "notes\n"
 
 
@@ -162,10 +162,13 @@ def test_what_another_controller_cannot_do_is_exit_5_and_writes_nothing(
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--target", "cell", "--joints", "a"], "takes no names"),
-        (["--target", "fzi_cartesian", "--ros2-version", "jazzy"], "--ros2-version says nothing"),
+        (["--target", "cell", "--joints", "a"], "The target cell has no option --joints; it takes no options"),
+        (
+            ["--target", "fzi_cartesian", "--ros2-version", "jazzy"],
+            "fzi_cartesian has no option --ros2-version; its",
+        ),
         (["--target", "fzi_cartesian", "--orientation", "1,0,0"], "must be four numbers QX,QY,QZ,QW"),
-        (["--target", "ros2_control", "--orientation", "0,0,0,1"], "--orientation says nothing"),
+        (["--target", "ros2_control", "--orientation", "0,0,0,1"], "ros2_control has no option --orientation"),
         (["--target", "ros2_control", "--ros2-version", "3.1.0"], "4.0.0 to 6.x"),
         (["--target", "ros2_control", "--return-stiffness", "0"], "above 0"),
     ],

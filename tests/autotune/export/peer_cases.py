@@ -7,10 +7,11 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
+from autotune.export import fzi_cartesian, ros2_control
 from autotune.export.fzi_cartesian import FziOptions
-from autotune.export.peers import PeerExport, make_peer
 from autotune.export.ros2_control import Ros2Options
-from autotune.formats.controller import read_controller, write_controller
+from autotune.export.third_party import Translation
+from autotune.formats.controller import ControllerFile, read_controller, write_controller
 from autotune.formats.controller_record import (
     AdmittanceRequirement,
     AxisDomain,
@@ -89,9 +90,15 @@ EASY = requirements(2.5e-4)
 """Requirements that a plain law meets."""
 
 
-def exported(folder: Path, controller: Controller, options: Ros2Options | FziOptions) -> PeerExport:
+def translated(source: ControllerFile, options: Ros2Options | FziOptions) -> Translation:
+    if isinstance(options, Ros2Options):
+        return ros2_control.translate(source, options)
+    return fzi_cartesian.translate(source, options)
+
+
+def exported(folder: Path, controller: Controller, options: Ros2Options | FziOptions) -> Translation:
     write_controller(folder / "controller.yaml", controller)
-    return make_peer(read_controller(folder / "controller.yaml"), options)
+    return translated(read_controller(folder / "controller.yaml"), options)
 
 
 def load_as_ros(text: str) -> dict[str, Any]:
@@ -102,7 +109,7 @@ def load_as_ros(text: str) -> dict[str, Any]:
     return found
 
 
-def parameters(made: PeerExport) -> dict[str, Any]:
+def parameters(made: Translation) -> dict[str, Any]:
     """Return the parameters of the one controller in the text."""
     tree = load_as_ros(made.text)
     (name,) = set(tree) - {"controller_manager"}

@@ -9,7 +9,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from autotune.export.fzi_cartesian import KEYS_OF, FziOptions
-from autotune.export.peers import make_peer
 from autotune.export.ros2_control import Ros2Options
 from autotune.formats.controller import read_controller, write_controller
 from problems.model.linear_controllers import LinearController
@@ -24,7 +23,7 @@ from tests.autotune.export.arm import (
     jacobian,
     play_forward_dynamics,
 )
-from tests.autotune.export.peer_cases import PERIOD_S, PLAIN, load_as_ros, peer_controller, requirements
+from tests.autotune.export.peer_cases import PERIOD_S, PLAIN, load_as_ros, peer_controller, requirements, translated
 
 PUSH_N, PUSH_S, WATCHED_S = 120.0, 4.0, 60.0
 # The joints follow as the paper's robot does, at 20 rad/s: forward dynamics counts on their lag.
@@ -51,7 +50,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Admittance
     def export(axis: str) -> AdmittanceFile:
         path = tmp_path_factory.mktemp("arm") / "controller.yaml"
         write_controller(path, peer_controller({axis: PLAIN}, requirements(2.5e-4)))
-        made = make_peer(read_controller(path), Ros2Options())
+        made = translated(read_controller(path), Ros2Options())
         return AdmittanceFile(**load_as_ros(made.text)["admittance_controller"]["ros__parameters"]["admittance"])
 
     return export
@@ -134,7 +133,7 @@ def forward_dynamics(tmp_path_factory: pytest.TempPathFactory) -> tuple[FloatArr
 def exported_gains(folder: Path, axes: tuple[str, ...], options: FziOptions) -> tuple[FloatArray, float]:
     path = folder / "controller.yaml"
     write_controller(path, peer_controller(dict.fromkeys(axes, PLAIN), requirements(2.5e-4)))
-    found = load_as_ros(make_peer(read_controller(path), options).text)["cartesian_force_controller"]
+    found = load_as_ros(translated(read_controller(path), options).text)["cartesian_force_controller"]
     rows = found["ros__parameters"]["pd_gains"]
     gains = np.array([[rows[key][gain] for key in KEYS_OF.values()] for gain in ("p", "d")])
     return gains, found["ros__parameters"]["solver/forward_dynamics/link_mass"]

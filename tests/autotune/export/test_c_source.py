@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from autotune.errors import CertificateError, UsageError
 from autotune.export.c_source import CSource, render_c
-from autotune.export.targets import export_controller
+from autotune.export.export import export_controller
 from autotune.formats.controller import ControllerStatus, write_controller
 from autotune.runtime import AXES, CollisionResponse, Command, RuntimeController, rearm, step
 from autotune.runtime.load import read_law
@@ -137,7 +137,7 @@ def test_an_exported_file_compiles_and_holds_its_checksum(tmp_path: Path) -> Non
     source = tmp_path / "controller.yaml"
     nasty = {"tool": "autotune", "log": "*/ #error /* ??/ é \\", "\n??/\n": ["\x7f", "\u2028"], "when": {"a": None}}
     write_controller(source, dataclasses.replace(make_controller(), provenance=nasty))
-    digest = export_controller(source, "c", tmp_path / "my_cell2.c")
+    digest = export_controller(source, "c", tmp_path / "my_cell2.c").checksum
     texts = [(tmp_path / f"my_cell2.{end}").read_text(encoding="ascii") for end in ("h", "c")]
     assert compile_c(CSource(header=texts[0], source=texts[1]), tmp_path, "my_cell2").returncode == 0
     library = Twin(tmp_path / "my_cell2.so", "my_cell2").library
@@ -167,7 +167,7 @@ def test_a_file_of_somebody_else_is_not_replaced(tmp_path: Path) -> None:
     source = tmp_path / "controller.yaml"
     write_controller(source, make_controller())
     (tmp_path / "cell.h").write_text("int mine;\n", encoding="utf-8")
-    with pytest.raises(UsageError, match=r"cell\.h exists and was not made by export --target c"):
+    with pytest.raises(UsageError, match=r"cell\.h exists and is no export to c"):
         export_controller(source, "c", tmp_path / "cell.c")
     assert not (tmp_path / "cell.c").exists()
 

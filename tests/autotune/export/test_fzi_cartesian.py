@@ -10,10 +10,10 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.export import fzi_cartesian
-from autotune.export.fzi_axes import Quaternion, base_axes, parse_orientation, rotation
-from autotune.export.fzi_cartesian import FziOptions
-from autotune.export.peers import PeerExport
+from autotune.export.fzi_axis import base_axes, rotation
+from autotune.export.fzi_cartesian import FziOptions, Quaternion, parse_orientation
 from autotune.export.ros_yaml import check_keys
+from autotune.export.third_party import Translation
 from problems.contact.linear_controller_contact import force_per_speed
 from problems.errors import ParameterError
 from tests.autotune.export.peer_cases import CELL, EASY, PLAIN, exported, parameters, peer_controller, task_of
@@ -30,11 +30,11 @@ TURNS = {
 
 
 @pytest.fixture(scope="module")
-def fzi(tmp_path_factory: pytest.TempPathFactory) -> PeerExport:
+def fzi(tmp_path_factory: pytest.TempPathFactory) -> Translation:
     return exported(tmp_path_factory.mktemp("fzi"), peer_controller({"z": PLAIN}, EASY), UPRIGHT)
 
 
-def test_forward_dynamics_leads_by_its_derivative_and_drops_the_mass(fzi: PeerExport) -> None:
+def test_forward_dynamics_leads_by_its_derivative_and_drops_the_mass(fzi: Translation) -> None:
     (axis,) = fzi.axes
     gains = parameters(fzi)["pd_gains"]
     assert gains["trans_z"] == {"p": axis.written["p"], "d": axis.written["d"]}
@@ -62,7 +62,7 @@ def test_a_misspelt_key_does_not_get_out() -> None:
         check_keys({"pd_gains": {"trans_x": {"p": 1.0, "D": 0.0}}}, fzi_cartesian.KNOWN_KEYS)
 
 
-def test_the_mass_of_the_links_has_the_name_that_is_declared(fzi: PeerExport) -> None:
+def test_the_mass_of_the_links_has_the_name_that_is_declared(fzi: Translation) -> None:
     found = parameters(fzi)
     assert found["solver/forward_dynamics/link_mass"] == 1e-4
     assert found["solver"] == {"error_scale": 1.0, "iterations": 1}
@@ -70,7 +70,7 @@ def test_the_mass_of_the_links_has_the_name_that_is_declared(fzi: PeerExport) ->
         check_keys({"solver": {"forward_dynamics": {"link_mass": 1e-4}}}, fzi_cartesian.KNOWN_KEYS)
 
 
-def gains_of(made: PeerExport) -> dict[str, tuple[float, float]]:
+def gains_of(made: Translation) -> dict[str, tuple[float, float]]:
     """Return p and d by the base's axis."""
     rows = parameters(made)["pd_gains"]
     return {axis: (rows[key]["p"], rows[key]["d"]) for axis, key in fzi_cartesian.KEYS_OF.items()}

@@ -8,20 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from autotune.export import ros2_control
-from autotune.export.peers import PeerExport
-from autotune.export.ros2_control import Ros2Axis, Ros2Options
+from autotune.export.ros2_axis import Ros2Axis, with_common_masses
+from autotune.export.ros2_control import Ros2Options
+from autotune.export.third_party import Translation
 from autotune.validation.law import certify_law
 from problems.model.third_party_controllers import alternates
 from tests.autotune.export.peer_cases import EASY, PERIOD_S, PLAIN, exported, parameters, peer_controller, task_of
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> PeerExport:
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Translation:
     return exported(tmp_path_factory.mktemp("plain"), peer_controller({"x": PLAIN}, EASY), Ros2Options())
 
 
-def test_the_joints_damping_is_kept_the_filter_switched_off_and_the_weight_in_newtons(plain: PeerExport) -> None:
+def test_the_joints_damping_is_kept_the_filter_switched_off_and_the_weight_in_newtons(plain: Translation) -> None:
     found = parameters(plain)
     assert found["admittance"]["joint_damping"] == 5.0
     assert found["ft_sensor"]["filter_coefficient"] == 1.0
@@ -29,7 +29,7 @@ def test_the_joints_damping_is_kept_the_filter_switched_off_and_the_weight_in_ne
     assert found["enable_parameter_update_without_reactivation"] is False
 
 
-def test_the_return_spring_is_told_and_axes_that_were_not_tuned_are_damped_alike(plain: PeerExport) -> None:
+def test_the_return_spring_is_told_and_axes_that_were_not_tuned_are_damped_alike(plain: Translation) -> None:
     found = parameters(plain)["admittance"]
     assert found["selected_axes"] == [True, False, False, False, False, False]
     assert found["mass"] == [PLAIN.mass] * 3 + [1.0] * 3
@@ -66,8 +66,8 @@ def test_much_mass_beside_little_damping_keeps_a_tenth_of_its_damping_out_of_the
 
 
 @pytest.mark.parametrize("version", ["humble", "2.60.1", "lyrical"])
-def test_older_and_newer_releases_run_the_same_rule(tmp_path: Path, plain: PeerExport, version: str) -> None:
-    made = exported(tmp_path, peer_controller({"x": PLAIN}, EASY), Ros2Options(version=version))
+def test_older_and_newer_releases_run_the_same_rule(tmp_path: Path, plain: Translation, version: str) -> None:
+    made = exported(tmp_path, peer_controller({"x": PLAIN}, EASY), Ros2Options(ros2_version=version))
     assert parameters(made) == parameters(plain)
     text = re.sub(r"\n#\s*", " ", made.text)
     is_old = version != "lyrical"
@@ -93,7 +93,7 @@ def test_a_strong_filter_is_certified_as_it_is() -> None:
 )
 def test_masses_are_common_where_they_are_read_in_the_base_frame(tmp_path: Path, version: str, common: bool) -> None:
     axes = {"x": PLAIN, "z": replace(PLAIN, mass=9.0)}
-    made = exported(tmp_path, peer_controller(axes, EASY), Ros2Options(version=version))
+    made = exported(tmp_path, peer_controller(axes, EASY), Ros2Options(ros2_version=version))
     assert parameters(made)["admittance"]["mass"][:3] == ([9.0, 9.0, 9.0] if common else [8.0, 9.0, 9.0])
     assert ("in the frame of kinematics.base" in re.sub(r"\n#\s*", " ", made.text)) == common
     # What is written was certified with its common mass.
@@ -106,8 +106,7 @@ def test_a_common_mass_is_kept_by_a_search_and_is_enough_for_every_damping() -> 
     task = task_of(peer_controller({"x": PLAIN}, EASY))
     for mass, common in ((PLAIN.mass, PLAIN.mass), (1.0, PERIOD_S * PLAIN.damping)):
         gains = {"x": replace(PLAIN, mass=mass, damping=500.0), "z": replace(PLAIN, mass=mass)}
-        axes = {name: Ros2Axis(task=task, gains=each, options=Ros2Options()) for name, each in gains.items()}
-        for axis in ros2_control.with_common_masses(axes, (4, 41, 0)).values():
+        axes = {name: Ros2Axis(task=task, gains=each) for name, each in gains.items()}
+        for axis in with_common_masses(axes).values():
             assert axis.written(tuple(each.high for each in axis.variables))["mass"] == pytest.approx(common, rel=1e-4)
             assert not alternates(axis.law(axis.translated))
-        assert ros2_control.with_common_masses(axes, (6, 4, 0)) == axes

@@ -10,7 +10,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from autotune.errors import CertificateError, UsageError
-from autotune.export.targets import export_controller
+from autotune.export.export import export_controller
 from autotune.formats.canonical import checksum
 from autotune.formats.controller import (
     Collision,

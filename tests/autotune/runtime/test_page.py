@@ -12,7 +12,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
-from autotune.export.targets import export_controller
+from autotune.export.export import export_controller
 from autotune.formats.controller import write_controller
 from autotune.formats.signature import sign_file
 from tests.autotune.formats.samples import make_controller

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autotune.errors import UsageError
-from autotune.export.targets import export_controller
+from autotune.export.export import export_controller
 from autotune.formats.controller import controller_tree, read_controller, write_controller
 from autotune.formats.controller_record import AdmittanceRequirement
 from autotune.formats.problem import ProblemSpec, RotationalSpec

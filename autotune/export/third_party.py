@@ -1,40 +1,46 @@
-"""Export to another controller: translate, certify what it really runs, tune what it can do if that fails, and write.
+"""Translate a controller to the law of another program, certify what runs there, and tune where that fails.
 
 The written parameters are those that were certified, digit for digit.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from autotune import __version__
-from autotune.errors import CertificateError, InfeasibleError, UsageError
-from autotune.formats.atomic import write_atomic
-from autotune.formats.controller import ControllerFile, read_controller, short
-from autotune.formats.controller_record import CollisionResponse, Controller
+from autotune.errors import CertificateError, InfeasibleError
+from autotune.formats.controller import ControllerFile, short
+from autotune.formats.controller_record import AxisGains, CollisionResponse, Controller
 from autotune.formats.units import axis_units
 from autotune.validation.bouncing import search_bouncing
 from autotune.validation.law import AxisTask, LawCertificate, certify_law
 from autotune.validation.proof import StabilityProof
 from problems.model.third_party_controllers import alternates
 
-from . import fzi_axes, fzi_cartesian, ros2_control, ros2_notes
-from .fzi_cartesian import FziAxis, FziOptions
-from .replace import check_replaceable
-from .retune import retune
-from .ros2_control import Ros2Axis, Ros2Options
-from .ros_yaml import Tree, check_joint_count, dump_parameters, joints_told
-from .structure import Values
-from .trust import Trust
-
-Options = Ros2Options | FziOptions
-Axis = Ros2Axis | FziAxis
+from .retune import Structure, Values, retune
+from .ros_yaml import Tree, check_joint_count, dump_parameters, joint_notes
+from .target import Rendered
 
 
 @dataclass(frozen=True, kw_only=True)
-class PeerAxis:
+class ParameterFile:
+    """The parameters of another controller, the update rate that they hold for, which software it is, and notes."""
+
+    tree: Tree
+    update_rate_hz: int
+    software: str
+    notes: tuple[str, ...]
+
+
+AxisBuilder = Callable[[Mapping[str, AxisTask], Mapping[str, AxisGains]], tuple[Sequence[Structure], bool]]
+"""Returns the axes in the structure of another controller, and whether their masses had to be made the same."""
+FileBuilder = Callable[[Controller, Mapping[str, Mapping[str, float]]], ParameterFile]
+"""Returns the parameter file from the controller and the numbers of each axis, as written."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TranslatedAxis:
     """One exported axis: its numbers as written, whether they had to be tuned and why, and what was certified."""
 
     axis: str
@@ -56,19 +62,17 @@ class PeerAxis:
         return {name: value if math.isfinite(value) else None for name, value in found.items()}
 
     def price(self) -> str:
-        """Tell the peak force beside that of the file's own law."""
+        """Return in words the peak force beside that of the file's own law."""
         unit, more = axis_units(self.axis).force, self.peak_n - self.peak_before_n
-        told = f"{abs(more):.1f} {unit} {'more' if more >= 0.0 else 'less'}"
-        return f"{self.peak_n:.1f} {unit} instead of {self.peak_before_n:.1f} {unit}: {told}"
+        change = f"{abs(more):.1f} {unit} {'more' if more >= 0.0 else 'less'}"
+        return f"{self.peak_n:.1f} {unit} instead of {self.peak_before_n:.1f} {unit}: {change}"
 
 
 @dataclass(frozen=True, kw_only=True)
-class PeerExport:
-    """What was written: the axes, what was dropped and what must be known of the controller."""
+class Translation:
+    """A controller as another program runs it: the axes, what was dropped, notes, and the text of its file."""
 
-    target: str
-    source: ControllerFile
-    axes: tuple[PeerAxis, ...]
+    axes: tuple[TranslatedAxis, ...]
     dropped: tuple[str, ...]
     notes: tuple[str, ...]
     text: str
@@ -89,62 +93,43 @@ class PeerExport:
         }
         return {"axes": axes, "dropped": list(self.dropped), "notes": list(self.notes)}
 
+    def lines(self) -> Iterator[str]:
+        """Return lines for a person."""
+        for axis in self.axes:
+            how = "translated" if axis.tuned_because is None else f"tuned anew, since {axis.tuned_because}"
+            numbers = ", ".join(f"{name} {value:g}" for name, value in axis.written.items())
+            yield f"axis {axis.axis}: {numbers} ({how})"
+            yield f"axis {axis.axis}: peak force {axis.price()}"
+            yield from axis.notes
+        yield from (f"dropped: {line}" for line in self.dropped)
+        yield from (f"note: {line}" for line in self.notes)
 
-def export_peer(
-    path: Path | str,
-    options: Options,
-    out: Path | str,
+    def rendered(self) -> Rendered:
+        """Return the same as what an export writes and prints."""
+        return Rendered(texts=(self.text,), lines=tuple(self.lines()), tree=self.tree())
+
+
+def translate_controller(
+    source: ControllerFile,
+    joints: tuple[str, ...],
+    build_axes: AxisBuilder,
+    build_file: FileBuilder,
     progress: Callable[[float], None] | None = None,
-    trust: Trust | None = None,
-) -> PeerExport:
-    """Write the controller file `path` for another controller and return what was done.
+) -> Translation:
+    """Return the controller as another program can run it, certified over the domain of the file.
 
-    `progress` is told the share of the work done since the last call, `trust` says what is asked of the file. Raises
-    CertificateError for a file that is altered, not as asked, or says what cannot be certified, InfeasibleError where
-    the other controller can do nothing that meets the file's requirements, UsageError for a file that cannot be read
-    or written, an `out` that is not of the same export and a rate that cannot be told.
+    `progress` gets the share of the work done since the last call. Raises CertificateError for a file that states
+    what cannot be certified, InfeasibleError where the other controller can do nothing that meets the file's
+    requirements, UsageError for options that do not fit the file.
     """
-    source = read_controller(path)
-    check_replaceable(out, target_of(options), path)
-    (Trust() if trust is None else trust).verify(source)
-    made = make_peer(source, options, progress)
-    write_atomic(out, made.text)
-    return made
-
-
-def make_peer(source: ControllerFile, options: Options, progress: Callable[[float], None] | None = None) -> PeerExport:
-    """Do what `export_peer` does without writing."""
     controller = source.controller
-    axes, common = _axes(controller, options)
-    check_joint_count(options.joints, len(axes))
-    done = _all_certified(axes, common, progress)
-    written = {each.axis: each.written for each in done}
-    dropped = (*_dropped(controller), *(line for axis in axes for line in axis.dropped()))
-    if isinstance(options, Ros2Options):
-        tree, rate = ros2_control.parameter_tree(controller, written, options)
-        version = ros2_control.parse_version(options.version)
-        target, notes = "ros2_control", tuple(ros2_notes.notes(controller.payload, written, options))
-        what = f"ros2_controllers admittance_controller {'.'.join(map(str, version))} ({options.version})"
-    else:
-        places = fzi_axes.base_axes(written, options.orientation)
-        placed = {places[axis]: gains for axis, gains in written.items()}
-        tree, rate = fzi_cartesian.parameter_tree(controller, placed, options)
-        told = fzi_axes.axes_told(written, options.orientation, options.base_link)
-        target, notes = "fzi_cartesian", (*told, *fzi_cartesian.notes())
-        what = "cartesian_controllers (FZI), cartesian_force_controller, branch ros2"
-    text = _text(source, tree, what, rate, (done, dropped, notes))
-    return PeerExport(target=target, source=source, axes=done, dropped=dropped, notes=notes, text=text)
-
-
-def _axes(controller: Controller, options: Options) -> tuple[list[Axis], bool]:
-    """Return the axes in the target's structure, and whether their masses had to be made the same."""
     tasks = {name: _task(controller, name) for name in controller.axes}
-    if isinstance(options, FziOptions):
-        fzi_axes.check_kinds(tasks, options.orientation)
-        return [FziAxis(task, controller.axes[name], options) for name, task in tasks.items()], False
-    axes = {name: Ros2Axis(task=task, gains=controller.axes[name], options=options) for name, task in tasks.items()}
-    same = ros2_control.with_common_masses(axes, ros2_control.parse_version(options.version))
-    return list(same.values()), same != axes
+    axes, common = build_axes(tasks, controller.axes)
+    check_joint_count(joints, len(axes))
+    done = _all_certified(axes, joints, common, progress)
+    file = build_file(controller, {each.axis: each.written for each in done})
+    dropped = (*_dropped(controller), *(line for axis in axes for line in axis.dropped()))
+    return Translation(axes=done, dropped=dropped, notes=file.notes, text=_text(source, file, done, dropped))
 
 
 def _task(controller: Controller, name: str) -> AxisTask:
@@ -168,12 +153,14 @@ def _task(controller: Controller, name: str) -> AxisTask:
     )
 
 
-def _all_certified(axes: list[Axis], common: bool, progress: Callable[[float], None] | None) -> tuple[PeerAxis, ...]:
-    """Certify every axis, so that all that fail are told at once; the first of them decides the kind of the error."""
+def _all_certified(
+    axes: Sequence[Structure], joints: tuple[str, ...], common: bool, progress: Callable[[float], None] | None
+) -> tuple[TranslatedAxis, ...]:
+    """Certify every axis, so that one error names all that fail; the first of them decides its kind."""
     done, failed = [], list[CertificateError | InfeasibleError]()
     for axis in axes:
         try:
-            done.append(_certified(axis, common))
+            done.append(_certified(axis, joints, common))
         except (CertificateError, InfeasibleError) as error:
             failed.append(error)
         if progress is not None:
@@ -185,7 +172,7 @@ def _all_certified(axes: list[Axis], common: bool, progress: Callable[[float], N
     return tuple(done)
 
 
-def _certified(axis: Axis, common: bool) -> PeerAxis:
+def _certified(axis: Structure, joints: tuple[str, ...], common: bool) -> TranslatedAxis:
     """Certify the translated gains of an axis, or tune what the structure can do."""
     task, values = axis.task, axis.translated
     law, reason, found = axis.law(values), None, None
@@ -206,21 +193,21 @@ def _certified(axis: Axis, common: bool) -> PeerAxis:
     bouncing = search_bouncing(task.axis, task.domain, axis.law(values), task.sample_time_s)
     if not bouncing.passed:
         raise CertificateError(f"Axis {task.axis}: with what that controller runs, {bouncing.message()}.")
-    return PeerAxis(
+    return TranslatedAxis(
         axis=task.axis,
         written=axis.written(values),
         tuned_because=reason,
         certificate=found,
         peak_before_n=task.promised_n(),
         notes=(
-            *axis.told(values),
-            *(() if reason is None else _bounds_told(axis, values)),
-            *joints_told(axis.options.joints, axis.task.axis),
+            *axis.notes(values),
+            *(() if reason is None else _bound_notes(axis, values)),
+            *joint_notes(joints, axis.task.axis),
         ),
     )
 
 
-def _bounds_told(axis: Axis, values: Values) -> Iterator[str]:
+def _bound_notes(axis: Structure, values: Values) -> Iterator[str]:
     """Say which numbers of a search sit on a bound."""
     for each, value in zip(axis.variables, values, strict=True):
         if each.high > each.low and value in (each.low, each.high):
@@ -252,28 +239,26 @@ def _dropped(controller: Controller) -> Iterator[str]:
 
 
 def _text(
-    source: ControllerFile,
-    tree: Tree,
-    what: str,
-    rate: int,
-    told: tuple[tuple[PeerAxis, ...], tuple[str, ...], tuple[str, ...]],
+    source: ControllerFile, file: ParameterFile, axes: tuple[TranslatedAxis, ...], dropped: tuple[str, ...]
 ) -> str:
     """Return the whole file, comments first."""
-    axes, dropped, notes = told
     comments = [
-        f"Written by autotune {__version__} for {what}.",
+        f"Written by autotune {__version__} for {file.software}.",
         f"Source: controller.yaml with checksum {short(source.checksum)} (sha256 {source.checksum}).",
-        f"Holds at an update rate of {rate} Hz and for the cell of that file; names are those of the installation.",
+        (
+            f"Holds at an update rate of {file.update_rate_hz} Hz and for the cell of that file; names are those of "
+            "the installation."
+        ),
         "",
     ]
     for each in axes:
         comments += [*_certificate(each), *each.notes, ""]
     comments += [f"Dropped: {line}." for line in dropped] or ["Nothing of the file is dropped."]
-    return dump_parameters(tree, [*comments, "", *notes, ""])
+    return dump_parameters(file.tree, [*comments, "", *file.notes, ""])
 
 
-def _certificate(each: PeerAxis) -> Iterator[str]:
-    """Tell what was certified of one axis."""
+def _certificate(each: TranslatedAxis) -> Iterator[str]:
+    """Say what was certified of one axis."""
     found, units = each.certificate, axis_units(each.axis)
     assert found.margins is not None
     assert found.worst is not None
@@ -304,28 +289,3 @@ def _certificate(each: PeerAxis) -> Iterator[str]:
 
 def _cells(proof: StabilityProof) -> str:
     return f"proved in {proof.cells} cell{'s' * (proof.cells != 1)}"
-
-
-PEERS: Mapping[str, type[Options]] = {"ros2_control": Ros2Options, "fzi_cartesian": FziOptions}
-
-
-def peer_options(target: str, given: Mapping[str, Any]) -> Options:
-    """Return the options of a target from those that were given; raises UsageError for one that it does not have."""
-    kind = PEERS[target]
-    unknown = sorted(name for name in given if name not in kind.__dataclass_fields__)
-    if unknown:
-        names = ", ".join(f"--{_spelt(name)}" for name in unknown)
-        raise UsageError(f"{names} says nothing to the target {target}.")
-    return kind(**given)
-
-
-def target_of(options: Options) -> str:
-    """Return the name of the target that options are for."""
-    return next(name for name, kind in PEERS.items() if isinstance(options, kind))
-
-
-def _spelt(name: str) -> str:
-    return "ros2-version" if name == "version" else name.replace("_", "-")
-
-
-__all__ = ["PEERS", "PeerAxis", "PeerExport", "Values", "export_peer", "make_peer", "peer_options"]

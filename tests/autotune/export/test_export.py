@@ -7,19 +7,18 @@ from pathlib import Path
 import pytest
 
 from autotune.errors import UsageError
+from autotune.export.export import check_files, export_controller
 from autotune.export.fzi_cartesian import FziOptions
-from autotune.export.peers import export_peer, make_peer
-from autotune.export.replace import check_replaceable, files_of, standing
 from autotune.export.ros2_control import Ros2Options
-from autotune.export.targets import EVERY_TARGET, PEER_TARGETS, export_controller
+from autotune.export.targets import TARGETS
 from autotune.formats.controller import Controller, read_controller, write_controller
-from tests.autotune.export.peer_cases import PLAIN, peer_controller, requirements
+from tests.autotune.export.peer_cases import PLAIN, peer_controller, requirements, translated
 from tests.autotune.formats.samples import make_controller
 from tests.autotune.tuning.cases import small_controller
 
 pytestmark = pytest.mark.usefixtures("unchecked_law")
 
-TARGETS = (*EVERY_TARGET, *PEER_TARGETS)
+SAME_LAW = tuple(name for name, target in TARGETS.items() if target.runs_same_law)
 FOREIGN = {
     "a text": "thesis, chapter 3\n",
     "a log": "\x89MCAP0\r\n binary",
@@ -41,22 +40,22 @@ def texts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     folder = tmp_path_factory.mktemp("texts")
     path = folder / "controller.yaml"
     write_controller(path, small_controller())
-    for target in EVERY_TARGET:
+    for target in SAME_LAW:
         export_controller(path, target, folder / f"{target}.c")
-    found = {target: (folder / f"{target}.c").read_text(encoding="utf-8") for target in EVERY_TARGET}
+    found = {target: (folder / f"{target}.c").read_text(encoding="utf-8") for target in SAME_LAW}
     easy = folder / "easy.yaml"
     write_controller(easy, peer_controller({"x": PLAIN}, requirements(2.5e-4)))
     read = read_controller(easy)
     level = FziOptions(orientation=(0.0, 0.0, 0.0, 1.0))
-    return found | {"ros2_control": make_peer(read, Ros2Options()).text, "fzi_cartesian": make_peer(read, level).text}
+    return found | {"ros2_control": translated(read, Ros2Options()).text, "fzi_cartesian": translated(read, level).text}
 
 
 @pytest.mark.parametrize("what", FOREIGN)
-@pytest.mark.parametrize("target", EVERY_TARGET)
+@pytest.mark.parametrize("target", SAME_LAW)
 def test_the_file_of_somebody_else_is_left_alone(source: Path, target: str, what: str) -> None:
     out = source.with_name("out.c")
     out.write_text(FOREIGN[what], encoding="utf-8")
-    with pytest.raises(UsageError, match=f"was not made by export --target {target}, so it is not replaced"):
+    with pytest.raises(UsageError, match=rf"is no export to {target}( \(controller\))?, so it is not replaced"):
         export_controller(source, target, out)
     assert out.read_text(encoding="utf-8") == FOREIGN[what].replace("\r\n", "\n")
     assert {path.name for path in source.parent.iterdir()} == {"controller.yaml", "out.c"}
@@ -67,12 +66,12 @@ def test_another_controller_is_no_export(source: Path) -> None:
     other = source.with_name("other.yaml")
     write_controller(other, replace(make_controller(), delay_samples=4.0))
     for target in ("cell", "json"):
-        with pytest.raises(UsageError, match="was not made by export"):
+        with pytest.raises(UsageError, match="is no export to"):
             export_controller(source, target, other)
     assert read_controller(other).controller.delay_samples == 4.0
 
 
-@pytest.mark.parametrize("target", EVERY_TARGET)
+@pytest.mark.parametrize("target", SAME_LAW)
 def test_what_is_read_is_not_replaced(tmp_path: Path, target: str) -> None:
     write_controller(tmp_path / "cell.c", make_controller())
     (tmp_path / "link.c").symlink_to(tmp_path / "cell.c")
@@ -81,11 +80,12 @@ def test_what_is_read_is_not_replaced(tmp_path: Path, target: str) -> None:
             export_controller(tmp_path / "cell.c", target, tmp_path / name)
 
 
-@pytest.mark.parametrize("target", EVERY_TARGET)
+@pytest.mark.parametrize("target", SAME_LAW)
 def test_an_export_is_replaced_by_the_same_one(source: Path, target: str) -> None:
     out = source.with_name("out.c")
     export_controller(source, target, out)
-    assert standing(out, target) == files_of(out, target)
+    kind = TARGETS[target]
+    assert check_files(kind, kind.files(out), source) == kind.files(out)
     first = out.read_bytes()
     changed: Controller = replace(make_controller(), delay_samples=4.0)
     write_controller(source, changed)
@@ -99,15 +99,15 @@ def test_every_target_takes_its_own_file_and_no_other_s(source: Path, texts: dic
     out.write_text(texts[made_by], encoding="utf-8")
     for target in TARGETS:
         if target == made_by:
-            check_replaceable(out, target, source)
+            check_files(TARGETS[target], TARGETS[target].files(out), source)
         else:
-            with pytest.raises(UsageError, match="name another file with -o"):
-                check_replaceable(out, target, source)
+            with pytest.raises(UsageError, match="name another (file|one) with -o"):
+                check_files(TARGETS[target], TARGETS[target].files(out), source)
 
 
 def test_a_header_of_somebody_else_keeps_the_pair_from_being_written(source: Path) -> None:
     source.with_name("out.h").write_text("/* format: mine */\n", encoding="utf-8")
-    with pytest.raises(UsageError, match=r"out\.h exists and was not made by export --target c"):
+    with pytest.raises(UsageError, match=r"out\.h exists and is no export to c"):
         export_controller(source, "c", source.with_name("out.c"))
     assert not source.with_name("out.c").exists()
 
@@ -115,9 +115,9 @@ def test_a_header_of_somebody_else_keeps_the_pair_from_being_written(source: Pat
 def test_an_empty_file_and_a_device_hold_nothing_that_could_be_lost(source: Path) -> None:
     empty = source.with_name("empty")
     empty.touch()
-    assert standing(empty, "json") == ()
+    assert check_files(TARGETS["json"], (empty,), source) == ()
     export_controller(source, "json", empty)
-    check_replaceable(os.devnull, "json", source)
+    assert check_files(TARGETS["json"], (Path(os.devnull),), source) == ()
     assert read_controller(empty).controller == make_controller()
 
 
@@ -127,7 +127,7 @@ def test_another_controller_s_parameters_are_refused_before_anything_is_certifie
     source, out = tmp_path / "easy.yaml", tmp_path / "ur10.yaml"
     write_controller(source, peer_controller({"x": PLAIN}, requirements(2.5e-4)))
     out.write_text(FOREIGN["parameters of a colleague"], encoding="utf-8")
-    monkeypatch.setattr("autotune.export.peers.make_peer", None)
-    for options in (Ros2Options(), FziOptions()):
-        with pytest.raises(UsageError, match="was not made by export"):
-            export_peer(source, options, out)
+    monkeypatch.setattr("autotune.export.third_party.translate_controller", None)
+    for target in ("ros2_control", "fzi_cartesian"):
+        with pytest.raises(UsageError, match="is no export to"):
+            export_controller(source, target, out)

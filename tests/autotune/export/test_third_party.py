@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 
 from autotune.errors import CertificateError, InfeasibleError, UsageError
-from autotune.export import fzi_cartesian, peers, ros2_control
+from autotune.export import fzi_cartesian, ros2_control, third_party
 from autotune.export import retune as retune_module
+from autotune.export.export import export_controller
+from autotune.export.fzi_axis import FziAxis
 from autotune.export.fzi_cartesian import FziOptions
-from autotune.export.peers import PEERS, PeerExport, export_peer, peer_options
 from autotune.export.retune import QuickJudge, retune
-from autotune.export.ros2_control import JOINT_DAMPING_PER_S, Ros2Axis, Ros2Options
-from autotune.export.targets import PEER_TARGETS
+from autotune.export.ros2_axis import JOINT_DAMPING_PER_S, Ros2Axis
+from autotune.export.ros2_control import Ros2Options
+from autotune.export.third_party import Translation
 from autotune.formats.controller import write_controller
 from autotune.formats.controller_record import AxisGains
 from autotune.formats.limits import AxisLimits, Limits
@@ -43,21 +45,21 @@ LEVEL = FziOptions(orientation=(0.0, 0.0, 0.0, 1.0))
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> PeerExport:
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Translation:
     return exported(tmp_path_factory.mktemp("plain"), peer_controller({"x": PLAIN}, EASY), Ros2Options())
 
 
 @pytest.fixture(scope="module")
-def tuned(tmp_path_factory: pytest.TempPathFactory) -> PeerExport:
+def tuned(tmp_path_factory: pytest.TempPathFactory) -> Translation:
     return exported(tmp_path_factory.mktemp("tuned"), peer_controller({"x": LEAD}), Ros2Options())
 
 
 @pytest.fixture(scope="module")
-def fzi(tmp_path_factory: pytest.TempPathFactory) -> PeerExport:
+def fzi(tmp_path_factory: pytest.TempPathFactory) -> Translation:
     return exported(tmp_path_factory.mktemp("fzi"), peer_controller({"z": PLAIN}, EASY), LEVEL)
 
 
-def test_gains_that_the_other_controller_can_express_are_translated(plain: PeerExport) -> None:
+def test_gains_that_the_other_controller_can_express_are_translated(plain: Translation) -> None:
     (axis,) = plain.axes
     assert axis.tuned_because is None
     rule = parameters(plain)["admittance"]
@@ -70,7 +72,7 @@ def test_gains_that_the_other_controller_can_express_are_translated(plain: PeerE
     assert axis.peak_n == pytest.approx(axis.peak_before_n, rel=0.03)
 
 
-def test_what_fails_without_its_lead_is_tuned_anew_and_the_price_is_told(tuned: PeerExport) -> None:
+def test_what_fails_without_its_lead_is_tuned_anew_and_the_price_is_told(tuned: Translation) -> None:
     (axis,) = tuned.axes
     assert axis.tuned_because is not None
     assert "modulus_margin must be at least 0.5" in axis.tuned_because
@@ -81,7 +83,7 @@ def test_what_fails_without_its_lead_is_tuned_anew_and_the_price_is_told(tuned: 
     assert axis.certificate.holds
 
 
-def test_what_is_written_is_what_was_certified(tuned: PeerExport) -> None:
+def test_what_is_written_is_what_was_certified(tuned: Translation) -> None:
     written = parameters(tuned)["admittance"]
     values = {name: written[name][0] for name in ("mass", "damping_ratio", "stiffness")}
     rule = SpringAdmittance(
@@ -100,7 +102,7 @@ def test_what_is_written_is_what_was_certified(tuned: PeerExport) -> None:
 def test_the_search_leaves_nothing_better_in_its_box() -> None:
     """Random designs, judged by the same quick judge without its reserve, against the tuned one's certified peak."""
     task = task_of(peer_controller({"x": LEAD}))
-    axis = Ros2Axis(task=task, gains=LEAD, options=Ros2Options())
+    axis = Ros2Axis(task=task, gains=LEAD)
     values, found = retune(task, axis)
     assert found.worst is not None
     ends = tuple(
@@ -124,13 +126,13 @@ def test_nothing_is_written_where_the_other_controller_cannot_do_it(tmp_path: Pa
         InfeasibleError,
         match=r"Axis x: that controller cannot do what was asked\. .*nearest that was found: mass .* misses \w+ by",
     ):
-        export_peer(source, Ros2Options(), out)
+        export_controller(source, "ros2_control", out)
     assert out.read_text(encoding="utf-8") == earlier
 
 
 def test_what_an_infeasible_search_misses_is_told_whole_and_nothing_in_its_box_misses_less() -> None:
     task = task_of(peer_controller({"x": LEAD}, requirements(9e-4)))
-    axis = Ros2Axis(task=task, gains=LEAD, options=Ros2Options())
+    axis = Ros2Axis(task=task, gains=LEAD)
     with pytest.raises(InfeasibleError) as caught:
         retune(task, axis)
     shares = [float(each) for each in re.findall(r"by (\S+) %", str(caught.value))]
@@ -172,12 +174,11 @@ def test_the_law_s_own_speed_is_not_left_to_change_sign_in_every_cycle(tmp_path:
 @pytest.mark.parametrize("coefficient", [1.0, 0.3])
 def test_no_corner_of_a_search_changes_sign_in_every_cycle(coefficient: float) -> None:
     task = task_of(peer_controller({"x": PLAIN}, EASY))
-    options = Ros2Options(filter_coefficient=coefficient)
     for axis in (
-        Ros2Axis(task=task, gains=PLAIN, options=options),
-        Ros2Axis(task=task, gains=PLAIN, options=options, fixed_mass=1.7),
-        Ros2Axis(task=task, gains=PLAIN, options=options, fixed_mass=0.01),
-        fzi_cartesian.FziAxis(task, PLAIN, FziOptions()),
+        Ros2Axis(task=task, gains=PLAIN, filter_coefficient=coefficient),
+        Ros2Axis(task=task, gains=PLAIN, filter_coefficient=coefficient, fixed_mass=1.7),
+        Ros2Axis(task=task, gains=PLAIN, filter_coefficient=coefficient, fixed_mass=0.01),
+        FziAxis(task, PLAIN),
     ):
         for corner in itertools.product(*((each.low, each.high) for each in axis.variables)):
             assert not alternates(axis.law(corner))
@@ -207,9 +208,9 @@ def test_every_axis_that_cannot_be_done_is_told(tmp_path: Path, monkeypatch: pyt
     def impossible(task: AxisTask, _: Ros2Axis) -> None:
         raise InfeasibleError(f"nothing does for {task.axis}")
 
-    monkeypatch.setattr(peers, "retune", impossible)
+    monkeypatch.setattr(third_party, "retune", impossible)
     with pytest.raises(InfeasibleError, match=r"Axis x: .*nothing does for x\. Axis z: .*nothing does for z\."):
-        exported(tmp_path, peer_controller({"x": LEAD, "z": LEAD}), Ros2Options(version="rolling"))
+        exported(tmp_path, peer_controller({"x": LEAD, "z": LEAD}), Ros2Options(ros2_version="rolling"))
 
 
 def test_fewer_joints_than_axes_are_refused_and_fewer_than_six_are_told(tmp_path: Path) -> None:
@@ -220,13 +221,13 @@ def test_fewer_joints_than_axes_are_refused_and_fewer_than_six_are_told(tmp_path
     assert "axis x: only 2 joints are named" in made.axes[0].notes[-1]
 
 
-def test_the_same_file_gives_the_same_bytes(tmp_path: Path, plain: PeerExport) -> None:
+def test_the_same_file_gives_the_same_bytes(tmp_path: Path, plain: Translation) -> None:
     again = exported(tmp_path, peer_controller({"x": PLAIN}, EASY), Ros2Options())
     assert again.text == plain.text
 
 
 def test_numbers_have_a_point_and_no_exponent_and_keys_are_the_controllers_own(
-    plain: PeerExport, tuned: PeerExport, fzi: PeerExport
+    plain: Translation, tuned: Translation, fzi: Translation
 ) -> None:
     for made, known in (
         (plain, ros2_control.KNOWN_KEYS),
@@ -248,7 +249,7 @@ def _leaves(tree: dict[str, Any], within: str = "") -> list[tuple[str, Any]]:
     return found
 
 
-def test_the_header_names_source_version_rate_and_what_was_dropped(tuned: PeerExport) -> None:
+def test_the_header_names_source_version_rate_and_what_was_dropped(tuned: Translation) -> None:
     told = re.sub(r"\n#\s*", " ", tuned.text)
     for part in (
         "ros2_controllers admittance_controller 4.42.0 (jazzy)",
@@ -285,22 +286,24 @@ def test_a_rotational_axis_has_its_own_units_and_places(tmp_path: Path) -> None:
     [
         ({"return_stiffness": 0.0}, "2ζ√"),
         ({"filter_coefficient": 0.0}, "above 0"),
-        ({"version": "7.0.0"}, "4.0.0 to 6.x"),
-        ({"version": "iron"}, "humble, jazzy, kilted, lyrical, rolling"),
-        ({"version": "2.53.0"}, "2.x from 2.54.0 on"),
-        ({"version": "3.9.0"}, "from 4.0.0 to 6.x"),
+        ({"ros2_version": "7.0.0"}, "4.0.0 to 6.x"),
+        ({"ros2_version": "iron"}, "humble, jazzy, kilted, lyrical, rolling"),
+        ({"ros2_version": "2.53.0"}, "2.x from 2.54.0 on"),
+        ({"ros2_version": "3.9.0"}, "from 4.0.0 to 6.x"),
         ({"joints": ("a", "a")}, "each once"),
         ({"base_link": "base link"}, "is no name"),
     ],
 )
 def test_options_that_make_no_file_are_refused(given: dict[str, Any], told: str) -> None:
     with pytest.raises(UsageError, match=re.escape(told)):
-        peer_options("ros2_control", given)
+        Ros2Options(**given)
 
 
-def test_an_option_of_another_target_is_refused() -> None:
-    with pytest.raises(UsageError, match="--return-stiffness, --ros2-version says nothing"):
-        peer_options("fzi_cartesian", {"version": "jazzy", "return_stiffness": 1.0})
+def test_an_option_of_another_target_is_refused(tmp_path: Path) -> None:
+    wrong = {"ros2_version": "jazzy", "return_stiffness": 1.0}
+    refusal = "fzi_cartesian has no option --return-stiffness, --ros2-version; its options: "
+    with pytest.raises(UsageError, match=refusal):
+        export_controller(tmp_path / "a.yaml", "fzi_cartesian", tmp_path / "out.yaml", options=wrong)
 
 
 def test_a_period_that_is_no_whole_rate_is_refused(tmp_path: Path) -> None:
@@ -337,17 +340,13 @@ def test_an_approach_at_a_speed_is_certified_at_that_speed(tmp_path: Path) -> No
     assert peaks[1] == pytest.approx(2.0 * peaks[0], rel=1e-6)
 
 
-def test_every_target_of_the_command_has_its_structure() -> None:
-    assert tuple(PEERS) == PEER_TARGETS
-
-
 def test_numbers_that_cannot_be_proved_are_a_certificate_that_does_not_hold(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def unproved(task: AxisTask, law: LinearController) -> LawCertificate:
         return replace(certify_law(task, law), missed=("not proved",), is_unproved=True)
 
-    for module in (peers, retune_module):
+    for module in (third_party, retune_module):
         monkeypatch.setattr(module, "certify_law", unproved)
     with pytest.raises(CertificateError, match=r"Axis x: .* cannot be proved stable"):
         exported(tmp_path, peer_controller({"x": PLAIN}, EASY), Ros2Options())
@@ -362,7 +361,7 @@ def test_what_the_other_controller_runs_must_come_to_rest_at_a_contact(
         asked.append(law)
         return BounceSearch(axis=axis, runs=1, plants=1, refusal="the contact bounces for ever")
 
-    monkeypatch.setattr(peers, "search_bouncing", bounces)
+    monkeypatch.setattr(third_party, "search_bouncing", bounces)
     with pytest.raises(CertificateError, match=r"Axis x: with what that controller runs, the contact bounces for ever"):
         exported(tmp_path, peer_controller({"x": PLAIN}, EASY), Ros2Options())
     assert isinstance(asked[0], LinearController)

@@ -1,0 +1,138 @@
+"""Verify a controller file, write it in another format, and return what was written."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from autotune.errors import CertificateError, UsageError
+from autotune.formats.atomic import check_target, write_atomic
+from autotune.formats.controller import ControllerFile, read_controller
+from autotune.runtime.load import check_digits, check_expected, verify_signature
+from autotune.validation.validate import validate_controller
+
+from .target import ExportRequest, Rendered, Target
+from .targets import TARGETS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trust:
+    """What is asked of the file: the signature of a key (a file, PEM or OpenSSH), its checksum (64 digits), or neither.
+
+    Raises UsageError: the checksum is not 64 hexadecimal digits.
+    """
+
+    public_key: Path | None = None
+    expected_checksum: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.expected_checksum is not None:
+            check_digits(self.expected_checksum)
+
+    def verify(self, source: ControllerFile) -> str | None:
+        """Return the fingerprint of the key that signed the file, None where no key is asked for.
+
+        Raises CertificateError: the file is not signed by the key, or another one. UsageError: the key cannot be read.
+        """
+        signed_by = None
+        if self.public_key is not None:
+            signed_by = verify_signature(source.path, self.public_key, source.sha256)
+        if self.expected_checksum is not None:
+            check_expected(self.expected_checksum, source.checksum, source.path)
+        return signed_by
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exported:
+    """What was written, for which target, from which file; `replaced` are files of an earlier export by now gone."""
+
+    target: Target
+    source: ControllerFile
+    rendered: Rendered
+    replaced: tuple[Path, ...]
+
+    @property
+    def checksum(self) -> str:
+        """The checksum of the controller file."""
+        return self.source.checksum
+
+
+def export_controller(
+    path: Path | str,
+    target: str,
+    out: Path | str,
+    *,
+    options: Mapping[str, Any] | None = None,
+    trust: Trust | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Exported:
+    """Verify the controller file `path` and write it in a format of `TARGETS`.
+
+    Parameters
+    ----------
+    path
+        A validated controller.yaml.
+    target
+        The name of the target, a key of `TARGETS`.
+    out
+        The file to write; each file is replaced in one step, and none before all texts are made.
+    options
+        Options of the target by name (`TargetOption.name`); by default those of the target.
+    trust
+        The signature or checksum that the file must have; by default neither.
+    progress
+        Called with the share of the work done since the last call.
+
+    Raises
+    ------
+    UsageError
+        An unknown target or option, a file that cannot be opened or written, or an `out` that is not of the same
+        export.
+    CertificateError
+        A file that is altered, not validated, not as `trust` asks, or whose law is not what it states.
+    InfeasibleError
+        Another controller can do nothing that meets the file's requirements.
+
+    """
+    if target not in TARGETS:
+        raise UsageError(f"There is no export target {target}; targets: {', '.join(TARGETS)}.")
+    kind, given = TARGETS[target], dict(options or {})
+    _check_options(kind, given)
+    files = kind.files(Path(out))
+    source = read_controller(path)
+    replaced = check_files(kind, files, path)
+    signed_by = (trust or Trust()).verify(source)
+    if kind.runs_same_law:
+        check_law(source, progress)
+    request = ExportRequest(source=source, out=Path(out), options=given, signed_by=signed_by, progress=progress)
+    rendered = kind.render(request)
+    for file, text in zip(files, rendered.texts, strict=True):
+        write_atomic(file, text)
+    return Exported(target=kind, source=source, rendered=rendered, replaced=replaced)
+
+
+def check_files(target: Target, files: tuple[Path, ...], source: Path | str) -> tuple[Path, ...]:
+    """Return the files of an earlier export that will be replaced; raises UsageError where another file is."""
+    for file in files:
+        check_target(file, [source], kind=f"export to {target.name}", is_own=target.is_own)
+    return tuple(file for file in files if file.is_file() and file.stat().st_size > 0)
+
+
+def _check_options(target: Target, given: Mapping[str, Any]) -> None:
+    known = {option.name: option.flag for option in target.options}
+    unknown = sorted(f"--{name.replace('_', '-')}" for name in given if name not in known)
+    if unknown:
+        there_are = f"its options: {', '.join(known.values())}" if known else "it takes no options"
+        raise UsageError(f"The target {target.name} has no option {', '.join(unknown)}; {there_are}.")
+
+
+def check_law(source: ControllerFile, progress: Callable[[float], None] | None = None) -> None:
+    """Raise CertificateError unless the law is stable, has its margins at the recorded plants, and keeps its limits.
+
+    Stable over the whole domain, and within the limits in the hardest of the predicted contacts. The checksum can be
+    made anew by anybody; what a law does cannot.
+    """
+    try:
+        validate_controller(source.controller, progress, is_short=True).require()
+    except CertificateError as reason:
+        raise CertificateError(f"{source.path} is false, so nothing is exported from it: {reason}") from reason

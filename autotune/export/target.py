@@ -1,0 +1,83 @@
+"""What an export target is: its name, its options, the files that it writes and how they are recognised."""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from autotune.formats.controller import ControllerFile
+
+# `autotune export --help` reads the table of targets, so a target imports what it needs in the functions that need it.
+
+
+@dataclass(frozen=True, kw_only=True)
+class TargetOption:
+    """An option of a target, such as `--joints`; `parse` turns its text, or its number, into what the target takes."""
+
+    flag: str
+    metavar: str
+    help: str
+    type: type = str
+    parse: Callable[[Any], Any] | None = None
+
+    @property
+    def name(self) -> str:
+        """The option as a Python name."""
+        return self.flag.removeprefix("--").replace("-", "_")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportRequest:
+    """A controller file that was verified, the first file to write, and the options by name.
+
+    `signed_by` is the fingerprint of the key whose signature was verified, None where none was asked for.
+    """
+
+    source: "ControllerFile"
+    out: Path
+    options: Mapping[str, Any] = field(default_factory=dict)
+    signed_by: str | None = None
+    progress: Callable[[float], None] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rendered:
+    """The texts of the files, in the order of `Target.files`; `lines` and `tree` are what else is to be printed."""
+
+    texts: tuple[str, ...]
+    lines: tuple[str, ...] = ()
+    tree: Mapping[str, Any] = field(default_factory=dict)
+
+
+def begins_with(pattern: bytes) -> Callable[[Path], bool]:
+    """Return a test of whether a file begins with a pattern."""
+    mark = re.compile(pattern)
+
+    def is_own(path: Path) -> bool:
+        from autotune.formats.replaceable import HEAD_BYTES  # noqa: PLC0415
+
+        with path.open("rb") as stream:
+            return mark.match(stream.read(HEAD_BYTES)) is not None
+
+    return is_own
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """A format that a controller can be exported to.
+
+    `summary` is a sentence for `--help`. `render` returns what is to be written, or raises CertificateError,
+    InfeasibleError or UsageError. `is_own` recognises an earlier export to this target, the only file that is replaced.
+    `files` returns the files to write from the one that `-o` names. With `runs_same_law` the file's own law is
+    checked before; a target that runs another law certifies it itself.
+    """
+
+    name: str
+    summary: str
+    render: Callable[[ExportRequest], Rendered]
+    is_own: Callable[[Path], bool]
+    options: tuple[TargetOption, ...] = ()
+    files: Callable[[Path], tuple[Path, ...]] = lambda out: (out,)
+    runs_same_law: bool = True
