@@ -21,7 +21,7 @@ Examples:
 
 def _target_options(function: Any) -> Any:
     """Add the options that the targets declare."""
-    for option in reversed(target_options()):
+    for option in reversed(list(target_options())):
         function = click.option(option.flag, option.name, metavar=option.metavar, type=option.type, help=option.help)(
             function
         )
@@ -90,8 +90,7 @@ def command(
     from autotune.formats.canonical import short
 
     options = {option.name: option for option in target_options()}
-    given = {name: value for name, value in further.items() if value is not None}
-    given = {name: options[name].parse(value) if options[name].parse else value for name, value in given.items()}
+    given = {name: options[name].parse(value) for name, value in further.items() if value is not None}
     trust = Trust(public_key=public_key, expected_checksum=expected_checksum)
     with output.progress("verifying", 1.0) as advance:
         made = export_controller(controller, target, out, options=given, trust=trust, progress=advance)

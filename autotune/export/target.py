@@ -20,7 +20,7 @@ class TargetOption:
     metavar: str
     help: str
     type: type = str
-    parse: Callable[[Any], Any] | None = None
+    parse: Callable[[Any], Any] = lambda value: value
 
     @property
     def name(self) -> str:

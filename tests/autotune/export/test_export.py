@@ -101,7 +101,7 @@ def test_every_target_takes_its_own_file_and_no_other_s(source: Path, texts: dic
         if target == made_by:
             check_files(TARGETS[target], TARGETS[target].files(out), source)
         else:
-            with pytest.raises(UsageError, match="name another (file|one) with -o"):
+            with pytest.raises(UsageError, match=r"name another (file|one) with -o"):
                 check_files(TARGETS[target], TARGETS[target].files(out), source)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.export import fzi_cartesian
-from autotune.export.fzi_axis import base_axes, rotation
+from autotune.export.fzi_axis import FziAxis, base_axes, rotation
 from autotune.export.fzi_cartesian import FziOptions, Quaternion, parse_orientation
 from autotune.export.ros_yaml import check_keys
 from autotune.export.third_party import Translation
@@ -52,7 +52,7 @@ def test_forward_dynamics_leads_by_its_derivative_and_drops_the_mass(fzi: Transl
 
 def test_a_translated_gain_of_forward_dynamics_moves_as_fast_as_the_file_s_damping() -> None:
     task = task_of(peer_controller({"x": PLAIN}, EASY))
-    axis = fzi_cartesian.FziAxis(task, PLAIN, FziOptions())
+    axis = FziAxis(task, PLAIN)
     found = force_per_speed(axis.pair, axis.law(axis.translated))
     assert found == pytest.approx(PLAIN.damping + CELL.drag_n_s_per_m, rel=1e-4)
 

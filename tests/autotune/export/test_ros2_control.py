@@ -57,7 +57,7 @@ def test_much_mass_beside_little_damping_keeps_a_tenth_of_its_damping_out_of_the
     heavy = replace(PLAIN, mass=30.0, damping=120.0)
     task = task_of(peer_controller({"x": PLAIN}, EASY))
     for fixed in (None, 30.0):
-        axis = Ros2Axis(task=task, gains=heavy, options=Ros2Options(), fixed_mass=fixed)
+        axis = Ros2Axis(task=task, gains=heavy, fixed_mass=fixed)
         for values in (axis.translated, *itertools.product(*((each.low, each.high) for each in axis.variables))):
             rule = axis.rule(values)
             # Six digits are written.
@@ -81,8 +81,8 @@ def test_older_and_newer_releases_run_the_same_rule(tmp_path: Path, plain: Trans
 def test_a_strong_filter_is_certified_as_it_is() -> None:
     """The default coefficient delays the force so much that the translated gains no longer hold."""
     task = task_of(peer_controller({"x": PLAIN}, EASY))
-    filtered = Ros2Axis(task=task, gains=PLAIN, options=Ros2Options(filter_coefficient=0.05))
-    open_ = Ros2Axis(task=task, gains=PLAIN, options=Ros2Options())
+    filtered = Ros2Axis(task=task, gains=PLAIN, filter_coefficient=0.05)
+    open_ = Ros2Axis(task=task, gains=PLAIN)
     late, plain = (certify_law(task, axis.law(axis.translated)) for axis in (filtered, open_))
     assert plain.margins is not None
     assert late.margins is None or late.margins.values["modulus"] < 0.95 * plain.margins.values["modulus"]

@@ -249,11 +249,12 @@ def _leaves(tree: dict[str, Any], within: str = "") -> list[tuple[str, Any]]:
     return found
 
 
-def test_the_header_names_source_version_rate_and_what_was_dropped(tuned: Translation) -> None:
+def test_the_header_names_source_version_rate_and_what_was_dropped(tmp_path: Path, tuned: Translation) -> None:
+    digest = write_controller(tmp_path / "controller.yaml", peer_controller({"x": LEAD}))
     told = re.sub(r"\n#\s*", " ", tuned.text)
     for part in (
         "ros2_controllers admittance_controller 4.42.0 (jazzy)",
-        tuned.source.checksum,
+        digest,
         "an update rate of 1250 Hz",
         "Dropped: axis x: lead K_l = 0.0209 s.",
         "Dropped: axis x: feedback damping B_fb = 0.005 s.",
