@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from problems.compiled import compiled
 from problems.contact.events import advance_surface, contact_force, is_in_contact, switch_within
-from problems.contact.kernel import Contact
+from problems.contact.kernel_types import APART, IN_CONTACT, NEWEST, POSITION, SENSED, Contact, Held, Inputs
 from problems.contact.transient import build_sampled_contact
 from problems.model.controller import controller_blocks, controller_step
 from problems.model.sampled import build_sampled_plant, controller_rest
@@ -16,6 +16,10 @@ from .phases import Script
 from .truth import Cell
 
 FloatArray = NDArray[np.float64]
+
+# Rows of the signals, and the first state of the robot's chain.
+FLANGE, COMMAND, PAYLOAD, VELOCITY, FORCE, CONTACT, HAND, SIGNALS = 0, 1, 2, 3, 4, 5, 6, 7
+CHAIN = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,21 +68,20 @@ def _advance(
     plant: Contact,
     state: FloatArray,
     surface_state: FloatArray,
-    inputs: tuple[float, float, float],
+    inputs: Inputs,
     touching: bool,
 ) -> bool:
-    """Step payload and environment over one sample; `inputs` are older and newer command and push. Tell the touch."""
-    (step, flow), (rows, _), (_, _, fraction), wall = plant
-    (older, newer, push), n, mode = inputs, step.shape[1], 0 if touching else 1
+    """Step payload and environment over one sample and return whether they touch."""
+    step, flow, rows, _, delay, wall = plant
+    (older, newer, push), n, mode = inputs, step.shape[1], IN_CONTACT if touching else APART
     phi = step[mode, :, :n].copy()
     following = phi @ state + step[mode, :, n] * newer + step[mode, :, n + 1] * older + step[mode, :, n + 2] * push
     swung = surface_state.copy()
     if not touching:
         # An environment with mass swings back on its own.
         advance_surface(swung, wall, 1.0)
-    if is_in_contact(following, swung, wall, rows, (newer, push), touching) != touching:
-        touching, _, _, _ = switch_within(flow, state, surface_state, wall, rows, inputs, fraction, touching, 1)
-        return touching
+    if is_in_contact(following, swung, wall, rows, Held(newer, push), touching) != touching:
+        return switch_within(flow, state, surface_state, wall, rows, inputs, delay.fraction, touching, 1).touching
     state[:], surface_state[:] = following, swung
     return touching
 
@@ -93,38 +96,40 @@ def _step_axis(
     noise: FloatArray,
 ) -> FloatArray:
     """Return rows flange, command, payload, payload velocity·h, F, F_e, hand force over the ticks; the wall is at 0."""
-    (step, _), (rows, _), (whole, chain, _), _ = plant
+    (whole, chain, _), rows, (distance, deadband) = plant.delay, plant.rows, limits
     admittance, script_command, desired, hand_force, homing = script
-    n, samples = step.shape[1], len(admittance)
-    state, past, control, surface_state = np.zeros(n), np.full(max(chain, 1), -limits[0]), rest.copy(), np.zeros(2)
-    state[0] = state[n - 2] = -limits[0]
-    out = np.empty((7, samples))
-    base, was_running, touching = -limits[0], False, False
+    n, samples = plant.step.shape[1], len(admittance)
+    state, past, control, surface_state = np.zeros(n), np.full(max(chain, 1), -distance), rest.copy(), np.zeros(2)
+    # The robot chain's first state has unit gain at rest; then x_p.
+    state[CHAIN] = state[n - 2] = -distance
+    out = np.empty((SIGNALS, samples))
+    base, was_running, touching = -distance, False, False
     for k in range(samples):
         held = past[chain - 1]
-        position = float(np.sum(rows[0, :n] * state))
-        sensed = float(np.sum(rows[1, :n] * state) + rows[1, n] * held)
+        position = float(np.sum(rows[POSITION, :n] * state))
+        sensed = float(np.sum(rows[SENSED, :n] * state) + rows[SENSED, n] * held)
         seen = sensed + noise[k]
-        drive_force = float(desired[k] + (seen if abs(seen) > limits[1] else 0.0))
+        drive_force = float(desired[k] + (seen if abs(seen) > deadband else 0.0))
         if admittance[k]:
             if not was_running:
-                control = rest * past[0]
+                control = rest * past[NEWEST]
             law = (control[0], control[1], control[2], control[3])
             command, law = controller_step(blocks, law, drive_force, position)
             control[0], control[1], control[2], control[3] = law
         else:
             if was_running or k == 0:
-                base = past[0] - script_command[k]
+                base = past[NEWEST] - script_command[k]
             command = base + script_command[k]
         was_running = admittance[k]
-        push = hand_force[k] - homing[k] * (state[n - 2] + limits[0])
-        out[0, k], out[1, k], out[2, k], out[3, k] = position, command, state[n - 2], state[n - 1]
-        out[4, k], out[6, k] = sensed, push
-        out[5, k] = max(0.0, contact_force(state, rows, (held, push))) if touching else 0.0
+        push = hand_force[k] - homing[k] * (state[n - 2] + distance)
+        out[FLANGE, k], out[COMMAND, k] = position, command
+        out[PAYLOAD, k], out[VELOCITY, k] = state[n - 2], state[n - 1]
+        out[FORCE, k], out[HAND, k] = sensed, push
+        out[CONTACT, k] = max(0.0, contact_force(state, rows, Held(held, push))) if touching else 0.0
         newer = command if whole == 0 else past[whole - 1]
         older = held if chain > whole else newer
-        touching = _advance(plant, state, surface_state, (older, newer, push), touching)
+        touching = _advance(plant, state, surface_state, Inputs(older, newer, push), touching)
         for i in range(chain - 1, 0, -1):
             past[i] = past[i - 1]
-        past[0] = command
+        past[NEWEST] = command
     return out

@@ -16,7 +16,8 @@ from ..model.controller import AdmittanceController
 from ..model.linear_controllers import LinearController
 from ..model.sampled import build_loop, spectral_radius
 from ..stability.margins import UnstableLoopError
-from .kernel import Contact, Start, first_moment, walk
+from .kernel import first_moment, walk
+from .kernel_types import CONTACT_PEAK, FOUND, SWITCHES, TOUCHING, Contact, Forces, Span, Start, Traces
 from .linear_controller_contact import begin_linear_contact, run_linear_contact
 from .transient import Approach, SampledContact, begin_contact, longest_run
 
@@ -92,8 +93,8 @@ def follow_contact(
     if isinstance(law, LinearController):
         verdict, count = _follow_linear(pair, law, approach, length, peaks, switches)
     else:
-        begun, room = begin_contact(pair, law, approach), (np.empty(length), np.empty(length))
-        verdict, count = follow_bounces(pair.arguments, begun.blocks, begun.start, begun.forces, room, peaks, switches)
+        begun, work = begin_contact(pair, law, approach), Traces(np.empty(length), np.empty(length))
+        verdict, count = follow_bounces(pair.arguments, begun.blocks, begun.start, begun.forces, work, peaks, switches)
     return ContactOutcome(
         ending={SETTLED: Ending.SETTLED, BOUNCING: Ending.BOUNCING}.get(verdict, Ending.DECAYING),
         duration_s=count * length * h,
@@ -112,12 +113,12 @@ def _follow_linear(
     switches: NDArray[np.int64],
 ) -> tuple[int, int]:
     """Follow a contact over windows, see `follow_bounces`; a contact ends on the grid of the parts."""
-    loop, moment, force, _ = begin_linear_contact(pair, law, approach)
+    loop, start, force, _ = begin_linear_contact(pair, law, approach)
     force, touching = force if approach.after_impact_n is None else approach.after_impact_n, True
     for w in range(len(peaks)):
-        found = np.zeros(4)
-        touching = run_linear_contact(loop, moment, force, window, touching, found)
-        peaks[w], switches[w] = found[1], int(found[3])
+        found = np.zeros(FOUND)
+        touching, switches[w] = run_linear_contact(loop, start, force, window, touching, found)
+        peaks[w] = found[CONTACT_PEAK]
         verdict = _judge_window(peaks, switches, w, touching, force)
         if verdict >= 0:
             return verdict, w + 1
@@ -129,25 +130,25 @@ def follow_bounces(
     plant: Contact,
     blocks: FloatArray,
     start: Start,
-    forces: tuple[float, float],
-    room: tuple[FloatArray, FloatArray],
+    forces: Forces,
+    work: Traces,
     peaks: FloatArray,
     switches: NDArray[np.int64],
 ) -> tuple[int, int]:
     """Follow a contact over windows and return the verdict with the number of windows.
 
-    A window is as long as `room`, two arrays that are written over; it must be the time in which the slower of the two
-    linear motions, in contact and in free space, settles. `peaks` (w,) gets the largest F_e of each window, `switches`
+    A window is as long as the arrays of `work`, which are written over: the time in which the slower of the two linear
+    motions, in contact and in free space, settles. `peaks` (w,) gets the largest F_e of each window, `switches`
     (w,) in how many samples of it the contact began or ended; w is the most that is followed. A window without a
     switch that ends in contact is linear throughout, so the motion has settled.
     """
-    now, flags = first_moment(start, plant[3], np.zeros(5))
-    found, crest, length = np.zeros(5), np.full((2, len(now[0]) + 3), -1.0), len(room[0])
+    now, flags = first_moment(start, plant, np.zeros(FOUND))
+    found, crest, length = np.zeros(FOUND), np.full((2, len(now.state) + 3), -1.0), len(work.sensed)
     for w in range(len(peaks)):
-        found[:], before = 0.0, flags[2]
-        walk(plant, blocks, now, flags, forces, (0, length, length), room, found, crest)
-        peaks[w], switches[w] = found[2], flags[2] - before
-        verdict = _judge_window(peaks, switches, w, flags[1] == 1, forces[0] + forces[1])
+        found[:], before = 0.0, flags[SWITCHES]
+        walk(plant, blocks, now, flags, forces, Span(0, length, length), work, found, crest)
+        peaks[w], switches[w] = found[CONTACT_PEAK], flags[SWITCHES] - before
+        verdict = _judge_window(peaks, switches, w, flags[TOUCHING] == 1, forces.desired + forces.push)
         if verdict >= 0:
             return verdict, w + 1
     return DECAYING, len(peaks)

@@ -3,13 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compiled import compiled
+from ..compiled import compiled, inlined
+from .kernel_types import APART, IN_CONTACT, PLACE, PRESSED, SPEED, Crossing, Held, Inputs, Wall
 
 FloatArray = NDArray[np.float64]
-# (K_e, B_e/h, M_e/h², share of the speed that the payload keeps in an impact with the resting environment)
-Wall = tuple[float, float, float, float]
 
-# Between the ticks a contact is looked at this often per radian of its fastest oscillation.
+# Substeps between the ticks per radian of the fastest oscillation of a contact.
 SUBSTEPS_PER_RADIAN = 2.0
 MOST_SUBSTEPS = 64
 
@@ -20,6 +19,8 @@ _SERIES_TERMS = 18
 # Shares of the force below which a term, or what a crest may still hide, is rounding.
 _NEGLIGIBLE, _FLAT = 1e-18, 1e-16
 _SLOPE_STEPS = 7
+# The first two coefficients of a power series.
+_VALUE, _SLOPE = 0, 1
 # Below this (ωτ)² the power series of cosine and sine are exact to rounding in four terms.
 _NEARLY_CRITICAL = 1e-3
 
@@ -44,53 +45,57 @@ def advance(rate: FloatArray, push: FloatArray, state: FloatArray, duration: flo
     return out
 
 
+@inlined
+def spring_force(wall: Wall, position: float, velocity: float) -> float:
+    """Return K_e x_p + B_e v_p of a massless environment, whose damper acts only behind its surface (x_p ≥ 0).
+
+    Above 0 it is F_e, and the payload is in contact; otherwise F_e is 0 (MODEL.md, "The contact transient").
+    """
+    return wall.stiffness * position + (wall.damping * velocity if position >= 0.0 else 0.0)
+
+
 @compiled
 def is_in_contact(
-    state: FloatArray,
-    surface_state: FloatArray,
-    wall: Wall,
-    outputs: FloatArray,
-    inputs: tuple[float, float],
-    touching: bool,
+    state: FloatArray, surface_state: FloatArray, wall: Wall, outputs: FloatArray, inputs: Held, touching: bool
 ) -> bool:
-    """Tell whether the payload is on the environment, given whether it was: force when on it, gap when off it."""
+    """Tell whether the payload is on the environment, given whether it was: the one rule of every contact.
+
+    A massless environment follows at once, so that it is the sign of its force. One with mass is met where it is,
+    and left when F_e = M_e dv_p/dt + B_e v_p + K_e x_p is not above 0.
+    """
     n = len(state)
-    if wall[2] == 0.0:
-        # A massless environment is back at once; its damper pulls on nobody.
-        force = wall[0] * state[n - 2]
-        if state[n - 2] >= 0.0:
-            force += wall[1] * state[n - 1]
-        return bool(force > 0.0)
+    if wall.mass == 0.0:
+        return bool(spring_force(wall, state[n - 2], state[n - 1]) > 0.0)
     if not touching:
-        return bool(state[n - 2] > surface_state[0])
+        return bool(state[n - 2] > surface_state[PLACE])
     return contact_force(state, outputs, inputs) > 0.0
 
 
 @compiled
-def contact_force(state: FloatArray, outputs: FloatArray, inputs: tuple[float, float]) -> float:
-    """Return F_e of a payload that stays on the environment; `inputs` are the held command and the outside force."""
+def contact_force(state: FloatArray, outputs: FloatArray, inputs: Held) -> float:
+    """Return F_e of a payload that stays on the environment."""
     n = len(state)
-    force = outputs[2, n] * inputs[0] + outputs[2, n + 1] * inputs[1]
+    force = outputs[PRESSED, n] * inputs.command + outputs[PRESSED, n + 1] * inputs.push
     for i in range(n):
-        force += outputs[2, i] * state[i]
+        force += outputs[PRESSED, i] * state[i]
     return float(force)
 
 
 @compiled
 def substeps_apart(wall: Wall) -> int:
-    """Return in how many parts a sample is looked at while the environment's mass swings on its own."""
-    if wall[2] == 0.0:
+    """Return in how many substeps a sample is crossed while the environment's mass swings on its own."""
+    if wall.mass == 0.0:
         return 1
-    return max(1, min(MOST_SUBSTEPS, int(np.ceil(SUBSTEPS_PER_RADIAN * np.sqrt(wall[0] / wall[2])))))
+    return max(1, min(MOST_SUBSTEPS, int(np.ceil(SUBSTEPS_PER_RADIAN * np.sqrt(wall.stiffness / wall.mass)))))
 
 
 @compiled
 def advance_surface(surface_state: FloatArray, wall: Wall, duration: float) -> None:
     """Let the environment's mass swing back on its own spring and damper, M x'' + B x' + K x = 0 in closed form."""
-    if wall[2] == 0.0:
+    if wall.mass == 0.0:
         return
-    position, speed = surface_state
-    stiffness, decay = wall[0] / wall[2], 0.5 * wall[1] / wall[2]
+    position, speed = surface_state[PLACE], surface_state[SPEED]
+    stiffness, decay = wall.stiffness / wall.mass, 0.5 * wall.damping / wall.mass
     square = stiffness - decay * decay
     turn = square * duration * duration
     # (cosine, sine over frequency) times exp(−decay·τ).
@@ -105,21 +110,21 @@ def advance_surface(surface_state: FloatArray, wall: Wall, duration: float) -> N
         fast = decay + np.sqrt(-square)
         slowly, quickly = np.exp(-stiffness / fast * duration), np.exp(-fast * duration)
         cosine, sine = 0.5 * (slowly + quickly), 0.5 * (slowly - quickly) / (fast - decay)
-    surface_state[0] = position * cosine + (speed + decay * position) * sine
-    surface_state[1] = speed * cosine - (decay * speed + stiffness * position) * sine
+    surface_state[PLACE] = position * cosine + (speed + decay * position) * sine
+    surface_state[SPEED] = speed * cosine - (decay * speed + stiffness * position) * sine
 
 
 @compiled
 def apply_impact(state: FloatArray, surface_state: FloatArray, wall: Wall, touching: bool) -> float:
     """Let the payload leave, or meet the environment's mass without rebound; return the impulse on it times 1/h."""
     n = len(state)
-    if wall[2] == 0.0:
+    if wall.mass == 0.0:
         return 0.0
     if touching:
-        surface_state[0], surface_state[1] = state[n - 2], state[n - 1]
+        surface_state[PLACE], surface_state[SPEED] = state[n - 2], state[n - 1]
         return 0.0
-    common = wall[3] * state[n - 1] + (1.0 - wall[3]) * surface_state[1]
-    impulse = wall[2] * (common - surface_state[1])
+    common = wall.share * state[n - 1] + (1.0 - wall.share) * surface_state[SPEED]
+    impulse = wall.mass * (common - surface_state[SPEED])
     state[n - 1] = common
     return float(impulse)
 
@@ -130,13 +135,13 @@ def _moved(
     state: FloatArray,
     surface_state: FloatArray,
     wall: Wall,
-    held: tuple[float, float],
+    held: Held,
     touching: bool,
     duration: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Return payload and environment after `duration`, in contact or apart."""
-    n, mode = len(state), 0 if touching else 1
-    drive = flow[mode, :, n] * held[0] + flow[mode, :, n + 1] * held[1]
+    n, mode = len(state), IN_CONTACT if touching else APART
+    drive = flow[mode, :, n] * held.command + flow[mode, :, n + 1] * held.push
     end, swung = advance(flow[mode, :, :n].copy(), drive, state, duration), surface_state.copy()
     if not touching:
         advance_surface(swung, wall, duration)
@@ -150,7 +155,7 @@ def _switch_moment(
     surface_state: FloatArray,
     wall: Wall,
     outputs: FloatArray,
-    held: tuple[float, float],
+    held: Held,
     touching: bool,
     duration: float,
 ) -> float:
@@ -173,27 +178,26 @@ def switch_within(
     surface_state: FloatArray,
     wall: Wall,
     outputs: FloatArray,
-    inputs: tuple[float, float, float],
+    inputs: Inputs,
     fraction: float,
     touching: bool,
-    looks: int,
-) -> tuple[bool, float, float, float]:
+    substeps: int,
+) -> Crossing:
     """Advance `state` over one sample in which the contact begins or ends, locating each event by bisection.
 
-    `inputs` are the older and the newer command and the outside force. The sample is crossed in `looks` parts, so that
-    a contact that ends and begins again within it is seen. Returns whether it touches then, the largest impulse (times
-    1/h), and the largest F_e with its moment; `surface_state` is advanced as well.
+    The sample is crossed in `substeps`, so that a contact that ends and begins again within it is seen;
+    `surface_state` is advanced as well.
     """
     impulse, best, moment, switches = 0.0, 0.0, 0.0, 0
     for part in range(2):
         at, stop = (0.0, fraction) if part == 0 else (fraction, 1.0)
-        held = (inputs[part], inputs[2])
+        held = Held(inputs.older if part == 0 else inputs.newer, inputs.push)
         while at < stop:
-            torn = touching and wall[2] > 0.0 and contact_force(state, outputs, held) < 0.0
+            torn = touching and wall.mass > 0.0 and contact_force(state, outputs, held) < 0.0
             if torn and switches < _SWITCHES_PER_SAMPLE:
                 apply_impact(state, surface_state, wall, touching)
                 touching, switches = False, switches + 1
-            piece = min(stop - at, 1.0 / looks)
+            piece = min(stop - at, 1.0 / substeps)
             end, swung = _moved(flow, state, surface_state, wall, held, touching, piece)
             # Whatever the limit, nothing passes through the environment.
             switched = is_in_contact(end, swung, wall, outputs, held, touching) != touching
@@ -203,7 +207,7 @@ def switch_within(
                 piece = _switch_moment(flow, state, surface_state, wall, outputs, held, touching, piece)
                 end, swung = _moved(flow, state, surface_state, wall, held, touching, piece)
             if touching:
-                value, where = largest_force(flow[0], outputs, held, state, piece)
+                value, where = largest_force(flow[IN_CONTACT], outputs, held, state, piece)
                 if value > best:
                     best, moment = value, at + where
             state[:], surface_state[:] = end, swung
@@ -212,37 +216,37 @@ def switch_within(
                 impulse = max(impulse, apply_impact(state, surface_state, wall, touching))
                 touching = not touching
                 switches += 1
-    return touching, impulse, best, moment
+    return Crossing(touching, impulse, best, moment)
 
 
 @compiled
 def largest_in_sample(
     flow: FloatArray,
     outputs: FloatArray,
-    inputs: tuple[float, float, float],
+    inputs: Inputs,
     state: FloatArray,
     fraction: float,
 ) -> tuple[float, float]:
-    """Return the largest F_e with its moment over a sample without switch; `inputs` as in `switch_within`."""
+    """Return the largest F_e with its moment over a sample without switch."""
     n = len(state)
     if fraction == 0.0:
-        return largest_force(flow, outputs, (inputs[1], inputs[2]), state, 1.0)
-    best, moment = largest_force(flow, outputs, (inputs[0], inputs[2]), state, fraction)
-    drive = flow[:, n] * inputs[0] + flow[:, n + 1] * inputs[2]
+        return largest_force(flow, outputs, Held(inputs.newer, inputs.push), state, 1.0)
+    best, moment = largest_force(flow, outputs, Held(inputs.older, inputs.push), state, fraction)
+    drive = flow[:, n] * inputs.older + flow[:, n + 1] * inputs.push
     middle = advance(flow[:, :n].copy(), drive, state, fraction)
-    value, where = largest_force(flow, outputs, (inputs[1], inputs[2]), middle, 1.0 - fraction)
+    value, where = largest_force(flow, outputs, Held(inputs.newer, inputs.push), middle, 1.0 - fraction)
     return (value, fraction + where) if value > best else (best, moment)
 
 
 @compiled
-def contact_force_rate(flow: FloatArray, outputs: FloatArray, inputs: tuple[float, float], state: FloatArray) -> float:
-    """Return dF_e/dτ of a payload that stays on the environment; `inputs` as for `contact_force`."""
+def contact_force_rate(flow: FloatArray, outputs: FloatArray, inputs: Held, state: FloatArray) -> float:
+    """Return dF_e/dτ of a payload that stays on the environment."""
     n, total = len(state), 0.0
     for i in range(n):
-        rate = flow[i, n] * inputs[0] + flow[i, n + 1] * inputs[1]
+        rate = flow[i, n] * inputs.command + flow[i, n + 1] * inputs.push
         for j in range(n):
             rate += flow[i, j] * state[j]
-        total += outputs[2, i] * rate
+        total += outputs[PRESSED, i] * rate
     return total
 
 
@@ -250,7 +254,7 @@ def contact_force_rate(flow: FloatArray, outputs: FloatArray, inputs: tuple[floa
 def largest_force(
     flow: FloatArray,
     outputs: FloatArray,
-    inputs: tuple[float, float],
+    inputs: Held,
     state: FloatArray,
     duration: float,
 ) -> tuple[float, float]:
@@ -260,13 +264,13 @@ def largest_force(
         size = max(size, np.sum(np.abs(flow[i, :n])))
     pieces = max(1, int(np.ceil(size * duration)))
     step = duration / pieces
-    best, moment, weight = contact_force(state, outputs, inputs), 0.0, np.sum(np.abs(outputs[2, :n]))
+    best, moment, weight = contact_force(state, outputs, inputs), 0.0, np.sum(np.abs(outputs[PRESSED, :n]))
     current, term, next_term, series = state.copy(), np.empty(n), np.empty(n), np.empty(_SERIES_TERMS)
     for piece in range(pieces):
         count = 1
-        series[0] = contact_force(current, outputs, inputs)
+        series[_VALUE] = contact_force(current, outputs, inputs)
         for i in range(n):
-            total = flow[i, n] * inputs[0] + flow[i, n + 1] * inputs[1]
+            total = flow[i, n] * inputs.command + flow[i, n + 1] * inputs.push
             for j in range(n):
                 total += flow[i, j] * current[j]
             term[i] = total * step
@@ -274,11 +278,11 @@ def largest_force(
             series[order], longest = 0.0, 0.0
             for i in range(n):
                 current[i] += term[i]
-                series[order] += outputs[2, i] * term[i]
+                series[order] += outputs[PRESSED, i] * term[i]
                 longest = max(longest, abs(term[i]))
             count = order + 1
             # The terms shrink from here on: each is at most `step` · `size` / order of the one before.
-            if longest * weight < _NEGLIGIBLE * abs(series[0]):
+            if longest * weight < _NEGLIGIBLE * abs(series[_VALUE]):
                 break
             for i in range(n):
                 total = 0.0
@@ -299,11 +303,11 @@ def _largest_of_series(series: FloatArray) -> tuple[float, float]:
 
     A piece is short against the fastest oscillation (its argument is below one), so the slope turns once at most.
     """
-    start, stop = series[0], _sum_series(series, 1.0)
+    start, stop = series[_VALUE], _sum_series(series, 1.0)
     best, where = (start, 0.0) if start >= stop else (stop, 1.0)
     low, high = 0.0, 1.0
-    if series[1] > 0.0 and _slope_of_series(series, 1.0) < 0.0:
-        left, right = series[1], _slope_of_series(series, 1.0)
+    if series[_SLOPE] > 0.0 and _slope_of_series(series, 1.0) < 0.0:
+        left, right = series[_SLOPE], _slope_of_series(series, 1.0)
         for _ in range(_SLOPE_STEPS):
             middle = low + (high - low) * min(0.95, max(0.05, left / (left - right)))
             slope = _slope_of_series(series, middle)

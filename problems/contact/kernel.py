@@ -4,10 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import compiled
-from ..model.controller import controller_step
+from ..model.controller import controller_step, steady_states
+from ..model.difference import INTEGRATOR_DIRECT, LAG_DIRECT
 from .event_free_steps import SETTLED, SHORTEST_QUARTER, step_three_states, step_without_events
 from .events import (
-    Wall,
     advance_surface,
     apply_impact,
     contact_force,
@@ -17,24 +17,36 @@ from .events import (
     substeps_apart,
     switch_within,
 )
+from .kernel_types import (
+    APART,
+    CONTACT_PEAK,
+    CONTACT_TIME,
+    FLAGS,
+    FOUND,
+    HEAD,
+    IMPULSE,
+    IN_CONTACT,
+    MOVING,
+    POSITION,
+    PRESSED,
+    PUSHED,
+    SENSED,
+    SENSOR_PEAK,
+    SENSOR_TICK,
+    SWITCHES,
+    TOUCHING,
+    Contact,
+    Delay,
+    Forces,
+    Held,
+    Inputs,
+    Moment,
+    Span,
+    Start,
+    Traces,
+)
 
 FloatArray = NDArray[np.float64]
-# The plant in contact and in free space: `step` (2, n, n + 3) is (phi, gamma, gamma_old, gamma_push) of one sample,
-# `flow` (2, n, n + 2) is (rate, drive, push) of the continuous plant over one period.
-Motion = tuple[FloatArray, FloatArray]
-# Rows of x, F and F_e (3, n + 2) over (state, held command, outside force); then F_e inside a sample, rows (m, n + 3)
-# over (state, newer command, older command, outside force).
-Outputs = tuple[FloatArray, FloatArray]
-# whole samples, length of the chain of past commands, fraction of a sample
-Delay = tuple[int, int, float]
-# The plant's part of the arguments.
-Contact = tuple[Motion, Outputs, Delay, Wall]
-# Plant state, past commands (a ring of 2^k places, newest first), controller states.
-Start = tuple[FloatArray, FloatArray, FloatArray]
-# The same with position and speed of the environment; `flags` beside it are (head of the ring, touching, samples in
-# which the contact began or ended).
-Moment = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-Traces = tuple[FloatArray, FloatArray]
 
 _FIRST_LOOK = 96
 # Looks are half a radian of the fastest oscillation apart: they miss at most 3 % of its amplitude (which the force may
@@ -42,53 +54,50 @@ _FIRST_LOOK = 96
 _MISSED_BETWEEN_LOOKS = 0.2
 _MISSED_BY_PARABOLA = 3e-3
 
-# `found`: 0 largest pressing sensor force, 1 its tick, 2 largest contact force, 3 its time in samples, 4 impulse.
-
 
 @compiled
 def run_contact(
     plant: Contact,
     blocks: FloatArray,
     start: Start,
-    forces: tuple[float, float],
+    forces: Forces,
     traces: Traces,
     found: FloatArray,
     until_settled: bool,
 ) -> int:
     """Step from the impact on and return the number of samples: all of the traces', or fewer when settled.
 
-    `forces` are F^d and the outside force on the payload after the impact. `traces` get F and F_e at every tick;
-    `found` the peaks.
+    `traces` get F and F_e at every tick, `found` (FOUND,) the peaks.
     """
-    now, flags = first_moment(start, plant[3], found)
-    total, crest = len(traces[0]), np.full((2, len(now[0]) + 3), -1.0)
+    now, flags = first_moment(start, plant, found)
+    total, crest = len(traces.sensed), np.full((2, len(now.state) + 3), -1.0)
     done, look = 0, min(_FIRST_LOOK, total) if until_settled else total
     while True:
-        done = walk(plant, blocks, now, flags, forces, (done, look, total), traces, found, crest)
-        if done == total or _settled(traces[0], done, forces, flags[1] == 1, plant[3][0] > 0.0, found[0]):
+        done = walk(plant, blocks, now, flags, forces, Span(done, look, total), traces, found, crest)
+        touching, anchored = flags[TOUCHING] == 1, plant.wall.stiffness > 0.0
+        if done == total or _settled(traces.sensed, done, forces, touching, anchored, found[SENSOR_PEAK]):
             break
         look = min(total, done + done // 3)
     if _is_plain(plant):
         _refine_peak(plant, blocks, start, forces, traces, done, found, crest)
     # Only an environment with stiffness brings the payload to rest.
-    if flags[1] == 1 and plant[3][0] > 0.0:
+    if touching and anchored:
         _add_rest(forces, done, found)
     return done
 
 
 @compiled
-def first_moment(start: Start, wall: Wall, found: FloatArray) -> tuple[Moment, NDArray[np.int64]]:
-    """Copy the start, with the environment at rest beside it, and let the impact happen."""
-    state, surface_state = start[0].copy(), np.zeros(2)
-    found[4] = apply_impact(state, surface_state, wall, False)
-    return (state, start[1].copy(), start[2].copy(), surface_state), np.array([0, 1, 0])
+def first_moment(start: Start, plant: Contact, found: FloatArray) -> tuple[Moment, NDArray[np.int64]]:
+    """Copy the start, with the environment at rest beside it, and let the impact happen; return it with its flags."""
+    state, surface, flags = start.state.copy(), np.zeros(2), np.zeros(FLAGS, dtype=np.int64)
+    found[IMPULSE], flags[TOUCHING] = apply_impact(state, surface, plant.wall, False), 1
+    return Moment(state, start.past.copy(), start.control.copy(), surface), flags
 
 
 @compiled
 def _is_plain(plant: Contact) -> bool:
     """Tell whether ticks are enough: a delay (else the command acts on the force at once), no mass, not stiff."""
-    _, (_, inside), delay, wall = plant
-    return delay[1] > 0 and wall[2] == 0.0 and len(inside) == 0
+    return plant.delay.chain > 0 and plant.wall.mass == 0.0 and len(plant.inside) == 0
 
 
 @compiled
@@ -97,8 +106,8 @@ def walk(
     blocks: FloatArray,
     now: Moment,
     flags: NDArray[np.int64],
-    forces: tuple[float, float],
-    span: tuple[int, int, int],
+    forces: Forces,
+    span: Span,
     traces: Traces,
     found: FloatArray,
     crest: FloatArray,
@@ -107,17 +116,17 @@ def walk(
 
     Between stretches in which nothing switches lie the samples that are crossed one by one.
     """
-    (motion, outputs, delay, wall), (done, aim, end), plain = plant, span, _is_plain(plant)
+    (done, aim, end), plain, rows = span, _is_plain(plant), plant.rows
     while done < aim:
         if plain:
-            step, part = motion[0][0 if flags[1] == 1 else 1], (done, aim, end)
-            if len(now[0]) == 3:
+            step, part = plant.step[IN_CONTACT if flags[TOUCHING] == 1 else APART], Span(done, aim, end)
+            if len(now.state) == 3:
                 done, aim = step_three_states(
-                    step, outputs[0], delay, wall, blocks, now, flags, forces, part, traces, found, crest
+                    step, rows, plant.delay, plant.wall, blocks, now, flags, forces, part, traces, found, crest
                 )
             else:
                 done, aim = step_without_events(
-                    step, outputs[0], delay, wall, blocks, now, flags, forces, part, traces, found, crest
+                    step, rows, plant.delay, plant.wall, blocks, now, flags, forces, part, traces, found, crest
                 )
         if done < aim:
             _step(plant, blocks, now, flags, forces, done, traces, found)
@@ -131,61 +140,63 @@ def _step(
     blocks: FloatArray,
     now: Moment,
     flags: NDArray[np.int64],
-    forces: tuple[float, float],
+    forces: Forces,
     k: int,
     traces: Traces,
     found: FloatArray,
 ) -> None:
     """Step over one sample with all that may happen in it."""
-    (motion, (rows, inside), delay, wall), (state, past, control, surface_state), n = plant, now, len(now[0])
+    (step, flow, rows, inside, delay, wall), (state, past, control, surface), n = plant, now, len(now.state)
     law = (control[0], control[1], control[2], control[3])
-    sensed, command, pressed, law = _outputs(rows, blocks, law, state, _held(past, flags[0], delay), delay, forces)
+    held = _held(past, flags[HEAD], delay)
+    sensed, command, pressed, law = _outputs(rows, blocks, law, state, held, delay, forces)
     control[0], control[1], control[2], control[3] = law
-    newer, older = _commands(past, flags[0], delay, command)
-    touching, mode = flags[1] == 1, 0 if flags[1] == 1 else 1
-    traces[0][k], traces[1][k] = sensed, max(0.0, pressed) if touching else 0.0
-    if -sensed > found[0]:
-        found[0], found[1] = -sensed, k
-    if traces[1][k] > found[2]:
-        found[2], found[3] = traces[1][k], k
-    following, swung = np.empty(n), surface_state.copy()
+    newer, older = _commands(past, flags[HEAD], delay, command)
+    inputs, touching, mode = Inputs(older, newer, forces.push), flags[TOUCHING] == 1, IN_CONTACT
+    if not touching:
+        mode = APART
+    traces.sensed[k], traces.pressed[k] = sensed, max(0.0, pressed) if touching else 0.0
+    if -sensed > found[SENSOR_PEAK]:
+        found[SENSOR_PEAK], found[SENSOR_TICK] = -sensed, k
+    _note(found, k, (traces.pressed[k], 0.0))
+    following, swung = np.empty(n), surface.copy()
     for i in range(n):
-        total = motion[0][mode, i, n] * newer + motion[0][mode, i, n + 1] * older
-        total += motion[0][mode, i, n + 2] * forces[1]
+        total = step[mode, i, n] * newer + step[mode, i, n + 1] * older
+        total += step[mode, i, n + 2] * forces.push
         for j in range(n):
-            total += motion[0][mode, i, j] * state[j]
+            total += step[mode, i, j] * state[j]
         following[i] = total
     if not touching:
         advance_surface(swung, wall, 1.0)
     # At the end of the sample the newer command is held.
-    inputs, stays = (older, newer, forces[1]), is_in_contact(following, swung, wall, rows, (newer, forces[1]), touching)
-    low, high = _looks(inside, state, inputs)
+    after = Held(newer, forces.push)
+    stays = is_in_contact(following, swung, wall, rows, after, touching)
+    low, high = _between(inside, state, inputs)
     apart = substeps_apart(wall)
     # A step of the command may tear the payload from a mass at the tick, and a mass apart may come and go in between.
-    alone = low > 0.0 and (wall[2] == 0.0 or pressed >= 0.0) if touching else apart == 1
+    alone = low > 0.0 and (wall.mass == 0.0 or pressed >= 0.0) if touching else apart == 1
     if stays == touching and alone:
-        high = max(high, contact_force(following, rows, (newer, forces[1])))
-        if touching and max(pressed, high) >= (1.0 - _MISSED_BETWEEN_LOOKS) * found[2]:
-            _note(found, k, largest_in_sample(motion[1][0], rows, inputs, state, delay[2]))
-        state[:], surface_state[:] = following, swung
+        high = max(high, contact_force(following, rows, after))
+        if touching and max(pressed, high) >= (1.0 - _MISSED_BETWEEN_LOOKS) * found[CONTACT_PEAK]:
+            _note(found, k, largest_in_sample(flow[IN_CONTACT], rows, inputs, state, delay.fraction))
+        state[:], surface[:] = following, swung
     else:
-        touching, impulse, largest, moment = switch_within(
-            motion[1], state, surface_state, wall, rows, inputs, delay[2], touching, max(len(inside) + 1, apart)
-        )
-        _note(found, k, (largest, moment))
-        found[4], flags[1] = max(found[4], impulse), 1 if touching else 0
-        flags[2] += 1
-    if delay[1] > 0:
-        flags[0] = (flags[0] - 1) & (len(past) - 1)
-        past[flags[0]] = command
+        parts = max(len(inside) + 1, apart)
+        crossed = switch_within(flow, state, surface, wall, rows, inputs, delay.fraction, touching, parts)
+        _note(found, k, (crossed.largest, crossed.moment))
+        found[IMPULSE], flags[TOUCHING] = max(found[IMPULSE], crossed.impulse), 1 if crossed.touching else 0
+        flags[SWITCHES] += 1
+    if delay.chain > 0:
+        flags[HEAD] = (flags[HEAD] - 1) & (len(past) - 1)
+        past[flags[HEAD]] = command
 
 
 @compiled
-def _looks(inside: FloatArray, state: FloatArray, inputs: tuple[float, float, float]) -> tuple[float, float]:
-    """Return the smallest and the largest F_e that is seen inside a sample (1 and 0 where nobody looks)."""
+def _between(inside: FloatArray, state: FloatArray, inputs: Inputs) -> tuple[float, float]:
+    """Return the smallest and the largest F_e at the substeps inside a sample (1 and 0 where there are none)."""
     low, high, n = 1.0, 0.0, len(state)
     for j in range(len(inside)):
-        value = inside[j, n] * inputs[1] + inside[j, n + 1] * inputs[0] + inside[j, n + 2] * inputs[2]
+        value = inside[j, n] * inputs.newer + inside[j, n + 1] * inputs.older + inside[j, n + 2] * inputs.push
         for i in range(n):
             value += inside[j, i] * state[i]
         low, high = min(low, value), max(high, value)
@@ -195,21 +206,22 @@ def _looks(inside: FloatArray, state: FloatArray, inputs: tuple[float, float, fl
 @compiled
 def _note(found: FloatArray, k: int, largest: tuple[float, float]) -> None:
     """Keep a contact force and its moment in sample k if it is the largest so far."""
-    if largest[0] > found[2]:
-        found[2], found[3] = largest[0], k + largest[1]
+    force, moment = largest
+    if force > found[CONTACT_PEAK]:
+        found[CONTACT_PEAK], found[CONTACT_TIME] = force, k + moment
 
 
 @compiled
 def _held(past: FloatArray, head: int, delay: Delay) -> float:
     """Return the oldest command in the chain, which the hold shows at the tick."""
-    return float(past[(head + delay[1] - 1) & (len(past) - 1)])
+    return float(past[(head + delay.chain - 1) & (len(past) - 1)])
 
 
 @compiled
 def _commands(past: FloatArray, head: int, delay: Delay, command: float) -> tuple[float, float]:
     """Return the command that acts from the fraction of the sample on, and the one before it."""
-    newer = command if delay[0] == 0 else past[(head + delay[0] - 1) & (len(past) - 1)]
-    return newer, _held(past, head, delay) if delay[1] > delay[0] else newer
+    newer = command if delay.whole == 0 else past[(head + delay.whole - 1) & (len(past) - 1)]
+    return newer, _held(past, head, delay) if delay.chain > delay.whole else newer
 
 
 @compiled
@@ -220,39 +232,37 @@ def _outputs(
     state: FloatArray,
     held: float,
     delay: Delay,
-    forces: tuple[float, float],
+    forces: Forces,
 ) -> tuple[float, float, float, tuple[float, float, float, float]]:
     """Return F, x^d, F_e and the next controller states at a tick; without delay the command acts on F at once."""
-    n, delayed = len(state), delay[1] > 0
-    position, sensed, pressed = 0.0, 0.0, rows[2, n + 1] * forces[1]
+    n, delayed, direct = len(state), delay.chain > 0, rows[SENSED, len(state)]
+    position, sensed, pressed = 0.0, 0.0, rows[PRESSED, n + 1] * forces.push
     for i in range(n):
-        position += rows[0, i] * state[i]
-        sensed += rows[1, i] * state[i]
-        pressed += rows[2, i] * state[i]
-    if not delayed and rows[1, n] != 0.0:
-        rest, _ = controller_step(blocks, control, forces[0] + sensed, position)
-        held = rest / (1.0 - (blocks[0, 0] + blocks[1, 0]) * rows[1, n])
-    if delayed or rows[1, n] != 0.0:
-        sensed += rows[1, n] * held
-    command, following = controller_step(blocks, control, forces[0] + sensed, position)
-    return sensed, command, pressed + rows[2, n] * (held if delayed else command), following
+        position += rows[POSITION, i] * state[i]
+        sensed += rows[SENSED, i] * state[i]
+        pressed += rows[PRESSED, i] * state[i]
+    if not delayed and direct != 0.0:
+        rest, _ = controller_step(blocks, control, forces.desired + sensed, position)
+        held = rest / (1.0 - (blocks[INTEGRATOR_DIRECT] + blocks[LAG_DIRECT]) * direct)
+    if delayed or direct != 0.0:
+        sensed += direct * held
+    command, following = controller_step(blocks, control, forces.desired + sensed, position)
+    return sensed, command, pressed + rows[PRESSED, n] * (held if delayed else command), following
 
 
 @compiled
-def _settled(
-    force: FloatArray, count: int, forces: tuple[float, float], touching: bool, anchored: bool, largest: float
-) -> bool:
+def _settled(force: FloatArray, count: int, forces: Forces, touching: bool, anchored: bool, largest: float) -> bool:
     """Tell whether the force has come to rest in the last quarter of the run.
 
     On an environment with stiffness e = F^d + F must have stayed at 0; elsewhere the force must have been flat, and
     away from such an environment nothing may drive the payload back.
     """
-    band, at_rest = SETTLED * max(largest, abs(force[0]), abs(forces[0]), abs(forces[1])), touching and anchored
-    if anchored and not touching and forces[0] + forces[1] > 0.0:
+    band, at_rest = SETTLED * max(largest, abs(force[0]), abs(forces.desired), abs(forces.push)), touching and anchored
+    if anchored and not touching and forces.desired + forces.push > 0.0:
         return False
     low, high, tick, first = force[count - 1], force[count - 1], count - 1, count - max(count // 4, SHORTEST_QUARTER)
     if at_rest:
-        while tick >= first and abs(forces[0] + force[tick]) < 0.5 * band:
+        while tick >= first and abs(forces.desired + force[tick]) < 0.5 * band:
             tick -= 1
         return tick < first
     while tick >= first and high - low < band:
@@ -266,7 +276,7 @@ def _refine_peak(
     plant: Contact,
     blocks: FloatArray,
     start: Start,
-    forces: tuple[float, float],
+    forces: Forces,
     traces: Traces,
     count: int,
     found: FloatArray,
@@ -277,9 +287,9 @@ def _refine_peak(
     `crest` is what the stretches kept of the ticks before the largest. Where another tick is asked for, the run is
     repeated up to it; a sample with a switch has been searched when it was crossed.
     """
-    pressed, at = traces[1], count
+    pressed, at, n = traces.pressed, count, len(start.state)
     # No force presses less than 0, so the crest of a parabola is at most a quarter above its middle point.
-    floor = found[2] / (1.25 * (1.0 + _MISSED_BY_PARABOLA))
+    floor = found[CONTACT_PEAK] / (1.25 * (1.0 + _MISSED_BY_PARABOLA))
     for tick in range(1, count - 1):
         if pressed[tick] <= floor:
             continue
@@ -287,17 +297,17 @@ def _refine_peak(
         if pressed[tick] < pressed[tick - 1] or pressed[tick] < pressed[tick + 1] or bend <= 0.0:
             continue
         top = pressed[tick] + (pressed[tick + 1] - pressed[tick - 1]) ** 2 / (8.0 * bend)
-        if (1.0 + _MISSED_BY_PARABOLA) * top <= found[2]:
+        if (1.0 + _MISSED_BY_PARABOLA) * top <= found[CONTACT_PEAK]:
             continue
-        if crest[tick & 1, -1] != tick or crest[1 - tick & 1, -1] != tick - 1:
+        if crest[tick & 1, n + 2] != tick or crest[1 - tick & 1, n + 2] != tick - 1:
             if at >= tick:
-                ignored, at = np.zeros(5), 0
-                now, flags = first_moment(start, plant[3], ignored)
-            walk(plant, blocks, now, flags, forces, (at, tick - 1, tick - 1), traces, ignored, crest)
+                ignored, at = np.zeros(FOUND), 0
+                now, flags = first_moment(start, plant, ignored)
+            walk(plant, blocks, now, flags, forces, Span(at, tick - 1, tick - 1), traces, ignored, crest)
             # With nothing before them to be compared with, both ticks are kept.
-            ignored[2], at = -1.0, tick + 1
-            walk(plant, blocks, now, flags, forces, (tick - 1, at, at), traces, ignored, crest)
-        _search_around(plant, tick, forces[1], crest, found)
+            ignored[CONTACT_PEAK], at = -1.0, tick + 1
+            walk(plant, blocks, now, flags, forces, Span(tick - 1, at, at), traces, ignored, crest)
+        _search_around(plant, tick, forces.push, crest, found)
 
 
 @compiled
@@ -307,30 +317,31 @@ def _search_around(plant: Contact, tick: int, push: float, crest: FloatArray, fo
     Without a step of the command inside the samples the slopes at the tick tell in which of them it is largest. A
     payload that leaves in the sample behind has passed the largest force before.
     """
-    flow, rows, delay, n = plant[0][1][0], plant[1][0], plant[2], crest.shape[1] - 3
+    flow, rows, fraction, n = plant.flow[IN_CONTACT], plant.rows, plant.delay.fraction, crest.shape[1] - 3
     behind, before = crest[tick & 1], crest[1 - tick & 1]
-    whole, state = delay[2] == 0.0, behind[:n]
+    whole, state = fraction == 0.0, behind[:n]
     if before[n + 2] == tick - 1:
-        falls = contact_force_rate(flow, rows, (before[n], push), state) < 0.0
+        falls = contact_force_rate(flow, rows, Held(before[n], push), state) < 0.0
         if not whole or behind[n + 2] != tick or falls:
-            inputs = (before[n + 1], before[n], push)
-            _note(found, tick - 1, largest_in_sample(flow, rows, inputs, before[:n], delay[2]))
-    if behind[n + 2] == tick and not (whole and contact_force_rate(flow, rows, (behind[n], push), state) <= 0.0):
-        _note(found, tick, largest_in_sample(flow, rows, (behind[n + 1], behind[n], push), state, delay[2]))
+            inputs = Inputs(before[n + 1], before[n], push)
+            _note(found, tick - 1, largest_in_sample(flow, rows, inputs, before[:n], fraction))
+    if behind[n + 2] == tick and not (whole and contact_force_rate(flow, rows, Held(behind[n], push), state) <= 0.0):
+        inputs = Inputs(behind[n + 1], behind[n], push)
+        _note(found, tick, largest_in_sample(flow, rows, inputs, state, fraction))
 
 
 @compiled
-def _add_rest(forces: tuple[float, float], count: int, found: FloatArray) -> None:
+def _add_rest(forces: Forces, count: int, found: FloatArray) -> None:
     """Let the force at rest count, which a transient without overshoot only approaches: e = 0 and F_e = F^d + f."""
-    if forces[0] > found[0]:
-        found[0], found[1] = forces[0], count - 1
-    if forces[0] + forces[1] > found[2]:
-        found[2], found[3] = forces[0] + forces[1], count - 1
+    if forces.desired > found[SENSOR_PEAK]:
+        found[SENSOR_PEAK], found[SENSOR_TICK] = forces.desired, count - 1
+    if forces.desired + forces.push > found[CONTACT_PEAK]:
+        found[CONTACT_PEAK], found[CONTACT_TIME] = forces.desired + forces.push, count - 1
 
 
 @compiled
-def contact_forces(approach: tuple[float, float, bool, float], resistance: float) -> tuple[float, float, float, float]:
-    """Return (v, hand force before the impact, F^d after it, hand force after it).
+def contact_forces(approach: tuple[float, float, bool, float], resistance: float) -> tuple[float, float, Forces]:
+    """Return v, the hand's force before the impact, and the forces after it.
 
     `approach` is (force or 0, speed, whether a hand drives, force after the impact or NaN); `resistance` [N·s/m] is
     the force that the loop needs per speed in free space.
@@ -339,8 +350,8 @@ def contact_forces(approach: tuple[float, float, bool, float], resistance: float
     force = given if given > 0.0 else speed * resistance
     held = force if np.isnan(after) else after
     if by_hand:
-        return force / resistance, force, 0.0, held
-    return force / resistance, 0.0, held, 0.0
+        return force / resistance, force, Forces(0.0, held)
+    return force / resistance, 0.0, Forces(held, 0.0)
 
 
 @compiled
@@ -353,14 +364,14 @@ def steady_start(
     speed: float,
     push: float,
     force: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> Start:
     """Return plant state, past commands (a ring, newest first) and controller states of a steady approach.
 
     Everything moves at `speed` (m/s) under the outside force `push`; `force` is e = F^d + F, which is B_a v. The
     filters see a steady speed, the lag a steady force (and, with ideal compensation, a ramp).
     """
     n = ramp.shape[1] - 2
-    moved = ramp[0] * (speed * h) + ramp[1] * push
+    moved = ramp[MOVING] * (speed * h) + ramp[PUSHED] * push
     state, command = moved[:n].copy(), moved[n]
     places = 1
     while places < chain:
@@ -369,14 +380,5 @@ def steady_start(
     for i in range(chain):
         past[i] = command - (i + 1) * speed * h
     position = np.sum(c_position * state)
-    ideal = blocks[4, 2]
-    acceleration = ideal * speed
-    control = np.empty(4)
-    control[2] = speed - blocks[2, 0] * position
-    control[3] = acceleration - blocks[3, 0] * (ideal * position + (1.0 - ideal) * speed)
-    share = 1.0 / (1.0 - blocks[1, 1])
-    slope = blocks[5, 2] * share
-    control[1] = (blocks[1, 2] * force - slope * speed * h) * share + slope * position
-    direct = (blocks[0, 0] + blocks[1, 0]) * force - blocks[4, 0] * speed
-    control[0] = command - control[1] - direct - blocks[5, 0] * acceleration - blocks[5, 1] * position
-    return state, past, control
+    control = steady_states(blocks, command, position, speed, h, force)
+    return Start(state, past, np.array(control))

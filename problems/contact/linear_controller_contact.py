@@ -6,6 +6,7 @@ the force does between them. `problems.contact.transient` has the paper's law wi
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,23 @@ from numpy.typing import NDArray
 from ..compiled import compiled
 from ..errors import ParameterError
 from ..model.linear_controllers import LinearController
-from ..model.sampled import SampledPlant, build_loop, hold, spectral_radius
+from ..model.sampled import build_loop, hold, spectral_radius
 from ..stability.margins import UnstableLoopError
+from .events import spring_force
+from .kernel_types import (
+    APART,
+    CONTACT_PEAK,
+    CONTACT_TIME,
+    FOUND,
+    IN_CONTACT,
+    MOVING,
+    NEWEST,
+    POSITION,
+    SENSED,
+    SENSOR_PEAK,
+    Start,
+    Wall,
+)
 from .transient import Approach, SampledContact
 
 FloatArray = NDArray[np.float64]
@@ -23,10 +39,24 @@ _PARTS = 20
 _DECAY_EXPONENTS = 7.0
 _SHORTEST_S, _LONGEST_S = 0.4, 10.0
 
-# The parts of a sample with their counts, rows of x, F and F_e, what the command adds to F at once, whole samples and
-# length of the chain of the delay, and the law's matrix; what changes on the way is (plant, past commands, law).
-_Loop = tuple[FloatArray, NDArray[np.int64], FloatArray, float, tuple[int, int], FloatArray]
-_Moment = tuple[FloatArray, FloatArray, FloatArray]
+
+class LinearLoop(NamedTuple):
+    """The plant in equal parts of a sample, and a linear controller.
+
+    `steps` (2, 2, n, n + 1) is (phi, gamma) of one part, in contact or not, under the older or newer command, which
+    act for `early` and `late` parts; `rows` are x and F over the state, to which the command adds `direct` at once;
+    `matrix` is that of the controller.
+    """
+
+    steps: FloatArray
+    early: int
+    late: int
+    rows: FloatArray
+    direct: float
+    whole: int
+    chain: int
+    matrix: FloatArray
+    wall: Wall
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,13 +90,13 @@ def simulate_linear_contact(pair: SampledContact, law: LinearController, approac
     if not radius < 1.0:
         raise UnstableLoopError(radius)
     h, samples = pair.contact.sample_time_s, _samples(radius, pair.contact.sample_time_s)
-    found, (loop, moment, force, speed) = np.zeros(4), begin_linear_contact(pair, law, approach)
-    run_linear_contact(loop, moment, force, samples, True, found)
+    found, (loop, start, force, speed) = np.zeros(FOUND), begin_linear_contact(pair, law, approach)
+    run_linear_contact(loop, start, force, samples, True, found)
     # A force that only creeps up to its value at rest counts with that value.
     return LinearContact(
-        peak_sensor_force_n=max(float(found[0]), force),
-        peak_contact_force_n=max(float(found[1]), force),
-        time_of_peak_s=float(found[2]) * h,
+        peak_sensor_force_n=max(float(found[SENSOR_PEAK]), force),
+        peak_contact_force_n=max(float(found[CONTACT_PEAK]), force),
+        time_of_peak_s=float(found[CONTACT_TIME]) * h,
         contact_speed_m_s=speed,
         driving_force_n=force,
     )
@@ -74,7 +104,7 @@ def simulate_linear_contact(pair: SampledContact, law: LinearController, approac
 
 def begin_linear_contact(
     pair: SampledContact, law: LinearController, approach: Approach
-) -> tuple[_Loop, _Moment, float, float]:
+) -> tuple[LinearLoop, Start, float, float]:
     """Return the loop and its state at the impact, F^d of the approach and its speed."""
     if approach.driven_by != "desired_force":
         raise ParameterError("approach", approach, "driven by the desired force")
@@ -84,11 +114,15 @@ def begin_linear_contact(
     per_newton = _steady(pair, law, 1.0)[1]
     force = approach.force_n if approach.force_n is not None else (approach.speed_m_s or 0.0) / per_newton
     control, speed = _steady(pair, law, force)
-    moved, (n, chain) = pair.ramp[0] * (speed * h), (contact.state_count, contact.chain_length)
+    moved, (n, chain) = pair.ramp[MOVING] * (speed * h), (contact.state_count, contact.chain_length)
     past = moved[n] - speed * h * np.arange(1.0, max(chain, 1) + 1.0)
-    rows = np.array([contact.c_position, contact.c_force, contact.c_contact])
-    loop = (*_parts(pair), rows, contact.d_force, (contact.whole_delay, chain), law.matrix)
-    return loop, (moved[:n].copy(), past, control), force, speed
+    early = math.ceil(_PARTS * contact.fraction)
+    late = max(1, _PARTS - early)
+    rows, wall = np.array([contact.c_position, contact.c_force]), pair.arguments.wall
+    loop = LinearLoop(
+        _parts(pair, (early, late)), early, late, rows, contact.d_force, contact.whole_delay, chain, law.matrix, wall
+    )
+    return loop, Start(moved[:n].copy(), past, control), force, speed
 
 
 def _samples(radius: float, h: float) -> int:
@@ -100,7 +134,8 @@ def _steady(pair: SampledContact, law: LinearController, force: float) -> tuple[
     """Return the law's state and the speed of a steady approach under F^d, at the tick at which x_p = 0."""
     h, r, m = law.sample_time_s, law.state_count, law.steady()
     n = pair.free.state_count
-    state, command, sensed = pair.ramp[0][:n], pair.ramp[0][n], pair.ramp[0][n + 1]
+    ramp = pair.ramp[MOVING]
+    state, command, sensed = ramp[:n], ramp[n], ramp[n + 1]
     position = float(pair.free.c_position @ state)
     system, right = np.zeros((r + 1, r + 1)), -m[:, r] * force
     system[:, :r] = m[:, :r]
@@ -113,59 +148,48 @@ def _steady(pair: SampledContact, law: LinearController, force: float) -> tuple[
     return found[:r].copy(), float(found[r]) / h
 
 
-def _parts(pair: SampledContact) -> tuple[FloatArray, NDArray[np.int64]]:
+def _parts(pair: SampledContact, counts: tuple[int, int]) -> FloatArray:
     """Return (phi, gamma) of one part (2, 2, n, n + 1), in contact or not, under the older or newer command."""
     contact, n = pair.contact, pair.contact.state_count
-    early = math.ceil(_PARTS * contact.fraction)
-    counts = np.array([early, max(1, _PARTS - early)], dtype=np.int64)
-    spans = (contact.fraction, 1.0 - contact.fraction)
     steps = np.zeros((2, 2, n, n + 1))
-    for i, plant in enumerate((pair.contact, pair.free)):
-        for j in range(2):
+    for i, plant in ((IN_CONTACT, pair.contact), (APART, pair.free)):
+        for j, span in enumerate((contact.fraction, 1.0 - contact.fraction)):
             if counts[j] > 0:
-                steps[i, j] = _step(plant, spans[j] / int(counts[j]))
-    return steps, counts
-
-
-def _step(plant: SampledPlant, duration: float) -> FloatArray:
-    phi, gamma = hold(plant.rate, plant.drive, duration)
-    return np.column_stack([phi, gamma])
+                steps[i, j] = np.column_stack(hold(plant.rate, plant.drive, span / counts[j]))
+    return steps
 
 
 @compiled
 def run_linear_contact(
-    loop: _Loop, moment: _Moment, force: float, samples: int, touching: bool, found: FloatArray
-) -> bool:
-    """Step on from a moment, which is advanced, and return whether it touches then.
+    loop: LinearLoop, start: Start, force: float, samples: int, touching: bool, found: FloatArray
+) -> tuple[bool, int]:
+    """Step on from `start`, which is advanced; return whether it touches then, and in how many samples that changed.
 
-    `found` gets the largest sensor force, contact force and its time in samples, and in how many samples the contact
-    was other than before.
+    `found` (FOUND,) gets the largest sensor force, and the largest contact force with its time in samples.
     """
-    (steps, counts, rows, direct, delay, law), (state, past, control) = loop, moment
-    whole, chain = delay
+    (state, past, control), chain, direct, switches = start, loop.chain, loop.direct, 0
     for k in range(samples):
         held = direct * past[chain - 1] if chain > 0 else 0.0
         # Without delay the command acts on the force of its own tick.
-        position, sensed = np.dot(rows[0], state), np.dot(rows[1], state) + held
-        command = _tick(law, control, force + sensed, position, direct if chain == 0 else 0.0)
+        position, sensed = np.dot(loop.rows[POSITION], state), np.dot(loop.rows[SENSED], state) + held
+        command = _tick(loop.matrix, control, force + sensed, position, direct if chain == 0 else 0.0)
         if chain == 0:
             sensed += direct * command
-        found[0] = max(found[0], -sensed)
-        newer = command if whole == 0 else past[whole - 1]
-        older = past[chain - 1] if chain > whole else newer
-        before = touching
-        touching = _sample(steps, counts, rows[2], state, (older, newer), touching, k, found)
-        found[3] += 1.0 if touching != before else 0.0
+        found[SENSOR_PEAK] = max(found[SENSOR_PEAK], -sensed)
+        newer = command if loop.whole == 0 else past[loop.whole - 1]
+        older, before = past[chain - 1] if chain > loop.whole else newer, touching
+        touching = _sample(loop, state, (older, newer), touching, k, found)
+        switches += 1 if touching != before else 0
         for i in range(chain - 1, 0, -1):
             past[i] = past[i - 1]
         if chain > 0:
-            past[0] = command
-    return touching
+            past[NEWEST] = command
+    return touching, switches
 
 
 @compiled
 def _tick(law: FloatArray, control: FloatArray, e: float, position: float, direct: float) -> float:
-    """Return the command and advance the law's states; `direct` is what the command adds to e at once."""
+    """Return the command and advance the controller's states; `direct` is what the command adds to e at once."""
     r = len(control)
     command = law[r, r] * e + law[r, r + 1] * position
     for i in range(r):
@@ -181,30 +205,23 @@ def _tick(law: FloatArray, control: FloatArray, e: float, position: float, direc
 
 @compiled
 def _sample(
-    steps: FloatArray,
-    counts: NDArray[np.int64],
-    contact: FloatArray,
-    state: FloatArray,
-    inputs: tuple[float, float],
-    touching: bool,
-    k: int,
-    found: FloatArray,
+    loop: LinearLoop, state: FloatArray, inputs: tuple[float, float], touching: bool, k: int, found: FloatArray
 ) -> bool:
     """Advance the plant by a sample, note the contact force, and return whether it touches at the end."""
-    n, done, parts = len(state), 0, counts[0] + counts[1]
+    n, done, parts = len(state), 0, loop.early + loop.late
     moved = np.empty(n)
     for half in range(2):
         acting = inputs[half]
-        for _ in range(counts[half]):
-            step = steps[0 if touching else 1, half]
+        for _ in range(loop.early if half == 0 else loop.late):
+            step = loop.steps[IN_CONTACT if touching else APART, half]
             for i in range(n):
                 moved[i] = step[i, n] * acting
                 for j in range(n):
                     moved[i] += step[i, j] * state[j]
             state[:] = moved
             done += 1
-            pressed = np.dot(contact, state)
-            touching = pressed > 0.0 and (touching or state[n - 2] > 0.0)
-            if touching and pressed > found[1]:
-                found[1], found[2] = pressed, k + done / parts
+            pressed = spring_force(loop.wall, state[n - 2], state[n - 1])
+            touching = pressed > 0.0
+            if pressed > found[CONTACT_PEAK]:
+                found[CONTACT_PEAK], found[CONTACT_TIME] = pressed, k + done / parts
     return touching

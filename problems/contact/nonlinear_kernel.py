@@ -12,6 +12,8 @@ from ..compiled import compiled, equation
 from ..model import difference
 from ..model.controller import controller_step, write_blocks
 from ..model.difference import Entry
+from .events import spring_force
+from .kernel_types import CONTACT_PEAK, CONTACT_TIME, NEWEST, SENSOR_PEAK, SENSOR_TICK, Wall
 
 FloatArray = NDArray[np.float64]
 
@@ -85,7 +87,7 @@ def seen_force(law: NonlinearController, force: float) -> tuple[float, int]:
 def damping_at(law: NonlinearController, speed: float) -> float:
     """Return B_a(|v|) = max(scale·exp(−decay·|v|), floor), or the constant B_a."""
     if np.isinf(law.period):
-        return float(law.parameters[1])
+        return float(law.parameters[difference.DAMPING])
     return float(max(law.scale * np.exp(-law.decay * abs(speed)), law.floor))
 
 
@@ -93,7 +95,7 @@ def damping_at(law: NonlinearController, speed: float) -> float:
 def blocks_at(law: NonlinearController, damping: float) -> FloatArray:
     """Return the controller's blocks (6, 3) at this B_a."""
     blocks, parameters = np.zeros((6, 3)), law.parameters.copy()
-    parameters[1] = damping
+    parameters[difference.DAMPING] = damping
     write_blocks(blocks, parameters, law.h, law.theta, law.ideal)
     return blocks
 
@@ -114,13 +116,14 @@ def update_damping(law: NonlinearController, blocks: FloatArray, memory: Memory,
     """Let B_a follow the speed when an update is due: `blocks` are rewritten, the command goes on where it was."""
     if tick < memory.due - _ON_TICK:
         return memory
-    speed = (position - memory.recent[2]) / law.h
+    (_, _, before), (_, _, of_velocity, of_acceleration) = memory.recent, memory.control
+    speed = (position - before) / law.h
     change = min(max(damping_at(law, speed) - memory.damping, -law.change), law.change)
     damping = memory.damping + change
     blocks[:] = blocks_at(law, damping)
     integral, lag = resume(blocks, memory.recent, memory.older)
     return Memory(
-        (integral, lag, memory.control[2], memory.control[3]),
+        (integral, lag, of_velocity, of_acceleration),
         memory.recent,
         memory.older,
         memory.sent,
@@ -134,7 +137,8 @@ def update_damping(law: NonlinearController, blocks: FloatArray, memory: Memory,
 @compiled
 def next_phase(law: NonlinearController, memory: Memory, seen: float, position: float) -> int:
     """Return the phase of the collision response: it begins once, where the force opposes the motion too much."""
-    if memory.phase != WATCHING or not opposes_motion(seen, position - memory.recent[2], law.threshold):
+    _, _, before = memory.recent
+    if memory.phase != WATCHING or not opposes_motion(seen, position - before, law.threshold):
         return memory.phase
     if law.response == STOPPING:
         return STOPPED
@@ -161,10 +165,11 @@ def control_tick(
     command, limited = keep_within(law, memory.sent, memory.step, memory.sent if resting else wanted)
     recent = (command - added, drive, position)
     if resting:
-        older = (recent[0], older[1], older[2])
+        _, driven, place = older
+        older = (command - added, driven, place)
     if resting or limited != 0:
-        integral, lag = resume(blocks, recent, older)
-        control = (integral, lag, control[2], control[3])
+        (integral, lag), (_, _, of_velocity, of_acceleration) = resume(blocks, recent, older), control
+        control = (integral, lag, of_velocity, of_acceleration)
     step = command - memory.sent
     if phase == BRAKING and step == 0.0:
         phase = OVER
@@ -181,7 +186,7 @@ def steady_speed(law: NonlinearController, force: float, drag: float, by_hand: b
     """
     if _surplus(law, force, drag, by_hand, 0.0) <= 0.0:
         return 0.0
-    top = force / (law.parameters[1] if np.isinf(law.period) else law.floor)
+    top = force / (law.parameters[difference.DAMPING] if np.isinf(law.period) else law.floor)
     low = 0.0
     for i in range(1, _SCAN + 1):
         high = top * i / _SCAN
@@ -199,28 +204,38 @@ def steady_speed(law: NonlinearController, force: float, drag: float, by_hand: b
 
 @compiled
 def _surplus(law: NonlinearController, force: float, drag: float, by_hand: bool, speed: float) -> float:
-    if by_hand:
-        driving = seen_force(law, force - drag * speed)[0]
-    else:
-        driving = force + seen_force(law, -drag * speed)[0]
+    seen, _ = seen_force(law, (force if by_hand else 0.0) - drag * speed)
+    driving = seen if by_hand else force + seen
     return float(driving - damping_at(law, speed) * speed)
 
 
 # Rows of `Recording.traces`: F, F as the controller sees it, F_e, x, v, x_p, v_p, x^d, B_a.
+FORCE, SEEN, CONTACT, FLANGE, FLANGE_SPEED, PAYLOAD, PAYLOAD_SPEED, COMMAND, DAMPING = 0, 1, 2, 3, 4, 5, 6, 7, 8
 TRACES = 9
+# Entries of `Recording.found` behind the peaks (see `kernel_types`): time of the impact, v_p h then, tick of the
+# collision (times in samples, not a number when it did not happen).
+IMPACT_TIME, IMPACT_SPEED, COLLISION_TICK, FOUND = 4, 5, 6, 7
+# Rows of `Motion.rows`.
+_POSITION, _SENSED, _VELOCITY = 0, 1, 2
+
+
+class BeforeAfter(NamedTuple):
+    """A force before and after the impact."""
+
+    before: float
+    after: float
 
 
 class Motion(NamedTuple):
     """The continuous plant without environment over one period, its wall and its delay.
 
-    `flow` (n, n + 2) is (rate, drive, push), `rows` (3, n + 1) are x, F and v h over (state, held command); `stiffness`
-    K_e and `damping` B_e/h act on x_p and v_p h. `steps` are those before and after the command changes in a sample.
+    `flow` (n, n + 2) is (rate, drive, push), `rows` (3, n + 1) are x, F and v h over (state, held command). `steps` are
+    those before and after the command changes in a sample.
     """
 
     flow: FloatArray
     rows: FloatArray
-    stiffness: float
-    damping: float
+    wall: Wall
     whole: int
     chain: int
     fraction: float
@@ -228,11 +243,7 @@ class Motion(NamedTuple):
 
 
 class Recording(NamedTuple):
-    """Outputs: `traces` (9, samples), `flags` (samples,) and `found`.
-
-    `found`: 0 largest pressing sensor force, 1 its tick, 2 largest contact force, 3 its time, 4 time of the impact,
-    5 v_p h then, 6 tick of the collision (times in samples, not a number when it did not happen).
-    """
+    """Outputs: `traces` (TRACES, samples), `flags` (samples,) and `found` (FOUND,)."""
 
     traces: FloatArray
     flags: NDArray[np.int64]
@@ -242,9 +253,7 @@ class Recording(NamedTuple):
 @compiled
 def wall_force(motion: Motion, position: float, velocity: float) -> float:
     """Return F_e of a massless environment behind x_p = 0; `velocity` is v_p h."""
-    if position < 0.0:
-        return 0.0
-    return max(0.0, motion.stiffness * position + motion.damping * velocity)
+    return max(0.0, spring_force(motion.wall, position, velocity))
 
 
 @compiled
@@ -272,7 +281,7 @@ def cross_sample(
     motion: Motion,
     state: FloatArray,
     commands: tuple[float, float],
-    pushes: tuple[float, float],
+    pushes: BeforeAfter,
     tick: int,
     found: FloatArray,
     work: FloatArray,
@@ -282,13 +291,13 @@ def cross_sample(
     for part in range(2):
         duration, steps = (1.0 - motion.fraction if part == 1 else motion.fraction), motion.steps[part]
         for j in range(steps):
-            push = pushes[0] if np.isnan(found[4]) else pushes[1]
+            push = pushes.before if np.isnan(found[IMPACT_TIME]) else pushes.after
             runge_kutta(motion, state, commands[part], push, duration / steps, work)
             pressed, moment = wall_force(motion, state[n - 2], state[n - 1]), start + (j + 1) * (duration / steps)
-            if pressed > 0.0 and np.isnan(found[4]):
-                found[4], found[5] = moment, state[n - 1]
-            if pressed > found[2]:
-                found[2], found[3] = pressed, moment
+            if pressed > 0.0 and np.isnan(found[IMPACT_TIME]):
+                found[IMPACT_TIME], found[IMPACT_SPEED] = moment, state[n - 1]
+            if pressed > found[CONTACT_PEAK]:
+                found[CONTACT_PEAK], found[CONTACT_TIME] = pressed, moment
         start += duration
 
 
@@ -297,8 +306,8 @@ def run_nonlinear(
     motion: Motion,
     law: NonlinearController,
     start: tuple[FloatArray, FloatArray, Memory],
-    desired: tuple[float, float],
-    pushes: tuple[float, float],
+    desired: BeforeAfter,
+    pushes: BeforeAfter,
     noise: FloatArray,
     late: NDArray[np.bool_],
     recording: Recording,
@@ -310,36 +319,37 @@ def run_nonlinear(
     robot, which goes on with the one before. Without delay the velocity that is recorded is the
     one just before the command changes.
     """
-    state, past, memory = start[0].copy(), start[1].copy(), start[2]
-    n, rows, places, head = len(state), motion.rows, len(start[1]), 0
+    first, commands, memory = start
+    state, past, rows = first.copy(), commands.copy(), motion.rows
+    n, places, head = len(state), len(past), NEWEST
     traces, found, work = recording.traces, recording.found, np.empty((3, n))
     blocks = blocks_at(law, memory.damping)
-    found[2] = wall_force(motion, state[n - 2], state[n - 1])
+    found[CONTACT_PEAK] = wall_force(motion, state[n - 2], state[n - 1])
     acting = past[(head + motion.chain - 1) % places] if motion.chain > 0 else memory.sent
     for k in range(traces.shape[1]):
         # What acts at the tick is the last command that arrived, or with a delay of whole samples the one arriving.
         held = acting
         if motion.chain == motion.whole and motion.whole > 0 and not late[k]:
             held = past[(head + motion.whole - 1) % places]
-        position, force, velocity = 0.0, rows[1, n] * held, rows[2, n] * held
+        position, force, velocity = 0.0, rows[_SENSED, n] * held, rows[_VELOCITY, n] * held
         for i in range(n):
-            position += rows[0, i] * state[i]
-            force += rows[1, i] * state[i]
-            velocity += rows[2, i] * state[i]
+            position += rows[_POSITION, i] * state[i]
+            force += rows[_SENSED, i] * state[i]
+            velocity += rows[_VELOCITY, i] * state[i]
         memory = update_damping(law, blocks, memory, k, position)
-        steering = desired[0] if np.isnan(found[4]) else desired[1]
+        steering = desired.before if np.isnan(found[IMPACT_TIME]) else desired.after
         watching = memory.phase == WATCHING
         memory, seen, flags = control_tick(law, blocks, memory, (steering, force + noise[k], position))
         if watching and memory.phase != WATCHING:
-            found[6] = k
+            found[COLLISION_TICK] = k
         pressed = wall_force(motion, state[n - 2], state[n - 1])
-        traces[0, k], traces[1, k], traces[2, k] = force, seen, pressed
-        traces[3, k], traces[4, k] = position, velocity / law.h
-        traces[5, k], traces[6, k] = state[n - 2], state[n - 1] / law.h
-        traces[7, k], traces[8, k] = memory.sent, memory.damping
+        traces[FORCE, k], traces[SEEN, k], traces[CONTACT, k] = force, seen, pressed
+        traces[FLANGE, k], traces[FLANGE_SPEED, k] = position, velocity / law.h
+        traces[PAYLOAD, k], traces[PAYLOAD_SPEED, k] = state[n - 2], state[n - 1] / law.h
+        traces[COMMAND, k], traces[DAMPING, k] = memory.sent, memory.damping
         recording.flags[k] = flags | (TOUCHING if pressed > 0.0 else 0)
-        if -force > found[0]:
-            found[0], found[1] = -force, k
+        if -force > found[SENSOR_PEAK]:
+            found[SENSOR_PEAK], found[SENSOR_TICK] = -force, k
         newer = memory.sent if motion.whole == 0 else past[(head + motion.whole - 1) % places]
         if late[k]:
             newer = acting

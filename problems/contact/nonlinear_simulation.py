@@ -12,13 +12,20 @@ from numpy.typing import NDArray
 from .._checks import non_negative, positive
 from ..errors import ParameterError
 from ..model.controller import AdmittanceController
+from ..model.difference import DERIVATIVE_GAIN, FEEDBACK_DAMPING, IS_IDEAL, rest_states
 from ..model.plant import FREE_SPACE, Plant, build_plant_matrices
-from ..model.sampled import SampledPlant, build_loop, build_sampled_plant, controller_rest, spectral_radius
+from ..model.sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
 from ..stability.margins import UnstableLoopError
 from .kernel import steady_start
+from .kernel_types import MOVING, PUSHED
 from .nonlinear_kernel import (
     CLIPPED,
+    COLLISION_TICK,
+    CONTACT,
     DEAD,
+    FOUND,
+    IMPACT_SPEED,
+    IMPACT_TIME,
     LIMITED,
     REPORTING,
     RESETTING,
@@ -26,6 +33,7 @@ from .nonlinear_kernel import (
     TOUCHING,
     TRACES,
     WATCHING,
+    BeforeAfter,
     Memory,
     Motion,
     NonlinearController,
@@ -38,7 +46,7 @@ from .nonlinear_kernel import (
     steady_speed,
 )
 from .nonlinearities import NO_NONLINEARITIES, CommandLimits, Deadband, Nonlinearities, Response, VariableDamping
-from .transient import Approach, SampledContact, build_sampled_contact
+from .transient import Approach, SampledContact, build_sampled_contact, contact_wall
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -94,8 +102,8 @@ class _Drive:
 
     speed_m_s: float
     force_n: float
-    desired_n: tuple[float, float]
-    push_n: tuple[float, float]
+    desired_n: BeforeAfter
+    push_n: BeforeAfter
 
 
 def simulate_nonlinear(
@@ -133,10 +141,10 @@ def simulate_nonlinear(
     drive = _drive(pair, law, approach, effects)
     start = _steady(pair, law, drive, effects) if start_distance_m is None else _rest(pair.free, law, start_distance_m)
     count = math.ceil(positive("duration_s", duration_s) / h - _WHOLE)
-    recording = Recording(np.empty((TRACES, count)), np.empty(count, dtype=np.int64), np.zeros(7))
-    recording.found[4:] = math.nan
+    recording = Recording(np.empty((TRACES, count)), np.empty(count, dtype=np.int64), np.zeros(FOUND))
+    recording.found[IMPACT_TIME:] = math.nan
     if start_distance_m is None:
-        recording.found[4:6] = 0.0, drive.speed_m_s * h
+        recording.found[IMPACT_TIME], recording.found[IMPACT_SPEED] = 0.0, drive.speed_m_s * h
     drawn = _noise(effects, noise, count), _late(effects, noise, count)
     run_nonlinear(motion, law, start, drive.desired_n, drive.push_n, *drawn, recording)
     return _run(recording, h, drive, is_stable=radius < 1.0)
@@ -167,7 +175,7 @@ def _motion(contact: SampledPlant, substeps: int) -> Motion:
     """Lay out the free plant in the dimensionless time of one period; the wall acts on it as an outside force."""
     if substeps < 1:
         raise ParameterError("substeps", substeps, "at least 1")
-    h, wall = contact.sample_time_s, contact.plant.environment
+    h = contact.sample_time_s
     m = build_plant_matrices(contact.plant.in_contact_with(FREE_SPACE), h)
     before = math.ceil(substeps * contact.fraction)
     steps = (before, max(1, substeps - before))
@@ -181,8 +189,7 @@ def _motion(contact: SampledPlant, substeps: int) -> Motion:
     return Motion(
         flow=np.column_stack([m.a, m.b, m.push]),
         rows=np.array([[*m.c_position, 0.0], [*m.c_force, m.d_force], velocity]),
-        stiffness=wall.stiffness_n_per_m,
-        damping=wall.damping_n_s_per_m / h,
+        wall=contact_wall(contact),
         whole=contact.whole_delay,
         chain=contact.chain_length,
         fraction=contact.fraction,
@@ -223,7 +230,7 @@ def _drive(pair: SampledContact, law: NonlinearController, approach: Approach, e
     """Find the steady speed of the approach's force, or the force of its speed, with the effects in the balance."""
     h, by_hand = law.h, approach.driven_by == "hand"
     # F per speed: B_p, but for the ripple of F between the ticks.
-    drag, fastest = -float(pair.ramp[0, -1]) * h, law.longest_step / h
+    drag, fastest = -float(pair.ramp[MOVING, -1]) * h, law.longest_step / h
     if approach.speed_m_s is not None:
         speed = approach.speed_m_s
         if speed > fastest:
@@ -238,8 +245,8 @@ def _drive(pair: SampledContact, law: NonlinearController, approach: Approach, e
     return _Drive(
         speed_m_s=speed,
         force_n=force,
-        desired_n=(0.0, 0.0) if by_hand else (force, after),
-        push_n=(force, after) if by_hand else (0.0, 0.0),
+        desired_n=BeforeAfter(0.0, 0.0) if by_hand else BeforeAfter(force, after),
+        push_n=BeforeAfter(force, after) if by_hand else BeforeAfter(0.0, 0.0),
     )
 
 
@@ -262,11 +269,11 @@ def _steady(
     pair: SampledContact, law: NonlinearController, drive: _Drive, effects: Nonlinearities
 ) -> tuple[FloatArray, FloatArray, Memory]:
     """Return the steady approach at the impact, as if the same had gone on for ever."""
-    free, h, speed, push = pair.free, law.h, drive.speed_m_s, drive.push_n[0]
+    free, h, speed, push = pair.free, law.h, drive.speed_m_s, drive.push_n.before
     way, damping = speed * h, damping_at(law, speed)
     blocks = blocks_at(law, damping)
-    sensed = float(pair.ramp[0, -1] * way + pair.ramp[1, -1] * push)
-    seen = seen_force(law, sensed)[0]
+    sensed = float(pair.ramp[MOVING, -1] * way + pair.ramp[PUSHED, -1] * push)
+    seen, _ = seen_force(law, sensed)
     # On average over the ticks, where a deadband switches there and back. Behind a speed limit more than that drives
     # the admittance, which the first two ticks make up for while the limit holds.
     used = damping * speed
@@ -277,10 +284,10 @@ def _steady(
     state, past, control = steady_start(pair.ramp, free.c_position, blocks, free.chain_length, h, speed, push, used)
     n = len(state)
     state[n - 2] = 0.0
-    command = float(pair.ramp[0, n] * way + pair.ramp[1, n] * push)
+    command = float(pair.ramp[MOVING, n] * way + pair.ramp[PUSHED, n] * push)
     position = float(free.c_position @ state)
     # What the admittance itself puts out: C_fb and the derivative of the ideal compensation see a steady speed.
-    output = command + (blocks[4, 0] - blocks[5, 0] * blocks[4, 2]) * speed
+    output = command + (blocks[FEEDBACK_DAMPING] - blocks[DERIVATIVE_GAIN] * blocks[IS_IDEAL]) * speed
     recent = (output - way, used, position - way)
     older = (output - 2.0 * way, used, position - 2.0 * way)
     states = (*resume(blocks, recent, older), float(control[2]), float(control[3]))
@@ -294,8 +301,8 @@ def _rest(free: SampledPlant, law: NonlinearController, distance: float) -> tupl
     state = np.zeros(n)
     # The robot chain's first state has unit gain at rest; then x_p.
     state[0] = state[n - 2] = place
-    control = place * controller_rest(blocks_at(law, damping))
-    states = (float(control[0]), float(control[1]), float(control[2]), float(control[3]))
+    integral, lag, velocity, acceleration = (place * state for state in rest_states(blocks_at(law, damping)))
+    states = (integral, lag, velocity, acceleration)
     entry = (place, 0.0, place)
     past = np.full(max(1, free.chain_length), place)
     return state, past, Memory(states, entry, entry, place, 0.0, damping, law.period, WATCHING)
@@ -319,34 +326,36 @@ def _late(effects: Nonlinearities, noise: np.random.Generator | None, count: int
 
 def _run(recording: Recording, h: float, drive: _Drive, *, is_stable: bool) -> NonlinearRun:
     traces, flags, found = recording.traces, recording.flags, recording.found
-    traces[:2] *= -1.0
+    traces[:CONTACT] *= -1.0
     time = np.asarray(np.arange(len(flags)) * h, dtype=np.float64)
     touching, clipped, dead, limited = ((flags & bit) != 0 for bit in (TOUCHING, CLIPPED, DEAD, LIMITED))
     for array in (time, traces, touching, clipped, dead, limited):
         array.setflags(write=False)
-    touched, detected = not math.isnan(found[4]), not math.isnan(found[6])
-    peaks = found[:4] if is_stable else np.full(4, math.nan)
+    force, seen, contact, flange, flange_speed, payload, payload_speed, command, damping = traces
+    touched, detected = not math.isnan(found[IMPACT_TIME]), not math.isnan(found[COLLISION_TICK])
+    peaks = found[:IMPACT_TIME] if is_stable else np.full(IMPACT_TIME, math.nan)
+    sensor_peak, sensor_tick, contact_peak, contact_time = peaks
     return NonlinearRun(
         time_s=time,
-        sensor_force_n=traces[0],
-        seen_force_n=traces[1],
-        contact_force_n=traces[2],
-        flange_position_m=traces[3],
-        flange_velocity_m_s=traces[4],
-        payload_position_m=traces[5],
-        payload_velocity_m_s=traces[6],
-        command_m=traces[7],
-        damping_n_s_per_m=traces[8],
+        sensor_force_n=force,
+        seen_force_n=seen,
+        contact_force_n=contact,
+        flange_position_m=flange,
+        flange_velocity_m_s=flange_speed,
+        payload_position_m=payload,
+        payload_velocity_m_s=payload_speed,
+        command_m=command,
+        damping_n_s_per_m=damping,
         is_touching=touching,
         is_clipped=clipped,
         is_dead=dead,
         is_limited=limited,
         driving_force_n=drive.force_n,
-        impact_time_s=float(found[4] * h) if touched else None,
-        impact_speed_m_s=float(found[5] / h) if touched else None,
-        collision_time_s=float(found[6] * h) if detected else None,
-        peak_sensor_force_n=float(peaks[0]),
-        time_of_sensor_peak_s=float(peaks[1] * h),
-        peak_contact_force_n=float(peaks[2]),
-        time_of_peak_s=float(peaks[3] * h),
+        impact_time_s=float(found[IMPACT_TIME] * h) if touched else None,
+        impact_speed_m_s=float(found[IMPACT_SPEED] / h) if touched else None,
+        collision_time_s=float(found[COLLISION_TICK] * h) if detected else None,
+        peak_sensor_force_n=float(sensor_peak),
+        time_of_sensor_peak_s=float(sensor_tick * h),
+        peak_contact_force_n=float(contact_peak),
+        time_of_peak_s=float(contact_time * h),
     )

@@ -14,7 +14,22 @@ from ..model.plant import FREE_SPACE
 from ..model.sampled import SampledPlant, build_loop, build_sampled_plant, check_wrench_delay, hold, spectral_radius
 from ..stability.margins import UnstableLoopError
 from .events import MOST_SUBSTEPS, SUBSTEPS_PER_RADIAN
-from .kernel import Contact, Start, contact_forces, run_contact, steady_start
+from .kernel import contact_forces, run_contact, steady_start
+from .kernel_types import (
+    CONTACT_PEAK,
+    CONTACT_TIME,
+    FOUND,
+    IMPULSE,
+    MOVING,
+    SENSOR_PEAK,
+    SENSOR_TICK,
+    Contact,
+    Delay,
+    Forces,
+    Start,
+    Traces,
+    Wall,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -103,8 +118,6 @@ def build_sampled_contact(contact: SampledPlant) -> SampledContact:
 
 
 def _kernel_arguments(contact: SampledPlant, free: SampledPlant) -> Contact:
-    environment, h = contact.plant.environment, contact.sample_time_s
-    payload = contact.plant.payload.mass_kg
     step = [np.column_stack([p.phi, p.gamma, p.gamma_old, p.gamma_push]) for p in (contact, free)]
     flow = [np.column_stack([p.rate, p.drive, p.push]) for p in (contact, free)]
     rows = [
@@ -112,14 +125,19 @@ def _kernel_arguments(contact: SampledPlant, free: SampledPlant) -> Contact:
         [*contact.c_force, contact.d_force, 0.0],
         [*contact.c_contact, contact.d_contact, contact.push_contact],
     ]
-    wall = (
-        environment.stiffness_n_per_m,
-        environment.damping_n_s_per_m / h,
-        environment.mass_kg / h**2,
-        payload / (payload + environment.mass_kg),
+    delay = Delay(contact.whole_delay, contact.chain_length, contact.fraction)
+    return Contact(np.array(step), np.array(flow), np.array(rows), _inside(contact), delay, contact_wall(contact))
+
+
+def contact_wall(contact: SampledPlant) -> Wall:
+    """Return the environment of a sampled plant in units of its period."""
+    environment, h, payload = contact.plant.environment, contact.sample_time_s, contact.plant.payload.mass_kg
+    return Wall(
+        stiffness=environment.stiffness_n_per_m,
+        damping=environment.damping_n_s_per_m / h,
+        mass=environment.mass_kg / h**2,
+        share=payload / (payload + environment.mass_kg),
     )
-    delay = (contact.whole_delay, contact.chain_length, contact.fraction)
-    return (np.array(step), np.array(flow)), (np.array(rows), _inside(contact)), delay, wall
 
 
 def _ramp(free: SampledPlant) -> FloatArray:
@@ -150,11 +168,11 @@ def _inside(contact: SampledPlant) -> FloatArray:
             f"{stiffness:g} N/m on {mass:g} kg",
             f"so that the contact swings at most {_FASTEST_SWING:g} rad in a sample (softer, or heavier)",
         )
-    looks = min(MOST_SUBSTEPS, max(1, math.ceil(SUBSTEPS_PER_RADIAN * fastest)))
-    rows = np.zeros((looks - 1, n + 3))
+    substeps = min(MOST_SUBSTEPS, max(1, math.ceil(SUBSTEPS_PER_RADIAN * fastest)))
+    rows = np.zeros((substeps - 1, n + 3))
     inputs = np.stack([contact.drive, contact.push], axis=1)
-    for j in range(1, looks):
-        moment = j / looks
+    for j in range(1, substeps):
+        moment = j / substeps
         older, newer = min(moment, contact.fraction), max(0.0, moment - contact.fraction)
         (phi_1, gamma_1), (phi_2, gamma_2) = hold(contact.rate, inputs, older), hold(contact.rate, inputs, newer)
         rows[j - 1, :n] = contact.c_contact @ phi_2 @ phi_1
@@ -182,28 +200,25 @@ def simulate_contact(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ContactStart:
-    """The moment of contact as the kernels take it: controller blocks, states, and the forces from then on.
-
-    `forces` are F^d and the outside force on the payload after the impact, which happens at `speed_m_s`.
-    """
+    """The moment of contact as the kernels take it, at `speed_m_s`: controller blocks, states, forces from then on."""
 
     blocks: FloatArray
     start: Start
-    forces: tuple[float, float]
+    forces: Forces
     speed_m_s: float
 
 
 def begin_contact(pair: SampledContact, controller: AdmittanceController, approach: Approach) -> ContactStart:
-    """Return the state of the loop at the end of a steady approach, see `contact_start.steady_start`."""
+    """Return the state of the loop at the end of a steady approach, see `steady_start`."""
     free, h = pair.free, pair.free.sample_time_s
     check_wrench_delay(free.plant, controller)
     blocks = controller_blocks(controller, h)
     # B_a + B_p, but for the ripple of F between the ticks, which the controller does not see.
-    resistance = controller.damping_n_s_per_m - float(pair.ramp[0, -1]) * h
-    speed, push, desired_force, push_after = contact_forces(approach.numbers(), resistance)
+    resistance = controller.damping_n_s_per_m - float(pair.ramp[MOVING, -1]) * h
+    speed, push, forces = contact_forces(approach.numbers(), resistance)
     force = controller.damping_n_s_per_m * speed
     start = steady_start(pair.ramp, free.c_position, blocks, free.chain_length, h, speed, push, force)
-    return ContactStart(blocks=blocks, start=start, forces=(desired_force, push_after), speed_m_s=speed)
+    return ContactStart(blocks=blocks, start=start, forces=forces, speed_m_s=speed)
 
 
 def longest_run(sample_time_s: float) -> int:
@@ -218,18 +233,18 @@ def transient_from(
     h = pair.free.sample_time_s
     begun = begin_contact(pair, controller, approach)
     longest = samples if samples is not None else longest_run(h)
-    traces, found = (np.empty(longest), np.empty(longest)), np.zeros(5)
+    traces, found = Traces(np.empty(longest), np.empty(longest)), np.zeros(FOUND)
     count = run_contact(pair.arguments, begun.blocks, begun.start, begun.forces, traces, found, samples is None)
     return ContactTransient(
         time_s=np.asarray(np.arange(count) * h, dtype=np.float64),
-        sensor_force_n=-traces[0][:count],
-        contact_force_n=traces[1][:count].copy(),
+        sensor_force_n=-traces.sensed[:count],
+        contact_force_n=traces.pressed[:count].copy(),
         contact_speed_m_s=begun.speed_m_s,
         driving_force_n=sum(begun.forces),
-        peak_sensor_force_n=float(found[0]),
-        time_of_sensor_peak_s=float(found[1] * h),
-        peak_contact_force_n=float(found[2]),
-        time_of_peak_s=float(found[3] * h),
-        impulse_n_s=float(found[4] * h),
+        peak_sensor_force_n=float(found[SENSOR_PEAK]),
+        time_of_sensor_peak_s=float(found[SENSOR_TICK] * h),
+        peak_contact_force_n=float(found[CONTACT_PEAK]),
+        time_of_peak_s=float(found[CONTACT_TIME] * h),
+        impulse_n_s=float(found[IMPULSE] * h),
         is_settled=samples is not None or count < longest,
     )

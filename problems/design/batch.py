@@ -137,19 +137,19 @@ def stack_grids(plants: Sequence[PreparedMargins]) -> Grids:
 
 def stack_contacts(pairs: Sequence[SampledContact]) -> Contacts:
     """Return what `run_contact` takes of every pair, with a leading axis."""
-    inside = [pair.arguments[1][1] for pair in pairs]
+    plants = [pair.arguments for pair in pairs]
     return (
         (
-            np.array([pair.arguments[0][0] for pair in pairs]),
-            np.array([pair.arguments[0][1] for pair in pairs]),
-            np.array([pair.arguments[1][0] for pair in pairs]),
-            np.array([pair.arguments[3] for pair in pairs]),
+            np.array([plant.step for plant in plants]),
+            np.array([plant.flow for plant in plants]),
+            np.array([plant.rows for plant in plants]),
+            np.array([plant.wall for plant in plants]),
             np.array([pair.ramp for pair in pairs]),
         ),
-        np.array([pair.arguments[2][:2] for pair in pairs], dtype=np.int64),
-        np.array([pair.arguments[2][2] for pair in pairs]),
-        np.concatenate(inside),
-        offsets_of([len(rows) for rows in inside]),
+        np.array([(plant.delay.whole, plant.delay.chain) for plant in plants], dtype=np.int64),
+        np.array([plant.delay.fraction for plant in plants]),
+        np.concatenate([plant.inside for plant in plants]),
+        offsets_of([len(plant.inside) for plant in plants]),
     )
 
 

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import compiled
+from ..contact.kernel_types import Traces
 from ..model.controller import blocks_of
 from ..model.response import controller_gains
 from ..stability.margin_kernel import DELAY_S as LOOP_DELAY_S
@@ -55,7 +56,7 @@ def evaluate_designs(
     loops, responses, grids = plants
     h, theta, ideal = sampling
     controller, work, found = np.zeros((3, CONTROLLER_POWERS)), loop_room(loops), np.zeros(MARGINS)
-    row, traces = np.empty(PAIR_COLUMNS), (np.empty(longest), np.empty(longest))
+    row, traces = np.empty(PAIR_COLUMNS), Traces(np.empty(longest), np.empty(longest))
     omega, tangent, force, position, offsets = grids
     margins, admittance, crosses = required
     shallowest = MODULUS_ALONE if margins[MODULUS] > 0.0 else WITH_CROSSOVERS

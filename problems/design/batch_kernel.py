@@ -5,6 +5,9 @@ from numpy.typing import NDArray
 
 from ..compiled import compiled
 from ..contact.kernel import contact_forces, run_contact, steady_start
+from ..contact.kernel_types import CONTACT_PEAK as LARGEST_CONTACT
+from ..contact.kernel_types import CONTACT_TIME, FOUND, MOVING, POSITION, Contact, Delay, Traces, Wall
+from ..contact.kernel_types import SENSOR_PEAK as LARGEST_SENSOR
 from ..model.controller import blocks_of
 from ..stability.margin_kernel import MARGINS, MODULUS_ALONE, find_loop_margins
 from ..stability.polynomials import CONTROLLER_POWERS, STABLE, controller_polynomials, hurwitz, loop_polynomial
@@ -77,7 +80,7 @@ def evaluate_pairs(
     `wanted` (margins, peaks). DOUBTFUL verdicts are left to the caller, as are the margins and peaks then.
     """
     controller, work, found = np.zeros((3, CONTROLLER_POWERS)), loop_room(in_contact), np.zeros(MARGINS)
-    traces = (np.empty(longest), np.empty(longest))
+    traces = Traces(np.empty(longest), np.empty(longest))
     h, theta, ideal = sampling
     omega, tangent, force, position, offsets = grids
     for i in range(len(designs)):
@@ -108,16 +111,17 @@ def simulate_pair(
     damping: float,
     h: float,
     approach: tuple[float, float, bool, float],
-    traces: tuple[FloatArray, FloatArray],
+    traces: Traces,
     out: FloatArray,
 ) -> None:
     """Simulate the impact of one scenario and write its peaks into one row of a result."""
     (step, flow, rows, walls, ramps), delays, fractions, inside, offsets = contacts
-    delay = (delays[j, 0], delays[j, 1], fractions[j])
-    wall = (walls[j, 0], walls[j, 1], walls[j, 2], walls[j, 3])
-    plant = ((step[j], flow[j]), (rows[j], inside[offsets[j] : offsets[j + 1]]), delay, wall)
-    speed, push, desired_force, push_after = contact_forces(approach, damping - ramps[j, 0, -1] * h)
-    start = steady_start(ramps[j], rows[j, 0, : step.shape[2]], blocks, delays[j, 1], h, speed, push, damping * speed)
-    found = np.zeros(5)
-    run_contact(plant, blocks, start, (desired_force, push_after), traces, found, True)
-    out[PEAK_SENSOR], out[PEAK_CONTACT], out[TIME_OF_PEAK] = found[0], found[2], found[3] * h
+    delay, n = Delay(delays[j, 0], delays[j, 1], fractions[j]), step.shape[2]
+    wall = Wall(walls[j, 0], walls[j, 1], walls[j, 2], walls[j, 3])
+    plant = Contact(step[j], flow[j], rows[j], inside[offsets[j] : offsets[j + 1]], delay, wall)
+    speed, push, forces = contact_forces(approach, damping - ramps[j, MOVING, -1] * h)
+    start = steady_start(ramps[j], rows[j, POSITION, :n], blocks, delay.chain, h, speed, push, damping * speed)
+    found = np.zeros(FOUND)
+    run_contact(plant, blocks, start, forces, traces, found, True)
+    out[PEAK_SENSOR], out[PEAK_CONTACT] = found[LARGEST_SENSOR], found[LARGEST_CONTACT]
+    out[TIME_OF_PEAK] = found[CONTACT_TIME] * h

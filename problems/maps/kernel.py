@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from ..compiled import compiled
 from ..model.plant import PLANT_PARAMETERS, write_plant
-from ..model.sampled import exponential, squarings_for
+from ..model.sampled import hold_columns
 from ..stability.margin_kernel import EVERY_MARGIN, MODULUS_ALONE, Grid, find_loop_margins
 from ..stability.polynomials import CONTROLLER_POWERS, controller_polynomials, plant_polynomials
 
@@ -38,29 +38,19 @@ def polynomials_of_plants(
             a, b, push, c_position, c_force, c_contact, direct, numerators[k], denominators[k], parameters[k], h
         )
         outputs[1, n] = direct[0]
-        phi, gamma = _held(a, b, 1.0)
+        whole_step = hold_columns(a, b.reshape(n, 1), 1.0)
+        phi, gamma = np.ascontiguousarray(whole_step[:n, :n]), np.ascontiguousarray(whole_step[:n, n])
         if not np.all(np.isfinite(phi)):
             out[k, :, :] = np.nan
             continue
         gamma_old = np.zeros(n)
         if fraction > 0.0:
-            _, newer = _held(a, b, 1.0 - fraction)
+            newer = np.ascontiguousarray(hold_columns(a, b.reshape(n, 1), 1.0 - fraction)[:n, n])
             gamma_old[:] = gamma - newer
             gamma = newer
         chain = whole + (1 if fraction > 0.0 else 0)
         found = plant_polynomials(phi, gamma, gamma_old, outputs, (whole, chain, fraction), parameters[k, 4] == 0.0)
         out[k, :, : found.shape[1]] = found
-
-
-@compiled
-def _held(a: FloatArray, b: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
-    """Return exp(a·duration) and ∫ exp(a σ) b dσ over [0, duration]."""
-    n = len(b)
-    augmented = np.zeros((n + 1, n + 1))
-    augmented[:n, :n] = a * duration
-    augmented[:n, n] = b * duration
-    whole = exponential(augmented, np.eye(n + 1), squarings_for(augmented))
-    return np.ascontiguousarray(whole[:n, :n]), np.ascontiguousarray(whole[:n, n])
 
 
 @compiled

@@ -12,6 +12,13 @@ from .._checks import non_negative, positive
 from ..compiled import compiled, equation
 from ..errors import ParameterError
 from . import difference
+from .difference import (
+    COMPENSATION,
+    DERIVATIVE_GAIN,
+    FEEDBACK_DAMPING,
+    LAG_GAIN,
+    POSITION_TO_LAG,
+)
 
 FloatArray = NDArray[np.float64]
 Compensation = Literal["filtered", "ideal"]
@@ -135,6 +142,7 @@ def _printed(feedback_damping: float) -> float:
 write_first_order = equation(difference.write_first_order)
 write_blocks = equation(difference.write_blocks)
 controller_step = equation(difference.controller_step)
+steady_states = equation(difference.steady_states)
 
 
 def controller_blocks(controller: AdmittanceController, sample_time_s: float) -> FloatArray:
@@ -153,12 +161,12 @@ def blocks_of(parameters: FloatArray, h: float, theta: float, ideal: bool) -> Fl
 
 def needed_states(blocks: FloatArray) -> NDArray[np.int64]:
     """Return which of the four states the command can see; the others would only add poles that nobody excites."""
-    filtered = blocks[4, 1] != 0.0
+    filtered = blocks[COMPENSATION] != 0.0
     kept = [0]
-    if blocks[1, 2] != 0.0 or blocks[5, 2] != 0.0:
+    if blocks[LAG_GAIN] != 0.0 or blocks[POSITION_TO_LAG] != 0.0:
         kept.append(1)
-    if blocks[4, 0] != 0.0 or filtered:
+    if blocks[FEEDBACK_DAMPING] != 0.0 or filtered:
         kept.append(2)
-    if filtered or blocks[5, 0] != 0.0:
+    if filtered or blocks[DERIVATIVE_GAIN] != 0.0:
         kept.append(3)
     return np.array(kept, dtype=np.int64)

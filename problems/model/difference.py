@@ -1,12 +1,23 @@
 """The controller's difference equation in plain arithmetic, needing no library (MODEL.md, "Continuous blocks").
 
-`problems.model.controller` and `problems.contact.nonlinear_kernel` compile these functions into their kernels; the
-runtime calls them as
-they are, on a machine that has no compiler. `blocks` is anything that takes `[row, column]`: an array, or a dictionary.
+`problems.model.controller`, `problems.model.response` and `problems.contact.nonlinear_kernel` compile these functions
+into their kernels; the runtime calls them as they are, on a machine that has no compiler. `blocks` is anything that
+takes `[row, column]`: an array, or a dictionary.
 """
 
 from typing import Any
 
+# Entries of `blocks`: of each first-order block what acts at once, its pole, and the gain into its state.
+INTEGRATOR_DIRECT, INTEGRATOR_POLE, INTEGRATOR_GAIN = (0, 0), (0, 1), (0, 2)
+LAG_DIRECT, LAG_POLE, LAG_GAIN = (1, 0), (1, 1), (1, 2)
+VELOCITY_DIRECT, VELOCITY_POLE, VELOCITY_GAIN = (2, 0), (2, 1), (2, 2)
+ACCELERATION_DIRECT, ACCELERATION_POLE, ACCELERATION_GAIN = (3, 0), (3, 1), (3, 2)
+# Then B_fb, P̂ and whether the compensation is ideal; then its gain on the derivative, on x, and on x into the lag.
+FEEDBACK_DAMPING, COMPENSATION, IS_IDEAL = (4, 0), (4, 1), (4, 2)
+DERIVATIVE_GAIN, POSITION_GAIN, POSITION_TO_LAG = (5, 0), (5, 1), (5, 2)
+
+# Place of B_a among the parameters of a controller.
+DAMPING = 1
 # Output of the admittance without what it adds from the robot's motion, the force that drives it, and x, at one tick.
 Entry = tuple[float, float, float]
 
@@ -38,46 +49,46 @@ def write_blocks(blocks: Any, parameters: Any, h: float, theta: float, ideal: bo
     write_first_order(blocks, 0, 0.0, 1.0 / damping, 1.0, 0.0, h, theta)
     write_first_order(blocks, 1, 0.0, lead - mass / damping, mass, damping, h, theta)
     write_first_order(blocks, 2, corner, 0.0, 1.0, corner, h, theta)
-    blocks[4, 0] = feedback
+    blocks[FEEDBACK_DAMPING] = feedback
     if ideal:
         kappa = compensation * (1.0 - lead * damping / mass) / mass
         write_first_order(blocks, 5, 0.0, -kappa * damping, mass, damping, h, theta)
-        blocks[5, 1] = kappa + blocks[5, 0]
-        blocks[5, 0] = compensation * lead / mass
+        blocks[POSITION_GAIN] = kappa + blocks[DERIVATIVE_GAIN]
+        blocks[DERIVATIVE_GAIN] = compensation * lead / mass
         write_first_order(blocks, 3, 1.0, 0.0, 0.0, 1.0, h, theta)
-        blocks[4, 1] = 0.0
-        blocks[4, 2] = 1.0
+        blocks[COMPENSATION] = 0.0
+        blocks[IS_IDEAL] = 1.0
     else:
         write_first_order(blocks, 3, acceleration, 0.0, 1.0, acceleration, h, theta)
-        blocks[4, 1] = compensation
-        blocks[4, 2] = 0.0
-        for i in range(3):
-            blocks[5, i] = 0.0
+        blocks[COMPENSATION] = compensation
+        blocks[IS_IDEAL] = 0.0
+        for entry in (DERIVATIVE_GAIN, POSITION_GAIN, POSITION_TO_LAG):
+            blocks[entry] = 0.0
 
 
 def controller_step(blocks: Any, state: tuple[Any, Any, Any, Any], force: Any, position: Any) -> Any:
     """Return x^d_k from F^d + F and x at the tick, and the four states at the next: the difference equation.
 
-    Rows of `blocks`: integrator, lag, velocity filter, acceleration (each direct, pole, gain); then B_fb, P̂ and
-    whether the compensation is ideal; then its gain on the derivative, on x, and on x into the lag.
+    `blocks` are those of `write_blocks`.
     """
-    velocity = blocks[2, 0] * position + state[2]
-    source = position * blocks[4, 2] + velocity * (1.0 - blocks[4, 2])
-    acceleration = blocks[3, 0] * source + state[3]
-    drive = force + blocks[4, 1] * acceleration
+    integral, lag, of_velocity, of_acceleration = state
+    velocity = blocks[VELOCITY_DIRECT] * position + of_velocity
+    source = position * blocks[IS_IDEAL] + velocity * (1.0 - blocks[IS_IDEAL])
+    acceleration = blocks[ACCELERATION_DIRECT] * source + of_acceleration
+    drive = force + blocks[COMPENSATION] * acceleration
     command = (
-        state[0]
-        + state[1]
-        + (blocks[0, 0] + blocks[1, 0]) * drive
-        - blocks[4, 0] * velocity
-        + blocks[5, 0] * acceleration
-        + blocks[5, 1] * position
+        integral
+        + lag
+        + (blocks[INTEGRATOR_DIRECT] + blocks[LAG_DIRECT]) * drive
+        - blocks[FEEDBACK_DAMPING] * velocity
+        + blocks[DERIVATIVE_GAIN] * acceleration
+        + blocks[POSITION_GAIN] * position
     )
     following = (
-        blocks[0, 1] * state[0] + blocks[0, 2] * drive,
-        blocks[1, 1] * state[1] + blocks[1, 2] * drive + blocks[5, 2] * position,
-        blocks[2, 1] * state[2] + blocks[2, 2] * position,
-        blocks[3, 1] * state[3] + blocks[3, 2] * source,
+        blocks[INTEGRATOR_POLE] * integral + blocks[INTEGRATOR_GAIN] * drive,
+        blocks[LAG_POLE] * lag + blocks[LAG_GAIN] * drive + blocks[POSITION_TO_LAG] * position,
+        blocks[VELOCITY_POLE] * of_velocity + blocks[VELOCITY_GAIN] * position,
+        blocks[ACCELERATION_POLE] * of_acceleration + blocks[ACCELERATION_GAIN] * source,
     )
     return command, following
 
@@ -90,12 +101,56 @@ def resume(blocks: Any, recent: Entry, older: Entry) -> tuple[float, float]:
     compensation adds. Whatever is changed between two ticks, outputs or coefficients, the command stays continuous.
     """
     (y_1, u_1, x_1), (y_0, u_0, x_0) = recent, older
-    pole, direct, gains = blocks[1, 1], blocks[0, 0] + blocks[1, 0], (blocks[0, 2], blocks[1, 2])
-    n_1, n_2 = gains[0] + gains[1] - (1.0 + pole) * direct, pole * (direct - gains[0]) - gains[1]
-    m_1, m_2 = blocks[5, 2] - (1.0 + pole) * blocks[5, 1], pole * blocks[5, 1] - blocks[5, 2]
+    pole, direct = blocks[LAG_POLE], blocks[INTEGRATOR_DIRECT] + blocks[LAG_DIRECT]
+    integral_gain, lag_gain = blocks[INTEGRATOR_GAIN], blocks[LAG_GAIN]
+    n_1, n_2 = integral_gain + lag_gain - (1.0 + pole) * direct, pole * (direct - integral_gain) - lag_gain
+    gain, into_lag = blocks[POSITION_GAIN], blocks[POSITION_TO_LAG]
+    m_1, m_2 = into_lag - (1.0 + pole) * gain, pole * gain - into_lag
     both = (1.0 + pole) * y_1 - pole * y_0 + n_1 * u_1 + n_2 * u_0 + m_1 * x_1 + m_2 * x_0
     lag = (pole * (y_1 - both) - n_2 * u_1 - m_2 * x_1) / (1.0 - pole)
     return both - lag, lag
+
+
+def rest_states(blocks: Any) -> tuple[Any, Any, Any, Any]:
+    """Return the controller's states at rest at one metre: the filters see no motion, the command is one metre."""
+    lag = blocks[POSITION_TO_LAG] / (1.0 - blocks[LAG_POLE])
+    derivative = -blocks[ACCELERATION_DIRECT] * blocks[IS_IDEAL]
+    return 1.0 - lag - blocks[POSITION_GAIN], lag, -blocks[VELOCITY_DIRECT], derivative
+
+
+def steady_states(
+    blocks: Any, command: float, position: float, speed: float, h: float, force: float
+) -> tuple[float, float, float, float]:
+    """Return the states of a steady motion at `speed` [m/s] under a constant e = F^d + F, at the tick with x, x^d.
+
+    The filters see a steady speed, the lag a steady force (and, with ideal compensation, a ramp).
+    """
+    ideal = blocks[IS_IDEAL]
+    acceleration = ideal * speed
+    share = 1.0 / (1.0 - blocks[LAG_POLE])
+    slope = blocks[POSITION_TO_LAG] * share
+    lag = (blocks[LAG_GAIN] * force - slope * speed * h) * share + slope * position
+    direct = (blocks[INTEGRATOR_DIRECT] + blocks[LAG_DIRECT]) * force - blocks[FEEDBACK_DAMPING] * speed
+    return (
+        command - lag - direct - blocks[DERIVATIVE_GAIN] * acceleration - blocks[POSITION_GAIN] * position,
+        lag,
+        speed - blocks[VELOCITY_DIRECT] * position,
+        acceleration - blocks[ACCELERATION_DIRECT] * (ideal * position + (1.0 - ideal) * speed),
+    )
+
+
+def controller_gains(blocks: Any, z: Any) -> Any:
+    """Return x^d per force e, and −x^d per position x, of the sampled controller at `z`, see `controller_step`."""
+    lag = 1.0 / (z - blocks[LAG_POLE])
+    integrator = blocks[INTEGRATOR_DIRECT] + blocks[INTEGRATOR_GAIN] / (z - blocks[INTEGRATOR_POLE])
+    forward = integrator + blocks[LAG_DIRECT] + blocks[LAG_GAIN] * lag
+    velocity = blocks[VELOCITY_DIRECT] + blocks[VELOCITY_GAIN] / (z - blocks[VELOCITY_POLE])
+    source = blocks[IS_IDEAL] + velocity * (1.0 - blocks[IS_IDEAL])
+    derivative = blocks[ACCELERATION_DIRECT] + blocks[ACCELERATION_GAIN] / (z - blocks[ACCELERATION_POLE])
+    acceleration = derivative * source
+    compensation = (forward * blocks[COMPENSATION] + blocks[DERIVATIVE_GAIN]) * acceleration
+    compensation = compensation + blocks[POSITION_GAIN] + blocks[POSITION_TO_LAG] * lag
+    return forward, blocks[FEEDBACK_DAMPING] * velocity - compensation
 
 
 def measured_motion(blocks: Any, control: tuple[float, float, float, float], position: float) -> tuple[float, float]:
@@ -103,10 +158,13 @@ def measured_motion(blocks: Any, control: tuple[float, float, float, float], pos
 
     The first is −C_fb x and, with the ideal compensation, its gain on the derivative; see `controller_step`.
     """
-    velocity = blocks[2, 0] * position + control[2]
-    source = position * blocks[4, 2] + velocity * (1.0 - blocks[4, 2])
-    acceleration = blocks[3, 0] * source + control[3]
-    return blocks[5, 0] * acceleration - blocks[4, 0] * velocity, blocks[4, 1] * acceleration
+    _, _, of_velocity, of_acceleration = control
+    velocity = blocks[VELOCITY_DIRECT] * position + of_velocity
+    source = position * blocks[IS_IDEAL] + velocity * (1.0 - blocks[IS_IDEAL])
+    acceleration = blocks[ACCELERATION_DIRECT] * source + of_acceleration
+    return blocks[DERIVATIVE_GAIN] * acceleration - blocks[FEEDBACK_DAMPING] * velocity, blocks[
+        COMPENSATION
+    ] * acceleration
 
 
 def through_deadband(force: float, width: float, subtractive: bool) -> float:

@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import equation
+from . import difference
 from .controller import AdmittanceController, controller_blocks
 from .linear_controllers import LinearController
 from .plant import Plant, WrenchFilter
@@ -15,6 +15,9 @@ from .sampled import Controller, SampledPlant, build_loop, check_wrench_delay
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+
+# Written once in plain arithmetic, and compiled into whatever kernel calls it.
+controller_gains = equation(difference.controller_gains)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,18 +59,6 @@ def join_wrench(responses: Sequence[PlantResponse]) -> ComplexArray | None:
     if all(each.wrench is None for each in responses):
         return None
     return np.concatenate([np.ones_like(each.z) if each.wrench is None else each.wrench for each in responses])
-
-
-@equation
-def controller_gains(blocks: Any, z: Any) -> Any:
-    """Return x^d per force e, and −x^d per position x, of the sampled controller at `z`, see `controller_step`."""
-    lag = 1.0 / (z - blocks[1, 1])
-    forward = blocks[0, 0] + blocks[0, 2] / (z - blocks[0, 1]) + blocks[1, 0] + blocks[1, 2] * lag
-    velocity = blocks[2, 0] + blocks[2, 2] / (z - blocks[2, 1])
-    source = blocks[4, 2] + velocity * (1.0 - blocks[4, 2])
-    acceleration = (blocks[3, 0] + blocks[3, 2] / (z - blocks[3, 1])) * source
-    compensation = (forward * blocks[4, 1] + blocks[5, 0]) * acceleration + blocks[5, 1] + blocks[5, 2] * lag
-    return forward, blocks[4, 0] * velocity - compensation
 
 
 def controller_response(controller: Controller, z: ComplexArray, h: float) -> tuple[ComplexArray, ComplexArray]:

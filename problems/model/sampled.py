@@ -12,6 +12,7 @@ from .._checks import positive
 from ..compiled import compiled, equation
 from ..errors import ParameterError
 from .controller import CONTROLLER_STATES, AdmittanceController, controller_blocks, controller_step, needed_states
+from .difference import rest_states
 from .linear_controllers import LinearController
 from .plant import Plant, build_plant_matrices
 
@@ -102,7 +103,8 @@ def squarings_for(matrix: FloatArray) -> int:
 
 
 @compiled
-def _hold_columns(a: FloatArray, columns: FloatArray, duration: float) -> FloatArray:
+def hold_columns(a: FloatArray, columns: FloatArray, duration: float) -> FloatArray:
+    """Return exp of (a, columns; 0, 0) times `duration`: its upper part is exp(a·t) beside ∫ exp(a σ) columns dσ."""
     n, inputs = columns.shape
     augmented = np.zeros((n + inputs, n + inputs))
     augmented[:n, :n] = a * duration
@@ -113,17 +115,13 @@ def _hold_columns(a: FloatArray, columns: FloatArray, duration: float) -> FloatA
 
 def hold(a: FloatArray, b: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
     """Return exp(a·duration) and ∫ exp(a σ) b dσ over [0, duration]; `b` is (n,) or (n, inputs)."""
-    n = len(a)
-    if _MOST_SQUARINGS < squarings_for(np.ascontiguousarray(a)) <= _HOPELESS_SQUARINGS:
+    n, a, columns = len(a), np.ascontiguousarray(a), np.ascontiguousarray(b).reshape(len(a), -1)
+    if _MOST_SQUARINGS < squarings_for(a) <= _HOPELESS_SQUARINGS:
         # So stiff a plant loses digits in repeated squaring; scipy scales it more carefully. Beyond all reason the
         # squaring overflows, and what is not finite is refused.
-        columns = b.reshape(n, -1)
-        size = n + columns.shape[1]
-        augmented = np.zeros((size, size))
-        augmented[:n, :n], augmented[:n, n:] = a * duration, columns * duration
-        exact = expm(augmented)
-        return np.ascontiguousarray(exact[:n, :n]), np.ascontiguousarray(exact[:n, n:]).reshape(b.shape)
-    whole = _hold_columns(np.ascontiguousarray(a), np.ascontiguousarray(b).reshape(n, -1), duration)
+        whole = expm(np.pad(np.hstack([a, columns]) * duration, ((0, columns.shape[1]), (0, 0))))
+    else:
+        whole = hold_columns(a, columns, duration)
     return np.ascontiguousarray(whole[:n, :n]), np.ascontiguousarray(whole[:n, n:]).reshape(b.shape)
 
 
@@ -411,8 +409,7 @@ def translation_state(sampled: SampledPlant, controller: Controller) -> FloatArr
 
 def controller_rest(blocks: FloatArray) -> FloatArray:
     """Return the controller's states (4,) at rest at one metre: the filters see no motion, the command is one metre."""
-    lag = blocks[5, 2] / (1.0 - blocks[1, 1])
-    return np.array([1.0 - lag - blocks[5, 1], lag, -blocks[2, 0], -blocks[3, 0] * blocks[4, 2]])
+    return np.array(rest_states(blocks))
 
 
 def stability_matrix(loop: SampledLoop) -> FloatArray:

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from autotune.runtime import AXES, START, AxisLaw, AxisLimits, CollisionResponse, Limits, Payload, RuntimeController
 from autotune.simulation.axis import _advance
 from problems.contact.events import contact_force
+from problems.contact.kernel_types import Held, Inputs
 from problems.contact.transient import build_sampled_contact
 from problems.model.plant import Coupling, Environment, Plant
 from problems.model.plant import Payload as PlantPayload
@@ -182,7 +183,7 @@ def run_contact(
     The tool is turned anyhow; weight and bias of the payload are in the raw wrench.
     """
     pair = build_sampled_contact(build_sampled_plant(plant, PERIOD_S))
-    (step, _), (rows, _), (whole, chain, _), _ = pair.arguments
+    (step, _, rows, _, (whole, chain, _), _) = pair.arguments
     n, count = step.shape[1], round(duration_s / PERIOD_S)
     state, surface, past = np.zeros(n), np.zeros(2), [-distance_m] * max(chain, 1)
     state[0] = state[n - 2] = -distance_m
@@ -195,9 +196,10 @@ def run_contact(
         wrench[axis], desired[axis] = sensed, force_n
         reading = along(axis, rotation, position, payload, wrench)
         command += float(increment(Reading(**{**vars(reading), "desired_S": desired}))[axis])
-        pressed = max(0.0, contact_force(state, rows, (held, 0.0))) if touching else 0.0
+        pressed = max(0.0, contact_force(state, rows, Held(held, 0.0))) if touching else 0.0
         out[:, k] = -sensed, pressed, command
         newer = command if whole == 0 else past[whole - 1]
-        touching = _advance(pair.arguments, state, surface, (held if chain > whole else newer, newer, 0.0), touching)
+        inputs = Inputs(held if chain > whole else newer, newer, 0.0)
+        touching = _advance(pair.arguments, state, surface, inputs, touching)
         past = [command, *past[:-1]]
     return Contact(sensor_n=out[0], contact_n=out[1], command_m=out[2])

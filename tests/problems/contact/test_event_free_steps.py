@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 import problems.contact.transient
 from problems.contact.event_free_steps import step_three_states, step_without_events
-from problems.contact.kernel import Contact, Moment, Start, run_contact, steady_start
+from problems.contact.kernel import run_contact, steady_start
+from problems.contact.kernel_types import FLAGS, FOUND, Contact, Forces, Moment, Span, Start, Traces
 from problems.contact.transient import build_sampled_contact
 from problems.model.controller import AdmittanceController, controller_blocks, needed_states
 from problems.model.plant import Environment, Plant
@@ -62,12 +63,13 @@ def walk(
     function: object, plant: Contact, blocks: FloatArray, start: Start, span: tuple[int, int], *, touching: bool = True
 ) -> tuple[int, Moment, list[int], FloatArray, FloatArray]:
     """Run one of the two stretches and return tick, moment, flags, traces and peaks."""
-    (step, _), (rows, _), delay, wall = plant
-    now: Moment = (start[0].copy(), start[1].copy(), start[2].copy(), np.zeros(2))
-    flags, traces, found = np.array([0, int(touching)]), np.zeros((2, SAMPLES)), np.zeros(5)
+    step, _, rows, _, delay, wall = plant
+    now = Moment(*(each.copy() for each in start), np.zeros(2))
+    flags, traces, found = np.array([0, int(touching), 0]), np.zeros((2, SAMPLES)), np.zeros(FOUND)
+    assert len(flags) == FLAGS
     mode = step[0 if touching else 1]
-    both, forces = (traces[0], traces[1]), (30.0, 3.0)
-    crest, ends = np.full((2, len(now[0]) + 3), -1.0), (*span, span[1])
+    both, forces = Traces(traces[0], traces[1]), Forces(30.0, 3.0)
+    crest, ends = np.full((2, len(now.state) + 3), -1.0), Span(*span, span[1])
     tick, aim = function(  # type: ignore[operator]
         mode, rows, delay, wall, blocks, now, flags, forces, ends, both, found, crest
     )
@@ -80,7 +82,7 @@ def walk(
 def test_the_scalar_form_is_the_general_one(plant: Plant, controller: AdmittanceController, touching: bool) -> None:
     arguments, blocks, start = started(plant, controller, 0.01)
     # Apart, the walk begins a little in front of the wall.
-    start[0][-2] -= 0.0 if touching else 1e-4
+    start.state[-2] -= 0.0 if touching else 1e-4
     results = [
         walk(f, arguments, blocks, start, (0, SAMPLES), touching=touching)
         for f in (step_without_events, step_three_states)
@@ -120,8 +122,8 @@ def stable(name: str) -> AdmittanceController:
 
 
 def peaks(plant: Contact, blocks: FloatArray, start: Start, samples: int = SAMPLES) -> tuple[FloatArray, FloatArray]:
-    traces, found = np.empty((2, samples)), np.zeros(5)
-    run_contact(plant, blocks, start, (30.0, 3.0), (traces[0], traces[1]), found, False)
+    traces, found = np.empty((2, samples)), np.zeros(FOUND)
+    run_contact(plant, blocks, start, Forces(30.0, 3.0), Traces(traces[0], traces[1]), found, False)
     return traces, found
 
 
@@ -129,7 +131,7 @@ def with_care(plant: Contact, monkeypatch: pytest.MonkeyPatch, model: Plant) -> 
     """Return the same contact with looks between the ticks, which no stretch is made for."""
     monkeypatch.setattr(problems.contact.transient, "SUBSTEPS_PER_RADIAN", 40.0)
     careful = build_sampled_contact(build_sampled_plant(model, PERIOD_S)).arguments
-    assert len(plant[1][1]) == 0 < len(careful[1][1])
+    assert len(plant.inside) == 0 < len(careful.inside)
     return careful
 
 
@@ -165,16 +167,16 @@ def test_sample_by_sample_with_care_is_the_same_walk(plant: Plant, name: str, mo
 def test_a_stretch_can_be_cut_anywhere(parts: tuple[int, ...]) -> None:
     """Tick by tick or all at once: the same numbers to the last digit."""
     arguments, blocks, start = started(paper_plant(stiffness=1e5), stable("lead"), 0.01)
-    (step, _), (rows, _), delay, wall = arguments
+    step, _, rows, _, delay, wall = arguments
     for function in (step_without_events, step_three_states):
         _, whole, _, traces, found = walk(function, arguments, blocks, start, (0, SAMPLES))
-        now: Moment = (start[0].copy(), start[1].copy(), start[2].copy(), np.zeros(2))
-        flags, pieces, peak = np.array([0, 1]), np.zeros((2, SAMPLES)), np.zeros(5)
-        crest = np.full((2, len(now[0]) + 3), -1.0)
+        now = Moment(*(each.copy() for each in start), np.zeros(2))
+        flags, pieces, peak = np.array([0, 1, 0]), np.zeros((2, SAMPLES)), np.zeros(FOUND)
+        crest, forces = np.full((2, len(now.state) + 3), -1.0), Forces(30.0, 3.0)
         for span in itertools.pairwise(parts):
-            both = (pieces[0], pieces[1])
-            ends = (*span, span[1])
-            reached = function(step[0], rows, delay, wall, blocks, now, flags, (30.0, 3.0), ends, both, peak, crest)
+            both = Traces(pieces[0], pieces[1])
+            ends = Span(*span, span[1])
+            reached = function(step[0], rows, delay, wall, blocks, now, flags, forces, ends, both, peak, crest)
             assert reached == (span[1], span[1])
         np.testing.assert_array_equal(pieces, traces)
         np.testing.assert_array_equal(peak, found)

@@ -11,7 +11,6 @@ from scipy.linalg import expm
 
 from problems.contact.events import (
     MOST_SUBSTEPS,
-    Wall,
     advance,
     advance_surface,
     apply_impact,
@@ -22,6 +21,7 @@ from problems.contact.events import (
     substeps_apart,
     switch_within,
 )
+from problems.contact.kernel_types import Held, Inputs, Wall
 from problems.contact.transient import SampledContact, build_sampled_contact
 from problems.model.plant import Plant, build_plant_matrices
 from problems.model.sampled import build_sampled_plant
@@ -71,7 +71,7 @@ def test_a_mass_alone_swings_as_the_matrix_exponential_has_it(
         damping = 2.0 * math.sqrt(stiffness * mass) * (1.0 + from_critical)
     surface = np.array([0.7, -0.4])
     expected = expm(duration * np.array([[0.0, 1.0], [-stiffness / mass, -damping / mass]])) @ surface
-    advance_surface(surface, (stiffness, damping, mass, 0.5), duration)
+    advance_surface(surface, Wall(stiffness, damping, mass, 0.5), duration)
     # Up to 1e3 rad: scipy squares ten to twenty times. The speed's unit is the frequency's.
     frequency = 1.0 + math.sqrt(stiffness / mass) + damping / mass
     np.testing.assert_allclose(surface, expected, rtol=0.0, atol=1e-10 * frequency)
@@ -79,7 +79,7 @@ def test_a_mass_alone_swings_as_the_matrix_exponential_has_it(
 
 def test_a_surface_without_mass_does_not_move_by_itself() -> None:
     surface = np.array([0.0, 0.0])
-    advance_surface(surface, (5e5, 3.0, 0.0, 1.0), 1.0)
+    advance_surface(surface, Wall(5e5, 3.0, 0.0, 1.0), 1.0)
     assert surface.tolist() == [0.0, 0.0]
 
 
@@ -103,21 +103,21 @@ ROWS = np.array([[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0], [100.0, 7.0, 0.0, 0
 def test_a_massless_wall_pushes_behind_its_surface_and_pulls_nowhere(
     position: float, velocity: float, expected: bool, touching: bool
 ) -> None:
-    state, wall = np.array([position, velocity]), (100.0, 7.0, 0.0, 1.0)
-    assert is_in_contact(state, np.zeros(2), wall, ROWS, (0.0, 0.0), touching) is expected
+    state, wall = np.array([position, velocity]), Wall(100.0, 7.0, 0.0, 1.0)
+    assert is_in_contact(state, np.zeros(2), wall, ROWS, Held(0.0, 0.0), touching) is expected
 
 
 @pytest.mark.parametrize(("gap", "expected"), [(0.1, False), (0.0, False), (-1e-9, True)])
 def test_a_mass_is_met_where_it_is(gap: float, expected: bool) -> None:
-    state, wall = np.array([0.3, 1.0]), (100.0, 7.0, 2.0, 1.0 / 3.0)
-    assert is_in_contact(state, np.array([0.3 + gap, -5.0]), wall, ROWS, (0.0, 0.0), False) is expected
+    state, wall = np.array([0.3, 1.0]), Wall(100.0, 7.0, 2.0, 1.0 / 3.0)
+    assert is_in_contact(state, np.array([0.3 + gap, -5.0]), wall, ROWS, Held(0.0, 0.0), False) is expected
 
 
 @LAW
 @given(st.integers(0, 2**32 - 1))
 def test_the_contact_force_is_a_row_times_state_and_inputs(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    rows, state, inputs = rng.standard_normal((3, 6)), rng.standard_normal(4), tuple(rng.standard_normal(2))
+    rows, state, inputs = rng.standard_normal((3, 6)), rng.standard_normal(4), Held(*rng.standard_normal(2))
     # The same six products in another order.
     assert contact_force(state, rows, inputs) == pytest.approx(rows[2] @ [*state, *inputs], abs=1e-14)
 
@@ -127,7 +127,7 @@ def test_the_contact_force_is_a_row_times_state_and_inputs(seed: int) -> None:
 def test_a_meeting_keeps_the_momentum_and_nothing_rebounds(
     payload: float, mass: float, speed: float, surface_speed: float
 ) -> None:
-    wall: Wall = (1e5, 0.0, mass, payload / (payload + mass))
+    wall = Wall(1e5, 0.0, mass, payload / (payload + mass))
     state, surface = np.array([0.0, 0.0, speed]), np.array([0.0, surface_speed])
     impulse = apply_impact(state, surface, wall, False)
     together = (payload * speed + mass * surface_speed) / (payload + mass)
@@ -137,7 +137,7 @@ def test_a_meeting_keeps_the_momentum_and_nothing_rebounds(
 
 def test_the_surface_is_left_where_and_as_fast_as_the_payload_leaves_it() -> None:
     state, surface = np.array([0.5, 0.2, -0.3]), np.zeros(2)
-    assert apply_impact(state, surface, (1e5, 0.0, 2.0, 0.5), True) == 0.0
+    assert apply_impact(state, surface, Wall(1e5, 0.0, 2.0, 0.5), True) == 0.0
     assert surface.tolist() == [0.2, -0.3]
     assert state.tolist() == [0.5, 0.2, -0.3]
 
@@ -151,7 +151,7 @@ def cross(
     mass: float = 0.0,
     surface: tuple[float, float] = (0.0, 0.0),
     pushes: tuple[float, float] = (0.0, 0.0),
-    looks: int = 1,
+    substeps: int = 1,
 ) -> tuple[FloatArray, FloatArray, tuple[bool, float, float, float]]:
     """Cross one sample with a free mass of one that is pushed, against a spring of `stiffness` with `mass` on it."""
     whole = 1.0 + mass
@@ -164,21 +164,21 @@ def cross(
         np.array([contact, free]),
         end,
         surface_end,
-        (stiffness, 0.0, mass, 1.0 / whole),
+        Wall(stiffness, 0.0, mass, 1.0 / whole),
         rows,
-        (*pushes, 0.0),
+        Inputs(*pushes, 0.0),
         fraction,
         touching,
-        looks,
+        substeps,
     )
     return end, surface_end, found
 
 
 @pytest.mark.parametrize("fraction", [0.0, 0.2, 0.3, 0.9])
-@pytest.mark.parametrize("looks", [1, 3])
-def test_touching_inside_a_sample_is_found_where_it_happens(fraction: float, looks: int) -> None:
+@pytest.mark.parametrize("substeps", [1, 3])
+def test_touching_inside_a_sample_is_found_where_it_happens(fraction: float, substeps: int) -> None:
     end, _, (touching, impulse, largest, moment) = cross(
-        [-0.3, 1.0], 4.0, touching=False, fraction=fraction, looks=looks
+        [-0.3, 1.0], 4.0, touching=False, fraction=fraction, substeps=substeps
     )
     # At the surface after 0.3, then a sine of 2 rad per sample; the event is bisected to 2^-44.
     np.testing.assert_allclose(end, [math.sin(1.4) / 2.0, math.cos(1.4)], atol=1e-13)
@@ -202,7 +202,7 @@ def test_leaving_inside_a_sample_is_found_where_it_happens(fraction: float) -> N
 @pytest.mark.parametrize("fraction", [0.0, 0.1, 0.6])
 def test_a_bounce_within_one_sample_is_seen_with_its_peak(fraction: float) -> None:
     """8 rad per sample: at its end a payload that had stayed would press again, but it has left after π/8."""
-    end, _, (touching, _, largest, moment) = cross([0.0, 1.0], 64.0, touching=True, fraction=fraction, looks=16)
+    end, _, (touching, _, largest, moment) = cross([0.0, 1.0], 64.0, touching=True, fraction=fraction, substeps=16)
     np.testing.assert_allclose(end, [-(1.0 - math.pi / 8.0), -1.0], atol=1e-12)
     assert not touching
     # A maximum is flat: its moment is known to the root of what its value is.
@@ -212,7 +212,7 @@ def test_a_bounce_within_one_sample_is_seen_with_its_peak(fraction: float) -> No
 
 def test_a_payload_that_falls_back_within_the_sample_touches_again() -> None:
     """Pushed by u it leaves at speed −1, is back after 2/u at speed 1, and the second sine begins."""
-    end, _, (touching, _, _, _) = cross([0.0, 1.0], 400.0, touching=True, pushes=(3.0, 3.0), looks=40)
+    end, _, (touching, _, _, _) = cross([0.0, 1.0], 400.0, touching=True, pushes=(3.0, 3.0), substeps=40)
     # On the spring: x = (u/ω²)(1 − cos ωt) + sin(ωt)/ω, back at zero after 2 (π − atan(ω/u))/ω.
     omega, u = 20.0, 3.0
     on = 2.0 * (math.pi - math.atan(omega / u)) / omega
@@ -246,7 +246,7 @@ def test_a_mass_that_swings_back_meets_the_payload_and_they_part_again() -> None
         touching=False,
         mass=mass,
         surface=(0.0, -amplitude * omega),
-        looks=8,
+        substeps=8,
     )
     meeting = math.asin(a / amplitude) / omega
     speed = -omega * math.sqrt(amplitude**2 - a**2)
@@ -284,30 +284,30 @@ def test_a_mass_that_is_not_pushed_any_more_is_torn_off_at_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wall", "looks"),
+    ("wall", "substeps"),
     [
-        ((1e6, 5.0, 0.0, 1.0), 1),
-        ((0.0, 5.0, 2.0, 0.5), 1),
-        ((0.01, 0.0, 1.0, 0.5), 1),
-        ((4.0, 0.0, 1.0, 0.5), 4),
-        ((1e8, 0.0, 1.0, 0.5), MOST_SUBSTEPS),
+        (Wall(1e6, 5.0, 0.0, 1.0), 1),
+        (Wall(0.0, 5.0, 2.0, 0.5), 1),
+        (Wall(0.01, 0.0, 1.0, 0.5), 1),
+        (Wall(4.0, 0.0, 1.0, 0.5), 4),
+        (Wall(1e8, 0.0, 1.0, 0.5), MOST_SUBSTEPS),
     ],
 )
-def test_a_mass_apart_is_looked_at_twice_per_radian(wall: Wall, looks: int) -> None:
-    assert substeps_apart(wall) == looks
+def test_a_mass_apart_is_crossed_in_two_substeps_per_radian(wall: Wall, substeps: int) -> None:
+    assert substeps_apart(wall) == substeps
 
 
 def bounce(plant: Plant, speed_m_s: float, samples: int) -> tuple[FloatArray, int]:
     """Throw the payload at the wall with the robot held still; return the energy [J] at every tick and the flights."""
-    (_, flow), (rows, inside), _, wall = pair_of(plant).arguments
+    _, flow, rows, inside, _, wall = pair_of(plant).arguments
     n, mass = flow.shape[1], plant.environment.mass_kg
     state, surface = np.zeros(n), np.zeros(2)
     state[n - 1] = speed_m_s * PERIOD_S
     apply_impact(state, surface, wall, False)
     energies, touching, flights = [], True, 0
-    looks = max(len(inside) + 1, substeps_apart(wall))
+    substeps = max(len(inside) + 1, substeps_apart(wall))
     for _ in range(samples):
-        still, *_ = switch_within(flow, state, surface, wall, rows, (0.0, 0.0, 0.0), 0.0, touching, looks)
+        still, *_ = switch_within(flow, state, surface, wall, rows, Inputs(0.0, 0.0, 0.0), 0.0, touching, substeps)
         flights, touching = flights + (touching and not still), bool(still)
         where, fast = (state[n - 2], state[n - 1]) if touching else (surface[0], surface[1])
         spring = plant.coupling.stiffness_n_per_m * state[n - 2] ** 2 + plant.environment.stiffness_n_per_m * where**2
@@ -350,10 +350,10 @@ def test_the_energy_that_an_impact_takes_is_that_of_the_relative_motion() -> Non
 @LAW
 @given(any_plants(touched=environments()), st.integers(0, 2**32 - 1), st.floats(0.0, 0.99))
 def test_the_largest_force_of_a_sample_is_that_of_a_fine_grid(plant: Plant, seed: int, fraction: float) -> None:
-    (_, flow), (rows, _), _, _ = pair_of(plant).arguments
+    _, flow, rows, _, _, _ = pair_of(plant).arguments
     rng = np.random.default_rng(seed)
     state = rng.standard_normal((flow.shape[1],))
-    inputs: tuple[float, float, float] = (rng.normal(), rng.normal(), rng.normal())
+    inputs = Inputs(rng.normal(), rng.normal(), rng.normal())
     grid = force_on_grid(flow[0], rows, state, inputs, fraction)
     value, moment = largest_in_sample(flow[0], rows, inputs, state, fraction)
     scale = np.max(np.abs(grid))
@@ -368,12 +368,12 @@ def test_the_largest_force_of_a_sample_is_that_of_a_fine_grid(plant: Plant, seed
 def test_the_largest_force_is_found_at_any_stiffness(stiffness: float, mass: float) -> None:
     """Up to 11 rad per sample, with the payload swinging freely: the sine's amplitude and its moment."""
     plant = paper_plant(stiffness=stiffness, mass=mass, drag=0.0, coupling=1e3, robot=one_pole(2.2e-3))
-    (_, flow), (rows, _), _, wall = pair_of(plant).arguments
+    _, flow, rows, _, _, wall = pair_of(plant).arguments
     state = np.array([0.0, 0.0, 1e-3])
     omega = math.sqrt((stiffness + 1e3) / mass) * PERIOD_S
-    value, moment = largest_force(flow[0], rows, (0.0, 0.0), state, 1.0)
+    value, moment = largest_force(flow[0], rows, Held(0.0, 0.0), state, 1.0)
     phase = min(omega, 0.5 * math.pi)
-    assert value == pytest.approx(wall[0] * 1e-3 / omega * math.sin(phase), rel=1e-9)
+    assert value == pytest.approx(wall.stiffness * 1e-3 / omega * math.sin(phase), rel=1e-9)
     # One of the equal crests, each as flat as its value is exact to 1e-10.
     assert math.sin(omega * moment) == pytest.approx(math.sin(phase), rel=1e-9)
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from problems.contact.event_free_steps import SETTLED
 from problems.contact.kernel import _settled, contact_forces, run_contact, steady_start
+from problems.contact.kernel_types import FOUND, Forces, Start, Traces
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact
 from problems.model.controller import AdmittanceController, controller_blocks, needed_states
 from problems.model.plant import Plant
@@ -33,14 +34,14 @@ def pair_of(plant: Plant) -> SampledContact:
 
 def begin(
     pair: SampledContact, controller: AdmittanceController, approach: Approach
-) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray], tuple[float, float]]:
+) -> tuple[FloatArray, Start, Forces]:
     """Return blocks, start and the forces after the impact."""
     blocks = controller_blocks(controller, PERIOD_S)
     resistance = controller.damping_n_s_per_m - pair.ramp[0, -1] * PERIOD_S
-    speed, push, *after = contact_forces(approach.numbers(), resistance)
+    speed, push, forces = contact_forces(approach.numbers(), resistance)
     effort, chain = controller.damping_n_s_per_m * speed, pair.free.chain_length
     start = steady_start(pair.ramp, pair.free.c_position, blocks, chain, PERIOD_S, speed, push, effort)
-    return blocks, start, (after[0], after[1])
+    return blocks, start, forces
 
 
 def run(
@@ -54,8 +55,8 @@ def run(
     """Return F, F_e and the peaks of the kernel, from the steady approach on."""
     pair = pair_of(plant)
     blocks, start, forces = begin(pair, controller, approach)
-    traces, found = np.full((2, samples), np.nan), np.zeros(5)
-    count = run_contact(pair.arguments, blocks, start, forces, (traces[0], traces[1]), found, until_settled)
+    traces, found = np.full((2, samples), np.nan), np.zeros(FOUND)
+    count = run_contact(pair.arguments, blocks, start, forces, Traces(traces[0], traces[1]), found, until_settled)
     return traces[0][:count], traces[1][:count], found
 
 
@@ -122,7 +123,7 @@ def test_the_peaks_are_not_below_the_ticks(plant: Plant, controller: AdmittanceC
     sensed, pressed, found = run(plant, controller, 150, approach)
     assert np.min(pressed) >= 0.0
     # At rest the sensor shows F^d; anything above it is a tick's.
-    desired = begin(pair_of(plant), controller, approach)[2][0]
+    desired = begin(pair_of(plant), controller, approach)[2].desired
     largest = max(0.0, float(np.max(-sensed)))
     assert found[0] in {largest, desired}
     assert found[0] >= largest
@@ -186,19 +187,19 @@ def test_a_hand_that_never_makes_the_sensor_press_comes_to_rest_too() -> None:
 @pytest.mark.parametrize(
     ("end", "forces", "touching", "anchored", "settled"),
     [
-        pytest.param(-30.0, (30.0, 0.0), True, True, True, id="at rest: e = 0"),
-        pytest.param(-29.0, (30.0, 0.0), True, True, False, id="flat, but still driven"),
-        pytest.param(0.0, (0.0, 25.0), True, True, True, id="at rest under a hand"),
-        pytest.param(-6.0, (30.0, 0.0), True, False, True, id="pushing a damper for ever"),
-        pytest.param(-0.5, (8.0, 0.0), False, True, False, id="drifting back to the wall"),
-        pytest.param(0.4, (0.0, 8.0), False, True, False, id="carried back to the wall"),
-        pytest.param(0.5, (-8.0, 0.0), False, True, True, id="pulled away"),
-        pytest.param(0.0, (0.0, 0.0), False, True, True, id="thrown off and left alone"),
-        pytest.param(-0.5, (8.0, 0.0), False, False, True, id="behind a mass that flies ahead"),
+        pytest.param(-30.0, Forces(30.0, 0.0), True, True, True, id="at rest: e = 0"),
+        pytest.param(-29.0, Forces(30.0, 0.0), True, True, False, id="flat, but still driven"),
+        pytest.param(0.0, Forces(0.0, 25.0), True, True, True, id="at rest under a hand"),
+        pytest.param(-6.0, Forces(30.0, 0.0), True, False, True, id="pushing a damper for ever"),
+        pytest.param(-0.5, Forces(8.0, 0.0), False, True, False, id="drifting back to the wall"),
+        pytest.param(0.4, Forces(0.0, 8.0), False, True, False, id="carried back to the wall"),
+        pytest.param(0.5, Forces(-8.0, 0.0), False, True, True, id="pulled away"),
+        pytest.param(0.0, Forces(0.0, 0.0), False, True, True, id="thrown off and left alone"),
+        pytest.param(-0.5, Forces(8.0, 0.0), False, False, True, id="behind a mass that flies ahead"),
     ],
 )
 def test_rest_is_where_nothing_is_flat_by_chance(
-    end: float, forces: tuple[float, float], touching: bool, anchored: bool, settled: bool
+    end: float, forces: Forces, touching: bool, anchored: bool, settled: bool
 ) -> None:
     """A flat quarter is not enough where e = F^d + F is not 0 on a spring, or where the payload will come back."""
     force = np.concatenate([np.linspace(-20.0, end, 60), np.full(40, end)])

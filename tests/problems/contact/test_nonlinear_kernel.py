@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
+from problems.contact.kernel_types import Wall
 from problems.contact.nonlinear_kernel import Motion, wall_force
 from problems.contact.nonlinearities import Nonlinearities
 from problems.contact.transient import Approach
@@ -86,7 +87,7 @@ def test_runs_that_leave_and_touch_again_agree_with_the_exact_transient(
     [(0.5, 0.0, 50.0), (0.5, 1.0, 57.0), (0.5, -20.0, 0.0), (0.0, 1.0, 7.0), (-1e-9, 100.0, 0.0), (-1.0, 0.0, 0.0)],
 )
 def test_the_wall_pushes_behind_its_surface_and_never_pulls(position: float, velocity: float, force: float) -> None:
-    motion = Motion(np.zeros((3, 5)), np.zeros((3, 4)), 100.0, 7.0, 3, 3, 0.0, (0, 1))
+    motion = Motion(np.zeros((3, 5)), np.zeros((3, 4)), Wall(100.0, 7.0, 0.0, 1.0), 3, 3, 0.0, (0, 1))
     assert wall_force(motion, position, velocity) == pytest.approx(force, rel=1e-15)
 
 

@@ -71,7 +71,7 @@ def test_the_start_is_the_steady_motion_of_the_free_loop(
     pair, blocks = pair_of(plant), controller_blocks(controller, PERIOD_S)
     expected = oracle_approach(pair, controller, approach)
     resistance = controller.damping_n_s_per_m - pair.ramp[0, -1] * PERIOD_S
-    speed, push, _, _ = contact_forces(approach.numbers(), resistance)
+    speed, push, _ = contact_forces(approach.numbers(), resistance)
     chain, effort = pair.free.chain_length, controller.damping_n_s_per_m * speed
     state, past, control = steady_start(pair.ramp, pair.free.c_position, blocks, chain, PERIOD_S, speed, push, effort)
     # Solves of systems whose entries span 1e3 to 1e6.
@@ -362,7 +362,7 @@ def test_the_looks_between_the_ticks_are_the_force_there(delay_s: float, mass: f
         coupling_damping=300.0,
         robot=one_pole(delay_s),
     )
-    (_, flow), (rows, inside), (_, _, fraction), _ = pair_of(plant).arguments
+    _, flow, rows, inside, (_, _, fraction), _ = pair_of(plant).arguments
     state, (older, newer, push) = np.array([2e-5, 1e-5, 3e-5]), (3e-5, -1e-5, 7.0)
     assert len(inside) > 2
     for j, row in enumerate(inside):
