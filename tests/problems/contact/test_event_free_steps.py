@@ -64,7 +64,7 @@ def walk(
 ) -> tuple[int, Moment, list[int], FloatArray, FloatArray]:
     """Run one of the two stretches and return tick, moment, flags, traces and peaks."""
     step, _, rows, _, delay, wall = plant
-    now = Moment(*(each.copy() for each in start), np.zeros(2))
+    now = Moment(start.state.copy(), start.past.copy(), start.control.copy(), np.zeros(2))
     flags, traces, found = np.array([0, int(touching), 0]), np.zeros((2, SAMPLES)), np.zeros(FOUND)
     assert len(flags) == FLAGS
     mode = step[0 if touching else 1]
@@ -170,7 +170,7 @@ def test_a_stretch_can_be_cut_anywhere(parts: tuple[int, ...]) -> None:
     step, _, rows, _, delay, wall = arguments
     for function in (step_without_events, step_three_states):
         _, whole, _, traces, found = walk(function, arguments, blocks, start, (0, SAMPLES))
-        now = Moment(*(each.copy() for each in start), np.zeros(2))
+        now = Moment(start.state.copy(), start.past.copy(), start.control.copy(), np.zeros(2))
         flags, pieces, peak = np.array([0, 1, 0]), np.zeros((2, SAMPLES)), np.zeros(FOUND)
         crest, forces = np.full((2, len(now.state) + 3), -1.0), Forces(30.0, 3.0)
         for span in itertools.pairwise(parts):
