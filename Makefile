@@ -75,7 +75,7 @@ $(DEV): pyproject.toml $(BIN)/python
 
 $(RUNTIME): pyproject.toml $(BIN)/python
 	@echo "Installing autotune into $(VENV) (some minutes the first time) ..."
-	@$(PIP_INSTALL) --editable .
+	@$(PIP_INSTALL) --editable '.[reports]'
 	@touch $(RUNTIME)
 
 $(BIN)/python:

@@ -1,5 +1,7 @@
 """The one error tree of the project; every floor adds its own branches."""
 
+from importlib.util import find_spec
+
 
 class AutotuneError(Exception):
     """Base of every error that this project raises on purpose.
@@ -17,3 +19,17 @@ class ParameterError(AutotuneError, ValueError):
         self.name = name
         self.value = value
         self.must = must
+
+
+class MissingExtraError(AutotuneError):
+    """An optional package is not installed; `extra` is the extra of this project that brings it."""
+
+    def __init__(self, what: str, package: str, extra: str) -> None:
+        super().__init__(f"{what} needs {package}, which is not installed: pip install 'robot-autotune[{extra}]'.")
+        self.package, self.extra = package, extra
+
+
+def require_extra(what: str, package: str, extra: str) -> None:
+    """Raise MissingExtraError where `package` is not installed."""
+    if find_spec(package) is None:
+        raise MissingExtraError(what, package, extra)

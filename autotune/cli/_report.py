@@ -9,6 +9,7 @@ import click
 
 from autotune.errors import CertificateError, InfeasibleError, UsageError
 from identification.errors import EstimateError, LogError
+from problems.errors import require_extra
 
 from ._common import Output
 from ._terminal import print_message
@@ -40,6 +41,7 @@ def check_report(report: Path | None, others: Iterable[Path], *, option: str = "
         return
     from autotune.formats.atomic import check_target
 
+    require_extra(option, "bokeh", "reports")
     if report.suffix.lower() not in _SUFFIXES:
         raise UsageError(f"{report} is to be a page, so its name must end in .html; name it with {option}.")
     check_target(report, others, kind="report", option=option)

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from problems.errors import MissingExtraError, require_extra
+
 from ._common import Output, output_options
 from ._options import GroupedCommand
 from ._terminal import print_message, print_table
@@ -35,11 +37,17 @@ def command(output: Output, directory: Path, seed: int) -> None:
 
     from ._report import write_report
 
+    page: Path | None = directory / PAGE
+    try:
+        require_extra("The page of the demo", "bokeh", "reports")
+    except MissingExtraError as error:
+        output.note(f"{error} The demo goes on without it.")
+        page = None
     with output.progress("demo", 1.0) as advance:
         found = run_demo(directory, seed=seed, step=lambda name: output.note(f"{name} ..."), progress=advance)
-    page = found.files.log.parent / PAGE
     told = write_report(output, page, lambda: _page(found))
-    found.made.add(page)
+    if page is not None:
+        found.made.add(page)
     for path in found.made.replaced:
         output.note(f"replaced {path}, of an earlier demo")
     output.result({**_tree(found), **told}, lambda: _print(found, page))
@@ -87,7 +95,7 @@ def _tree(found: "DemoResult") -> dict[str, Any]:
     }
 
 
-def _print(found: "DemoResult", page: Path) -> None:
+def _print(found: "DemoResult", page: Path | None) -> None:
     from autotune.formats.canonical import short
     from autotune.formats.units import axis_units
     from autotune.scenario_text import scenario_text
@@ -123,7 +131,8 @@ def _print(found: "DemoResult", page: Path) -> None:
         ("its JSON twin", found.files.twin),
         ("report with figures", page),
     ):
-        print_message(f"  {told:24}{path}")
+        if path is not None:
+            print_message(f"  {told:24}{path}")
 
 
 def _heading(text: str) -> None:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from problems.errors import require_extra
+
 from ._common import Output, output_options
 from ._options import SETTINGS, FilePath, GroupedCommand
 
@@ -62,6 +64,7 @@ def command(output: Output, source: Path, out: Path, problem: Path | None, port:
     Ctrl-C ends it, with exit code 0; 130 before the page is there, and during a save, which then writes nothing.
     """
     with _noticed_interrupts() as noticed:
+        require_extra("explore", "bokeh", "reports")
         from autotune.explore.server import serve
         from autotune.explore.source import read_exploration
         from autotune.explore.target import Target

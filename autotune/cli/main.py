@@ -21,7 +21,7 @@ from autotune.cli._terminal import painted
 from autotune.cli.completion import COMPLETE_VARIABLE
 from autotune.errors import CertificateError, InfeasibleError, UsageError
 from identification.errors import EstimateError, LogError
-from problems.errors import ParameterError
+from problems.errors import MissingExtraError, ParameterError
 from problems.frozen import FrozenDict
 
 PROGRAM = "autotune"
@@ -86,6 +86,7 @@ EXIT_CODES: tuple[tuple[type[BaseException], ExitCode], ...] = (
     (click.ClickException, ExitCode.USAGE),
     (UsageError, ExitCode.USAGE),
     (ParameterError, ExitCode.USAGE),
+    (MissingExtraError, ExitCode.USAGE),
     (LogError, ExitCode.LOG),
     (EstimateError, ExitCode.ESTIMATE),
     (InfeasibleError, ExitCode.INFEASIBLE),

@@ -10,11 +10,11 @@ import pyarrow.csv  # type: ignore[import-untyped]  # the package carries no ann
 from ...errors import LogError
 from ...signals.recording import FloatArray, StampArray
 from .csv_fault import first_fault
+from .layout import NO_ROW
 from .text import CutOffError, Rows, Text, unreadable
 from .times import from_texts
 
 _BLOCK_BYTES = 2**18
-NO_ROW = "holds the names of columns but no row; record again"
 _EMPTY = tuple(" " * width for width in range(40))
 
 

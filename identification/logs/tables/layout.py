@@ -9,6 +9,7 @@ TimeUnit = Literal["s", "ms", "us", "ns"]
 EXPONENT: dict[str, int] = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 """Power of ten that makes nanoseconds of a unit of time."""
 _LARGEST_COUNT = 10_000
+NO_ROW = "holds the names of columns but no row; record again"
 
 
 @dataclass(frozen=True, kw_only=True)

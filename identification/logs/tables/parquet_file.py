@@ -13,7 +13,6 @@ from ...errors import LogError
 from ...signals.recording import FloatArray, StampArray
 from .times import from_decimals, from_floats, from_integers
 
-MAGIC = b"PAR1"
 _FOREIGN = (pa.ArrowException, OSError, ValueError, KeyError, IndexError, TypeError, OverflowError, MemoryError)
 _BATCH_ROWS = 65_536
 _KEPT_TYPES = (pa.float64(), pa.float32(), pa.int64())

@@ -3,15 +3,17 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from problems.errors import require_extra
+
 from ...errors import LogError
 from ...signals.recording import FloatArray, StampArray
 from ..containers.channel import Channel
 from ..containers.formats import head_of
 from ..messages.series import Series
-from . import csv_file, parquet_file
-from .layout import TableLayout
+from .layout import NO_ROW, TableLayout
 from .text import Text, look_at
-from .times import from_rate
+
+_PARQUET_MAGIC = b"PAR1"
 
 __all__ = ["TableLayout", "list_columns", "read_table"]
 
@@ -19,7 +21,7 @@ __all__ = ["TableLayout", "list_columns", "read_table"]
 def list_columns(path: Path, layout: TableLayout | None = None) -> tuple[str, ...]:
     """Return the names of a table's columns, indices from 0 as text where it has none; raise LogError."""
     if _is_parquet(path):
-        return parquet_file.column_names(path)
+        return _parquet_names(path)
     return look_at(path, layout or TableLayout()).names
 
 
@@ -36,18 +38,22 @@ def read_table(path: Path, layout: TableLayout) -> Series:
         )
     kind = "parquet" if _is_parquet(path) else "csv"
     if kind == "parquet":
-        names = parquet_file.column_names(path)
+        from .parquet_file import read_parquet  # noqa: PLC0415 - an extra, and slow to import
+
+        names = _parquet_names(path)
         chosen = [names[_index(path, names, column)] for column in layout.columns]
         time = None if layout.time is None else names[_index(path, names, layout.time)]
-        values, log_ns, count = parquet_file.read_parquet(path, chosen, time, layout.time_unit)
+        values, log_ns, count = read_parquet(path, chosen, time, layout.time_unit)
     else:
         text = look_at(path, layout)
         columns = [_index(path, text.names, column) for column in layout.columns]
         values, log_ns = _read_csv(text, columns)
         count = len(values)
     if not count:
-        raise LogError(f"{path.name} {csv_file.NO_ROW}.")
+        raise LogError(f"{path.name} {NO_ROW}.")
     if log_ns is None:
+        from .times import from_rate  # noqa: PLC0415 - an extra, and slow to import
+
         log_ns = from_rate(count, layout.sample_rate_hz or 0.0)
     return Series(
         channel=Channel(topic=path.name, type_name=kind, encoding="table", schema_encoding="", schema=b""),
@@ -59,11 +65,21 @@ def read_table(path: Path, layout: TableLayout) -> Series:
     )
 
 
+def _parquet_names(path: Path) -> tuple[str, ...]:
+    require_extra("A Parquet file", "pyarrow", "tables")
+    from .parquet_file import column_names  # noqa: PLC0415 - an extra, and slow to import
+
+    return column_names(path)
+
+
 def _read_csv(text: Text, columns: Sequence[int]) -> tuple[FloatArray, StampArray | None]:
+    require_extra("A CSV file", "pyarrow", "tables")
+    from .csv_file import read_csv  # noqa: PLC0415 - an extra, and slow to import
+
     if text.layout.time is not None:
-        return csv_file.read_csv(text, columns, _index(text.path, text.names, text.layout.time))
+        return read_csv(text, columns, _index(text.path, text.names, text.layout.time))
     # Some column must be read, if only for its length.
-    return csv_file.read_csv(text, columns or (0,), None)
+    return read_csv(text, columns or (0,), None)
 
 
 def _index(path: Path, names: Sequence[str], column: str) -> int:
@@ -87,4 +103,4 @@ def _names(names: Sequence[str]) -> str:
 
 
 def _is_parquet(path: Path) -> bool:
-    return head_of(path).startswith(parquet_file.MAGIC)
+    return head_of(path).startswith(_PARQUET_MAGIC)
