@@ -15,9 +15,9 @@ from identification.evidence import Evidence
 from identification.given import Given, check_names
 from identification.identify import identify_with_evidence
 from identification.logs import read_checked_recording
-from identification.logs.cell import Cell
-from identification.logs.interpret import build_frames
-from identification.logs.runs import separate_runs
+from identification.logs.parts import separate_runs
+from identification.logs.roles.cell import Cell
+from identification.logs.roles.interpret import build_frames
 from identification.merging.combine import NamedResult, combine_identified
 from identification.result import Finding, Identified
 from identification.signals.recording import Recording

@@ -16,8 +16,8 @@ from autotune.formats.controller import read_controller
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import Cell
-from identification.logs.layouts import POSE_STAMPED as POSE
-from identification.logs.layouts import WRENCH_STAMPED as WRENCH
+from identification.logs.roles.registry import POSE_STAMPED as POSE
+from identification.logs.roles.registry import WRENCH_STAMPED as WRENCH
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 from tests.autotune.simulation.runs import silent
 from tests.autotune.simulation.test_identified_again import at_other_rates

@@ -5,7 +5,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from autotune.errors import UsageError
-from identification.logs.cell import Cell
+from identification.logs.roles.cell import Cell
 
 from .records import EntryError, read_record
 from .schema import Violation, check_format, violations

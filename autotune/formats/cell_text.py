@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from autotune.errors import UsageError
-from identification.logs.layouts import Role
+from identification.logs.roles.registry import Role
 from identification.logs.summary import Candidate, LogSummary, RoleSummary
 from problems.frozen import FrozenDict
 

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .inspect import inspect_log
-    from .layouts import Role
     from .read import read_checked_recording, read_recording
+    from .roles.registry import Role
     from .summary import ChannelSummary, LogSummary
 
 __all__ = ["ChannelSummary", "LogSummary", "Role", "inspect_log", "read_checked_recording", "read_recording"]

@@ -8,19 +8,18 @@ import numpy as np
 
 from ..errors import EstimateError, LogError
 from ..result import Finding
-from .cell import Cell
-from .channel_clock import ChannelClock, clock_findings, measure_clock
-from .choose import Choice, candidates_of, choose, open_questions, source_of
-from .clocks import compare_clocks
+from .checks.clocks import ChannelClock, clock_findings, compare_clocks, measure_clock
+from .checks.samples import role_faults
 from .containers.channel import Channel
-from .faults import role_faults
-from .heads import Head
-from .layouts import LAYOUTS, TRANSFORMS, Role
+from .messages.channel_info import ChannelInfo
 from .messages.series import Series, Wanted
 from .numbers import number_fields, number_findings
-from .opened import OpenedLogs, RoleSeries, digests, open_logs
+from .opened import OpenedLogs, digests, open_logs
 from .read import read_checked_recording
-from .roles import ENTRY, is_undeclared, missing_sentence, roles_of
+from .roles.candidates import is_undeclared, missing_sentence, roles_of
+from .roles.cell import Cell
+from .roles.choose import Choice, RoleSeries, candidates_of, choose, open_questions, source_of
+from .roles.registry import ROLES, TRANSFORMS, Role
 from .summary import Candidate, ChannelSummary, LogSummary, RoleSummary
 
 _TOLD_ELSEWHERE = frozenset({"channel-chosen", "role-open"})
@@ -40,19 +39,19 @@ def inspect_log(
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     told = cell or Cell()
     with open_logs(files, told, salvage=salvage) as logs:
-        heads = logs.heads
+        infos = logs.infos
         roles, choices, missing = _roles(logs, told)
         findings: list[Finding] = []
         series = _read_all(logs, findings)
-        channels = tuple(_summary(head, series[head.channel]) for head in heads)
+        channels = tuple(_summary(info, series[info.channel]) for info in infos)
         numbers = tuple(found for part in logs.parts for found in number_fields(part))
         findings += [
-            f for head in heads for f in _channel_findings(head, series[head.channel], logs.start_ns, salvage=salvage)
+            f for info in infos for f in _channel_findings(info, series[info.channel], logs.start_ns, salvage=salvage)
         ]
         findings += _declared_findings(logs, choices, told, salvage=salvage)
-        findings += number_findings(logs, numbers, {choice.head.channel for choice in choices.values()})
+        findings += number_findings(logs, numbers, {choice.info.channel for choice in choices.values()})
         findings += _clock_findings(series, choices)
-        findings += open_questions(heads, told, logs.name)
+        findings += open_questions(infos, told, logs.name)
         seen = logs.findings()
         span = (logs.start_ns, logs.end_ns)
         container = logs.parts[0].survey.container
@@ -84,16 +83,16 @@ def _size(path: Path) -> int:
 
 def _roles(logs: OpenedLogs, cell: Cell) -> tuple[tuple[RoleSummary, ...], dict[Role, Choice], tuple[str, ...]]:
     summaries, choices, missing = [], {}, []
-    for role in ENTRY:
-        candidates = candidates_of(role, logs.heads, cell)
+    for role in ROLES:
+        candidates = candidates_of(role, logs.infos, cell)
         try:
-            choice = choose(role, logs.heads, cell, logs.name, logs.frames_of)
+            choice = choose(role, logs.infos, cell, logs.name, logs.frames_of)
         except LogError as error:
             missing.append(str(error))
             summaries.append(_role_summary(role, None, str(error), candidates))
             continue
         if choice is None and role is Role.COMMAND:
-            missing.append(missing_sentence(role, logs.name, logs.heads))
+            missing.append(missing_sentence(role, logs.name, logs.infos))
         if choice is not None:
             choices[role] = choice
         summaries.append(_role_summary(role, choice, "", candidates))
@@ -105,12 +104,12 @@ def _roles(logs: OpenedLogs, cell: Cell) -> tuple[tuple[RoleSummary, ...], dict[
     return tuple(summaries), choices, tuple(missing)
 
 
-def _role_summary(role: Role, choice: Choice | None, reason: str, candidates: Sequence[Head]) -> RoleSummary:
+def _role_summary(role: Role, choice: Choice | None, reason: str, candidates: Sequence[ChannelInfo]) -> RoleSummary:
     frames = None if choice is None else choice.frames
     return RoleSummary(
         role=role,
-        entry=ENTRY[role],
-        topic=None if choice is None else choice.head.channel.topic,
+        entry=ROLES[role].entry,
+        topic=None if choice is None else choice.info.channel.topic,
         reason=reason if choice is None else choice.reason,
         candidates=tuple(map(_candidate, candidates)),
         needs_fields=bool(candidates) and all(map(is_undeclared, candidates)),
@@ -119,13 +118,13 @@ def _role_summary(role: Role, choice: Choice | None, reason: str, candidates: Se
     )
 
 
-def _candidate(head: Head) -> Candidate:
+def _candidate(info: ChannelInfo) -> Candidate:
     return Candidate(
-        topic=head.channel.topic,
-        type=head.channel.type_name,
-        count=head.count,
-        rate_hz=head.rate_hz,
-        frame=head.frame,
+        topic=info.channel.topic,
+        type=info.channel.type_name,
+        count=info.count,
+        rate_hz=info.rate_hz,
+        frame=info.frame,
     )
 
 
@@ -134,7 +133,7 @@ def _read_all(logs: OpenedLogs, findings: list[Finding]) -> dict[Channel, Series
 
     Raises LogError if the log is damaged; a channel that is not what its type says is a finding.
     """
-    wanted = {head.channel: _wanted(head) for head in logs.heads}
+    wanted = {info.channel: _wanted(info) for info in logs.infos}
     try:
         return logs.read(wanted)
     except LogError:
@@ -150,18 +149,18 @@ def _read_all(logs: OpenedLogs, findings: list[Finding]) -> dict[Channel, Series
     return series
 
 
-def _wanted(head: Head) -> Wanted:
-    by_type = [layouts[head.channel.type_name] for role, layouts in LAYOUTS.items() if role in roles_of(head.channel)]
-    is_plain = bool(by_type) and head.channel.type_name not in TRANSFORMS
-    return Wanted(fields=by_type[0].fields if is_plain else (), header="header" if head.has_header else "")
+def _wanted(info: ChannelInfo) -> Wanted:
+    by_type = [kind.layouts[info.channel.type_name] for role, kind in ROLES.items() if role in roles_of(info.channel)]
+    is_plain = bool(by_type) and info.channel.type_name not in TRANSFORMS
+    return Wanted(fields=by_type[0].fields if is_plain else (), header="header" if info.has_header else "")
 
 
-def _channel_findings(head: Head, series: Series, start_ns: int, *, salvage: bool) -> Iterator[Finding]:
-    roles = [role for role in roles_of(head.channel) if role in LAYOUTS]
+def _channel_findings(info: ChannelInfo, series: Series, start_ns: int, *, salvage: bool) -> Iterator[Finding]:
+    roles = [role for role in roles_of(info.channel) if role in ROLES]
     if not roles or not series.log_ns.size or series.stamp_ns is None:
         return
     if series.fields:
-        choice = Choice(role=roles[0], head=head, fields=series.fields, header="header", reason="")
+        choice = Choice(role=roles[0], info=info, fields=series.fields, header="header", reason="")
         mine = RoleSeries(
             choice=choice,
             log_ns=series.log_ns,
@@ -199,21 +198,21 @@ def _read_findings(files: Sequence[Path], cell: Cell, told: Sequence[Finding], *
         return [Finding(code="unusable", severity="error", message=str(error), advice="")]
 
 
-def _summary(head: Head, series: Series) -> ChannelSummary:
+def _summary(info: ChannelInfo, series: Series) -> ChannelSummary:
     headers, stamps = series.stamp_ns, series.log_ns
     offset = float(np.median(headers - stamps)) / 1e9 if headers is not None and headers.size else None
     clock = "recording"
     if headers is not None and headers.size and bool(np.any(headers != headers[0])):
         stamps, clock = headers, "header"
-    if head.columns and head.rate_hz is None:
+    if info.columns and info.rate_hz is None:
         stamps = stamps[:0]  # rows without a time
     steps = np.diff(stamps)
     span_s = float(stamps.max() - stamps.min()) / 1e9 if stamps.size else 0.0
     return ChannelSummary(
-        topic=head.channel.topic,
-        type=head.channel.type_name,
-        encoding=head.channel.encoding,
-        count=head.count,
+        topic=info.channel.topic,
+        type=info.channel.type_name,
+        encoding=info.channel.encoding,
+        count=info.count,
         clock=clock,
         rate_hz=(stamps.size - 1) / span_s if span_s > 0 else None,
         median_gap_s=float(np.median(steps)) / 1e9 if steps.size else None,
@@ -222,21 +221,21 @@ def _summary(head: Head, series: Series) -> ChannelSummary:
         duplicates=int(np.count_nonzero(steps == 0)),
         header_minus_log_s=offset,
         frame_ids=series.frame_ids,
-        roles=roles_of(head.channel),
+        roles=roles_of(info.channel),
     )
 
 
 def _clock_findings(series: Mapping[Channel, Series], choices: Mapping[Role, Choice]) -> Iterator[Finding]:
     """Yield what the header clocks of channels with a role say against the recording clock and each other."""
     clocks: dict[Channel, ChannelClock] = {}
-    used = {choice.head.channel for choice in choices.values()}
+    used = {choice.info.channel for choice in choices.values()}
     for channel, mine in series.items():
         if (channel in used or roles_of(channel)) and mine.stamp_ns is not None:
             clock = measure_clock(channel.topic, mine.stamp_ns, mine.log_ns)
             if clock is not None:
                 clocks[channel] = clock
                 yield from clock_findings(clock, float(np.median(np.diff(mine.stamp_ns))) * 1e-9)
-    main = [choices[role].head.channel for role in (Role.WRENCH, Role.POSE, Role.COMMAND) if role in choices]
+    main = [choices[role].info.channel for role in (Role.WRENCH, Role.POSE, Role.COMMAND) if role in choices]
     for first, second in pairwise(dict.fromkeys(channel for channel in main if channel in clocks)):
         difference = compare_clocks(clocks[first], clocks[second])
         if not difference.agree:

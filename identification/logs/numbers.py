@@ -9,12 +9,12 @@ from ..errors import LogError, listed
 from ..result import Finding
 from ..signals.recording import FloatArray
 from .containers.channel import Channel, Held
-from .heads import FirstMessage
-from .layouts import FLOAT_ARRAY, JOINT_STATE
+from .messages.channel_info import FirstMessage
 from .messages.objects import build_object_parser
 from .messages.read import read_series
 from .messages.series import Wanted
 from .opened import OpenedLog, OpenedLogs
+from .roles.registry import FLOAT_ARRAY, JOINT_STATE
 
 _MOST_ENTRIES = 256
 _MOST_NAMES = 30
@@ -49,9 +49,9 @@ class NumberFields:
 
 def number_fields(part: OpenedLog) -> Iterator[NumberFields]:
     """Yield the paths of every channel of a log that must be declared."""
-    for head in part.heads:
-        if head.columns:
-            yield NumberFields(topic=head.channel.topic, type=head.channel.type_name, paths=head.columns)
+    for info in part.infos:
+        if info.columns:
+            yield NumberFields(topic=info.channel.topic, type=info.channel.type_name, paths=info.columns)
     for held in part.survey.held:
         paths = _paths(held) if held.count else ()
         if paths:
@@ -62,7 +62,7 @@ def number_findings(
     logs: OpenedLogs, numbers: Sequence[NumberFields], declared: Collection[Channel]
 ) -> Iterator[Finding]:
     """Describe channels that nobody declared, and whether six efforts look as if a deadband was applied."""
-    channels = {head.channel.topic: head.channel for head in logs.heads}
+    channels = {info.channel.topic: info.channel for info in logs.infos}
     for found in numbers:
         if channels[found.topic] in declared:
             continue

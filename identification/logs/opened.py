@@ -10,27 +10,16 @@ import numpy as np
 
 from ..errors import LogError
 from ..result import Finding
-from ..signals.recording import FloatArray, StampArray
-from .cell import Cell
-from .choose import Choice
+from ..signals.recording import StampArray
 from .containers.channel import Channel, Container, Survey
 from .containers.formats import is_table, open_container, sha256_of
-from .heads import Head, build_heads
-from .layouts import Role
+from .messages.channel_info import ChannelInfo, build_infos
 from .messages.read import read_series
 from .messages.series import Series, Wanted
 from .messages.transforms import list_frames, read_transform
-
-
-@dataclass(frozen=True, kw_only=True)
-class RoleSeries:
-    """What a log holds of one role: `values` (n, k) in the order of `choice.fields`, NaN where it has no path."""
-
-    choice: Choice
-    log_ns: StampArray
-    stamp_ns: StampArray | None
-    frame_ids: tuple[str, ...]
-    values: FloatArray
+from .roles.cell import Cell
+from .roles.choose import Choice, RoleSeries
+from .roles.registry import Role
 
 
 class OpenedLog(Protocol):
@@ -44,7 +33,7 @@ class OpenedLog(Protocol):
         ...
 
     @property
-    def heads(self) -> tuple[Head, ...]:
+    def infos(self) -> tuple[ChannelInfo, ...]:
         """What is known of its channels."""
         ...
 
@@ -77,7 +66,7 @@ class ContainerLog:
         self._container: Container = open_container(path, salvage=salvage)
         try:
             self.survey = self._container.survey()
-            self.heads = build_heads(self.survey)
+            self.infos = build_infos(self.survey)
         except BaseException:
             self._container.close()
             raise
@@ -140,18 +129,18 @@ class OpenedLogs:
         return max((part.survey.end_ns for part in self.parts), default=0)
 
     @property
-    def heads(self) -> tuple[Head, ...]:
+    def infos(self) -> tuple[ChannelInfo, ...]:
         """The channels of all parts, a channel that is in several once, with all its messages."""
-        merged: dict[Channel, Head] = {}
+        merged: dict[Channel, ChannelInfo] = {}
         for part in self.parts:
-            for head in part.heads:
-                other = merged.get(head.channel)
-                merged[head.channel] = head if other is None else _merged(other, head)
-        return tuple(sorted(merged.values(), key=lambda head: (head.channel.topic, head.channel.type_name)))
+            for info in part.infos:
+                other = merged.get(info.channel)
+                merged[info.channel] = info if other is None else _merged(other, info)
+        return tuple(sorted(merged.values(), key=lambda info: (info.channel.topic, info.channel.type_name)))
 
-    def frames_of(self, head: Head) -> tuple[tuple[str, str], ...]:
+    def frames_of(self, info: ChannelInfo) -> tuple[tuple[str, str], ...]:
         """List the pairs (parent, child) of a channel of transforms."""
-        pairs = {pair for part in self._having(head) for pair in part.frames(head.channel)}
+        pairs = {pair for part in self._having(info) for pair in part.frames(info.channel)}
         return tuple(sorted(pairs))
 
     def findings(self) -> tuple[Finding, ...]:
@@ -162,17 +151,17 @@ class OpenedLogs:
         """Read channels, each file once, what several files hold of one joined; channels of no file are left out."""
         parts = []
         for part in self.parts:
-            held = {head.channel for head in part.heads}
+            held = {info.channel for info in part.infos}
             mine = {channel: wanted for channel, wanted in channels.items() if channel in held}
             parts.append(part.read(mine) if mine else {})
         return {channel: _joined([part[channel] for part in parts if channel in part]) for channel in channels}
 
     def read_roles(self, choices: Collection[Choice]) -> list[dict[Role, RoleSeries]]:
         """Read the chosen channels, each file once; one mapping per file, with the roles that it holds."""
-        return [_read_roles(part, [c for c in choices if part in self._having(c.head)]) for part in self.parts]
+        return [_read_roles(part, [c for c in choices if part in self._having(c.info)]) for part in self.parts]
 
-    def _having(self, head: Head) -> list[OpenedLog]:
-        return [part for part in self.parts if any(h.channel == head.channel and h.count for h in part.heads)]
+    def _having(self, info: ChannelInfo) -> list[OpenedLog]:
+        return [part for part in self.parts if any(h.channel == info.channel and h.count for h in part.infos)]
 
 
 @contextmanager
@@ -214,7 +203,7 @@ def _times(container: Container, channels: Sequence[Channel]) -> dict[Channel, S
 
 def _opened(path: Path, cell: Cell, *, salvage: bool) -> OpenedLog:
     if not path.is_dir() and is_table(path):
-        from .table_log import TableLog  # noqa: PLC0415 - its library takes 40 MB, which only tables need
+        from .tables.table_log import TableLog  # noqa: PLC0415 - its library takes 40 MB, which only tables need
 
         return TableLog(path, cell.table)
     return ContainerLog(path, salvage=salvage)
@@ -225,9 +214,9 @@ def digests(paths: Sequence[Path]) -> dict[str, str]:
     return {str(path): sha256_of(path) for path in paths}
 
 
-def _merged(one: Head, other: Head) -> Head:
+def _merged(one: ChannelInfo, other: ChannelInfo) -> ChannelInfo:
     rates = [rate for rate in (one.rate_hz, other.rate_hz) if rate is not None]
-    return Head(
+    return ChannelInfo(
         channel=one.channel,
         count=one.count + other.count,
         rate_hz=float(np.mean(rates)) if rates else None,
@@ -257,17 +246,17 @@ def _read_roles(part: OpenedLog, choices: Sequence[Choice]) -> dict[Role, RoleSe
     wanted: dict[Channel, Wanted] = {}
     for choice in choices:
         if choice.frames is None:
-            before = wanted.get(choice.head.channel, Wanted(fields=(), header=""))
+            before = wanted.get(choice.info.channel, Wanted(fields=(), header=""))
             paths = (*before.fields, *(path for path in choice.fields if path is not None))
             header = before.header or choice.header
-            wanted[choice.head.channel] = Wanted(fields=tuple(dict.fromkeys(paths)), header=header)
+            wanted[choice.info.channel] = Wanted(fields=tuple(dict.fromkeys(paths)), header=header)
     series = part.read(wanted) if wanted else {}
     return {
         choice.role: _role_series(
             choice,
-            series[choice.head.channel]
+            series[choice.info.channel]
             if choice.frames is None
-            else part.transform(choice.head.channel, choice.frames),
+            else part.transform(choice.info.channel, choice.frames),
         )
         for choice in choices
     }

@@ -8,18 +8,17 @@ from pathlib import Path
 from ..errors import LogError
 from ..result import Finding
 from ..signals.recording import Recording
-from .cell import Cell, Clock
-from .choose import Choice, choose_all, open_questions
-from .clocks import ChannelTimes, check_clocks
-from .faults import joined
-from .interpret import make_continuous
-from .join import join_recordings
-from .layouts import Role
+from .checks.clocks import ChannelTimes, check_clocks
+from .checks.payload import check_payload
+from .checks.samples import joined
 from .numbers import number_fields
-from .opened import OpenedLogs, RoleSeries, digests, open_logs
-from .payload import check_payload
-from .roles import ENTRY, LABEL
-from .signals import build_recording, chosen_clocks, refuse, sample_findings
+from .opened import OpenedLogs, digests, open_logs
+from .parts import join_recordings
+from .recording import build_recording, chosen_clocks, refuse, sample_findings
+from .roles.cell import Cell, Clock
+from .roles.choose import Choice, RoleSeries, choose_all, open_questions
+from .roles.interpret import make_continuous
+from .roles.registry import ROLES, Role
 
 Part = dict[Role, RoleSeries]
 
@@ -70,7 +69,7 @@ def read_checked_recording(paths: Path | Sequence[Path], cell: Cell, *, salvage:
 def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool) -> _Read:
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     with open_logs(files, cell, salvage=salvage) as logs:
-        choices = choose_all(logs.heads, cell, logs.name, logs.frames_of)
+        choices = choose_all(logs.infos, cell, logs.name, logs.frames_of)
         _check_fields(choices.values(), logs)
         parts = _parts(logs.read_roles(tuple(choices.values())), choices, logs)
         clocks, about_clocks = chosen_clocks(parts, cell)
@@ -78,7 +77,7 @@ def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool) -> _Read:
         about_samples = sample_findings(parts, clocks, cell, logs.start_ns, keeps_holes=salvage)
         recordings = [build_recording(part, clocks, cell) for part in parts]
         recording = _continuous(join_recordings(recordings))
-        questions = open_questions(logs.heads, cell, logs.name)
+        questions = open_questions(logs.infos, cell, logs.name)
         chosen = map(_chosen, choices.values())
         about_log = logs.findings()
         about_log = (*about_log, *_about_what_is_left(about_log, recording, logs))
@@ -91,14 +90,14 @@ def _check_fields(choices: Iterable[Choice], logs: OpenedLogs) -> None:
     """Raise LogError for declared numbers that the first message of their channel does not have."""
     having = {found.topic: found for part in logs.parts for found in number_fields(part) if found.is_complete}
     for choice in choices:
-        found = having.get(choice.head.channel.topic)
-        if found is None or choice.head.columns or found.type != choice.head.channel.type_name:
+        found = having.get(choice.info.channel.topic)
+        if found is None or choice.info.columns or found.type != choice.info.channel.type_name:
             continue
         missing = [path for path in choice.fields if path is not None and path not in found.paths]
         if missing:
             raise LogError(
                 f"Topic {found.topic} must have {', '.join(missing)}, which cell.yaml declares for the "
-                f"{LABEL[choice.role]}, found {found.short}; correct `{ENTRY[choice.role]}: {{fields: …}}`."
+                f"{ROLES[choice.role].label}, found {found.short}; correct `{ROLES[choice.role].entry}: {{fields: …}}`."
             )
 
 
@@ -112,7 +111,7 @@ def _parts(read: Sequence[dict[Role, RoleSeries]], choices: Mapping[Role, Choice
         for role, choice in choices.items():
             if role not in part or not len(part[role].log_ns):
                 raise LogError(
-                    f"Topic {choice.head.channel.topic} must hold the {LABEL[role]} in each of {logs.name}, found no "
+                    f"Topic {choice.info.channel.topic} must hold the {ROLES[role].label} in each of {logs.name}, found no "
                     "message of it in one; leave that file out."
                 )
     return parts
@@ -142,7 +141,7 @@ def _on_one_clock(read: _Read) -> Recording:
 def _times(parts: Sequence[Part], clocks: Mapping[Role, Clock]) -> list[ChannelTimes]:
     """Return the stamps of wrench, pose and command; nothing where one channel or the recorder's clock serves."""
     main = [role for role in (Role.WRENCH, Role.POSE, Role.COMMAND) if role in clocks]
-    is_one = parts[0][Role.WRENCH].choice.head.channel == parts[0][Role.POSE].choice.head.channel
+    is_one = parts[0][Role.WRENCH].choice.info.channel == parts[0][Role.POSE].choice.info.channel
     if is_one or any(clocks[role] is Clock.LOG for role in main):
         return []
     times = []
@@ -150,7 +149,7 @@ def _times(parts: Sequence[Part], clocks: Mapping[Role, Clock]) -> list[ChannelT
         pairs = [(s.stamp_ns, s.log_ns) for s in (part[role] for part in parts) if s.stamp_ns is not None]
         times.append(
             ChannelTimes(
-                topic=parts[0][role].choice.head.channel.topic,
+                topic=parts[0][role].choice.info.channel.topic,
                 stamp_ns=joined([stamps for stamps, _ in pairs]),
                 log_ns=joined([log for _, log in pairs]),
             )
@@ -180,6 +179,6 @@ def _chosen(choice: Choice) -> Finding:
     return Finding(
         code="channel-chosen",
         severity="info",
-        message=f"The {LABEL[choice.role]} is read from {choice.head}{pair}: {choice.reason}.",
+        message=f"The {ROLES[choice.role].label} is read from {choice.info}{pair}: {choice.reason}.",
         advice="",
     )

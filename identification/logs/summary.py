@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..result import Finding
-from .layouts import Role
 from .numbers import NumberFields
+from .roles.registry import Role
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from benchmarks.cell_outcomes import Outcome, approach_axis, bandwidth_hz, surfa
 from benchmarks.cells import DrawnCell, Writing, draw_cell, simulate
 from benchmarks.untold_cells import CASES
 from identification.logs import read_checked_recording
-from identification.logs.cell import Cell
+from identification.logs.roles.cell import Cell
 from identification.result import EnvironmentEstimate, Estimate, Status
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 from problems.model.plant import FREE_SPACE, Environment

@@ -1,7 +1,7 @@
 import pytest
 
 from identification.errors import listed
-from identification.logs.layouts import Role
+from identification.logs.roles.registry import Role
 
 
 @pytest.mark.parametrize(
@@ -15,11 +15,11 @@ def test_at_most_ten_are_told_and_the_rest_counted(count: int, end: str) -> None
 
 def test_a_sentence_about_a_log_of_a_thousand_topics_stays_short() -> None:
     from identification.logs.containers.channel import Channel
-    from identification.logs.heads import Head
-    from identification.logs.roles import missing_sentence
+    from identification.logs.messages.channel_info import ChannelInfo
+    from identification.logs.roles.candidates import missing_sentence
 
-    heads = [
-        Head(
+    infos = [
+        ChannelInfo(
             channel=Channel(
                 topic=f"/a/rather/long/topic/{i}",
                 type_name=f"pkg/msg/Type{i}",
@@ -31,6 +31,6 @@ def test_a_sentence_about_a_log_of_a_thousand_topics_stays_short() -> None:
         )
         for i in range(1000)
     ]
-    told = missing_sentence(Role.WRENCH, "run7.mcap", heads)
+    told = missing_sentence(Role.WRENCH, "run7.mcap", infos)
     assert "… and 990 more" in told
     assert len(told) < 1500

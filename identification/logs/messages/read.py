@@ -1,14 +1,79 @@
-"""Read from a log the numbers that are wanted of some channels, in one pass."""
+"""Put the parts of a channel together as they come, into arrays that are as long as the log says they will be."""
 
 from collections.abc import Callable, Mapping
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import LogError
+from ...signals.recording import FloatArray, StampArray
 from ..containers.channel import Batch, Channel, Container
 from .decode import CompiledDecoder, MessageError, Part
-from .gathering import Gathering
 from .layout import build_program
 from .objects import ObjectDecoder
 from .series import Series, Wanted
+
+Number = TypeVar("Number", np.int64, np.float64)
+_GROWTH = 1.5
+_LEAST_ROOM = 1024
+
+
+class Gathering:
+    """The numbers of one channel while it is read; `room` is the number of rows that are expected."""
+
+    def __init__(self, wanted: Wanted, room: int) -> None:
+        self._wanted = wanted
+        self._rows = 0
+        self._log_ns: StampArray = np.empty(room, dtype=np.int64)
+        self._stamp_ns: StampArray | None = np.empty(room, dtype=np.int64) if wanted.header else None
+        self._values: FloatArray = np.empty((room, len(wanted.fields)))
+        self._frame_ids: set[str] = set()
+
+    def add(self, part: Part) -> None:
+        """Add what a batch holds."""
+        first, self._rows = self._rows, self._rows + part.log_ns.size
+        if self._rows > self._log_ns.size:
+            self._grow(first)
+        rows = slice(first, self._rows)
+        self._log_ns[rows] = part.log_ns
+        self._values[rows] = part.values
+        if self._stamp_ns is not None and part.stamp_ns is not None:
+            self._stamp_ns[rows] = part.stamp_ns
+        self._frame_ids |= part.frame_ids
+
+    def _grow(self, filled: int) -> None:
+        room = max(_LEAST_ROOM, self._rows, int(self._log_ns.size * _GROWTH))
+        self._log_ns = _moved(self._log_ns, filled, room)
+        self._values = _moved(self._values, filled, room)
+        if self._stamp_ns is not None:
+            self._stamp_ns = _moved(self._stamp_ns, filled, room)
+
+    def finish(self, channel: Channel) -> Series:
+        """Return the numbers in order of recording; what was recorded at once stays in file order."""
+        if self._rows < self._log_ns.size:
+            self._log_ns = self._log_ns[: self._rows].copy()
+            self._values = self._values[: self._rows].copy()
+            self._stamp_ns = None if self._stamp_ns is None else self._stamp_ns[: self._rows].copy()
+        if bool(np.any(self._log_ns[1:] < self._log_ns[:-1])):
+            order = np.argsort(self._log_ns, kind="stable")
+            self._log_ns = self._log_ns[order]
+            self._values = self._values[order]
+            self._stamp_ns = None if self._stamp_ns is None else self._stamp_ns[order]
+        return Series(
+            channel=channel,
+            fields=self._wanted.fields,
+            log_ns=self._log_ns,
+            stamp_ns=self._stamp_ns,
+            frame_ids=tuple(sorted(self._frame_ids)),
+            values=self._values,
+        )
+
+
+def _moved(array: NDArray[Number], filled: int, room: int) -> NDArray[Number]:
+    moved = np.empty((room, *array.shape[1:]), dtype=array.dtype)
+    moved[:filled] = array[:filled]
+    return moved
 
 
 def read_series(container: Container, wanted: Mapping[Channel, Wanted]) -> dict[Channel, Series]:

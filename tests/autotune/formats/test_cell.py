@@ -7,7 +7,7 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.formats.cell import check_cell_text, read_cell
-from identification.logs.cell import Cell, Clock, DeadbandType, ExertedBy, Frame, PoseSource
+from identification.logs.roles.cell import Cell, Clock, DeadbandType, ExertedBy, Frame, PoseSource
 
 HEAD = "format: autotune/cell\nversion: 1\n"
 

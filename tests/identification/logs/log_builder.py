@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
 
-from identification.logs.layouts import POSE_STAMPED as POSE
-from identification.logs.layouts import WRENCH_STAMPED as WRENCH
+from identification.logs.roles.registry import POSE_STAMPED as POSE
+from identification.logs.roles.registry import WRENCH_STAMPED as WRENCH
 
 ROS2 = get_typestore(Stores.ROS2_HUMBLE)
 ROS1 = get_typestore(Stores.ROS1_NOETIC)

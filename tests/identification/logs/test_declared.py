@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from identification.errors import EstimateError, LogError
 from identification.identify import identify_cell
 from identification.logs import inspect_log, read_recording
-from identification.logs.cell import (
+from identification.logs.roles.cell import (
     Cell,
     Clock,
     DeadbandType,

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from autotune.formats.cell import read_cell
 from identification.identify import identify_cell
 from identification.logs import inspect_log, read_recording
-from identification.logs.cell import Cell, PoseSource
+from identification.logs.roles.cell import Cell, PoseSource
 from identification.signals.recording import Recording
 
 BAGS = ("single_mode_middle.bag", "yellow_table_1.bag")

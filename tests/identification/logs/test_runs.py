@@ -3,8 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
-from identification.logs.cell import Cell
-from identification.logs.runs import separate_runs
+from identification.logs.parts import separate_runs
+from identification.logs.roles.cell import Cell
 from tests.identification.logs.log_builder import Options, Stream, complete, write_mcap
 
 

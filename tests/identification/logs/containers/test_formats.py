@@ -21,7 +21,6 @@ import zstandard
 from rosbags.rosbag2 import StoragePlugin
 
 from identification.errors import LogError
-from identification.logs.cell import Cell
 from identification.logs.containers import formats
 from identification.logs.containers.batches import pack
 from identification.logs.containers.channel import Batch, Channel, Closing, Held, Survey
@@ -32,6 +31,7 @@ from identification.logs.containers.rosbag2_folder import Rosbag2FolderContainer
 from identification.logs.containers.sqlite_bag import SqliteBagContainer
 from identification.logs.messages.series import Wanted
 from identification.logs.opened import open_logs
+from identification.logs.roles.cell import Cell
 from identification.result import Finding
 from tests.identification.logs.containers.database import write_db3
 from tests.identification.logs.containers.stored import several, write_bag, write_folder
@@ -197,7 +197,7 @@ def test_a_format_is_added_by_one_line(tmp_path: Path, monkeypatch: pytest.Monke
     (tmp_path / "packed.toy.zst").write_bytes(zstandard.compress(path.read_bytes()))
     for each in (path, path.parent, tmp_path / "packed.toy.zst"):
         with open_logs((each,), Cell(), salvage=False) as logs:
-            (channel,) = (head.channel for head in logs.heads)
+            (channel,) = (info.channel for info in logs.infos)
             series = logs.read({channel: Wanted(fields=("force",), header="")})[channel]
             assert series.values[:, 0].tolist() == [0.5, 1.5, 2.5, 3.5, 4.5]
             assert series.log_ns.tolist() == [10**9 + i for i in range(5)]

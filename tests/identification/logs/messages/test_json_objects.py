@@ -12,8 +12,8 @@ from mcap.writer import Writer
 from identification.errors import LogError
 from identification.logs.containers.channel import Batch
 from identification.logs.containers.mcap_file import McapContainer
-from identification.logs.messages import json_objects
-from identification.logs.messages.json_objects import parse_json
+from identification.logs.messages import objects
+from identification.logs.messages.objects import parse_json
 
 TREES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
@@ -73,7 +73,7 @@ def test_what_is_not_json_is_refused_with_its_place(data: bytes, complaint: str)
 
 
 def test_a_message_beyond_the_limit_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(json_objects, "_LIMIT_BYTES", 10)
+    monkeypatch.setattr(objects, "_LIMIT_BYTES", 10)
     assert parse_json(b"[1, 2, 3 ]") == [1, 2, 3]
     with pytest.raises(LogError, match="11 bytes is larger than the 10 that are allowed"):
         parse_json(b"[1, 2, 3  ]")

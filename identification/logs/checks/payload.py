@@ -1,0 +1,315 @@
+"""Weigh the payload at rest: unit and sign of the wrench, tare jumps, changes of payload or bias."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
+
+from ...errors import EstimateError, LogError
+from ...payload.gravity import StaticPose, collect_static_poses
+from ...result import Finding
+from ...signals.aligned import AlignedLog, align
+from ...signals.constant_runs import BoolArray, find_runs
+from ...signals.frames import turned_rad
+from ...signals.recording import AXES, FloatArray, Recording
+from ...signals.segments import find_motion, low_pass
+
+_STILL_M_S = 1.5e-3
+_STILL_RAD_S = 0.02
+_POSE_BAND_HZ = 10.0
+_SIDE_S = 0.15
+_FEWEST = 8
+_STEP_S = 4e-3
+_NOISE_FACTOR = 8.0
+_SMALLEST = np.array([0.3, 0.3, 0.3, 0.03, 0.03, 0.03])
+_QUIET_SHARE = 0.15
+
+
+@dataclass(frozen=True, kw_only=True)
+class TareJump:
+    """A step of the wrench at rest, `time_s` after the start of the aligned log: `force_n`, `torque_n_m` (3,)."""
+
+    time_s: float
+    force_n: FloatArray
+    torque_n_m: FloatArray
+
+    def finding(self, topic: str) -> Finding:
+        """Say it."""
+        force = ", ".join(f"{value:+.2f}" for value in self.force_n)
+        torque = ", ".join(f"{value:+.3f}" for value in self.torque_n_m)
+        return Finding(
+            code="tare-jump",
+            severity="warning",
+            message=f"The wrench of {topic} steps by ({force}) N and ({torque}) N·m at {self.time_s:.3f} s while the "
+            "robot stands still and nothing rings: its bias was set there.",
+            advice="Tare before recording, not during it, or cut the log there.",
+        )
+
+
+def find_tare_jumps(log: AlignedLog) -> tuple[TareJump, ...]:
+    """Find steps within 4 ms (or one sample) between two quiet stretches of a wrench, the pose still all along.
+
+    A contact or a hand takes longer, moves the robot or leaves a swing behind.
+    """
+    wrench = np.hstack([log.force_S_n, log.torque_S_n_m])
+    side, width = max(_FEWEST, round(_SIDE_S / log.period_s)), max(1, round(_STEP_S / log.period_s))
+    if len(wrench) < 2 * side + width + 2:
+        return ()
+    noise = np.nanmedian(np.abs(np.diff(wrench, n=2, axis=0)), axis=0) / (0.6745 * np.sqrt(6.0))
+    least = np.maximum(_NOISE_FACTOR * noise, _SMALLEST)
+    steep = find_runs(np.any(np.abs(wrench[width:] - wrench[:-width]) > least, axis=1))
+    still = _still(log)
+    found = []
+    for start, stop in zip(steep.starts.tolist(), steep.stops.tolist(), strict=True):
+        first, last = start - side, stop + width + side
+        if stop - start > 2 * width or first < 0 or last > len(wrench) or not bool(np.all(still[first:last])):
+            continue
+        # The step lies between the last sample that the first steep difference starts from and the last one's end.
+        jump = _jump(wrench[first:start], wrench[stop + width : last], noise, least)
+        if jump is not None:
+            time = float(log.time_s[(start + stop + width) // 2])
+            found.append(TareJump(time_s=time, force_n=jump[:3], torque_n_m=jump[3:]))
+    return tuple(found)
+
+
+def _still(log: AlignedLog) -> BoolArray:
+    """Return where the pose alone shows no motion."""
+    velocity = np.gradient(low_pass(log.position_B_m, log.period_s, _POSE_BAND_HZ), log.period_s, axis=0)
+    lag = max(1, round(0.02 / log.period_s))
+    quaternion = log.orientation_BS.as_quat()
+    turned = turned_rad(quaternion[:-lag], quaternion[lag:])
+    turning = maximum_filter1d(np.concatenate([turned, np.zeros(lag)]), 2 * lag + 1) / (lag * log.period_s)
+    return np.asarray((np.linalg.norm(velocity, axis=1) < _STILL_M_S) & (turning < _STILL_RAD_S))
+
+
+def _jump(before: FloatArray, after: FloatArray, noise: FloatArray, least: FloatArray) -> FloatArray | None:
+    """Return the step between two stretches, None unless both are flat for its size."""
+    change = np.asarray(after.mean(axis=0) - before.mean(axis=0))
+    if not bool(np.any(np.abs(change) > least)):
+        return None
+    swing = np.maximum(before.std(axis=0), after.std(axis=0))
+    allowed = np.hypot(2.0 * noise, _QUIET_SHARE * np.max(np.abs(change) / least) * least)
+    return change if bool(np.all(swing < allowed)) else None
+
+
+_DISTINCT_COSINE = float(np.cos(np.radians(2.0)))
+_FEWEST_ORIENTATIONS = 4
+_FEWEST_AFTER = 3
+_LARGEST_CONDITION = 40.0
+_ROUNDS = 30
+_SCATTER_N = 0.05
+_SCATTER_SHARE = 3e-3
+_SIGNIFICANT = 6.0
+_MASS_SHARE = 0.03
+_SMALLEST_STEP_N = 0.5
+_EXPLAINED = 0.9
+_TOGETHER = 0.6
+_FOLLOWED = 0.6
+_SMALLEST_KG = 0.1
+_HARMLESS_N = 3.0
+_FEWEST_BESIDE = 3
+_SAME_PLACE_M = 1e-3
+
+
+def check_payload(recording: Recording) -> tuple[Finding, ...]:
+    """Report tare jumps, a payload or a bias that changed midway, kilonewtons and a flipped sign, with their times.
+
+    Needs a raw wrench, a whole pose, and for all but the tare jumps rests in at least 4 orientations; says nothing
+    where they are missing or where wrench and pose do not fit together. A tare jump is an error where the rests beside
+    it do not tell both biases: contacts would be weighed wrongly.
+    """
+    wrench, pose = recording.wrench, recording.pose
+    if wrench.gravity_compensated or wrench.deadband is not None or pose.is_displacement:
+        return ()
+    if {*AXES} - {*wrench.measured_axes} or {*AXES} - {*pose.measured_axes}:
+        return ()
+    try:
+        log = align(recording)
+    except (EstimateError, LogError):
+        return ()
+    return weigh_rests(wrench.topic, log, collect_static_poses(log, find_motion(log).still))
+
+
+def weigh_rests(topic: str, log: AlignedLog, poses: tuple[StaticPose, ...]) -> tuple[Finding, ...]:
+    """Do what `check_payload` does on a raw log that is aligned already, with its rests."""
+    jumps = find_tare_jumps(log)
+    found = [_judged(jump.finding(topic), jump, jumps, log, poses) for jump in jumps]
+    # A tare in the middle of the poses is told once.
+    change = None if jumps else _find_change(topic, log, poses)
+    return (*found, *(() if change is None else (change,)), *_unit_findings(topic, poses))
+
+
+def _judged(
+    finding: Finding, jump: TareJump, jumps: Sequence[TareJump], log: AlignedLog, poses: tuple[StaticPose, ...]
+) -> Finding:
+    """Return the finding as an error where the rests on one side of a jump cannot tell the bias that holds there."""
+    if float(np.linalg.norm(jump.force_n)) < _HARMLESS_N:
+        return finding
+    edges = [-np.inf, *(each.time_s for each in jumps), np.inf]
+    sides = [
+        tuple(pose for pose in poses if start <= log.time_s[pose.span.start] < stop) for start, stop in pairwise(edges)
+    ]
+    # Of a side without more than the rest of the jump itself nothing is asked.
+    asked = [_distinct(side) for side in sides if len(side) > 1]
+    if len(asked) <= 2 and min(asked, default=_FEWEST_BESIDE) >= _FEWEST_BESIDE:
+        return finding
+    return replace(
+        finding,
+        severity="error",
+        message=f"{finding.message} The bias beside it cannot be told: the tool rests in {', '.join(map(str, asked))} "
+        f"orientations on its sides, and {_FEWEST_BESIDE} are needed on each of two.",
+    )
+
+
+def _directions(poses: tuple[StaticPose, ...]) -> FloatArray:
+    gravity = np.array([pose.gravity_S_m_s2 for pose in poses])
+    return np.asarray(gravity / np.linalg.norm(gravity, axis=1, keepdims=True))
+
+
+def _distinct(poses: tuple[StaticPose, ...]) -> int:
+    """Count the directions of gravity, each of which stands for those within 2 degrees of it."""
+    if not poses:
+        return 0
+    left, count = _directions(poses), 0
+    while len(left):
+        left, count = left[left @ left[0] < _DISTINCT_COSINE], count + 1
+    return count
+
+
+def _weigh(poses: tuple[StaticPose, ...]) -> tuple[FloatArray, float, float] | None:
+    """Return (m, b) of f = m g_S + b by an L1 fit, the mass's standard deviation and the scatter [N]; None if vague."""
+    if _distinct(poses) < _FEWEST_ORIENTATIONS:
+        return None
+    gravity = np.array([pose.gravity_S_m_s2 for pose in poses])
+    force = np.array([pose.force_S_n for pose in poses])
+    swing = float(np.max(np.ptp(force, axis=0)))
+    floor = min(_SCATTER_N, _SCATTER_SHARE * swing) + 1e-9
+    rows = np.column_stack([gravity.ravel(), np.tile(np.eye(3), (len(poses), 1))])
+    if np.linalg.cond(rows / np.array([9.81, 1.0, 1.0, 1.0])) > _LARGEST_CONDITION:
+        return None
+    weights = np.ones(len(poses))
+    mass, bias = 0.0, np.zeros(3)
+    for _ in range(_ROUNDS):
+        # Least squares with a mean taken out: the bias is what the mean force has beyond the mean weight.
+        share = weights / weights.sum()
+        mean_gravity, mean_force = share @ gravity, share @ force
+        swung = gravity - mean_gravity
+        mass = float(share @ np.einsum("ij,ij->i", swung, force - mean_force))
+        mass /= float(share @ np.einsum("ij,ij->i", swung, swung))
+        bias = mean_force - mass * mean_gravity
+        misfit = np.linalg.norm(force - mass * gravity - bias, axis=1)
+        weights = 1.0 / np.maximum(misfit, floor)
+    scatter = max(1.4826 * float(np.median(misfit)), floor)
+    inverse = np.linalg.inv(rows.T @ rows)
+    return np.concatenate([[mass], bias]), scatter * float(np.sqrt(inverse[0, 0])), scatter
+
+
+def _find_change(topic: str, log: AlignedLog, poses: tuple[StaticPose, ...]) -> Finding | None:
+    """Return the split of the rests at which the later ones stop fitting the earlier payload, all in one way."""
+    best: tuple[tuple[float, float], Finding] | None = None
+    for split in range(_FEWEST_ORIENTATIONS, len(poses) - _FEWEST_AFTER + 1):
+        earlier, later = poses[:split], poses[split:]
+        before = _weigh(earlier)
+        if before is None:
+            continue
+        solution, _, scatter = before
+        # Both halves must be clean: a split in the wrong place mixes two payloads in one of them.
+        off = np.array([p.force_S_n - solution[0] * p.gravity_S_m_s2 - solution[1:] for p in later])
+        size = np.linalg.norm(off, axis=1)
+        changed = float(np.mean(size > max(_SIGNIFICANT * scatter, _SMALLEST_STEP_N)))
+        if changed < _EXPLAINED:
+            continue
+        finding = _payload_change(topic, log, earlier, later) or _bias_change(topic, log, earlier, later, off)
+        if finding is not None and (best is None or (-changed, scatter) < best[0]):
+            best = ((-changed, scatter), finding)
+    return None if best is None else best[1]
+
+
+def _times(log: AlignedLog, earlier: tuple[StaticPose, ...], later: tuple[StaticPose, ...]) -> str:
+    last, first = log.time_s[earlier[-1].span.stop - 1], log.time_s[later[0].span.start]
+    return f"between {last:.2f} and {first:.2f} s"
+
+
+def _payload_change(
+    topic: str, log: AlignedLog, earlier: tuple[StaticPose, ...], later: tuple[StaticPose, ...]
+) -> Finding | None:
+    before, after = _weigh(earlier), _weigh(later)
+    if before is None or after is None:
+        return None
+    first, second = float(before[0][0]), float(after[0][0])
+    apart = abs(second - first)
+    if apart < max(_SIGNIFICANT * float(np.hypot(before[1], after[1])), _MASS_SHARE * abs(first), _SMALLEST_KG):
+        return None
+    return Finding(
+        code="payload-change",
+        severity="error",
+        message=f"The payload of {topic} weighs {first:.2f} ± {before[1]:.2f} kg in the {len(earlier)} rests before "
+        f"and {second:.2f} ± {after[1]:.2f} kg in the {len(later)} after: it changed {_times(log, earlier, later)}.",
+        advice="Record one log per payload, or cut the log there.",
+    )
+
+
+def _bias_change(
+    topic: str, log: AlignedLog, earlier: tuple[StaticPose, ...], later: tuple[StaticPose, ...], off: FloatArray
+) -> Finding | None:
+    """Return a step that all later rests share, where it cannot be a contact: at an earlier place or as it turns."""
+    step = np.median(off, axis=0)
+    spread = 1.4826 * float(np.median(np.linalg.norm(off - step, axis=1)))
+    together = np.mean(np.linalg.norm(off - step, axis=1) < max(_SIGNIFICANT * spread, _SMALLEST_STEP_N))
+    size = float(np.linalg.norm(step))
+    if size < max(_SIGNIFICANT * spread, _SMALLEST_STEP_N) or together < _TOGETHER:
+        return None
+    if _distinct(later) < 2 and not _returns(log, earlier, later):
+        return None
+    told = ", ".join(f"{value:+.2f}" for value in step)
+    return Finding(
+        code="bias-change",
+        severity="warning",
+        message=f"The force of {topic} at rest steps by ({told}) N {_times(log, earlier, later)} and stays so: the "
+        "sensor was tared, or something was added to or taken off the payload.",
+        advice="Tare before recording and keep the payload as it is, or cut the log there.",
+    )
+
+
+def _returns(log: AlignedLog, earlier: tuple[StaticPose, ...], later: tuple[StaticPose, ...]) -> bool:
+    """Return whether most later rests are where an earlier one was, without contact then."""
+
+    def places(poses: tuple[StaticPose, ...]) -> FloatArray:
+        return np.array([log.position_B_m[pose.span.slice].mean(axis=0) for pose in poses])
+
+    apart: NDArray[np.float64] = np.linalg.norm(places(later)[:, None] - places(earlier)[None], axis=2)
+    alike = _directions(later) @ _directions(earlier).T > _DISTINCT_COSINE
+    return bool(np.mean(np.any((apart < _SAME_PLACE_M) & alike, axis=1)) > 0.5)
+
+
+def _unit_findings(topic: str, poses: tuple[StaticPose, ...]) -> Iterator[Finding]:
+    fit = _weigh(poses)
+    if fit is None:
+        return
+    solution, _, scatter = fit
+    mass = float(solution[0])
+    gravity = np.array([pose.gravity_S_m_s2 for pose in poses])
+    force = np.array([pose.force_S_n for pose in poses])
+    weight = mass * gravity
+    fits = np.linalg.norm(force - weight - solution[1:], axis=1) < _SIGNIFICANT * scatter
+    # The weight has to swing by far more than what is left over, or it may be anything.
+    if np.mean(fits) < _FOLLOWED or float(np.max(np.ptp(weight[fits], axis=0))) < 2.0 * _SIGNIFICANT * scatter:
+        return
+    if mass < 0.0:
+        yield Finding(
+            code="force-sign",
+            severity="warning",
+            message=f"The force of {topic} follows gravity with the opposite sign (it would be {mass:.3g} kg).",
+            advice="Declare `exerted_by` of the wrench or `gravity_direction`; `identify` tells which is true.",
+        )
+    if abs(mass) < _SMALLEST_KG:
+        yield Finding(
+            code="force-unit",
+            severity="error",
+            message=f"The force of {topic} follows gravity, but of {1e3 * abs(mass):.3g} g only; in kilonewtons it "
+            f"would be {1e3 * abs(mass):.3g} kg.",
+            advice="Declare the unit of the force as kN if it is in kilonewtons.",
+        )

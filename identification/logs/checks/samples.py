@@ -1,0 +1,334 @@
+"""Faults in the samples of a role: dead axes, constant runs, saturation, norms and units that cannot be."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...result import Finding
+from ...signals.constant_runs import Runs, find_deadband, quantum, repeated_share, saturated_samples, stuck_runs
+from ...signals.recording import FloatArray, StampArray
+from ..roles.cell import ANGLE_RAD, FORCE_N, LENGTH_M, TORQUE_N_M, PoseSource, Source, WrenchSource
+from ..roles.choose import RoleSeries
+from ..roles.interpret import orientation_quaternion
+from ..roles.registry import Role
+from .stamps import stamp_faults
+
+QUATERNION_NORM_TOLERANCE = 1e-3
+"""A unit quaternion rounded to four digits is within this of norm 1; anything farther off is not one."""
+WRENCH_AXES = ("force x", "force y", "force z", "torque x", "torque y", "torque z")
+_SENSOR_ADVICE = "Check the sensor's cable and driver and record again."
+_POSE_AXES = ("position x", "position y", "position z")
+_LONGEST_TRAVEL_M = 20.0
+_FARTHEST_M = 50.0
+_LARGEST_TURN_RAD = 2.0 * np.pi * 1.01
+_RESTING_SHARE = 1e-7
+_REPEATED_SHARE = 0.3
+_COARSE_REPEATS = 0.5
+
+
+def frame_faults(topic: str, frame_ids: tuple[str, ...]) -> Iterator[Finding]:
+    """Yield a fault when a needed channel changes its frame."""
+    if len(frame_ids) > 1:
+        names = ", ".join(repr(name) for name in frame_ids[:5])
+        yield _error(
+            "several-frames",
+            f"Topic {topic} is told in {len(frame_ids)} frames: {names}.",
+            "Record each frame on a topic of its own.",
+        )
+
+
+def wrench_faults(
+    topic: str, values: FloatArray, since_start_s: FloatArray, limits: Sequence[float | None] | None = None
+) -> Iterator[Finding]:
+    """Yield what is wrong with a wrench (n, 6): NaN, dead and stuck axes, saturation, deadband, repeats, coarse steps.
+
+    `limits` is the declared range of each axis [N, N·m], symmetric about 0; without it a limit has to show itself.
+    """
+    bad = _not_finite(values)
+    yield from _finite_faults(topic, bad, since_start_s)
+    if len(values) < 2 or bool(np.all(bad)):
+        return
+    if bool(np.any(bad)):
+        values, since_start_s = values[~bad], since_start_s[~bad]
+    columns = np.ascontiguousarray(values.T)
+    resting = np.ones(len(values), dtype=np.bool_)
+    resting[0] = False
+    for column in columns:
+        resting[1:] &= np.abs(np.diff(column)) <= _RESTING_SHARE * np.ptp(column)
+    for axis, column in enumerate(columns):
+        if bool(np.all(column == column[0])):
+            yield _error(
+                "stuck-axis",
+                f"The {WRENCH_AXES[axis]} axis of topic {topic} is {column[0]:g} in all {len(column)} samples.",
+                _SENSOR_ADVICE,
+            )
+            continue
+        limit = None if limits is None else limits[axis]
+        saturated = saturated_samples(column, limit, resting)
+        yield from _saturation(topic, WRENCH_AXES[axis], column, since_start_s, saturated)
+        yield from _axis_faults(topic, WRENCH_AXES[axis], column[~saturated], since_start_s[~saturated])
+    yield from _repeat_faults(topic, values)
+
+
+def pose_faults(topic: str, values: FloatArray, since_start_s: FloatArray) -> Iterator[Finding]:
+    """Yield faults of a pose (n, 7), position and quaternion xyzw: NaN, wrong norm, stuck, repeated, in millimetres."""
+    bad = _not_finite(values)
+    yield from _finite_faults(topic, bad, since_start_s)
+    with np.errstate(invalid="ignore", over="ignore"):
+        norm = np.sqrt(np.einsum("ij,ij->i", values[:, 3:], values[:, 3:]))
+        off = np.abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE
+    if bool(np.any(off)):
+        first = int(np.flatnonzero(off)[0])
+        yield _error(
+            "quaternion-norm",
+            f"{np.count_nonzero(off)} orientations of topic {topic} are no unit quaternions, the first "
+            f"{since_start_s[first]:.3f} s after the start of the log (norm {norm[first]:.6g}).",
+            "Publish orientations as unit quaternions (x, y, z, w) and record again.",
+        )
+    good = ~(bad | off)
+    if np.count_nonzero(good) < 2:
+        return
+    if not bool(np.all(good)):
+        values, since_start_s = values[good], since_start_s[good]
+    if bool(np.all(values == values[:1])):
+        yield _error(
+            "stuck-pose",
+            f"Topic {topic} holds one and the same pose in all {len(values)} samples.",
+            "Check that the topic is the robot's measured pose and that the robot moves, and record again.",
+        )
+        return
+    for axis, column in enumerate(np.ascontiguousarray(values[:, :3].T)):
+        if np.any(column != column[0]):
+            yield from _stuck_faults(topic, _POSE_AXES[axis], column, since_start_s)
+    yield from _repeat_faults(topic, values)
+    yield from _length_faults(topic, values[:, :3])
+
+
+def turn_faults(topic: str, rotation_vectors: FloatArray, since_start_s: FloatArray) -> Iterator[Finding]:
+    """Yield a fault when rotation vectors (n, 3) taken as radians turn by more than a whole turn: they are degrees."""
+    size = np.linalg.norm(rotation_vectors, axis=1)
+    over = size > _LARGEST_TURN_RAD
+    if bool(np.any(over)):
+        when = since_start_s[over]
+        yield _error(
+            "turn-unit",
+            f"{when.size} rotation vectors of topic {topic} are longer than one turn (up to {np.nanmax(size):.1f}), "
+            f"the first {when[0]:.3f} s after the start of the log.",
+            "Declare the unit of the rotation as deg if it is in degrees.",
+        )
+
+
+def _saturation(
+    topic: str, name: str, column: FloatArray, since_start_s: FloatArray, saturated: NDArray[np.bool_]
+) -> Iterator[Finding]:
+    if bool(np.any(saturated)):
+        when, level = since_start_s[saturated], float(np.max(np.abs(column[saturated])))
+        yield _error(
+            "saturation",
+            f"The {name} axis of topic {topic} is at the end of its range ({level:g}) in {when.size} samples, the "
+            f"first {when[0]:.3f} s and the last {when[-1]:.3f} s after the start of the log.",
+            "Stay within the sensor's range (slower contact, lighter payload, larger range) and record again.",
+        )
+
+
+def _axis_faults(topic: str, name: str, column: FloatArray, since_start_s: FloatArray) -> Iterator[Finding]:
+    if len(column) < 2:
+        return
+    band = find_deadband(column)
+    if band is None:
+        yield from _stuck_faults(topic, name, column, since_start_s)
+        yield from _step_faults(topic, name, column)
+        return
+    width = "a width that cannot be told" if band.width is None else f"a width of roughly {band.width:.2g}"
+    yield Finding(
+        code="deadband",
+        severity="warning",
+        message=f"A {band.kind} deadband of {width} was applied to the {name} axis of topic {topic}: "
+        f"{100.0 * band.zero_share:.1f} % of its samples are exactly 0.",
+        advice="Record the sensor's wrench before gravity compensation and deadband.",
+    )
+
+
+def _stuck_faults(topic: str, name: str, column: FloatArray, since_start_s: FloatArray) -> Iterator[Finding]:
+    period = float(since_start_s[-1] - since_start_s[0]) / max(len(since_start_s) - 1, 1)
+    runs = stuck_runs(column, max(period, 1e-9))
+    if len(runs.starts):
+        longest = float(np.max(since_start_s[runs.stops - 1] - since_start_s[runs.starts]))
+        yield _error(
+            "stuck-axis",
+            f"The {name} axis of topic {topic} stays exactly the same for up to {longest:.3f} s: "
+            f"{_spans(runs, since_start_s)}.",
+            _SENSOR_ADVICE,
+        )
+
+
+def _step_faults(topic: str, name: str, column: FloatArray) -> Iterator[Finding]:
+    step = quantum(column)
+    repeats = float(np.mean(column[1:] == column[:-1]))
+    if step > 0.0 and repeats > _COARSE_REPEATS:
+        yield Finding(
+            code="coarse-steps",
+            severity="warning",
+            message=f"The {name} axis of topic {topic} comes in steps of {step:.3g}, coarser than its noise: "
+            f"{100.0 * repeats:.0f} % of the samples equal the one before.",
+            advice="Record floating point numbers, or set the sensor to a smaller range.",
+        )
+
+
+def _repeat_faults(topic: str, values: FloatArray) -> Iterator[Finding]:
+    share = repeated_share(values)
+    if share > _REPEATED_SHARE:
+        yield Finding(
+            code="repeated-samples",
+            severity="warning",
+            message=f"{100.0 * share:.0f} % of the messages of topic {topic} repeat the one before in every axis: "
+            "it is published more often than it is measured.",
+            advice="Publish each measurement once, with the time at which it was taken.",
+        )
+
+
+def _length_faults(topic: str, position: FloatArray) -> Iterator[Finding]:
+    travel = float(np.max(np.ptp(position, axis=0)))
+    if travel > _LONGEST_TRAVEL_M:
+        yield _error(
+            "length-unit",
+            f"The pose of topic {topic} travels {travel:.0f} m, which no robot arm does.",
+            "Declare the unit of the position as mm if it is in millimetres.",
+        )
+        return
+    far = float(np.max(np.abs(np.median(position, axis=0))))
+    if far > _FARTHEST_M:
+        yield Finding(
+            code="length-unit",
+            severity="warning",
+            message=f"The pose of topic {topic} is {far:.0f} m away from its origin.",
+            advice="Declare the unit of the position as mm if it is in millimetres.",
+        )
+
+
+def _not_finite(values: FloatArray) -> NDArray[np.bool_]:
+    """Return which rows of (n, k) hold a number that is not finite."""
+    bad = np.zeros(len(values), dtype=np.bool_)
+    for column in values.T:
+        bad |= ~np.isfinite(column)
+    return bad
+
+
+def _finite_faults(topic: str, bad: NDArray[np.bool_], since_start_s: FloatArray) -> Iterator[Finding]:
+    if bool(np.any(bad)):
+        when = since_start_s[bad]
+        yield _error(
+            "not-finite",
+            f"Topic {topic} holds {when.size} samples that are not finite numbers (NaN or infinite), "
+            f"the first {when[0]:.3f} s and the last {when[-1]:.3f} s after the start of the log.",
+            "Cut that part out of the log or record again once the driver reports no error.",
+        )
+
+
+def _spans(runs: Runs, since_start_s: FloatArray) -> str:
+    told = [
+        f"{since_start_s[a]:.3f} to {since_start_s[b - 1]:.3f} s"
+        for a, b in zip(runs.starts[:3], runs.stops[:3], strict=True)
+    ]
+    more = f" and {len(runs.starts) - 3} times more" if len(runs.starts) > 3 else ""
+    return ", ".join(told) + more
+
+
+def _error(code: str, message: str, advice: str) -> Finding:
+    return Finding(code=code, severity="error", message=message, advice=advice)
+
+
+_Number = TypeVar("_Number", np.float64, np.int64)
+
+_OF_A_RESTING_COMMAND = frozenset({"stuck-axis", "repeated-samples"})
+_OF_A_DEADBAND = frozenset({"stuck-axis", "deadband", "coarse-steps", "repeated-samples"})
+"""What a deadband does to a wrench: expected where one is declared, as is what looks like the end of a range at 0."""
+
+
+def role_faults(
+    role: Role,
+    parts: Sequence[RoleSeries],
+    stamps: Sequence[StampArray],
+    source: Source | None,
+    start_ns: int,
+    *,
+    keeps_holes: bool = False,
+) -> Iterator[Finding]:
+    """Yield what is wrong with the samples of a role; those of severity `error` make it unusable.
+
+    `parts` are those of one recording with their stamps: stamps are judged in each, values over all of them, since a
+    robot may rest for the whole of one. `source` is what the cell declares; `start_ns` is where the log starts on the
+    recording clock.
+    """
+    topic = parts[0].choice.info.channel.topic
+    for part, stamp_ns in zip(parts, stamps, strict=True):
+        # A recording clock may start at 0; only a header stamp of 0 is one that was never set.
+        told = stamp_ns - stamp_ns[:1] + 1 if stamp_ns is part.log_ns else stamp_ns
+        yield from frame_faults(topic, part.frame_ids)
+        yield from stamp_faults(topic, told, (part.log_ns - start_ns) / 1e9, keeps_holes=keeps_holes)
+    ordered = sorted(parts, key=lambda part: int(part.log_ns[0]) if part.log_ns.size else 0)
+    when = (joined([part.log_ns for part in ordered]) - start_ns) / 1e9
+    values = _without_unmeasured(parts[0], joined([part.values for part in ordered]))
+    if role in (Role.POSE, Role.COMMAND):
+        declared = source if isinstance(source, PoseSource) else PoseSource()
+        for finding in _pose_faults(topic, values, declared, when):
+            # A command that stands still is no broken sensor.
+            if role is Role.POSE or finding.code not in _OF_A_RESTING_COMMAND:
+                yield finding
+    elif role is Role.WRENCH:
+        yield from _wrench_faults(topic, values, source if isinstance(source, WrenchSource) else WrenchSource(), when)
+    else:
+        yield from _finite_faults(topic, _not_finite(values), when)
+
+
+def _wrench_faults(topic: str, values: FloatArray, source: WrenchSource, when: FloatArray) -> Iterator[Finding]:
+    range_n, range_n_m = source.saturation.force_n, source.saturation.torque_n_m
+    limits = (*(range_n or (None,) * 3), *(range_n_m or (None,) * 3))
+    scaled = _scaled(values, FORCE_N[source.units.force], TORQUE_N_M[source.units.torque])
+    expected = _OF_A_DEADBAND if any(limits) else _OF_A_DEADBAND | {"saturation"}
+    for finding in wrench_faults(topic, scaled, when, limits):
+        if source.deadband is None or finding.code not in expected:
+            yield finding
+        elif finding.severity == "error":
+            yield replace(finding, severity="warning", advice="It may be the deadband that cell.yaml declares.")
+
+
+def _pose_faults(topic: str, values: FloatArray, source: PoseSource, when: FloatArray) -> Iterator[Finding]:
+    """Yield the faults of a pose."""
+    turns, kind = values[:, 3:], source.orientation_as
+    seven = np.zeros((len(values), 7))
+    seven[:, :3] = _scaled(values[:, :3], LENGTH_M[source.units.position], 1.0)
+    if turns.shape[1] == 4:
+        seven[:, 3:] = turns[:, [1, 2, 3, 0]] if kind == "quaternion_wxyz" else turns
+    else:
+        finite = np.isfinite(turns).all(axis=1)
+        seven[:, 6] = np.where(finite, 1.0, np.nan)
+        if turns.shape[1] == 3 and bool(np.any(finite)):
+            seven[finite, 3:] = orientation_quaternion(kind, turns[finite], ANGLE_RAD[source.units.angle])
+    yield from pose_faults(topic, seven, when)
+    if turns.shape[1] == 3 and kind == "rotation_vector":
+        yield from turn_faults(topic, turns * ANGLE_RAD[source.units.angle], when)
+
+
+def _scaled(values: FloatArray, first: float, second: float) -> FloatArray:
+    if first == second == 1.0:
+        return values
+    return np.asarray(values * np.repeat([first, second], 3)[: values.shape[1]])
+
+
+def joined(arrays: Sequence[NDArray[_Number]]) -> NDArray[_Number]:
+    """Return arrays one after the other; one alone is itself, not a copy."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+
+
+def _without_unmeasured(series: RoleSeries, values: FloatArray) -> FloatArray:
+    """Return the values with a count in the columns that the log does not have, which is finite and not stuck."""
+    unmeasured = [path is None for path in series.choice.fields]
+    if not any(unmeasured):
+        return values
+    values = values.copy()
+    values[:, unmeasured] = 1e-6 * np.arange(float(len(values)))[:, None]
+    return values

@@ -1,0 +1,189 @@
+"""Header stamps of a channel: rate, jitter, gaps, and what makes them unusable."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...result import Finding
+from ...signals.recording import FloatArray, StampArray
+
+LARGEST_GAP_PERIODS = 12.0
+"""A hole longer than this is refused: nothing can be said of the motion in it."""
+_LOST_PERIODS = 1.5
+_LOST_DEVIATIONS = 6.0
+_JITTER_SHARE = 0.1
+_FOLDED_PERIODS = 1.5
+_FEWEST_FOLDED = 8
+_MOSTLY = 0.9
+_TOLD_HOLES = 5
+_CLOCK_ADVICE = "Keep the clock from being set during a recording (NTP, PTP, a restarted driver), and record again."
+_ADVICE = "Record with the sensor driver's own clock in the header and one publisher per topic."
+
+
+@dataclass(frozen=True, kw_only=True)
+class StampReport:
+    """Steps between stamps: median `period_s`, their standard deviation and worst departure from it (gaps left out).
+
+    `gaps` lists (index of the message after the gap, length in s); `lost` is how many messages would fill them.
+    """
+
+    count: int
+    period_s: float
+    jitter_std_s: float
+    jitter_worst_s: float
+    gaps: tuple[tuple[int, float], ...]
+    lost: int
+
+    @property
+    def rate_hz(self) -> float:
+        """Return messages per second outside gaps, 0 where the period is."""
+        return 1.0 / self.period_s if self.period_s > 0.0 else 0.0
+
+
+def report_stamps(stamp_ns: StampArray) -> StampReport:
+    """Measure the steps of (n,) stamps, n ≥ 2."""
+    steps = np.diff(stamp_ns)
+    period = float(np.median(steps))
+    scatter = 1.4826 * float(np.median(np.abs(steps - period)))
+    # A late message makes a long step and a short one; a lost one makes a long step only.
+    limit = max(_LOST_PERIODS * period, period + _LOST_DEVIATIONS * scatter)
+    long = np.flatnonzero(steps > limit) if period > 0.0 else np.zeros(0, dtype=np.int64)
+    around = steps[np.minimum(long + 1, len(steps) - 1)]
+    made_up = (around < 0.6 * period) & (steps[long] + around < 2.6 * period)
+    gaps = long[~made_up]
+    regular = np.delete(steps, gaps) if len(gaps) < len(steps) else steps
+    departure = regular - period
+    return StampReport(
+        count=len(stamp_ns),
+        period_s=period * 1e-9,
+        jitter_std_s=float(np.std(departure)) * 1e-9,
+        jitter_worst_s=float(np.max(np.abs(departure))) * 1e-9,
+        gaps=tuple((int(i) + 1, float(steps[i]) * 1e-9) for i in gaps),
+        lost=int(np.sum(np.round(steps[gaps] / period) - 1)) if len(gaps) else 0,
+    )
+
+
+def stamp_faults(
+    topic: str, stamp_ns: StampArray, since_start_s: FloatArray, *, keeps_holes: bool = False
+) -> Iterator[Finding]:
+    """Yield what is wrong with header stamps (n,): zero, constant, backwards, repeated; gaps and jitter.
+
+    `since_start_s` (n,) tells when each message was recorded. With `keeps_holes` (a salvaged log) a long gap is a
+    warning: it is kept as a hole.
+    """
+    if stamp_ns.size < 2:
+        yield _error("too-few-messages", f"Topic {topic} holds {stamp_ns.size} message(s).", "Record the whole run.")
+        return
+    if bool(np.all(stamp_ns == stamp_ns[0])):
+        what = "zero" if stamp_ns[0] == 0 else f"the same ({stamp_ns[0] / 1e9:.9f} s)"
+        yield _error("constant-stamps", f"All {stamp_ns.size} header stamps of topic {topic} are {what}.", _ADVICE)
+        return
+    if bool(np.any(stamp_ns <= 0)):
+        when = since_start_s[stamp_ns <= 0]
+        yield _error(
+            "zero-stamps", f"Topic {topic} has {when.size} header stamps of zero or less, {_at(when)}.", _ADVICE
+        )
+    steps = np.diff(stamp_ns)
+    back = steps < 0
+    if bool(np.any(back)):
+        when = since_start_s[1:][back]
+        yield _error(
+            "backwards-stamps",
+            f"{when.size} header stamps of topic {topic} go backwards, {_at(when)}, by up to "
+            f"{-float(steps.min()) * 1e-9:.6f} s.",
+            _CLOCK_ADVICE,
+        )
+    # What a clock that was set back stamped twice explains the duplicates there.
+    folded = np.zeros(len(steps), dtype=np.bool_)
+    for start, stop in _find_folds(steps):
+        folded[start:stop] = True
+        yield _error(
+            "backwards-stamps",
+            f"The header stamps of topic {topic} go back by about {(stamp_ns[stop] - stamp_ns[start]) * 1e-9:.3f} s: "
+            f"the time from {since_start_s[start]:.3f} to {since_start_s[stop]:.3f} s after the start of the log is "
+            "told twice, by two messages in each period. The clock of the recording went back too.",
+            _CLOCK_ADVICE,
+        )
+    repeated = (steps == 0) & ~folded
+    if bool(np.any(repeated)):
+        when = since_start_s[1:][repeated]
+        yield _error(
+            "duplicate-stamps",
+            f"{when.size} header stamps of topic {topic} repeat the one before, {_at(when)}.",
+            _ADVICE,
+        )
+    if bool(np.all(steps > 0)) and not bool(np.any(folded)):
+        yield from _uneven(topic, report_stamps(stamp_ns), since_start_s, keeps_holes=keeps_holes)
+
+
+def _find_folds(steps: StampArray) -> Iterator[tuple[int, int]]:
+    """Yield the runs of steps (start, stop) in which two messages fall into each period, as when a clock is set back.
+
+    A topic that is published twice does so all along; what was held up comes in a bunch after a gap.
+    """
+    if len(steps) < _FEWEST_FOLDED or bool(np.any(steps < 0)):
+        return
+    period = float(np.median(steps))
+    paired = steps[:-1] + steps[1:] < _FOLDED_PERIODS * period
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], paired, [False]]).astype(np.int8)))
+    for start, stop in edges.reshape(-1, 2).tolist():
+        if stop - start < _FEWEST_FOLDED or stop - start > _MOSTLY * len(steps):
+            continue
+        if bool(np.all(steps[max(start - 1, 0) : stop + 1] < _FOLDED_PERIODS * period)):
+            yield start, stop + 1
+
+
+def _uneven(topic: str, report: StampReport, since_start_s: FloatArray, *, keeps_holes: bool) -> Iterator[Finding]:
+    holes = [gap for gap in report.gaps if gap[1] > LARGEST_GAP_PERIODS * report.period_s]
+    if holes and keeps_holes:
+        yield _kept(topic, holes, since_start_s)
+    gaps = [gap for gap in report.gaps if not (keeps_holes and gap in holes)]
+    if gaps:
+        severe = bool(holes) and not keeps_holes
+        when = since_start_s[[index - 1 for index, _ in gaps]]
+        longest, length = max(gaps, key=lambda gap: gap[1])
+        lost = sum(round(gap / report.period_s) - 1 for _, gap in gaps)
+        yield Finding(
+            code="dropped-samples",
+            severity="error" if severe else "warning",
+            message=f"Topic {topic} lacks about {lost} messages in {len(gaps)} gaps, {_at(when)}; the longest lasts "
+            f"{length:.4f} s from {since_start_s[longest - 1]:.3f} s (period {report.period_s:.6f} s).",
+            advice="Record again without losing messages, or cut the log there."
+            if severe
+            else "Single lost messages are interpolated; record to a faster disk or fewer topics.",
+        )
+    yield from _jitter(topic, report)
+
+
+def _kept(topic: str, holes: Sequence[tuple[int, float]], since_start_s: FloatArray) -> Finding:
+    told = ", ".join(f"{length:.3f} s from {since_start_s[index - 1]:.3f} s" for index, length in holes[:_TOLD_HOLES])
+    more = f" and {len(holes) - _TOLD_HOLES} more" if len(holes) > _TOLD_HOLES else ""
+    return Finding(
+        code="hole",
+        severity="warning",
+        message=f"Topic {topic} has {len(holes)} hole(s) in which nothing is known: {told}{more} after the start of "
+        f"the log, {sum(length for _, length in holes):.3f} s in all. Nothing is interpolated across them.",
+        advice="Check that what a parameter needs (rests, sweep, contacts) lies outside, or record again.",
+    )
+
+
+def _jitter(topic: str, report: StampReport) -> Iterator[Finding]:
+    if report.jitter_std_s > _JITTER_SHARE * report.period_s:
+        yield Finding(
+            code="stamp-jitter",
+            severity="warning",
+            message=f"The header stamps of topic {topic} jitter: steps of {1e3 * report.period_s:.3f} ms with a "
+            f"standard deviation of {1e3 * report.jitter_std_s:.3f} ms, at worst "
+            f"{1e3 * report.jitter_worst_s:.3f} ms off.",
+            advice="Stamp where the sample is taken, not where it is published.",
+        )
+
+
+def _at(when: FloatArray) -> str:
+    last = f" and the last {when[-1]:.3f} s" if when.size > 1 else ""
+    return f"the first {when[0]:.3f} s{last} after the start of the log"
+
+
+def _error(code: str, message: str, advice: str) -> Finding:
+    return Finding(code=code, severity="error", message=message, advice=advice)

@@ -1,0 +1,233 @@
+"""The chosen channels as one recording: which clock stamps them, whether they can be used, what they mean."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from ..errors import LogError
+from ..result import Finding
+from ..signals.frames import Frames
+from ..signals.recording import GainsSignal, PoseSignal, Recording, StampArray, TwistSignal, WrenchSignal
+from .checks.consistency import turn_findings, twist_findings
+from .checks.samples import role_faults
+from .roles.candidates import is_processed_name
+from .roles.cell import Cell, Clock, Frame, GainsSource, PoseSource, TwistSource, WrenchSource
+from .roles.choose import Choice, RoleSeries, source_of
+from .roles.interpret import Columns, build_frames, interpret_gains, interpret_pose, interpret_twist, interpret_wrench
+from .roles.registry import ADMITTANCE_STATE, ROLES, Role
+
+_MAIN = (Role.WRENCH, Role.POSE, Role.COMMAND)
+
+
+def chosen_clocks(
+    parts: Sequence[Mapping[Role, RoleSeries]], cell: Cell
+) -> tuple[dict[Role, Clock], tuple[Finding, ...]]:
+    """Return the clock of each role: the declared one, else the header's, else for all of them the log's.
+
+    Raises LogError when header stamps are declared for a channel that has none.
+    """
+    series = {role: next((p[role] for p in parts if p[role].stamp_ns is None), parts[0][role]) for role in parts[0]}
+    declared = {role: source.clock for role in series if (source := source_of(cell, role)) is not None}
+    for role, clock in declared.items():
+        if clock is Clock.HEADER and series[role].stamp_ns is None:
+            raise LogError(
+                f"Topic {_topic(series[role])} must have header stamps, as cell.yaml declares for the {ROLES[role].label}, "
+                f"found none; declare `{ROLES[role].entry}: {{clock: log}}` or the path of its header."
+            )
+    bare = [role for role in _MAIN if role in series and series[role].stamp_ns is None]
+    usual = Clock.LOG if bare else Clock.HEADER
+    clocks = {
+        role: declared.get(role) or (usual if series[role].stamp_ns is not None else Clock.LOG) for role in series
+    }
+    by_log = [role for role in series if clocks[role] is Clock.LOG]
+    findings = []
+    if bare:
+        topics = ", ".join(sorted({_topic(series[role]) for role in bare}))
+        findings.append(
+            Finding(
+                code="log-clock",
+                severity="warning",
+                message=f"{topics} has no header stamps, so the time of recording is the clock of "
+                f"{', '.join(ROLES[role].label for role in by_log)}.",
+                advice="The time of recording jitters and lags; record header stamps for a delay that can be trusted.",
+            )
+        )
+    return clocks, tuple(findings)
+
+
+def sample_findings(
+    parts: Sequence[Mapping[Role, RoleSeries]],
+    clocks: Mapping[Role, Clock],
+    cell: Cell,
+    start_ns: int,
+    *,
+    keeps_holes: bool,
+) -> tuple[Finding, ...]:
+    """Check the samples of every role over all parts; raises LogError for the first that cannot be used."""
+    found: list[Finding] = []
+    for role in parts[0]:
+        mine = [part[role] for part in parts]
+        stamps = [_stamps(role, part, clocks, cell) for part in parts]
+        found += role_faults(role, mine, stamps, source_of(cell, role), start_ns, keeps_holes=keeps_holes)
+    refuse(found)
+    return tuple(found)
+
+
+def build_recording(series: dict[Role, RoleSeries], clocks: Mapping[Role, Clock], cell: Cell) -> Recording:
+    """Interpret the samples of every role, which `sample_findings` has found usable.
+
+    `series` is emptied: of a long log never all numbers are held as they were logged and as they are meant.
+    """
+    frames = build_frames(cell)
+    stamps = {role: _stamps(role, series, clocks, cell) for role in series}
+    columns = {role: _columns(series[role], stamps[role]) for role in series}
+    choice = series[Role.WRENCH].choice
+    series.clear()
+    pose = _pose(columns.pop(Role.POSE), cell, frames)
+    wrench, findings = _wrench(choice, columns.pop(Role.WRENCH), cell, frames, pose)
+    twist = _twist(columns, cell, frames, pose)
+    findings += [*turn_findings(pose), *(twist_findings(pose, twist) if twist is not None else ())]
+    return Recording(
+        wrench=wrench,
+        pose=pose,
+        command=_command(columns, cell, frames),
+        twist=twist,
+        gains=_gains(columns, cell, wrench),
+        desired_force=_desired_force(columns, cell, frames, pose),
+        clocks={ROLES[role].entry: clock.value for role, clock in clocks.items()},
+        findings=tuple(dict.fromkeys(findings)),
+    )
+
+
+def refuse(findings: Iterable[Finding]) -> None:
+    """Raise LogError for the first finding that makes a log unusable."""
+    for finding in findings:
+        if finding.severity == "error":
+            raise LogError(f"{finding.message} {finding.advice}")
+
+
+def _has(series: RoleSeries) -> tuple[bool, ...]:
+    return tuple(path is not None for path in series.choice.fields)
+
+
+def _topic(series: RoleSeries) -> str:
+    return series.choice.info.channel.topic
+
+
+def _stamps(role: Role, series: Mapping[Role, RoleSeries], clocks: Mapping[Role, Clock], cell: Cell) -> StampArray:
+    """Return the stamps of a role on its clock, moved by the declared offset.
+
+    A role beside the main ones that has no header is stamped by the time of recording less the wrench's delay.
+    """
+    mine, source = series[role], source_of(cell, role)
+    stamps = mine.stamp_ns if clocks[role] is Clock.HEADER and mine.stamp_ns is not None else mine.log_ns
+    wrench = series.get(Role.WRENCH)
+    if (
+        role not in _MAIN
+        and (source is None or source.clock is None)
+        and mine.stamp_ns is None
+        and wrench is not None
+        and wrench.stamp_ns is not None
+        and clocks[Role.WRENCH] is Clock.HEADER
+    ):
+        stamps = stamps + np.int64(np.median(wrench.stamp_ns - wrench.log_ns))
+    offset_ns = round((0.0 if source is None else source.clock_offset_s) * 1e9)
+    return stamps + np.int64(offset_ns) if offset_ns else stamps
+
+
+def _columns(series: RoleSeries, stamp_ns: StampArray) -> Columns:
+    frame = series.frame_ids[0] if series.frame_ids else ""
+    pair = series.choice.frames
+    return Columns(
+        topic=_topic(series),
+        frame_id=pair[0] if pair else frame,
+        stamp_ns=stamp_ns,
+        values=series.values,
+        has=_has(series),
+    )
+
+
+def _pose(columns: Columns, cell: Cell, frames: Frames) -> PoseSignal:
+    source = cell.pose or cell.displacement or PoseSource()
+    return interpret_pose(columns, source, frames, is_displacement=cell.displacement is not None)
+
+
+def _command(columns: Mapping[Role, Columns], cell: Cell, frames: Frames) -> PoseSignal | None:
+    if Role.COMMAND not in columns:
+        return None
+    is_displacement = cell.displacement is not None
+    return interpret_pose(columns[Role.COMMAND], cell.command or PoseSource(), frames, is_displacement=is_displacement)
+
+
+def _wrench(
+    choice: Choice, columns: Columns, cell: Cell, frames: Frames, pose: PoseSignal
+) -> tuple[WrenchSignal, list[Finding]]:
+    source = cell.wrench or WrenchSource()
+    is_state = choice.info.channel.type_name == ADMITTANCE_STATE and source.fields is None
+    findings = []
+    if is_state and (source.expressed_in is None or source.gravity_compensated is None):
+        findings.append(_state_finding(columns.topic))
+    elif source.gravity_compensated is None and is_processed_name(columns.topic):
+        findings.append(_processed_finding(columns.topic))
+    wrench = interpret_wrench(
+        columns,
+        source,
+        frames,
+        pose,
+        expressed_in=source.expressed_in or (Frame.BASE if is_state else Frame.SENSOR),
+        gravity_compensated=is_state if source.gravity_compensated is None else source.gravity_compensated,
+    )
+    return wrench, findings
+
+
+def _state_finding(topic: str) -> Finding:
+    return Finding(
+        code="admittance-state-wrench",
+        severity="warning",
+        message=f"The wrench of {topic} is what the admittance controller acts on: taken as told in base axes, with "
+        "the configured gravity removed and filtered.",
+        advice="Record the sensor's own wrench, or declare `expressed_in` and `gravity_compensated`.",
+    )
+
+
+def _processed_finding(topic: str) -> Finding:
+    return Finding(
+        code="wrench-may-be-processed",
+        severity="warning",
+        message=f"The name of {topic} says that its wrench is not as the sensor showed it; it is taken as raw.",
+        advice="Record the raw wrench, or declare `gravity_compensated` (true or false) and `deadband` in cell.yaml.",
+    )
+
+
+def _desired_force(
+    columns: Mapping[Role, Columns], cell: Cell, frames: Frames, pose: PoseSignal
+) -> WrenchSignal | None:
+    if Role.DESIRED_FORCE not in columns:
+        return None
+    source = cell.desired_force or WrenchSource()
+    return interpret_wrench(
+        columns[Role.DESIRED_FORCE],
+        source,
+        frames,
+        pose,
+        expressed_in=source.expressed_in or Frame.SENSOR,
+        gravity_compensated=True,
+    )
+
+
+def _twist(columns: Mapping[Role, Columns], cell: Cell, frames: Frames, pose: PoseSignal) -> TwistSignal | None:
+    if Role.TWIST not in columns:
+        return None
+    return interpret_twist(columns[Role.TWIST], cell.twist or TwistSource(), frames, pose)
+
+
+def _gains(columns: Mapping[Role, Columns], cell: Cell, wrench: WrenchSignal) -> GainsSignal | None:
+    source = cell.gains or GainsSource()
+    if source.mass is not None and source.damping is not None:
+        return GainsSignal(
+            topic="",
+            stamp_ns=wrench.stamp_ns[:1],
+            mass=np.array([source.mass]),
+            damping=np.array([source.damping]),
+        )
+    return interpret_gains(columns[Role.GAINS]) if Role.GAINS in columns else None

@@ -1,0 +1,314 @@
+"""Units and ways to tell an orientation that a log may be declared to use."""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import TypeVar
+
+from problems.errors import ParameterError
+
+from ..tables.layout import TableLayout
+
+FORCE_N: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605, "kgf": 9.80665}
+TORQUE_N_M: Mapping[str, float] = {
+    "N·m": 1.0,
+    "Nm": 1.0,
+    "N·mm": 1e-3,
+    "Nmm": 1e-3,
+    "kN·m": 1e3,
+    "kNm": 1e3,
+    "lbf·in": 4.4482216152605 * 0.0254,
+    "lbf·ft": 4.4482216152605 * 0.3048,
+}
+LENGTH_M: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
+ANGLE_RAD: Mapping[str, float] = {"rad": 1.0, "deg": 0.017453292519943295}
+_EULER = re.compile(r"euler_([xyz]{3}|[XYZ]{3})")
+_QUATERNIONS = ("quaternion_xyzw", "quaternion_wxyz")
+
+
+def orientation_width(kind: str) -> int:
+    """Count the numbers of an orientation; raise ParameterError for a kind that is not known."""
+    if kind in _QUATERNIONS:
+        return 4
+    match = _EULER.fullmatch(kind)
+    if kind == "rotation_vector" or (match and all(a != b for a, b in zip(match[1], match[1][1:], strict=False))):
+        return 3
+    must = (
+        "quaternion_xyzw, quaternion_wxyz, rotation_vector, or euler_ and three axes, no two neighbours alike "
+        "(euler_ZYZ about the moved axes, euler_xyz about the fixed ones)"
+    )
+    raise ParameterError("orientation_as", kind, must)
+
+
+def check_unit(name: str, unit: str, known: Mapping[str, float]) -> None:
+    """Raise ParameterError for a unit that is not known."""
+    if unit not in known:
+        raise ParameterError(name, unit, f"one of {', '.join(known)}")
+
+
+Paths = tuple[str | None, ...]
+"""Where the numbers of a vector stand in a message; None for an axis that the log does not have."""
+
+_NORM_TOLERANCE = 1e-3
+_Source = TypeVar("_Source", bound="Source")
+
+
+class Clock(StrEnum):
+    """Which clock stamps a channel: that of the sender's header or that of the recorder."""
+
+    HEADER = "header"
+    LOG = "log"
+
+
+class Frame(StrEnum):
+    """In whose axes a vector is written."""
+
+    SENSOR = "sensor"
+    FLANGE = "flange"
+    BASE = "base"
+
+
+class ExertedBy(StrEnum):
+    """Whose force a wrench is: the payload's on the sensor, or the sensor's on the payload."""
+
+    PAYLOAD = "payload"
+    SENSOR = "sensor"
+
+
+class DeadbandType(StrEnum):
+    """Whether a deadband takes its width off what exceeds it, or leaves that as it is."""
+
+    SUBTRACTIVE = "subtractive"
+    THRESHOLD = "threshold"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """Which channel serves a role; None where it is to be found.
+
+    `frame` is the frame that the headers must name; `header` the path of the header in a message; `clock_offset_s` is
+    added to the stamps to bring them to the wrench's clock.
+    """
+
+    topic: str | None = None
+    frame: str | None = None
+    header: str | None = None
+    clock: Clock | None = None
+    clock_offset_s: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrenchFields:
+    """Paths of force and torque, three each."""
+
+    force: Paths
+    torque: Paths = (None, None, None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrenchUnits:
+    """Units of a wrench."""
+
+    force: str = "N"
+    torque: str = "N·m"
+
+    def __post_init__(self) -> None:
+        check_unit("force", self.force, FORCE_N)
+        check_unit("torque", self.torque, TORQUE_N_M)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeclaredDeadband:
+    """A deadband applied before recording; a width is None where it is not known."""
+
+    type: DeadbandType
+    force_n: float | None = None
+    torque_n_m: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Saturation:
+    """The sensor's range: the largest magnitude per axis that it can tell."""
+
+    force_n: tuple[float, float, float] | None = None
+    torque_n_m: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrenchSource(Source):
+    """The wrench: its channel, and how its numbers become the payload's wrench on the sensor in the sensor frame.
+
+    `expressed_in` None is the sensor frame and `gravity_compensated` None is False, unless the message type says else.
+    """
+
+    fields: WrenchFields | None = None
+    units: WrenchUnits = field(default_factory=WrenchUnits)
+    signs: tuple[float, ...] = (1.0,) * 6
+    expressed_in: Frame | None = None
+    exerted_by: ExertedBy = ExertedBy.PAYLOAD
+    gravity_compensated: bool | None = None
+    deadband: DeclaredDeadband | None = None
+    saturation: Saturation = field(default_factory=Saturation)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseFields:
+    """Paths of position (three) and orientation (three or four)."""
+
+    position: Paths
+    orientation: Paths = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseUnits:
+    """Units of a pose; `angle` is that of Euler angles and rotation vectors."""
+
+    position: str = "m"
+    angle: str = "rad"
+
+    def __post_init__(self) -> None:
+        check_unit("position", self.position, LENGTH_M)
+        check_unit("angle", self.angle, ANGLE_RAD)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseSource(Source):
+    """A pose: its channel or its pair of transform frames (`child` in `parent`), and how its numbers are meant.
+
+    `signs` are those of the position.
+    """
+
+    parent: str | None = None
+    child: str | None = None
+    fields: PoseFields | None = None
+    units: PoseUnits = field(default_factory=PoseUnits)
+    signs: tuple[float, ...] = (1.0,) * 3
+    orientation_as: str = "quaternion_xyzw"
+
+    def __post_init__(self) -> None:
+        width = orientation_width(self.orientation_as)
+        told = 0 if self.fields is None else len(self.fields.orientation)
+        if told not in (0, width):
+            raise ParameterError("orientation_as", self.orientation_as, f"of {told} numbers, as fields.orientation has")
+        if (self.parent is None) != (self.child is None):
+            missing = "parent" if self.parent is None else "child"
+            raise ParameterError(missing, "nothing", "named too: a transform needs parent and child")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwistFields:
+    """Paths of linear and angular velocity, three each."""
+
+    linear: Paths
+    angular: Paths = (None, None, None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwistUnits:
+    """Units of a twist, per second: of the lengths and of the angles."""
+
+    linear: str = "m"
+    angular: str = "rad"
+
+    def __post_init__(self) -> None:
+        check_unit("linear", self.linear, LENGTH_M)
+        check_unit("angular", self.angular, ANGLE_RAD)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwistSource(Source):
+    """The flange's twist."""
+
+    fields: TwistFields | None = None
+    units: TwistUnits = field(default_factory=TwistUnits)
+    signs: tuple[float, ...] = (1.0,) * 6
+    expressed_in: Frame = Frame.BASE
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainsFields:
+    """Paths of M_a and B_a, six each."""
+
+    mass: Paths
+    damping: Paths
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainsSource(Source):
+    """The controller's gains: where they are logged, or their constant values in SI of each axis."""
+
+    fields: GainsFields | None = None
+    mass: tuple[float, ...] | None = None
+    damping: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if (self.mass is None) != (self.damping is None):
+            missing = "mass" if self.mass is None else "damping"
+            raise ParameterError(missing, None, "given: known gains are mass and damping")
+        if self.mass is not None and (self.topic is not None or self.fields is not None):
+            raise ParameterError("mass", "known gains", "left out where topic or fields say where they are logged")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mounting:
+    """How the sensor sits on the flange: flange from sensor, told as `orientation_as`; () for no turn."""
+
+    orientation: tuple[float, ...] = ()
+    orientation_as: str = "quaternion_xyzw"
+    angle: str = "rad"
+
+    def __post_init__(self) -> None:
+        width = orientation_width(self.orientation_as)
+        if len(self.orientation) not in (0, width):
+            raise ParameterError(
+                "orientation", list(self.orientation), f"{width} numbers, as {self.orientation_as} has"
+            )
+        norm = math.hypot(*self.orientation)
+        if len(self.orientation) == 4 and abs(norm - 1.0) > _NORM_TOLERANCE:
+            raise ParameterError("orientation", list(self.orientation), f"a unit quaternion (its norm is {norm:.6g})")
+        check_unit("angle", self.angle, ANGLE_RAD)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """Everything that may be declared of a cell's logs; every entry may be left out.
+
+    `gravity_direction` is in the base frame. A measured `pose` and a `displacement` (a pose relative to one that is not
+    known) exclude each other. `table` tells how CSV and Parquet files are timed; `fields` name their columns.
+    """
+
+    gravity_direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    sensor: Mounting = field(default_factory=Mounting)
+    wrench: WrenchSource | None = None
+    pose: PoseSource | None = None
+    displacement: PoseSource | None = None
+    command: PoseSource | None = None
+    twist: TwistSource | None = None
+    gains: GainsSource | None = None
+    desired_force: WrenchSource | None = None
+    table: TableLayout | None = None
+
+    def __post_init__(self) -> None:
+        if self.pose is not None and self.displacement is not None:
+            raise ParameterError("displacement", "both pose and displacement", "the only one of the two")
+        if not any(self.gravity_direction):
+            raise ParameterError("gravity_direction", list(self.gravity_direction), "a direction, not zero")
+
+    def with_topics(self, *, wrench: str | None, pose: str | None, command: str | None) -> "Cell":
+        """Return the cell with these topics instead of its own where they are not None."""
+        cell = self
+        if wrench is not None:
+            cell = replace(cell, wrench=_on(cell.wrench or WrenchSource(), wrench))
+        if command is not None:
+            cell = replace(cell, command=_on(cell.command or PoseSource(), command))
+        if pose is not None and cell.displacement is not None:
+            cell = replace(cell, displacement=_on(cell.displacement, pose))
+        elif pose is not None:
+            cell = replace(cell, pose=_on(cell.pose or PoseSource(), pose))
+        return cell
+
+
+def _on(source: _Source, topic: str) -> _Source:
+    return replace(source, topic=topic)

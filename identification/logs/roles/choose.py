@@ -1,0 +1,253 @@
+"""Decide which channel serves as what, from type, name, frame and rate. Never guess."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ...errors import LogError, listed
+from ...result import Finding
+from ...signals.recording import FloatArray, StampArray
+from ..messages.channel_info import ChannelInfo
+from .candidates import (
+    ambiguous_sentence,
+    is_processed_name,
+    is_undeclared,
+    missing_sentence,
+    roles_of,
+)
+from .cell import Cell, PoseSource, Source
+from .registry import ROLES, TRANSFORMS, Role
+
+FramesOf = Callable[[ChannelInfo], tuple[tuple[str, str], ...]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """A channel that serves a role: the paths of its numbers (None for those it lacks) and of its header.
+
+    `frames` is the pair (parent, child) where a transform is read; `reason` says why it was taken.
+    """
+
+    role: Role
+    info: ChannelInfo
+    fields: tuple[str | None, ...]
+    header: str
+    frames: tuple[str, str] | None = None
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoleSeries:
+    """What a log holds of one role: `values` (n, k) in the order of `choice.fields`, NaN where it has no path."""
+
+    choice: Choice
+    log_ns: StampArray
+    stamp_ns: StampArray | None
+    frame_ids: tuple[str, ...]
+    values: FloatArray
+
+
+def choose_all(infos: Infos, cell: Cell, log: str, frames_of: FramesOf) -> dict[Role, Choice]:
+    """Return the channel of each role that the log or the cell tells of.
+
+    Raises LogError for a wrench, pose or command that is missing or ambiguous (a missing command is none), and for
+    anything declared that the log does not have.
+    """
+    chosen = {}
+    for role in ROLES:
+        found = choose(role, infos, cell, log, frames_of)
+        if found is not None:
+            chosen[role] = found
+    return chosen
+
+
+def choose(role: Role, infos: Infos, cell: Cell, log: str, frames_of: FramesOf) -> Choice | None:
+    """Return the channel of one role, None where an optional one is not there; see `choose_all`."""
+    source = source_of(cell, role)
+    if source is not None and getattr(source, "mass", None) is not None:
+        return None
+    fields = declared_fields(source)
+    if source is not None and fields is not None:
+        return _declared(role, source, fields, infos, log)
+    if isinstance(source, PoseSource) and source.parent is not None and source.child is not None:
+        return _transform(role, source, (source.parent, source.child), infos, log, frames_of)
+    if source is not None and source.topic is not None:
+        _check_distinct(role, cell)
+        found = _named(role, source.topic, infos, log)
+    else:
+        candidates = _candidates(role, source, infos, _taken(cell, role))
+        if not candidates and not ROLES[role].is_required and source is None:
+            return None
+        if len(candidates) > 1 and not ROLES[role].option and source is None:
+            return None
+        found = _only(role, candidates, infos, log, source)
+    return _by_type(role, found, source, log, frames_of)
+
+
+def candidates_of(role: Role, infos: Infos, cell: Cell) -> list[ChannelInfo]:
+    """Return the channels that could serve a role by type and name, else those whose numbers could if declared."""
+    by_type = _candidates(role, None, infos, _taken(cell, role))
+    return by_type or [info for info in infos if info.count and is_undeclared(info)]
+
+
+def open_questions(infos: Infos, cell: Cell, log: str) -> tuple[Finding, ...]:
+    """Tell which roles that `identify` can do without were left empty because several channels could serve them."""
+    found = []
+    for role in (role for role, kind in ROLES.items() if not kind.option):
+        candidates = _candidates(role, None, infos, set())
+        if source_of(cell, role) is None and len(candidates) > 1:
+            sentence = ambiguous_sentence(role, candidates, log)
+            found.append(Finding(code="role-open", severity="info", message=sentence, advice="None is used."))
+    return tuple(found)
+
+
+def source_of(cell: Cell, role: Role) -> Source | None:
+    """Return what the cell declares of a role."""
+    return (cell.pose or cell.displacement) if role is Role.POSE else getattr(cell, ROLES[role].entry, None)
+
+
+def declared_fields(source: Source | None) -> tuple[str | None, ...] | None:
+    """Return the declared paths of a role's numbers in the order that the role has them, None without any."""
+    fields = getattr(source, "fields", None)
+    if fields is None:
+        return None
+    return tuple(path for vector in vars(fields).values() for path in vector)
+
+
+def _taken(cell: Cell, role: Role) -> set[str]:
+    """Return topics that the cell gives to the other of measured and commanded pose."""
+    others = {Role.POSE: (cell.command,), Role.COMMAND: (cell.pose, cell.displacement)}.get(role, ())
+    return {source.topic for source in others if source is not None and source.topic is not None}
+
+
+def _candidates(role: Role, source: Source | None, infos: Infos, taken: set[str]) -> list[ChannelInfo]:
+    """Return the channels that are plausible by type and name, of the first tier that has any."""
+    frame = None if source is None else source.frame
+    for types in ROLES[role].tiers:
+        found = [
+            info
+            for info in infos
+            if info.count
+            and info.channel.type_name in types
+            and role in roles_of(info.channel)
+            and info.channel.topic not in taken
+            and frame in (None, info.frame)
+        ]
+        if role is Role.WRENCH:
+            found = [info for info in found if not is_processed_name(info.channel.topic)] or found
+        lasting = [info for info in found if info.count > 1]
+        if found:
+            return lasting or found
+    return []
+
+
+def _only(role: Role, found: Infos, infos: Infos, log: str, source: Source | None) -> ChannelInfo:
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        raise LogError(missing_sentence(role, log, infos, source))
+    raise LogError(ambiguous_sentence(role, found, log))
+
+
+def _named(role: Role, topic: str, infos: Infos, log: str) -> ChannelInfo:
+    kinds = [name for types in ROLES[role].tiers for name in types]
+    fitting = [
+        info
+        for info in infos
+        if info.count and info.channel.type_name in kinds and info.channel.encoding in ("cdr", "ros1")
+    ]
+    found = [info for info in fitting if info.channel.topic == topic]
+    if len(found) == 1:
+        return found[0]
+    others = listed(info.channel.topic for info in fitting)
+    same_name = [info for info in infos if info.channel.topic == topic]
+    if found:
+        reason = f"Topic `{topic}` is in {log} more than once: {listed(found)}"
+    elif not same_name:
+        reason = f"Topic `{topic}` is not in {log}"
+    elif not any(info.count for info in same_name):
+        reason = f"Topic `{topic}` holds no message in {log}"
+    else:
+        is_type = same_name[0].channel.type_name or "of no known type"
+        reason = f"Topic `{topic}` in {log} is {is_type}, the {ROLES[role].label} must be {kinds[0]}"
+        if is_undeclared(same_name[0]):
+            reason += (
+                f" or have its layout declared with `{ROLES[role].entry}: {{topic: {topic}, fields: …}}` in cell.yaml"
+            )
+    raise LogError(f"{reason}; topics of that type: {others}.")
+
+
+def _check_distinct(role: Role, cell: Cell) -> None:
+    measured = source_of(cell, Role.POSE)
+    if (
+        role is Role.COMMAND
+        and measured is not None
+        and cell.command is not None
+        and measured.topic == cell.command.topic
+        and declared_fields(measured) is None
+    ):
+        raise LogError(f"Topic `{measured.topic}` cannot be the measured and the commanded pose at once.")
+
+
+def _by_type(role: Role, info: ChannelInfo, source: Source | None, log: str, frames_of: FramesOf) -> Choice:
+    layout = ROLES[role].layouts[info.channel.type_name]
+    pair = None
+    if info.channel.type_name in TRANSFORMS:
+        pairs = frames_of(info)
+        if len(pairs) != 1:
+            told = ", ".join(f"{child} in {parent}" for parent, child in pairs) or "none"
+            raise LogError(
+                f"Topic {info.channel.topic} of {log} tells {len(pairs)} transforms, of which one may be the "
+                f"{ROLES[role].label}: {told}; say which with `{ROLES[role].entry}: {{parent: …, child: …}}` in cell.yaml."
+            )
+        pair = pairs[0]
+    header = layout.header
+    if source is not None and source.header is not None:
+        header = source.header
+    named = source is not None and source.topic is not None
+    why = "named by you" if named else f"the only plausible {info.channel.type_name}"
+    return Choice(role=role, info=info, fields=layout.fields, header=header, frames=pair, reason=why)
+
+
+def _declared(role: Role, source: Source, fields: tuple[str | None, ...], infos: Infos, log: str) -> Choice:
+    wanted = {path for path in fields if path is not None}
+    filled = [info for info in infos if info.count]
+    if source.topic is not None:
+        found = [info for info in filled if info.channel.topic == source.topic]
+        if not found:
+            topics = ", ".join(info.channel.topic for info in filled) or "none"
+            raise LogError(
+                f"Topic `{source.topic}` is not in {log} or holds no message; topics with messages: {topics}."
+            )
+    else:
+        found = [info for info in filled if is_undeclared(info) and _has_columns(info, wanted)]
+    info = _only(role, found, infos, log, source)
+    header = source.header if source.header is not None else ("header" if info.has_header else "")
+    return Choice(role=role, info=info, fields=fields, header=header, reason="declared with its fields")
+
+
+def _has_columns(info: ChannelInfo, wanted: set[str]) -> bool:
+    """Tell whether a table has the wanted columns, by name or number; of messages that is not known yet."""
+    numbers = {str(index) for index in range(len(info.columns))}
+    return not info.columns or wanted <= {*info.columns} | numbers
+
+
+def _transform(
+    role: Role, source: PoseSource, pair: tuple[str, str], infos: Infos, log: str, frames_of: FramesOf
+) -> Choice:
+    trees = [
+        info
+        for info in infos
+        if info.count and info.channel.type_name in TRANSFORMS and source.topic in (None, info.channel.topic)
+    ]
+    having = {info.channel: frames_of(info) for info in trees}
+    found = [info for info in trees if pair in having[info.channel]]
+    if not found:
+        told = sorted({f"{child} in {parent}" for pairs in having.values() for parent, child in pairs})
+        raise LogError(
+            f"No transform of {pair[1]} in {pair[0]} is in {log}, which tells: {listed(told, empty='no transforms')}."
+        )
+    info = _only(role, found, infos, log, source)
+    layout = ROLES[role].layouts[info.channel.type_name]
+    return Choice(
+        role=role, info=info, fields=layout.fields, header="header", frames=pair, reason="declared by its frames"
+    )

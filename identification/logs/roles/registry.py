@@ -1,0 +1,143 @@
+"""The registry of roles: what a channel can be used for, which message types carry it, and what to record."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
+WRENCH = "geometry_msgs/msg/Wrench"
+POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+TRANSFORM_STAMPED = "geometry_msgs/msg/TransformStamped"
+TF_MESSAGE = "tf2_msgs/msg/TFMessage"
+OLD_TF_MESSAGE = "tf/msg/tfMessage"
+TWIST_STAMPED = "geometry_msgs/msg/TwistStamped"
+ADMITTANCE_STATE = "control_msgs/msg/AdmittanceControllerState"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+FLOAT_ARRAY = "std_msgs/msg/Float64MultiArray"
+
+TRANSFORMS = frozenset({TRANSFORM_STAMPED, TF_MESSAGE, OLD_TF_MESSAGE})
+"""Types of which a pair of frames is read."""
+
+
+class Role(StrEnum):
+    """What a channel can be used for."""
+
+    WRENCH = "wrench"
+    POSE = "pose measured"
+    COMMAND = "pose commanded"
+    TWIST = "twist"
+    GAINS = "gains"
+    DESIRED_FORCE = "desired force"
+    JOINT_STATE = "joint state"
+    NUMBERS = "numbers"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """Paths of a role's numbers, in the order that the role has them, and of the header, empty without one."""
+
+    fields: tuple[str, ...]
+    header: str
+
+
+def _vectors(prefix: str, parts: tuple[str, str]) -> tuple[str, ...]:
+    return tuple(f"{prefix}{part}.{axis}" for part in parts for axis in "xyz")
+
+
+_QUATERNION = tuple(f"orientation.{axis}" for axis in "xyzw")
+TRANSFORM_FIELDS = (*(f"translation.{axis}" for axis in "xyz"), *(f"rotation.{axis}" for axis in "xyzw"))
+_POSE_FIELDS = tuple(f"pose.{name}" for name in (*(f"position.{axis}" for axis in "xyz"), *_QUATERNION))
+_WRENCHES = {
+    WRENCH_STAMPED: Layout(fields=_vectors("wrench.", ("force", "torque")), header="header"),
+    WRENCH: Layout(fields=_vectors("", ("force", "torque")), header=""),
+}
+_POSES = {
+    POSE_STAMPED: Layout(fields=_POSE_FIELDS, header="header"),
+    TRANSFORM_STAMPED: Layout(fields=TRANSFORM_FIELDS, header="header"),
+    TF_MESSAGE: Layout(fields=TRANSFORM_FIELDS, header="header"),
+    OLD_TF_MESSAGE: Layout(fields=TRANSFORM_FIELDS, header="header"),
+}
+_STATE_WRENCH = Layout(fields=_vectors("wrench_base.wrench.", ("force", "torque")), header="")
+_STATE_GAINS = Layout(fields=tuple(f"{name}.data[{i}]" for name in ("mass", "damping") for i in range(6)), header="")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoleKind:
+    """What is known of a role: its entry in cell.yaml, its name in messages, and the message types that carry it.
+
+    `layouts` says where its numbers stand in each type. The types in `tiers` are looked for, those of a later tier only
+    where a log has none of the tiers before; the first one is what to record. `is_command` says whether a word of the
+    topic must name a command or must not. `option` is that of the command line, which decides between several channels;
+    without one the role is left empty then. `is_required` says that a log without it is refused, and `record` is the
+    advice in that message.
+    """
+
+    entry: str
+    label: str
+    layouts: Mapping[str, Layout]
+    tiers: tuple[tuple[str, ...], ...]
+    is_command: bool = False
+    option: str = ""
+    is_required: bool = False
+    record: str = "record it"
+
+    @property
+    def main_type(self) -> str:
+        """The message type to record."""
+        return self.tiers[0][0]
+
+
+ROLES: dict[Role, RoleKind] = {
+    Role.WRENCH: RoleKind(
+        entry="wrench",
+        label="wrench",
+        layouts={**_WRENCHES, ADMITTANCE_STATE: _STATE_WRENCH},
+        tiers=(tuple(_WRENCHES), (ADMITTANCE_STATE,)),
+        option="--wrench-topic",
+        is_required=True,
+        record=f"record the force/torque sensor as {WRENCH_STAMPED}, raw (gravity, bias and no deadband), "
+        "with header stamps, at the control rate",
+    ),
+    Role.POSE: RoleKind(
+        entry="pose",
+        label="measured pose",
+        layouts=_POSES,
+        tiers=((POSE_STAMPED,), tuple(sorted(TRANSFORMS))),
+        option="--pose-topic",
+        is_required=True,
+        record=f"record the measured flange pose as {POSE_STAMPED} with header stamps, at the control rate",
+    ),
+    Role.COMMAND: RoleKind(
+        entry="command",
+        label="commanded pose",
+        layouts=_POSES,
+        tiers=((POSE_STAMPED, TRANSFORM_STAMPED),),
+        is_command=True,
+        option="--command-topic",
+        record=f"record the commanded flange pose as {POSE_STAMPED} on a topic whose name says so "
+        "(e.g. /commanded_pose), or name it with --command-topic",
+    ),
+    Role.TWIST: RoleKind(
+        entry="twist",
+        label="twist",
+        layouts={TWIST_STAMPED: Layout(fields=_vectors("twist.", ("linear", "angular")), header="header")},
+        tiers=((TWIST_STAMPED,),),
+    ),
+    Role.GAINS: RoleKind(
+        entry="gains",
+        label="controller's gains",
+        layouts={ADMITTANCE_STATE: _STATE_GAINS},
+        tiers=((ADMITTANCE_STATE,),),
+    ),
+    Role.DESIRED_FORCE: RoleKind(
+        entry="desired_force",
+        label="desired force",
+        layouts=_WRENCHES,
+        tiers=(tuple(_WRENCHES),),
+        is_command=True,
+    ),
+}
+"""The roles that `inspect` and `identify` look for, in this order; to add one, write its `Role` and an entry here."""
+
+UNDECLARED = frozenset({JOINT_STATE, FLOAT_ARRAY})
+"""Types that hold numbers whose meaning must be declared."""

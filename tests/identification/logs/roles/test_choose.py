@@ -1,0 +1,226 @@
+"""Which channel serves as what: taken when it is the only plausible one, asked back when it is not."""
+
+import pytest
+
+from identification.errors import LogError
+from identification.logs.containers.channel import Channel
+from identification.logs.messages.channel_info import ChannelInfo
+from identification.logs.roles.candidates import is_command_name, is_processed_name, roles_of
+from identification.logs.roles.cell import (
+    Cell,
+    GainsSource,
+    PoseFields,
+    PoseSource,
+    TwistSource,
+    WrenchFields,
+    WrenchSource,
+)
+from identification.logs.roles.choose import choose, choose_all, open_questions
+from identification.logs.roles.registry import (
+    ADMITTANCE_STATE,
+    FLOAT_ARRAY,
+    JOINT_STATE,
+    POSE_STAMPED,
+    TF_MESSAGE,
+    TRANSFORM_STAMPED,
+    TWIST_STAMPED,
+    WRENCH,
+    WRENCH_STAMPED,
+    Role,
+)
+
+PAIRS = {"/tf": (("base", "tool0"), ("map", "base")), "/tool": (("base", "tool0"),), "/tf_static": (("map", "base"),)}
+EFFORT = WrenchFields(force=("effort[0]", "effort[1]", "effort[2]"))
+
+
+def info(
+    topic: str,
+    type_name: str,
+    *,
+    count: int = 100,
+    encoding: str = "cdr",
+    frame: str = "f",
+    columns: tuple[str, ...] = (),
+) -> ChannelInfo:
+    channel = Channel(topic=topic, type_name=type_name, encoding=encoding, schema_encoding="ros2msg", schema=b"")
+    return ChannelInfo(channel=channel, count=count, rate_hz=200.0, frame=frame, has_header=True, columns=columns)
+
+
+FT, POSE = info("/ft", WRENCH_STAMPED), info("/pose", POSE_STAMPED)
+
+
+def frames_of(one: ChannelInfo) -> tuple[tuple[str, str], ...]:
+    return PAIRS[one.channel.topic]
+
+
+def chosen(infos: list[ChannelInfo], cell: Cell | None = None) -> dict[Role, str]:
+    found = choose_all(infos, cell or Cell(), "run.mcap", frames_of)
+    return {role: choice.info.channel.topic for role, choice in found.items()}
+
+
+def refused(infos: list[ChannelInfo], cell: Cell | None = None) -> str:
+    with pytest.raises(LogError) as caught:
+        chosen(infos, cell)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "topic",
+    ["/robot/pose_command", "/cmd_pose", "/commanded", "/x_desired", "/targetFrame", "/ee/reference/pose", "/setpoint1",
+     "/set_point", "/setPoint", "/goal"],
+)  # fmt: skip
+def test_command_words_are_recognised(topic: str) -> None:
+    assert is_command_name(topic)
+
+
+@pytest.mark.parametrize(
+    "topic", ["/robot/pose", "/recommended", "/goalkeeper/pose", "/offset/point_pose", "/set/of/point"]
+)
+def test_words_are_whole(topic: str) -> None:
+    assert not is_command_name(topic)
+
+
+def test_names_tell_a_processed_wrench() -> None:
+    assert is_processed_name("/ft_sensor/compensated")
+    assert is_processed_name("/wrenchFiltered")
+    assert not is_processed_name("/ft/raw")
+
+
+@pytest.mark.parametrize(
+    ("topic", "type_name", "encoding", "roles"),
+    [
+        ("/ft", WRENCH_STAMPED, "cdr", (Role.WRENCH,)),
+        ("/ft", WRENCH_STAMPED, "ros1", (Role.WRENCH,)),
+        ("/ft", WRENCH_STAMPED, "json", ()),
+        ("/ft", WRENCH, "cdr", (Role.WRENCH,)),
+        ("/ft_desired", WRENCH_STAMPED, "cdr", (Role.DESIRED_FORCE,)),
+        ("/pose", POSE_STAMPED, "cdr", (Role.POSE,)),
+        ("/pose_cmd", POSE_STAMPED, "cdr", (Role.COMMAND,)),
+        ("/tf", TF_MESSAGE, "cdr", (Role.POSE,)),
+        ("/flange", TRANSFORM_STAMPED, "cdr", (Role.POSE,)),
+        ("/flange_target", TRANSFORM_STAMPED, "cdr", (Role.COMMAND,)),
+        ("/twist", TWIST_STAMPED, "cdr", (Role.TWIST,)),
+        ("/twist_cmd", TWIST_STAMPED, "cdr", ()),
+        ("/admittance/state", ADMITTANCE_STATE, "cdr", (Role.WRENCH, Role.GAINS)),
+        ("/joints", JOINT_STATE, "cdr", (Role.JOINT_STATE,)),
+        ("/data", FLOAT_ARRAY, "cdr", (Role.NUMBERS,)),
+        ("/image", "sensor_msgs/msg/Image", "cdr", ()),
+    ],
+)
+def test_roles_follow_type_encoding_and_name(
+    topic: str, type_name: str, encoding: str, roles: tuple[Role, ...]
+) -> None:
+    assert roles_of(info(topic, type_name, encoding=encoding).channel) == roles
+
+
+def test_every_role_is_found_by_type_and_name() -> None:
+    infos = [
+        FT,
+        POSE,
+        info("/pose_cmd", POSE_STAMPED),
+        info("/twist", TWIST_STAMPED),
+        info("/admittance", ADMITTANCE_STATE),
+        info("/force_goal", WRENCH_STAMPED),
+        info("/tf", TF_MESSAGE),
+    ]
+    assert chosen(infos) == {
+        Role.WRENCH: "/ft",
+        Role.POSE: "/pose",
+        Role.COMMAND: "/pose_cmd",
+        Role.TWIST: "/twist",
+        Role.GAINS: "/admittance",
+        Role.DESIRED_FORCE: "/force_goal",
+    }
+
+
+def test_a_processed_wrench_gives_way_to_the_raw_one_and_serves_alone() -> None:
+    processed = info("/ft/compensated", WRENCH_STAMPED)
+    assert chosen([FT, processed, POSE])[Role.WRENCH] == "/ft"
+    assert chosen([processed, POSE])[Role.WRENCH] == "/ft/compensated"
+    assert "2 channels" in refused([FT, info("/other", WRENCH), POSE])
+
+
+def test_the_controllers_wrench_serves_where_no_sensor_is_logged() -> None:
+    assert chosen([info("/admittance", ADMITTANCE_STATE), POSE])[Role.WRENCH] == "/admittance"
+
+
+def test_one_message_is_no_rival_to_a_stream() -> None:
+    assert chosen([FT, POSE, info("/start", POSE_STAMPED, count=1)])[Role.POSE] == "/pose"
+    assert chosen([FT, info("/start", POSE_STAMPED, count=1)])[Role.POSE] == "/start"
+
+
+def test_a_frame_chooses_among_channels() -> None:
+    other = info("/ft2", WRENCH_STAMPED, frame="other")
+    cell = Cell(wrench=WrenchSource(frame="other"))
+    assert "frame other" in refused([FT, other, POSE])
+    assert chosen([FT, other, POSE], cell)[Role.WRENCH] == "/ft2"
+
+
+def test_candidates_are_listed_with_what_chooses() -> None:
+    told = refused([FT, info("/ft2", WRENCH, count=7, frame=""), POSE])
+    assert "/ft (geometry_msgs/msg/WrenchStamped, 100 messages, 200.0 Hz, frame f)" in told
+    assert "/ft2 (geometry_msgs/msg/Wrench, 7 messages, 200.0 Hz)" in told
+    assert "--wrench-topic or `wrench: {topic: …}` in cell.yaml" in told
+
+
+def test_an_ambiguous_role_that_is_not_needed_is_left_open_and_told() -> None:
+    infos = [FT, POSE, info("/twist_a", TWIST_STAMPED), info("/twist_b", TWIST_STAMPED)]
+    assert Role.TWIST not in chosen(infos)
+    told = open_questions(infos, Cell(), "run.mcap")
+    assert [finding.code for finding in told] == ["role-open"]
+    assert "`twist: {topic: …}`" in told[0].message
+    named = Cell(twist=TwistSource(topic="/twist_b"))
+    assert chosen(infos, named)[Role.TWIST] == "/twist_b"
+    assert open_questions(infos, named, "run.mcap") == ()
+
+
+def test_a_transform_is_chosen_by_its_frames_or_asked_for() -> None:
+    tree, one = info("/tf", TF_MESSAGE), info("/tool", TRANSFORM_STAMPED)
+    assert "tool0 in base, base in map" in refused([FT, tree])
+    found = choose(Role.POSE, [FT, one], Cell(), "run.mcap", frames_of)
+    assert found is not None
+    assert found.frames == ("base", "tool0")
+    declared = Cell(pose=PoseSource(parent="base", child="tool0"))
+    assert chosen([FT, tree, info("/tf_static", TF_MESSAGE)], declared)[Role.POSE] == "/tf"
+    assert "2 channels" in refused([FT, tree, one], declared)
+    unknown = Cell(pose=PoseSource(parent="base", child="cup"))
+    assert "No transform of cup in base is in run.mcap, which tells: base in map, tool0 in base" in refused(
+        [FT, tree], unknown
+    )
+
+
+def test_declared_fields_choose_the_only_channel_of_numbers() -> None:
+    cell = Cell(wrench=WrenchSource(fields=EFFORT))
+    assert chosen([info("/state", JOINT_STATE), POSE], cell)[Role.WRENCH] == "/state"
+    assert "2 channels" in refused([info("/state", JOINT_STATE), info("/more", FLOAT_ARRAY), POSE], cell)
+    named = Cell(wrench=WrenchSource(topic="/state", fields=EFFORT))
+    assert chosen([info("/state", JOINT_STATE), info("/more", FLOAT_ARRAY), POSE], named)[Role.WRENCH] == "/state"
+    assert "Topic `/state` is not in run.mcap or holds no message; topics with messages: /pose" in refused(
+        [POSE], named
+    )
+
+
+def test_columns_choose_the_table() -> None:
+    one = info("a.csv", "csv", encoding="table", columns=("t", "fx", "fy", "fz"))
+    other = info("b.csv", "csv", encoding="table", columns=("t", "x", "y", "z"))
+    cell = Cell(
+        wrench=WrenchSource(fields=WrenchFields(force=("fx", "fy", "fz"))),
+        displacement=PoseSource(fields=PoseFields(position=("x", None, "3"))),
+    )
+    assert chosen([one, other], cell) == {Role.WRENCH: "a.csv", Role.POSE: "b.csv"}
+
+
+def test_a_named_channel_of_numbers_needs_its_layout() -> None:
+    told = refused([info("/state", JOINT_STATE), POSE], Cell(wrench=WrenchSource(topic="/state")))
+    assert "`wrench: {topic: /state, fields: …}` in cell.yaml" in told
+    assert "/state may carry it" in refused([info("/state", JOINT_STATE), POSE])
+
+
+def test_declared_gains_need_no_channel() -> None:
+    known = Cell(gains=GainsSource(mass=(1.0,) * 6, damping=(1.0,) * 6))
+    assert Role.GAINS not in chosen([FT, POSE, info("/admittance", ADMITTANCE_STATE)], known)
+
+
+def test_one_topic_cannot_be_measured_and_commanded() -> None:
+    cell = Cell(pose=PoseSource(topic="/pose"), command=PoseSource(topic="/pose"))
+    assert "at once" in refused([FT, POSE], cell)
