@@ -111,8 +111,8 @@ def _parts(read: Sequence[dict[Role, RoleSeries]], choices: Mapping[Role, Choice
         for role, choice in choices.items():
             if role not in part or not len(part[role].log_ns):
                 raise LogError(
-                    f"Topic {choice.info.channel.topic} must hold the {ROLES[role].label} in each of {logs.name}, found no "
-                    "message of it in one; leave that file out."
+                    f"Topic {choice.info.channel.topic} must hold the {ROLES[role].label} in each of {logs.name}, "
+                    "found no message of it in one; leave that file out."
                 )
     return parts
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 from ...errors import listed
 from ..containers.channel import Channel
-from ..messages.channel_info import ChannelInfo
+from ..messages.channel_info import ChannelInfo, Infos
 from .cell import Source
 from .registry import (
     ADMITTANCE_STATE,
@@ -73,9 +73,9 @@ def missing_sentence(role: Role, log: str, infos: Infos, source: Source | None =
     if role is Role.COMMAND or not undeclared:
         return sentence
     return (
-        f"{sentence} {listed(undeclared)} may carry it, but what the numbers mean is not told in the log: declare "
-        f"`{ROLES[role].entry}: {{topic: …, fields: …}}` in cell.yaml; `autotune inspect LOG --write-cell cell.yaml` begins "
-        "such a file."
+        f"{sentence} {listed(undeclared)} may carry it, but the log does not say what its numbers mean: declare "
+        f"`{ROLES[role].entry}: {{topic: …, fields: …}}` in cell.yaml; `autotune inspect LOG --write-cell cell.yaml` "
+        "begins such a file."
     )
 
 
@@ -87,8 +87,8 @@ def _ruled_out(role: Role, log: str, infos: Infos, source: Source | None) -> str
     start = f"None of {listed(typed)} in {log} serves as the {ROLES[role].label}"
     if source is not None and getattr(source, "fields", None) is not None:
         return (
-            f"{start}: `{ROLES[role].entry}: {{fields: …}}` is for messages whose type does not tell their meaning; name "
-            "the `topic` as well if those of a typed one are meant, or leave `fields` out."
+            f"{start}: `{ROLES[role].entry}: {{fields: …}}` is for messages whose type does not say what they mean; "
+            "name the `topic` as well if those of a typed one are meant, or leave `fields` out."
         )
     if source is not None and source.frame is not None:
         return f"{start}: cell.yaml asks for the frame {source.frame!r}; correct `{ROLES[role].entry}: {{frame: …}}`."

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from ...errors import LogError, listed
 from ...result import Finding
 from ...signals.recording import FloatArray, StampArray
-from ..messages.channel_info import ChannelInfo
+from ..messages.channel_info import ChannelInfo, Infos
 from .candidates import (
     ambiguous_sentence,
     is_processed_name,
@@ -170,9 +170,8 @@ def _named(role: Role, topic: str, infos: Infos, log: str) -> ChannelInfo:
         is_type = same_name[0].channel.type_name or "of no known type"
         reason = f"Topic `{topic}` in {log} is {is_type}, the {ROLES[role].label} must be {kinds[0]}"
         if is_undeclared(same_name[0]):
-            reason += (
-                f" or have its layout declared with `{ROLES[role].entry}: {{topic: {topic}, fields: …}}` in cell.yaml"
-            )
+            entry = f"{ROLES[role].entry}: {{topic: {topic}, fields: …}}"
+            reason += f" or have its layout declared with `{entry}` in cell.yaml"
     raise LogError(f"{reason}; topics of that type: {others}.")
 
 
@@ -194,10 +193,11 @@ def _by_type(role: Role, info: ChannelInfo, source: Source | None, log: str, fra
     if info.channel.type_name in TRANSFORMS:
         pairs = frames_of(info)
         if len(pairs) != 1:
-            told = ", ".join(f"{child} in {parent}" for parent, child in pairs) or "none"
+            found = ", ".join(f"{child} in {parent}" for parent, child in pairs) or "none"
             raise LogError(
-                f"Topic {info.channel.topic} of {log} tells {len(pairs)} transforms, of which one may be the "
-                f"{ROLES[role].label}: {told}; say which with `{ROLES[role].entry}: {{parent: …, child: …}}` in cell.yaml."
+                f"Topic {info.channel.topic} of {log} holds {len(pairs)} transforms, of which one may be the "
+                f"{ROLES[role].label}: {found}; choose it with `{ROLES[role].entry}: {{parent: …, child: …}}` in "
+                "cell.yaml."
             )
         pair = pairs[0]
     header = layout.header
