@@ -14,7 +14,7 @@ __all__ = ["ChannelSummary", "LogSummary", "Role", "inspect_log", "read_checked_
 _HOMES = {
     "ChannelSummary": "summary",
     "LogSummary": "summary",
-    "Role": "layouts",
+    "Role": "roles.registry",
     "inspect_log": "inspect",
     "read_checked_recording": "read",
     "read_recording": "read",

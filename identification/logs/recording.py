@@ -32,7 +32,8 @@ def chosen_clocks(
         if clock is Clock.HEADER and series[role].stamp_ns is None:
             raise LogError(
                 f"Topic {_topic(series[role])} must have header stamps, as cell.yaml declares for the "
-                f"{ROLES[role].label}, found none; declare `{ROLES[role].entry}: {{clock: log}}` or the path of its header."
+                f"{ROLES[role].label}, found none; declare `{ROLES[role].entry}: {{clock: log}}` or the "
+                "path of its header."
             )
     bare = [role for role in _MAIN if role in series and series[role].stamp_ns is None]
     usual = Clock.LOG if bare else Clock.HEADER

@@ -1,4 +1,4 @@
-"""Interpret a program over every message of a batch: the compiled heart of the reader.
+"""Decode every message of a batch by running the program of its type over it, compiled.
 
 The program says, step by step, what stands in a message of one type: what is skipped, what becomes a column of the
 values, what is header. Every access is checked against the end of the message.

@@ -1,4 +1,4 @@
-"""Take every transform out of a batch of `tf2_msgs/TFMessage` or `geometry_msgs/TransformStamped`.
+"""Extract every transform from a batch of `tf2_msgs/TFMessage` or `geometry_msgs/TransformStamped`.
 
 A transform is a header, the name of the child frame and seven doubles: translation x y z and rotation x y z w. A
 TFMessage is a sequence of them. Every access is checked against the end of the message.

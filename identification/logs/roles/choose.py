@@ -196,7 +196,7 @@ def _by_type(role: Role, info: ChannelInfo, source: Source | None, log: str, fra
             found = ", ".join(f"{child} in {parent}" for parent, child in pairs) or "none"
             raise LogError(
                 f"Topic {info.channel.topic} of {log} holds {len(pairs)} transforms, of which one may be the "
-                f"{ROLES[role].label}: {found}; choose it with `{ROLES[role].entry}: {{parent: …, child: …}}` in "
+                f"{ROLES[role].label}: {found}; say which with `{ROLES[role].entry}: {{parent: …, child: …}}` in "
                 "cell.yaml."
             )
         pair = pairs[0]

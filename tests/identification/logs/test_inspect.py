@@ -3,11 +3,13 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 
-from identification.logs import Role, inspect_log
+from identification.logs import Role, inspect_log, read_recording
+from identification.logs.roles.registry import ROLES, Layout, RoleKind
 from tests.identification.logs.log_builder import START_NS, complete, pose_stream, wrench_stream, write_mcap
 
 
@@ -81,3 +83,19 @@ def test_channels_without_a_known_definition_are_counted_and_not_decoded(shared_
     }
     assert [finding for finding in summary.findings if finding.severity == "error"] == []
     assert len(summary.missing) == 3
+
+
+def test_a_role_is_added_by_one_entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An entry in the registry: the channel is found, listed by `inspect`, and its samples are read and checked."""
+    path = write_mcap(tmp_path / "run.mcap", complete())
+    role, image = cast(Role, "image size"), "sensor_msgs/msg/Image"
+    assert role not in {each.role for each in inspect_log(path).roles}
+    layout = Layout(fields=("height", "width"), header="header")
+    kind = RoleKind(entry="camera", label="image size", layouts={image: layout}, tiers=((image,),))
+    monkeypatch.setitem(ROLES, role, kind)
+    (found,) = (each for each in inspect_log(path).roles if each.role == role)
+    assert (found.entry, found.topic) == ("camera", "/camera/image")
+    (channel,) = (each for each in inspect_log(path).channels if each.topic == "/camera/image")
+    assert channel.roles == (role,)
+    messages = [finding.message for finding in read_recording(path).findings]
+    assert any(message.startswith("The image size is read from /camera/image") for message in messages)
