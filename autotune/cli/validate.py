@@ -294,8 +294,8 @@ def compare_logs(
     from autotune.formats.cell import read_cell
     from autotune.validation.against_log import compare_with_log
     from identification.logs import read_checked_recording
-    from identification.logs.cell import Cell
-    from identification.logs.interpret import build_frames
+    from identification.logs.roles.cell import Cell
+    from identification.logs.roles.interpret import build_frames
 
     cell = Cell() if cell_path is None else read_cell(cell_path).cell
     cell = cell.with_topics(wrench=None, pose=None, command=command_topic)

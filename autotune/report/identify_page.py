@@ -12,7 +12,7 @@ from autotune.parameter_rows import ParameterRow, parameter_rows
 from identification.errors import LogError
 from identification.evidence import AxisEvidence, Evidence
 from identification.logs import LogSummary, inspect_log
-from identification.logs.cell import Cell as LogSettings
+from identification.logs.roles.cell import Cell as LogSettings
 from identification.result import AxisEstimate, Finding, FitQuality, Identified
 
 from .identify_charts import (

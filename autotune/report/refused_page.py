@@ -12,8 +12,8 @@ from autotune.formats.yaml12 import load_document
 from autotune.pipeline import Topics
 from identification.errors import LogError
 from identification.logs import read_recording
-from identification.logs.cell import Cell
 from identification.logs.opened import digests
+from identification.logs.roles.cell import Cell
 from identification.signals.recording import Recording
 
 from .identify_page import health_blocks, summaries_of
