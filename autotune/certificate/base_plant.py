@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from problems.model.controller import AdmittanceController
+from problems.model.sampled import Law
 
 from .balls import as_series, at, on_circle, polynomial, with_bits
-from .family import Family, plant_polynomials
+from .family import Family
 from .law import law_polynomials, without_constant
+from .plant_polynomials import plant_polynomials
 
 FloatArray = NDArray[np.float64]
 
@@ -26,10 +27,10 @@ def point_polynomials(family: Family, point: FloatArray) -> tuple[list[Any], lis
     return found[0], found[1], found[2]
 
 
-def is_stable(family: Family, controller: AdmittanceController, point: FloatArray) -> bool | None:
+def is_stable(family: Family, controller: Law, point: FloatArray) -> bool | None:
     """Return whether all poles lie inside the unit circle, by Schur and Cohn's recursion; None if rounding hides it.
 
-    In free space the integrator at z = 1 is taken out.
+    In free space the integrator at z = 1 is taken out, unless the law holds the position.
     """
     whole, has_fraction = family.delay()
     for bits in _PRECISIONS:
@@ -38,8 +39,8 @@ def is_stable(family: Family, controller: AdmittanceController, point: FloatArra
             d, force, position = point_polynomials(family, point)
             chain = polynomial([1, 1]) ** (whole + int(has_fraction))
             closed = chain * polynomial(law.denominator) * polynomial(d) - polynomial(law.force) * polynomial(force)
-            closed -= polynomial(law.position) * polynomial(position)
-            numbers = closed.coeffs()[1 if family.is_free_space else 0 :]
+            closed -= (polynomial(law.position) + polynomial(law.denominator) * int(law.follows)) * polynomial(position)
+            numbers = closed.coeffs()[1 if family.is_free_space and not law.holds_position else 0 :]
             verdict = _schur_cohn(polynomial(numbers)(polynomial([-1, 1])).coeffs())
         if verdict is not None:
             return verdict
@@ -59,7 +60,7 @@ def _schur_cohn(ascending: list[Any]) -> bool | None:
     return True
 
 
-def fails_at(family: Family, controller: AdmittanceController, point: FloatArray, angle: float, modulus: float) -> bool:
+def fails_at(family: Family, controller: Law, point: FloatArray, angle: float, modulus: float) -> bool:
     """Return whether |χ| < m |R| is certain at one plant and one angle [rad/sample], for one of the break points."""
     whole, has_fraction = family.delay()
     with with_bits(_PRECISIONS[0]):
@@ -67,7 +68,9 @@ def fails_at(family: Family, controller: AdmittanceController, point: FloatArray
         d, force, position = point_polynomials(family, point)
         z = on_circle(angle)
         w = z - 1
-        opened = z ** (whole + int(has_fraction)) * at(law.denominator, w) * at(d, w)
+        opened = at(law.denominator, w) * (
+            z ** (whole + int(has_fraction)) * at(d, w) - int(law.follows) * at(position, w)
+        )
         inner = opened - at(law.position, w) * at(position, w)
         closed = inner - at(law.force, w) * at(force, w)
         return bool(abs(closed) < modulus * abs(opened)) or bool(abs(closed) < modulus * abs(inner))

@@ -14,7 +14,7 @@ _ROUNDING = 1e-11
 
 @dataclass(frozen=True, kw_only=True)
 class PlantCell:
-    """Coefficients of d, n_F and n_x over a cell of plants: value + Σ δ_i slope_i ± rest for |δ_i| ≤ 1.
+    """Groups of coefficients, as in `Arcs`, over a cell of plants: value + Σ δ_i slope_i ± rest for |δ_i| ≤ 1.
 
     Per group `linear` (k, 1 + d) holds value and slopes, its first column's radius the rest.
     """
@@ -58,15 +58,14 @@ class _Linear:
 
 
 def judge(arcs: Arcs, cell: PlantCell, modulus: float) -> Verdicts:
-    """Judge |χ| > m |R| on every arc for all plants of the cell, R of the force and R of the command."""
+    """Judge |χ| > m |R| on every arc for all plants of the cell, R of the command and R of the force."""
     parts = []
     for jet, linear, whole in zip(arcs.groups, cell.groups, cell.whole(), strict=True):
         parts.append((jet[0] @ linear, jet[1] @ linear, jet[2] @ whole))
-    opened = _linear(parts, (1.0, 0.0, 0.0), arcs.half)
-    closed = _linear(parts, (1.0, -1.0, -1.0), arcs.half)
-    found = [_compare(closed, opened, modulus)]
-    if len(parts) > 2:
-        found.append(_compare(closed, _linear(parts, (1.0, 0.0, -1.0), arcs.half), modulus))
+    closed = _linear(parts, (1.0,) + (-1.0,) * (len(parts) - 1), arcs.half)
+    # Of stability alone the loops that are cut say nothing.
+    cuts = arcs.opened if modulus > 0.0 else arcs.opened[:1]
+    found = [_compare(closed, _linear(parts, signs, arcs.half), modulus) for signs in cuts]
     worse = np.argmin([slack for slack, _, _ in found], axis=0)
     pick = np.arange(len(worse))
     return Verdicts(

@@ -9,15 +9,17 @@ from enum import Enum
 import numpy as np
 
 from problems.design.uncertainty import Scenario
-from problems.model.controller import AdmittanceController
-from problems.model.sampled import build_loop, build_sampled_plant, stability_matrix
+from problems.errors import ParameterError
+from problems.model.sampled import Law, build_loop, build_sampled_plant, stability_matrix
 
+from . import rational
 from .balls import Balls, FloatArray, Series, as_series, enclose, slope_of
 from .base_plant import fails_at, is_stable
 from .bounds import PlantCell, judge
 from .circle import Circle, IntArray
-from .family import STIFFNESS, Family, plant_polynomials
+from .family import LATE, STIFFNESS, Family
 from .law import LawPolynomials, law_polynomials, without_constant
+from .plant_polynomials import plant_polynomials
 
 # Work is counted in arcs judged, so that the same claim ends the same way on every machine; a cell of plants costs as
 # much as this many.
@@ -39,8 +41,9 @@ class Verdict(Enum):
 class Certificate:
     """The outcome: `cells` of plants and `arcs` that were proved, the `work` spent, the `share` of the set proved.
 
-    Where the claim is false, `plant` and `frequency_rad_per_s` name the point; where the work ran out, everything
-    below `stiffness_up_to_n_per_m` is proved (None if K_e does not vary), and `plant` lies in a part that is not.
+    `modulus` is 0 where the claim was stability alone. Where it is false, `plant` and `frequency_rad_per_s` name the
+    point; where the work ran out, everything below `stiffness_up_to_n_per_m` is proved (None if K_e does not vary), and
+    `plant` lies in a part that is not.
     """
 
     verdict: Verdict
@@ -70,21 +73,45 @@ class _Part:
 
 def certify(
     family: Family,
-    law: AdmittanceController,
-    modulus: float,
+    law: Law,
+    modulus: float | None,
     *,
     work: int,
     progress: Callable[[float], None] | None = None,
 ) -> Certificate:
-    """Prove that the exact sampled loop is stable with |1 + L| > `modulus` > 0 at both break points, for all plants.
+    """Prove that the exact sampled loop is stable with |1 + L| > `modulus` at both break points, for all plants.
 
     No cell of plants × arc of the unit circle holds a zero of the closed loop; as poles depend continuously on the
-    plant and one plant is stable, all are. `work` bounds the effort (arcs judged); `progress` is told the share of the
-    set proved since the last call. Raises ValueError for a modulus that is not between 0 and 1.
+    plant and one plant is stable, all are.
+
+    Parameters
+    ----------
+    family
+        The plants.
+    law
+        Any linear law under the hold of the family.
+    modulus
+        Between 0 and 1; None claims stability alone.
+    work
+        Bound of the effort: arcs judged, and `CELL_WORK` for each cell of plants.
+    progress
+        Is passed the share of the set proved since the last call.
+
+    Returns
+    -------
+    Certificate
+        Proved, refuted with plant and frequency, or how far the proof got.
+
+    Raises
+    ------
+    ValueError
+        For a modulus that is not between 0 and 1.
+    ParameterError
+        For a law of another sample time, or one that reads the position beside a wrench that is late.
     """
-    if not 0.0 < modulus < 1.0:
+    if modulus is not None and not 0.0 < modulus < 1.0:
         raise ValueError(f"modulus must be between 0 and 1, found {modulus!r}")
-    search = _Search(family, law, modulus)
+    search = _Search(family, law, modulus or 0.0)
     unstable = search.unstable_base()
     if unstable is not None:
         return unstable
@@ -101,38 +128,56 @@ def certify(
 class _Search:
     """The cells still to be proved, the softest on top, and what was counted so far."""
 
-    def __init__(self, family: Family, law: AdmittanceController, modulus: float) -> None:
+    def __init__(self, family: Family, law: Law, modulus: float) -> None:
         self.family, self.controller, self.modulus = family, law, modulus
         self.law: LawPolynomials = law_polynomials(law, family.sample_time_s)
+        if family.shared_delay is not None and (self.law.position or self.law.follows):
+            must = "0 for a law that reads the position too, which is not late"
+            raise ParameterError(LATE, family.shared_delay[1], must)
+        self.is_deflated = family.is_free_space and not self.law.holds_position
         self.box = family.box()
         whole, has_fraction = family.delay()
         sizes = tuple(len(part) for part in self._polynomials(self.box, None))
-        self.circle = Circle(
-            self.law, whole + int(has_fraction), (sizes[0], sizes[1], sizes[2]), is_deflated=family.is_free_space
-        )
+        self.circle = Circle(self.law, whole + int(has_fraction), sizes, is_deflated=self.is_deflated)
         first = np.arange(self.circle.count_of_first)
         # What is false is mostly false at a corner of the set, and one plant is judged at once.
-        corners = [] if len(self.box) > _MOST_CORNERS else list(itertools.product((0, 1), repeat=len(self.box)))
-        ends = [self.box[np.arange(len(self.box)), list(corner)] for corner in corners if corner]
-        points = [_Part(cell=np.stack([end, end], axis=1), arcs=first, share=0.0) for end in ends]
-        self.waiting = [_Part(cell=self.box, arcs=first, share=1.0), *points]
+        points = [_Part(cell=np.stack([end, end], axis=1), arcs=first, share=0.0) for end in self._corners()]
+        self.waiting = [_Part(cell=self.box, arcs=first, share=1.0), *(points if modulus > 0.0 else [])]
         self.work, self.cells, self.arcs, self.share, self.is_stuck = 0, 0, 0, 0.0, False
 
+    def _corners(self) -> list[FloatArray]:
+        """Return the corners of the box; none where there are too many."""
+        if len(self.box) > _MOST_CORNERS:
+            return []
+        corners = itertools.product((0, 1), repeat=len(self.box))
+        return [self.box[np.arange(len(self.box)), list(corner)] for corner in corners]
+
     def unstable_base(self) -> Certificate | None:
-        """Return the refutation, or the lack of proof, by the plant in the middle; None if it is stable."""
+        """Return the refutation, or the lack of proof, by the plant in the middle; None if it is stable.
+
+        A zero on the circle says little where stability alone is claimed, so the corners are looked at too.
+        """
         middle = np.mean(self.box, axis=1)
         stable = is_stable(self.family, self.controller, middle)
-        if stable:
-            return None
-        sampled = build_sampled_plant(self.family.plant(middle), self.family.sample_time_s)
+        if not stable:
+            verdict = Verdict.RAN_OUT if stable is None else Verdict.REFUTED
+            return self._ended(verdict, middle, self._worst_pole(middle)[1])
+        corners = [] if self.modulus > 0.0 else self._corners()
+        return next((found for each in corners if (found := self._refuted_by_poles(each)) is not None), None)
+
+    def _worst_pole(self, point: FloatArray) -> tuple[float, float]:
+        """Return radius and angle [rad/sample] of the largest pole of one plant, by eigenvalues."""
+        sampled = build_sampled_plant(self.family.plant(point), self.family.sample_time_s)
         poles = np.linalg.eigvals(stability_matrix(build_loop(sampled, self.controller)))
         worst = complex(poles[int(np.argmax(np.abs(poles)))])
-        angle = abs(math.atan2(worst.imag, worst.real))
-        return self._ended(Verdict.RAN_OUT if stable is None else Verdict.REFUTED, middle, angle)
+        return abs(worst), abs(math.atan2(worst.imag, worst.real))
 
     def step(self) -> Certificate | None:
-        """Judge the cell on top, cut it where its plants are to blame; return the point where the claim is false."""
-        part = self.waiting.pop()
+        """Judge a cell, cut it where its plants are to blame; return the point where the claim is false.
+
+        Of stability alone the widest cells come first: their middles find what is unstable.
+        """
+        part = self.waiting.pop(-1 if self.modulus > 0.0 else 0)
         cell = self._plant_cell(part.cell)
         self.work += CELL_WORK
         arcs, left, blame = part.arcs, [np.zeros(0, dtype=np.int64)], np.zeros(len(self.box))
@@ -142,7 +187,7 @@ class _Search:
             self.work += len(now)
             self.arcs += int(np.sum(found.holds))
             failed = ~found.holds
-            refuted = self._refute(part, now, np.where(failed, found.middle, np.inf))
+            refuted = self._refuted_on(part, now, np.where(failed, found.middle, np.inf))
             if refuted is not None:
                 return refuted
             wide = np.ptp(self.circle.angles(now), axis=1) > _NARROWEST_ARC
@@ -154,8 +199,8 @@ class _Search:
         rest = np.concatenate(left)
         if len(rest):
             self._cut(part, rest, blame)
-        else:
-            self.cells, self.share = self.cells + int(part.share > 0.0), self.share + part.share
+            return None if self.modulus > 0.0 else self._refuted_by_poles(np.mean(part.cell, axis=1))
+        self.cells, self.share = self.cells + int(part.share > 0.0), self.share + part.share
         return None
 
     def _cut(self, part: _Part, arcs: IntArray, blame: FloatArray) -> None:
@@ -171,12 +216,20 @@ class _Search:
         upper[side], lower[side] = (middle, high), (low, middle)
         self.waiting += [_Part(cell=each, arcs=arcs, share=0.5 * part.share) for each in (upper, lower)]
 
-    def _refute(self, part: _Part, arcs: IntArray, middles: FloatArray) -> Certificate | None:
+    def _refuted_on(self, part: _Part, arcs: IntArray, middles: FloatArray) -> Certificate | None:
+        """Return the refutation of a modulus by the plant in the middle of a cell, on the worst of these arcs."""
         worst = int(np.argmin(middles))
-        if middles[worst] >= 0.0:
+        if middles[worst] >= 0.0 or self.modulus == 0.0:
             return None
         point, angle = np.mean(part.cell, axis=1), float(np.mean(self.circle.angles(arcs[worst : worst + 1])))
         if not fails_at(self.family, self.controller, point, angle, self.modulus):
+            return None
+        return self._ended(Verdict.REFUTED, point, angle)
+
+    def _refuted_by_poles(self, point: FloatArray) -> Certificate | None:
+        """Return the refutation by a plant that is unstable: eigenvalues find it, exact arithmetic decides."""
+        radius, angle = self._worst_pole(point)
+        if radius < 1.0 or is_stable(self.family, self.controller, point) is not False:
             return None
         return self._ended(Verdict.REFUTED, point, angle)
 
@@ -188,7 +241,7 @@ class _Search:
         columns = [self._polynomials(np.stack([middle, middle], axis=1), None)]
         columns += [self._polynomials(cell, along) for along in range(len(cell))]
         groups = []
-        for kind in range(3 if self.law.position else 2):
+        for kind in range(len(columns[0])):
             value = enclose([each.value for each in columns[0][kind]])
             slopes = [
                 enclose([slope_of(e) for e in part[kind]]).times(h) for part, h in zip(columns[1:], half, strict=True)
@@ -201,12 +254,18 @@ class _Search:
         return PlantCell(groups=tuple(groups))
 
     def _polynomials(self, cell: FloatArray, along: int | None) -> tuple[list[Series], ...]:
+        """Return the groups of coefficients that the circle has factors for."""
         d, force, position = plant_polynomials(self.family, cell, along)
         if self.family.is_free_space:
             # At rest nothing pulls on the flange: the factor w is there for every plant.
             without_constant([as_series(force[0]).value])
-            force = force[1:]
-        return tuple([as_series(each) for each in part] for part in (d, force, position))
+            force = force[1:] if self.is_deflated else [0, *force[1:]]
+        groups = [d, force]
+        if self.law.follows:
+            groups.append(rational.add(d, [-1 * each for each in position])[1:] if self.is_deflated else position)
+        if self.law.position:
+            groups.append(position)
+        return tuple([as_series(each) for each in part] for part in groups)
 
     def _ended(self, verdict: Verdict, point: FloatArray, angle: float | None) -> Certificate:
         return Certificate(

@@ -2,6 +2,10 @@
 
 The closed loop χ = z^c α d − β_F n_F − β_x n_x is linear in the coefficients of d, n_F and n_x: each has a factor that
 is a function of z alone. Of it an arc holds value and slope at its middle, and half the curvature all over the arc.
+
+A law that follows the position has β_x = α + β', and its terms α (z^c d − n_x) − β_F n_F − β' n_x. In free space
+x = x^d at rest, n_x = d − w y: with z^c − 1 = w (1 + z + … + z^(c−1)) the factor w of the integrator is taken out of
+α (z^c d − n_x) as α ((1 + z + … + z^(c−1)) d + y).
 """
 
 import math
@@ -23,25 +27,37 @@ _TURN = float(np.nextafter(math.pi, 4.0))
 
 @dataclass(frozen=True, kw_only=True)
 class Arcs:
-    """Factors on m arcs: per group (d, n_F, n_x) balls (m, k) of value, slope and half curvature by angle."""
+    """Factors on m arcs: per group of coefficients balls (m, k) of value, slope and half curvature by angle.
+
+    The groups are d, n_F, n_x of a law that follows the position (y in free space), and n_x of what else it reads.
+    `opened` has for each break point the groups' signs in the loop that is cut there, the command's first.
+    """
 
     half: FloatArray
     groups: tuple[Jet, ...]
+    opened: tuple[tuple[float, ...], ...]
 
 
 class Circle:
     """The arcs of the upper half circle that were asked for so far; each is cut in two at most once.
 
-    `sizes` is how many coefficients d, n_F and n_x have. `is_deflated` takes a factor w out of everything: free space
-    has its integrator there.
+    `sizes` is how many coefficients each group has. `is_deflated` takes a factor w out of everything: free space has
+    its integrator there.
     """
 
-    def __init__(self, law: LawPolynomials, chain: int, sizes: tuple[int, int, int], *, is_deflated: bool) -> None:
+    def __init__(self, law: LawPolynomials, chain: int, sizes: tuple[int, ...], *, is_deflated: bool) -> None:
         drop = 1 if is_deflated else 0
         self._chain, self._sizes = chain, sizes
-        self._alpha = enclose(law.denominator[drop:])
-        self._force = enclose(law.force)
-        self._position = enclose(law.position[drop:]) if law.position else None
+        self._sums_chain = is_deflated and law.follows
+        alpha = enclose(law.denominator)
+        self._polynomials = [alpha if self._sums_chain else alpha[drop:], enclose(law.force)]
+        if law.follows:
+            self._polynomials.append(alpha.times(-1.0) if is_deflated else alpha)
+        followed: tuple[float, ...] = (-1.0,) if law.follows else ()
+        self._opened: tuple[tuple[float, ...], ...] = ((1.0, 0.0, *followed),)
+        if law.position:
+            self._polynomials.append(enclose(law.position)[drop:])
+            self._opened = (1.0, 0.0, *followed, 0.0), (1.0, 0.0, *followed, -1.0)
         self._angles = np.zeros((0, 2))
         self._children = np.zeros(0, dtype=np.int64)
         self._table: list[list[Balls]] = []
@@ -70,7 +86,7 @@ class Circle:
         # Half an arc, rounded up: together the arcs leave nothing out.
         half = 0.5 * (high - low) * (1.0 + 1e-12) + 1e-15
         groups = tuple((jet[0][arcs], jet[1][arcs], jet[2][arcs]) for jet in self._table)
-        return Arcs(half=half, groups=groups)
+        return Arcs(half=half, groups=groups, opened=self._opened)
 
     def _add(self, ends: FloatArray) -> None:
         middle = 0.5 * (ends[:, 0] + ends[:, 1])
@@ -86,13 +102,13 @@ class Circle:
         z, w = turn(middle, half)
         slope, curve = z * exact(np.full(len(middle), 1j)), z.times(-0.5)
         z_jet, w_jet = (z, slope, curve), (w, slope, curve)
-        alpha = _polynomial(self._alpha, w_jet)
-        for _ in range(self._chain):
-            alpha = _product(alpha, z_jet)
-        found = [_powers(alpha, w_jet, self._sizes[0]), _powers(_polynomial(self._force, w_jet), w_jet, self._sizes[1])]
-        if self._position is not None:
-            found.append(_powers(_polynomial(self._position, w_jet), w_jet, self._sizes[2]))
-        return found
+        factors = [_polynomial(each, w_jet) for each in self._polynomials]
+        if self._sums_chain:
+            factors[0] = _product(factors[0], _polynomial(exact(np.ones(self._chain)), z_jet))
+        else:
+            for _ in range(self._chain):
+                factors[0] = _product(factors[0], z_jet)
+        return [_powers(each, w_jet, size) for each, size in zip(factors, self._sizes, strict=True)]
 
 
 def _product(a: Jet, b: Jet) -> Jet:

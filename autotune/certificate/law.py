@@ -1,10 +1,11 @@
-"""The sampled controller as polynomials in w = z − 1, in balls."""
+"""A sampled law as polynomials in w = z − 1, in balls."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from problems.errors import ParameterError
 from problems.model.controller import (
     CONTROLLER_STATES,
     AdmittanceController,
@@ -13,26 +14,78 @@ from problems.model.controller import (
     needed_states,
     write_blocks,
 )
+from problems.model.linear_controllers import LinearController
+from problems.model.sampled import Law, law_matrix
 
 from . import rational
 from .balls import number, precise
 
+# The numbers of a `LinearController` rest at one metre to rounding only (it checks that); what is left of it is not a pole.
+_ROUNDING = 1e-9
+
 
 @dataclass(frozen=True, kw_only=True)
 class LawPolynomials:
-    """X^d = (β_F (F^d + F) + β_x X)/α, ascending in w, as flint balls; `position` is empty where x is not fed back.
+    """α X^d = β_F (F^d + F) + β_x X, ascending in w, as flint balls; `position` is β_x, less α where it `follows`.
 
-    α and β_x have no constant term: A has its integrator at z = 1, and what is fed back of x has none.
+    A law that follows the position adds to it, x^d = x + u. `position` is empty where nothing is left of it. Unless
+    the law `holds_position`, nothing of it has a constant term but α where it follows: a translation changes nothing.
     """
 
     denominator: tuple[Any, ...]
     force: tuple[Any, ...]
     position: tuple[Any, ...]
+    follows: bool = False
+    holds_position: bool = False
 
 
 @precise
-def law_polynomials(law: AdmittanceController, sample_time_s: float) -> LawPolynomials:
-    """Return the controller's polynomials from its difference equation, answered to unit states and inputs."""
+def law_polynomials(law: Law, sample_time_s: float) -> LawPolynomials:
+    """Return the law's polynomials from its difference equation at h.
+
+    Those of an `AdmittanceController` are exact, from its physical numbers; those of a `LinearController` are exact for the
+    doubles that it holds, but for the rounding by which they miss their rest at one metre. Raises ParameterError for a
+    `LinearController` of another h, and for one that neither holds a position, follows it, nor integrates.
+    """
+    settle, follows, holds = without_constant, False, False
+    if isinstance(law, LinearController):
+        rows, settle = _matrix(law, sample_time_s), _without_rounding
+        follows, holds = law.follows_position, law.holds_position
+    else:
+        rows = _answers(law, sample_time_s)
+    r = len(rows) - 1
+    change = rows[:r, :r] - np.array([[int(i == j) for j in range(r)] for i in range(r)], dtype=object).reshape(r, r)
+    alpha, adjugate = rational.resolvent(change)
+    found = []
+    for column in (r, r + 1):
+        through = rational.numerator(rows[r, :r], adjugate, rows[:r, column])
+        found.append(rational.add(through, [rows[r, column] * each for each in alpha]))
+    force, position = found
+    if follows:
+        position = rational.add(position, [-1 * each for each in alpha])
+    if not holds:
+        position, alpha = settle(position), alpha if follows else settle(alpha)
+    reads = any(number(each) != 0 for each in position)
+    return LawPolynomials(
+        denominator=tuple(number(each) for each in alpha),
+        force=tuple(number(each) for each in force),
+        position=tuple(number(each) for each in position) if reads else (),
+        follows=follows,
+        holds_position=holds,
+    )
+
+
+def _matrix(law: LinearController, sample_time_s: float) -> Any:
+    """Return the law's rows (states, command) over columns (states, e, x) as balls without radius."""
+    matrix = law_matrix(law, sample_time_s)
+    rows = np.empty(matrix.shape, dtype=object)
+    for place, value in np.ndenumerate(matrix):
+        rows[place] = number(float(value))
+    return rows
+
+
+def _answers(law: AdmittanceController, sample_time_s: float) -> Any:
+    """Return the same rows of a controller: what its equations answer to unit states and inputs."""
     kept = needed_states(controller_blocks(law, sample_time_s))
     blocks = np.empty((6, 3), dtype=object)
     blocks.fill(number(0))
@@ -46,18 +99,8 @@ def law_polynomials(law: AdmittanceController, sample_time_s: float) -> LawPolyn
         command, following = controller_step(blocks, tuple(unit[:4]), unit[4], unit[5])
         rows[r, j] = command
         for i in range(r):
-            rows[i, j] = following[int(kept[i])] - (1 if i == j else 0)
-    alpha, adjugate = rational.resolvent(rows[:r, :r])
-    found = []
-    for column in (r, r + 1):
-        through = rational.numerator(rows[r, :r], adjugate, rows[:r, column])
-        found.append(rational.add(through, [rows[r, column] * each for each in alpha]))
-    feeds_back = law.feedback_damping_s > 0.0 or law.compensates
-    return LawPolynomials(
-        denominator=tuple(without_constant(alpha)),
-        force=tuple(number(each) for each in found[0]),
-        position=tuple(without_constant(found[1])) if feeds_back else (),
-    )
+            rows[i, j] = following[int(kept[i])]
+    return rows
 
 
 def without_constant(polynomial: list[Any]) -> list[Any]:
@@ -65,3 +108,11 @@ def without_constant(polynomial: list[Any]) -> list[Any]:
     if not number(polynomial[0]).contains(0):
         raise ArithmeticError(f"constant term {polynomial[0]} of a polynomial that vanishes at z = 1")
     return [number(0), *(number(each) for each in polynomial[1:])]
+
+
+def _without_rounding(polynomial: list[Any]) -> list[Any]:
+    """Return a polynomial without its constant term; raises ParameterError where that is more than rounding."""
+    constant, others = number(polynomial[0]), [number(each) for each in polynomial[1:]]
+    if not constant.contains(0) and not abs(constant) <= _ROUNDING * sum((abs(each) for each in others), number(0)):
+        raise ParameterError("law", str(constant), "one that integrates, or follows or holds the position")
+    return [number(0), *others]

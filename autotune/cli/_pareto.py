@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from autotune.studies.front import FrontRequest
     from autotune.studies.points import Front, Judgement, StudyRecord
     from autotune.tuning.optimize import Optimized
-    from autotune.validation.continuous import ProofWishes
+    from autotune.validation.axis_proof import ProofOptions
 
 _USUAL_STEM = "controller"
 _OPTIONS = ("objectives", "require", "choose", "storage", "study", "trials", "sampler")
@@ -115,13 +115,13 @@ def proof_options(function: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def _wishes(slack: float | None, budget_s: float | None) -> "ProofWishes | None":
+def _wishes(slack: float | None, budget_s: float | None) -> "ProofOptions | None":
     if slack is None and budget_s is None:
         return None
-    from autotune.validation.continuous import ProofWishes
+    from autotune.validation.axis_proof import ProofOptions
 
-    usual = ProofWishes()
-    return ProofWishes(
+    usual = ProofOptions()
+    return ProofOptions(
         slack=usual.slack if slack is None else 0.01 * slack,
         budget_s=max(usual.budget_s, budget_s or 0.0),
         further_s=usual.further_s if budget_s is None else budget_s,

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from autotune.report.page import Page
     from autotune.studies.front import FrontRequest
     from autotune.tuning.optimize import Optimized
-    from autotune.validation.continuous import ProofWishes
+    from autotune.validation.axis_proof import ProofOptions
 
 _EPILOG = """\b
 Examples:
@@ -118,7 +118,7 @@ def command(
     seed: int,
     pareto: "FrontRequest | None",
     report: Path | None,
-    proof: "ProofWishes | None",
+    proof: "ProofOptions | None",
 ) -> None:
     """Search the controller with the gentlest contact that stays stable and moves freely, and validate it.
 

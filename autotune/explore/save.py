@@ -12,7 +12,7 @@ from autotune.formats.controller_record import Controller
 from autotune.tuning.manual_design import judge_design
 from autotune.tuning.optimize import certify
 from autotune.tuning.search import SearchResult
-from autotune.validation.continuous import ProofWishes
+from autotune.validation.axis_proof import ProofOptions
 
 from .source import Exploration, keep_deadband
 from .target import Target
@@ -55,7 +55,7 @@ def save_controller(
                 raise InfeasibleError(f"Axis {name}: {error}") from error
             progress(0.0)
         controller, report = certify(
-            searches, exploration.payload, exploration.provenance, ProofWishes(), progress, exploration.threshold
+            searches, exploration.payload, exploration.provenance, ProofOptions(), progress, exploration.threshold
         )
         checks = len(report.checks)
         return keep_deadband(exploration, controller)

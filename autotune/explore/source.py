@@ -30,7 +30,7 @@ from autotune.tuning.problems import Wishes, build_problems
 from autotune.tuning.record import runtime_payload
 from autotune.tuning.search import SearchResult, solve_design
 from autotune.tuning.threshold import ThresholdWish, threshold_wish
-from autotune.validation.continuous import ProofWishes
+from autotune.validation.axis_proof import ProofOptions
 from autotune.validation.validate import admittance_controller
 from problems.contact.transient import Approach
 from problems.design.evaluation import build_scenarios
@@ -116,7 +116,7 @@ def _from_identified(path: Path, problem_path: Path | None, progress: Progress) 
         path=path,
         axes={name: _searched(each, lambda done: progress(done / len(problems))) for name, each in problems.items()},
         payload=payload,
-        provenance=_by_hand(make_provenance(identified, Wishes(), 0, problem_path, None, ProofWishes())),
+        provenance=_by_hand(make_provenance(identified, Wishes(), 0, problem_path, None, ProofOptions())),
         threshold=threshold_wish(identified.result, spec),
     )
 

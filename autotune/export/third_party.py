@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from autotune import __version__
+from autotune.certificate.certify import Certificate
 from autotune.errors import CertificateError, InfeasibleError
 from autotune.formats.controller import ControllerFile, short
 from autotune.formats.controller_record import AxisGains, CollisionResponse, Controller
 from autotune.formats.units import axis_units
 from autotune.validation.bouncing import search_bouncing
 from autotune.validation.law import AxisTask, LawCertificate, certify_law
-from autotune.validation.proof import StabilityProof
 from problems.model.third_party_controllers import alternates
 
 from .retune import Structure, Values, retune
@@ -270,12 +270,12 @@ def _certificate(each: TranslatedAxis) -> Iterator[str]:
             f"Axis {each.axis}: tuned anew for this controller, since the translated gains fail: {each.tuned_because}. "
             f"Peak force {each.price()}."
         )
-    spring = "" if found.spring_share is None else ", there without the return spring, which takes "
+    spring = ""
     if found.spring_share is not None:
-        spring += f"{100.0 * max(found.spring_share, 0.0):.2g} % of its room"
+        spring = f", where the return spring takes {100.0 * max(found.spring_share, 0.0):.2g} % of its room"
     yield (
-        f"axis {each.axis}: certified for what runs: stable in contact ({_cells(found.contact)}) and in free space "
-        f"({_cells(found.free)}{spring}); "
+        f"axis {each.axis}: certified for what runs: stable in contact ({_cells(found.stability.contact)}) "
+        f"and in free space ({_cells(found.stability.free_space)}{spring}); "
         + ", ".join(f"{name} {value:.4g}" for name, value in found.margins.values.items())
         + f" on {found.margins.plants} plants."
     )
@@ -287,5 +287,6 @@ def _certificate(each: TranslatedAxis) -> Iterator[str]:
     )
 
 
-def _cells(proof: StabilityProof) -> str:
-    return f"proved in {proof.cells} cell{'s' * (proof.cells != 1)}"
+def _cells(parts: tuple[Certificate, ...]) -> str:
+    cells = sum(part.cells for part in parts)
+    return f"proved in {cells} cell{'s' * (cells != 1)}"

@@ -15,7 +15,7 @@ from autotune.formats.identified import read_identified
 from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.yaml12 import LARGEST_FILE_BYTES
 from autotune.tuning.wrench import build_wrench
-from autotune.validation.validate import admittance_controller, uncertain_plant
+from autotune.validation.validate import admittance_controller
 from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError
 from identification.result import AxisEstimate, Estimate, Identified, Status
@@ -120,28 +120,28 @@ def _law(path: Path, controller: Controller, axis: str) -> AdmittanceController:
 def _certified(path: Path, controller: Controller, wanted: str | None) -> MapSource:
     axis = _axis(path, controller.axes, wanted)
     domain = controller.certificate.domain[axis]
-    plants = uncertain_plant(domain)
-    (low, high), (light, heavy) = plants.environment_stiffness_n_per_m, plants.payload_mass_kg
+    nominal = domain.nominal_plant()
+    (low, high), (light, heavy) = domain.environment_stiffness_n_per_m, domain.payload_mass_kg
     carried = controller.payload.mass_kg
     known = {
         "payload_mass": carried if axis not in ROTATIONAL_AXES and light <= carried <= heavy else 0.5 * (light + heavy),
-        "drag": plants.drag_n_s_per_m,
-        "coupling_stiffness": plants.coupling.stiffness_n_per_m,
-        "coupling_damping": plants.coupling.damping_n_s_per_m,
+        "drag": nominal.payload.drag_n_s_per_m,
+        "coupling_stiffness": nominal.coupling.stiffness_n_per_m,
+        "coupling_damping": nominal.coupling.damping_n_s_per_m,
         "environment_stiffness": low if low == high else math.sqrt(low * high) or 0.5 * high,
-        "environment_damping": plants.environment_damping_n_s_per_m,
+        "environment_damping": nominal.environment.damping_n_s_per_m,
         "environment_mass": domain.environment_mass_kg,
     }
     return MapSource(
         path=path,
         axis=axis,
-        robot=plants.robot,
+        robot=nominal.robot,
         sample_time_s=controller.sample_time_s,
         known=known,
         missing={},
         controller=_law(path, controller, axis),
         approach=_approach(domain),
-        wrench_filter=plants.wrench_filter,
+        wrench_filter=nominal.wrench_filter,
     )
 
 

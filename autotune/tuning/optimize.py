@@ -16,7 +16,7 @@ from autotune.formats.controller_record import Controller, RuntimePayload
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ComplianceSpec, ProblemSpec
 from autotune.formats.records import ROTATIONAL_AXES
-from autotune.validation.continuous import ProofWishes
+from autotune.validation.axis_proof import AxisProof, ProofOptions
 from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller
 from identification.result import Identified
@@ -39,7 +39,7 @@ from .problems import Wishes, build_problems, certified_mass_kg, runtime_mass_kg
 from .record import build_controller, runtime_payload
 from .relax import find_relaxations, tell_relaxations
 from .search import SearchResult, solve_design
-from .settling import Proved, Settled, prove_search, settle
+from .settling import Settled, prove_search, settle
 from .threshold import ThresholdWish, choose_threshold, threshold_wish
 
 # Of the time of a usual run, measured; of no other use than to tell how it goes on. The second is a share of what comes
@@ -76,7 +76,7 @@ def optimize(
     problem_path: Path | None = None,
     existing: ControllerFile | None = None,
     relax: bool = True,
-    proof: ProofWishes | None = None,
+    proof: ProofOptions | None = None,
     step: Callable[[str], None] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Optimized:
@@ -91,7 +91,7 @@ def optimize(
     EstimateError for a missing parameter, UsageError for wishes or an existing controller that do not fit.
     """
     report = progress or no_progress
-    asked = proof if proof is not None else ProofWishes()
+    asked = proof if proof is not None else ProofOptions()
     build = build_problems if spec.compliance is None else build_compliance_problems
     problems = build(identified.result, spec, wishes)
     if existing is not None:
@@ -126,7 +126,7 @@ def optimize(
 
 
 def _settle_all(
-    searches: Mapping[str, SearchResult], asked: ProofWishes, seed: int, report: Callable[[float], None]
+    searches: Mapping[str, SearchResult], asked: ProofOptions, seed: int, report: Callable[[float], None]
 ) -> dict[str, Settled]:
     """Return what nothing refutes of every axis, see `settling.settle`."""
     settled = {}
@@ -162,10 +162,10 @@ def certify(
     searches: Mapping[str, SearchResult],
     payload: RuntimePayload,
     provenance: Mapping[str, Any],
-    proof: ProofWishes,
+    proof: ProofOptions,
     progress: Callable[[float], None],
     threshold: ThresholdWish | None = None,
-    proved: Mapping[str, Proved] | None = None,
+    proved: Mapping[str, AxisProof] | None = None,
     limits: LimitsWish | None = None,
 ) -> tuple[Controller, ValidationReport]:
     """Prove what can be proved of the designs, write them down, and return the controller once validation passed it.
@@ -184,7 +184,8 @@ def certify(
     if threshold is not None:
         controller, _ = choose_threshold(controller, searches, threshold)
     controller = with_limits(controller, limits or LimitsWish())
-    checked = validate_controller(controller, lambda done: progress((1.0 - _PROOF_SHARE) * done))
+    answers = tuple(answer for each in found.values() for answer in each.answers)
+    checked = validate_controller(controller, lambda done: progress((1.0 - _PROOF_SHARE) * done), proved=answers)
     checked.require()
     return controller, checked
 
@@ -202,8 +203,8 @@ def check_within_bounds(search: SearchResult, name: str) -> None:
 
 
 def _prove(
-    searches: Mapping[str, SearchResult], asked: ProofWishes, report: Callable[[float], None]
-) -> dict[str, Proved]:
+    searches: Mapping[str, SearchResult], asked: ProofOptions, report: Callable[[float], None]
+) -> dict[str, AxisProof]:
     """Return what is proved of every axis, see `prove_search`."""
     proved = {}
     for name, search in searches.items():
@@ -318,7 +319,7 @@ def make_provenance(
     seed: int,
     problem_path: Path | None,
     existing: ControllerFile | None,
-    proof: ProofWishes,
+    proof: ProofOptions,
 ) -> dict[str, Any]:
     """Return where a controller comes from: the tool, the identified file, and what was asked."""
     mass, stiffness = wishes.payload_mass_kg, wishes.environment_stiffness_n_per_m

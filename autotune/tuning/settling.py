@@ -4,12 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from autotune.errors import CertificateError, InfeasibleError
-from autotune.formats.controller_record import Proof, Reach
 from autotune.formats.units import axis_units
+from autotune.validation.axis_proof import AxisProof, ProofOptions, prove_axis
 from autotune.validation.bouncing import search_bouncing
-from autotune.validation.continuous import ProofWishes, prove_reach
 from autotune.validation.refuted import RefutedError
-from autotune.validation.validate import prove_axis
 
 from .beyond import NOTHING, Beyond, ImpactTest
 from .optimality_report import Standing, find_standing
@@ -23,24 +21,16 @@ _BETTER = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Proved:
-    """What is proved of one axis' design: stability, and how far its modulus."""
-
-    proofs: tuple[Proof, ...]
-    reaches: tuple[Reach, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
 class Settled:
     """A search's result that nothing refutes, what is proved of it, how it stands, and what was taken in on the way."""
 
     search: SearchResult
-    proved: Proved
+    proved: AxisProof
     standing: Standing
     beyond: Beyond
 
 
-def settle(name: str, found: SearchResult, asked: ProofWishes, *, seed: int) -> Settled:
+def settle(name: str, found: SearchResult, asked: ProofOptions, *, seed: int) -> Settled:
     """Search again until nothing refutes the result, then from the reference's design where that is better.
 
     The plant at which a proof fails joins the scenarios; an impact that bounces for ever must come to rest. Raises
@@ -62,7 +52,7 @@ def settle(name: str, found: SearchResult, asked: ProofWishes, *, seed: int) -> 
     return second if lower else first
 
 
-def _unrefuted(name: str, search: SearchResult, asked: ProofWishes, beyond: Beyond, seed: int) -> Settled:
+def _unrefuted(name: str, search: SearchResult, asked: ProofOptions, beyond: Beyond, seed: int) -> Settled:
     """Return a result that nothing refutes, and what was taken in."""
     for round_index in range(_ROUNDS + 1):
         try:
@@ -82,16 +72,15 @@ def _unrefuted(name: str, search: SearchResult, asked: ProofWishes, beyond: Beyo
 
 
 def prove_search(
-    name: str, search: SearchResult, asked: ProofWishes, report: Callable[[float], None] | None = None
-) -> Proved:
+    name: str, search: SearchResult, asked: ProofOptions, report: Callable[[float], None] | None = None
+) -> AxisProof:
     """Prove of one axis stability, and of the modulus that the search found over its dense grid what can be.
 
     Raises RefutedError with the plant where a proof fails, and with the impact where a contact bounces for ever.
     """
     problem, law = search.problem, search.problem.controller(search.design)
     domain, swept = build_domain(problem), min(each.margins.modulus for each in search.margins)
-    proofs = prove_axis(domain, law, problem.sample_time_s, name)
-    reaches = prove_reach(domain, law, problem.sample_time_s, name, swept, asked, report)
+    proved = prove_axis(domain, law, problem.sample_time_s, name, swept, asked, report)
     bouncing = search_bouncing(name, domain, law, problem.sample_time_s)
     if bouncing.found is not None:
         raise RefutedError(
@@ -101,4 +90,4 @@ def prove_search(
             scenario=bouncing.found.scenario,
             impact=bouncing.found,
         )
-    return Proved(proofs=proofs, reaches=reaches)
+    return proved

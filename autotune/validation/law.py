@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from autotune.certificate.claim import Claim, CombinedCertificate, prove
+from autotune.certificate.family import MASS, STIFFNESS, UncertainPlant
 from autotune.formats.controller_record import (
     AdmittanceRequirement,
     Asked,
@@ -27,13 +29,13 @@ from problems.design.uncertainty import Scenario
 from problems.model.linear_controllers import LinearController
 from problems.model.plant import FREE_SPACE, Plant
 from problems.model.response import controller_response, free_space_admittance, plant_response
-from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
+from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import frequency_grid
 from problems.stability.noise import command_speed_gain
 from problems.stability.passivity import passive_below_hz
 
+from .axis_proof import STABILITY_WORK, told_unstable
 from .margins import SweptMargins, sweep_margins
-from .proof import StabilityProof, UncertainPlant, prove_stability
 from .validate import uncertain_plant
 from .validation_samples import OtherPlants, build_other_plants
 
@@ -100,11 +102,10 @@ class LawCertificate:
     """What was found of one law; `missed` says in words what of it is not as was asked, empty when all is.
 
     `spring_share` is the share of its room that a spring takes (None without one). Without stability there are no
-    margins and no peaks. `is_unproved` where a proof failed at plants that are stable: finer ranges could tell.
+    margins and no peaks. `is_unproved` where a proof ran out and no plant refutes it: finer ranges could tell.
     """
 
-    free: StabilityProof
-    contact: StabilityProof
+    stability: CombinedCertificate
     spring_share: float | None
     margins: SweptMargins | None
     worst: ScenarioPrediction | None
@@ -121,26 +122,19 @@ class LawCertificate:
 def certify_law(task: AxisTask, law: LinearController) -> LawCertificate:
     """Prove the law stable over the domain, sweep its margins, simulate its contacts and compare with what is asked."""
     units, plants, others = axis_units(task.axis), task.plants(), task.others()
-    free, contact, share = prove_law(plants, law)
-    missed = [
-        f"stability {where} does not hold or cannot be proved: fails at M_p = {proof.failed_mass_kg:.6g} {units.mass}"
-        f", K_e = {proof.failed_stiffness_n_per_m:.6g} {units.stiffness}"
-        for where, proof in (("in free space", free), ("in contact", contact))
-        if not proof.holds
-    ]
+    stability, share = prove_law(plants, law)
+    missed = [] if stability.holds else [told_unstable(stability, units)]
     if share is not None and not share < _SPRING_ROOM:
         missed.append(f"the return spring takes {100.0 * share:.3g} % of the room that it has, more than 10 %")
     if missed:
         return LawCertificate(
-            free=free,
-            contact=contact,
+            stability=stability,
             spring_share=share,
             margins=None,
             worst=None,
             admittance=None,
             missed=tuple(missed),
-            is_unproved=not (free.holds and contact.holds)
-            and all(proof.holds or _is_stable(plants, proof, law) for proof in (free, contact)),
+            is_unproved=not stability.holds and stability.false is None,
         )
     h = law.sample_time_s
     swept = sweep_margins(plants, law, h, stiffness=_STIFFNESS_POINTS, mass=_MASS_POINTS, others=others.plants)
@@ -152,8 +146,7 @@ def certify_law(task: AxisTask, law: LinearController) -> LawCertificate:
     admittance = _admittance(task, law)
     missed += _missed(task, law, swept, worst, others)
     return LawCertificate(
-        free=free,
-        contact=contact,
+        stability=stability,
         spring_share=share,
         margins=swept,
         worst=worst,
@@ -162,26 +155,21 @@ def certify_law(task: AxisTask, law: LinearController) -> LawCertificate:
     )
 
 
-def prove_law(plants: UncertainPlant, law: LinearController) -> tuple[StabilityProof, StabilityProof, float | None]:
-    """Prove stability in free space and in contact; the one place that names the method of proof.
-
-    A weak spring leaves a pole next to z = 1, too near for a proof over cells. In free space the law is proved without
-    the spring, and the spring by `spring_share`, which is returned too.
-    """
-    h = law.sample_time_s
+def prove_law(plants: UncertainPlant, law: LinearController) -> tuple[CombinedCertificate, float | None]:
+    """Prove stability in free space and in contact; return the proof, and the largest `spring_share` of a spring."""
+    claim = Claim(
+        nominal=plants.nominal,
+        ranges=((STIFFNESS, plants.environment_stiffness_n_per_m), (MASS, plants.payload_mass_kg)),
+        law=law,
+        sample_time_s=law.sample_time_s,
+        modulus=None,
+        work=STABILITY_WORK,
+    )
+    found = prove(claim)
     if not law.holds_position:
-        return prove_stability(plants.in_free_space(), law, h), prove_stability(plants, law, h), None
-    loose = replace(law, matrix=law.steady(), approach=None, holds_position=False)
+        return found, None
     masses = np.unique(np.linspace(*plants.payload_mass_kg, _MASS_POINTS))
-    share = max(spring_share(plants.in_free_space().at(float(mass), 0.0), law) for mass in masses)
-    return prove_stability(plants.in_free_space(), loose, h), prove_stability(plants, law, h), share
-
-
-def _is_stable(plants: UncertainPlant, proof: StabilityProof, law: LinearController) -> bool:
-    """Return whether the plant at which a proof failed is stable, by its eigenvalues."""
-    stiffness = proof.failed_stiffness_n_per_m or 0.0
-    found = (plants if stiffness > 0.0 else plants.in_free_space()).at(proof.failed_mass_kg or 0.0, stiffness)
-    return spectral_radius(build_loop(build_sampled_plant(found, law.sample_time_s), law)) < 1.0
+    return found, max(spring_share(plants.in_free_space().at(float(mass), 0.0), law) for mass in masses)
 
 
 def spring_share(plant: Plant, law: LinearController) -> float:

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from autotune.certificate.family import UncertainPlant
 from problems.model.plant import FREE_SPACE, Plant
 from problems.model.sampled import Controller, SampledPlant, build_cut_loop, build_sampled_plant
 from problems.stability.margins import LARGEST_GAIN_DB, frequency_grid, margins_on_grid
-
-from .proof import UncertainPlant
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -8,15 +8,15 @@ import pytest
 
 from autotune.certificate.base_plant import is_stable
 from autotune.certificate.certify import CELL_WORK, Certificate, Verdict, certify
-from autotune.certificate.family import MASS, STIFFNESS, Family, build_families
+from autotune.certificate.family import MASS, STIFFNESS, Family, UncertainPlant, build_families
 from autotune.validation.margins import sweep_margins
-from autotune.validation.proof import UncertainPlant, prove_stability
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from tests.autotune.certificate.loops import family, smallest_return_difference
+from tests.autotune.certificate.lyapunov import lyapunov_stability
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 
 WORK = 100_000
@@ -26,10 +26,7 @@ CALM = admittance(20.0, 3500.0, 0.013, 0.01)
 def uncertain(of: Family) -> UncertainPlant:
     plant = of.nominal
     return UncertainPlant(
-        robot=plant.robot,
-        coupling=plant.coupling,
-        drag_n_s_per_m=plant.payload.drag_n_s_per_m,
-        environment_damping_n_s_per_m=plant.environment.damping_n_s_per_m,
+        nominal=plant,
         payload_mass_kg=of.range_of(MASS),
         environment_stiffness_n_per_m=of.range_of(STIFFNESS),
     )
@@ -121,7 +118,7 @@ def test_what_is_proved_is_proved_by_lyapunov_cells_too() -> None:
         where = of if law is CALM else family((1.0e5, 1.1e5), (16.0, 16.0), nominal=of.nominal)
         for each, plants in ((where, uncertain(where)), (where.in_free_space(), uncertain(where).in_free_space())):
             assert certify(each, law, 0.05, work=WORK).holds
-            assert prove_stability(plants, law, PERIOD_S).holds
+            assert lyapunov_stability(plants, law, PERIOD_S).holds
 
 
 def test_a_budget_that_runs_out_says_how_far_it_got() -> None:

@@ -9,14 +9,14 @@ from autotune.certificate import certify as certify_module
 from autotune.certificate.base_plant import fails_at
 from autotune.certificate.bounds import judge
 from autotune.certificate.certify import Certificate, Verdict, certify
-from autotune.certificate.family import LAG, LATE, MASS, STIFFNESS, Family, build_families
+from autotune.certificate.family import LAG, LATE, MASS, STIFFNESS, Family, UncertainPlant, build_families
 from autotune.validation.margins import SweptMargins, sweep_margins
-from autotune.validation.proof import UncertainPlant, prove_stability
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant, WrenchFilter
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from tests.autotune.certificate.loops import family, smallest_return_difference
+from tests.autotune.certificate.lyapunov import lyapunov_stability
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 
 WORK = 100_000
@@ -43,15 +43,10 @@ def of_lags(delay_s: float = 2.7 * PERIOD_S) -> Family:
 
 
 def swept(of: Family, law: AdmittanceController) -> SweptMargins:
-    plant = of.nominal
     plants = UncertainPlant(
-        robot=plant.robot,
-        coupling=plant.coupling,
-        drag_n_s_per_m=plant.payload.drag_n_s_per_m,
-        environment_damping_n_s_per_m=plant.environment.damping_n_s_per_m,
+        nominal=of.nominal,
         payload_mass_kg=of.range_of(MASS),
         environment_stiffness_n_per_m=of.range_of(STIFFNESS),
-        wrench_filter=plant.wrench_filter,
     )
     others = [
         replace(plants.at(mass, stiffness), wrench_filter=WrenchFilter(time_constant_s=lag))
@@ -151,19 +146,13 @@ def test_what_holds_without_the_filter_is_refuted_with_it() -> None:
 def test_two_proofs_of_stability_agree_behind_a_filter() -> None:
     of = family((1.0e5, 1.1e5), (15.0, 15.5), nominal=filtered())
     plants = UncertainPlant(
-        robot=of.nominal.robot,
-        coupling=of.nominal.coupling,
-        drag_n_s_per_m=400.0,
-        environment_damping_n_s_per_m=30.0,
-        payload_mass_kg=(15.0, 15.5),
-        environment_stiffness_n_per_m=(1.0e5, 1.1e5),
-        wrench_filter=FILTER,
+        nominal=of.nominal, payload_mass_kg=(15.0, 15.5), environment_stiffness_n_per_m=(1.0e5, 1.1e5)
     )
     for law in (CALM, admittance(8.0, 400.0, 0.0)):
         for each, these in ((of, plants), (of.in_free_space(), plants.in_free_space())):
             expected = law is CALM
             assert certify(each, law, 0.05, work=WORK).holds == expected
-            assert prove_stability(these, law, PERIOD_S).holds == expected
+            assert lyapunov_stability(these, law, PERIOD_S).holds == expected
 
 
 def test_a_late_wrench_is_proved_as_a_longer_delay_and_told_as_both() -> None:

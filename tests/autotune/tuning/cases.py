@@ -11,7 +11,7 @@ from autotune.formats.problem import ProblemSpec
 from autotune.tuning.optimize import Optimized, optimize
 from autotune.tuning.problems import Wishes
 from autotune.tuning.search import SearchResult, solve_design
-from autotune.validation.continuous import ProofWishes
+from autotune.validation.axis_proof import ProofOptions
 from identification.result import (
     AxisEstimate,
     CouplingEstimate,
@@ -181,4 +181,4 @@ def uncertain_optimized() -> Optimized:
     """The problem of `fast_optimized` with more of the plant uncertain, and less freedom of motion asked."""
     plant = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
     # A second of proof is enough to show that it is there, and is done again wherever the file is validated.
-    return optimize(plant, FURTHER_SPEC, FAST_WISHES, seed=1, proof=ProofWishes(further_s=1.0))
+    return optimize(plant, FURTHER_SPEC, FAST_WISHES, seed=1, proof=ProofOptions(further_s=1.0))

@@ -8,7 +8,7 @@ from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ProblemSpec
 from autotune.tuning.optimize import Optimized, optimize
 from autotune.tuning.problems import Wishes
-from autotune.validation.continuous import ProofWishes
+from autotune.validation.axis_proof import ProofOptions
 from identification.result import CouplingEstimate, PayloadEstimate, RobotEstimate
 from problems.design.problem import Requirements
 from tests.autotune.tuning.cases import identified_axis, identified_plant, known, known_vector
@@ -54,4 +54,4 @@ def small_robot() -> IdentifiedFile:
 
 @cache
 def responding() -> Optimized:
-    return optimize(small_robot(), SPEC, WISHES, seed=1, proof=ProofWishes(further_s=0.1))
+    return optimize(small_robot(), SPEC, WISHES, seed=1, proof=ProofOptions(further_s=0.1))

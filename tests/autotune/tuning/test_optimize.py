@@ -5,13 +5,15 @@ from pathlib import Path
 
 import pytest
 
+from autotune.certificate.claim import METHOD
 from autotune.errors import CertificateError
 from autotune.formats.controller_record import AdmittanceRequirement, CollisionResponse, ControllerStatus
 from autotune.formats.identified import IdentifiedFile
 from autotune.tuning import optimize as optimize_module
 from autotune.tuning.optimize import check_within_bounds, optimize
 from autotune.tuning.record import build_controller as honest
-from autotune.validation.validate import admittance_controller, prove_axis
+from autotune.validation.axis_proof import prove_axis
+from autotune.validation.validate import admittance_controller
 from problems.contact.transient import build_sampled_contact, simulate_contact
 from problems.model.plant import Environment
 from problems.model.sampled import build_sampled_plant
@@ -82,7 +84,11 @@ def test_the_requirements_and_proofs_are_written_down() -> None:
     assert "decay_rate_per_s" not in certificate.requirements
     claims = [proof.claim for proof in certificate.proved]
     assert [("free space" in c, "contact" in c) for c in claims] == [(True, False), (False, True)]
-    assert all(proof.numbers is not None and proof.numbers["smallest_decrease"] > 0.0 for proof in certificate.proved)
+    (reach,) = (certificate.continuous or {})["x"]
+    numbers = [proof.numbers or {} for proof in certificate.proved]
+    assert all(proof.method == METHOD for proof in certificate.proved)
+    assert [each["modulus"] for each in numbers] == [reach.modulus, reach.modulus]
+    assert sum(each["cells"] for each in numbers) == reach.cells
 
 
 def test_a_design_outside_of_its_bounds_is_never_written() -> None:
@@ -98,8 +104,8 @@ def test_a_design_outside_of_its_bounds_is_never_written() -> None:
 def test_a_claim_that_cannot_be_proved_stops_everything() -> None:
     found = fast_optimized()
     lively = replace(admittance_controller(found.controller, "x"), damping_n_s_per_m=600.0, lead_s=0.0)
-    with pytest.raises(CertificateError, match=r"Axis x: stability in free space does not hold .* M_p = 16 kg"):
-        prove_axis(found.controller.certificate.domain["x"], lively, 8e-4, "x")
+    with pytest.raises(CertificateError, match=r"Axis x: stability with a modulus of 0\.5 is refuted at M_p = 16 kg"):
+        prove_axis(found.controller.certificate.domain["x"], lively, 8e-4, "x", 0.5 / 0.95)
 
 
 def test_a_controller_that_validation_refuses_is_not_returned(

@@ -17,7 +17,7 @@ from autotune.tuning.record import build_domain
 from autotune.tuning.search import solve_design
 from autotune.tuning.settling import prove_search, settle
 from autotune.validation import bouncing
-from autotune.validation.continuous import ProofWishes
+from autotune.validation.axis_proof import ProofOptions
 from autotune.validation.refuted import RefutedError
 from problems.design.uncertainty import Scenario
 from tests.autotune.tuning.cases import fast_optimized
@@ -38,9 +38,9 @@ def test_the_best_design_bounces_and_the_search_goes_on_to_one_that_does_not() -
     problem = bouncing_problem(lead_s=(0.03, BOUNCY.lead_s))
     first = solve_design(problem)
     with pytest.raises(RefutedError) as refuted:
-        prove_search("x", first, ProofWishes())
+        prove_search("x", first, ProofOptions())
     assert refuted.value.scenario == PLANT
-    settled = settle("x", first, ProofWishes(), seed=0)
+    settled = settle("x", first, ProofOptions(), seed=0)
     assert settled.beyond.impacts
     assert settled.search.evaluation.objective_n > first.evaluation.objective_n
     assert settled.search.evaluation.is_feasible
@@ -54,7 +54,7 @@ def test_the_best_design_bounces_and_the_search_goes_on_to_one_that_does_not() -
 def test_where_every_design_bounces_the_refusal_says_so() -> None:
     problem = bouncing_problem()
     with pytest.raises(InfeasibleError, match=r"touched at .* Searched again with that: .* bounce for ever"):
-        settle("x", solve_design(problem), ProofWishes(), seed=0)
+        settle("x", solve_design(problem), ProofOptions(), seed=0)
 
 
 def test_the_shared_case_is_refused(shared_data: Path) -> None:
@@ -76,7 +76,7 @@ def test_a_plant_where_the_proof_fails_joins_the_scenarios(monkeypatch: pytest.M
         return prove_search(name, search, asked)  # type: ignore[arg-type]
 
     monkeypatch.setattr(settling, "prove_search", once)
-    settled = settle("x", found, ProofWishes(), seed=0)
+    settled = settle("x", found, ProofOptions(), seed=0)
     assert settled.beyond == Beyond(scenarios=(plant,))
     assert plant in settled.search.active.scenarios
 
@@ -91,7 +91,7 @@ def test_a_plant_that_refutes_again_ends_the_search(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(settling, "prove_search", always)
     with pytest.raises(CertificateError, match="not proved"):
-        settle("x", found, ProofWishes(), seed=0)
+        settle("x", found, ProofOptions(), seed=0)
     assert len(asked) == 2
 
 
@@ -103,7 +103,7 @@ def test_a_gap_to_the_reference_is_searched_again_from_there() -> None:
         design=best.design * np.array([1.0, 1.0, 0.9, 1.0]),
         evaluation=replace(best.evaluation, objective_n=1.02 * best.evaluation.objective_n),
     )
-    settled = settle("x", worse, ProofWishes(), seed=0)
+    settled = settle("x", worse, ProofOptions(), seed=0)
     # The search's own tolerance: six digits of each variable.
     assert settled.search.evaluation.objective_n == pytest.approx(best.evaluation.objective_n, rel=1e-4)
     assert settled.standing.gap < 1e-3

@@ -5,8 +5,7 @@ from functools import cache
 from autotune.formats.controller_record import Controller, RuntimePayload
 from autotune.tuning.manual_design import judge_design
 from autotune.tuning.record import build_controller, build_domain
-from autotune.validation.continuous import ProofWishes, prove_reach
-from autotune.validation.validate import prove_axis
+from autotune.validation.axis_proof import prove_axis
 from problems.contact.transient import Approach
 from problems.design.problem import DesignProblem, Requirements
 from problems.model.controller import AdmittanceController
@@ -50,13 +49,8 @@ def written(law: AdmittanceController, axis: str = "x") -> Controller:
     payload = RuntimePayload(
         mass_kg=M_P, com_m=(0.0, 0.0, 0.1), force_bias_n=(0.0, 0.0, 0.0), torque_bias_n_m=(0.0, 0.0, 0.0)
     )
-    return build_controller(
-        {axis: search},
-        payload,
-        {axis: prove_axis(domain, law, PERIOD_S, axis)},
-        {axis: prove_reach(domain, law, PERIOD_S, axis, modulus, ProofWishes())},
-        {"tool": "test"},
-    )
+    proof = prove_axis(domain, law, PERIOD_S, axis, modulus)
+    return build_controller({axis: search}, payload, {axis: proof.proofs}, {axis: proof.reaches}, {"tool": "test"})
 
 
 @cache

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 
+from autotune.certificate.family import UncertainPlant
 from autotune.validation.margins import sweep_margins
-from autotune.validation.proof import UncertainPlant
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from problems.stability.margins import find_margins
-from tests.autotune.validation.plants import radius_at, uncertain
+from tests.autotune.certificate.plants import radius_at, uncertain
 from tests.problems.axes import LAW, PERIOD_S, admittance, controllers, one_pole, plants
 
 # Validation reads a grid of 6000 points, `find_margins` one that is refined: 1e-4 apart at most.
@@ -34,10 +34,7 @@ EVERY_KIND = pytest.mark.parametrize(
 def only(plant: Plant) -> UncertainPlant:
     """The set of one plant."""
     return UncertainPlant(
-        robot=plant.robot,
-        coupling=plant.coupling,
-        drag_n_s_per_m=plant.payload.drag_n_s_per_m,
-        environment_damping_n_s_per_m=plant.environment.damping_n_s_per_m,
+        nominal=plant,
         payload_mass_kg=(plant.payload.mass_kg,) * 2,
         environment_stiffness_n_per_m=(plant.environment.stiffness_n_per_m,) * 2,
     )

@@ -16,8 +16,9 @@ from autotune.formats.controller_record import (
     FreeSpaceAdmittance,
     ScenarioPrediction,
 )
+from autotune.validation.axis_proof import ProofOptions, prove_axis
 from autotune.validation.report import Check, ValidationReport
-from autotune.validation.validate import validate_controller
+from autotune.validation.validate import admittance_controller, validate_controller
 from tests.autotune.tuning.cases import fast_optimized, small_controller
 
 Change = Callable[[Controller], Controller]
@@ -251,7 +252,10 @@ def test_a_modest_claim_is_no_false_one() -> None:
 
 def test_what_is_passed_without_being_shown_is_told_so() -> None:
     """A budget for nothing proves nothing, and a deadband of nearly F^d hides the contact: neither is wrong."""
-    given_up = reach(share=0.0, budget_s=1e-4, environment_stiffness_n_per_m=(1e5, 1e5))(small_controller())
+    whole = small_controller()
+    swept, options = whole.certificate.margins["x"].modulus, ProofOptions(budget_s=1e-4)
+    found = prove_axis(whole.certificate.domain["x"], admittance_controller(whole, "x"), 8e-4, "x", swept, options)
+    given_up = _certified(whole, proved=found.proofs, continuous={"x": found.reaches})
     driving = small_controller().certificate.domain["x"].approach_force_n or 0.0
     report = validate_controller(gains(deadband=0.97 * driving)(given_up))
     assert report.passed
@@ -274,7 +278,7 @@ def test_an_axis_without_certificate_is_not_valid() -> None:
 def test_progress_is_told_and_never_more_than_the_whole() -> None:
     shares: list[float] = []
     validate_controller(small_controller(), shares.append)
-    assert len(shares) == len(EVERY_CHECK)
+    assert min(shares) > 0.0
     assert sum(shares) == pytest.approx(1.0)
 
 

@@ -7,22 +7,26 @@ from typing import Any
 
 import pytest
 
+from autotune.certificate.claim import METHOD
 from autotune.formats.controller_record import Controller, Proof
-from autotune.validation.proof import StabilityProof
-from autotune.validation.statements import wrong_statements
+from autotune.validation.axis_proof import Prover
+from autotune.validation.proof_checks import (
+    FORMER_METHOD,
+    check_continuous,
+    check_stability,
+    check_statements,
+    wrong_statements,
+)
+from autotune.validation.validate import admittance_controller
 from autotune.validation.validation_samples import sampled_claims
 from tests.autotune.tuning.cases import FURTHER, small_controller
 
 Change = Callable[[Controller], Controller]
 
 
-def proofs(controller: Controller) -> dict[str, StabilityProof]:
-    """The proofs as the file states their numbers; that they hold is verified elsewhere."""
-    numbers = [stated.numbers or {} for stated in controller.certificate.proved]
-    return {
-        where: StabilityProof(holds=True, cells=int(of["cells"]), slack=of["smallest_decrease"])
-        for where, of in zip(("in free space", "in contact"), numbers, strict=True)
-    }
+def proofs(controller: Controller) -> tuple[Proof, ...]:
+    """What was verified, as the file states it; that it holds is verified elsewhere."""
+    return controller.certificate.proved
 
 
 @cache
@@ -77,17 +81,17 @@ FALSE_STATEMENTS: dict[str, tuple[Change, str]] = {
         proved(over="every M_p in [1, 100] kg"),
         r"'every M_p in \[1, 100\] kg', verified over 'every M_p in",
     ),
-    "another method": (proved(method="belief"), "by 'belief', verified by 'interval Lyapunov"),
+    "another method": (proved(method="belief"), "by 'belief', verified by 'zero exclusion"),
     "another claim": (proved(claim="axis x: never touches"), "'axis x: never touches' .* which nothing verifies"),
     "of no axis": (
         lambda c: _certified(c, proved=(*c.certificate.proved, HUMANS)),
         "'nobody is hurt' .* nothing verifies",
     ),
     "other numbers": (
-        proved(numbers={"cells": 1e9, "smallest_decrease": 0.5}),
-        r"with cells 1e\+09, .* found cells \d",
+        proved(numbers={"modulus": 0.5, "cells": 1e9, "arcs": 3.0}),
+        r"with modulus 0\.5, cells 1e\+09, .* found modulus 0\.\d",
     ),
-    "no numbers": (proved(numbers=None), "with no numbers, found cells"),
+    "no numbers": (proved(numbers=None), "with no numbers, found modulus"),
     "more plants": (sampled(numbers={"plants": 1e9, "replayed": 4.0, "seed": 7919.0}), r"with plants 1e\+09, .* found"),
     "a wider set": (sampled(over="K_e, M_p and all else"), "'K_e, M_p and all else', verified over 'K_e, M_p and K_s"),
 }
@@ -106,3 +110,44 @@ def test_another_method_of_the_continuous_proof_is_told() -> None:
     other = _certified(small_controller(), continuous={"x": (replace(reach, method="belief"),)})
     (wrong,) = wrong_statements(other, "x", proofs(other))
     assert wrong.startswith("continuous states the method 'belief', which is 'zero exclusion")
+
+
+def former(**numbers: float) -> Controller:
+    """A file as releases before this one wrote it, by another method and with its numbers."""
+    controller = small_controller()
+    stated = (replace(each, method=FORMER_METHOD, numbers=numbers) for each in controller.certificate.proved)
+    return _certified(controller, proved=tuple(stated))
+
+
+def test_what_an_earlier_release_states_is_verified_by_the_one_method_and_that_is_said() -> None:
+    controller = former(cells=24.0, smallest_decrease=1e-3)
+    check = check_statements(controller, "x", proofs(small_controller()))
+    assert check.passed
+    assert check.message.endswith(f"{FORMER_METHOD!r} is the method of an earlier release, verified here by {METHOD!r}")
+    elsewhere = [replace(each, over="every M_p in [1, 2] kg") for each in proofs(small_controller())]
+    assert not check_statements(controller, "x", elsewhere).passed
+
+
+@pytest.mark.parametrize("is_short", [False, True])
+def test_one_proof_answers_for_stability_and_for_the_modulus(is_short: bool) -> None:
+    controller = small_controller()
+    law, prover = admittance_controller(controller, "x"), Prover()
+    checks, verified = check_stability(controller, "x", law, prover, is_short=is_short)
+    assert [each.passed for each in checks] == [True, True]
+    assert [each.claim for each in verified] == [each.claim for each in controller.certificate.proved]
+    assert wrong_statements(controller, "x", verified) == []
+    (claim, _), *_ = prover.answers
+    assert (claim.modulus is None) == is_short
+    (again,) = check_continuous(controller, "x", law, prover)
+    assert again.passed
+    assert again.message.endswith(", the same proof as above)") != is_short
+    assert len(prover.answers) == 1 + is_short
+
+
+def test_a_proof_without_its_modulus_is_that_of_stability_alone() -> None:
+    """A file whose continuous proof was cut out states a modulus that nothing verifies any more."""
+    controller = _certified(small_controller(), continuous=None)
+    _, verified = check_stability(controller, "x", admittance_controller(controller, "x"), Prover(), is_short=False)
+    wrong = wrong_statements(controller, "x", verified)
+    assert len(wrong) == 2
+    assert "with modulus 0." in wrong[0]

@@ -1,14 +1,13 @@
-"""Sets of plants for the tests of validation, and the eigenvalues that judge a proof."""
+"""Sets of plants for the tests of proofs, and the eigenvalues that judge one."""
 
 import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from autotune.validation.proof import UncertainPlant
-from problems.model.controller import AdmittanceController
-from problems.model.plant import Coupling
+from autotune.certificate.family import UncertainPlant
+from problems.model.plant import NO_FILTER, Coupling, Environment, Payload, Plant, WrenchFilter
 from problems.model.robot import RobotModel
-from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
+from problems.model.sampled import Law, build_loop, build_sampled_plant, spectral_radius
 from tests.problems.axes import ANY_DELAYS, PERIOD_S, between, one_pole, or_zero, robots
 
 FloatArray = NDArray[np.float64]
@@ -23,16 +22,17 @@ def uncertain(
     environment_damping: float = 0.0,
     mass: tuple[float, float] = (15.0, 17.0),
     stiffness: tuple[float, float] = (5e4, 3e5),
+    wrench_filter: WrenchFilter = NO_FILTER,
 ) -> UncertainPlant:
     """Return the paper's cell with ranges of mass and stiffness."""
-    return UncertainPlant(
+    nominal = Plant(
         robot=robot if robot is not None else one_pole(),
         coupling=Coupling(stiffness_n_per_m=coupling, damping_n_s_per_m=coupling_damping),
-        drag_n_s_per_m=drag,
-        environment_damping_n_s_per_m=environment_damping,
-        payload_mass_kg=mass,
-        environment_stiffness_n_per_m=stiffness,
+        payload=Payload(mass_kg=mass[0], drag_n_s_per_m=drag),
+        environment=Environment(stiffness_n_per_m=stiffness[0], damping_n_s_per_m=environment_damping),
+        wrench_filter=wrench_filter,
     )
+    return UncertainPlant(nominal=nominal, payload_mass_kg=mass, environment_stiffness_n_per_m=stiffness)
 
 
 @st.composite
@@ -50,14 +50,15 @@ def uncertain_plants(draw: st.DrawFn) -> UncertainPlant:
     )
 
 
-def radius_at(plants: UncertainPlant, controller: AdmittanceController, mass: float, stiffness: float) -> float:
+def radius_at(plants: UncertainPlant, law: Law, mass: float, stiffness: float) -> float:
     """Return the largest |z| of one loop of the set, straight from its eigenvalues."""
-    return spectral_radius(build_loop(build_sampled_plant(plants.at(mass, stiffness), PERIOD_S), controller))
+    where = plants if stiffness > 0.0 else plants.in_free_space()
+    return spectral_radius(build_loop(build_sampled_plant(where.at(mass, stiffness), PERIOD_S), law))
 
 
-def radii(plants: UncertainPlant, controller: AdmittanceController, points: list[tuple[float, float]]) -> FloatArray:
+def radii(plants: UncertainPlant, law: Law, points: list[tuple[float, float]]) -> FloatArray:
     """Return the largest |z| at points (M_p, K_e)."""
-    return np.array([radius_at(plants, controller, mass, stiffness) for mass, stiffness in points])
+    return np.array([radius_at(plants, law, mass, stiffness) for mass, stiffness in points])
 
 
 def random_points(plants: UncertainPlant, count: int, *, seed: int = 0) -> list[tuple[float, float]]:

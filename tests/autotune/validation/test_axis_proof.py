@@ -4,9 +4,17 @@ from dataclasses import replace
 
 import pytest
 
+from autotune.certificate.claim import METHOD, prove
 from autotune.errors import CertificateError
 from autotune.formats.controller_record import AxisDomain, ConfidenceSet
-from autotune.validation.continuous import ProofWishes, prove_over, prove_reach, refuted_inside
+from autotune.validation.axis_proof import (
+    ProofOptions,
+    Prover,
+    modulus_claim,
+    prove_axis,
+    refuted_inside,
+    stability_claim,
+)
 from autotune.validation.validate import admittance_controller
 from problems.model.controller import AdmittanceController
 from tests.autotune.tuning.cases import fast_optimized
@@ -34,19 +42,19 @@ def test_a_swept_modulus_that_is_none_is_refused_with_its_point() -> None:
     with pytest.raises(
         CertificateError, match=r"Axis x: stability with a modulus of .* is refuted at M_p = 16 kg.* Hz"
     ):
-        prove_reach(domain, law, 8e-4, "x", 1.1 * swept, ProofWishes())
+        prove_axis(domain, law, 8e-4, "x", 1.1 * swept)
 
 
 def test_all_that_is_uncertain_is_proved_as_far_as_the_budget_goes() -> None:
     domain, law, swept = case()
     wide = replace(domain, uncertain=FURTHER)
-    (alone,) = prove_reach(wide, law, 8e-4, "x", 0.9 * swept, ProofWishes(further_s=0.0))
+    (alone,) = prove_axis(wide, law, 8e-4, "x", 0.9 * swept, ProofOptions(further_s=0.0)).reaches
     assert alone.over == BOTH
-    first, second = prove_reach(wide, law, 8e-4, "x", 0.9 * swept, ProofWishes(further_s=2.0))
+    first, second = prove_axis(wide, law, 8e-4, "x", 0.9 * swept, ProofOptions(further_s=2.0)).reaches
     assert first == alone
     assert second.over == (*BOTH, *FURTHER)
     assert second.share == 1.0
-    _, cut = prove_reach(wide, law, 8e-4, "x", 0.9 * swept, ProofWishes(further_s=0.02))
+    _, cut = prove_axis(wide, law, 8e-4, "x", 0.9 * swept, ProofOptions(further_s=0.02)).reaches
     assert cut.share < 1.0
     assert cut.environment_stiffness_n_per_m[1] < domain.environment_stiffness_n_per_m[1]
 
@@ -61,12 +69,47 @@ def test_what_is_false_beside_a_confidence_set_is_not_held_against_it() -> None:
     over = (*BOTH, "drag_n_s_per_m")
     for confidence, is_false in ((None, True), (spread, False)):
         of = replace(domain, uncertain=ranges, confidence=confidence)
-        found = prove_over(of, law, 8e-4, over, 0.95 * swept, 200_000)
+        found = prove(modulus_claim(of, law, 8e-4, over, 0.95 * swept, 200_000))
         assert found.false is not None
         assert (refuted_inside(of, found) is not None) == is_false
+
+
+def test_what_the_modulus_proves_is_not_proved_again_for_stability() -> None:
+    domain, law, swept = case()
+    found = prove_axis(domain, law, 8e-4, "x", swept)
+    ((claim, answer),) = found.answers
+    assert claim.modulus == pytest.approx(0.95 * swept)
+    for stated, parts in zip(found.proofs, (answer.free_space, answer.contact), strict=True):
+        assert stated.method == METHOD
+        assert stated.numbers == {"modulus": claim.modulus, "cells": parts[0].cells, "arcs": parts[0].arcs}
+
+
+def test_where_the_budget_ends_stability_is_proved_alone() -> None:
+    domain, law, swept = case()
+    found = prove_axis(domain, law, 8e-4, "x", swept, ProofOptions(budget_s=1e-4))
+    assert [claim.modulus is None for claim, _ in found.answers] == [False, True]
+    (reach,) = found.reaches
+    assert reach.share < 1.0
+    assert found.answers[1][0] == stability_claim(domain, law, 8e-4, found.reaches)
+    assert found.answers[1][1].holds
+    assert all("modulus" not in (stated.numbers or {}) for stated in found.proofs)
+
+
+def test_a_claim_is_proved_once_and_where_its_answer_is_from_is_said() -> None:
+    domain, law, swept = case()
+    claim = modulus_claim(domain, law, 8e-4, BOTH, 0.9 * swept, 60.0)
+    first = Prover()
+    assert first.origin(claim) == ""
+    found = first.prove(claim)
+    assert first.prove(claim) is found
+    assert first.origin(claim) == ", the same proof as above"
+    later = Prover(first.answers)
+    assert later.origin(claim) == ", proved when this certificate was made"
+    assert later.prove(claim) is found
+    assert later.origin(stability_claim(domain, law, 8e-4)) == ""
 
 
 @pytest.mark.parametrize("change", [{"slack": 0.0}, {"slack": 1.0}, {"budget_s": 0.0}, {"further_s": float("inf")}])
 def test_wishes_that_cannot_be_are_refused(change: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="must be"):
-        ProofWishes(**change)
+        ProofOptions(**change)

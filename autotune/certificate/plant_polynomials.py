@@ -1,0 +1,185 @@
+"""The sampled plants of a cell as polynomials in w = z − 1: in balls, with derivatives by the plant's parameters."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from problems.model.plant import write_plant
+from problems.model.robot import bandwidth_hz
+
+from . import rational
+from .balls import Series, as_series, ball, exponential, number, precise
+from .family import LAG, MASS, PROVABLE, STIFFNESS, Family
+
+FloatArray = NDArray[np.float64]
+
+
+@precise
+def plant_polynomials(family: Family, cell: FloatArray, along: int | None = None) -> tuple[list[Any], ...]:
+    """Return d, n_F and n_x in w = z − 1 over a cell (d, 2) of coordinates, ascending, as series.
+
+    X = n_x/(z^c d) X^d and F = n_F/(z^c d) X^d with d = det(zI − φ) and c commands in the delay chain. The slope of
+    every number is its derivative along coordinate `along`, over the whole cell.
+    """
+    values = _values(family, cell, along)
+    whole, has_fraction = family.delay()
+    augmented, position, force, direct = _continuous(family, values)
+    size = len(position)
+    full = exponential(augmented)
+    gamma = full[:size, size]
+    if has_fraction:
+        # The newer command acts during the last 1 − fraction of the period, the older one before.
+        rest = (whole + 1) - values["delay_s"] / family.sample_time_s
+        newer = exponential(augmented * rest)[:size, size]
+        inputs = [(newer, True), (gamma - newer, False)]
+    else:
+        inputs = [(gamma, False)]
+    answer = _Filtered(family, full[:size, :size]) if _has_filter(family) else _Plain(full[:size, :size], force)
+    characteristic = answer.characteristic
+    found_force, found_position = [direct * each for each in characteristic], [0]
+    for column, is_newer in inputs:
+        for_force, for_position = answer.numerators(position, column)
+        found_force = rational.add(found_force, rational.times_z(for_force) if is_newer else for_force)
+        found_position = rational.add(found_position, rational.times_z(for_position) if is_newer else for_position)
+    return characteristic, found_force, found_position
+
+
+class _Plain:
+    """Numerators of F and x over one characteristic polynomial, from the change over a sample."""
+
+    def __init__(self, whole: Any, force: Any) -> None:
+        size = len(whole)
+        change = whole - np.array([[int(i == j) for j in range(size)] for i in range(size)], dtype=object)
+        self.force = force
+        self.characteristic, self.adjugate = rational.resolvent(change)
+
+    def numerators(self, position: Any, column: Any) -> tuple[list[Any], list[Any]]:
+        """Return those of F and of x for one input's column."""
+        return rational.numerator(self.force, self.adjugate, column), rational.numerator(
+            position, self.adjugate, column
+        )
+
+
+class _Filtered:
+    """The same of a plant whose last state is that of the wrench's filter, which nothing else depends on.
+
+    With that block taken apart, det = d (w − δ) and F_m = ρ adj γ + d γ_f: the filter's ball stays out of d and adj.
+    """
+
+    def __init__(self, family: Family, whole: Any) -> None:
+        n = len(whole) - 1
+        self.plant = _Plain(whole[:n, :n], whole[n, :n])
+        self.unit, self.decay = _filter_unit(family), whole[n, n] - 1
+        self.characteristic = self._slowed(self.plant.characteristic)
+
+    def numerators(self, position: Any, column: Any) -> tuple[list[Any], list[Any]]:
+        """Return those of F_m and of x for one input's column."""
+        n = len(column) - 1
+        through, moved = self.plant.numerators(position[:n], column[:n])
+        measured = rational.add(through, [column[n] * each for each in self.plant.characteristic])
+        return [self.unit * each for each in measured], self._slowed(moved)
+
+    def _slowed(self, polynomial: list[Any]) -> list[Any]:
+        """Return (w − δ) times a polynomial in w."""
+        return rational.add([0, *polynomial], [-1 * self.decay * each for each in polynomial])
+
+
+def _has_filter(family: Family) -> bool:
+    return family.nominal.wrench_filter.time_constant_s > 0.0
+
+
+def _filter_unit(family: Family) -> float:
+    """Return the stiffness [N/m] in which the filter's state is told: a number that does not vary."""
+    coupling = family.nominal.coupling
+    return coupling.stiffness_n_per_m + coupling.damping_n_s_per_m / family.sample_time_s
+
+
+def _values(family: Family, cell: FloatArray, along: int | None) -> dict[str, Any]:
+    """Return every parameter as a series; the payload's is 1/M_p."""
+    found = {name: as_series(family.range_of(name)[0]) for name in PROVABLE}
+    found[MASS] = 1 / found[MASS]
+    for i, name in enumerate(family.varying):
+        found[name] = Series(ball(float(cell[i, 0]), float(cell[i, 1])), number(1) if i == along else None)
+    return found
+
+
+def _continuous(family: Family, values: Mapping[str, Any]) -> tuple[Any, Any, Any, Any]:
+    """Return the augmented continuous plant by sample, square, the rows of x and F, and F's direct part.
+
+    The equations are those of `write_plant`; the payload's position is told relative to the flange, e = x_p − x, as
+    otherwise the force of a free payload is a small difference of large balls.
+    """
+    n = family.nominal.robot.order
+    h: Any = as_series(family.sample_time_s)
+    a, push = _objects(n + 2, n + 2), _objects(n + 2)
+    b, position, force, contact, direct = (
+        _objects(n + 2),
+        _objects(n + 2),
+        _objects(n + 2),
+        _objects(n + 2),
+        _objects(3),
+    )
+    parameters = _objects(7)
+    named = ("coupling_damping_n_s_per_m", "drag_n_s_per_m", "environment_damping_n_s_per_m")
+    for place, name in zip((1, 3, 5), named, strict=True):
+        parameters[place] = values[name]
+    parameters[2] = as_series(1)
+    top, bottom = _robot(family, values)
+    write_plant(a, b, push, position, force, contact, direct, top, bottom, parameters, h)
+    k_s, k_e, inverse = values["coupling_stiffness_n_per_m"], values[STIFFNESS], values[MASS]
+    scale, flange = push[n + 1], rational.dot(position[:n], a[:n, :n])
+    for i in range(n):
+        a[n, i] = -flange[i]
+        a[n + 1, i] = inverse * (a[n + 1, i] - scale * k_e * position[i])
+    b[n] = -rational.dot(position[:n], b[:n])
+    a[n + 1, n] = -inverse * scale * (k_s + k_e)
+    a[n + 1, n + 1] = inverse * a[n + 1, n + 1]
+    b[n + 1] = inverse * b[n + 1]
+    force[n] = k_s
+    if _has_filter(family):
+        return _filtered(family, h / values[LAG], (a, b, position, force, direct[0]))
+    return _augmented(a, b), position, force, direct[0]
+
+
+def _filtered(family: Family, rate: Any, plant: tuple[Any, Any, Any, Any, Any]) -> tuple[Any, Any, Any, Any]:
+    """Add the state of the wrench's filter, F_m in units of a nominal stiffness, behind the others."""
+    a, b, position, force, direct = plant
+    n, unit = len(b), _filter_unit(family)
+    wider, driven, shown, measured = _objects(n + 1, n + 1), _objects(n + 1), _objects(n + 1), _objects(n + 1)
+    wider[:n, :n], driven[:n], shown[:n] = a, b, position
+    for i in range(n):
+        wider[n, i] = rate * force[i] / unit
+    wider[n, n] = -rate
+    driven[n] = rate * direct / unit
+    measured[n] = as_series(unit)
+    return _augmented(wider, driven), shown, measured, 0
+
+
+def _augmented(a: Any, b: Any) -> Any:
+    n = len(b)
+    out = _objects(n + 1, n + 1)
+    out[:n, :n], out[:n, n] = a, b
+    return out
+
+
+def _robot(family: Family, values: Mapping[str, Any]) -> tuple[Any, Any]:
+    """Return numerator and monic denominator, ascending, with all frequencies of r(s) moved to the bandwidth."""
+    numerator, denominator = family.nominal.robot.ascending()
+    n = len(numerator)
+    top, bottom = _objects(n), _objects(n + 1)
+    moves = "robot_bandwidth_hz" in family.ranges
+    ratio = values["robot_bandwidth_hz"] / bandwidth_hz(family.nominal.robot) if moves else 1
+    for i in range(n + 1):
+        power = ratio ** (n - i) if moves and i < n else 1
+        bottom[i] = as_series(float(denominator[i])) * power
+        if i < n:
+            top[i] = as_series(float(numerator[i])) * power
+    return top, bottom
+
+
+def _objects(*shape: int) -> Any:
+    out = np.empty(shape, dtype=object)
+    out.fill(0)
+    return out
