@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from problems.model.sampled import Law
+from problems.model.sampled import Controller
 
 from .balls import as_series, at, on_circle, polynomial, with_bits
 from .family import Family
@@ -27,7 +27,7 @@ def point_polynomials(family: Family, point: FloatArray) -> tuple[list[Any], lis
     return found[0], found[1], found[2]
 
 
-def is_stable(family: Family, controller: Law, point: FloatArray) -> bool | None:
+def is_stable(family: Family, controller: Controller, point: FloatArray) -> bool | None:
     """Return whether all poles lie inside the unit circle, by Schur and Cohn's recursion; None if rounding hides it.
 
     In free space the integrator at z = 1 is taken out, unless the law holds the position.
@@ -60,7 +60,7 @@ def _schur_cohn(ascending: list[Any]) -> bool | None:
     return True
 
 
-def fails_at(family: Family, controller: Law, point: FloatArray, angle: float, modulus: float) -> bool:
+def fails_at(family: Family, controller: Controller, point: FloatArray, angle: float, modulus: float) -> bool:
     """Return whether |χ| < m |R| is certain at one plant and one angle [rad/sample], for one of the break points."""
     whole, has_fraction = family.delay()
     with with_bits(_PRECISIONS[0]):

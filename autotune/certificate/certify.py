@@ -10,7 +10,7 @@ import numpy as np
 
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
-from problems.model.sampled import Law, build_loop, build_sampled_plant, stability_matrix
+from problems.model.sampled import Controller, build_loop, build_sampled_plant, stability_matrix
 
 from . import rational
 from .balls import Balls, FloatArray, Series, as_series, enclose, slope_of
@@ -73,7 +73,7 @@ class _Part:
 
 def certify(
     family: Family,
-    law: Law,
+    law: Controller,
     modulus: float | None,
     *,
     work: int,
@@ -128,7 +128,7 @@ def certify(
 class _Search:
     """The cells still to be proved, the softest on top, and what was counted so far."""
 
-    def __init__(self, family: Family, law: Law, modulus: float) -> None:
+    def __init__(self, family: Family, law: Controller, modulus: float) -> None:
         self.family, self.controller, self.modulus = family, law, modulus
         self.law: LawPolynomials = law_polynomials(law, family.sample_time_s)
         if family.shared_delay is not None and (self.law.position or self.law.follows):

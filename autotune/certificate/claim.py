@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from problems.model.plant import Plant
-from problems.model.sampled import Law
+from problems.model.sampled import Controller
 
 from .certify import Certificate, Verdict, certify
 from .family import Interval, build_families
@@ -26,7 +26,7 @@ class Claim:
 
     nominal: Plant
     ranges: tuple[tuple[str, Interval], ...]
-    law: Law
+    law: Controller
     sample_time_s: float
     modulus: float | None
     work: int

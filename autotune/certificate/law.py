@@ -15,12 +15,12 @@ from problems.model.controller import (
     write_blocks,
 )
 from problems.model.linear_controllers import LinearController
-from problems.model.sampled import Law, law_matrix
+from problems.model.sampled import Controller, controller_matrix
 
 from . import rational
 from .balls import number, precise
 
-# The numbers of a `LinearController` rest at one metre to rounding only (it checks that); what is left of it is not a pole.
+# A `LinearController` rests at one metre to rounding only (it checks that); what is left of it is not a pole.
 _ROUNDING = 1e-9
 
 
@@ -40,12 +40,12 @@ class LawPolynomials:
 
 
 @precise
-def law_polynomials(law: Law, sample_time_s: float) -> LawPolynomials:
+def law_polynomials(law: Controller, sample_time_s: float) -> LawPolynomials:
     """Return the law's polynomials from its difference equation at h.
 
-    Those of an `AdmittanceController` are exact, from its physical numbers; those of a `LinearController` are exact for the
-    doubles that it holds, but for the rounding by which they miss their rest at one metre. Raises ParameterError for a
-    `LinearController` of another h, and for one that neither holds a position, follows it, nor integrates.
+    Those of an `AdmittanceController` are exact, from its physical numbers; those of a `LinearController` are exact for
+    the doubles that it holds, but for the rounding by which they miss their rest at one metre. Raises ParameterError
+    for one of another h, and for one that neither holds a position, follows it, nor integrates.
     """
     settle, follows, holds = without_constant, False, False
     if isinstance(law, LinearController):
@@ -77,7 +77,7 @@ def law_polynomials(law: Law, sample_time_s: float) -> LawPolynomials:
 
 def _matrix(law: LinearController, sample_time_s: float) -> Any:
     """Return the law's rows (states, command) over columns (states, e, x) as balls without radius."""
-    matrix = law_matrix(law, sample_time_s)
+    matrix = controller_matrix(law, sample_time_s)
     rows = np.empty(matrix.shape, dtype=object)
     for place, value in np.ndenumerate(matrix):
         rows[place] = number(float(value))

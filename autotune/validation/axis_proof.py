@@ -12,7 +12,7 @@ from autotune.errors import CertificateError
 from autotune.formats.controller_record import AxisDomain, Proof, Reach
 from autotune.formats.units import AxisUnits, axis_units
 from problems.errors import ParameterError
-from problems.model.sampled import Law
+from problems.model.sampled import Controller
 
 from .refuted import RefutedError
 
@@ -84,7 +84,7 @@ class AxisProof:
 
 def prove_axis(
     domain: AxisDomain,
-    law: Law,
+    law: Controller,
     sample_time_s: float,
     name: str,
     swept_modulus: float,
@@ -173,7 +173,7 @@ def _refuted(name: str, domain: AxisDomain, failed: Certificate, message: str) -
 
 
 def modulus_claim(
-    domain: AxisDomain, law: Law, sample_time_s: float, over: tuple[str, ...], modulus: float, budget_s: float
+    domain: AxisDomain, law: Controller, sample_time_s: float, over: tuple[str, ...], modulus: float, budget_s: float
 ) -> Claim:
     """Return the claim of a modulus over the named parameters, the others nominal, with a budget for all its parts.
 
@@ -197,7 +197,7 @@ def modulus_claim(
     )
 
 
-def stability_claim(domain: AxisDomain, law: Law, sample_time_s: float, reaches: Iterable[Reach] = ()) -> Claim:
+def stability_claim(domain: AxisDomain, law: Controller, sample_time_s: float, reaches: Iterable[Reach] = ()) -> Claim:
     """Return the claim by which stability over K_e and M_p is proved.
 
     It is the claim of the modulus where that is proved over all of K_e and M_p, and otherwise that of stability alone.

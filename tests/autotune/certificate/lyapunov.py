@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from autotune.certificate.family import UncertainPlant
 from problems.model.plant import build_plant_matrices
-from problems.model.sampled import Law, SampledPlant, build_loop, build_sampled_plant, stability_matrix
+from problems.model.sampled import Controller, SampledPlant, build_loop, build_sampled_plant, stability_matrix
 
 FloatArray = NDArray[np.float64]
 
@@ -205,7 +205,7 @@ class StabilityProof:
 
 
 def lyapunov_stability(
-    plants: UncertainPlant, controller: Law, sample_time_s: float, *, most_cells: int = _MOST_CELLS
+    plants: UncertainPlant, controller: Controller, sample_time_s: float, *, most_cells: int = _MOST_CELLS
 ) -> StabilityProof:
     """Prove that the sampled loop is stable for every plant of the set, or name a plant for which it is not shown.
 
@@ -249,7 +249,7 @@ def _split(loop: CellLoop, cells: FloatArray) -> FloatArray:
     return np.vstack([lower, upper])
 
 
-def build_cell_loop(plants: UncertainPlant, controller: Law, sample_time_s: float) -> CellLoop:
+def build_cell_loop(plants: UncertainPlant, controller: Controller, sample_time_s: float) -> CellLoop:
     """Find how the loop matrix depends on 1/M_p and K_e/M_p.
 
     A point of the unit square is 1/M_p and K_e: a rectangle of (1/M, K/M) would hold stiffness that nobody asked for.
@@ -280,7 +280,7 @@ def build_cell_loop(plants: UncertainPlant, controller: Law, sample_time_s: floa
     )
 
 
-def _affine(sampled: SampledPlant, controller: Law) -> tuple[FloatArray, FloatArray]:
+def _affine(sampled: SampledPlant, controller: Controller) -> tuple[FloatArray, FloatArray]:
     """Return the loop matrix without the plant, and what each number of phi, gamma and gamma_old adds to it."""
     n = sampled.state_count
 
@@ -293,7 +293,7 @@ def _affine(sampled: SampledPlant, controller: Law) -> tuple[FloatArray, FloatAr
     return constant, np.array([reduced(unit) - constant for unit in np.eye(n * n + 2 * n)])
 
 
-def _bounds(sampled: SampledPlant, controller: Law) -> tuple[float, int, int]:
+def _bounds(sampled: SampledPlant, controller: Controller) -> tuple[float, int, int]:
     """Return by how much a change of (phi, gamma, gamma_old) can be larger in the loop matrix, its rows and columns.
 
     gamma_old takes part through two exponentials; gamma is multiplied by the command row, and deflation by at most 1 +

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from autotune.certificate.family import UncertainPlant
 from problems.model.plant import NO_FILTER, Coupling, Environment, Payload, Plant, WrenchFilter
 from problems.model.robot import RobotModel
-from problems.model.sampled import Law, build_loop, build_sampled_plant, spectral_radius
+from problems.model.sampled import Controller, build_loop, build_sampled_plant, spectral_radius
 from tests.problems.axes import ANY_DELAYS, PERIOD_S, between, one_pole, or_zero, robots
 
 FloatArray = NDArray[np.float64]
@@ -50,13 +50,13 @@ def uncertain_plants(draw: st.DrawFn) -> UncertainPlant:
     )
 
 
-def radius_at(plants: UncertainPlant, law: Law, mass: float, stiffness: float) -> float:
+def radius_at(plants: UncertainPlant, law: Controller, mass: float, stiffness: float) -> float:
     """Return the largest |z| of one loop of the set, straight from its eigenvalues."""
     where = plants if stiffness > 0.0 else plants.in_free_space()
     return spectral_radius(build_loop(build_sampled_plant(where.at(mass, stiffness), PERIOD_S), law))
 
 
-def radii(plants: UncertainPlant, law: Law, points: list[tuple[float, float]]) -> FloatArray:
+def radii(plants: UncertainPlant, law: Controller, points: list[tuple[float, float]]) -> FloatArray:
     """Return the largest |z| at points (M_p, K_e)."""
     return np.array([radius_at(plants, law, mass, stiffness) for mass, stiffness in points])
 

@@ -16,7 +16,7 @@ from problems.model.controller import AdmittanceController
 from problems.model.linear_controllers import LinearController
 from problems.model.plant import WrenchFilter
 from problems.model.robot import RobotModel
-from problems.model.sampled import Law, linear_law
+from problems.model.sampled import Controller, linear_controller
 from problems.model.third_party_controllers import ForwardDynamics, SpringAdmittance
 from tests.autotune.certificate.lyapunov import lyapunov_stability
 from tests.autotune.certificate.plants import FloatArray, radii, radius_at, random_points, uncertain, uncertain_plants
@@ -38,17 +38,17 @@ KINDS = {
     "two poles": TWO_POLES,
 }
 EVERY_KIND = pytest.mark.parametrize("robot", list(KINDS.values()), ids=list(KINDS))
-EVERY_LAW = pytest.mark.parametrize("law", [CALM, linear_law(CALM, PERIOD_S), SPRUNG, FOLLOWING])
+EVERY_LAW = pytest.mark.parametrize("law", [CALM, linear_controller(CALM, PERIOD_S), SPRUNG, FOLLOWING])
 FEW = settings(deadline=None, max_examples=30)
 
 
-def proved(plants: UncertainPlant, law: Law, *, work: int = WORK) -> CombinedCertificate:
+def proved(plants: UncertainPlant, law: Controller, *, work: int = WORK) -> CombinedCertificate:
     ranges = ((STIFFNESS, plants.environment_stiffness_n_per_m), (MASS, plants.payload_mass_kg))
     claim = Claim(nominal=plants.nominal, ranges=ranges, law=law, sample_time_s=PERIOD_S, modulus=None, work=work)
     return prove(claim)
 
 
-def check_not_contradicted(plants: UncertainPlant, law: Law) -> CombinedCertificate:
+def check_not_contradicted(plants: UncertainPlant, law: Controller) -> CombinedCertificate:
     """What is proved no plant contradicts, and a plant that is named as unstable is."""
     found = proved(plants, law)
     points = random_points(plants, 100)
@@ -93,7 +93,7 @@ def third_party_laws() -> st.SearchStrategy[LinearController]:
 
 @FEW
 @given(plants=uncertain_plants(), law=st.one_of(gentle_controllers(), controllers(), third_party_laws()))
-def test_a_proof_is_never_contradicted_by_eigenvalues(plants: UncertainPlant, law: Law) -> None:
+def test_a_proof_is_never_contradicted_by_eigenvalues(plants: UncertainPlant, law: Controller) -> None:
     check_not_contradicted(plants, law)
 
 
@@ -120,7 +120,7 @@ def test_the_law_above_is_not_empty() -> None:
 
 @EVERY_KIND
 @EVERY_LAW
-def test_every_kind_of_loop_is_proved_over_a_domain_by_two_methods(robot: RobotModel, law: Law) -> None:
+def test_every_kind_of_loop_is_proved_over_a_domain_by_two_methods(robot: RobotModel, law: Controller) -> None:
     """The oracle needs more cells: it is asked about a part of the set, and not about a spring in free space."""
     plants = uncertain(
         robot=robot, coupling_damping=150.0, environment_damping=40.0, mass=(15.6, 16.4), stiffness=(1.4e5, 1.6e5)
@@ -139,7 +139,7 @@ def test_a_controller_and_its_difference_equation_have_the_same_proof(modulus: f
     ranges = {STIFFNESS: (5e4, 3e5), MASS: (14.0, 18.0)}
     for family in build_families(uncertain().nominal, ranges, PERIOD_S):
         for each in (family, family.in_free_space()):
-            first, second = (certify(each, one, modulus, work=WORK) for one in (law, linear_law(law, PERIOD_S)))
+            first, second = (certify(each, one, modulus, work=WORK) for one in (law, linear_controller(law, PERIOD_S)))
             assert first.holds
             assert (first.cells, first.arcs, first.work) == (second.cells, second.arcs, second.work)
 
@@ -196,7 +196,7 @@ def gap(drag: float) -> tuple[UncertainPlant, AdmittanceController]:
     return plants, admittance(9.3, 1340.0, 0.019)
 
 
-def scanned(plants: UncertainPlant, law: Law, count: int = 200) -> tuple[FloatArray, FloatArray]:
+def scanned(plants: UncertainPlant, law: Controller, count: int = 200) -> tuple[FloatArray, FloatArray]:
     low, high = plants.environment_stiffness_n_per_m
     stiffness = np.geomspace(low, high, count)
     return stiffness, radii(plants, law, [(16.0, float(k)) for k in stiffness])
@@ -257,7 +257,7 @@ def test_a_law_of_another_period_is_refused() -> None:
 
 
 @pytest.mark.parametrize("law", [admittance(20.0, 3500.0, 0.013, 0.01), SPRUNG, FOLLOWING])
-def test_a_law_that_reads_the_position_is_not_proved_behind_a_late_wrench(law: Law) -> None:
+def test_a_law_that_reads_the_position_is_not_proved_behind_a_late_wrench(law: Controller) -> None:
     late = uncertain(wrench_filter=WrenchFilter(delay_s=1e-3))
     with pytest.raises(ParameterError, match=r"wrench_delay_s must be 0 for a law that reads the position"):
         proved(late, law)
