@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.floating[Any]]
-Role = Literal["measured", "model", "before", "after", "target", "residual", "quiet", "bad", "good", "other"]
+Role = Literal[
+    "measured", "model", "before", "after", "target", "residual", "quiet", "bad", "good", "other", "stable", "edge"
+]
 Spacing = Literal["linear", "log"]
 
 
@@ -131,7 +133,9 @@ class Heat:
     """Numbers on a grid as colours: `values` (rows, columns) over `x` (columns,) and `y` (rows,), NaN left open.
 
     `x` and `y` are the middles of the cells, evenly spaced on the panel's scales. With `limits` the colours span them,
-    symmetric limits get a scale with a neutral middle. `names` (x, y) replaces the ticks of a table of names.
+    symmetric limits get a scale with a neutral middle. `names` (x, y) replaces the ticks of a table of names. `spacing` is
+    that of the colours, turned round where values are `descending`; with `smooth` they run on between the cells and
+    lines of equal value are drawn.
     """
 
     x: FloatArray
@@ -141,6 +145,9 @@ class Heat:
     limits: tuple[float, float] | None = None
     names: tuple[tuple[str, ...], tuple[str, ...]] | None = None
     written: bool = False
+    spacing: Spacing = "linear"
+    smooth: bool = False
+    descending: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "x", _column(self.x))
@@ -173,7 +180,39 @@ class Heat:
                     yield float(x), float(y), "0" if float(rounded) == 0.0 else sign + rounded, abs(value) > 0.6 * most
 
 
-Element = Line | Band | Points | Bars | Stretch | Limit | Heat
+@dataclass(frozen=True, kw_only=True)
+class Region:
+    """The part of the panel in which `values` (rows, columns) over `x` (columns,) and `y` (rows,) are above 0.
+
+    It is hatched; its edge has a line and, with `edge_label`, a name of its own.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    values: FloatArray
+    label: str
+    edge_label: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("x", "y"):
+            object.__setattr__(self, name, _column(getattr(self, name)))
+        values = np.array(self.values, dtype=np.float64)
+        values.setflags(write=False)
+        object.__setattr__(self, "values", values)
+        if values.shape != (len(self.y), len(self.x)):
+            raise ValueError(f"a region of {len(self.y)} rows and {len(self.x)} columns cannot hold {values.shape}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Area:
+    """Filled polygons, each (n, 2)."""
+
+    polygons: tuple[FloatArray, ...]
+    label: str = ""
+    role: Role = "quiet"
+
+
+Element = Line | Band | Points | Bars | Stretch | Limit | Heat | Region | Area
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,7 +226,10 @@ class Scale:
 
 @dataclass(frozen=True, kw_only=True)
 class Panel:
-    """A pair of axes and what is drawn in it: stretches, then the others in this order; `equal` keeps circles round."""
+    """A pair of axes and what is drawn in it: stretches, then the others in this order; `equal` keeps circles round.
+
+    The `ground` of a map of stability is that of stable or unstable loops; `note` is written in the middle.
+    """
 
     x: Scale
     y: Scale
@@ -195,6 +237,8 @@ class Panel:
     title: str = ""
     height: float = 1.0
     equal: bool = False
+    ground: Literal["plain", "stable", "unstable"] = "plain"
+    note: str = ""
 
     def stretches(self) -> dict[Role, list[Stretch]]:
         """Return the stretches by role: a log has dozens, which are drawn in a few strokes."""

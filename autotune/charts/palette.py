@@ -44,6 +44,10 @@ _ON_DARK: Mapping[str, str] = FrozenDict(
 )
 # One-sided numbers grow from dark to pale; two-sided ones have a pale middle. Maps keep their colours on any paper.
 ONE_SIDED, TWO_SIDED = "viridis", "RdBu_r"
+# Of a map of stability, which no page shows on dark paper.
+MAP_COLOURS: Mapping[str, str] = FrozenDict(
+    {"stable": "#d6e8f7", "unstable": "#e4e4e4", "hatch": "#9a9a9a", "edge": "#000000"}
+)
 _ON_LIGHT = {**COLOURS, **FURNITURE}
 _NAMES = {colour: name for name, colour in _ON_LIGHT.items()}
 _COLOUR = re.compile("|".join(sorted(_NAMES)))

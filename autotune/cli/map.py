@@ -115,10 +115,10 @@ def command(
     stable-lead all stable lead gains over the payload frequency; --y then names the parameter of which a few values
     are compared.
     """
-    from autotune.maps.ask import MapAsk
     from autotune.maps.make import make_map, summary_tree
+    from autotune.maps.options import MapOptions
 
-    ask = MapAsk(
+    options = MapOptions(
         source=source,
         picture=out,
         data=data,
@@ -133,7 +133,7 @@ def command(
         approach_force=approach_force,
     )
     with output.progress("mapping", 1.0) as advance:
-        made = make_map(ask, advance)
+        made = make_map(options, advance)
     for line in made.replaced:
         output.note(line)
     tree = summary_tree(made)

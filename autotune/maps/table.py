@@ -11,23 +11,23 @@ from problems.maps.maps import MapAxis, MapResult
 from problems.maps.parameters import MAP_PARAMETERS, MapParameter, MapQuantity
 from problems.maps.search import IntervalResult
 
-from .plan import MapPlan
+from .setup import MapSetup
 from .text import WHERE, approach_text, with_unit
 
 FORMAT, VERSION = "autotune/map", 1
 
 
-def table_text(plan: MapPlan, result: MapResult | IntervalResult, path: Path) -> str:
+def table_text(setup: MapSetup, result: MapResult | IntervalResult, path: Path) -> str:
     """Return the text of a data file, CSV or JSON by the suffix of `path`."""
     if path.suffix.lower() == ".json":
-        return json.dumps(_tree(plan, result), ensure_ascii=False, allow_nan=False) + "\n"
-    lines = [f"# {line}" for line in _header(plan, result)]
+        return json.dumps(_tree(setup, result), ensure_ascii=False, allow_nan=False) + "\n"
+    lines = [f"# {line}" for line in _header(setup, result)]
     rows = _map_rows(result) if isinstance(result, MapResult) else _interval_rows(result)
     return "\n".join([*lines, *rows]) + "\n"
 
 
-def _header(plan: MapPlan, result: MapResult | IntervalResult) -> Iterator[str]:
-    source, request = plan.source, result.request
+def _header(setup: MapSetup, result: MapResult | IntervalResult) -> Iterator[str]:
+    source, request = setup.source, result.request
     yield f"{FORMAT} version {VERSION}, autotune {__version__}"
     yield f"source: {source.path.name}, axis {source.axis}"
     if isinstance(result, MapResult):
@@ -38,35 +38,35 @@ def _header(plan: MapPlan, result: MapResult | IntervalResult) -> Iterator[str]:
         axes = [result.request.x, result.request.y]
     else:
         yield f"shown: stable intervals of {result.request.searched.parameter.label} {WHERE[request.where]}"
-        yield f"searched: {_range(plan, result.request.searched)}"
+        yield f"searched: {_range(setup, result.request.searched)}"
         yield f"ends known within {result.request.tolerance:g} of that range{_logarithmic(result.request.searched)}"
         axes = [result.request.along]
-    for name, value in plan.fixed.items():
-        yield f"fixed: {_entry(plan, MAP_PARAMETERS[name], value)}"
+    for name, value in setup.fixed.items():
+        yield f"fixed: {_entry(setup, MAP_PARAMETERS[name], value)}"
     yield f"fixed: sample time h = {source.sample_time_s!r} s"
-    if plan.source.robot.order > 1:
+    if setup.source.robot.order > 1:
         numerator, denominator = (list(map(float, each)) for each in (source.robot.numerator, source.robot.denominator))
         yield f"fixed: robot r(s) = {numerator} / {denominator}, descending powers of s"
     for axis in axes:
-        yield f"varied: {_range(plan, axis)}"
-    yield f"columns: {', '.join(_columns(plan, result))}"
+        yield f"varied: {_range(setup, axis)}"
+    yield f"columns: {', '.join(_columns(setup, result))}"
     if isinstance(result, MapResult):
         yield "a value is empty where the loop is unstable, inf where nothing limits the margin"
     else:
         yield "an interval that ends at a bound of the search goes on beyond it; interval 0 says that nothing is stable"
 
 
-def _columns(plan: MapPlan, result: MapResult | IntervalResult) -> list[str]:
+def _columns(setup: MapSetup, result: MapResult | IntervalResult) -> list[str]:
     if isinstance(result, MapResult):
         request = result.request
-        told = [_named(plan, request.x.parameter), _named(plan, request.y.parameter), "is_stable (1 or 0)"]
+        told = [_named(setup, request.x.parameter), _named(setup, request.y.parameter), "is_stable (1 or 0)"]
         if request.quantity is not MapQuantity.STABILITY:
-            unit = request.quantity.unit_of(rotational=plan.source.is_rotational)
+            unit = request.quantity.unit_of(rotational=setup.source.is_rotational)
             told.append(f"{request.quantity.label}" + (f" [{unit}]" if unit else ""))
         return told
-    searched = _named(plan, result.request.searched.parameter)
+    searched = _named(setup, result.request.searched.parameter)
     ends = [f"lower and upper end of {searched}", "whether they are a bound of the search (1 or 0)"]
-    return ["case", _named(plan, result.request.along.parameter), "number of the interval", *ends]
+    return ["case", _named(setup, result.request.along.parameter), "number of the interval", *ends]
 
 
 def _map_rows(result: MapResult) -> Iterator[str]:
@@ -96,8 +96,8 @@ def _interval_rows(result: IntervalResult) -> Iterator[str]:
                 yield f"{name},{float(value)!r},{i},{each.lower!r},{each.upper!r},{flags}"
 
 
-def _tree(plan: MapPlan, result: MapResult | IntervalResult) -> dict[str, Any]:
-    source, request = plan.source, result.request
+def _tree(setup: MapSetup, result: MapResult | IntervalResult) -> dict[str, Any]:
+    source, request = setup.source, result.request
     tree: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
@@ -108,7 +108,7 @@ def _tree(plan: MapPlan, result: MapResult | IntervalResult) -> dict[str, Any]:
         "sample_time_s": source.sample_time_s,
         "robot": {"numerator": source.robot.numerator.tolist(), "denominator": source.robot.denominator.tolist()},
         "fixed": {
-            name: {"value": value, "unit": plan.unit(MAP_PARAMETERS[name])} for name, value in plan.fixed.items()
+            name: {"value": value, "unit": setup.unit(MAP_PARAMETERS[name])} for name, value in setup.fixed.items()
         },
     }
     if isinstance(result, MapResult):
@@ -118,7 +118,7 @@ def _tree(plan: MapPlan, result: MapResult | IntervalResult) -> dict[str, Any]:
         if quantity.is_peak:
             approach = result.request.approach
             tree["approach"] = {"force_n": approach.force_n, "speed_m_s": approach.speed_m_s}
-        tree |= {"x": _axis_tree(plan, result.request.x), "y": _axis_tree(plan, result.request.y)}
+        tree |= {"x": _axis_tree(setup, result.request.x), "y": _axis_tree(setup, result.request.y)}
         tree["is_stable"] = result.is_stable.tolist()
         if quantity is not MapQuantity.STABILITY:
             # JSON knows neither NaN (unstable) nor infinity (stable, and nothing limits the margin).
@@ -128,9 +128,9 @@ def _tree(plan: MapPlan, result: MapResult | IntervalResult) -> dict[str, Any]:
         return tree
     return tree | {
         "show": "stable intervals",
-        "searched": _axis_tree(plan, result.request.searched, values=False),
+        "searched": _axis_tree(setup, result.request.searched, values=False),
         "tolerance": result.request.tolerance,
-        "along": _axis_tree(plan, result.request.along),
+        "along": _axis_tree(setup, result.request.along),
         "intervals": {
             name: [
                 [
@@ -149,15 +149,15 @@ def _tree(plan: MapPlan, result: MapResult | IntervalResult) -> dict[str, Any]:
     }
 
 
-def _axis_tree(plan: MapPlan, axis: MapAxis, *, values: bool = True) -> dict[str, Any]:
-    tree: dict[str, Any] = {"name": axis.name, "unit": plan.unit(axis.parameter), "spacing": axis.spacing}
+def _axis_tree(setup: MapSetup, axis: MapAxis, *, values: bool = True) -> dict[str, Any]:
+    tree: dict[str, Any] = {"name": axis.name, "unit": setup.unit(axis.parameter), "spacing": axis.spacing}
     return tree | (
         {"values": axis.values().tolist()} if values else {"low": axis.low, "high": axis.high, "count": axis.count}
     )
 
 
-def _range(plan: MapPlan, axis: MapAxis) -> str:
-    ends = with_unit(f"{axis.low!r} to {axis.high!r}", plan.unit(axis.parameter))
+def _range(setup: MapSetup, axis: MapAxis) -> str:
+    ends = with_unit(f"{axis.low!r} to {axis.high!r}", setup.unit(axis.parameter))
     return f"{axis.name} ({axis.parameter.symbol}) from {ends}, {axis.count} values, {axis.spacing} spacing"
 
 
@@ -165,10 +165,10 @@ def _logarithmic(axis: MapAxis) -> str:
     return " in the logarithm" if axis.spacing == "log" else ""
 
 
-def _entry(plan: MapPlan, parameter: MapParameter, value: float) -> str:
-    return with_unit(f"{parameter.name} ({parameter.symbol}) = {value!r}", plan.unit(parameter))
+def _entry(setup: MapSetup, parameter: MapParameter, value: float) -> str:
+    return with_unit(f"{parameter.name} ({parameter.symbol}) = {value!r}", setup.unit(parameter))
 
 
-def _named(plan: MapPlan, parameter: MapParameter) -> str:
-    unit = plan.unit(parameter)
+def _named(setup: MapSetup, parameter: MapParameter) -> str:
+    unit = setup.unit(parameter)
     return parameter.name + (f" [{unit}]" if unit else "")

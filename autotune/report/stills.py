@@ -12,7 +12,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 
 from autotune.charts.chart import Chart, Heat, Panel
-from autotune.charts.matplotlib_renderer import POINTS_PER_INCH, TEXT_LINE_INCHES, draw_panel
+from autotune.charts.matplotlib_renderer import POINTS_PER_INCH, TEXT_LINE_INCHES, add_colour_bar, draw_panel
 from autotune.charts.palette import FURNITURE, named_colours
 
 Span = tuple[float, float]
@@ -147,7 +147,7 @@ def _place(figure: Figure, panels: Sequence[Panel], every: Sequence[Axes], width
             if isinstance(element, Heat):
                 start = 1.0 - (right - _BAR_GAP_INCHES) / width
                 beside = figure.add_axes((start, box.y0, _BAR_INCHES / width, box.height))
-                figure.colorbar(axes.collections[0], cax=beside).set_label(element.label, labelpad=2.0)
+                add_colour_bar(figure, panel, axes, beside)
 
 
 def _most_letters(side: Axis) -> int:

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from autotune.formats.controller_record import CollisionResponse, Controller
-from autotune.maps.ask import MapAsk
-from autotune.maps.plan import MapPlan, build_plan
+from autotune.maps.options import MapOptions
+from autotune.maps.setup import MapSetup, build_setup
 from autotune.maps.source import MapSource, read_source
 from identification.result import Estimate, Identified, Status
 from problems.maps.maps import MapRequest, MapResult, compute_map
@@ -30,13 +30,13 @@ def read(path: Path, axis: str | None = None, controller: Path | None = None) ->
     return read_source(path, axis=axis, controller=controller)
 
 
-def plan_of(folder: Path, source: str = "controller.yaml", **asked: Any) -> MapPlan:
+def plan_of(folder: Path, source: str = "controller.yaml", **asked: Any) -> MapSetup:
     axis = asked.pop("axis", None)
-    ask = MapAsk(source=folder / source, picture=folder / "map.svg", axis=axis, **asked)
-    return build_plan(ask, read(ask.source, axis, ask.controller))
+    options = MapOptions(source=folder / source, picture=folder / "map.svg", axis=axis, **asked)
+    return build_setup(options, read(options.source, axis, options.controller))
 
 
-def small_map(folder: Path, show: str = "delay") -> tuple[MapPlan, MapResult]:
-    plan = plan_of(folder, show=show, x="damping=50:8000:7", y="lead_s=0:0.06:5", where="free_space")
-    assert isinstance(plan.request, MapRequest)
-    return plan, compute_map(plan.request)
+def small_map(folder: Path, show: str = "delay") -> tuple[MapSetup, MapResult]:
+    setup = plan_of(folder, show=show, x="damping=50:8000:7", y="lead_s=0:0.06:5", where="free_space")
+    assert isinstance(setup.request, MapRequest)
+    return setup, compute_map(setup.request)

@@ -30,9 +30,9 @@ def test_a_certificate_gives_the_middle_of_its_ranges_and_the_payload_that_is_co
 def test_a_rotational_axis_takes_the_middle_of_the_inertia_and_its_own_units(folder: Path) -> None:
     source = read(folder / "two.yaml", "rz")
     assert (source.is_rotational, source.known["payload_mass"]) == (True, 16.0)
-    plan = plan_of(folder, "two.yaml", axis="rz")
-    assert isinstance(plan.request, MapRequest)
-    assert plan.unit(plan.request.x.parameter) == "N·m·s/rad"
+    setup = plan_of(folder, "two.yaml", axis="rz")
+    assert isinstance(setup.request, MapRequest)
+    assert setup.unit(setup.request.x.parameter) == "N·m·s/rad"
 
 
 def test_the_compensation_of_a_file_is_in_the_loop(folder: Path) -> None:
@@ -80,8 +80,8 @@ def test_what_the_log_does_not_tell_must_be_set(folder: Path) -> None:
     gains = ["mass=13", "damping=1000"]
     with pytest.raises(EstimateError, match=r"drag of axis x is not identified \(no free motion\); say --set drag="):
         plan_of(folder, "sample.yaml", axis="x", settings=gains)
-    plan = plan_of(folder, "sample.yaml", axis="x", settings=[*gains, "drag=300"])
-    assert plan.fixed["drag"] == 300.0
+    setup = plan_of(folder, "sample.yaml", axis="x", settings=[*gains, "drag=300"])
+    assert setup.fixed["drag"] == 300.0
     # Varied, or determined by what varies, is as good as set.
     plan_of(folder, "sample.yaml", axis="x", settings=gains, x="drag=100:700")
     plan_of(folder, "sample.yaml", axis="x", settings=gains, x="payload_damping_ratio=0.01:0.3")
@@ -97,5 +97,5 @@ def test_free_space_needs_no_environment(folder: Path) -> None:
     gains = ["mass=13", "damping=1000"]
     with pytest.raises(EstimateError, match="environment_stiffness of axis x"):
         plan_of(folder, "bare.yaml", settings=gains)
-    plan = plan_of(folder, "bare.yaml", settings=gains, where="free_space")
-    assert not [name for name in plan.fixed if name.startswith("environment")]
+    setup = plan_of(folder, "bare.yaml", settings=gains, where="free_space")
+    assert not [name for name in setup.fixed if name.startswith("environment")]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from autotune.maps.plan import MapPlan
+from autotune.maps.setup import MapSetup
 from autotune.maps.table import table_text
 from problems.maps.search import IntervalRequest, IntervalResult, find_stable_intervals
 from tests.autotune.maps.map_cases import plan_of, small_map
@@ -22,9 +22,9 @@ def rows_of(text: str) -> tuple[list[str], list[dict[str, str]]]:
 
 
 def test_the_csv_holds_every_point_to_the_last_bit(folder: Path) -> None:
-    plan, result = small_map(folder)
+    setup, result = small_map(folder)
     assert {bool(np.any(test(result.values))) for test in (np.isnan, np.isinf)} == {True}
-    header, rows = rows_of(table_text(plan, result, Path("map.csv")))
+    header, rows = rows_of(table_text(setup, result, Path("map.csv")))
     assert "# fixed: mass (M_a) = 12.5 kg" in header
     assert "# fixed: sample time h = 0.0008 s" in header
     assert any(line.startswith("# varied: lead_s (K_l) from 0.0 to 0.06 s, 5 values") for line in header)
@@ -38,8 +38,8 @@ def test_the_csv_holds_every_point_to_the_last_bit(folder: Path) -> None:
 
 
 def test_the_json_says_the_same(folder: Path) -> None:
-    plan, result = small_map(folder)
-    tree = json.loads(table_text(plan, result, Path("map.json")), parse_constant=pytest.fail)
+    setup, result = small_map(folder)
+    tree = json.loads(table_text(setup, result, Path("map.json")), parse_constant=pytest.fail)
     assert (tree["format"], tree["show"], tree["unit"]) == ("autotune/map", "delay", "s")
     assert tree["x"]["values"] == result.request.x.values().tolist()
     assert tree["is_stable"] == result.is_stable.tolist()
@@ -49,24 +49,24 @@ def test_the_json_says_the_same(folder: Path) -> None:
 
 
 def test_a_map_of_stability_has_no_values(folder: Path) -> None:
-    plan, result = small_map(folder, "stability")
-    _, rows = rows_of(table_text(plan, result, Path("map.csv")))
+    setup, result = small_map(folder, "stability")
+    _, rows = rows_of(table_text(setup, result, Path("map.csv")))
     assert list(rows[0]) == ["damping", "lead_s", "is_stable"]
-    assert "values" not in json.loads(table_text(plan, result, Path("map.json")))
+    assert "values" not in json.loads(table_text(setup, result, Path("map.json")))
 
 
-def small_intervals(folder: Path, **asked: Any) -> tuple[MapPlan, IntervalResult]:
+def small_intervals(folder: Path, **asked: Any) -> tuple[MapSetup, IntervalResult]:
     asked = {"show": "stable-lead", "x": "drag=60:700:6", "y": "damping=400:1200:2", **asked}
-    plan = plan_of(folder, where="free_space", settings=["coupling_damping=0", "feedback_damping_s=0"], **asked)
-    assert isinstance(plan.request, IntervalRequest)
-    return plan, find_stable_intervals(plan.request)
+    setup = plan_of(folder, where="free_space", settings=["coupling_damping=0", "feedback_damping_s=0"], **asked)
+    assert isinstance(setup.request, IntervalRequest)
+    return setup, find_stable_intervals(setup.request)
 
 
 def test_the_intervals_are_in_the_files(folder: Path) -> None:
-    plan, result = small_intervals(folder)
-    header, rows = rows_of(table_text(plan, result, Path("map.csv")))
+    setup, result = small_intervals(folder)
+    header, rows = rows_of(table_text(setup, result, Path("map.csv")))
     assert any(line.startswith("# searched: lead_s (K_l) from 0.0 to 0.1 s, 401 values") for line in header)
-    tree = json.loads(table_text(plan, result, Path("map.json")))
+    tree = json.loads(table_text(setup, result, Path("map.json")))
     counts = set()
     for name, columns in result.intervals.items():
         for value, column, told in zip(result.request.along.values(), columns, tree["intervals"][name], strict=True):

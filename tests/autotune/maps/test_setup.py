@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from autotune.errors import UsageError
-from autotune.maps.ask import MapAsk, check_targets, parse_range, parse_search, parse_settings
-from autotune.maps.plan import MapPlan, controller_family
+from autotune.maps.options import MapOptions, check_targets, parse_range, parse_search, parse_settings
+from autotune.maps.setup import MapSetup, controller_family
 from problems.errors import ParameterError
 from problems.maps.maps import MapAxis, MapRequest
 from problems.maps.parameters import value_of
@@ -18,9 +18,9 @@ from problems.model.controller import AdmittanceController
 from tests.autotune.maps.map_cases import plan_of
 
 
-def axes_of(plan: MapPlan) -> tuple[MapAxis, MapAxis]:
-    assert isinstance(plan.request, MapRequest)
-    return plan.request.x, plan.request.y
+def axes_of(setup: MapSetup) -> tuple[MapAxis, MapAxis]:
+    assert isinstance(setup.request, MapRequest)
+    return setup.request.x, setup.request.y
 
 
 @pytest.mark.parametrize(
@@ -89,20 +89,20 @@ def test_a_setting_that_makes_no_sense_is_refused(texts: list[str], told: str) -
     ],
 )
 def test_files_that_cannot_be_written_as_asked_are_refused(picture: str, data: str | None, told: str) -> None:
-    ask = MapAsk(source=Path("twin.json"), picture=Path(picture), data=None if data is None else Path(data))
+    options = MapOptions(source=Path("twin.json"), picture=Path(picture), data=None if data is None else Path(data))
     with pytest.raises(UsageError, match=told):
-        check_targets(ask)
+        check_targets(options)
 
 
 def test_the_data_lies_beside_the_picture() -> None:
-    assert MapAsk(source=Path("a.yaml"), picture=Path("out/b.png")).table == Path("out/b.csv")
+    assert MapOptions(source=Path("a.yaml"), picture=Path("out/b.png")).table == Path("out/b.csv")
 
 
 def test_without_ranges_the_lead_is_drawn_over_the_damping_around_the_design(folder: Path) -> None:
-    plan = plan_of(folder)
-    x, y = axes_of(plan)
+    setup = plan_of(folder)
+    x, y = axes_of(setup)
     assert (x.name, y.name, x.count * y.count) == ("damping", "lead_s", 10_800)
-    assert plan.design == {"damping": 913.0000000000001, "lead_s": 0.0125}
+    assert setup.design == {"damping": 913.0000000000001, "lead_s": 0.0125}
     assert math.sqrt(x.low * x.high) == pytest.approx(913.0, rel=0.05)
     assert y.low < 0.0125 < y.high
 
@@ -122,48 +122,48 @@ def test_the_other_axis_is_lead_or_damping(folder: Path, x: str | None, y: str |
 
 
 def test_a_setting_wins_over_the_file_and_reaches_every_point(folder: Path) -> None:
-    plan = plan_of(folder, settings=["mass=7", "delay_s=0.004", "payload_damping_ratio=0.1"], x="payload_mass=4:40")
-    assert isinstance(plan.request, MapRequest)
-    plant, controller = plan.request.point(9.0, 0.01)
+    setup = plan_of(folder, settings=["mass=7", "delay_s=0.004", "payload_damping_ratio=0.1"], x="payload_mass=4:40")
+    assert isinstance(setup.request, MapRequest)
+    plant, controller = setup.request.point(9.0, 0.01)
     assert (controller.mass_kg, plant.robot.delay_s, plant.payload.mass_kg) == (7.0, 0.004, 9.0)
     assert value_of("payload_damping_ratio", plant, controller) == pytest.approx(0.1)
-    assert plan.fixed["payload_damping_ratio"] == 0.1
-    assert not {"drag", "payload_mass", "payload_frequency_rad_per_s", "lead_s"} & set(plan.fixed)
+    assert setup.fixed["payload_damping_ratio"] == 0.1
+    assert not {"drag", "payload_mass", "payload_frequency_rad_per_s", "lead_s"} & set(setup.fixed)
 
 
 def test_a_setting_of_what_varies_is_where_the_design_lies(folder: Path) -> None:
     gains = ["mass=13", "damping=2000", "lead_s=0.04"]
-    plan = plan_of(folder, "identified.yaml", settings=gains)
-    assert plan.design == {"damping": 2000.0, "lead_s": 0.04}
-    x, y = axes_of(plan)
+    setup = plan_of(folder, "identified.yaml", settings=gains)
+    assert setup.design == {"damping": 2000.0, "lead_s": 0.04}
+    x, y = axes_of(setup)
     assert (x.low, x.high, y.high) == (400.0, 10_000.0, 0.08)
-    plan = plan_of(
+    setup = plan_of(
         folder, "identified.yaml", settings=[*gains, "payload_mass=20"], x="payload_frequency_rad_per_s=50:500"
     )
-    assert plan.design is not None
-    assert plan.design["payload_frequency_rad_per_s"] == pytest.approx(math.sqrt(3e5 / 20.0))
+    assert setup.design is not None
+    assert setup.design["payload_frequency_rad_per_s"] == pytest.approx(math.sqrt(3e5 / 20.0))
 
 
 def test_a_setting_that_stands_for_another_may_vary_as_well(folder: Path) -> None:
-    plan = plan_of(folder, settings=["payload_frequency_rad_per_s=100"], x="payload_frequency_rad_per_s=50:500")
-    assert plan.design is not None
-    assert plan.design["payload_frequency_rad_per_s"] == 100.0
-    assert isinstance(plan.request, MapRequest)
-    assert plan.request.point(200.0, 0.01)[0].payload.mass_kg == pytest.approx(3e5 / 200.0**2)
+    setup = plan_of(folder, settings=["payload_frequency_rad_per_s=100"], x="payload_frequency_rad_per_s=50:500")
+    assert setup.design is not None
+    assert setup.design["payload_frequency_rad_per_s"] == 100.0
+    assert isinstance(setup.request, MapRequest)
+    assert setup.request.point(200.0, 0.01)[0].payload.mass_kg == pytest.approx(3e5 / 200.0**2)
 
 
 def test_the_design_follows_from_a_payload_frequency(folder: Path) -> None:
-    plan = plan_of(folder, x="payload_frequency_rad_per_s=50:500")
-    assert plan.design is not None
-    assert plan.design["payload_frequency_rad_per_s"] == pytest.approx(math.sqrt(3e5 / 16.0))
+    setup = plan_of(folder, x="payload_frequency_rad_per_s=50:500")
+    assert setup.design is not None
+    assert setup.design["payload_frequency_rad_per_s"] == pytest.approx(math.sqrt(3e5 / 16.0))
 
 
 def test_gains_must_come_from_somewhere(folder: Path) -> None:
     with pytest.raises(UsageError, match="mass is not known; say --set mass=VALUE, or --controller FILE"):
         plan_of(folder, "identified.yaml")
-    plan = plan_of(folder, "identified.yaml", settings=["mass=13"])
-    assert plan.design is None
-    assert [axis.name for axis in axes_of(plan)] == ["damping", "lead_s"]
+    setup = plan_of(folder, "identified.yaml", settings=["mass=13"])
+    assert setup.design is None
+    assert [axis.name for axis in axes_of(setup)] == ["damping", "lead_s"]
     assert plan_of(folder, "identified.yaml", controller=folder / "controller.yaml").design is not None
 
 
@@ -202,12 +202,12 @@ def test_the_family_is_each_extension_alone_and_all_together() -> None:
 
 
 def test_stable_lead_compares_damping_ratios_of_which_one_is_the_plants(folder: Path) -> None:
-    plan = plan_of(folder, show="stable-lead")
-    assert isinstance(plan.request, IntervalRequest)
-    assert plan.design is not None
-    ratios = [case.fixed["payload_damping_ratio"] for case in plan.request.cases.values()]
-    assert ratios[1] == pytest.approx(plan.design["payload_damping_ratio"])
-    assert plan.request.along.name == "payload_frequency_rad_per_s"
+    setup = plan_of(folder, show="stable-lead")
+    assert isinstance(setup.request, IntervalRequest)
+    assert setup.design is not None
+    ratios = [case.fixed["payload_damping_ratio"] for case in setup.request.cases.values()]
+    assert ratios[1] == pytest.approx(setup.design["payload_damping_ratio"])
+    assert setup.request.along.name == "payload_frequency_rad_per_s"
     alone = plan_of(folder, show="stable-lead", settings=["drag=100"])
     assert isinstance(alone.request, IntervalRequest)
     assert len(alone.request.cases) == 1

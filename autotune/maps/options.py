@@ -24,7 +24,7 @@ _WIDE = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class MapAsk:
+class MapOptions:
     """The request as it was typed; None or empty where nothing was said."""
 
     source: Path
@@ -46,12 +46,12 @@ class MapAsk:
         return self.picture.with_suffix(".csv") if self.data is None else self.data
 
 
-def check_targets(ask: MapAsk) -> None:
+def check_targets(options: MapOptions) -> None:
     """Raise UsageError for a picture or data file that cannot be what its suffix says, or that is an input."""
-    for path, suffixes, what in ((ask.picture, PICTURES, "the picture"), (ask.table, TABLES, "the data file")):
+    for path, suffixes, what in ((options.picture, PICTURES, "the picture"), (options.table, TABLES, "the data file")):
         if path.suffix.lower() not in suffixes:
             raise UsageError(f"{what} must end in {' or '.join(suffixes)}, found {path.name}.")
-        for given in (ask.source, ask.controller):
+        for given in (options.source, options.controller):
             if given is not None and path.resolve() == given.resolve():
                 raise UsageError(f"{path} is the file that is read; name another one for {what}.")
 

@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from autotune.charts.matplotlib_renderer import render
 from autotune.errors import UsageError
-from autotune.formats.replaceable import HEAD_BYTES
-from autotune.maps.ask import MapAsk
-from autotune.maps.draw import draw_map
-from autotune.maps.draw_intervals import _pieces, has_lower_limits_only
+from autotune.formats.replaceable import HEAD_BYTES, PICTURE_MARK
+from autotune.maps.charts import _pieces, has_lower_limits_only, map_chart
 from autotune.maps.make import make_map, summary_tree
-from autotune.maps.style import render
+from autotune.maps.options import MapOptions
 from autotune.maps.text import number
 from problems.maps.maps import MapAxis, MapResult
 from problems.maps.parameters import MapQuantity
@@ -23,9 +22,9 @@ from tests.autotune.maps.map_cases import small_map
 
 def written(folder: Path, **asked: Any) -> str:
     """Return the SVG of a request; texts stand in it as comments beside their outlines."""
-    ask = MapAsk(source=folder / "controller.yaml", picture=folder / "map.svg", **asked)
-    make_map(ask)
-    return ask.picture.read_text(encoding="utf-8")
+    options = MapOptions(source=folder / "controller.yaml", picture=folder / "map.svg", **asked)
+    make_map(options)
+    return options.picture.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("show", ["stability", "modulus", "delay", "peak-contact"])
@@ -42,8 +41,8 @@ def test_a_picture_has_names_units_and_what_is_fixed(folder: Path, show: str) ->
 
 @pytest.mark.parametrize("suffix", [".svg", ".png"])
 def test_the_same_picture_has_the_same_bytes_and_no_date(folder: Path, suffix: str) -> None:
-    plan, result = small_map(folder)
-    pictures = {render(lambda: draw_map(plan, result, None), suffix) for _ in range(2)}
+    setup, result = small_map(folder)
+    pictures = {render(map_chart(setup, result, None), suffix, mark=PICTURE_MARK) for _ in range(2)}
     assert len(pictures) == 1
     (picture,) = pictures
     assert picture.startswith(b"\x89PNG" if suffix == ".png" else b"<?xml")
@@ -159,14 +158,14 @@ def test_numbers_are_written_for_people(value: float, text: str) -> None:
 
 
 def test_the_summary_names_extremes_and_the_design(folder: Path) -> None:
-    ask = MapAsk(
+    options = MapOptions(
         source=folder / "controller.yaml",
         picture=folder / "map.png",
         show="modulus",
         x="damping=100:5000:9",
         y="lead_s=0:0.06:7",
     )
-    made = make_map(ask)
+    made = make_map(options)
     tree = summary_tree(made)
     assert isinstance(made.result, MapResult)
     values = made.result.values
@@ -182,5 +181,5 @@ def test_the_summary_names_extremes_and_the_design(folder: Path) -> None:
 def test_nothing_is_written_when_the_request_is_refused(folder: Path) -> None:
     before = sorted(path.name for path in folder.iterdir())
     with pytest.raises(UsageError):
-        make_map(MapAsk(source=folder / "controller.yaml", picture=folder / "map.svg", x="mass=2:1"))
+        make_map(MapOptions(source=folder / "controller.yaml", picture=folder / "map.svg", x="mass=2:1"))
     assert sorted(path.name for path in folder.iterdir()) == before
