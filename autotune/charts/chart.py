@@ -133,9 +133,9 @@ class Heat:
     """Numbers on a grid as colours: `values` (rows, columns) over `x` (columns,) and `y` (rows,), NaN left open.
 
     `x` and `y` are the middles of the cells, evenly spaced on the panel's scales. With `limits` the colours span them,
-    symmetric limits get a scale with a neutral middle. `names` (x, y) replaces the ticks of a table of names. `spacing` is
-    that of the colours, turned round where values are `descending`; with `smooth` they run on between the cells and
-    lines of equal value are drawn.
+    symmetric limits get a scale with a neutral middle. `names` (x, y) replaces the ticks of a table of names.
+    `spacing` is that of the colours, turned round where values are `descending`; with `smooth` they run on between the
+    cells, and lines of equal value are drawn.
     """
 
     x: FloatArray

@@ -43,7 +43,9 @@ def map_chart(setup: MapSetup, result: MapResult, design: MapPoint | None) -> Ch
         elements.append(_unstable_region(result))
     if design is not None:
         label = _design_label(setup, quantity, design)
-        elements.append(Points(x=np.array([design.x]), y=np.array([design.y]), label=label, role="model"))
+        elements.append(
+            Points(x=np.array([design.x]), y=np.array([design.y]), label=label, role="model", marker="star")
+        )
     title = f"{quantity.label.capitalize()} {WHERE[request.where]}"
     if quantity.is_peak:
         title = f"{quantity.label.capitalize()} of the transient"
@@ -269,7 +271,7 @@ def _design(setup: MapSetup, request: IntervalRequest, names: Sequence[str]) -> 
     """Yield the mark of the design for the cases that have its own values."""
     for place in (_design_place(setup, request, name) for name in names):
         if place is not None:
-            yield Points(x=np.array(place[:1]), y=np.array(place[1:]), label="design", role="model")
+            yield Points(x=np.array(place[:1]), y=np.array(place[1:]), label="design", role="model", marker="star")
 
 
 def _design_place(setup: MapSetup, request: IntervalRequest, name: str) -> Point | None:
