@@ -334,7 +334,7 @@ def _draw_smooth(heat: Heat, axes: Axes) -> None:
     is_below, is_above = bool(np.any(heat.values < low)), bool(np.any(heat.values > high))
     colours = mpl.colormaps[f"{ONE_SIDED}_r" if heat.descending else ONE_SIDED].copy()
     ends = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}
-    colours.colorbar_extend = ends[is_below, is_above]
+    colours.colorbar_extend = ends[is_below, is_above]  # type: ignore[assignment] # a text, whatever the stubs say
     is_log = heat.spacing == "log"
     norm = LogNorm(low, high) if is_log else Normalize(low, high)
     clipped = np.clip(_filled(heat.values), low, high)

@@ -17,8 +17,8 @@ from ._common import Output, output_options
 from ._options import SETTINGS, FilePath, GroupedCommand
 
 if TYPE_CHECKING:
+    from autotune.explore.saving import Target
     from autotune.explore.source import Exploration
-    from autotune.explore.target import Target
 
 _EPILOG = """\b
 Examples:
@@ -65,9 +65,9 @@ def command(output: Output, source: Path, out: Path, problem: Path | None, port:
     """
     with _noticed_interrupts() as noticed:
         require_extra("explore", "bokeh", "reports")
+        from autotune.explore.saving import Target
         from autotune.explore.server import serve
         from autotune.explore.source import read_exploration
-        from autotune.explore.target import Target
         from autotune.formats.atomic import check_target
 
         check_target(out, [path for path in (source, problem) if path is not None], kind="controller")
@@ -119,14 +119,14 @@ def _tell(output: Output, exploration: "Exploration", target: "Target", address:
     for name, start in exploration.axes.items():
         if start.note:
             output.note(f"axis {name}: {start.note}")
-    out, standing = target.path, target.standing()
-    if standing:
-        output.note(f"Saving replaces {out}, {standing}.")
+    out, existing = target.path, target.existing()
+    if existing:
+        output.note(f"Saving replaces {out}, {existing}.")
     tree = {
         "url": address,
         "source": str(exploration.path),
         "output": str(out),
-        "replaces": standing or None,
+        "replaces": existing or None,
         "axes": list(exploration.axes),
     }
     output.result(tree, lambda: click.echo(f"{address}\nCtrl-C ends it."))

@@ -66,7 +66,7 @@ const explore = (() => {
       const line = item.dataset.line;
       item.style.setProperty("--line-colour", (isDark.matches && LIGHTER[line]) || line);
     }
-    set(page().get_model_by_name("told"), { text_color: colour("ink"), background_fill_color: colour("paper") });
+    set(page().get_model_by_name("ratios"), { text_color: colour("ink"), background_fill_color: colour("paper") });
     set(page().get_model_by_name("grounds"), { palette: [colour("unstable"), colour("missed")] });
   }
 

@@ -1,15 +1,20 @@
-"""The figures of the page: drawn once, then fed with a new view whenever something is turned."""
+"""The figures of the page: drawn once, then given a new view, in one message, whenever a slider moves."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from bokeh.model import Model
+from bokeh.core.properties import Any as Anything
+from bokeh.core.properties import Dict, String
+from bokeh.document import Document
+from bokeh.events import DocumentReady
+from bokeh.model import DataModel, Model
 from bokeh.models import (
     BoxZoomTool,
     ColumnDataSource,
+    CustomJS,
     CustomJSTickFormatter,
     DataRange1d,
     FactorRange,
@@ -28,8 +33,7 @@ from autotune.charts.palette import COLOURS
 from autotune.formats.units import axis_units
 from problems.design.problem import DesignProblem
 
-from .batched_update import Sender
-from .sliders import Knob
+from .sliders import SliderRange
 from .view import DesignMap, MapWindow, View
 from .words import requirement_title
 
@@ -57,6 +61,52 @@ _DRAWN_FROM = {
 }
 _EMPTY: Mapping[str, list[float]] = {"x": [], "y": []}
 
+Changes = dict[str, dict[str, Any]]
+
+
+class BatchedUpdate(DataModel):
+    """One message to the browser for all that a slider changes: for each named model, properties and their values.
+
+    Bokeh sends a message for every property that is set, and the browser draws between them. A script in the page hands
+    on what is put into this one property.
+    """
+
+    content: Any = Dict(String, Dict(String, Anything), default={})
+
+
+class Sender:
+    """Collect what changes of named models, and send it together.
+
+    Until a browser shows the document the models themselves are set, since they are what it begins with; from then on
+    they change in the browser only.
+    """
+
+    def __init__(self, document: Document, models: Iterable[Model], carrier: Any) -> None:
+        """Prepare to send to `models`; `carrier` is any model of the page, which brings the batched update along."""
+        self._models = {str(model.name): model for model in models}
+        self._changes: Changes = {}
+        self._update = BatchedUpdate(name="batched-update")
+        self._update.js_on_change("content", CustomJS(code="explore.handOn(cb_obj.content)"))
+        self._is_shown = False
+        carrier.tags = [self._update]
+        document.on_event(DocumentReady, self._begin)
+
+    def _begin(self, _event: object) -> None:
+        self._is_shown = True
+
+    def put(self, model: Model, **values: Any) -> None:
+        """Note properties of one of the models."""
+        self._changes.setdefault(str(model.name), {}).update(values)
+
+    def send(self) -> None:
+        """Send what was put since the last time."""
+        changes, self._changes = self._changes, {}
+        if self._is_shown:
+            self._update.content = changes
+            return
+        for name, values in changes.items():
+            self._models[name].update(**values)
+
 
 @dataclass(frozen=True, kw_only=True)
 class DrawnLine:
@@ -79,7 +129,7 @@ class Figures:
             name: ColumnDataSource(dict(_EMPTY), name=f"data-{name}")
             for name in ("contact", "sensor", "begun", "peak", "gain", "force", "command", "circle")
         }
-        self.sources["bars"] = ColumnDataSource({"name": [], "right": [], "colour": [], "told": []}, name="data-bars")
+        self.sources["bars"] = ColumnDataSource({"name": [], "right": [], "colour": [], "text": []}, name="data-bars")
         cells: dict[str, list[float]] = {"stable": [], "peak": [], "x": [], "y": [], "dw": [], "dh": []}
         self.sources["map"] = ColumnDataSource(cells, name="data-map")
         own: dict[str, list[float]] = {"x": [], "y": [], "left": [], "right": [], "bottom": [], "top": []}
@@ -94,7 +144,7 @@ class Figures:
             "requirements": self._requirements(),
             "map": self._map(),
         }
-        # Each tells the figure that it belongs to.
+        # Each names the figure that it belongs to.
         for key, names in _DRAWN_FROM.items():
             for name in names:
                 self.sources[name].tags = [key]
@@ -145,8 +195,8 @@ class Figures:
         plot.add_layout(limit)
         # The numbers lie above the line, on a ground of their own.
         place: dict[str, Any] = {"x_offset": 4, "padding": 1, "text_font_size": "12px", "text_baseline": "middle"}
-        told = plot.text(x="right", y="name", text="told", source=bars, level="overlay", **place)
-        told.glyph.update(name="told", background_fill_color="white")
+        texts = plot.text(x="right", y="name", text="text", source=bars, level="overlay", **place)
+        texts.glyph.update(name="ratios", background_fill_color="white")
         return plot
 
     def _map(self) -> Any:
@@ -219,7 +269,7 @@ class Figures:
             "name": [requirement_title(name) for name in ratios],
             "right": np.minimum(values, _LONGEST_BAR),
             "colour": [COLOURS["good" if value <= 1.0 else "bad"] for value in values],
-            "told": [f"{value:.3f}" if value < _LONGEST_BAR else f"{value:.3g}" for value in ratios.values()],
+            "text": [f"{value:.3f}" if value < _LONGEST_BAR else f"{value:.3g}" for value in ratios.values()],
         }
         sender.put(self.sources["bars"], data=bars)
 
@@ -241,8 +291,8 @@ class Figures:
         }
         sender.put(self.sources["map"], data=cells)
 
-    def show_window(self, window: MapWindow, x: Knob, y: Knob) -> None:
-        """Turn the map to a window of two knobs."""
+    def show_window(self, window: MapWindow, x: SliderRange, y: SliderRange) -> None:
+        """Turn the map to a window of two ranges."""
         plot = self.plots["map"]
         plot.xaxis.axis_label, plot.yaxis.axis_label = x.title, y.title
         plot.x_range.start, plot.x_range.end = _edges(window.x_values(), True)

@@ -16,12 +16,10 @@ from autotune.formats.units import axis_units
 from problems.errors import AutotuneError
 
 from . import words
-from .batched_update import Sender
-from .figures import KEYS, Figures
-from .saver import Saver
-from .sliders import STEPS, Knob, build_gain_knobs, build_plant_knobs, nominal_values, scenario_at
+from .figures import KEYS, Figures, Sender
+from .saving import Saver, Target, refused_line
+from .sliders import STEPS, SliderRange, build_gain_sliders, build_plant_sliders, nominal_values, scenario_at
 from .source import AxisStart, Exploration
-from .target import Target
 from .view import MapWindow, PreparedView, View, build_window, compute_map, compute_view, map_pairs, prepare_view
 
 FloatArray = NDArray[np.float64]
@@ -63,7 +61,7 @@ class Page:
         self.designs = {name: np.array(start.design) for name, start in exploration.axes.items()}
         self.plants = {name: nominal_values(start.problem) for name, start in exploration.axes.items()}
         self.figures = Figures()
-        self.knobs: dict[str, Knob] = {}
+        self.ranges: dict[str, SliderRange] = {}
         self.window: MapWindow | None = None
         self.prepared: tuple[object, PreparedView] | None = None
         self.mapped: object = None
@@ -84,9 +82,9 @@ class Page:
 
     def _build_widgets(self, look: dict[str, Any]) -> None:
         names = {
-            knob.name: knob
+            span.name: span
             for axis, start in self.exploration.axes.items()
-            for knob in (*build_gain_knobs(start.problem, axis), *build_plant_knobs(start.problem, axis))
+            for span in (*build_gain_sliders(start.problem, axis), *build_plant_sliders(start.problem, axis))
         }
         self.sliders = {name: Slider(start=0.0, end=1.0, value=0.0, step=0.01, name=name, **look) for name in names}
         for slider in self.sliders.values():
@@ -108,11 +106,11 @@ class Page:
 
     def _show_axis(self) -> None:
         problem = self.start.problem
-        gains, plant = build_gain_knobs(problem, self.axis), build_plant_knobs(problem, self.axis)
-        self.knobs = {knob.name: knob for knob in (*gains, *plant)}
+        gains, plant = build_gain_sliders(problem, self.axis), build_plant_sliders(problem, self.axis)
+        self.ranges = {span.name: span for span in (*gains, *plant)}
         pairs = map_pairs(problem)
         self.choice.visible = len(self.exploration.axes) > 1
-        titles = [(",".join(pair), " and ".join(self.knobs[name].label for name in pair)) for pair in pairs]
+        titles = [(",".join(pair), " and ".join(self.ranges[name].label for name in pair)) for pair in pairs]
         self.turning = True
         self.over.update(options=titles, value=titles[0][0] if titles else "", visible=len(pairs) > 1)
         self.turning = False
@@ -121,21 +119,21 @@ class Page:
         view = compute_view(self._prepare(), self.start.design)
         self.figures.begin(problem, self.axis, view)
         self.window = None
-        self._set_reaches()
+        self._set_ranges()
         self._set_sliders()
         self.update()
 
-    def _set_reaches(self) -> None:
-        """Give every slider the reach of its knob; one that cannot be turned is not shown."""
+    def _set_ranges(self) -> None:
+        """Give every slider its range; one that cannot be moved is not shown."""
         self.turning = True
         for name, slider in self.sliders.items():
-            knob = self.knobs.get(name)
-            slider.visible = knob is not None and knob.high > knob.low
-            if knob is None or not slider.visible:
+            span = self.ranges.get(name)
+            slider.visible = span is not None and span.high > span.low
+            if span is None or not slider.visible:
                 continue
-            low, high = knob.ends
-            form = CustomJSTickFormatter(code=_LOGARITHMIC if knob.logarithmic else _PLAIN)
-            slider.update(title=knob.title, start=low, end=high, step=(high - low) / STEPS, format=form)
+            low, high = span.ends
+            form = CustomJSTickFormatter(code=_LOGARITHMIC if span.logarithmic else _PLAIN)
+            slider.update(title=span.title, start=low, end=high, step=(high - low) / STEPS, format=form)
         self.turning = False
 
     def _set_sliders(self) -> None:
@@ -143,7 +141,7 @@ class Page:
         self.turning = True
         for name, value in values.items():
             if self.sliders[name].visible:
-                self.sliders[name].value = self.knobs[name].position(float(value))
+                self.sliders[name].value = self.ranges[name].position(float(value))
         self.turning = False
 
     def _plant(self) -> dict[str, float]:
@@ -164,9 +162,9 @@ class Page:
         problem = self.start.problem
         for i, name in enumerate(problem.variables):
             if self.sliders[name].visible:
-                self.designs[self.axis][i] = self.knobs[name].value(float(self.sliders[name].value))
+                self.designs[self.axis][i] = self.ranges[name].value(float(self.sliders[name].value))
         for name in self._plant():
-            self._plant()[name] = self.knobs[name].value(float(self.sliders[name].value))
+            self._plant()[name] = self.ranges[name].value(float(self.sliders[name].value))
         self.update()
 
     def update(self) -> None:
@@ -180,7 +178,7 @@ class Page:
             self._show_own(view)
             self.view = view
         except AutotuneError as error:
-            refused = words.refused_line(str(error)).replace("Not written.", "No picture.")
+            refused = refused_line(str(error)).replace("Not written.", "No picture.")
             self.sender.put(self.verdict, text=refused)
         self.saver.follow()
         self.sender.send()
@@ -189,9 +187,9 @@ class Page:
         law = self.start.problem.controller(view.design)
         hand = law.damping_n_s_per_m + self._plant()["drag_n_s_per_m"]
         self.sender.put(self.verdict, text=words.verdict(view, count))
-        # Where the sliders stood, for a page whose server ends before it answers the next turn.
-        stood = {name: slider.value for name, slider in self.sliders.items() if slider.visible}
-        self.sender.put(self.facts, text=words.facts(view, axis_units(self.axis), hand), tags=[stood])
+        # The positions of the sliders, for a page whose server ends before it answers the next one.
+        positions = {name: slider.value for name, slider in self.sliders.items() if slider.visible}
+        self.sender.put(self.facts, text=words.facts(view, axis_units(self.axis), hand), tags=[positions])
 
     def _prepare(self) -> PreparedView:
         scenario = scenario_at(self.start.problem, self._plant())
@@ -212,7 +210,7 @@ class Page:
             or not self.window.holds(values[x], values[y])
         ):
             self.window = build_window(problem, design, (x, y), columns=_COLUMNS, rows=_ROWS)
-            self.figures.show_window(self.window, self.knobs[x], self.knobs[y])
+            self.figures.show_window(self.window, self.ranges[x], self.ranges[y])
         key = prepared.scenario, self.axis, self.window, tuple(v for name, v in values.items() if name not in {x, y})
         if self.mapped in {(key, _FINER), (key, finer)}:
             return
@@ -267,7 +265,7 @@ def build_page(exploration: Exploration, target: Target, document: Document) -> 
     document.template_variables.update(
         gains=gains,
         plant=list(page.plants[page.axis]),
-        figures=_told(exploration),
+        figures=_descriptions(exploration),
         keys=KEYS,
         source=exploration.path.name,
     )
@@ -275,7 +273,7 @@ def build_page(exploration: Exploration, target: Target, document: Document) -> 
     return page
 
 
-def _told(exploration: Exploration) -> dict[str, tuple[str, str]]:
+def _descriptions(exploration: Exploration) -> dict[str, tuple[str, str]]:
     """Return, for each figure, its heading and what there is to see, for whoever cannot see it."""
     kinds = dict.fromkeys(axis_units(name).force_name for name in exploration.axes)
     return {

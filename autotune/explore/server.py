@@ -6,28 +6,37 @@ import logging
 import secrets
 import signal
 import socket
+import time
 from collections.abc import Callable
+from typing import Any
 
 from bokeh.application import Application
 from bokeh.application.handlers.function import FunctionHandler
 from bokeh.document import Document
 from bokeh.server.server import BaseServer
+from bokeh.server.tornado import BokehTornado
 from bokeh.settings import settings
+from bokeh.util.token import check_token_signature, get_session_id, get_token_payload
 from tornado.httpserver import HTTPServer
+from tornado.httputil import HTTPServerRequest
 from tornado.ioloop import IOLoop
+from tornado.web import ErrorHandler
 
 from autotune.errors import UsageError
 
-from .host_check import LOOPBACK, Door, own_hosts
 from .page import build_page
+from .saving import Target
 from .source import Exploration
-from .target import Target
 
+LOOPBACK = "127.0.0.1"
+_NAMES = (LOOPBACK, "localhost")
+_HTTP_PORT = 80
+_FORBIDDEN = 403
 _LONGEST_MESSAGE_BYTES = 1_000_000
 
 
 def serve(exploration: Exploration, target: Target, *, port: int, ready: Callable[[str], None]) -> None:
-    """Serve the page until the process is interrupted; `ready` is told its address once it answers.
+    """Serve the page until the process is interrupted; `ready` receives its address once it answers.
 
     `port` 0 takes a free one. Only this machine reaches the server; the address holds a secret, so that another user of
     the machine does not find the page, and a page of another origin cannot open its connection. Scripts come from the
@@ -38,7 +47,7 @@ def serve(exploration: Exploration, target: Target, *, port: int, ready: Callabl
     settings.resources = "server"
     for name in ("bokeh", "tornado"):
         logging.getLogger(name).setLevel(logging.ERROR)
-    # A foreign page that was refused is nothing to tell, least of all with advice for another command.
+    # A foreign page that was refused needs no message, least of all with advice for another command.
     logging.getLogger("bokeh.server.views.ws").setLevel(logging.CRITICAL)
     asyncio.run(_serve(exploration, target, port, ready))
 
@@ -55,7 +64,7 @@ async def _serve(exploration: Exploration, target: Target, port: int, ready: Cal
     def fill(document: Document) -> None:
         build_page(exploration, target, document)
 
-    application = Door(
+    application = HostCheckedApplication(
         {"/": Application(FunctionHandler(fill))},
         prefix=secret,
         extra_websocket_origins=sorted(hosts),
@@ -103,3 +112,38 @@ def _listen(port: int) -> socket.socket:
         ) from error
     listening.setblocking(False)
     return listening
+
+
+def own_hosts(port: int) -> frozenset[str]:
+    """Return what a browser of this machine calls the server in its Host and Origin headers."""
+    hosts = {f"{name}:{port}" for name in _NAMES}
+    return frozenset(hosts | set(_NAMES) if port == _HTTP_PORT else hosts)
+
+
+class HostCheckedApplication(BokehTornado):
+    """The application, which refuses requests to another host name than one of `hosts`.
+
+    A foreign page whose name resolves to this machine (DNS rebinding) has the origin that it names: only the Host
+    header differs from that of our own page.
+    """
+
+    hosts: frozenset[str] = frozenset()
+
+    def find_handler(self, request: HTTPServerRequest, **kwargs: Any) -> Any:
+        """Return what answers a request: 403 for one that is not for us, or for a connection that is not our page's."""
+        is_ours = request.headers.get("Host", "").lower() in self.hosts
+        if is_ours and (not request.path.endswith("/ws") or _is_from_page(request)):
+            return super().find_handler(request, **kwargs)
+        return self.get_handler_delegate(request, ErrorHandler, {"status_code": _FORBIDDEN})
+
+
+def _is_from_page(request: HTTPServerRequest) -> bool:
+    """Whether a connection has what the page was given: asked here, since the library raises where it is missing."""
+    offered = [each.strip() for each in request.headers.get("Sec-WebSocket-Protocol", "").split(",")]
+    if len(offered) != 2 or offered[0] != "bokeh":
+        return False
+    try:
+        whole = check_token_signature(offered[1]) and bool(get_session_id(offered[1]))
+        return whole and time.time() < float(get_token_payload(offered[1])["session_expiry"])
+    except Exception:  # noqa: BLE001 - whatever is wrong with a token that anybody may have made up
+        return False

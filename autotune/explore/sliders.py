@@ -1,4 +1,4 @@
-"""What can be turned by hand: the gains within their bounds, and the plant around the identified one."""
+"""Ranges of the sliders: the gains within their bounds, and the plant around the identified one."""
 
 import math
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 
 STEPS = 1000
 _SURFACES, _PAYLOADS, _FACTOR, _SPEEDS = 4.0, 2.0, 3.0, 2.0
-# The least reach of a damping, as a share of that of the payload on the coupling.
+# The least range of a damping, as a share of that of the payload on the coupling.
 _DAMPING_SHARE = 0.2
 _LEAST_DELAY_SAMPLES = 6.0
 _SAME = 1e-9
@@ -41,8 +41,8 @@ _PLANT = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Knob:
-    """A number with its reach `low` to `high`; a `logarithmic` one is turned by equal ratios."""
+class SliderRange:
+    """A number from `low` to `high`, moved by equal ratios where `logarithmic`."""
 
     name: str
     symbol: str
@@ -54,7 +54,7 @@ class Knob:
 
     @property
     def title(self) -> str:
-        """What stands above its slider."""
+        """The text above its slider."""
         return f"{self.symbol} {self.label}" + (f" [{self.unit}]" if self.unit else "")
 
     @property
@@ -67,21 +67,21 @@ class Knob:
         return math.log10(value) if self.logarithmic else value
 
     def value(self, position: float) -> float:
-        """Return the value of a position, inside the reach and with the six digits that a file is given."""
+        """Return the value of a position, inside the range and with the six digits that a file is given."""
         found = float(f"{10.0**position if self.logarithmic else position:.6g}")
         return min(max(found, self.low), self.high)
 
 
-def build_gain_knobs(problem: DesignProblem, axis: str) -> tuple[Knob, ...]:
-    """Return a knob for each variable of the problem, in their order; one whose bounds coincide cannot be turned."""
+def build_gain_sliders(problem: DesignProblem, axis: str) -> tuple[SliderRange, ...]:
+    """Return a range for each variable of the problem, in their order; one whose bounds coincide cannot be moved."""
     units = axis_units(axis)
-    told = {"mass": units.mass, "damping": units.damping, "compensation_mass_kg": units.mass}
+    of_axis = {"mass": units.mass, "damping": units.damping, "compensation_mass_kg": units.mass}
     return tuple(
-        Knob(
+        SliderRange(
             name=name,
             symbol=_GAINS[name][0],
             label=_GAINS[name][1],
-            unit=told.get(name, "s" if name.endswith("_s") and "rad" not in name else "rad/s"),
+            unit=of_axis.get(name, "s" if name.endswith("_s") and "rad" not in name else "rad/s"),
             low=low,
             high=high,
             logarithmic=not linear,
@@ -92,11 +92,11 @@ def build_gain_knobs(problem: DesignProblem, axis: str) -> tuple[Knob, ...]:
     )
 
 
-def build_plant_knobs(problem: DesignProblem, axis: str) -> tuple[Knob, ...]:
-    """Return knobs for the plant that is looked at: beyond the ranges of the problem too, to see what lies there."""
+def build_plant_sliders(problem: DesignProblem, axis: str) -> tuple[SliderRange, ...]:
+    """Return ranges for the plant that is looked at: beyond the ranges of the problem too, to see what lies there."""
     units = axis_units(axis)
     return tuple(
-        Knob(
+        SliderRange(
             name=name,
             symbol=SYMBOLS[name],
             label=label,
@@ -106,7 +106,7 @@ def build_plant_knobs(problem: DesignProblem, axis: str) -> tuple[Knob, ...]:
             logarithmic=low > 0.0,
         )
         for name, label in _PLANT.items()
-        for low, high in [_reach(problem, name)]
+        for low, high in [_plant_range(problem, name)]
     )
 
 
@@ -118,7 +118,7 @@ def _unit(name: str, units: AxisUnits) -> str:
     return {"delay_s": "s", "robot_bandwidth_hz": "Hz"}.get(name, units.damping)
 
 
-def _reach(problem: DesignProblem, name: str) -> tuple[float, float]:
+def _plant_range(problem: DesignProblem, name: str) -> tuple[float, float]:
     if name in ALWAYS_UNCERTAIN:
         low, high = problem.uncertainty.ranges[name]
         factor = _PAYLOADS if name == "payload_mass_kg" else _SURFACES

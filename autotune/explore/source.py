@@ -91,7 +91,7 @@ def read_exploration(path: Path, problem: Path | None = None, progress: Progress
     """Read `identified.yaml`, or `controller.yaml` with the plant and the requirements of its certificate.
 
     An identified plant starts at the best design, which is searched; where there is none, in the middle of the bounds.
-    `progress` is told the share of the work done since the last call. Raises UsageError for another file, or a problem
+    `progress` receives the share of the work done since the last call. Raises UsageError for another file, or a problem
     beside a controller; what `optimize` raises for a plant that cannot be tuned; CertificateError for an altered
     controller.
     """
@@ -158,12 +158,12 @@ def _from_controller(read: ControllerFile) -> Exploration:
         seen = tuple(dict.fromkeys((*problem.scenarios(*_GRID), *further)))
         axes[name] = AxisStart(problem=problem, design=design, scenarios=seen, note=_dropped(controller))
     before = {"path": str(read.path), "checksum": read.checksum}
-    told = {"identified": controller.provenance["identified"]} if "identified" in controller.provenance else {}
+    origin = {"identified": controller.provenance["identified"]} if "identified" in controller.provenance else {}
     return Exploration(
         path=read.path,
         axes=axes,
         payload=controller.payload,
-        provenance=_by_hand({"tool": f"autotune {__version__}", **told, "options": {"controller": before}}),
+        provenance=_by_hand({"tool": f"autotune {__version__}", **origin, "options": {"controller": before}}),
         gains=controller.axes,
     )
 

@@ -137,7 +137,8 @@ def interval_chart(setup: MapSetup, result: IntervalResult) -> Chart:
     x = _scale(request.along, axis_label(setup, request.along.parameter))
     label = axis_label(setup, searched.parameter)
     if lines_only:
-        title, panels = f"Smallest stable {searched.parameter.label} {where}", (_lines_panel(setup, result, x, label),)
+        title = f"Smallest stable {searched.parameter.label} {where}"
+        panels: tuple[Panel, ...] = (_lines_panel(setup, result, x, label),)
     else:
         title, several = f"Stable {searched.parameter.label} {where}", len(result.intervals) > 1
         panels = tuple(

@@ -12,7 +12,7 @@ from typing import Any, Literal
 from jinja2 import Environment, StrictUndefined, Template
 from markupsafe import Markup
 
-from autotune.charts.chart import MOST_POINTS, Band, Bars, Chart, Element, Heat, Limit, Line, Panel, Points
+from autotune.charts.chart import MOST_POINTS, Band, Bars, Chart, Element, Heat, Limit, Line, Panel, Points, Region
 from autotune.charts.palette import colour_variables, dark_colours
 from autotune.processes import map_in_processes
 
@@ -200,7 +200,7 @@ def build_legend(chart: Chart) -> Legend:
 
 def _entries(panel: Panel) -> Iterator[LegendEntry]:
     for element in panel.elements:
-        if not isinstance(element, Heat) and element.label:
+        if not isinstance(element, Heat | Region) and element.label:
             yield LegendEntry(label=element.label, role=element.role, look=_look(element))
 
 

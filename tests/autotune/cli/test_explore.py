@@ -10,7 +10,7 @@ import pytest
 
 from autotune.cli.main import main
 from autotune.explore import server, source
-from autotune.explore.target import Target
+from autotune.explore.saving import Target
 from autotune.formats.controller import write_controller
 from tests.autotune.tuning.cases import small_controller
 

@@ -10,8 +10,7 @@ from bokeh.document.events import ModelChangedEvent
 from bokeh.events import DocumentReady
 
 from autotune.explore.page import Page, build_page
-from autotune.explore.target import Target
-from autotune.explore.words import refused_line
+from autotune.explore.saving import Target, refused_line
 from tests.autotune.explore.start import small_exploration
 
 
@@ -21,7 +20,7 @@ def page(tmp_path: Path) -> Page:
 
 
 def turn(page: Page, name: str, value: float) -> None:
-    page.sliders[name].value = page.knobs[name].position(value)
+    page.sliders[name].value = page.ranges[name].position(value)
     page._answer()
 
 
@@ -86,7 +85,7 @@ def test_an_unstable_design_shows_no_peak_and_says_so(page: Page) -> None:
 def test_what_is_turned_between_two_pictures_is_computed_once(page: Page) -> None:
     before = len(page.document.session_callbacks)
     for value in (1310.0, 1320.0, 1330.0):
-        page.sliders["damping"].value = page.knobs["damping"].position(value)
+        page.sliders["damping"].value = page.ranges["damping"].position(value)
     assert len(page.document.session_callbacks) == before + 1
 
 
@@ -94,7 +93,7 @@ def test_the_cell_of_the_star_says_what_the_page_says(page: Page) -> None:
     start = small_exploration().axes["x"].design
     seen = set()
     for damping, lead in ((1250.0, 0.018), (1180.0, 0.0185), (1400.0, 0.018), (1300.0, 0.013), (1100.0, 0.012)):
-        page.sliders["lead_s"].value = page.knobs["lead_s"].position(lead)
+        page.sliders["lead_s"].value = page.ranges["lead_s"].position(lead)
         turn(page, "damping", damping)
         assert page.prepared is not None
         said = page.prepared[1].screen.prepared.evaluate(np.array([start[0], damping, lead, start[3]]))
@@ -115,13 +114,13 @@ def test_the_cell_of_the_star_says_what_the_page_says(page: Page) -> None:
 
 def test_a_map_without_a_feasible_design_has_no_scale(page: Page) -> None:
     assert page.figures.bar.visible
-    turn(page, "delay_s", page.knobs["delay_s"].high)
+    turn(page, "delay_s", page.ranges["delay_s"].high)
     assert not np.isfinite(page.figures.sources["map"].data["peak"][0]).any()
     assert not page.figures.bar.visible
 
 
 def test_words_about_an_earlier_design_say_so(page: Page) -> None:
-    page.saver.tell("<p>Validated.</p>", {name: np.array(design) for name, design in page.designs.items()})
+    page.saver.show("<p>Validated.</p>", {name: np.array(design) for name, design in page.designs.items()})
     page.update()
     assert page.saver.status.text == "<p>Validated.</p>"
     turn(page, "payload_mass_kg", 20.0)
@@ -139,9 +138,9 @@ def test_words_about_an_earlier_design_say_so(page: Page) -> None:
 def test_each_axis_keeps_its_own_design(page: Page) -> None:
     turn(page, "damping", 1400.0)
     page.choice.value = "y"
-    assert page.knobs["damping"].value(page.sliders["damping"].value) == 1250.0
+    assert page.ranges["damping"].value(page.sliders["damping"].value) == 1250.0
     page.choice.value = "x"
-    assert page.knobs["damping"].value(page.sliders["damping"].value) == 1400.0
+    assert page.ranges["damping"].value(page.sliders["damping"].value) == 1400.0
     assert page.designs["x"].tolist() == [6.0, 1400.0, 0.018, 0.005]
 
 

@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 from autotune.errors import UsageError
-from autotune.explore.host_check import LOOPBACK
-from autotune.explore.server import serve
-from autotune.explore.target import SaveInterruptedError, Target
+from autotune.explore.saving import SaveInterruptedError, Target
+from autotune.explore.server import LOOPBACK, serve
 from autotune.formats.controller_record import Controller
 from tests.autotune.explore.start import small_exploration
 from tests.autotune.tuning.cases import small_controller

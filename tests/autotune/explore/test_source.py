@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from autotune.errors import CertificateError, InfeasibleError, UsageError
-from autotune.explore import save as save_module
+from autotune.explore import saving as save_module
 from autotune.explore import source as source_module
-from autotune.explore.save import save_controller
+from autotune.explore.saving import Target, save_controller
 from autotune.explore.source import problem_of, read_exploration
-from autotune.explore.target import Target
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import Controller, ControllerStatus, SoftRequirement
 from autotune.tuning.record import build_domain

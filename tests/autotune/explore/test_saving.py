@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from autotune.errors import UsageError
-from autotune.explore.target import SaveInterruptedError, Target
+from autotune.explore.saving import SaveInterruptedError, Target
 from autotune.formats.canonical import short
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import Controller
@@ -27,11 +27,11 @@ def make(_progress: Progress) -> Controller:
 
 def test_it_is_told_which_file_was_replaced(tmp_path: Path) -> None:
     target = Target(tmp_path / "controller.yaml")
-    assert target.standing() == ""
+    assert target.existing() == ""
     first = target.save(make, "")
     assert first.replaced == ""
-    assert target.standing() == f"the controller of checksum {first.checksum}"
-    second = target.save(lambda _progress: other_controller(), target.standing())
+    assert target.existing() == f"the controller of checksum {first.checksum}"
+    second = target.save(lambda _progress: other_controller(), target.existing())
     assert second.replaced == f"the controller of checksum {first.checksum}"
     assert short(read_controller(target.path).checksum) == second.checksum != first.checksum
 
@@ -42,17 +42,17 @@ def test_a_file_that_is_no_whole_controller_is_called_so(tmp_path: Path) -> None
     text = target.path.read_text(encoding="utf-8")
     for content in (text.replace("damping: ", "damping: 1", 1), "format: autotune/identified\n", ""):
         target.path.write_text(content, encoding="utf-8")
-        assert target.standing() == "a file that is no whole controller"
+        assert target.existing() == "a file that is no whole controller"
 
 
 def test_a_file_that_changed_after_it_was_told_is_not_replaced(tmp_path: Path) -> None:
     target = Target(tmp_path / "controller.yaml")
-    told = target.standing()
+    told = target.existing()
     checksum = short(write_controller(target.path, other_controller()))
     with pytest.raises(UsageError, match=f"was not there, now it is the controller of checksum {checksum}"):
         target.save(make, told)
     assert short(read_controller(target.path).checksum) == checksum
-    assert target.save(make, target.standing()).replaced.endswith(checksum)
+    assert target.save(make, target.existing()).replaced.endswith(checksum)
 
 
 @pytest.mark.parametrize("asks", [True, False])
