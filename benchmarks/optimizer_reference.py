@@ -11,7 +11,7 @@ from autotune.tuning.bounds import Box
 from autotune.tuning.worst import DENSE_MASS, DENSE_STIFFNESS
 from benchmarks.optimizer_judge import DIMENSION, is_peak, ranked_costs
 from problems.design.batch_evaluation import build_batch_evaluator
-from problems.design.evaluation import PreparedScenarios, build_scenarios, normalise_margins
+from problems.design.evaluation import PreparedScenarios, build_scenarios
 from problems.design.problem import DesignProblem
 from problems.design.uncertainty import Scenario
 from problems.model.response import free_space_admittance
@@ -124,10 +124,7 @@ def _worst(dense: PreparedScenarios, design: FloatArray) -> tuple[list[Scenario]
     contact = problem.objective == "contact_force"
     forces = [each.peak_contact_force_n if contact else each.peak_sensor_force_n for each in found.evaluation.peaks]
     worst = [dense.scenarios[int(np.argmax(forces))]]
-    misses = [
-        max(normalise_margins(problem.requirements, each.margins, problem.sample_time_s).values(), default=0.0)
-        for each in found.margins[: len(dense.scenarios)]
-    ]
+    misses = [max(each.ratios.values(), default=0.0) for each in found.margins[: len(dense.scenarios)]]
     if max(misses) > 1.0 + _MISSED:
         return [*worst, dense.scenarios[int(np.argmax(misses))]], np.inf
     return worst, found.evaluation.objective_n if found.evaluation.violation <= _MISSED else np.inf

@@ -12,7 +12,6 @@ from autotune import __version__
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller import ControllerFile, read_controller
 from autotune.formats.controller_record import (
-    AdmittanceRequirement,
     AxisDomain,
     AxisGains,
     CollisionResponse,
@@ -31,11 +30,10 @@ from autotune.tuning.record import runtime_payload
 from autotune.tuning.search import SearchResult, solve_design
 from autotune.tuning.threshold import ThresholdWish, threshold_wish
 from autotune.validation.axis_proof import ProofOptions
+from autotune.validation.certified_requirements import certified_problem_requirements
 from autotune.validation.validate import admittance_controller
-from problems.contact.transient import Approach
 from problems.design.evaluation import build_scenarios
 from problems.design.problem import DEFAULT_BOUNDS, FURTHER_VARIABLES, VARIABLES, DesignProblem
-from problems.design.requirements import REQUIREMENTS, AdmittanceTarget, Requirements
 from problems.design.uncertainty import Scenario
 from problems.frozen import freeze
 from problems.model.controller import AdmittanceController
@@ -180,22 +178,11 @@ def problem_of(controller: Controller, name: str) -> DesignProblem:
     The bounds are the usual ones, widened to the gains of the file; filters and compensation stay as they are.
     """
     domain, law = controller.certificate.domain[name], admittance_controller(controller, name)
-    nominal = domain.nominal_plant()
-    return DesignProblem(
-        robot=nominal.robot,
-        coupling=nominal.coupling,
-        drag_n_s_per_m=nominal.payload.drag_n_s_per_m,
-        environment_stiffness_n_per_m=domain.environment_stiffness_n_per_m,
-        environment_damping_n_s_per_m=nominal.environment.damping_n_s_per_m,
-        payload_mass_kg=domain.payload_mass_kg,
-        sample_time_s=controller.sample_time_s,
-        approach=Approach(force_n=domain.approach_force_n, speed_m_s=domain.approach_speed_m_s),
+    return domain.problem(
+        controller.sample_time_s,
         bounds=_bounds(law, name, reads_position=not is_late(domain)),
-        requirements=_requirements(controller, name),
+        requirements=certified_problem_requirements(controller, name),
         velocity_filter_rad_per_s=law.velocity_filter_rad_per_s,
-        uncertain=domain.uncertain or {},
-        ellipsoid=None if domain.confidence is None else domain.confidence.ellipsoid(),
-        wrench_filter=nominal.wrench_filter,
     )
 
 
@@ -218,22 +205,6 @@ def _bounds(law: AdmittanceController, name: str, *, reads_position: bool) -> di
     if law.compensates:
         bounds |= {key: (values[key], values[key]) for key in FURTHER_VARIABLES}
     return bounds
-
-
-def _requirements(controller: Controller, name: str) -> Requirements:
-    soft = (controller.certificate.soft or {}).get(name, {})
-    asked: dict[str, Any] = {**(controller.certificate.requirements_of(name) or {})}
-    asked |= {key: each.asked for key, each in soft.items()}
-    said = {
-        key: AdmittanceTarget(min_m_s_per_n=value.min_m_s_per_n, band_hz=value.band_hz)
-        if isinstance(value, AdmittanceRequirement)
-        else value
-        for key, value in asked.items()
-        if key in REQUIREMENTS
-    }
-    # What is not said was not asked, whatever is asked by default.
-    whole: dict[str, Any] = {**dict.fromkeys(REQUIREMENTS), **said}
-    return Requirements(**whole, soft_n={key: each.soft_n for key, each in soft.items()})
 
 
 def keep_deadband(exploration: Exploration, controller: Controller) -> Controller:

@@ -4,23 +4,17 @@ import math
 from html import escape
 
 from autotune.formats.units import AxisUnits
+from autotune.plugins import find_requirement
 
 from .view import View
 
 _UNSEEN = "–"
-_TITLES = {
-    "gain_margin_db": "gain margin",
-    "phase_margin_deg": "phase margin",
-    "delay_margin_s": "delay margin",
-    "decay_rate_per_s": "decay rate",
-    "max_peak_force_n": "peak force",
-    "free_space_admittance": "free-space admittance",
-}
 
 
 def requirement_title(name: str) -> str:
     """Return what a requirement is called on the page."""
-    return _TITLES.get(name, name.replace("_", " "))
+    found = find_requirement(name)
+    return name.replace("_", " ") if found is None else found.title
 
 
 def verdict(view: View, count: int) -> str:

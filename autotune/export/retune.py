@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.errors import CertificateError, InfeasibleError
-from autotune.formats.controller_record import AdmittanceRequirement, AxisGains, Requirement
-from autotune.validation.law import MARGIN_OF, AxisTask, LawCertificate, certify_law
+from autotune.formats.controller_record import AxisGains, Requirement
+from autotune.plugins import find_requirement
+from autotune.validation.law import AxisTask, LawCertificate, certify_law
 from problems.contact.linear_controller_contact import simulate_linear_contact
 from problems.contact.transient import SampledContact, build_sampled_contact
-from problems.design.requirements import NoiseLimit, PassivityTarget
+from problems.design.requirements import AdmittanceTarget, DecayRate, LoopRequirement, Margin, PassivityTarget
 from problems.design.uncertainty import Scenario
 from problems.errors import AutotuneError
 from problems.model.linear_controllers import LinearController
@@ -28,7 +29,6 @@ from problems.model.response import PlantResponse, loop_at, plant_response, rend
 from problems.model.sampled import SampledPlant, build_loop, build_sampled_plant, spectral_radius
 from problems.model.third_party_controllers import alternates
 from problems.stability.margins import frequency_grid, margins_on_grid
-from problems.stability.noise import command_speed_gain
 from problems.stability.passivity import passive_below_hz
 
 FloatArray = NDArray[np.float64]
@@ -124,7 +124,7 @@ class QuickJudge:
         self.bands = {
             name: [plant_response(robot, _band(each)) for robot in self.plants[: len(free)]]
             for name, each in task.asked.items()
-            if isinstance(each, AdmittanceRequirement)
+            if isinstance(each, AdmittanceTarget)
         }
 
     def cost(self, law: LinearController) -> float:
@@ -160,10 +160,11 @@ class QuickJudge:
         margins = margins_on_grid(self.omega, both)
         found = {}
         for name, asked in names.items():
-            if name in MARGIN_OF and isinstance(asked, int | float):
-                reached = float(np.min(getattr(margins, MARGIN_OF[name])))
+            requirement = find_requirement(name)
+            if isinstance(requirement, Margin) and isinstance(asked, int | float):
+                reached = float(np.min(getattr(margins, requirement.margin)))
                 found[name] = (1.0 + self.reserve) * float(asked) / max(reached, 1e-12)
-            elif isinstance(asked, AdmittanceRequirement):
+            elif isinstance(asked, AdmittanceTarget):
                 least = min(float(np.min(np.abs(rendered_admittance(each, law, h)))) for each in self.bands[name])
                 found[name] = (1.0 + 0.1 * self.reserve) * asked.min_m_s_per_n / max(least, 1e-300)
             else:
@@ -171,17 +172,19 @@ class QuickJudge:
         return found
 
     def _other_ratio(self, name: str, asked: Requirement, law: LinearController, radius: float) -> float:
-        """Return required/achieved of what is asked rarely; 0 for all else."""
-        if name == "decay_rate_per_s" and isinstance(asked, float):
+        """Return required/achieved of what is asked rarely; 0 for what no loop and no robot says."""
+        requirement = find_requirement(name)
+        if isinstance(requirement, DecayRate) and isinstance(asked, float):
             return asked * law.sample_time_s / max(-math.log(radius), 1e-300) if radius > 0.0 else 0.0
-        if isinstance(asked, NoiseLimit):
-            return (1.0 + self.reserve) * asked.ratio(max(command_speed_gain(plant, law) for plant in self.plants))
+        if isinstance(requirement, LoopRequirement):
+            found = (requirement.ratio(asked, requirement.verified(asked, plant, law)) for plant in self.plants)
+            return (1.0 + self.reserve) * max(found)
         if isinstance(asked, PassivityTarget):
             return asked.passive_below_hz / max(passive_below_hz(self.plants[0], law), 1e-300)
         return 0.0
 
 
-def _band(asked: AdmittanceRequirement) -> FloatArray:
+def _band(asked: AdmittanceTarget) -> FloatArray:
     low, high = asked.band_hz
     return 2.0 * np.pi * np.unique(np.clip(np.geomspace(low, high, _BAND_POINTS), low, high))
 

@@ -9,7 +9,6 @@ from autotune.errors import CertificateError
 from .atomic import write_atomic
 from .canonical import checksum, short
 from .controller_record import (
-    AdmittanceRequirement,
     AxisDomain,
     AxisGains,
     AxisMargins,
@@ -120,7 +119,6 @@ def _renamed(body: dict[str, Any], *, reading: bool) -> dict[str, Any]:
 
 __all__ = [
     "FORMAT",
-    "AdmittanceRequirement",
     "AxisDomain",
     "AxisGains",
     "AxisLimits",

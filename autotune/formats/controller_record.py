@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from problems.design.requirements import NoiseLimit, PassivityTarget
+from problems.contact.transient import Approach
+from problems.design.problem import DesignProblem
+from problems.design.requirements import AdmittanceTarget, NoiseLimit, PassivityTarget
 from problems.design.uncertainty import Ellipsoid, Scenario, Uncertainty
 from problems.errors import ParameterError
 from problems.frozen import FrozenDict, freeze
@@ -233,6 +235,24 @@ class AxisDomain:
             ellipsoid=None if self.confidence is None else self.confidence.ellipsoid(),
         )
 
+    def problem(self, sample_time_s: float, **more: Any) -> DesignProblem:
+        """Return the design problem of these plants and contacts; `more` are its other fields."""
+        nominal = self.nominal_plant()
+        return DesignProblem(
+            robot=nominal.robot,
+            coupling=nominal.coupling,
+            drag_n_s_per_m=nominal.payload.drag_n_s_per_m,
+            environment_stiffness_n_per_m=self.environment_stiffness_n_per_m,
+            environment_damping_n_s_per_m=nominal.environment.damping_n_s_per_m,
+            payload_mass_kg=self.payload_mass_kg,
+            sample_time_s=sample_time_s,
+            approach=Approach(force_n=self.approach_force_n, speed_m_s=self.approach_speed_m_s),
+            uncertain=self.uncertain or {},
+            ellipsoid=None if self.confidence is None else self.confidence.ellipsoid(),
+            wrench_filter=nominal.wrench_filter,
+            **more,
+        )
+
     def nominal_plant(self) -> Plant:
         """Return the plant that all ranges are around, at the soft and light end of K_e and M_p."""
         return Plant(
@@ -316,18 +336,7 @@ class Reach:
             raise ParameterError("budget_s", self.budget_s, "above 0, and no run time below 0")
 
 
-@dataclass(frozen=True, kw_only=True)
-class AdmittanceRequirement:
-    """The free-space target: at least `min_m_s_per_n` over the band (Hz)."""
-
-    min_m_s_per_n: float
-    band_hz: Interval
-
-    def __post_init__(self) -> None:
-        _check_interval("band_hz", self.band_hz)
-
-
-Requirement = float | bool | AdmittanceRequirement | NoiseLimit | PassivityTarget
+Requirement = float | bool | AdmittanceTarget | NoiseLimit | PassivityTarget
 Asked = Mapping[str, Requirement]
 
 
@@ -338,7 +347,7 @@ class SoftRequirement:
     None where no finite limit exists.
     """
 
-    asked: float | AdmittanceRequirement | NoiseLimit | PassivityTarget
+    asked: float | AdmittanceTarget | NoiseLimit | PassivityTarget
     soft_n: float
     achieved: float | None
 

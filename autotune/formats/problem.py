@@ -1,13 +1,17 @@
 """`problem.yaml`: what the user asks of the controller."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from autotune.errors import UsageError
+from autotune.plugins import build_requirements, find_requirement, load_requirement
 from problems.contact.transient import Approach
-from problems.design.problem import AdmittanceTarget, NoiseLimit, Objective, PassivityTarget, Requirements
+from problems.design.evaluation import CustomRequirement
+from problems.design.problem import Objective
+from problems.design.requirements import BUILT_IN, FIELDS, Requirement, Requirements
 from problems.design.uncertainty import FURTHER_UNCERTAIN, UNCERTAIN
 from problems.errors import ParameterError
 from problems.frozen import freeze
@@ -16,7 +20,7 @@ from problems.model.controller import check_feedback_damping
 from .canonical import Place, spell
 from .limits import LimitsSpec
 from .records import ROTATIONAL_KEYS, rename_axis_keys
-from .schema import check_document
+from .schema import check_document, load_schema
 from .yaml12 import Document, load_document
 
 Interval = tuple[float, float]
@@ -25,11 +29,6 @@ Uncertain = Mapping[str, Interval | Origin]
 
 _RANGES = frozenset({*UNCERTAIN, *(ROTATIONAL_KEYS[name] for name in UNCERTAIN if name in ROTATIONAL_KEYS)})
 
-_KINDS: Mapping[str, Callable[..., Any]] = {
-    "free_space_admittance": AdmittanceTarget,
-    "command_noise": NoiseLimit,
-    "passivity": PassivityTarget,
-}
 _MOST_OF_AN_APPROACH = {"force_n": 1e4, "speed_m_s": 5.0, "torque_n_m": 2e3, "speed_rad_s": 25.0}
 """What an approach may ask at most; about a turning axis the same at a lever of 0.2 m."""
 # Among the free variables in the file, but none of the search: the one is chosen for the gains that were found, the
@@ -53,7 +52,7 @@ class ComplianceSpec:
 class RotationalSpec:
     """What `problem.yaml` says of rx, ry, rz alone; the fields hold rad, N·m and kg·m².
 
-    `requirements` holds those that were said, None where nothing is asked, and under `soft_n` the prices.
+    `requirements` holds those that were said, None where nothing is asked, and `soft_n` the prices.
     """
 
     bounds: Mapping[str, Interval] = field(default_factory=dict)
@@ -62,9 +61,10 @@ class RotationalSpec:
     payload_mass_kg: Interval | None = None
     uncertain: Uncertain = field(default_factory=dict)
     requirements: Mapping[str, Any] = field(default_factory=dict)
+    soft_n: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        freeze(self, "bounds", "uncertain", "requirements")
+        freeze(self, "bounds", "uncertain", "requirements", "soft_n")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +99,7 @@ class ProblemSpec:
 def read_problem(path: Path) -> ProblemSpec:
     """Read `problem.yaml`; raises UsageError with file, line and reason for anything unknown or out of range."""
     document = load_document(path, error=UsageError)
-    check_document(document, "problem")
+    check_document(document, _schema(document.tree))
     tree = document.tree
     for place in _intervals(tree):
         _check_order(document, place)
@@ -112,16 +112,21 @@ def read_problem(path: Path) -> ProblemSpec:
         return ProblemSpec(
             axes=(axis,) if isinstance(axis, str) else axis and tuple(axis),
             **_ranges(tree),
-            requirements=Requirements(**_requirements(tree.get("requirements", {}))),
+            requirements=build_requirements(*_requirements(tree.get("requirements", {}))),
             objective=tree.get("objective", "contact_force"),
             free={name: _pair(value) for name, value in free.items() if name not in (_THRESHOLD, _STIFFNESS)},
             collision_threshold_n=_optional_pair(free.get(_THRESHOLD)),
             compliance=_compliance(document),
             limits=_limits(tree.get("limits", {})),
-            rotational=RotationalSpec(**_ranges(turned), requirements=_requirements(turned.get("requirements", {}))),
+            rotational=_rotational(turned),
         )
     except ParameterError as error:
         raise UsageError(f"{path}: {error}") from error
+
+
+def _rotational(turned: Mapping[str, Any]) -> RotationalSpec:
+    asked, prices = _requirements(turned.get("requirements", {}))
+    return RotationalSpec(**_ranges(turned), requirements=asked, soft_n=prices)
 
 
 def _limits(said: Mapping[str, Any]) -> LimitsSpec:
@@ -152,21 +157,53 @@ def _ranges(tree: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _requirements(tree: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what is asked by name, and the prices of what may be missed under `soft_n`."""
-    known: dict[str, Any] = {}
+def _requirements(tree: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, float]]:
+    """Return what is asked by name, None for what is not, and the prices of what may be missed."""
+    asked: dict[str, Any] = {}
     prices: dict[str, float] = {}
     for name, said in tree.items():
-        if not isinstance(said, Mapping):
-            known[name] = said
-            continue
-        entry = {key: value for key, value in said.items() if key != "soft_n"}
-        if "soft_n" in said:
-            prices[name] = said["soft_n"]
-        if "band_hz" in entry:
-            entry["band_hz"] = _pair(entry["band_hz"])
-        known[name] = _KINDS[name](**entry) if name in _KINDS else entry["value"]
-    return {**known, "soft_n": prices} if prices else known
+        if isinstance(said, bool):
+            asked[name] = 1.0 if said else None
+        elif not isinstance(said, Mapping):
+            asked[name] = said
+        else:
+            asked[name] = load_requirement(name).read({key: value for key, value in said.items() if key != "soft_n"})
+            prices |= {name: said["soft_n"]} if "soft_n" in said else {}
+    return asked, prices
+
+
+def _schema(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the schema of the file with an entry for every requirement that it names and that has none there.
+
+    The built-in ones have one whether they are named or not; those of other packages where they are installed.
+    """
+    schema = deepcopy(load_schema("problem"))
+    turning = schema["properties"]["rotational"]["properties"]["requirements"]["properties"]
+    straight, rotational = schema["properties"]["requirements"]["properties"], tree.get("rotational")
+    for said, known, price in (
+        (tree.get("requirements"), straight, "soft_n"),
+        (rotational.get("requirements") if isinstance(rotational, Mapping) else None, turning, "soft_n_m"),
+    ):
+        further = [each for each in BUILT_IN.values() if each.name not in FIELDS]
+        if isinstance(said, Mapping) and set(said) - {*straight, *turning, *BUILT_IN}:
+            found = (find_requirement(str(name)) for name in said if name not in {*straight, *turning})
+            further += [each for each in found if each is not None]
+        known |= {each.name: _entry_schema(each, price) for each in further}
+    return schema
+
+
+def _entry_schema(requirement: Requirement[Any], price: str) -> dict[str, Any]:
+    """Return the schema of a number that is asked, or of `true` where the requirement says the number itself."""
+    number: dict[str, Any] = {"exclusiveMinimum": 0}
+    if requirement.must_be_below is not None:
+        number["exclusiveMaximum"] = requirement.must_be_below[0]
+    return {
+        "type": ["number", "null", "object", *(["boolean"] if isinstance(requirement, CustomRequirement) else [])],
+        **number,
+        "additionalProperties": False,
+        "required": ["value", price],
+        "properties": {"value": {"type": "number", **number}, price: {"type": "number", "exclusiveMinimum": 0}},
+    }
 
 
 def _intervals(tree: Mapping[str, Any], within: Place = ()) -> list[Place]:

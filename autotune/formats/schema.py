@@ -73,9 +73,9 @@ class Violation:
         return spell(self.place)
 
 
-def check_document(document: Document, name: str) -> None:
-    """Raise the document's error, with its line, for the first entry that the schema `name` does not allow."""
-    refuse_first(document, violations(document.tree, name))
+def check_document(document: Document, schema: str | Mapping[str, Any]) -> None:
+    """Raise the document's error, with its line, for the first entry that the schema, or that of a name, refuses."""
+    refuse_first(document, violations(document.tree, schema))
 
 
 def refuse_first(document: Document, found: Iterable[Violation]) -> None:
@@ -92,11 +92,11 @@ def check_tree(tree: Mapping[str, Any], name: str) -> None:
         raise ParameterError(found.entry, found.found, found.must)
 
 
-def violations(tree: Mapping[str, Any], name: str) -> Iterator[Violation]:
-    """Yield everything in `tree` that the schema `name` does not allow."""
+def violations(tree: Mapping[str, Any], schema: str | Mapping[str, Any]) -> Iterator[Violation]:
+    """Yield everything in `tree` that the schema, or that of a name, does not allow."""
     from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow to import, and not every command reads a file
 
-    for problem in Draft202012Validator(load_schema(name)).iter_errors(tree):
+    for problem in Draft202012Validator(load_schema(schema) if isinstance(schema, str) else schema).iter_errors(tree):
         yield explain(problem)
 
 

@@ -8,10 +8,11 @@ from contourpy import contour_generator
 from numpy.typing import NDArray
 
 from autotune.charts.chart import Chart, Element, Heat, Limit, Line, Panel, Points, Role, Scale, Stretch
-from autotune.formats.controller_record import AdmittanceRequirement, ScenarioPrediction
+from autotune.formats.controller_record import ScenarioPrediction
 from autotune.formats.units import AxisUnits
 from autotune.scenario_text import off_nominal, stiffness_text
 from problems.contact.transient import ContactTransient
+from problems.design.requirements import AdmittanceTarget
 from problems.maps.maps import MapAxis, MapRequest, compute_map
 from problems.maps.parameters import MapQuantity, find_parameter
 from problems.model.controller import AdmittanceController
@@ -170,10 +171,10 @@ def admittance_chart(design: AxisDesign, old: AdmittanceController | None) -> Ch
     )
 
 
-def _admittance_asked(design: AxisDesign) -> AdmittanceRequirement | None:
+def _admittance_asked(design: AxisDesign) -> AdmittanceTarget | None:
     soft = design.soft.get("free_space_admittance")
     asked = design.asked.get("free_space_admittance") if soft is None else soft.asked
-    return asked if isinstance(asked, AdmittanceRequirement) else None
+    return asked if isinstance(asked, AdmittanceTarget) else None
 
 
 def nyquist_chart(design: AxisDesign, old: AdmittanceController | None) -> Chart:

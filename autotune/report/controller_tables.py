@@ -8,11 +8,13 @@ import numpy as np
 
 from autotune.formats.canonical import short
 from autotune.formats.controller import ControllerFile
-from autotune.formats.controller_record import AdmittanceRequirement, Controller, Requirement, SoftRequirement
+from autotune.formats.controller_record import Controller, SoftRequirement
+from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import AxisUnits, axis_units
+from autotune.plugins import find_requirement
 from autotune.scenario_text import scenario_text, stiffness_text, value_text
 from autotune.validation.validate import admittance_controller
-from problems.design.requirements import NoiseLimit, PassivityTarget
+from problems.design.requirements import BUILT_IN, AdmittanceRequirement, Margin, PeakForceLimit
 from problems.design.uncertainty import SYMBOLS
 from problems.model.controller import AdmittanceController
 from problems.model.plant import NO_FILTER, Plant
@@ -23,12 +25,7 @@ from problems.stability.margins import UnstableLoopError, find_margins
 from .axis_design import AxisDesign, contact_of
 from .page import Block, Cell, Fact, Facts, Note, Table, Tone, build_table
 
-_MARGINS = {
-    "modulus_margin": ("modulus margin", "modulus", 1.0, ""),
-    "gain_margin_db": ("gain margin", "gain_db", 1.0, "dB"),
-    "phase_margin_deg": ("phase margin", "phase_deg", 1.0, "°"),
-    "delay_margin_s": ("delay margin", "delay_s", 1e3, "ms"),
-}
+_MARGINS = tuple(each for each in BUILT_IN.values() if isinstance(each, Margin))
 _NEARLY_USED = 0.99
 _UNSTABLE = "unstable"
 _BAND_POINTS = 100
@@ -193,37 +190,27 @@ def _price(price: float | None, units: AxisUnits) -> str:
     return "nothing by itself" if price < 1e-3 else f"{price:.2f} {units.force}"
 
 
-def _achievement(design: AxisDesign, name: str, required: Requirement) -> tuple[str, str, str, float | None]:
+def _achievement(design: AxisDesign, name: str, required: Any) -> tuple[str, str, str, float | None]:
     """Return title, what is required, what is reached, and required/reached (of a limit reached/required) if known."""
-    units, soft = design.units, design.soft.get(name)
-    if name in _MARGINS and isinstance(required, int | float):
-        title, key, scale, unit = _MARGINS[name]
-        reached = getattr(design.margins, key)
-        want = f"{scale * required:g} {unit}".strip()
-        return title, want, _with_unit(reached, scale, unit), _share(required, reached)
-    if isinstance(required, AdmittanceRequirement):
-        low, high = required.band_hz
+    soft, requirement, turning = design.soft.get(name), find_requirement(name), design.name in ROTATIONAL_AXES
+    if requirement is None:
+        return name.replace("_", " "), f"{required:g}", _soft_text(soft, ""), None
+    want, unit = requirement.describe(required, turning=turning), requirement.unit_on(turning=turning)
+    reached: float | None
+    if isinstance(requirement, Margin):
+        reached = getattr(design.margins, requirement.margin)
+    elif isinstance(requirement, AdmittanceRequirement):
         reached = design.predicted.free_space_admittance.min_m_s_per_n
-        want = f"{required.min_m_s_per_n:.4g} {units.admittance}, {low:g} to {high:g} Hz"
-        got = f"{reached:.4g} {units.admittance}"
-        return "free-space admittance", want, got, _share(required.min_m_s_per_n, reached)
-    if name == "max_peak_force_n" and isinstance(required, int | float):
+    elif isinstance(requirement, PeakForceLimit):
         reached = design.worst_contact.peak_contact_force_n
-        return "peak", f"at most {required:g} {units.force}", f"{reached:.4g} {units.force}", reached / required
-    if isinstance(required, NoiseLimit):
-        want = f"speed RMS at most {required.max_speed_rms_m_s:.4g} {units.speed}"
-        return "command noise", want, _soft_text(soft, units.speed), None
-    if isinstance(required, PassivityTarget):
-        return "passivity", f"up to {required.passive_below_hz:g} Hz", _soft_text(soft, "Hz"), None
-    return name.replace("_", " "), f"{required:g}", _soft_text(soft, ""), None
+    else:
+        return requirement.title, want, _soft_text(soft, unit, requirement.shown_scale), None
+    share = None if reached is None or reached <= 0.0 else requirement.ratio(required, reached)
+    return requirement.title, want, _with_unit(reached, requirement.shown_scale, unit), share
 
 
-def _share(required: float, reached: float | None) -> float | None:
-    return None if reached is None or reached <= 0.0 else required / reached
-
-
-def _soft_text(soft: SoftRequirement | None, unit: str) -> str:
-    return "met" if soft is None else _with_unit(soft.achieved, 1.0, unit)
+def _soft_text(soft: SoftRequirement | None, unit: str, scale: float = 1.0) -> str:
+    return "met" if soft is None else _with_unit(soft.achieved, scale, unit)
 
 
 def law_before(old: ControllerFile | None, axis: str) -> AdmittanceController | None:
@@ -247,7 +234,7 @@ def compared_blocks(design: AxisDesign, old: ControllerFile | None, checksum: st
 
 def _compared_table(design: AxisDesign, law: AdmittanceController, old: ControllerFile, checksum: str) -> Table:
     units = design.units
-    worst = (design.worst_plant(key) for _, key, _, _ in _MARGINS.values())
+    worst = (design.worst_plant(each.margin) for each in _MARGINS)
     found = (*design.corners(), design.free_plant(), *(each for each in worst if each is not None))
     plants = tuple(dict.fromkeys(found))
     rows = [("checksum", short(old.checksum), short(checksum))]
@@ -262,7 +249,7 @@ def _compared_table(design: AxisDesign, law: AdmittanceController, old: Controll
     titles = (
         f"largest peak at the contact [{units.force}]",
         f"largest peak at the sensor [{units.force}]",
-        *(f"{title} [{unit}]" if unit else title for title, _, _, unit in _MARGINS.values()),
+        *(f"{each.title} [{each.unit}]" if each.unit else each.title for each in _MARGINS),
         f"least free-space admittance [{units.admittance}]",
     )
     rows += zip(titles, *(_reached(design, each, plants) for each in (law, design.law)), strict=True)
@@ -291,7 +278,7 @@ def _reached(design: AxisDesign, law: AdmittanceController, plants: Sequence[Pla
         found = [find_margins(build_sampled_plant(plant, h), law) for plant in plants]
     except UnstableLoopError:
         return (*texts, *(_UNSTABLE for _ in _MARGINS), _UNSTABLE)
-    texts += [number(min(getattr(each, key) for each in found), scale) for _, key, scale, _ in _MARGINS.values()]
+    texts += [number(min(getattr(each, of.margin) for each in found), of.shown_scale) for of in _MARGINS]
     band = 2.0 * np.pi * np.geomspace(*design.predicted.free_space_admittance.band_hz, _BAND_POINTS)
     least = np.min(np.abs(free_space_admittance(build_sampled_plant(design.free_plant(), h), law, band)))
     return (*texts, f"{least:.4g}")
@@ -353,11 +340,11 @@ def worst_table(design: AxisDesign) -> Table:
     """Return where each margin is smallest."""
     rows = [
         (
-            title,
-            _with_unit(getattr(design.margins, key), scale, unit),
-            _case(design.margins.worst.get(key, {}), design.units),
+            each.title,
+            _with_unit(getattr(design.margins, each.margin), each.shown_scale, each.unit),
+            _case(design.margins.worst.get(each.margin, {}), design.units),
         )
-        for title, key, scale, unit in _MARGINS.values()
+        for each in _MARGINS
     ]
     worst = design.worst_contact
     peak = f"{worst.peak_contact_force_n:.4g} {design.units.force}"

@@ -5,8 +5,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from problems.design.evaluation import Evaluation, band_frequencies, smallest_admittance
-from problems.design.problem import AdmittanceTarget, DesignProblem
+from problems.design.evaluation import Evaluation
+from problems.design.problem import DesignProblem
+from problems.design.requirements import AdmittanceTarget, band_frequencies, smallest_admittance
 from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE

@@ -2,20 +2,19 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from autotune.errors import UsageError
-from problems.design.evaluation import Evaluation
+from autotune.plugins import OBJECTIVES, REQUIREMENTS, load_plugin, registered
+from problems.design.evaluation import CustomRequirement, Evaluation
 from problems.design.problem import DesignProblem
 from problems.model.controller import AdmittanceController
 
 Direction = Literal["minimize", "maximize"]
 
-OBJECTIVES = "autotune.objectives"
-REQUIREMENTS = "autotune.requirements"
+Requirement = CustomRequirement
+"""One thing that a controller must meet, as required/achieved: ≤ 1 is met. A subclass says its `name`."""
 
 
 class Objective(ABC):
@@ -36,16 +35,6 @@ class Objective(ABC):
 
         The same arguments must give the same number, to the last bit: trials of different processes are compared.
         """
-
-
-class Requirement(ABC):
-    """One thing that a controller must meet, as required/achieved: ≤ 1 is met."""
-
-    name: ClassVar[str]
-
-    @abstractmethod
-    def __call__(self, controller: AdmittanceController, problem: DesignProblem, evaluation: Evaluation) -> float:
-        """Return required/achieved (0 or above), worst over the scenarios of `evaluation.peaks`, all of them stable."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,45 +98,27 @@ def load_objective(name: str) -> Objective:
     Raises UsageError when there is none or more than one of that name, when it cannot be imported or made, or is no
     subclass of `Objective`.
     """
-    found: Objective = _load(OBJECTIVES, name, Objective)
+    found: Objective = load_plugin(OBJECTIVES, name, Objective)
     return found
 
 
 def load_requirement(name: str) -> Requirement:
     """Import and make the requirement of this name; raises UsageError as `load_objective` does."""
-    found: Requirement = _load(REQUIREMENTS, name, Requirement)
+    found: Requirement = load_plugin(REQUIREMENTS, name, Requirement)
     return found
 
 
-def _load(group: str, name: str, kind: type) -> Any:
-    known = registered(group)
-    what = kind.__name__.lower()
-    if name not in known:
-        told = ", ".join(sorted(known)) or "none, so robot-autotune itself must be installed again"
-        raise UsageError(f"There is no {what} {name!r} installed; there are: {told}.")
-    entry = known[name]
-    try:
-        # Other people's code may raise anything.
-        found = entry.load()
-        plugin: Any = found() if isinstance(found, type) and issubclass(found, kind) else None
-    except Exception as error:
-        raise UsageError(f"The {what} {name} ({entry.value}) cannot be loaded: {error}.") from error
-    if plugin is None or plugin.name != name:
-        raise UsageError(
-            f"The {what} {name} ({entry.value}) must be a subclass of autotune.studies.plugins.{kind.__name__} whose "
-            f"name is {name!r}."
-        )
-    return plugin
-
-
-def registered(group: str) -> Mapping[str, EntryPoint]:
-    """Return what the installed packages register under `group`, by name; raises UsageError for a name given twice."""
-    found: dict[str, EntryPoint] = {}
-    for entry in sorted(entry_points(group=group), key=lambda each: (each.name, each.value)):
-        if entry.name in found and found[entry.name].value != entry.value:
-            raise UsageError(
-                f"Two installed packages register {entry.name} in {group}, {found[entry.name].value} and "
-                f"{entry.value}; uninstall one."
-            )
-        found[entry.name] = entry
-    return found
+__all__ = [
+    "OBJECTIVES",
+    "REQUIREMENTS",
+    "Demand",
+    "Direction",
+    "Limit",
+    "Objective",
+    "Requirement",
+    "load_demands",
+    "load_objective",
+    "load_objectives",
+    "load_requirement",
+    "registered",
+]

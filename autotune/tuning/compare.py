@@ -10,8 +10,9 @@ from autotune.errors import UsageError
 from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import CollisionResponse, Controller
 from autotune.validation.validate import admittance_controller
-from problems.design.evaluation import PreparedScenarios, smallest_admittance
+from problems.design.evaluation import PreparedScenarios
 from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
+from problems.design.requirements import smallest_admittance
 from problems.model.controller import AdmittanceController
 
 from .bounds import bounds_of

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 from problems.design.problem import DesignProblem
-from problems.design.requirements import eased
 
 from .bounds import LINEAR_VARIABLES
 from .optimality import Optimality
@@ -15,7 +14,7 @@ def relaxed(problem: DesignProblem, requirement: str, share: float) -> DesignPro
     """Return the problem with one requirement asked for less by `share`."""
     if requirement not in problem.requirements.asked():
         return problem
-    return replace(problem, requirements=eased(problem.requirements, requirement, share))
+    return replace(problem, requirements=problem.requirements.relaxed(requirement, share))
 
 
 @dataclass(frozen=True, kw_only=True)

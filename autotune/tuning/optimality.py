@@ -10,32 +10,18 @@ with the price p and the ratio r = e^c, has multipliers of the sum p r/F: what m
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from problems.contact.transient import transient_from
-from problems.design.evaluation import PreparedScenarios, normalise_margins, normalise_plant, passivity_ratios
-from problems.design.gradients import (
-    Gradient,
-    admittance_gradient,
-    decay_gradient,
-    delay_gradient,
-    gain_gradient,
-    modulus_gradient,
-    passivity_gradient,
-    peak_gradient,
-    phase_gradient,
-)
+from problems.design.evaluation import PreparedScenarios
+from problems.design.gradients import contact_peak_gradient
 from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
 from problems.design.requirements import LARGEST_SHARE
+from problems.design.stable_design import Gradient, Peak, StableDesign
 from problems.model.controller import AdmittanceController
-from problems.model.sampled import SampledPlant, build_loop, spectral_radius
-from problems.stability.margins import PreparedMargins
-from problems.stability.noise import command_speed_gain
-from problems.stability.passivity import PreparedPort
 
 from .bounds import bounds_of, linear_variables
 
@@ -46,19 +32,11 @@ PEAK = "peak"
 _NEAR = 2e-3
 _AGREES = 2e-3
 _STEP = 1e-5
-_LATEST_TICK = 600
 _SUM_WEIGHT = 1e3
 _AT_BOUND = 1e-6
 LEAST_RATIO = 1e-100
 # The order of the controller's parameters in a slope.
 _PARAMETERS = (*VARIABLES, *FURTHER_VARIABLES)
-
-_MARGIN_SLOPES: dict[str, Callable[[SampledPlant, AdmittanceController], Gradient | None]] = {
-    "gain_margin_db": gain_gradient,
-    "phase_margin_deg": phase_gradient,
-    "delay_margin_s": delay_gradient,
-    "decay_rate_per_s": decay_gradient,
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,44 +137,74 @@ def near_keys(prepared: PreparedScenarios, design: FloatArray, near: float) -> t
 
     A key is a name and the index of a scenario, of a plant, or 0.
     """
-    problem, controller = prepared.problem, prepared.problem.controller(design)
-    found = prepared.peaks(controller)
-    values = np.array(
-        [p.peak_contact_force_n if problem.objective == "contact_force" else p.peak_sensor_force_n for p in found]
-    )
+    problem, stable = prepared.problem, StableDesign(prepared, prepared.problem.controller(design))
+    values = np.array([_objective_force(problem, peak) for peak in stable.peaks])
     keys = [(PEAK, int(i)) for i in np.flatnonzero(np.log(values) >= math.log(float(np.max(values))) - near)]
-    asked, ratios = problem.requirements, dict[str, list[float]]()
-    for each in prepared.margins(controller, prepared.radii(controller)):
-        for name, value in normalise_plant(asked, each, problem.sample_time_s).items():
-            ratios.setdefault(name, []).append(value)
-    ratios |= {name: [value] for name, value in prepared.achieved_admittance(controller).items()}
-    if asked.passivity is not None:
-        ratios["passivity"] = list(passivity_ratios(asked.passivity, prepared.ports, controller))
-    if asked.max_peak_force_n is not None:
-        ratios["max_peak_force_n"] = [p.peak_contact_force_n / asked.max_peak_force_n for p in found]
-    for name, of_name in ratios.items():
-        logs = np.log(np.clip(of_name, LEAST_RATIO, LARGEST_SHARE))
+    asked = problem.requirements
+    for requirement, value in asked.of("loop", "robot", "contact"):
+        name = requirement.name
+        logs = np.log(np.clip(requirement.ratios(value, stable), LEAST_RATIO, LARGEST_SHARE))
         limit = max(0.0, float(np.max(logs))) if name in asked.soft_n else 0.0
         keys += [(name, int(i)) for i in np.flatnonzero(logs >= limit - near)]
     return tuple(keys)
 
 
+def _objective_force(problem: DesignProblem, peak: Peak) -> float:
+    return peak.peak_contact_force_n if problem.objective == "contact_force" else peak.peak_sensor_force_n
+
+
 def row_at(prepared: PreparedScenarios, design: FloatArray, key: Key) -> Row:
     """Return value and gradient of one peak or requirement, named by `near_keys`, at a stable design (n,)."""
     problem, (name, index) = prepared.problem, key
-    widths = unit_widths(problem, design)
     if name == PEAK:
-        return _peak_row(prepared, index, design, widths, at_sensor=problem.objective != "contact_force")
-    if name == "max_peak_force_n":
-        row = _peak_row(prepared, index, design, widths, at_sensor=False)
-        return replace(row, name=name, value=row.value - math.log(problem.requirements.max_peak_force_n or 1.0))
-    if name == "free_space_admittance":
-        return _admittance_row(prepared, design, widths)
-    if name == "passivity":
-        return _passivity_row(prepared.ports[index], problem, design, widths)
-    if name == "command_noise":
-        return _noise_row(prepared.plants[index].sampled, problem, design, widths)
-    return _margin_row(prepared.plants[index], problem, name, design, widths)
+        at_sensor = problem.objective != "contact_force"
+        return _row(
+            prepared,
+            design,
+            name,
+            lambda stable: _objective_force(problem, stable.peak(index)),
+            lambda stable: contact_peak_gradient(stable, index, at_sensor=at_sensor),
+            math.log,
+        )
+    requirement, asked = problem.requirements.kind(name), problem.requirements.asked()[name]
+    return _row(
+        prepared,
+        design,
+        name,
+        lambda stable: requirement.achieved(asked, stable, index),
+        lambda stable: requirement.gradient(asked, stable, index),
+        lambda achieved: math.log(min(max(requirement.ratio(asked, achieved), LEAST_RATIO), LARGEST_SHARE)),
+        sign=1.0 if requirement.is_upper_limit else -1.0,
+    )
+
+
+def _row(
+    prepared: PreparedScenarios,
+    design: FloatArray,
+    name: str,
+    achieved: Callable[[StableDesign], float],
+    gradient: Callable[[StableDesign], Gradient | None],
+    logarithm: Callable[[float], float],
+    sign: float = 1.0,
+) -> Row:
+    """Return the logarithm of what is achieved, which grows with it or falls (`sign`), and its gradient by u.
+
+    The gradient is the exact one where that is of this very number: the payload may have left before, a force creep up
+    to its rest, or another extremum be meant. Else central differences.
+    """
+    problem, widths = prepared.problem, unit_widths(prepared.problem, design)
+    stable = StableDesign(prepared, problem.controller(design))
+    value = achieved(stable)
+    found = gradient(stable) if _moves_exactly(problem, stable.controller) else None
+    if found is not None and abs(found.value - value) <= _AGREES * value:
+        free = [_PARAMETERS.index(each) for each in problem.variables]
+        by_u = sign * found.by_controller[free] * widths / found.value
+        return Row(name=name, value=logarithm(found.value), gradient=by_u, is_exact=True)
+
+    def log_of(moved: FloatArray) -> float:
+        return logarithm(achieved(StableDesign(prepared, problem.controller(moved))))
+
+    return Row(name=name, value=logarithm(value), gradient=_differences(log_of, design, widths), is_exact=False)
 
 
 def unit_widths(problem: DesignProblem, design: FloatArray) -> FloatArray:
@@ -209,122 +217,9 @@ def unit_widths(problem: DesignProblem, design: FloatArray) -> FloatArray:
     return np.where(width > 0.0, np.where(linear_variables(problem), width, design), 0.0)
 
 
-def _peak_row(
-    prepared: PreparedScenarios, index: int, design: FloatArray, widths: FloatArray, *, at_sensor: bool
-) -> Row:
-    problem, controller = prepared.problem, prepared.problem.controller(design)
-    pair = prepared.pairs[index]
-    run = transient_from(pair, controller, problem.approach)
-    value = run.peak_sensor_force_n if at_sensor else run.peak_contact_force_n
-    moment = run.time_of_sensor_peak_s if at_sensor else run.time_of_peak_s
-    # A force that has crept so long is nearly at rest; unrolled that far, its derivative costs a hundred simulations.
-    slope = None
-    if moment <= _LATEST_TICK * problem.sample_time_s and _moves_exactly(problem, controller):
-        slope = peak_gradient(pair.contact, controller, problem.approach, moment, at_sensor=at_sensor)
-    if slope is not None and abs(slope.value - value) <= _AGREES * value:
-        return Row(name=PEAK, value=math.log(value), gradient=_scaled(slope, problem, widths) / value, is_exact=True)
-
-    # The payload has left before, or the force creeps up to its rest: what the simulation says, by differences.
-    def log_peak(moved: FloatArray) -> float:
-        again = transient_from(pair, problem.controller(moved), problem.approach)
-        return math.log(again.peak_sensor_force_n if at_sensor else again.peak_contact_force_n)
-
-    return Row(name=PEAK, value=math.log(value), gradient=_differences(log_peak, design, widths), is_exact=False)
-
-
-def _margin_row(
-    plant: PreparedMargins, problem: DesignProblem, name: str, design: FloatArray, widths: FloatArray
-) -> Row:
-    controller = problem.controller(design)
-    margins = plant.find(controller, spectral_radius(build_loop(plant.sampled, controller)))
-    value = normalise_margins(problem.requirements, margins, problem.sample_time_s)[name]
-    required = getattr(problem.requirements, name)
-    slope: Gradient | None
-    if name == "modulus_margin":
-        slope = modulus_gradient(plant.sampled, controller, 2.0 * math.pi * margins.modulus_hz)
-    else:
-        slope = _MARGIN_SLOPES[name](plant.sampled, controller)
-    exact = slope is not None and _moves_exactly(problem, controller)
-    if exact and slope is not None and abs(required / slope.value - value) <= _AGREES * value:
-        return _row(name, required, slope, problem, widths)
-    gradient = _differences(_log_requirement(problem, plant, name), design, widths)
-    return Row(name=name, value=math.log(value), gradient=gradient, is_exact=False)
-
-
-def _admittance_row(prepared: PreparedScenarios, design: FloatArray, widths: FloatArray) -> Row:
-    problem, name = prepared.problem, "free_space_admittance"
-    target, controller = problem.requirements.free_space_admittance, problem.controller(design)
-    assert target is not None
-    robots = {plant.plant.port: plant for plant in prepared.free}
-    if not _moves_exactly(problem, controller):
-
-        def log_of(moved: FloatArray) -> float:
-            return math.log(prepared.achieved_admittance(problem.controller(moved))[name])
-
-        gradient = _differences(log_of, design, widths)
-        return Row(name=name, value=log_of(design), gradient=gradient, is_exact=False)
-    slopes = [admittance_gradient(plant, controller, target.band_hz) for plant in robots.values()]
-    return _row(name, target.min_m_s_per_n, min(slopes, key=lambda slope: slope.value), problem, widths)
-
-
-def _passivity_row(port: PreparedPort, problem: DesignProblem, design: FloatArray, widths: FloatArray) -> Row:
-    target, controller = problem.requirements.passivity, problem.controller(design)
-    assert target is not None
-
-    def log_of(moved: FloatArray) -> float:
-        ratio = float(passivity_ratios(target, [port], problem.controller(moved))[0])
-        return math.log(min(ratio, LARGEST_SHARE))
-
-    value = log_of(design)
-    fails_hz = target.passive_below_hz / math.exp(value)
-    if (
-        _moves_exactly(problem, controller)
-        and value < math.log(LARGEST_SHARE)
-        and fails_hz < 0.499 / port.sampled.sample_time_s
-    ):
-        slope = passivity_gradient(port.sampled, controller, fails_hz)
-        return _row("passivity", target.passive_below_hz, slope, problem, widths)
-    return Row(name="passivity", value=value, gradient=_differences(log_of, design, widths), is_exact=False)
-
-
-def _noise_row(sampled: SampledPlant, problem: DesignProblem, design: FloatArray, widths: FloatArray) -> Row:
-    """Return the command's noise; it is smooth, so central differences give all the digits that matter."""
-    limit = problem.requirements.command_noise
-    assert limit is not None
-
-    def log_of(moved: FloatArray) -> float:
-        return math.log(limit.ratio(command_speed_gain(sampled, problem.controller(moved))))
-
-    gradient = _differences(log_of, design, widths)
-    return Row(name="command_noise", value=log_of(design), gradient=gradient, is_exact=False)
-
-
 def _moves_exactly(problem: DesignProblem, controller: AdmittanceController) -> bool:
     """Whether the symbolic form has every variable: without compensation it leaves P̂ out."""
     return controller.compensates or "compensation_mass_kg" not in problem.variables
-
-
-def _log_requirement(problem: DesignProblem, plant: PreparedMargins, name: str) -> Callable[[FloatArray], float]:
-    def log_of(design: FloatArray) -> float:
-        controller = problem.controller(design)
-        margins = plant.find(controller, spectral_radius(build_loop(plant.sampled, controller)))
-        return math.log(normalise_margins(problem.requirements, margins, problem.sample_time_s)[name])
-
-    return log_of
-
-
-def _row(name: str, required: float, slope: Gradient, problem: DesignProblem, widths: FloatArray) -> Row:
-    return Row(
-        name=name,
-        value=math.log(required / slope.value),
-        gradient=-_scaled(slope, problem, widths) / slope.value,
-        is_exact=True,
-    )
-
-
-def _scaled(slope: Gradient, problem: DesignProblem, widths: FloatArray) -> FloatArray:
-    free = [_PARAMETERS.index(name) for name in problem.variables]
-    return np.asarray(slope.by_controller[free] * widths)
 
 
 def _differences(value: Callable[[FloatArray], float], design: FloatArray, widths: FloatArray) -> FloatArray:

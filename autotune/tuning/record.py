@@ -5,7 +5,6 @@ from operator import attrgetter
 from typing import Any
 
 from autotune.formats.controller_record import (
-    AdmittanceRequirement,
     AxisDomain,
     AxisGains,
     AxisMargins,
@@ -32,9 +31,9 @@ from autotune.validation.validation_samples import sampled_claims
 from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError
 from identification.result import Identified
-from problems.design.evaluation import PlantMargins, build_scenarios, smallest_admittance
+from problems.design.evaluation import PlantMargins, build_scenarios
 from problems.design.problem import DesignProblem, Requirements
-from problems.design.requirements import AdmittanceTarget, Asked, NoiseLimit, PassivityTarget, achieved
+from problems.design.requirements import smallest_admittance
 from problems.design.uncertainty import Ellipsoid, Scenario
 from problems.model.controller import AdmittanceController
 
@@ -218,7 +217,7 @@ def _confidence(ellipsoid: Ellipsoid | None) -> ConfidenceSet | None:
 
 def _requirements(requirements: Requirements) -> dict[str, Requirement]:
     """Return what must be met."""
-    return {name: _plain(asked) for name, asked in requirements.asked().items() if name not in requirements.soft_n}
+    return {name: asked for name, asked in requirements.asked().items() if name not in requirements.soft_n}
 
 
 def _soft(result: SearchResult) -> dict[str, SoftRequirement]:
@@ -226,19 +225,13 @@ def _soft(result: SearchResult) -> dict[str, SoftRequirement]:
     requirements, ratios = result.problem.requirements, result.evaluation.soft
     return {
         name: SoftRequirement(
-            asked=_plain(asked),
+            asked=asked,
             soft_n=requirements.soft_n[name],
-            achieved=achieved(name, asked, ratios[name]),
+            achieved=requirements.kind(name).achieved_at(asked, ratios[name]),
         )
         for name, asked in requirements.asked().items()
         if name in requirements.soft_n
     }
-
-
-def _plain(asked: Asked) -> float | AdmittanceRequirement | NoiseLimit | PassivityTarget:
-    if isinstance(asked, AdmittanceTarget):
-        return AdmittanceRequirement(min_m_s_per_n=asked.min_m_s_per_n, band_hz=asked.band_hz)
-    return asked
 
 
 def _margins(found: tuple[PlantMargins, ...]) -> AxisMargins:

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 from autotune.errors import InfeasibleError
 from problems.design.batch_evaluation import EVERY_REQUIREMENT
 from problems.design.problem import DesignProblem
-from problems.design.requirements import UPPER_LIMITS, level
 from problems.design.uncertainty import Scenario
 from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
 
 from .scenario_exchange import margin_scenarios
 from .search import Search, presentable
-from .worst import ALONE, WholeSet
+from .worst import WholeSet
 
 FloatArray = NDArray[np.float64]
 
@@ -76,9 +75,15 @@ def find_relaxations(
     for name, number in asked.items() if together is not None else ():
         ratio = least(name)
         if ratio is not None:
-            found.append(Relaxation(name=name, asked=number, possible=_eased(name, number, ratio)))
+            found.append(
+                Relaxation(
+                    name=name,
+                    asked=number,
+                    possible=_eased(number, ratio, is_upper=problem.requirements.kind(name).is_upper_limit),
+                )
+            )
     if together is not None and not found:
-        possible = _eased(EVERY_REQUIREMENT, 100.0, together)
+        possible = _eased(100.0, together)
         return (Relaxation(name=EVERY_REQUIREMENT, asked=100.0, possible=possible),)
     return tuple(sorted(found, key=lambda each: each.share))
 
@@ -100,7 +105,7 @@ def tell_relaxations(problem: DesignProblem, found: Sequence[Relaxation]) -> str
 def asked_numbers(problem: DesignProblem) -> dict[str, float]:
     """Return what is asked of each requirement as one number, wishes left out."""
     requirements = problem.requirements
-    return {name: level(asked) for name, asked in requirements.asked().items() if name not in requirements.soft_n}
+    return {name: requirements.threshold(name) for name in requirements.asked() if name not in requirements.soft_n}
 
 
 def _least_ratio(
@@ -134,10 +139,10 @@ def _least_ratio(
                 # What more scenarios no longer change is not worth another look at the whole uncertainty.
                 if reached <= promised * (1.0 + _HAIR) or (before is not None and reached >= before * (1.0 - _HAIR)):
                     break
-            worse = margin_scenarios(problem, others, exact.margins)
-            worse = (*worse, *margin_scenarios(problem, sought, exact.margins, level=promised))
+            worse = margin_scenarios(others, exact.margins)
+            worse = (*worse, *margin_scenarios(sought, exact.margins, limit=promised))
             highest = max(exact.evaluation.peaks, key=lambda peak: peak.peak_contact_force_n).scenario
-            robots = (whole.worst_robot(controller, name) for name in ALONE if name in ratios)
+            robots = whole.worst_of(exact.evaluation, ratios, "robot")
             joined = tuple(dict.fromkeys((*active, *worse, highest, *robots)))
             if joined == active:
                 search.tighten(exact.evaluation)
@@ -152,9 +157,9 @@ def _of(goal: str, ratios: Mapping[str, float]) -> float:
     return max(ratios.values()) if goal == EVERY_REQUIREMENT else ratios[goal]
 
 
-def _eased(name: str, asked: float, ratio: float) -> float:
+def _eased(asked: float, ratio: float, *, is_upper: bool = False) -> float:
     """Return what the design reached, with three digits, on the easier side of it."""
-    reached = asked * ratio if name in UPPER_LIMITS else asked / ratio
+    reached = asked * ratio if is_upper else asked / ratio
     unit = 10.0 ** (math.floor(math.log10(reached)) - _DIGITS + 1)
-    steps = math.ceil(reached / unit) if name in UPPER_LIMITS else math.floor(reached / unit)
+    steps = math.ceil(reached / unit) if is_upper else math.floor(reached / unit)
     return float(f"{steps * unit:.{_DIGITS}g}")

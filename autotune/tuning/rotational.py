@@ -5,14 +5,13 @@ admittances with 1/l²; margins, times and bands stay. The lever is the one at w
 1 N·m, are the same. Only wishes go through it: what the cell is (payload, surface) is never derived this way.
 """
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
-from autotune.formats.problem import Interval, ProblemSpec
+from autotune.formats.problem import Interval, ProblemSpec, RotationalSpec
+from autotune.plugins import build_requirements
 from identification.axes.turning import LEVER_M
 from problems.contact.transient import Approach
-from problems.design.problem import DEFAULT_BOUNDS, AdmittanceTarget, NoiseLimit, Requirements
+from problems.design.problem import DEFAULT_BOUNDS, Requirements
 
 _GO_WITH_THE_LEVER = ("mass", "damping")
 
@@ -33,7 +32,7 @@ def through_lever(spec: ProblemSpec, approach: Approach) -> ProblemSpec:
         payload_mass_kg=said.payload_mass_kg,
         # A range has a unit and stays where it was said; where it is to come from holds for every axis.
         uncertain={**{name: told for name, told in spec.uncertain.items() if isinstance(told, str)}, **said.uncertain},
-        requirements=_requirements(spec.requirements, said.requirements),
+        requirements=_requirements(spec.requirements, said),
     )
 
 
@@ -46,21 +45,12 @@ def _approach(approach: Approach) -> Approach:
     )
 
 
-def _requirements(asked: Requirements, said: Mapping[str, Any]) -> Requirements:
-    target, limit, noise = asked.free_space_admittance, asked.max_peak_force_n, asked.command_noise
+def _requirements(asked: Requirements, said: RotationalSpec) -> Requirements:
     # Prices of what the rotational axes are asked otherwise are said there too, or nowhere.
-    prices = {name: _rounded(price * LEVER_M) for name, price in asked.soft_n.items() if name not in said}
-    turned: dict[str, Any] = {
-        "max_peak_force_n": None if limit is None else _rounded(limit * LEVER_M),
-        # What the sensor is says the sensor: its torque noise is no wish.
-        "command_noise": None
-        if noise is None
-        else NoiseLimit(max_speed_rms_m_s=_rounded(noise.max_speed_rms_m_s / LEVER_M)),
-        "free_space_admittance": None
-        if target is None
-        else AdmittanceTarget(min_m_s_per_n=_rounded(target.min_m_s_per_n / LEVER_M**2), band_hz=target.band_hz),
-    }
-    return replace(asked, **{**turned, **said, "soft_n": {**prices, **said.get("soft_n", {})}})
+    kept = {name: _rounded(price * LEVER_M) for name, price in asked.soft_n.items() if name not in said.requirements}
+    turned = {name: asked.kind(name).turned(value, LEVER_M) for name, value in asked.asked().items()}
+    prices = {**kept, **said.soft_n}
+    return build_requirements({**turned, **said.requirements}, prices, without_defaults=True, plugins=asked.plugins)
 
 
 def _interval(values: Interval, factor: float) -> Interval:

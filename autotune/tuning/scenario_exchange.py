@@ -7,11 +7,11 @@ from operator import attrgetter
 
 import numpy as np
 
-from problems.design.evaluation import Evaluation, PlantMargins, normalise_plant
+from problems.design.evaluation import Evaluation, PlantMargins
 from problems.design.problem import DesignProblem
 from problems.design.uncertainty import Scenario
 
-from .worst import ALONE, WholeSet
+from .worst import WholeSet
 
 _WORSE_PEAK = 1e-3
 
@@ -51,24 +51,16 @@ def scenarios_of(
     whole: WholeSet, exact: Evaluation, margins: tuple[PlantMargins, ...], names: Sequence[str]
 ) -> tuple[Scenario, ...]:
     """Return for each of these requirements the scenario that misses it most; each brings its free space along."""
-    found = [whole.worst_robot(exact.controller, name) for name in names if name in ALONE]
-    if "max_peak_force_n" in names and exact.peaks:
-        found.append(max(exact.peaks, key=attrgetter("peak_contact_force_n")).scenario)
-    return (*found, *margin_scenarios(whole.problem, dict.fromkeys(names, np.inf), margins))
+    found = whole.worst_of(exact, names, "robot", *(["contact"] if exact.peaks else []))
+    return (*found, *margin_scenarios(dict.fromkeys(names, np.inf), margins))
 
 
 def margin_scenarios(
-    problem: DesignProblem, ratios: Mapping[str, float], margins: tuple[PlantMargins, ...], level: float = 1.0
+    ratios: Mapping[str, float], margins: tuple[PlantMargins, ...], limit: float = 1.0
 ) -> tuple[Scenario, ...]:
-    """Return for every margin whose required/achieved is above a level the scenario where it is largest."""
-    found = []
-    for name, value in ratios.items():
-        if value <= level:
-            continue
-        values = [normalise_plant(problem.requirements, m, problem.sample_time_s).get(name) for m in margins]
-        if values and all(each is not None for each in values):
-            found.append(margins[int(np.argmax(np.array(values, dtype=np.float64)))].scenario)
-    return tuple(found)
+    """Return for every requirement of a loop whose required/achieved is above `limit` the scenario of the largest."""
+    missed = [name for name, value in ratios.items() if value > limit and margins and name in margins[0].ratios]
+    return tuple(margins[int(np.argmax([each.ratios[name] for each in margins]))].scenario for name in missed)
 
 
 def moved_scenario(scenario: Scenario, old: DesignProblem, new: DesignProblem) -> Scenario:

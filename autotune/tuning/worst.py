@@ -1,27 +1,19 @@
 """Look for the worst plant of the whole uncertainty: grid, corners, samples, then a local search from the worst few."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from problems.design.evaluation import (
-    ExactEvaluation,
-    PreparedScenarios,
-    build_scenarios,
-    normalise_plant,
-    passivity_ratios,
-    smallest_admittance,
-)
+from problems.design.evaluation import Evaluation, ExactEvaluation, build_scenarios
 from problems.design.problem import DesignProblem
+from problems.design.stable_design import StableDesign
 from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
 from problems.stability.margins import UnstableLoopError
 
 FloatArray = NDArray[np.float64]
 
-ALONE = ("free_space_admittance", "passivity")
-"""Requirements of robot and controller alone: no scenario's payload or surface matters to them."""
 DENSE_STIFFNESS, DENSE_MASS = 33, 3
 SAMPLES = 128
 # A margin this far from its limit on every plant that was looked at does not reach it between them.
@@ -71,30 +63,18 @@ class WholeSet:
         found = (of_plant[i] for i in order if not radii[i] < 1.0)
         return tuple(dict.fromkeys(found))[:_UNSTABLE]
 
-    def worst_robot(self, controller: AdmittanceController, name: str) -> Scenario:
-        """Return a scenario of the robot that is worst in a requirement of `ALONE`."""
-        asked = self.problem.requirements
-        robots = {
-            plant.plant.port: (plant, s) for plant, s in zip(self.prepared.free, self.prepared.free_of, strict=True)
-        }
-        plants, scenarios = zip(*robots.values(), strict=True)
-        if name == "passivity" and asked.passivity is not None:
-            ratios = passivity_ratios(asked.passivity, self.prepared.ports, controller)
-        elif asked.free_space_admittance is not None:
-            band = asked.free_space_admittance.band_hz
-            ratios = np.array([-smallest_admittance(plant, controller, band) for plant in plants])
-        else:
-            return self.scenarios[0]
-        worst: Scenario = scenarios[int(np.argmax(ratios))]
-        return worst
+    def worst_of(self, exact: Evaluation, names: Container[str], *depends_on: str) -> tuple[Scenario, ...]:
+        """Return the worst scenario for each of these requirements that depends on the robot, or on the contact."""
+        design = StableDesign(self.prepared, exact.controller, peaks=exact.peaks)
+        asked = [(each, value) for each, value in self.problem.requirements.of(*depends_on) if each.name in names]
+        return tuple(each.worst_scenario(value, design) for each, value in asked)
 
     def _search(self, controller: AdmittanceController, exact: ExactEvaluation) -> tuple[Scenario, ...]:
         if not self.uncertainty.varying:
             return ()
-        asked = self.problem.requirements
         found: list[Scenario] = []
         for name, value in (*exact.evaluation.requirements.items(), *exact.evaluation.soft.items()):
-            values = [normalise_plant(asked, m, self.problem.sample_time_s).get(name) for m in exact.margins]
+            values = [each.ratios.get(name) for each in exact.margins]
             if value < _NEAR or any(each is None for each in values):
                 continue
             starts = _worst([m.scenario for m in exact.margins], [each or 0.0 for each in values])
@@ -112,20 +92,17 @@ class WholeSet:
         """Return required/achieved of one requirement in one scenario; infinite where the loop is unstable."""
         try:
             found = build_scenarios(self.problem, [scenario])
-            margins = found.margins(controller, _stable_radii(found, controller))
+            return max(each.ratios[name] for each in found.margins(controller))
         except UnstableLoopError:
             return np.inf
-        asked, h = self.problem.requirements, self.problem.sample_time_s
-        return max(normalise_plant(asked, each, h)[name] for each in margins)
 
     def _peak(self, scenario: Scenario, controller: AdmittanceController, at_contact: bool) -> float:
         """Return the peak force [N] in one scenario; infinite where the loop is unstable."""
         found = build_scenarios(self.problem, [scenario])
         try:
-            _stable_radii(found, controller)
+            peak = found.stable(controller).peak(0)
         except UnstableLoopError:
             return np.inf
-        peak = found.peaks(controller)[0]
         return peak.peak_contact_force_n if at_contact else peak.peak_sensor_force_n
 
     def _climb(self, start: Scenario, value: Callable[[Scenario], float]) -> Scenario:
@@ -146,13 +123,6 @@ class WholeSet:
             if not moved:
                 step *= 0.25
         return best
-
-
-def _stable_radii(prepared: PreparedScenarios, controller: AdmittanceController) -> FloatArray:
-    radii = prepared.radii(controller)
-    if not np.max(radii) < 1.0:
-        raise UnstableLoopError(float(np.max(radii)))
-    return radii
 
 
 def _worst(scenarios: Sequence[Scenario], values: Sequence[float]) -> list[Scenario]:

@@ -1,31 +1,41 @@
 """What a controller file promises of an axis: what was asked outright, and of soft requirements what is achieved."""
 
 import math
-from dataclasses import replace
 
-from autotune.formats.controller_record import AdmittanceRequirement, Asked, Controller, Requirement, SoftRequirement
-from problems.design.requirements import NoiseLimit, PassivityTarget
+from autotune.formats.controller_record import Asked, Controller, Requirement, SoftRequirement
+from autotune.plugins import build_requirements, find_requirement
+from problems.design.requirements import Requirements
 
-_NO_SPEED = 1e-300
+_LEAST = 1e-300
 
 
 def asked_of(controller: Controller, name: str) -> Asked:
     """Return what must hold of one axis: what was asked outright, and of what need not be met what was achieved."""
     hard, soft = controller.certificate.requirements_of(name) or {}, (controller.certificate.soft or {}).get(name, {})
-    return {**hard, **{key: promise for key, claim in soft.items() if (promise := _promise(claim)) is not None}}
+    achieved = {key: _achieved(key, claim) for key, claim in soft.items()}
+    return {**hard, **{key: claim for key, claim in achieved.items() if claim is not None}}
 
 
-def _promise(claim: SoftRequirement) -> Requirement | None:
-    """Return what a soft requirement promises; None where nothing is."""
-    asked, reached = claim.asked, math.inf if claim.achieved is None else claim.achieved
-    if isinstance(asked, NoiseLimit):
-        return replace(asked, max_speed_rms_m_s=max(reached, _NO_SPEED)) if reached < math.inf else None
-    if reached == 0.0:
+def _achieved(key: str, claim: SoftRequirement) -> Requirement | None:
+    """Return what is certified of a soft requirement; None where nothing is."""
+    reached, requirement = math.inf if claim.achieved is None else claim.achieved, find_requirement(key)
+    is_upper = requirement is not None and requirement.is_upper_limit
+    if reached == math.inf if is_upper else reached == 0.0:
         return None
-    if isinstance(asked, AdmittanceRequirement):
-        return replace(asked, min_m_s_per_n=reached)
-    # A port that is passive up to the Nyquist frequency is so just below it.
-    return PassivityTarget(passive_below_hz=reached) if isinstance(asked, PassivityTarget) else reached
+    value: Requirement = reached
+    return value if requirement is None else requirement.with_threshold(claim.asked, max(reached, _LEAST))
+
+
+def certified_problem_requirements(controller: Controller, name: str) -> Requirements:
+    """Return what the search of one axis was asked, hard and soft, as far as it is installed.
+
+    What the file does not say was not asked, whatever is asked by default.
+    """
+    soft = (controller.certificate.soft or {}).get(name, {})
+    asked = {**(controller.certificate.requirements_of(name) or {}), **{key: each.asked for key, each in soft.items()}}
+    known = {key: value for key, value in asked.items() if find_requirement(key) is not None}
+    prices = {key: each.soft_n for key, each in soft.items() if key in known}
+    return build_requirements(known, prices, without_defaults=True)
 
 
 def soft_told(controller: Controller, name: str) -> str:

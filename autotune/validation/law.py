@@ -7,13 +7,13 @@ is made here: the same domain, the same requirements, its own difference equatio
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from autotune.certificate.claim import Claim, CombinedCertificate, prove
 from autotune.certificate.family import MASS, STIFFNESS, UncertainPlant
 from autotune.formats.controller_record import (
-    AdmittanceRequirement,
     Asked,
     AxisDomain,
     AxisMargins,
@@ -21,21 +21,32 @@ from autotune.formats.controller_record import (
     FreeSpaceAdmittance,
     ScenarioPrediction,
 )
+from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import axis_units
+from autotune.plugins import find_requirement
 from problems.contact.linear_controller_contact import force_per_speed, simulate_linear_contact
 from problems.contact.transient import Approach, build_sampled_contact
-from problems.design.requirements import NoiseLimit, PassivityTarget
+from problems.design.requirements import (
+    AdmittanceRequirement,
+    AdmittanceTarget,
+    DecayRate,
+    LoopRequirement,
+    Margin,
+    PassivityRequirement,
+    PeakForceLimit,
+    Requirement,
+)
 from problems.design.uncertainty import Scenario
 from problems.model.linear_controllers import LinearController
-from problems.model.plant import FREE_SPACE, Plant
+from problems.model.plant import Plant
 from problems.model.response import controller_response, free_space_admittance, plant_response
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import frequency_grid
-from problems.stability.noise import command_speed_gain
 from problems.stability.passivity import passive_below_hz
 
 from .axis_proof import STABILITY_WORK, told_unstable
 from .margins import SweptMargins, sweep_margins
+from .requirements import worst_of_loops
 from .validate import uncertain_plant
 from .validation_samples import OtherPlants, build_other_plants
 
@@ -47,12 +58,6 @@ _MISSED = 1e-3
 _DEFAULT_BAND_HZ = (0.1, 2.0)
 # How much of the room of a weak spring may be used, see `spring_share`.
 _SPRING_ROOM = 0.1
-MARGIN_OF = {
-    "modulus_margin": "modulus",
-    "gain_margin_db": "gain_db",
-    "phase_margin_deg": "phase_deg",
-    "delay_margin_s": "delay_s",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -230,7 +235,7 @@ def smallest_admittance(task: AxisTask, law: LinearController, band_hz: tuple[fl
 
 
 def _admittance(task: AxisTask, law: LinearController) -> FreeSpaceAdmittance:
-    bands = [each.band_hz for each in task.asked.values() if isinstance(each, AdmittanceRequirement)]
+    bands = [each.band_hz for each in task.asked.values() if isinstance(each, AdmittanceTarget)]
     band = bands[0] if bands else _DEFAULT_BAND_HZ
     pair = build_sampled_contact(build_sampled_plant(task.domain.nominal_plant(), law.sample_time_s))
     return FreeSpaceAdmittance(
@@ -244,45 +249,42 @@ def _missed(
     task: AxisTask, law: LinearController, swept: SweptMargins, worst: ScenarioPrediction | None, others: OtherPlants
 ) -> Iterator[str]:
     """Say which requirements are not met, with both numbers."""
-    units = axis_units(task.axis)
-    for name, asked in task.asked.items():
-        if isinstance(asked, AdmittanceRequirement):
-            found, least, unit = smallest_admittance(task, law, asked.band_hz), asked.min_m_s_per_n, units.admittance
-        elif isinstance(asked, NoiseLimit | PassivityTarget):
-            yield from _missed_command(task, law, asked, others)
+    units, turning = axis_units(task.axis), task.axis in ROTATIONAL_AXES
+    for name, asked in dict[str, Any](task.asked).items():
+        requirement = find_requirement(name)
+        if isinstance(requirement, PeakForceLimit):
+            if worst is not None and worst.peak_contact_force_n > asked:
+                found_n = f"found {worst.peak_contact_force_n:.4g} {units.force} at {worst.name}"
+                yield f"the peak {units.force_name} must be at most {asked:g} {units.force}, {found_n}"
             continue
-        elif name == "max_peak_force_n":
-            if worst is not None and worst.peak_contact_force_n > float(asked):
-                told = f"found {worst.peak_contact_force_n:.4g} {units.force} at {worst.name}"
-                yield f"the peak {units.force_name} must be at most {asked:g} {units.force}, {told}"
-            continue
-        elif name == "decay_rate_per_s":
-            found, least, unit = -math.log(swept.largest_radius) / law.sample_time_s, float(asked), "1/s"
-        elif name in MARGIN_OF:
-            found, least, unit = swept.values[MARGIN_OF[name]], float(asked), ""
-        else:
+        found = None if requirement is None else _achieved(requirement, asked, task, law, swept, others)
+        if requirement is None or found is None:
             yield f"{name} cannot be verified by this release"
-            continue
-        if found < least * (1.0 - _MISSED):
-            yield f"{name} must be at least {least:.4g}{' ' * bool(unit)}{unit}, found {found:.4g}"
+        elif requirement.ratio(asked, found) * (1.0 - _MISSED) > 1.0:
+            must = f"at {'most' if requirement.is_upper_limit else 'least'} {requirement.threshold(asked):.4g}"
+            unit = requirement.unit_on(turning=turning) if requirement.shown_scale == 1.0 else ""
+            yield f"{name} must be {must}{' ' * bool(unit)}{unit}, found {found:.4g}"
 
 
-def _missed_command(
-    task: AxisTask, law: LinearController, asked: NoiseLimit | PassivityTarget, others: OtherPlants
-) -> Iterator[str]:
-    """Say whether the command's noise or the passive band misses what was asked."""
-    h, units, nominal = law.sample_time_s, axis_units(task.axis), task.domain.nominal_plant()
-    if isinstance(asked, PassivityTarget):
+def _achieved(
+    requirement: Requirement[Any],
+    asked: Any,
+    task: AxisTask,
+    law: LinearController,
+    swept: SweptMargins,
+    others: OtherPlants,
+) -> float | None:
+    """Return what a law achieves of one requirement; None where only the requirement's own code could say it."""
+    h, nominal = law.sample_time_s, task.domain.nominal_plant()
+    if isinstance(requirement, Margin):
+        return swept.values[requirement.margin]
+    if isinstance(requirement, DecayRate):
+        return -math.log(swept.largest_radius) / h
+    if isinstance(requirement, AdmittanceRequirement):
+        return smallest_admittance(task, law, asked.band_hz)
+    if isinstance(requirement, PassivityRequirement):
         extremes = (replace(nominal, robot=robot, wrench_filter=wrench) for robot, wrench in others.extreme_ports())
-        reached = min(passive_below_hz(build_sampled_plant(plant, h), law) for plant in (nominal, *extremes))
-        if reached < asked.passive_below_hz * (1.0 - _MISSED):
-            yield f"the port must be passive up to {asked.passive_below_hz:.4g} Hz, found {reached:.4g} Hz"
-        return
-    plants = [scenario.plant(nominal) for scenario in task.contacts()]
-    both = dict.fromkeys((*plants, *(plant.in_contact_with(FREE_SPACE) for plant in plants)))
-    gain = max(command_speed_gain(build_sampled_plant(plant, h), law) for plant in both)
-    found = (asked.force_noise_rms_n or 0.0) * gain
-    if found > asked.max_speed_rms_m_s * (1.0 + _MISSED):
-        yield (
-            f"the command's speed RMS must be at most {asked.max_speed_rms_m_s:.4g} {units.speed}, found {found:.4g}"
-        )
+        return min(passive_below_hz(build_sampled_plant(plant, h), law) for plant in (nominal, *extremes))
+    if isinstance(requirement, LoopRequirement):
+        return worst_of_loops(requirement, asked, [each.plant(nominal) for each in task.contacts()], law, h)
+    return None

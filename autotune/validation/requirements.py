@@ -1,19 +1,35 @@
 """Margins, requirements, admittance, noise and passivity: what was asked of a controller, found again."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 from autotune.certificate.family import UncertainPlant
-from autotune.formats.controller_record import AdmittanceRequirement, AxisMargins, Controller
+from autotune.formats.controller_record import AxisMargins, Controller
+from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import axis_units
-from problems.design.requirements import NoiseLimit, PassivityTarget
+from autotune.plugins import find_requirement
+from problems.design.evaluation import build_scenarios
+from problems.design.requirements import (
+    AdmittanceRequirement,
+    AdmittanceTarget,
+    DecayRate,
+    LoopRequirement,
+    Margin,
+    NoiseLimit,
+    PassivityTarget,
+    PeakForceLimit,
+    Requirement,
+)
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Plant
+from problems.model.plant import FREE_SPACE, Plant
+from problems.model.sampled import Controller as LoopController
+from problems.model.sampled import build_sampled_plant
 
 from .admittance import sampled_admittance
-from .certified_requirements import asked_of, soft_told
+from .certified_requirements import asked_of, certified_problem_requirements, soft_told
 from .command import passive_band_hz, worst_speed_rms
 from .margins import SweptMargins
 from .report import Check
@@ -22,12 +38,7 @@ from .validation_samples import OtherPlants
 _MASS_POINTS, _NOISE_STIFFNESS_POINTS = 3, 9
 # Two roads to the same margin differ by their frequency grids (measured: 1e-4); what differs by more is another margin.
 _SAME_MARGIN = 0.01
-_MARGIN_OF = {
-    "modulus_margin": "modulus",
-    "gain_margin_db": "gain_db",
-    "phase_margin_deg": "phase_deg",
-    "delay_margin_s": "delay_s",
-}
+_GRID = 5, 2
 
 
 def check_margins(name: str, claimed: AxisMargins, swept: SweptMargins) -> Check:
@@ -50,21 +61,20 @@ def check_margins(name: str, claimed: AxisMargins, swept: SweptMargins) -> Check
 
 def check_requirements(controller: Controller, name: str, swept: SweptMargins) -> Check:
     """Check that the margins and the decay of a sweep meet what was asked of the axis."""
-    missed, known = [], 0
-    for key, required in asked_of(controller, name).items():
-        if isinstance(required, AdmittanceRequirement | NoiseLimit | PassivityTarget):
+    missed, known, asked = [], 0, dict[str, Any](asked_of(controller, name))
+    for key, required in asked.items():
+        requirement = find_requirement(key)
+        if requirement is None:
+            missed.append(f"{key} cannot be verified: no requirement of that name is installed")
             continue
-        if key in _MARGIN_OF:
-            reached = swept.values[_MARGIN_OF[key]]
-        elif key == "decay_rate_per_s":
+        if isinstance(requirement, Margin):
+            reached = swept.values[requirement.margin]
+        elif isinstance(requirement, DecayRate):
             reached = -math.log(swept.largest_radius) / controller.sample_time_s
-        elif key == "max_peak_force_n":
-            continue
         else:
-            missed.append(f"{key} cannot be verified by this release")
             continue
         known += 1
-        if reached < float(required) * (1.0 - _SAME_MARGIN * 0.1):
+        if requirement.ratio(required, reached) * (1.0 - 0.1 * _SAME_MARGIN) > 1.0:
             missed.append(f"{key} must be at least {required:.6g}, found {reached:.6g}")
     return Check(
         axis=name,
@@ -89,7 +99,7 @@ def check_admittance(
     if abs(found / predicted.min_m_s_per_n - 1.0) > _SAME_MARGIN:
         wrong.append(f"|G| is claimed as {predicted.min_m_s_per_n:.6g} {units.admittance}, found {found:.6g}")
     for required in asked_of(controller, name).values():
-        if isinstance(required, AdmittanceRequirement):
+        if isinstance(required, AdmittanceTarget):
             # G does not hang on the payload; among the robots the slowest and the fastest stand for all.
             reached = min(
                 sampled_admittance(port, law, controller.sample_time_s, required.band_hz)
@@ -108,31 +118,65 @@ def check_admittance(
     )
 
 
-def check_command(
+def check_further(
     controller: Controller, name: str, plants: UncertainPlant, others: OtherPlants, law: AdmittanceController
 ) -> Iterator[Check]:
-    """Check the command's noise and the passive band, where they were asked."""
-    h, units = controller.sample_time_s, axis_units(name)
-    for required in asked_of(controller, name).values():
+    """Check the command's noise, the passive band and every other requirement, where they were asked."""
+    h = controller.sample_time_s
+    for key, required in asked_of(controller, name).items():
+        requirement = find_requirement(key)
+        if isinstance(requirement, Margin | DecayRate | PeakForceLimit | AdmittanceRequirement | None):
+            continue  # margins are swept, peaks and the admittance have checks of their own
         if isinstance(required, NoiseLimit):
-            found = (required.force_noise_rms_n or 0.0) * worst_speed_rms(_noise_plants(plants, others), law, h)
-            met = found <= required.max_speed_rms_m_s * (1.0 + 0.1 * _SAME_MARGIN)
-            told = f"{found:.4g} {units.speed} under {units.force_name} noise of {required.force_noise_rms_n:g}"
-            limit = f"at most {required.max_speed_rms_m_s:.4g} {units.speed}"
-            message = f"the command's speed RMS is {told} {units.force}, {limit}"
-            yield Check(
-                axis=name, name="command noise", passed=met, message=message if met else f"{message} is claimed"
-            )
-        if isinstance(required, PassivityTarget):
+            reached = required.speed_rms_m_s(worst_speed_rms(_loop_plants(plants, others), law, h))
+        elif isinstance(required, PassivityTarget):
             ports = (plants.port, *others.extreme_ports())
             reached = min(passive_band_hz(port, law, h, required.passive_below_hz) for port in ports)
-            met = reached >= required.passive_below_hz * (1.0 - 0.1 * _SAME_MARGIN)
-            message = f"the port is passive up to {reached:.4g} Hz"
-            must = f"{message}, claimed up to {required.passive_below_hz:.4g} Hz"
-            yield Check(axis=name, name="passivity", passed=met, message=message if met else must)
+        elif isinstance(requirement, LoopRequirement):
+            reached = worst_of_loops(requirement, required, _loop_plants(plants, others), law, h)
+        else:
+            reached = _worst_of_scenarios(controller, name, requirement, required, others, law)
+        yield _compared(name, requirement, required, reached)
 
 
-def _noise_plants(plants: UncertainPlant, others: OtherPlants) -> tuple[Plant, ...]:
+def _compared(name: str, requirement: Requirement[Any], required: Any, reached: float) -> Check:
+    met = requirement.ratio(required, reached) * (1.0 - 0.1 * _SAME_MARGIN) <= 1.0
+    turning = name in ROTATIONAL_AXES
+    found = f"{requirement.shown_scale * reached:.4g} {requirement.unit_on(turning=turning)}".strip()
+    asked = requirement.describe(required, turning=turning)
+    message = f"found {found}, required: {asked}"
+    return Check(axis=name, name=requirement.title, passed=met, message=message)
+
+
+def worst_of_loops(
+    requirement: LoopRequirement[Any], required: Any, plants: Sequence[Plant], law: LoopController, h: float
+) -> float:
+    """Return what is achieved by the worst of the loops of these plants, in contact and in free space."""
+    both = dict.fromkeys((*plants, *(plant.in_contact_with(FREE_SPACE) for plant in plants)))
+    found = [requirement.verified(required, build_sampled_plant(plant, h), law) for plant in both]
+    return max(found) if requirement.is_upper_limit else min(found)
+
+
+def _worst_of_scenarios(
+    controller: Controller,
+    name: str,
+    requirement: Requirement[Any],
+    required: Any,
+    others: OtherPlants,
+    law: AdmittanceController,
+) -> float:
+    """Return what is achieved on a grid of the domain, by the requirement's own code."""
+    problem = controller.certificate.domain[name].problem(
+        controller.sample_time_s, requirements=certified_problem_requirements(controller, name)
+    )
+    named = (each.scenario() for each in controller.predicted[name].scenarios)
+    scenarios = dict.fromkeys((*problem.scenarios(*_GRID), *named, *others.scenarios))
+    design = build_scenarios(problem, tuple(scenarios)).stable(law)
+    ratio = float(np.max(requirement.ratios(required, design)))
+    return requirement.achieved_at(required, ratio)
+
+
+def _loop_plants(plants: UncertainPlant, others: OtherPlants) -> tuple[Plant, ...]:
     """Return a grid of the set, ends included, and the further plants, all in contact."""
     masses = np.linspace(*plants.payload_mass_kg, _MASS_POINTS)
     low, high = plants.environment_stiffness_n_per_m

@@ -19,7 +19,7 @@ from .margins import SweptMargins, sweep_margins
 from .peaks import verify_peaks
 from .proof_checks import check_continuous, check_stability, check_statements
 from .report import Check, ValidationReport
-from .requirements import check_admittance, check_command, check_margins, check_requirements
+from .requirements import check_admittance, check_further, check_margins, check_requirements
 from .response import verify_response
 from .validation_samples import OtherPlants, build_other_plants, recorded_plants
 
@@ -232,7 +232,7 @@ def _admittance(case: AxisCase) -> Iterator[Check]:
 
 
 def _command(case: AxisCase) -> Iterator[Check]:
-    yield from check_command(case.controller, case.name, case.plants, case.others, case.law)
+    yield from check_further(case.controller, case.name, case.plants, case.others, case.law)
 
 
 def _peaks(case: AxisCase) -> Iterator[Check]:

@@ -13,7 +13,6 @@ from ..contact.transient import longest_run
 from ..model.controller import AdmittanceController
 from ..model.response import PlantResponse
 from ..model.sampled import build_loop, spectral_radius
-from ..stability.noise import command_speed_gain
 from ..stability.polynomials import DOUBTFUL, STABLE, UNSTABLE
 from .batch import check_alike, controller_numbers, stack_contacts, stack_grids, stack_loops, stack_responses
 from .batch_evaluation_kernel import (
@@ -34,8 +33,9 @@ from .batch_evaluation_kernel import (
     evaluate_designs,
 )
 from .batch_kernel import Contacts
-from .evaluation import Evaluation, PreparedScenarios, decay_ratios, passivity_ratios
-from .requirements import Requirements
+from .evaluation import Evaluation, PreparedScenarios
+from .requirements import Requirements, target_response
+from .stable_design import StableDesign
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -165,24 +165,18 @@ class BatchEvaluator:
             if whole[i, VERDICT] == DOUBTFUL:
                 _settle(found, i, self.prepared.evaluate(designs[i], peaks_if_missed=peaks_if_missed))
             elif self.slow and found.is_stable[i] and (peaks_if_missed or not missed[i]):
-                self._judge_slowly(found, i, controllers[i])
+                self._evaluate_slowly(found, i, controllers[i])
         if self.slow and not peaks_if_missed:
             found.peaks_n[found.violation > 0.0] = np.inf
         return found if self.goal is None else found.towards(self.goal)
 
-    def _judge_slowly(self, found: BatchEvaluation, index: int, controller: AdmittanceController) -> None:
+    def _evaluate_slowly(self, found: BatchEvaluation, index: int, controller: AdmittanceController) -> None:
         """Write the rows that no compiled form has."""
-        asked, prepared = self.prepared.problem.requirements, self.prepared
-        values: dict[str, FloatArray] = {}
-        if asked.decay_rate_per_s is not None:
-            values["decay_rate_per_s"] = decay_ratios(prepared.problem, prepared.radii(controller))
-        if asked.command_noise is not None:
-            gains = [command_speed_gain(plant.sampled, controller) for plant in prepared.plants]
-            values["command_noise"] = np.array([asked.command_noise.ratio(gain) for gain in gains])
-        if asked.passivity is not None:
-            values["passivity"] = passivity_ratios(asked.passivity, prepared.ports, controller)
-        for name, value in values.items():
-            (found.soft_rows if name in asked.soft_n else found.rows)[name][index] = value
+        asked, design = self.prepared.problem.requirements, StableDesign(self.prepared, controller)
+        for requirement, value in asked.of("loop", "robot", "contact"):
+            if requirement.name in self.slow:
+                rows = found.soft_rows if requirement.name in asked.soft_n else found.rows
+                rows[requirement.name][index] = requirement.ratios(value, design)
 
     def _radius(self, whole: FloatArray, controllers: Sequence[AdmittanceController]) -> FloatArray:
         radius = np.zeros(len(whole))
@@ -207,8 +201,7 @@ class BatchEvaluator:
         if asked.max_peak_force_n is not None:
             # Without a peak another requirement is missed anyway.
             rows["max_peak_force_n"] = np.nan_to_num(by_pair[:, :, CONTACT] / asked.max_peak_force_n, nan=0.0)
-        robots, plants = len(self.prepared.ports), len(self.prepared.plants)
-        rows |= {name: np.zeros((len(whole), robots if name == "passivity" else plants)) for name in self.slow}
+        rows |= {name: np.zeros((len(whole), asked.kind(name).count(self.prepared))) for name in self.slow}
         for value in rows.values():
             value[unstable] = np.nan
         soft = {name: rows.pop(name) for name in asked.soft_n}
@@ -226,7 +219,8 @@ def _settle(found: BatchEvaluation, index: int, evaluation: Evaluation) -> None:
 
 def build_batch_evaluator(prepared: PreparedScenarios) -> BatchEvaluator:
     """Stack prepared scenarios; plants in contact first, then those in free space."""
-    asked, target = prepared.problem.requirements, prepared.target_response
+    asked = prepared.problem.requirements
+    target = None if asked.free_space_admittance is None else target_response(prepared, asked.free_space_admittance)
     sampled = [plant.sampled for plant in prepared.plants]
     check_alike(sampled)
     margins = np.zeros(PLANT_COLUMNS)

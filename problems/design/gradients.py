@@ -3,11 +3,11 @@
 The symbolic loop (`problems.design.symbolic`) is differentiated; where a number is an extremum over time or
 frequency the
 derivative is that at the extremum, and where it is read at a crossover the crossover's own motion is taken along. A
-slope is ∂/∂(M_a, B_a, K_l, B_fb, ω_v, ω_a, P̂), shape (7,), the order of `AdmittanceController.parameters`.
+gradient is ∂/∂(M_a, B_a, K_l, B_fb, ω_v, ω_a, P̂), shape (7,), the order of `AdmittanceController.parameters`.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-from ..contact.transient import Approach
+from ..contact.transient import Approach, transient_from
 from ..model.controller import AdmittanceController
 from ..model.response import free_space_admittance, loop_response
 from ..model.sampled import SampledPlant
 from ..stability.margins import frequency_grid
+from .stable_design import Gradient, StableDesign
 from .symbolic import Structure, arguments_of, build_contact_forces, build_symbolic_form
 
 FloatArray = NDArray[np.float64]
@@ -28,16 +29,10 @@ ComplexArray = NDArray[np.complex128]
 _GRID_POINTS = 2000
 _BAND_POINTS = 60
 _LENGTHS = 128
+_LATEST_TICK = 600
+_AGREES = 2e-3
 _BREAKS = ("at_force", "at_command")
 _RESPONSES = (*_BREAKS, "admittance")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Gradient:
-    """A number and its derivative by the controller's parameters, (7,)."""
-
-    value: float
-    by_controller: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,14 +56,30 @@ def peak_gradient(
     first = max(round(moment) - 1, 0)
     length = -(-(first + 3) // _LENGTHS) * _LENGTHS
     forces = _forces(Structure.like(sampled, controller), approach, length, at_sensor)
-    value, slopes = forces(*arguments_of(sampled, controller))
+    value, gradients = forces(*arguments_of(sampled, controller))
     # Lagrange's weights of the three ticks.
     u = moment - first
     weights = np.array([(u - 1.0) * (u - 2.0) / 2.0, u * (2.0 - u), u * (u - 1.0) / 2.0])
     ticks = slice(first, first + 3)
     return Gradient(
-        value=float(weights @ np.asarray(value).ravel()[ticks]), by_controller=weights @ np.asarray(slopes)[ticks]
+        value=float(weights @ np.asarray(value).ravel()[ticks]), by_controller=weights @ np.asarray(gradients)[ticks]
     )
+
+
+def contact_peak_gradient(design: StableDesign, scenario: int, *, at_sensor: bool) -> Gradient | None:
+    """Differentiate the peak force [N] of one scenario's contact.
+
+    None where it comes too late to be unrolled to, or where the payload has left before.
+    """
+    pair, approach = design.prepared.pairs[scenario], design.prepared.approach
+    run = transient_from(pair, design.controller, approach)
+    moment = run.time_of_sensor_peak_s if at_sensor else run.time_of_peak_s
+    # A force that has crept so long is nearly at rest; unrolled that far, its derivative costs a hundred simulations.
+    if moment > _LATEST_TICK * design.prepared.sample_time_s:
+        return None
+    found = peak_gradient(pair.contact, design.controller, approach, moment, at_sensor=at_sensor)
+    value = run.peak_sensor_force_n if at_sensor else run.peak_contact_force_n
+    return replace(found, value=value) if abs(found.value - value) <= _AGREES * value else None
 
 
 def modulus_gradient(
@@ -85,8 +96,8 @@ def modulus_gradient(
     found = []
     for point in _BREAKS:
         omega = _lowest(sampled, controller, point, distance) if at_rad_per_s is None else at_rad_per_s
-        found.append(_slope(sampled, controller, point, omega, lambda response: 1.0 + response.value))
-    return min(found, key=lambda slope: slope.value)
+        found.append(_length_gradient(sampled, controller, point, omega, lambda response: 1.0 + response.value))
+    return min(found, key=lambda gradient: gradient.value)
 
 
 def gain_gradient(sampled: SampledPlant, controller: AdmittanceController) -> Gradient | None:
@@ -102,30 +113,30 @@ def gain_gradient(sampled: SampledPlant, controller: AdmittanceController) -> Gr
         found.append(
             Gradient(value=abs(float(decibel)), by_controller=np.sign(decibel) * 20.0 / np.log(10.0) * along / real)
         )
-    return min(found, key=lambda slope: slope.value, default=None)
+    return min(found, key=lambda gradient: gradient.value, default=None)
 
 
 def phase_gradient(sampled: SampledPlant, controller: AdmittanceController) -> Gradient | None:
     """Differentiate the phase margin [deg], the smallest turn that brings L to −1 where |L| = 1."""
     found = []
-    for _, angle, slope, _ in _gain_crossovers(sampled, controller):
-        found.append(Gradient(value=float(np.degrees(abs(angle))), by_controller=np.degrees(np.sign(angle) * slope)))
+    for _, angle, gradient, _ in _gain_crossovers(sampled, controller):
+        found.append(Gradient(value=float(np.degrees(abs(angle))), by_controller=np.degrees(np.sign(angle) * gradient)))
     return min(found, key=lambda each: each.value, default=None)
 
 
 def delay_gradient(sampled: SampledPlant, controller: AdmittanceController) -> Gradient | None:
     """Differentiate the delay margin [s], the smallest lag that brings L to −1 where |L| = 1."""
     found = []
-    for omega, angle, slope, moves in _gain_crossovers(sampled, controller):
+    for omega, angle, gradient, moves in _gain_crossovers(sampled, controller):
         lag = angle if angle > 0.0 else angle + 2.0 * np.pi
-        found.append(Gradient(value=lag / omega, by_controller=slope / omega - lag / omega**2 * moves))
+        found.append(Gradient(value=lag / omega, by_controller=gradient / omega - lag / omega**2 * moves))
     return min(found, key=lambda each: each.value, default=None)
 
 
 def decay_gradient(sampled: SampledPlant, controller: AdmittanceController) -> Gradient:
     """Differentiate the decay rate −ln ρ/h [1/s] of the loop's slowest eigenvalue."""
     structure = Structure.like(sampled, controller)
-    matrix, slopes = _loop(structure)(*arguments_of(sampled, controller))
+    matrix, gradients = _loop(structure)(*arguments_of(sampled, controller))
     a = np.asarray(matrix)
     values, vectors = np.linalg.eig(a)
     size = np.abs(values)
@@ -135,7 +146,7 @@ def decay_gradient(sampled: SampledPlant, controller: AdmittanceController) -> G
     slowest = int(np.argmax(size))
     right, left = vectors[:, slowest], np.linalg.inv(vectors)[slowest]
     # CasADi stacks columns.
-    moved = np.asarray(slopes).reshape((*a.shape, -1), order="F")
+    moved = np.asarray(gradients).reshape((*a.shape, -1), order="F")
     shift = np.einsum("i,ijk,j->k", left, moved, right)
     radius = abs(values[slowest])
     by_radius = (np.conj(values[slowest]) * shift).real / radius
@@ -154,7 +165,7 @@ def admittance_gradient(
         return np.abs(free_space_admittance(sampled, controller, omega))
 
     lowest = _refined(grid, gain)
-    return _slope(sampled, controller, "admittance", lowest, lambda response: response.value)
+    return _length_gradient(sampled, controller, "admittance", lowest, lambda response: response.value)
 
 
 def passivity_gradient(sampled: SampledPlant, controller: AdmittanceController, fails_hz: float) -> Gradient:
@@ -164,7 +175,7 @@ def passivity_gradient(sampled: SampledPlant, controller: AdmittanceController, 
     return Gradient(value=fails_hz, by_controller=moves / (2.0 * np.pi))
 
 
-def _slope(
+def _length_gradient(
     sampled: SampledPlant,
     controller: AdmittanceController,
     name: str,
@@ -206,7 +217,7 @@ def _refined(grid: FloatArray, values: Callable[[FloatArray], FloatArray]) -> fl
 def _gain_crossovers(
     sampled: SampledPlant, controller: AdmittanceController
 ) -> list[tuple[float, float, FloatArray, FloatArray]]:
-    """Return ω, the angle of −L in (−π, π], its slope and that of ω, wherever |L| = 1 at either break point."""
+    """Return ω, the angle of −L in (−π, π], its gradient and that of ω, wherever |L| = 1 at either break point."""
     found = []
     for point, omega in _crossings(
         sampled, controller, lambda loop: np.log(np.abs(loop)), lambda loop: loop.real < 2.0
@@ -215,8 +226,8 @@ def _gain_crossovers(
         by_controller, by_frequency = response.by_controller / response.value, response.by_frequency / response.value
         # d log L: the real part is gain, the imaginary one phase; the crossover moves so that the gain stays 1.
         moves = -by_controller.real / by_frequency.real
-        slope = by_controller.imag + by_frequency.imag * moves
-        found.append((omega, float(np.angle(-response.value)), slope, moves))
+        gradient = by_controller.imag + by_frequency.imag * moves
+        found.append((omega, float(np.angle(-response.value)), gradient, moves))
     return found
 
 
@@ -266,17 +277,17 @@ def _form(structure: Structure) -> Any:
 def _responses(structure: Structure, name: str) -> Any:
     whole = _form(structure).response
     outputs = [name, f"jac:{name}:controller", f"jac:{name}:frequency_rad_per_s"]
-    return whole.factory(f"slopes_{name}", whole.name_in(), outputs)
+    return whole.factory(f"gradients_{name}", whole.name_in(), outputs)
 
 
 @lru_cache(maxsize=8)
 def _loop(structure: Structure) -> Any:
     whole = _form(structure).loop
-    return whole.factory("slopes_loop", whole.name_in(), ["a", "jac:a:controller"])
+    return whole.factory("gradients_loop", whole.name_in(), ["a", "jac:a:controller"])
 
 
 @lru_cache(maxsize=8)
 def _forces(structure: Structure, approach: Approach, samples: int, at_sensor: bool) -> Any:
     whole = build_contact_forces(structure, approach, samples)
     name = "sensor_force" if at_sensor else "contact_force"
-    return whole.factory("slopes_forces", whole.name_in(), [name, f"jac:{name}:controller"])
+    return whole.factory("gradients_forces", whole.name_in(), [name, f"jac:{name}:controller"])

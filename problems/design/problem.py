@@ -19,7 +19,7 @@ from ..model.controller import (
 )
 from ..model.plant import NO_FILTER, Coupling, Environment, Payload, Plant, WrenchFilter
 from ..model.robot import RobotModel, bandwidth_hz, damping_ratio, has_damping_ratio
-from .requirements import AdmittanceTarget, Asked, NoiseLimit, PassivityTarget, Requirements
+from .requirements import AdmittanceTarget, NoiseLimit, PassivityTarget, Requirements
 from .uncertainty import ALWAYS_UNCERTAIN, FURTHER_UNCERTAIN, SYMBOLS, Ellipsoid, Scenario, Uncertainty, check_robot
 
 __all__ = [
@@ -46,7 +46,6 @@ DEFAULT_BOUNDS: Mapping[str, tuple[float, float]] = FrozenDict(
 )
 FURTHER_VARIABLES = ("velocity_filter_rad_per_s", "acceleration_filter_rad_per_s", "compensation_mass_kg")
 """Variables that are free on request, in the order in which they follow: ω_v, ω_a, P̂."""
-_TITLES = {"free_space_admittance": "free-space admittance"}
 # A nominal value that is the end of its own range may differ from it by the rounding of a unit.
 _ROUNDING = 1e-9
 
@@ -88,7 +87,8 @@ class DesignProblem:
         object.__setattr__(self, "sample_time_s", positive("sample_time_s", self.sample_time_s))
         non_negative("drag_n_s_per_m", self.drag_n_s_per_m)
         non_negative("environment_damping_n_s_per_m", self.environment_damping_n_s_per_m)
-        self._check_requirements()
+        for requirement, asked in self.requirements.of("loop", "robot", "contact"):
+            requirement.check_sampling(asked, self.sample_time_s)
         self._check_uncertainty()
 
     def _check_bounds(self) -> None:
@@ -106,17 +106,6 @@ class DesignProblem:
             must = "left out unless compensation_mass_kg is free too (the filter is that of the compensation)"
             raise ParameterError("bounds", "acceleration_filter_rad_per_s", must)
         object.__setattr__(self, "bounds", FrozenDict(bounds))
-
-    def _check_requirements(self) -> None:
-        asked, nyquist = self.requirements, 0.5 / self.sample_time_s
-        target, passivity, noise = asked.free_space_admittance, asked.passivity, asked.command_noise
-        if target is not None and target.band_hz[1] >= nyquist:
-            raise ParameterError("free_space_admittance.band_hz", target.band_hz, "below half the sampling rate")
-        if passivity is not None and passivity.passive_below_hz >= nyquist:
-            must = "below half the sampling rate"
-            raise ParameterError("passivity.passive_below_hz", passivity.passive_below_hz, must)
-        if noise is not None and noise.force_noise_rms_n is None:
-            raise ParameterError("command_noise.force_noise_rms_n", None, "the force sensor's noise")
 
     @property
     def variables(self) -> tuple[str, ...]:
@@ -241,17 +230,8 @@ class DesignProblem:
         ]
         lines.append(("sample time", f"{self.sample_time_s:g} s"))
         for name, value in asked.asked().items():
-            price = asked.soft_n.get(name)
-            words = _told(value) if price is None else f"{_told(value)}, or {price:g} N per share missed"
-            lines.append((f"{'required' if price is None else 'wished'}: {_TITLES.get(name, name)}", words))
+            price, requirement = asked.soft_n.get(name), asked.kind(name)
+            words = requirement.describe(value)
+            words = words if price is None else f"{words}, or {price:g} N per share missed"
+            lines.append((f"{'required' if price is None else 'soft'}: {requirement.title}", words))
         return "\n".join(f"{name:36}{value}" for name, value in lines)
-
-
-def _told(asked: Asked) -> str:
-    """Return a requirement in words."""
-    if isinstance(asked, AdmittanceTarget):
-        low, high = asked.band_hz
-        return f"{asked.min_m_s_per_n:g} from {low:g} to {high:g} Hz"
-    if isinstance(asked, NoiseLimit):
-        return f"speed RMS {asked.max_speed_rms_m_s:g} under force noise of {asked.force_noise_rms_n:g} RMS"
-    return f"up to {asked.passive_below_hz:g} Hz" if isinstance(asked, PassivityTarget) else f"{asked:g}"

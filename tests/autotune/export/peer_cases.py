@@ -13,7 +13,6 @@ from autotune.export.ros2_control import Ros2Options
 from autotune.export.third_party import Translation
 from autotune.formats.controller import ControllerFile, read_controller, write_controller
 from autotune.formats.controller_record import (
-    AdmittanceRequirement,
     AxisDomain,
     AxisGains,
     AxisPrediction,
@@ -27,6 +26,7 @@ from autotune.formats.controller_record import (
 )
 from autotune.validation.law import AxisTask
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
+from problems.design.requirements import AdmittanceTarget
 from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
 from problems.model.sampled import build_sampled_plant
@@ -54,7 +54,7 @@ PLAIN = replace(LEAD, mass=8.0, damping=3000.0, lead_s=0.0, feedback_damping_s=0
 
 
 def requirements(admittance: float = 5.5e-4, **further: Requirement) -> dict[str, Requirement]:
-    band = AdmittanceRequirement(min_m_s_per_n=admittance, band_hz=(1.0, 2.0))
+    band = AdmittanceTarget(min_m_s_per_n=admittance, band_hz=(1.0, 2.0))
     margins: dict[str, Requirement] = {"modulus_margin": 0.5, "gain_margin_db": 6.0, "phase_margin_deg": 30.0}
     return {**margins, "delay_margin_s": 1e-3, "free_space_admittance": band, **further}
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 from hypothesis import strategies as st
 
 from autotune.formats.controller import (
-    AdmittanceRequirement,
     AxisDomain,
     AxisGains,
     AxisLimits,
@@ -44,6 +43,7 @@ from identification.result import (
     VectorEstimate,
     WrenchFilterEstimate,
 )
+from problems.design.requirements import AdmittanceTarget
 
 GAINS = AxisGains(
     mass=12.5,
@@ -121,7 +121,7 @@ def make_controller(axes: tuple[str, ...] = ("x", "rz")) -> Controller:
             requirements={
                 "modulus_margin": 0.5,
                 "passivity": False,
-                "free_space_admittance": AdmittanceRequirement(min_m_s_per_n=3e-4, band_hz=(0.5, 5.0)),
+                "free_space_admittance": AdmittanceTarget(min_m_s_per_n=3e-4, band_hz=(0.5, 5.0)),
             },
             proved=(
                 Proof(

@@ -273,8 +273,8 @@ free:
     assert dict(spec.rotational.requirements) == {
         "max_peak_force_n": 12.0,
         "command_noise": NoiseLimit(max_speed_rms_m_s=0.01, force_noise_rms_n=0.02),
-        "soft_n": {"max_peak_force_n": 3.0, "command_noise": 1.0},
     }
+    assert dict(spec.rotational.soft_n) == {"max_peak_force_n": 3.0, "command_noise": 1.0}
     assert dict(spec.free) == {"velocity_filter_rad_per_s": (60.0, 300.0), "compensation_mass_kg": (0.0, 16.0)}
 
 

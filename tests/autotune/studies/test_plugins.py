@@ -13,8 +13,8 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from autotune import plugins
 from autotune.errors import UsageError
-from autotune.studies import plugins
 from autotune.studies.contract import (
     ContractError,
     check_objective,

@@ -7,7 +7,7 @@ import pytest
 
 from autotune.certificate.claim import METHOD
 from autotune.errors import CertificateError
-from autotune.formats.controller_record import AdmittanceRequirement, CollisionResponse, ControllerStatus
+from autotune.formats.controller_record import CollisionResponse, ControllerStatus
 from autotune.formats.identified import IdentifiedFile
 from autotune.tuning import optimize as optimize_module
 from autotune.tuning.optimize import check_within_bounds, optimize
@@ -15,6 +15,7 @@ from autotune.tuning.record import build_controller as honest
 from autotune.validation.axis_proof import prove_axis
 from autotune.validation.validate import admittance_controller
 from problems.contact.transient import build_sampled_contact, simulate_contact
+from problems.design.requirements import AdmittanceTarget
 from problems.model.plant import Environment
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import find_margins
@@ -79,7 +80,7 @@ def test_the_requirements_and_proofs_are_written_down() -> None:
     certificate = fast_optimized().controller.certificate
     assert certificate.requirements["modulus_margin"] == 0.5
     target = certificate.requirements["free_space_admittance"]
-    assert isinstance(target, AdmittanceRequirement)
+    assert isinstance(target, AdmittanceTarget)
     assert (target.min_m_s_per_n, target.band_hz) == (6.5e-4, (1.0, 2.0))
     assert "decay_rate_per_s" not in certificate.requirements
     claims = [proof.claim for proof in certificate.proved]

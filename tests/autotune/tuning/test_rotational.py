@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from autotune.errors import UsageError
 from autotune.export.export import export_controller
 from autotune.formats.controller import controller_tree, read_controller, write_controller
-from autotune.formats.controller_record import AdmittanceRequirement
 from autotune.formats.problem import ProblemSpec, RotationalSpec
 from autotune.maps.source import read_source
 from autotune.tuning.problems import Wishes, build_problems, runtime_mass_kg
@@ -214,7 +213,7 @@ def test_an_identified_plant_is_compared_by_its_inertia() -> None:
         (
             {
                 "rotational_requirements": {
-                    "free_space_admittance": AdmittanceRequirement(min_m_s_per_n=0.02, band_hz=(1.0, 2.0))
+                    "free_space_admittance": AdmittanceTarget(min_m_s_per_n=0.02, band_hz=(1.0, 2.0))
                 }
             },
             "|G| must be at least 0.02 rad/s/(N·m), found 0.016",

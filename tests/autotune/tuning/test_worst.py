@@ -53,8 +53,9 @@ def test_the_whole_set_is_the_grid_alone_where_nothing_else_is_uncertain() -> No
 
 def test_the_slowest_robot_is_the_one_that_moves_least_freely() -> None:
     whole = WholeSet(uncertain_optimized().searches["x"].problem)
-    law = whole.problem.controller(uncertain_optimized().searches["x"].design)
-    slow = build_scenarios(whole.problem, [whole.worst_robot(law, "free_space_admittance")]).achieved_admittance(law)
-    everything = whole.prepared.achieved_admittance(law)
+    search = uncertain_optimized().searches["x"]
+    (slowest,) = whole.worst_of(search.evaluation, ["free_space_admittance"], "robot")
+    slow = build_scenarios(whole.problem, [slowest]).evaluate(search.design).requirements
+    everything = whole.prepared.evaluate(search.design).requirements
     # The bands' points are the same for every robot without zeros.
     assert slow["free_space_admittance"] == pytest.approx(everything["free_space_admittance"], rel=1e-12)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from autotune.validation.admittance import sampled_admittance
-from problems.design.evaluation import smallest_admittance
+from problems.design.requirements import smallest_admittance
 from problems.model.controller import AdmittanceController
 from problems.model.plant import NO_FILTER, WrenchFilter
 from problems.model.robot import RobotModel

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
-from problems.design.evaluation import smallest_admittance
 from problems.design.gradients import (
-    Gradient,
     admittance_gradient,
     decay_gradient,
     delay_gradient,
@@ -19,6 +17,8 @@ from problems.design.gradients import (
     peak_gradient,
     phase_gradient,
 )
+from problems.design.requirements import smallest_admittance
+from problems.design.stable_design import Gradient
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment, Payload, Plant
 from problems.model.robot import RobotModel

@@ -1,7 +1,5 @@
 import dataclasses
-import json
 import math
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -18,11 +16,9 @@ from problems.design.problem import (
     PassivityTarget,
     Requirements,
 )
-from problems.design.serialization import problem_from_dict, problem_to_dict
 from problems.design.uncertainty import Ellipsoid, Scenario
 from problems.errors import ParameterError
 from problems.model.plant import Coupling
-from problems.model.robot import RobotModel
 from tests.problems.axes import LAW, PERIOD_S, between, one_pole
 
 
@@ -259,33 +255,12 @@ def test_wishes_and_requirements_are_told_apart_in_print() -> None:
     text = str(wished_problem())
     for told in (
         "free: compensation_mass_kg          0 to 16",
-        "wished: modulus_margin              0.5, or 20 N per share missed",
-        "wished: passivity                   up to 10 Hz, or 3 N per share missed",
-        "required: command_noise             speed RMS 0.001 under force noise of 0.2 RMS",
-        "required: free-space admittance     0.0007 from 0.1 to 2 Hz",
+        "soft: modulus margin                0.5, or 20 N per share missed",
+        "soft: passivity                     up to 10 Hz, or 3 N per share missed",
+        "required: command noise             speed RMS at most 0.001 m/s under noise of 0.2 N",
+        "required: free-space admittance     0.0007 m/s/N, 0.1 to 2 Hz",
     ):
         assert told in text
-
-
-@pytest.mark.parametrize("made", [problem, uncertain_problem, wished_problem])
-def test_a_problem_survives_being_written_and_read(made: Callable[[], DesignProblem]) -> None:
-    asked = made()
-    assert problem_from_dict(json.loads(json.dumps(problem_to_dict(asked)))) == asked
-
-
-@LAW
-@given(between(1e4, 1e6), between(1e-4, 5e-3), between(1.0, 100.0))
-def test_no_bit_is_lost_on_the_way(stiffness: float, delay: float, omega: float) -> None:
-    robot = RobotModel(numerator=[omega * 1.1], denominator=[1.1, omega * 1.1], delay_s=delay)  # type: ignore[arg-type]
-    asked = problem(robot=robot, environment_stiffness_n_per_m=(stiffness, 1.1 * stiffness))
-    assert problem_from_dict(json.loads(json.dumps(problem_to_dict(asked)))) == asked
-
-
-def test_a_tree_that_is_no_problem_is_refused() -> None:
-    tree = problem_to_dict(problem())
-    for wrong in ({**tree, "more": 1.0}, {k: v for k, v in tree.items() if k != "coupling"}, {**tree, "coupling": 1.0}):
-        with pytest.raises(ParameterError, match="design problem"):
-            problem_from_dict(wrong)
 
 
 def test_a_problem_can_be_read_by_people() -> None:
@@ -295,6 +270,6 @@ def test_a_problem_can_be_read_by_people() -> None:
         "free: mass                          5 to 100",
         "uncertain: K_s                      290000 to 310000  (coupling_stiffness_n_per_m)",
         "cut by                              the 95 % confidence set of K_s, T_d",
-        "required: max_peak_force_n          80",
+        "required: peak force                at most 80 N",
     ):
         assert told in text

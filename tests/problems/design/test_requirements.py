@@ -8,16 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from problems.design.requirements import (
+    BUILT_IN,
+    FIELDS,
     LARGEST_SHARE,
-    REQUIREMENTS,
-    AdmittanceTarget,
-    Asked,
     NoiseLimit,
     PassivityTarget,
     Requirements,
-    achieved,
-    eased,
-    level,
+    RequirementValue,
 )
 from problems.errors import ParameterError
 from tests.problems.axes import LAW
@@ -32,7 +29,7 @@ UPPER = ("max_peak_force_n", "command_noise")
 
 
 def test_what_is_asked_is_told_by_name() -> None:
-    assert tuple(EVERYTHING.asked()) == REQUIREMENTS
+    assert tuple(EVERYTHING.asked()) == FIELDS
     assert "passivity" not in Requirements().asked()
 
 
@@ -80,30 +77,31 @@ def test_hard_and_soft_are_told_apart() -> None:
     )
 
 
-def ratio_at(name: str, asked: Asked, reached: float) -> float:
+def ratio_at(name: str, asked: RequirementValue, reached: float) -> float:
     """Required/achieved by its definition: above 1 is missed."""
-    return reached / level(asked) if name in UPPER else level(asked) / reached
+    threshold = BUILT_IN[name].threshold(asked)
+    return reached / threshold if name in UPPER else threshold / reached
 
 
 @LAW
-@given(name=st.sampled_from(REQUIREMENTS), ratio=st.floats(1e-3, 1e3))
+@given(name=st.sampled_from(FIELDS), ratio=st.floats(1e-3, 1e3))
 def test_what_is_achieved_has_that_ratio(name: str, ratio: float) -> None:
     asked = EVERYTHING.asked()[name]
-    assert ratio_at(name, asked, achieved(name, asked, ratio)) == pytest.approx(ratio, rel=1e-12)
+    assert ratio_at(name, asked, BUILT_IN[name].achieved_at(asked, ratio)) == pytest.approx(ratio, rel=1e-12)
 
 
 def test_a_margin_without_limit_is_infinite_and_no_noise_is_none() -> None:
-    assert achieved("gain_margin_db", 6.0, 0.0) == math.inf
-    assert achieved("command_noise", EVERYTHING.asked()["command_noise"], 0.0) == 0.0
+    assert BUILT_IN["gain_margin_db"].achieved_at(6.0, 0.0) == math.inf
+    assert BUILT_IN["command_noise"].achieved_at(EVERYTHING.command_noise, 0.0) == 0.0
 
 
 @LAW
-@given(name=st.sampled_from(REQUIREMENTS), share=st.floats(1e-6, 0.5))
+@given(name=st.sampled_from(FIELDS), share=st.floats(1e-6, 0.5))
 def test_easing_asks_for_less_of_one_and_leaves_the_others(name: str, share: float) -> None:
-    less = eased(EVERYTHING, name, share)
+    less = EVERYTHING.relaxed(name, share)
     before, after = EVERYTHING.asked(), less.asked()
     # At what the first asked for, the eased one is met with something left.
-    assert ratio_at(name, after[name], level(before[name])) < 1.0
+    assert ratio_at(name, after[name], EVERYTHING.threshold(name)) < 1.0
     assert {key: value for key, value in after.items() if key != name} == {
         key: value for key, value in before.items() if key != name
     }
@@ -111,5 +109,15 @@ def test_easing_asks_for_less_of_one_and_leaves_the_others(name: str, share: flo
 
 def test_noise_is_counted_by_the_speed_that_it_makes() -> None:
     limit = NoiseLimit(max_speed_rms_m_s=2e-3, force_noise_rms_n=0.5)
-    assert limit.ratio(4e-3) == pytest.approx(1.0, rel=1e-15)
-    assert AdmittanceTarget().scaled(0.5).min_m_s_per_n == 3.5e-4
+    assert limit.speed_rms_m_s(4e-3) == pytest.approx(2e-3, rel=1e-15)
+
+
+@LAW
+@given(name=st.sampled_from(FIELDS), factor=st.floats(1e-3, 0.99))
+def test_a_threshold_can_be_taken_out_and_put_back(name: str, factor: float) -> None:
+    requirement, asked = BUILT_IN[name], EVERYTHING.asked()[name]
+    changed = requirement.with_threshold(asked, factor * requirement.threshold(asked))
+    assert requirement.threshold(changed) == factor * requirement.threshold(asked)
+    assert requirement.with_threshold(changed, requirement.threshold(asked)) == asked
+    # What is achieved at the threshold meets it exactly.
+    assert requirement.ratio(asked, requirement.threshold(asked)) == 1.0

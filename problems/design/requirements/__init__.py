@@ -1,0 +1,33 @@
+"""Requirements of a design: `Requirements` says what is asked, the registry what can be asked."""
+
+from .admittance import AdmittanceRequirement, AdmittanceTarget, band_frequencies, smallest_admittance, target_response
+from .base import LoopRequirement, Requirement
+from .command_noise import NoiseLimit, NoiseRequirement
+from .margins import DecayRate, Margin
+from .passivity import PassivityRequirement, PassivityTarget
+from .peak_force import PeakForceLimit
+from .registry import BUILT_IN
+from .requirements import FIELDS, LARGEST_PRICE_N, LARGEST_SHARE, Requirements, RequirementValue
+
+__all__ = [
+    "BUILT_IN",
+    "FIELDS",
+    "LARGEST_PRICE_N",
+    "LARGEST_SHARE",
+    "AdmittanceRequirement",
+    "AdmittanceTarget",
+    "DecayRate",
+    "LoopRequirement",
+    "Margin",
+    "NoiseLimit",
+    "NoiseRequirement",
+    "PassivityRequirement",
+    "PassivityTarget",
+    "PeakForceLimit",
+    "Requirement",
+    "RequirementValue",
+    "Requirements",
+    "band_frequencies",
+    "smallest_admittance",
+    "target_response",
+]

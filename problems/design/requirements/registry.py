@@ -1,0 +1,30 @@
+"""The registry of requirements; a new one is a file beside this one and a line in `BUILT_IN`."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from ...frozen import FrozenDict
+from .admittance import AdmittanceRequirement
+from .base import Requirement
+from .command_noise import NoiseRequirement
+from .margins import DecayRate, DelayMargin, GainMargin, ModulusMargin, PhaseMargin
+from .passivity import PassivityRequirement
+from .peak_force import PeakForceLimit
+
+BUILT_IN: Mapping[str, Requirement[Any]] = FrozenDict(
+    {
+        each.name: each
+        for each in (
+            ModulusMargin(),
+            GainMargin(),
+            PhaseMargin(),
+            DelayMargin(),
+            DecayRate(),
+            PeakForceLimit(),
+            AdmittanceRequirement(),
+            NoiseRequirement(),
+            PassivityRequirement(),
+        )
+    }
+)
+"""All requirements of this package by name, in the order in which they are listed to people."""

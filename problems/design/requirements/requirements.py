@@ -1,0 +1,115 @@
+"""What every scenario must meet, or may miss at a price: each requirement as required/achieved, ≤ 1 when it is met."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+from ..._checks import positive
+from ...errors import ParameterError
+from ...frozen import FrozenDict, freeze
+from .admittance import AdmittanceTarget
+from .base import Requirement
+from .command_noise import NoiseLimit
+from .passivity import PassivityTarget
+from .registry import BUILT_IN
+
+# What is missed more than a thousandfold costs no more, and no price is above this: costs stay comparable numbers.
+LARGEST_SHARE = 1e3
+LARGEST_PRICE_N = 1e6
+
+RequirementValue = float | AdmittanceTarget | NoiseLimit | PassivityTarget
+"""What may be asked of a requirement."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Requirements:
+    """What every scenario must meet; None asks for nothing. Stability is always asked.
+
+    The fields are the requirements of the paper and their companions, `further` holds thresholds of any other of the
+    registry by name, or of `plugins`: requirements of other packages, which the registry does not know.
+    `max_peak_force_n` limits the force on the environment, whatever the objective is. `soft_n` maps the name of a
+    requirement to a price: it need not be met, and missing it by a share s (required/achieved − 1 in the worst
+    scenario) counts as s times that many newtons more peak force.
+    """
+
+    modulus_margin: float | None = 0.5
+    gain_margin_db: float | None = 6.0
+    phase_margin_deg: float | None = 30.0
+    delay_margin_s: float | None = 1e-3
+    decay_rate_per_s: float | None = None
+    max_peak_force_n: float | None = None
+    free_space_admittance: AdmittanceTarget | None = field(default_factory=AdmittanceTarget)
+    command_noise: NoiseLimit | None = None
+    passivity: PassivityTarget | None = None
+    further: Mapping[str, float] = field(default_factory=dict)
+    plugins: tuple[Requirement[Any], ...] = ()
+    soft_n: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in FIELDS:
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, BUILT_IN[name].checked(getattr(self, name)))
+        known = {name: each for name, each in self.kinds().items() if name not in FIELDS}
+        for name in self.further:
+            if name not in known:
+                raise ParameterError("requirements", name, f"one of {', '.join((*FIELDS, *known))}")
+        further = {name: known[name].checked(self.further[name]) for name in known if name in self.further}
+        object.__setattr__(self, "further", FrozenDict(further))
+        for name, price in self.soft_n.items():
+            if name not in self.kinds():
+                raise ParameterError("soft_n", name, f"given for {', '.join(self.kinds())} only")
+            if name not in self.asked():
+                raise ParameterError(f"{name}.soft_n", price, "given together with what is asked")
+            if positive(f"{name}.soft_n", price) > LARGEST_PRICE_N:
+                raise ParameterError(f"{name}.soft_n", price, f"at most {LARGEST_PRICE_N:g} N (or ask for it outright)")
+        freeze(self, "soft_n")
+
+    def kinds(self) -> dict[str, Requirement[Any]]:
+        """Return all requirements that may be asked here, by name."""
+        return {**BUILT_IN, **{each.name: each for each in self.plugins}}
+
+    def asked(self) -> dict[str, RequirementValue]:
+        """Return what is asked, by name, hard and soft."""
+        of_fields = {name: getattr(self, name) for name in FIELDS if getattr(self, name) is not None}
+        return {**of_fields, **self.further}
+
+    def of(self, *depends_on: str) -> Iterator[tuple[Requirement[Any], Any]]:
+        """Yield the requirements that are asked and what is asked of each: those that depend on one, then the next."""
+        kinds, asked = self.kinds(), self.asked()
+        for part in depends_on:
+            yield from ((kinds[name], value) for name, value in asked.items() if kinds[name].depends_on == part)
+
+    def kind(self, name: str) -> Requirement[Any]:
+        """Return the requirement of a name."""
+        return self.kinds()[name]
+
+    def with_asked(self, name: str, value: RequirementValue | None) -> "Requirements":
+        """Return the same with another value of one requirement, or with None without it."""
+        if name in FIELDS:
+            change: dict[str, Any] = {name: value}
+            return replace(self, **change)
+        kept = {key: each for key, each in self.further.items() if key != name}
+        return replace(self, further=kept if not isinstance(value, float) else {**kept, name: value})
+
+    def relaxed(self, name: str, share: float) -> "Requirements":
+        """Return the requirements with one of them asked for less by a share."""
+        return self.with_asked(name, self.kind(name).relaxed(self.asked()[name], share))
+
+    def threshold(self, name: str) -> float:
+        """Return the number of a requirement that is asked for more or less of."""
+        return self.kind(name).threshold(self.asked()[name])
+
+    def cost_n(self, name: str, ratio: float) -> float:
+        """Return what a soft requirement costs at required/achieved `ratio`; a ratio that is no number costs most."""
+        missed = LARGEST_SHARE if math.isnan(ratio) else ratio - 1.0
+        return self.soft_n[name] * min(max(missed, 0.0), LARGEST_SHARE)
+
+    def split(self, ratios: Mapping[str, float]) -> tuple[dict[str, float], dict[str, float]]:
+        """Return the ratios of hard requirements, and those of soft ones."""
+        hard = {name: value for name, value in ratios.items() if name not in self.soft_n}
+        return hard, {name: value for name, value in ratios.items() if name in self.soft_n}
+
+
+FIELDS = tuple(each.name for each in fields(Requirements) if each.name in BUILT_IN)
+"""The names of the requirements that are fields of `Requirements`."""
