@@ -7,6 +7,7 @@ from problems.frozen import FrozenDict
 from .fzi_cartesian import FZI_CARTESIAN
 from .own_formats import CELL, JSON, C
 from .ros2_control import ROS2_CONTROL
+from .ros2_params import ROS2_PARAMS
 from .target import Target, TargetOption
 
 TARGETS: Mapping[str, Target] = FrozenDict(
@@ -18,6 +19,7 @@ TARGETS: Mapping[str, Target] = FrozenDict(
             C,
             ROS2_CONTROL,
             FZI_CARTESIAN,
+            ROS2_PARAMS,
         )
     }
 )
