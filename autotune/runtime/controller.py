@@ -21,7 +21,7 @@ class RuntimeController:
     """A controller file that was verified, ready to be stepped: the tuned axes in the order x y z rx ry rz.
 
     `threshold_n` is that of the collision detection, infinite without a response. `checksum` is that of the file,
-    `limits` are its own or, for a file without, those of `default_limits`.
+    `limits` are its own or, for a file without, those of `load.default_limits`.
 
     Raises ParameterError where the limits leave out a tuned axis.
     """
@@ -51,7 +51,7 @@ class RuntimeController:
         that of the cell to `limits.rest_force_n`: what is left of the weight adds to F^d. Raises UsageError for what is
         no number and for inertias about another axis.
         """
-        h, inertias = self.sample_time_s, _told_inertias(payload_inertia_kg_m2)
+        h, inertias = self.sample_time_s, _checked_inertias(payload_inertia_kg_m2)
         _check_number("sample_time_s", sample_time_s)
         _check_number("payload_mass_kg", payload_mass_kg)
         if not abs(sample_time_s - h) <= SAME_SAMPLE_TIME * h:
@@ -64,12 +64,12 @@ class RuntimeController:
                 low, high = axis.payload_range
                 raise CertificateError(
                     f"Axis {axis.name} is certified for an inertia from {low:g} to {high:g} kg·m²; "
-                    f"tell the payload's in payload_inertia_kg_m2."
+                    "give the payload's in payload_inertia_kg_m2."
                 )
-            told, what, unit = (payload_mass_kg, "mass", "kg")
+            value, what, unit = (payload_mass_kg, "mass", "kg")
             if axis.turns:
-                told, what, unit = inertias[axis.name], "inertia", "kg·m²"
-            _check_range(axis, told, what, unit)
+                value, what, unit = inertias[axis.name], "inertia", "kg·m²"
+            _check_range(axis, value, what, unit)
         self._check_weight(payload_mass_kg)
 
     def _check_weight(self, mass_kg: float) -> None:
@@ -82,31 +82,33 @@ class RuntimeController:
             )
 
 
-def _told_inertias(told: Mapping[str, float] | None) -> Mapping[str, float]:
+def _checked_inertias(given: Mapping[str, float] | None) -> Mapping[str, float]:
     """Return the inertias by axis; an unknown name would be an inertia that is checked against nothing."""
-    if told is None:
+    if given is None:
         return FrozenDict({})
-    if not isinstance(told, Mapping):
-        raise UsageError(f"payload_inertia_kg_m2 must hold inertias by axis, as {{'rz': 0.4}}; found {told!r}.")
-    for name, inertia in told.items():
+    if not isinstance(given, Mapping):
+        raise UsageError(f"payload_inertia_kg_m2 must hold inertias by axis, as {{'rz': 0.4}}; found {given!r}.")
+    for name, inertia in given.items():
         if name not in AXES[TRANSLATIONS:]:
             raise UsageError(f"payload_inertia_kg_m2 is by axis, rx, ry or rz; found {name!r}.")
         _check_number(f"payload_inertia_kg_m2[{name!r}]", inertia)
-    return told
+    return given
 
 
-def _check_number(what: str, told: object) -> None:
-    if not is_number(told):
+def _check_number(what: str, value: object) -> None:
+    if not is_number(value):
         found = (
-            f"one of {told.bit_length()} bits" if isinstance(told, int) and not isinstance(told, bool) else repr(told)
+            f"one of {value.bit_length()} bits"
+            if isinstance(value, int) and not isinstance(value, bool)
+            else repr(value)
         )
         raise UsageError(f"{what} must be a number, found {found}.")
 
 
-def _check_range(axis: AxisLaw, told: float, what: str, unit: str) -> None:
+def _check_range(axis: AxisLaw, value: float, what: str, unit: str) -> None:
     low, high = axis.payload_range
-    if not low <= told <= high:
+    if not low <= value <= high:
         raise CertificateError(
-            f"The payload's {what} of {told:g} {unit} is outside of what axis {axis.name} is certified for, "
+            f"The payload's {what} of {value:g} {unit} is outside of what axis {axis.name} is certified for, "
             f"{low:g} to {high:g} {unit}; optimize for a range that holds it."
         )

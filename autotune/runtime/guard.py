@@ -1,4 +1,4 @@
-"""What the runtime watches beside the control law: limits counted in periods, readings that stand still, and weight.
+"""Watch readings and commands beside the control law: limits in periods, readings that do not change, and weight.
 
 Each line is the same operation in the same order as in the exported C, which has no square root.
 """
@@ -15,7 +15,7 @@ from .law import AxisLaw, Payload
 MOST_HELD = 10
 # Command that a wrench, or a pose (which may be coarse, and lags), need not answer: the sum over the axes, m and rad.
 UNFELT_WAY, UNSEEN_WAY = 1e-4, 1e-3
-# A weight is judged by its first-order mean over so many periods, and once it has stood for so long.
+# A weight is judged by its first-order mean over so many periods, and once it was constant for so long.
 MEAN_PERIODS, WEIGHT_S = 32.0, 0.5
 # How far it must have moved the command, m up or down; no sensor's noise and no contact does that at a constant force.
 WEIGHT_WAY = 5e-3
@@ -76,10 +76,10 @@ def _smallest_deadband(axes: tuple[AxisLaw, ...]) -> float:
 
 
 class Watch(NamedTuple):
-    """What is kept of the readings: the last ones, for how many periods they stand still, and the way sent meanwhile.
+    """What is kept of the readings: the last ones, how many periods they did not change, and the way sent meanwhile.
 
     `resting` readings were taken at the start, and `sums` is theirs. `missing_kg` is the mean of what the compensation
-    leaves along gravity; for `weight_since` periods it stands at `weight_kg` and did `weight_work` [J] on the command.
+    leaves along gravity; for `weight_since` periods it was `weight_kg` and did `weight_work` [J] on the command.
     """
 
     wrench: Six | None = None
@@ -158,7 +158,7 @@ def missing_mass_kg(payload: Payload, external: Six, R: Nine) -> float:
 def weigh(guard: Guard, payload: Payload, watch: Watch, external: Six, R: Nine, increment: Six) -> tuple[Watch, bool]:
     """Return the watch, and whether a weight that nobody compensates moves the command: the payload is another one.
 
-    A hand is not that steady and a contact not that constant: it is a force along gravity that stands still to
+    A hand is not that steady and a contact not that constant: it is a force along gravity that is constant to
     `rest_force_n` for `WEIGHT_S` while it moves the command by `WEIGHT_WAY` up or down, in its own direction.
     """
     g = payload.gravity_W_m_s2
@@ -169,13 +169,13 @@ def weigh(guard: Guard, payload: Payload, watch: Watch, external: Six, R: Nine, 
     along, moved = mean * mean * square, mean - watch.weight_kg
     across = (x * x + y * y + z * z) - now * now * square
     least = LEAST_SHARE * payload.mass_kg
-    stands = (
+    is_constant = (
         moved * moved * square <= guard.rest_force
         and across <= ACROSS * along + guard.rest_force
         and along >= guard.least_weight
         and mean * mean >= least * least
     )
-    if not stands:
+    if not is_constant:
         return watch._replace(missing_kg=mean, weight_kg=mean, weight_since=0, weight_work=0.0), False
     since = _one_more(watch.weight_since)
     work = watch.weight_work + (x * increment[0] + y * increment[1] + z * increment[2])

@@ -1,4 +1,4 @@
-"""What the runtime needs of a controller file, as frozen values that are checked once."""
+"""Control laws and payload of a controller file as frozen values, checked once."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -109,7 +109,7 @@ class AxisLaw:
 
 
 def is_number(value: object) -> bool:
-    """Tell whether a value is a real number that a double holds."""
+    """Return whether a value is a real number that a double holds."""
     if isinstance(value, bool) or not isinstance(value, Real):
         return False
     try:

@@ -18,7 +18,7 @@ Matrix = list[list[float]]
 
 MOST_STATES = 48
 """Loops with more states (a delay of more than some 40 periods) are left to `export` and `validate`."""
-# The norm of the 2^22-th power tells a decay of less than 1e-5 per period from none.
+# The norm of the 2^22-th power distinguishes a decay of less than 1e-5 per period from none.
 _SQUARINGS, _SURELY_GROWS = 22, 200.0
 _TAYLOR_TERMS = 16
 # A delay this close to a whole number of samples is that number.
@@ -47,7 +47,7 @@ class LoopPlant:
 def corner_plants(domain: Mapping[str, Any], *, turns: bool) -> list[LoopPlant]:
     """Return the nominal plant at the ends of K_e and M_p, and in free space; none where the wrench is delayed.
 
-    `domain` is an entry of `certificate.domain` as it stands in the file.
+    `domain` is an entry of `certificate.domain` as in the file.
     """
     wrench = domain.get("wrench_filter", {})
     if wrench.get("delay_s", 0.0) != 0.0:

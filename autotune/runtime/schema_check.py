@@ -13,7 +13,7 @@ Schema = Mapping[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Breach:
-    """A rule that an entry breaks, told as `autotune.formats.schema.explain` reads it."""
+    """A rule that an entry breaks, in the form that `autotune.formats.schema.explain` reads."""
 
     absolute_path: Place
     validator: str

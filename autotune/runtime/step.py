@@ -81,14 +81,14 @@ class State(NamedTuple):
 
 
 START = State()
-"""Before the first period: the robot stands, and nothing touches it; its motion is that of the poses from here on."""
+"""Before the first period: the robot is at rest, nothing touches it, and its motion follows from the next poses."""
 
 
 class Command(NamedTuple):
     """How the commanded pose goes on, (6,) each: x y z, then rx ry rz, in the axes of S as measured.
 
     `increment_S` is x^d_k − x^d_{k−1} in m and rad, `twist_S` the same per second. Axes that the file does not tune
-    stand still. `wrench_S` is the measured wrench without weight and bias, before the deadband. `is_started` is False
+    do not move. `wrench_S` is the measured wrench without weight and bias, before the deadband. `is_started` is False
     while the first readings are held against rest, and nothing moves. `missing_mass_kg` is what the compensation leaves
     along gravity as a mass: of the mean of these readings, later of the last ones. Positive: the cell carries more.
     """
@@ -229,7 +229,7 @@ def _way(controller: RuntimeController, state: State, place: Place) -> Six | Non
 
 
 def _stale(guard: Guard, watch: Watch) -> Fault:
-    """Return which reading stands still though the command moves."""
+    """Return which reading does not change though the command moves."""
     if watch.wrench_same >= guard.wrench_periods and watch.wrench_way > UNFELT_WAY:
         return Fault.STALE_WRENCH
     if watch.pose_same >= guard.pose_periods and watch.pose_way > UNSEEN_WAY:

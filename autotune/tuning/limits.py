@@ -13,8 +13,8 @@ from autotune.formats.limits import AxisLimits, Limits, LimitsSpec, ResidualPeak
 from autotune.formats.problem import ProblemSpec
 from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import axis_units
-from autotune.runtime.default_limits import LEVER_M, REDUCED_SPEED_M_S
 from autotune.runtime.law import STANDARD_GRAVITY_M_S2
+from autotune.runtime.load import LEVER_M, REDUCED_SPEED_M_S
 from autotune.validation.limits import commanded_motion, with_residual
 from identification.result import Identified
 from problems.model.controller import controller_blocks

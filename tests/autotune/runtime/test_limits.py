@@ -23,7 +23,7 @@ from autotune.runtime import (
     load_controller,
     step,
 )
-from autotune.runtime.default_limits import default_limits
+from autotune.runtime.load import default_limits
 from problems.errors import ParameterError
 from tests.autotune.formats.samples import make_controller, make_limits
 from tests.autotune.runtime.cases import PAYLOAD, PERIOD_S, STARTED, Reading, along, make_axis, make_runtime
