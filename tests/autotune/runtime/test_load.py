@@ -143,7 +143,7 @@ def test_gains_whose_equation_overflows_are_refused(tmp_path: Path) -> None:
         ({"payload_mass_kg": float("nan")}, "mass of nan kg is outside"),
         ({"payload_mass_kg": 17.0}, r"would leave 9\.81 N of the cell's 17 kg, more than the 5 N"),
         ({"payload_inertia_kg_m2": {"rz": 18.1}}, r"inertia of 18\.1 kg·m² is outside .* axis rz"),
-        ({"payload_inertia_kg_m2": None}, r"Axis rz is certified for an inertia from 14 to 18 kg·m²; tell"),
+        ({"payload_inertia_kg_m2": None}, r"Axis rz is certified for an inertia from 14 to 18 kg·m²; give"),
     ],
 )
 def test_a_cell_outside_of_the_certificate_is_refused(tmp_path: Path, change: dict[str, Any], told: str) -> None:
