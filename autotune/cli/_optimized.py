@@ -11,11 +11,11 @@ if TYPE_CHECKING:
     from autotune.formats.controller import ControllerFile
     from autotune.formats.controller_record import Controller, ScenarioPrediction
     from autotune.formats.units import AxisUnits
-    from autotune.tuning.compare import SideBySide, Standing
+    from autotune.tuning.compare import EvaluatedController, SideBySide
     from autotune.tuning.compliance import Compliance, CompliancePoint
     from autotune.tuning.explain import Active
     from autotune.tuning.multistart import Reference
-    from autotune.tuning.optimality_report import Standing as OptimalityReport
+    from autotune.tuning.optimality_report import OptimalityReport
     from autotune.tuning.optimize import Optimized
     from problems.design.problem import DesignProblem
     from problems.model.controller import AdmittanceController
@@ -37,7 +37,7 @@ def active_tree(found: "Optimized") -> dict[str, Any]:
             }
             for a in standing.active
         ]
-        for name, standing in found.standings.items()
+        for name, standing in found.optimality_reports.items()
     }
 
 
@@ -45,7 +45,7 @@ def active_lines(found: "Optimized", name: str) -> list[str]:
     """Say in words what holds the peak of one axis up, and how far the result is shown to be the best."""
     from autotune.formats.units import axis_units
 
-    standing, units = found.standings[name], axis_units(name)
+    standing, units = found.optimality_reports[name], axis_units(name)
     lines = [_active_line(entry, found.searches[name].problem, units) for entry in standing.active]
     if not standing.active:
         lines.append(f"no requirement is active: the peak is the approach {units.force_name} itself")
@@ -115,7 +115,7 @@ def compare_tree(old: "ControllerFile", found: Mapping[str, "SideBySide"]) -> di
     }
 
 
-def _standing_tree(standing: "Standing") -> dict[str, Any]:
+def _standing_tree(standing: "EvaluatedController") -> dict[str, Any]:
     law, does, at = standing.law, standing.performance, standing.unstable_at
     margins = {} if does is None else does.margins
     return {
@@ -171,7 +171,7 @@ def _rows(both: "SideBySide", units: "AxisUnits") -> Iterator[tuple[str, str, st
         yield what, old, new
 
 
-def _number(side: "Standing", name: str, scale: float) -> str:
+def _number(side: "EvaluatedController", name: str, scale: float) -> str:
     if side.performance is None:
         return "-"
     value = side.performance.margins.get(name)
@@ -179,7 +179,7 @@ def _number(side: "Standing", name: str, scale: float) -> str:
     return "no limit" if math.isinf(value) else f"{value * scale:.4g}"
 
 
-def _verdict(side: "Standing", units: "AxisUnits") -> str:
+def _verdict(side: "EvaluatedController", units: "AxisUnits") -> str:
     if side.unstable_at is not None:
         mass, stiffness = side.unstable_at
         where = f"K_e {stiffness:.4g} {units.stiffness}" if stiffness > 0.0 else "free space"

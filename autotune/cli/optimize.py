@@ -134,7 +134,7 @@ def command(
     from autotune.formats.identified import read_identified
     from autotune.formats.problem import ProblemSpec, read_problem
     from autotune.tuning.optimize import optimize
-    from autotune.tuning.problems import Wishes
+    from autotune.tuning.problems import DesignOptions
 
     sources = [path for path in (identified, problem, old) if path is not None]
     check_target(out, [path for path in sources if path != old], kind="controller")
@@ -145,7 +145,7 @@ def command(
         seen.append(plant)
         existing = None if old is None else read_controller(old)
         spec = ProblemSpec() if problem is None else read_problem(problem)
-        wishes = Wishes(
+        wishes = DesignOptions(
             payload_mass_kg=payload_mass,
             environment_stiffness_n_per_m=environment_stiffness,
             with_unit=fields_with_unit(),

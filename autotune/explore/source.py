@@ -25,10 +25,10 @@ from autotune.maps.source import kind_of_file
 from autotune.tuning.bounds import Box
 from autotune.tuning.compare import start_design
 from autotune.tuning.optimize import carried_mass_kg, make_provenance
-from autotune.tuning.problems import Wishes, build_problems
+from autotune.tuning.problems import DesignOptions, build_problems
 from autotune.tuning.record import runtime_payload
 from autotune.tuning.search import SearchResult, solve_design
-from autotune.tuning.threshold import ThresholdWish, threshold_wish
+from autotune.tuning.threshold import ThresholdSettings, threshold_settings
 from autotune.validation.axis_proof import ProofOptions
 from autotune.validation.certified_requirements import certified_problem_requirements
 from autotune.validation.validate import admittance_controller
@@ -79,7 +79,7 @@ class Exploration:
     payload: RuntimePayload
     provenance: Mapping[str, Any]
     gains: Mapping[str, AxisGains] = field(default_factory=dict)
-    threshold: ThresholdWish | None = None
+    threshold: ThresholdSettings | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "axes", "provenance", "gains")
@@ -108,14 +108,14 @@ def read_exploration(path: Path, problem: Path | None = None, progress: Progress
 def _from_identified(path: Path, problem_path: Path | None, progress: Progress) -> Exploration:
     identified = read_identified(path)
     spec = ProblemSpec() if problem_path is None else read_problem(problem_path)
-    problems = build_problems(identified.result, spec, Wishes())
-    payload = runtime_payload(identified.result, carried_mass_kg(identified.result, problems, spec, Wishes()))
+    problems = build_problems(identified.result, spec, DesignOptions())
+    payload = runtime_payload(identified.result, carried_mass_kg(identified.result, problems, spec, DesignOptions()))
     return Exploration(
         path=path,
         axes={name: _searched(each, lambda done: progress(done / len(problems))) for name, each in problems.items()},
         payload=payload,
-        provenance=_by_hand(make_provenance(identified, Wishes(), 0, problem_path, None, ProofOptions())),
-        threshold=threshold_wish(identified.result, spec),
+        provenance=_by_hand(make_provenance(identified, DesignOptions(), 0, problem_path, None, ProofOptions())),
+        threshold=threshold_settings(identified.result, spec),
     )
 
 

@@ -42,7 +42,7 @@ class Performance:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Standing:
+class EvaluatedController:
     """One controller on one axis; `performance` is None when the loop is unstable, since nothing of it is a number.
 
     `unstable_at` is then the worst plant, M_p and K_e (0 in free space).
@@ -56,10 +56,10 @@ class Standing:
 
 @dataclass(frozen=True, kw_only=True)
 class SideBySide:
-    """The old and the new controller of one axis; `is_start` tells whether the search began from the old one too."""
+    """The old and the new controller of one axis; `is_start`: whether the search began from the old one too."""
 
-    old: Standing
-    new: Standing
+    old: EvaluatedController
+    new: EvaluatedController
     is_start: bool
 
 
@@ -112,14 +112,14 @@ def compare(old: Controller, searches: Mapping[str, SearchResult]) -> dict[str, 
             problem = search.problem
             dense = WholeSet(problem).prepared
             found[name] = SideBySide(
-                old=stand(dense, admittance_controller(old, name)),
-                new=stand(dense, problem.controller(search.design)),
+                old=evaluate_controller(dense, admittance_controller(old, name)),
+                new=evaluate_controller(dense, problem.controller(search.design)),
                 is_start=start_design(old, name, problem) is not None,
             )
     return found
 
 
-def stand(prepared: PreparedScenarios, law: AdmittanceController) -> Standing:
+def evaluate_controller(prepared: PreparedScenarios, law: AdmittanceController) -> EvaluatedController:
     """Evaluate one controller over the scenarios."""
     radii = prepared.radii(law)
     worst = int(np.argmax(radii))
@@ -127,7 +127,7 @@ def stand(prepared: PreparedScenarios, law: AdmittanceController) -> Standing:
     if not radius < 1.0:
         plant = prepared.plants[worst].sampled.plant
         where = plant.payload.mass_kg, plant.environment.stiffness_n_per_m
-        return Standing(law=law, spectral_radius=radius, performance=None, unstable_at=where)
+        return EvaluatedController(law=law, spectral_radius=radius, performance=None, unstable_at=where)
     exact = prepared.evaluate_exactly(law)
     peaks, problem = exact.evaluation.peaks, prepared.problem
     band = admittance_band_hz(problem.requirements)
@@ -139,4 +139,4 @@ def stand(prepared: PreparedScenarios, law: AdmittanceController) -> Standing:
         hand_force_n_per_m_s=law.damping_n_s_per_m + problem.drag_n_s_per_m,
         missed={name: value for name, value in exact.evaluation.requirements.items() if value > 1.0},
     )
-    return Standing(law=law, spectral_radius=radius, performance=performance)
+    return EvaluatedController(law=law, spectral_radius=radius, performance=performance)

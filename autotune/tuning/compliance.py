@@ -19,17 +19,17 @@ from identification.result import Identified
 from problems.design.problem import DesignProblem
 from problems.progress import no_progress
 
-from .problems import Wishes, build_problems
+from .problems import DesignOptions, build_problems
 from .search import SearchResult, solve_design
 
 RESOLUTION = 0.05
-"""The share by which the next stiffness that was tried lies above one that is told."""
+"""The share by which the next stiffness that was tried lies above one that is reported."""
 NEARLY = 0.01
 """What counts as nearly as good as the best, as a share of the peak."""
 _SAME = 1e-3
 _GRID = 9
 _DIGITS, _FURTHER_DIGITS = 4, 10
-# Of a usual run, after the grid; of no other use than to tell how it goes on.
+# Of a usual run, after the grid; for the progress bar alone.
 _HALVINGS = 5
 
 
@@ -46,7 +46,7 @@ class CompliancePoint:
 
     @property
     def objective_n(self) -> float:
-        """The worst peak with what missed wishes add, infinite where something is missed."""
+        """The worst peak with the price of what is missed, infinite where something is missed."""
         return math.inf if self.found is None or self.missed > 0.0 else self.found.evaluation.objective_n
 
 
@@ -126,14 +126,16 @@ class Compliance:
         return found[int(np.argmin(ratios))].found if found else None
 
 
-def build_compliance_problems(identified: Identified, spec: ProblemSpec, wishes: Wishes) -> dict[str, DesignProblem]:
+def build_compliance_problems(
+    identified: Identified, spec: ProblemSpec, options: DesignOptions
+) -> dict[str, DesignProblem]:
     """Return the design problem of the one axis that is asked, on the softest compliance.
 
     Raises UsageError where the surface is said twice, or for several axes or a turning one, and what `build_problems`
     raises.
     """
     asked = _asked(spec)
-    if wishes.environment_stiffness_n_per_m is not None:
+    if options.environment_stiffness_n_per_m is not None:
         raise UsageError(
             "--environment-stiffness and free.environment_stiffness_n_per_m in problem.yaml both say the surface; give "
             "one of them."
@@ -146,7 +148,7 @@ def build_compliance_problems(identified: Identified, spec: ProblemSpec, wishes:
         )
     if ROTATIONAL_AXES.intersection(names):
         raise UsageError(f"environment_stiffness_n_per_m is in N/m, and {names[0]} turns; leave it out of free.")
-    return build_problems(identified, at_stiffness(spec, asked.bounds[0]), wishes)
+    return build_problems(identified, at_stiffness(spec, asked.bounds[0]), options)
 
 
 def at_stiffness(spec: ProblemSpec, stiffness_n_per_m: float) -> ProblemSpec:
@@ -171,10 +173,10 @@ def choose_compliance(
     step: Callable[[float], None] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Compliance:
-    """Search the problem on every compliance of a grid, and where the grid leaves open what is told.
+    """Search the problem on every compliance of a grid, and where the grid is too coarse for what is reported.
 
     Deterministic for a given seed. That no point meets the requirements is no error: the nearest one is chosen then.
-    `step` is told each K_e [N/m] as its search begins, `progress` the share of the work done since the last call.
+    `step` gets each K_e [N/m] as its search begins, `progress` the share of the work done since the last call.
     """
     begin, report = step or no_progress, progress or no_progress
     grid = _grid(asked.bounds)
@@ -197,7 +199,7 @@ def settle_compliance(problem: DesignProblem, compliance: Compliance, search: Se
 def _narrowed(
     problem: DesignProblem, found: Compliance, seed: int, begin: Callable[[float], None], each: Callable[[], None]
 ) -> Compliance:
-    """Halve gaps until they are as small as is told."""
+    """Halve gaps until they are small enough to be reported."""
     while (stiffness := found.next_stiffness()) is not None:
         begin(stiffness)
         found = found.with_point(_point(problem, found, stiffness, seed))
@@ -219,7 +221,7 @@ def compliance_tree(compliance: Compliance) -> dict[str, Any]:
     }
 
 
-def tell_infeasible(name: str, compliance: Compliance) -> str:
+def infeasible_message(name: str, compliance: Compliance) -> str:
     """Say where it was looked, and on which stiffness least is missed."""
     (low, high), tolerance = compliance.asked.bounds, 100.0 * compliance.asked.tolerance
     return (
@@ -246,7 +248,7 @@ def _point(problem: DesignProblem, known: Compliance, stiffness: float, seed: in
 
 
 def _without_limit(problem: DesignProblem) -> tuple[float | None, DesignProblem]:
-    """Return the limit of the peak and the problem without it, where the least peak tells whether it can be met.
+    """Return the limit of the peak and the problem without it, where the least peak shows whether it can be met.
 
     So the table has a peak also where it is too high. Where something else is minimised, the limit stays in.
     """

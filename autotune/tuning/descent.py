@@ -85,7 +85,7 @@ class _Standing:
 class _Around:
     """What a descent asks of points: each is evaluated once, its neighbours only where the way goes on.
 
-    `scale` is the largest peak [N] at the start; `spares` (k, j) tells which rows of slack may be missed at a price,
+    `scale` is the largest peak [N] at the start; `spares` (k, j) marks which rows of slack may be missed at a price,
     and by which of j soft requirements.
     """
 

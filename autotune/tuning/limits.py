@@ -34,7 +34,7 @@ _MOST_REST_SAMPLES = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class LimitsWish:
+class LimitsSettings:
     """What is said of the limits, and the noise that they leave room for: N, N·m and m RMS.
 
     `gravity_residual_n` is what the identified compensation left over in the poses of the log, N RMS.
@@ -47,13 +47,13 @@ class LimitsWish:
     gravity_residual_n: float = 0.0
 
 
-def limits_wish(identified: Identified, spec: ProblemSpec) -> LimitsWish:
+def limits_settings(identified: Identified, spec: ProblemSpec) -> LimitsSettings:
     """Return what a problem asks of the limits, with the identified noise, or that of a usual cell where none was."""
     sensor = identified.sensor
     force, left = sensor.force_noise_rms_n.value, sensor.gravity_residual_rms_n.value
     torque = None if sensor.torque_noise_rms_n_m is None else sensor.torque_noise_rms_n_m.value
     position = None if sensor.position_noise_rms_m is None else sensor.position_noise_rms_m.value
-    return LimitsWish(
+    return LimitsSettings(
         spec=spec.limits,
         force_noise_n=ASSUMED_NOISE_N if force is None else force,
         torque_noise_n_m=USUAL_TORQUE_NOISE_N_M if torque is None else max(torque),
@@ -62,12 +62,12 @@ def limits_wish(identified: Identified, spec: ProblemSpec) -> LimitsWish:
     )
 
 
-def with_limits(controller: Controller, wish: LimitsWish) -> Controller:
+def with_limits(controller: Controller, settings: LimitsSettings) -> Controller:
     """Return the controller with its limits, and with the worst peaks under the residual weight that they allow.
 
     Raises UsageError where the problem asks for a limit that the certified contacts reach or that is of no tuned axis.
     """
-    limits = _said(controller, _choose(controller, wish), wish.spec)
+    limits = _said(controller, _choose(controller, settings), settings.spec)
     limited = replace(controller, limits=limits)
     predicted = {name: _predicted(limited, name) for name in controller.axes}
     return replace(limited, predicted=predicted)
@@ -84,24 +84,24 @@ def _predicted(controller: Controller, name: str) -> AxisPrediction:
     return replace(prediction, with_residual_weight=worst)
 
 
-def _choose(controller: Controller, wish: LimitsWish) -> Limits:
+def _choose(controller: Controller, settings: LimitsSettings) -> Limits:
     """Return the limits that follow from the controller and its contacts, each with its reason."""
     reasons: dict[str, str] = {}
     h = controller.sample_time_s
-    axes = {name: _axis(controller, name, wish, reasons) for name in controller.axes}
+    axes = {name: _axis(controller, name, settings, reasons) for name in controller.axes}
     straight = [axes[name].speed for name in axes if name not in ROTATIONAL_AXES]
     turning = [axes[name].speed for name in axes if name in ROTATIONAL_AXES]
     force, torque = _ranges(controller, reasons)
     pose = max([_LEAST_POSE_SPEED_M_S, *(_POSE_ABOVE_COMMAND * each for each in straight)])
     turn = max([_LEAST_POSE_SPEED_RAD_S, *(_POSE_ABOVE_COMMAND * each for each in turning)])
-    noise = NOISE_DEVIATIONS * math.sqrt(2.0) * wish.position_noise_m / h
+    noise = NOISE_DEVIATIONS * math.sqrt(2.0) * settings.position_noise_m / h
     said = f"{_POSE_ABOVE_COMMAND:g} times the limit of the command, at least"
     reasons["pose_speed_m_s"] = f"{said} {_LEAST_POSE_SPEED_M_S:g} m/s, and the noise of the pose"
     reasons["pose_speed_rad_s"] = f"{said} {_LEAST_POSE_SPEED_RAD_S:g} rad/s, and the noise of the pose"
     reasons["stale_wrench_s"] = f"noise changes a wrench in every period; {_STALE_PERIODS} periods and 20 ms at least"
     reasons["stale_pose_s"] = f"a coarse pose follows a slow command late; {_STALE_PERIODS} periods and 0.1 s at least"
     reasons["rest_samples"] = f"{_REST_S:g} s, over which noise is averaged"
-    rest_force, rest_torque = _rest(controller, wish, reasons)
+    rest_force, rest_torque = _rest(controller, settings, reasons)
     return Limits(
         force_n=force,
         torque_n_m=torque,
@@ -117,11 +117,11 @@ def _choose(controller: Controller, wish: LimitsWish) -> Limits:
     )
 
 
-def _axis(controller: Controller, name: str, wish: LimitsWish, reasons: dict[str, str]) -> AxisLimits:
+def _axis(controller: Controller, name: str, settings: LimitsSettings, reasons: dict[str, str]) -> AxisLimits:
     """Return the limits of the command of one axis: room above what the certified contacts command, and noise."""
     units, turns = axis_units(name), name in ROTATIONAL_AXES
     speed, acceleration = largest_motion(controller, name)
-    noisy_speed, noisy_acceleration = _noise(controller, name, wish)
+    noisy_speed, noisy_acceleration = _noise(controller, name, settings)
     least = REDUCED_SPEED_M_S / LEVER_M if turns else REDUCED_SPEED_M_S
     said = f"{_ROOM:g} times what the certified contacts command"
     noise = f"{NOISE_DEVIATIONS:g} deviations of the noise"
@@ -161,7 +161,7 @@ def _motions(contacts: FirstContacts, controller: Controller, name: str) -> Iter
     yield step / h, step / h**2
 
 
-def _noise(controller: Controller, name: str, wish: LimitsWish) -> tuple[float, float]:
+def _noise(controller: Controller, name: str, settings: LimitsSettings) -> tuple[float, float]:
     """Return six deviations of the command's speed and acceleration under white noise of wrench and pose.
 
     Noise n at the input changes the command by its direct gain d: d √2 n/h of speed, d √6 n/h² of acceleration.
@@ -171,8 +171,8 @@ def _noise(controller: Controller, name: str, wish: LimitsWish) -> tuple[float, 
     force = float(blocks[0, 0] + blocks[1, 0])
     pose = float(blocks[4, 0] * blocks[2, 0]) + force * float(blocks[4, 1] * blocks[3, 0] * blocks[2, 0])
     noise = math.hypot(
-        force * (wish.torque_noise_n_m if turns else wish.force_noise_n),
-        pose * wish.position_noise_m / (LEVER_M if turns else 1.0),
+        force * (settings.torque_noise_n_m if turns else settings.force_noise_n),
+        pose * settings.position_noise_m / (LEVER_M if turns else 1.0),
     )
     return NOISE_DEVIATIONS * math.sqrt(2.0) * noise / h, NOISE_DEVIATIONS * math.sqrt(6.0) * noise / h**2
 
@@ -201,13 +201,13 @@ def _worst(controller: Controller, *, turning: bool) -> float:
     return max([0.0, *peaks])
 
 
-def _rest(controller: Controller, wish: LimitsWish, reasons: dict[str, str]) -> tuple[float, float]:
+def _rest(controller: Controller, settings: LimitsSettings, reasons: dict[str, str]) -> tuple[float, float]:
     """Return what the compensation may leave at the start: a share of the deadband, or what it left in the log."""
-    identified = _REST_DEVIATIONS * wish.gravity_residual_n
+    identified = _REST_DEVIATIONS * settings.gravity_residual_n
     force = _within_deadband(controller, max(_LEAST_REST_N, identified), turning=False)
     reasons["rest_force_n"] = (
-        f"{_REST_SHARE:g} of the deadband, or {_REST_DEVIATIONS:g} times the {wish.gravity_residual_n:.2g} N RMS that "
-        f"the compensation left in the log, at least {_LEAST_REST_N:g} N; it adds to F^d in with_residual_weight"
+        f"{_REST_SHARE:g} of the deadband, or {_REST_DEVIATIONS:g} times the {settings.gravity_residual_n:.2g} N RMS "
+        f"that the compensation left in the log, at least {_LEAST_REST_N:g} N; it adds to F^d in with_residual_weight"
     )
     if any(name in ROTATIONAL_AXES for name in controller.axes):
         reasons["rest_torque_n_m"] = f"{_REST_SHARE:g} of the deadband; it adds to the desired torque"

@@ -35,10 +35,10 @@ def judge_design(problem: DesignProblem, design: FloatArray, *, seed: int = 0) -
         ) from error
     missed = {name: value for name, value in exact.evaluation.requirements.items() if value > 1.0}
     if missed:
-        told = ", ".join(
+        names = ", ".join(
             f"{name} ({min(100.0 / value, 99.9):.3g} % of what is asked)" for name, value in missed.items()
         )
-        raise InfeasibleError(f"The design misses {told} over the whole set of plants.")
+        raise InfeasibleError(f"The design misses {names} over the whole set of plants.")
     return SearchResult(
         problem=problem,
         design=chosen,

@@ -1,4 +1,4 @@
-"""How a result stands: what it meets, how well it meets the conditions of an optimum, and what it could be missing."""
+"""Report what a design meets, how well it meets the conditions of an optimum, and its gap to a reference."""
 
 import math
 from dataclasses import dataclass
@@ -9,17 +9,17 @@ from .multistart import Reference, find_reference
 from .optimality import Optimality, check_optimality
 from .search import SearchResult
 
-# Below these a number tells of rounding only.
+# Below these a number is rounding only.
 _LEAST_RESIDUAL, _LEAST_SHARE, _LEAST_PRICE = 1e-6, 1e-5, 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Standing:
+class OptimalityReport:
     """What is recomputed of one axis's design as it is written.
 
-    `objective_n` is the worst peak with what missed wishes add (N, or N·m); `nearest` the hard requirement nearest to
-    its limit, None without any, and `ratio` its required/achieved over `scenario_count` scenarios; `active` what the
-    design rests on, with prices.
+    `objective_n` is the worst peak with the price of missed soft requirements (N, or N·m); `nearest` the hard
+    requirement nearest to its limit, None without any, and `ratio` its required/achieved over `scenario_count`
+    scenarios; `active` what the design rests on, with prices.
     """
 
     objective_n: float
@@ -41,12 +41,12 @@ class Standing:
         return self.reference.gap(self.objective_n)
 
 
-def find_standing(search: SearchResult) -> Standing:
+def report_optimality(search: SearchResult) -> OptimalityReport:
     """Recompute feasibility, the conditions of an optimum and the gap of a search's result."""
     optimality = check_optimality(search.active, search.design)
     ratios = search.evaluation.requirements
     nearest = max(ratios, key=lambda name: ratios[name]) if ratios else None
-    return Standing(
+    return OptimalityReport(
         objective_n=search.evaluation.objective_n,
         nearest=nearest,
         ratio=0.0 if nearest is None else ratios[nearest],
@@ -57,21 +57,21 @@ def find_standing(search: SearchResult) -> Standing:
     )
 
 
-def standing_tree(standing: Standing, *, rotational: bool) -> dict[str, Any]:
-    """Return the plain tree of a standing, for `controller.yaml`; forces in N, on a rotational axis in N·m.
+def optimality_tree(report: OptimalityReport, *, rotational: bool) -> dict[str, Any]:
+    """Return the plain tree of a report, for `controller.yaml`; forces in N, on a rotational axis in N·m.
 
-    Rounded upwards to what the numbers tell: a residual of 3e-12 and one of 5e-12 are both at most 1e-6.
+    Rounded upwards to the digits that mean something: a residual of 3e-12 and one of 5e-12 are both at most 1e-6.
     """
     unit = "n_m" if rotational else "n"
-    reference, elsewhere = standing.reference, standing.reference.elsewhere_n
+    reference, elsewhere = report.reference, report.reference.elsewhere_n
     return {
-        "feasible": standing.is_feasible,
-        "scenarios": standing.scenario_count,
-        "nearest_requirement": standing.nearest,
-        "required_per_achieved": _digits(standing.ratio, 6),
-        "kkt_residual": _upwards(standing.optimality.relative_residual, _LEAST_RESIDUAL),
-        "unused_slack": _upwards(standing.optimality.slack, _LEAST_SHARE),
-        "gap": _upwards(standing.gap, _LEAST_SHARE),
+        "feasible": report.is_feasible,
+        "scenarios": report.scenario_count,
+        "nearest_requirement": report.nearest,
+        "required_per_achieved": _digits(report.ratio, 6),
+        "kkt_residual": _upwards(report.optimality.relative_residual, _LEAST_RESIDUAL),
+        "unused_slack": _upwards(report.optimality.slack, _LEAST_SHARE),
+        "gap": _upwards(report.gap, _LEAST_SHARE),
         "gap_against": {
             f"least_{unit}": _digits(reference.least_n, 5),
             f"from_elsewhere_{unit}": _digits(elsewhere, 5) if math.isfinite(elsewhere) else None,
@@ -86,7 +86,7 @@ def standing_tree(standing: Standing, *, rotational: bool) -> dict[str, Any]:
                 f"price_{unit}_per_percent": _digits(each.price_n, 3) if each.price_n > _LEAST_PRICE else 0.0,
                 **({"soft": True} if each.soft else {}),
             }
-            for each in standing.active
+            for each in report.active
         ],
     }
 

@@ -29,20 +29,20 @@ from .compliance import (
     build_compliance_problems,
     choose_compliance,
     compliance_tree,
+    infeasible_message,
     settle_compliance,
-    tell_infeasible,
 )
-from .limits import LimitsWish, limits_wish, with_limits
-from .optimality_report import Standing, standing_tree
+from .limits import LimitsSettings, limits_settings, with_limits
+from .optimality_report import OptimalityReport, optimality_tree
 from .prior_conflicts import left_out_tree
-from .problems import Wishes, build_problems, certified_mass_kg, runtime_mass_kg
+from .problems import DesignOptions, build_problems, certified_mass_kg, runtime_mass_kg
 from .record import build_controller, runtime_payload
 from .relax import find_relaxations, tell_relaxations
 from .search import SearchResult, solve_design
 from .settling import Settled, prove_search, settle
-from .threshold import ThresholdWish, choose_threshold, threshold_wish
+from .threshold import ThresholdSettings, choose_threshold, threshold_settings
 
-# Of the time of a usual run, measured; of no other use than to tell how it goes on. The second is a share of what comes
+# Of the time of a usual run, measured, for the progress bar alone. The second is a share of what comes
 # after the search.
 _SEARCH_SHARE, _PROOF_SHARE = 0.4, 0.1
 _COMPLIANCE_SHARE = 0.6
@@ -53,15 +53,15 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Optimized:
-    """A controller that passed validation, the searches behind it, how each result stands, and the checks it passed.
+    """A controller that passed validation, the searches behind it, their optimality, and the checks it passed.
 
-    `compared` puts it beside an existing controller, axis by axis, if one was given; `compliance` tells which stiffness
-    was chosen for the axis, where the problem left it open.
+    `compared` puts it beside an existing controller, axis by axis, if one was given; `compliance` holds the stiffness
+    that was chosen for the axis, where the problem left it open.
     """
 
     controller: Controller
     searches: Mapping[str, SearchResult]
-    standings: Mapping[str, Standing]
+    optimality_reports: Mapping[str, OptimalityReport]
     report: ValidationReport
     compared: Mapping[str, SideBySide] = field(default_factory=dict)
     compliance: Mapping[str, Compliance] = field(default_factory=dict)
@@ -70,7 +70,7 @@ class Optimized:
 def optimize(
     identified: IdentifiedFile,
     spec: ProblemSpec,
-    wishes: Wishes,
+    options: DesignOptions,
     *,
     seed: int = 0,
     problem_path: Path | None = None,
@@ -82,22 +82,22 @@ def optimize(
 ) -> Optimized:
     """Tune every axis, on the compliance to build if that is open, and return a controller that validation has passed.
 
-    `proof` tells how closely the modulus is proved. `existing` is a controller to compare with; its gains join the
-    search where they lie inside the bounds. `step` is told which compliance is worked on, `progress` the share of the
-    work done since the last call.
+    `proof` says how closely the modulus is proved. `existing` is a controller to compare with; its gains join the
+    search where they lie inside the bounds. `step` is called with the compliance that is worked on, `progress` with the
+    share of the work done since the last call.
 
     Raises InfeasibleError when nothing meets the requirements (with `relax`, after searching for what would have to be
     eased: several times the work of a search), CertificateError when a claim cannot be proved or verified,
-    EstimateError for a missing parameter, UsageError for wishes or an existing controller that do not fit.
+    EstimateError for a missing parameter, UsageError for options or an existing controller that do not fit.
     """
     report = progress or no_progress
     asked = proof if proof is not None else ProofOptions()
     build = build_problems if spec.compliance is None else build_compliance_problems
-    problems = build(identified.result, spec, wishes)
+    problems = build(identified.result, spec, options)
     if existing is not None:
         check_comparable(existing, problems)
     # Asked before the search, because it may refuse.
-    payload = runtime_payload(identified.result, carried_mass_kg(identified.result, problems, spec, wishes))
+    payload = runtime_payload(identified.result, carried_mass_kg(identified.result, problems, spec, options))
     chosen = _choose(problems, spec.compliance, seed, step or no_progress, ProgressSlice(report, _COMPLIANCE_SHARE))
     if chosen:
         report = ProgressSlice(report, 1.0 - _COMPLIANCE_SHARE)
@@ -106,19 +106,19 @@ def optimize(
     chosen = {name: settle_compliance(problems[name], each, searches[name], seed) for name, each in chosen.items()}
     settled = _settle_all(searches, asked, seed, report)
     searches = {name: each.search for name, each in settled.items()}
-    standings = {name: each.standing for name, each in settled.items()}
-    provenance = make_provenance(identified, wishes, seed, problem_path, existing, asked)
-    provenance |= _optimality_tree(standings) | _surfaces_tree(problems, identified.result, chosen)
+    optimality_reports = {name: each.optimality for name, each in settled.items()}
+    provenance = make_provenance(identified, options, seed, problem_path, existing, asked)
+    provenance |= _optimality_tree(optimality_reports) | _surfaces_tree(problems, identified.result, chosen)
     controller, checked = certify(
         searches, payload, provenance, asked, lambda done: report((1.0 - _SEARCH_SHARE) * done),
-        threshold=threshold_wish(identified.result, spec),
-        limits=limits_wish(identified.result, spec),
+        threshold=threshold_settings(identified.result, spec),
+        limits=limits_settings(identified.result, spec),
         proved={name: each.proved for name, each in settled.items()},
     )  # fmt: skip
     return Optimized(
         controller=controller,
         searches=searches,
-        standings=standings,
+        optimality_reports=optimality_reports,
         report=checked,
         compared={} if existing is None else compare(existing.controller, searches),
         compliance=chosen,
@@ -136,9 +136,11 @@ def _settle_all(
     return settled
 
 
-def _optimality_tree(standings: Mapping[str, Standing]) -> dict[str, Any]:
+def _optimality_tree(optimality_reports: Mapping[str, OptimalityReport]) -> dict[str, Any]:
     """Return how the designs stand, axis by axis."""
-    trees = {name: standing_tree(each, rotational=name in ROTATIONAL_AXES) for name, each in standings.items()}
+    trees = {
+        name: optimality_tree(each, rotational=name in ROTATIONAL_AXES) for name, each in optimality_reports.items()
+    }
     return {"optimality": trees}
 
 
@@ -152,10 +154,10 @@ def _surfaces_tree(
 
 
 def carried_mass_kg(
-    identified: Identified, problems: Mapping[str, DesignProblem], spec: ProblemSpec, wishes: Wishes
+    identified: Identified, problems: Mapping[str, DesignProblem], spec: ProblemSpec, options: DesignOptions
 ) -> float:
     """Return the mass that the runtime compensates; raises UsageError where ranges leave the identified one out."""
-    return runtime_mass_kg(identified, certified_mass_kg(problems) or wishes.payload_mass_kg or spec.payload_mass_kg)
+    return runtime_mass_kg(identified, certified_mass_kg(problems) or options.payload_mass_kg or spec.payload_mass_kg)
 
 
 def certify(
@@ -164,14 +166,14 @@ def certify(
     provenance: Mapping[str, Any],
     proof: ProofOptions,
     progress: Callable[[float], None],
-    threshold: ThresholdWish | None = None,
+    threshold: ThresholdSettings | None = None,
     proved: Mapping[str, AxisProof] | None = None,
-    limits: LimitsWish | None = None,
+    limits: LimitsSettings | None = None,
 ) -> tuple[Controller, ValidationReport]:
     """Prove what can be proved of the designs, write them down, and return the controller once validation passed it.
 
     `threshold` asks for a collision response, chosen for these designs, `limits` says what is known of the cell for
-    those of the runtime. `progress` is told the share of the work done since the last call; `proved` is what has been
+    those of the runtime. `progress` gets the share of the work done since the last call; `proved` is what has been
     proved already. Raises CertificateError when a claim cannot be proved or verified, RefutedError among them
     (`settling.prove_search`), and what `choose_threshold` raises.
     """
@@ -183,7 +185,7 @@ def certify(
     controller = build_controller(searches, payload, proofs, reaches, provenance)
     if threshold is not None:
         controller, _ = choose_threshold(controller, searches, threshold)
-    controller = with_limits(controller, limits or LimitsWish())
+    controller = with_limits(controller, limits or LimitsSettings())
     answers = tuple(answer for each in found.values() for answer in each.answers)
     checked = validate_controller(controller, lambda done: progress((1.0 - _PROOF_SHARE) * done), proved=answers)
     checked.require()
@@ -221,7 +223,7 @@ def _choose(
     step: Callable[[str], None],
     portion: ProgressSlice,
 ) -> dict[str, Compliance]:
-    """Choose the compliance of the axis, none unless it is asked, and tell each stiffness as it is worked on."""
+    """Choose the compliance of the axis, none unless it is asked; `step` gets each stiffness as it is worked on."""
     found = {
         name: choose_compliance(
             problem, asked, seed=seed, step=lambda stiffness: step(f"K_e {stiffness:g} N/m"), progress=portion
@@ -248,13 +250,13 @@ def _search_all(
     for name, problem in problems.items():
         portion = ProgressSlice(report, _SEARCH_SHARE / len(problems))
         start = _start(name, problem, existing, chosen.get(name))
-        with _told_where(name, chosen.get(name)):
+        with _named_compliance(name, chosen.get(name)):
             searches[name] = _search(name, problem, seed, start, relax, report, portion)
     return searches
 
 
 @contextmanager
-def _told_where(name: str, compliance: Compliance | None) -> Iterator[None]:
+def _named_compliance(name: str, compliance: Compliance | None) -> Iterator[None]:
     """Say of a search without a result on which of the compliances it was."""
     try:
         yield
@@ -262,7 +264,7 @@ def _told_where(name: str, compliance: Compliance | None) -> Iterator[None]:
         if compliance is None:
             raise
         bare = str(error).removeprefix(f"Axis {name}: ")
-        raise InfeasibleError(f"{tell_infeasible(name, compliance)} {bare}", error.relaxations) from error
+        raise InfeasibleError(f"{infeasible_message(name, compliance)} {bare}", error.relaxations) from error
 
 
 def _start(
@@ -308,21 +310,21 @@ def _without_uncertainty(problem: DesignProblem, seed: int) -> str:
         return ""
     return (
         f" With everything but K_e and M_p at its nominal value there is one, of {found.evaluation.objective_n:.4g} N: "
-        f"what stands in the way is how little is known of {', '.join(problem.uncertain)}. Record more, or say in "
+        f"the obstacle is how little is known of {', '.join(problem.uncertain)}. Record more, or say in "
         "problem.yaml what is sure."
     )
 
 
 def make_provenance(
     identified: IdentifiedFile,
-    wishes: Wishes,
+    options: DesignOptions,
     seed: int,
     problem_path: Path | None,
     existing: ControllerFile | None,
     proof: ProofOptions,
 ) -> dict[str, Any]:
     """Return where a controller comes from: the tool, the identified file, and what was asked."""
-    mass, stiffness = wishes.payload_mass_kg, wishes.environment_stiffness_n_per_m
+    mass, stiffness = options.payload_mass_kg, options.environment_stiffness_n_per_m
     return {
         "tool": f"autotune {__version__}",
         "identified": {"path": str(identified.path), "sha256": identified.sha256},

@@ -58,11 +58,12 @@ def _check(asked: Interval | None, known: Sequence[float], option: str, kind: st
     likely = shifted[factor] <= _NEAR
     if not likely and off <= _FAR_OFF[kind]:
         return
-    meant = f"; did you mean {_told((factor * asked[0], factor * asked[1]), kind)}?" if likely else "."
-    said = f" If it is meant, say its unit: {option} {_told(asked, kind)}{unit}." if option.startswith("--") else ""
-    raise UsageError(
-        f"{option} asks for {_told(asked, kind)} {unit}, and identified {_identified(known, kind, unit)}{meant}{said}"
+    meant = f"; did you mean {_range_text((factor * asked[0], factor * asked[1]), kind)}?" if likely else "."
+    said = (
+        f" If it is meant, say its unit: {option} {_range_text(asked, kind)}{unit}." if option.startswith("--") else ""
     )
+    wanted = f"{option} asks for {_range_text(asked, kind)} {unit}"
+    raise UsageError(f"{wanted}, and identified {_identified(known, kind, unit)}{meant}{said}")
 
 
 def _distance(asked: Interval, known: Sequence[float]) -> float:
@@ -70,7 +71,7 @@ def _distance(asked: Interval, known: Sequence[float]) -> float:
     return min(math.exp(max(math.log(asked[0] / each), math.log(each / asked[1]), 0.0)) for each in known)
 
 
-def _told(asked: Interval, kind: str) -> str:
+def _range_text(asked: Interval, kind: str) -> str:
     (low, high), between = map(_digits, asked), ":" if kind == "stiffness" else ","
     return low if low == high else f"{low}{between}{high}"
 

@@ -1,4 +1,4 @@
-"""What was said of the plant and does not fit what was identified; it is obeyed, and it is told."""
+"""Name the ranges of problem.yaml that contradict the identified plant; they are obeyed all the same."""
 
 from collections.abc import Iterator, Mapping
 
@@ -22,9 +22,9 @@ def doubtful_ranges(problem: DesignProblem, axis: AxisEstimate, name: str) -> It
         low, high = problem.uncertain[key]
         off = max(low - estimate.value, estimate.value - high) / estimate.std
         if off > _MOST_STDS:
-            told = f"{low:g}" if low == high else f"{low:g} to {high:g}"
+            given = f"{low:g}" if low == high else f"{low:g} to {high:g}"
             yield (
-                f"axis {name}: {key} in problem.yaml, {told}, lies {off:.0f} deviations off what was identified, "
+                f"axis {name}: {key} in problem.yaml, {given}, lies {off:.0f} deviations off what was identified, "
                 f"{estimate.value:.4g} ± {estimate.std:.2g}; the controller is certified for what problem.yaml says."
             )
 
@@ -45,7 +45,7 @@ def left_out_contacts(problem: DesignProblem, identified: Identified, name: str)
     for finding in unexplained_contacts(identified, name):
         yield (
             f"{finding.message} Whether {low:g} to {high:g} {units.stiffness}, the range that was said, holds it "
-            "nobody can tell from the log."
+            "is not known from the log."
         )
 
 

@@ -1,4 +1,4 @@
-"""From identified parameters and wishes to one design problem per axis."""
+"""Build one design problem per axis from identified parameters, problem.yaml and options."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -40,7 +40,7 @@ _DEFAULT_APPROACH_N = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wishes:
+class DesignOptions:
     """What the command line adds to `problem.yaml`, for translational axes; None where nothing was said.
 
     `with_unit` names the fields whose unit was typed: those are not taken for a mistake (`plausible`).
@@ -51,7 +51,7 @@ class Wishes:
     with_unit: frozenset[str] = frozenset()
 
 
-def build_problems(identified: Identified, spec: ProblemSpec, wishes: Wishes) -> dict[str, DesignProblem]:
+def build_problems(identified: Identified, spec: ProblemSpec, options: DesignOptions) -> dict[str, DesignProblem]:
     """Return a design problem for every axis that the log identified (or for those that `spec` names).
 
     The command line wins over `problem.yaml`, and that over the identified value with its uncertainty. The problem of
@@ -70,21 +70,21 @@ def build_problems(identified: Identified, spec: ProblemSpec, wishes: Wishes) ->
     unknown = [name for name in names if name not in identified.axes]
     if unknown:
         raise UsageError(f"Axis {unknown[0]} is not in the identified file; it holds {', '.join(identified.axes)}.")
-    _check_use(names, spec, wishes)
+    _check_use(names, spec, options)
     _check_free(names, spec)
     approach = spec.approach or Approach(force_n=_DEFAULT_APPROACH_N)
     straight = replace(
         spec,
         approach=approach,
-        environment_stiffness_n_per_m=wishes.environment_stiffness_n_per_m or spec.environment_stiffness_n_per_m,
-        payload_mass_kg=wishes.payload_mass_kg or spec.payload_mass_kg,
+        environment_stiffness_n_per_m=options.environment_stiffness_n_per_m or spec.environment_stiffness_n_per_m,
+        payload_mass_kg=options.payload_mass_kg or spec.payload_mass_kg,
     )
     turned = through_lever(spec, approach)
     # Forces and torques are of one sensor: what is said of its filter once is said of both.
     shared = {key: value for key, value in spec.uncertain.items() if key in {LAG, LATE}}
     turned = replace(turned, uncertain={**shared, **turned.uncertain})
     check_wrench(identified, spec.uncertain)
-    check_plausible(identified, names, straight, turned, wishes.with_unit)
+    check_plausible(identified, names, straight, turned, options.with_unit)
     problems = {}
     for name in names:
         if name in ROTATIONAL_AXES:
@@ -96,12 +96,12 @@ def build_problems(identified: Identified, spec: ProblemSpec, wishes: Wishes) ->
     return problems
 
 
-def _check_use(names: list[str], spec: ProblemSpec, wishes: Wishes) -> None:
+def _check_use(names: list[str], spec: ProblemSpec, options: DesignOptions) -> None:
     """Refuse ranges that no axis takes, unless axes were named: their author believes that they are certified."""
     turning, unnamed = ROTATIONAL_AXES.intersection(names), spec.axes is None
     if unnamed and not turning and spec.rotational != RotationalSpec():
         raise UsageError(f"problem.yaml has an entry rotational, and no rotational axis is tuned: {', '.join(names)}.")
-    stiffness = wishes.environment_stiffness_n_per_m or (spec.environment_stiffness_n_per_m if unnamed else None)
+    stiffness = options.environment_stiffness_n_per_m or (spec.environment_stiffness_n_per_m if unnamed else None)
     if len(turning) == len(names) and stiffness is not None:
         raise UsageError(
             f"A surface's stiffness in N/m says nothing of rotation, and only {', '.join(names)} is tuned; say "
@@ -128,7 +128,7 @@ def _with_noise(asked: Requirements, identified: Identified, name: str) -> Requi
     if name in ROTATIONAL_AXES:
         key, said = "torque_noise_rms_n_m", "rotational.requirements.command_noise"
         noises = None if sensor.torque_noise_rms_n_m is None else sensor.torque_noise_rms_n_m.value
-        # The sensor's axes need not be those of the control frame: the noisiest stands for all.
+        # The sensor's axes need not be those of the control frame: the noisiest is taken for all.
         noise = None if noises is None else max(noises)
     else:
         key, said, noise = "force_noise_rms_n", "requirements.command_noise", sensor.force_noise_rms_n.value
@@ -145,9 +145,9 @@ def _check_same_payload(identified: Identified, name: str, asked: Interval | Non
         return
     low, high = _range(identified.payload.mass_kg, "payload.mass_kg", _LEAST_MASS_SHARE)
     if not low <= asked[0] <= asked[1] <= high:
-        told = f"{asked[0]:g} kg" if asked[0] == asked[1] else f"{asked[0]:g} to {asked[1]:g} kg"
+        payload = f"{asked[0]:g} kg" if asked[0] == asked[1] else f"{asked[0]:g} to {asked[1]:g} kg"
         raise UsageError(
-            f"A payload of {told} is not the identified one ({low:g} to {high:g} kg), and its "
+            f"A payload of {payload} is not the identified one ({low:g} to {high:g} kg), and its "
             f"moment of inertia about {name} does not follow from its mass. Say rotational.payload_inertia_kg_m2 in "
             "problem.yaml, or name the translational axes there with axis."
         )
@@ -226,7 +226,7 @@ def _robot(axis: AxisEstimate, name: str) -> RobotModel:
 
 
 def _place(name: str, within: str, key: str) -> str:
-    """Return where an entry stands in `identified.yaml`, a rotational one under the name that it has there."""
+    """Return the place of an entry in `identified.yaml`, a rotational one under the name that it has there."""
     return f"axes.{name}.{within}{ROTATIONAL_KEYS[key] if name in ROTATIONAL_AXES else key}"
 
 
@@ -235,7 +235,7 @@ def _mass_range(identified: Identified, name: str) -> Interval:
         return _weighed_range(identified, name)
     inertia, where = identified.axes[name].mass_kg, _place(name, "", "mass_kg")
     if inertia is None:
-        raise EstimateError(_absent(where, "no motion tells it"))
+        raise EstimateError(_absent(where, "no motion shows it"))
     return _range(inertia, where, _LEAST_MASS_SHARE)
 
 
@@ -258,7 +258,7 @@ def unexplained_contacts(identified: Identified, name: str) -> tuple[Finding, ..
 
 
 def _stiffness_range(identified: Identified, name: str) -> Interval:
-    """Return the range of K_e that holds every surface; raises EstimateError where one was touched that is not told."""
+    """Return the range of K_e that holds every surface; raises EstimateError where a touched one is not identified."""
     axis = identified.axes[name]
     say = (
         "say rotational.environment_stiffness_n_m_per_rad in problem.yaml"
@@ -267,8 +267,8 @@ def _stiffness_range(identified: Identified, name: str) -> Interval:
     )
     unexplained = unexplained_contacts(identified, name)
     if unexplained:
-        told = " ".join(finding.message for finding in unexplained)
-        raise EstimateError(f"{told} A default range would leave it out; record that contact again, or {say}.")
+        messages = " ".join(finding.message for finding in unexplained)
+        raise EstimateError(f"{messages} A default range would leave it out; record that contact again, or {say}.")
     if not axis.environments:
         raise EstimateError(
             f"Axis {name} has no identified environment; record contacts, or {say}. To tune other axes alone, name "
@@ -306,7 +306,7 @@ def _value(estimate: Estimate, where: str) -> float:
 
 
 def _damping(estimate: Estimate, where: str) -> float:
-    """Return a damping, or the middle of its interval where that is all that the log tells."""
+    """Return a damping, or the middle of its interval where that is all that the log shows."""
     if estimate.value is None and estimate.ci95 is not None:
         return 0.5 * (estimate.ci95[0] + estimate.ci95[1])
     return max(_value(estimate, where), 0.0)
@@ -319,5 +319,5 @@ def _vector(estimate: VectorEstimate, where: str) -> np.ndarray[tuple[int], np.d
 
 
 def _absent(where: str, note: str) -> str:
-    told = f" ({note})" if note else ""
-    return f"{where} is not identified{told}, and no controller is tuned on a guess; record what is missing."
+    because = f" ({note})" if note else ""
+    return f"{where} is not identified{because}, and no controller is tuned on a guess; record what is missing."

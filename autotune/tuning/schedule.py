@@ -24,7 +24,7 @@ from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
 
 from .optimize import optimize
-from .problems import Interval, Wishes, build_problems, certified_mass_kg, runtime_mass_kg
+from .problems import DesignOptions, Interval, build_problems, certified_mass_kg, runtime_mass_kg
 from .threshold import without_response
 from .worst import WholeSet
 
@@ -43,17 +43,17 @@ class ScheduleClass:
 
     @property
     def name(self) -> str:
-        """The class as a short name that tells its ranges to the last digit, such as `m16.2_k2e4-1e5`."""
+        """The class as a short name that holds its ranges to the last digit, such as `m16.2_k2e4-1e5`."""
         parts = []
         if self.payload_mass_kg is not None:
-            parts.append("m" + _told(self.payload_mass_kg, _decimal))
+            parts.append("m" + _range_text(self.payload_mass_kg, _decimal))
         if self.environment_stiffness_n_per_m is not None:
-            parts.append("k" + _told(self.environment_stiffness_n_per_m, _scientific))
+            parts.append("k" + _range_text(self.environment_stiffness_n_per_m, _scientific))
         return "_".join(parts)
 
-    def wishes(self, others: Wishes) -> Wishes:
-        """Return what an ordinary call would be told: the ranges of the class, and `others` where it has none."""
-        return Wishes(
+    def options(self, others: DesignOptions) -> DesignOptions:
+        """Return the options of an ordinary call: the ranges of the class, and `others` where it has none."""
+        return DesignOptions(
             payload_mass_kg=self.payload_mass_kg or others.payload_mass_kg,
             environment_stiffness_n_per_m=self.environment_stiffness_n_per_m or others.environment_stiffness_n_per_m,
             with_unit=others.with_unit,
@@ -94,7 +94,7 @@ class _Task:
 
     identified: IdentifiedFile
     spec: ProblemSpec
-    wishes: Wishes
+    options: DesignOptions
     seed: int
     problem_path: Path | None
 
@@ -129,7 +129,7 @@ def hull(classes: Iterable[ScheduleClass]) -> ScheduleClass:
 def tune_schedule(
     identified: IdentifiedFile,
     spec: ProblemSpec,
-    others: Wishes,
+    others: DesignOptions,
     classes: Sequence[ScheduleClass],
     *,
     seed: int = 0,
@@ -140,8 +140,8 @@ def tune_schedule(
     """Tune a controller for every class and one for the hull of all, `processes` at a time; the result is the same.
 
     Each controller is what an ordinary `optimize` finds for those ranges (`others` where a class has none). Where the
-    common controller turns out to be gentler than a class's own, the class is searched again from it. `progress` is
-    told the share of the work done since the last call.
+    common controller turns out to be gentler than a class's own, the class is searched again from it. `progress` gets
+    the share of the work done since the last call.
 
     Raises UsageError for a class whose weight nobody could compensate and for a free compliance, InfeasibleError that
     names all classes without a controller, and what `optimize` raises with the name of the class. That the hull has
@@ -156,7 +156,7 @@ def tune_schedule(
     whole = hull(classes)
 
     def task(of: ScheduleClass) -> _Task:
-        return _Task(identified=identified, spec=spec, wishes=of.wishes(others), seed=seed, problem_path=problem_path)
+        return _Task(identified=identified, spec=spec, options=of.options(others), seed=seed, problem_path=problem_path)
 
     for each in classes:
         _named(each.name, partial(_check, task(each)))
@@ -182,8 +182,8 @@ def tune_schedule(
 
 def _check(task: _Task) -> None:
     """Refuse now what the search would refuse later: a mass that nobody can compensate, a parameter that is missing."""
-    problems = build_problems(task.identified.result, task.spec, task.wishes)
-    asked = task.wishes.payload_mass_kg or task.spec.payload_mass_kg
+    problems = build_problems(task.identified.result, task.spec, task.options)
+    asked = task.options.payload_mass_kg or task.spec.payload_mass_kg
     runtime_mass_kg(task.identified.result, certified_mass_kg(problems) or asked)
 
 
@@ -191,7 +191,7 @@ def _tune(task: _Task) -> Controller | AutotuneError:
     """Return the controller of one task, or what was refused, so that the other classes are looked at as well."""
     try:
         return optimize(
-            task.identified, task.spec, task.wishes, seed=task.seed, problem_path=task.problem_path, relax=False
+            task.identified, task.spec, task.options, seed=task.seed, problem_path=task.problem_path, relax=False
         ).controller
     except AutotuneError as error:
         return _bare(error)
@@ -209,7 +209,7 @@ def _beside(pair: tuple[_Task, Tuned], *, common: str) -> Tuned | AutotuneError:
             again = optimize(
                 task.identified,
                 task.spec,
-                task.wishes,
+                task.options,
                 seed=task.seed,
                 problem_path=task.problem_path,
                 existing=existing,
@@ -226,7 +226,7 @@ def _beside(pair: tuple[_Task, Tuned], *, common: str) -> Tuned | AutotuneError:
 def _judge(task: _Task, controller: Controller) -> tuple[dict[str, float], float]:
     """Return the worst peaks of a controller over a class, axis by axis, and by what share it misses what is asked."""
     peaks, missed = {}, 0.0
-    for axis, problem in build_problems(task.identified.result, task.spec, task.wishes).items():
+    for axis, problem in build_problems(task.identified.result, task.spec, task.options).items():
         try:
             exact = WholeSet(problem, task.seed).evaluate(admittance_controller(controller, axis)).evaluation
         except UnstableLoopError as error:
@@ -252,10 +252,10 @@ def _required(found: Mapping[str, _Value | AutotuneError]) -> list[_Value]:
     refused = {name: each for name, each in found.items() if isinstance(each, AutotuneError)}
     infeasible = {name: each for name, each in refused.items() if isinstance(each, InfeasibleError)}
     if infeasible:
-        told = "; ".join(f"{name}: {str(each).rstrip('.')}" for name, each in infeasible.items())
+        reasons = "; ".join(f"{name}: {str(each).rstrip('.')}" for name, each in infeasible.items())
         raise InfeasibleError(
-            f"{len(infeasible)} of {len(found)} classes have no controller. {told}. "
-            "Tuned by itself, such a class tells what would have to be eased."
+            f"{len(infeasible)} of {len(found)} classes have no controller. {reasons}. "
+            "Tuned by itself, such a class says what would have to be relaxed."
         )
     for name, error in refused.items():
         raise _prefixed(name, error) from error
@@ -286,7 +286,7 @@ def _span(intervals: Iterable[Interval | None]) -> Interval | None:
     return (min(low for low, _ in known), max(high for _, high in known)) if known else None
 
 
-def _told(interval: Interval, digits: Callable[[float], str]) -> str:
+def _range_text(interval: Interval, digits: Callable[[float], str]) -> str:
     low, high = interval
     return digits(low) if low == high else f"{digits(low)}-{digits(high)}"
 

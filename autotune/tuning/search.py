@@ -16,8 +16,8 @@ from problems.model.controller import SMALLEST_FEEDBACK_DAMPING_S
 from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
 
-from .beyond import NOTHING, Beyond, ImpactTest
 from .bounds import Box, bounds_of, linear_variables, spread_out
+from .counterexamples import NOTHING, Counterexamples, ImpactTest
 from .descent import BACKOFF, descend
 from .polish import polish_exactly
 from .scenario_exchange import moved_scenario, scenarios_of, softly_missed_scenarios, worst_scenarios
@@ -45,7 +45,7 @@ _FAR_OFF = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class SearchStep:
-    """Where the search stood after so many `evaluations`: `best_n` over the `scenarios` that it then worked with.
+    """State of the search after so many `evaluations`: `best_n` over the `scenarios` that it then worked with.
 
     `whole_n` is that design's value over the whole set, at the end of a round; None within the global stage.
     """
@@ -58,11 +58,11 @@ class SearchStep:
 
 @dataclass(frozen=True, kw_only=True)
 class SearchResult:
-    """The chosen design, the values of `problem.variables`, and how it stands.
+    """The chosen design, the values of `problem.variables`, and its evaluation.
 
     `evaluation` is exact (refined margins) over the dense grid of `scenario_count` scenarios; `active` the scenarios
     that the search worked with; `margins` plant by plant; `rounds` how often the worst of the rest was added;
-    `evaluations` of designs. `steps` tells how the search came there, from its first feasible design on.
+    `evaluations` of designs. `steps` is its progress, from its first feasible design on.
     """
 
     problem: DesignProblem
@@ -82,7 +82,7 @@ def solve_design(
     seed: int = 0,
     start: FloatArray | None = None,
     neighbour: SearchResult | None = None,
-    beyond: Beyond = NOTHING,
+    counterexamples: Counterexamples = NOTHING,
     progress: Callable[[float], None] | None = None,
 ) -> SearchResult:
     """Find the design of least worst peak force that is stable and meets every requirement in every scenario.
@@ -91,15 +91,15 @@ def solve_design(
     or infeasible is returned: the result is evaluated again, exactly, over a dense grid of the whole uncertainty.
     `neighbour` is the result for another range of K_e: the search begins at its design and with what was worst there,
     and looks around less, so that it may take a valley's end for the best that a search from nowhere would leave.
-    `beyond` adds plants to the scenarios, and impacts that must come to rest (on a part of their settling time: who
-    writes the design down looks again).
+    `counterexamples` adds plants to the scenarios, and impacts that must come to rest (on a part of their settling
+    time: who writes the design down looks again).
     Raises InfeasibleError with the closest miss when there is none. `progress` is called with the share of the work
     done since the last call.
     """
     report = progress or no_progress
-    search, active = _begun(problem, seed, start, neighbour, beyond)
-    whole = WholeSet(problem, seed, beyond.scenarios)
-    # What was given stands ready if nothing better is found: margins held in reserve could cost a hair otherwise.
+    search, active = _begun(problem, seed, start, neighbour, counterexamples)
+    whole = WholeSet(problem, seed, counterexamples.scenarios)
+    # The given design is kept if nothing better is found: margins held in reserve could cost a hair otherwise.
     given = None if start is None else (start, *_evaluated_exactly(whole, start))
     unit = search.explore(active, lambda share: report(0.6 * share))
     for round_index in range(_ROUNDS):
@@ -149,18 +149,22 @@ def _unsettled(last: Evaluation) -> InfeasibleError:
     """Say what the last design misses of a search that did not come to an end."""
     return InfeasibleError(
         f"No design was found that holds over the whole uncertainty within {_ROUNDS} rounds of adding the worst case; "
-        f"the last one misses {_told(last)}. Ask for less, or narrow the ranges.",
+        f"the last one misses {_misses(last)}. Ask for less, or narrow the ranges.",
         missed=last.violation,
     )
 
 
 def _begun(
-    problem: DesignProblem, seed: int, start: FloatArray | None, neighbour: SearchResult | None, beyond: Beyond
+    problem: DesignProblem,
+    seed: int,
+    start: FloatArray | None,
+    neighbour: SearchResult | None,
+    counterexamples: Counterexamples,
 ) -> "tuple[Search, tuple[Scenario, ...]]":
     """Return the search and the scenarios that it begins with."""
     if neighbour is None:
-        active = tuple(dict.fromkeys((*problem.scenarios(3, 2), *beyond.scenarios)))
-        return Search(problem, seed, start, impacts=ImpactTest(problem, beyond)), active
+        active = tuple(dict.fromkeys((*problem.scenarios(3, 2), *counterexamples.scenarios)))
+        return Search(problem, seed, start, impacts=ImpactTest(problem, counterexamples)), active
     begin = neighbour.design if start is None else start
     worst = (moved_scenario(each, neighbour.problem, problem) for each in neighbour.active.scenarios)
     active = tuple(dict.fromkeys((*problem.scenarios(3, 2), *worst)))
@@ -350,7 +354,7 @@ class Search:
     def _recover(self, screen: BatchEvaluator, closest: list[FloatArray]) -> FloatArray:
         """Walk from points that miss something into the feasible set, or say why there is no way.
 
-        A population may end beside the set, or in a valley that has none of it: neither tells that there is none. Where
+        A population may end beside the set, or in a valley that has none of it: neither shows that there is none. Where
         little is missed, another one is asked before anything is refused.
         """
         ends = [self.local(screen, start) for start in closest]
@@ -420,14 +424,14 @@ class Search:
         said = "No controller within the bounds meets all requirements in every scenario"
         # The screen passes over what a design misses further on, so this one need not be the closest.
         return InfeasibleError(
-            f"{said}; the search ended at one that misses {_told(evaluation)}. Relax that requirement, narrow the "
+            f"{said}; the search ended at one that misses {_misses(evaluation)}. Relax that requirement, narrow the "
             "ranges of stiffness and payload, or widen the bounds.",
             bare=said,
             missed=evaluation.violation,
         )
 
 
-def _told(evaluation: Evaluation) -> str:
+def _misses(evaluation: Evaluation) -> str:
     missed = [(name, value) for name, value in evaluation.requirements.items() if value > 1.0]
     return (
         ", ".join(f"{name} (only {min(100.0 / value, 99.9):.3g} % of what is asked)" for name, value in missed)

@@ -1,4 +1,4 @@
-"""Hold a search's result against proof and bouncing before it is written, and search again with what refutes it."""
+"""Prove a search's result and look for bouncing before it is written, and search again with what refutes it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,8 +9,8 @@ from autotune.validation.axis_proof import AxisProof, ProofOptions, prove_axis
 from autotune.validation.bouncing import search_bouncing
 from autotune.validation.refuted import RefutedError
 
-from .beyond import NOTHING, Beyond, ImpactTest
-from .optimality_report import Standing, find_standing
+from .counterexamples import NOTHING, Counterexamples, ImpactTest
+from .optimality_report import OptimalityReport, report_optimality
 from .record import build_domain
 from .search import SearchResult, solve_design
 
@@ -22,12 +22,12 @@ _BETTER = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Settled:
-    """A search's result that nothing refutes, what is proved of it, how it stands, and what was taken in on the way."""
+    """A search's result that nothing refutes, what is proved of it, its optimality, and the counterexamples met."""
 
     search: SearchResult
     proved: AxisProof
-    standing: Standing
-    beyond: Beyond
+    optimality: OptimalityReport
+    counterexamples: Counterexamples
 
 
 def settle(name: str, found: SearchResult, asked: ProofOptions, *, seed: int) -> Settled:
@@ -37,38 +37,38 @@ def settle(name: str, found: SearchResult, asked: ProofOptions, *, seed: int) ->
     CertificateError where that does not help within a few rounds, InfeasibleError where no controller is left.
     """
     first = _unrefuted(name, found, asked, NOTHING, seed)
-    search, start = first.search, first.standing.reference.design
-    if not first.standing.gap > _LARGEST_GAP or not ImpactTest(search.problem, first.beyond).passes(start):
+    search, start = first.search, first.optimality.reference.design
+    if not first.optimality.gap > _LARGEST_GAP or not ImpactTest(search.problem, first.counterexamples).passes(start):
         return first
     try:
-        other = solve_design(search.problem, seed=seed, start=start, beyond=first.beyond)
+        other = solve_design(search.problem, seed=seed, start=start, counterexamples=first.counterexamples)
         if other.evaluation.objective_n > (1.0 - _BETTER) * search.evaluation.objective_n:
             return first
-        second = _unrefuted(name, other, asked, first.beyond, seed)
+        second = _unrefuted(name, other, asked, first.counterexamples, seed)
     except (InfeasibleError, CertificateError):
-        # What was found before stands.
+        # The first result is kept.
         return first
     lower = second.search.evaluation.objective_n < search.evaluation.objective_n
     return second if lower else first
 
 
-def _unrefuted(name: str, search: SearchResult, asked: ProofOptions, beyond: Beyond, seed: int) -> Settled:
+def _unrefuted(name: str, search: SearchResult, asked: ProofOptions, counterexamples: Counterexamples, seed: int) -> Settled:
     """Return a result that nothing refutes, and what was taken in."""
     for round_index in range(_ROUNDS + 1):
         try:
             proved = prove_search(name, search, asked)
         except RefutedError as error:
-            joined = beyond.joined(error)
-            if joined == beyond or round_index == _ROUNDS:
+            joined = counterexamples.joined(error)
+            if joined == counterexamples or round_index == _ROUNDS:
                 raise
-            refuted, beyond = error, joined
+            refuted, counterexamples = error, joined
         else:
             break
         try:
-            search = solve_design(search.problem, seed=seed, start=search.design, beyond=beyond)
+            search = solve_design(search.problem, seed=seed, start=search.design, counterexamples=counterexamples)
         except InfeasibleError as error:
             raise InfeasibleError(f"{refuted} Searched again with that: {error}", missed=error.missed) from error
-    return Settled(search=search, proved=proved, standing=find_standing(search), beyond=beyond)
+    return Settled(search=search, proved=proved, optimality=report_optimality(search), counterexamples=counterexamples)
 
 
 def prove_search(

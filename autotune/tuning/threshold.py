@@ -43,7 +43,7 @@ _SPLIT_DIGITS = range(4, 16)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ThresholdWish:
+class ThresholdSettings:
     """What is asked: the bounds of the threshold, and the RMS of the sensor's noise, N, known or assumed."""
 
     bounds_n: Interval
@@ -51,7 +51,7 @@ class ThresholdWish:
     is_assumed: bool = False
 
 
-def threshold_wish(identified: Identified, spec: ProblemSpec) -> ThresholdWish | None:
+def threshold_settings(identified: Identified, spec: ProblemSpec) -> ThresholdSettings | None:
     """Return what a problem asks of the collision response, with the identified noise; None where it asks for none.
 
     Where no noise was identified a conservative one is taken, and the choice says so.
@@ -60,8 +60,8 @@ def threshold_wish(identified: Identified, spec: ProblemSpec) -> ThresholdWish |
         return None
     noise = identified.sensor.force_noise_rms_n.value
     if noise is None:
-        return ThresholdWish(bounds_n=spec.collision_threshold_n, noise_rms_n=ASSUMED_NOISE_N, is_assumed=True)
-    return ThresholdWish(bounds_n=spec.collision_threshold_n, noise_rms_n=noise)
+        return ThresholdSettings(bounds_n=spec.collision_threshold_n, noise_rms_n=ASSUMED_NOISE_N, is_assumed=True)
+    return ThresholdSettings(bounds_n=spec.collision_threshold_n, noise_rms_n=noise)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,10 +70,10 @@ class ThresholdChoice:
 
     `free_motion_n` is the largest force against the motion as the approach begins and goes on in free space,
     `lowest_n` what a threshold must be above; `worst_without_n` and `worst_with_n` are the worst peaks of the
-    objective's force. `limited_by` tells which end of the range the best ones reach, if they do.
+    objective's force. `limited_by` names which end of the range the best ones reach, if they do.
     """
 
-    wish: ThresholdWish
+    settings: ThresholdSettings
     free_motion_n: float
     lowest_n: float
     threshold_n: float
@@ -85,9 +85,9 @@ class ThresholdChoice:
     def tree(self, objective: Objective) -> dict[str, Any]:
         """Return the choice as plain data, for the provenance of a controller."""
         return {
-            "bounds_n": list(self.wish.bounds_n),
-            "noise_rms_n": self.wish.noise_rms_n,
-            **({"noise_is_assumed": True} if self.wish.is_assumed else {}),
+            "bounds_n": list(self.settings.bounds_n),
+            "noise_rms_n": self.settings.noise_rms_n,
+            **({"noise_is_assumed": True} if self.settings.is_assumed else {}),
             "free_motion_n": self.free_motion_n,
             "lowest_n": self.lowest_n,
             "objective": objective,
@@ -101,13 +101,13 @@ class ThresholdChoice:
 def choose_threshold(
     controller: Controller,
     searches: Mapping[str, SearchResult],
-    wish: ThresholdWish,
+    settings: ThresholdSettings,
 ) -> tuple[Controller, ThresholdChoice]:
     """Return the controller with the response "reset", or without one where none lowers the worst peak.
 
     Minimised is the worst peak of the objective's force over the predicted contacts and the scenarios of the search
     of every tuned x, y, z; of none of these axes may the worst peak rise, at the contact or at the sensor. What was
-    predicted and certified stays as it is, and `predicted.<axis>.with_collision_response` tells the same contacts with
+    predicted and certified stays as it is, and `predicted.<axis>.with_collision_response` holds the same contacts with
     the response.
 
     Raises InfeasibleError where free motion alone would pass every threshold asked for, UsageError where no axis is a
@@ -121,16 +121,16 @@ def choose_threshold(
     scenarios = {name: _scenarios(controller.predicted[name], searches[name]) for name in straight}
     try:
         free = max(simulations[name].free_motion_n(scenarios[name]) for name in straight)
-        lowest = _lowest(controller, straight, wish, free)
+        lowest = _lowest(controller, straight, settings, free)
         contacts = {name: [build_contact(simulations[name], each) for each in scenarios[name]] for name in straight}
     except ParameterError as error:
         raise UsageError(
             f"free.collision_threshold_n: the contact cannot be simulated with a response: {error}"
         ) from error
-    choice = _choose(contacts, wish, free, lowest, 0 if objective == "contact_force" else 1)
-    told = {**controller.provenance, "collision": choice.tree(objective)}
+    choice = _choose(contacts, settings, free, lowest, 0 if objective == "contact_force" else 1)
+    provenance = {**controller.provenance, "collision": choice.tree(objective)}
     if not choice.is_used:
-        return replace(controller, provenance=told), choice
+        return replace(controller, provenance=provenance), choice
     predicted = {
         name: _with_response(name, controller.predicted[name], contacts[name], choice.threshold_n)
         if name in contacts
@@ -138,7 +138,7 @@ def choose_threshold(
         for name in controller.axes
     }
     collision = Collision(response=CollisionResponse.RESET, threshold_n=choice.threshold_n)
-    return replace(controller, collision=collision, predicted=predicted, provenance=told), choice
+    return replace(controller, collision=collision, predicted=predicted, provenance=provenance), choice
 
 
 def without_response(controller: Controller) -> Controller:
@@ -154,17 +154,17 @@ def _scenarios(predicted: AxisPrediction, search: SearchResult) -> tuple[Scenari
     return tuple(dict.fromkeys((*(each.scenario() for each in predicted.scenarios), *search.active.scenarios)))
 
 
-def _lowest(controller: Controller, straight: Sequence[str], wish: ThresholdWish, free_n: float) -> float:
+def _lowest(controller: Controller, straight: Sequence[str], settings: ThresholdSettings, free_n: float) -> float:
     """Return what the threshold must be above; refuse bounds that hold nothing of it."""
     deadband = max(controller.axes[name].deadband for name in straight)
-    lowest = max(free_n + NOISE_DEVIATIONS * wish.noise_rms_n, deadband)
-    low, high = wish.bounds_n
+    lowest = max(free_n + NOISE_DEVIATIONS * settings.noise_rms_n, deadband)
+    low, high = settings.bounds_n
     if high <= lowest:
         asked = f"{low:g} N" if low == high else f"{low:g} to {high:g} N"
         raise InfeasibleError(
             f"free.collision_threshold_n asks for {asked}, and a threshold must be above {lowest:.4g} N: as the "
             f"approach begins in free space {free_n:.3g} N stand against the motion, the sensor's noise is "
-            f"{wish.noise_rms_n:.3g} N RMS ({NOISE_DEVIATIONS:g} deviations count) and the deadband hides "
+            f"{settings.noise_rms_n:.3g} N RMS ({NOISE_DEVIATIONS:g} deviations count) and the deadband hides "
             f"{deadband:g} N. The response would be spent before the contact; raise the upper bound, or leave the "
             "entry out."
         )
@@ -172,14 +172,18 @@ def _lowest(controller: Controller, straight: Sequence[str], wish: ThresholdWish
 
 
 def _choose(
-    contacts: Mapping[str, Sequence[RespondingContact]], wish: ThresholdWish, free_n: float, lowest_n: float, kind: int
+    contacts: Mapping[str, Sequence[RespondingContact]],
+    settings: ThresholdSettings,
+    free_n: float,
+    lowest_n: float,
+    kind: int,
 ) -> ThresholdChoice:
     """Find the least worst peak of one `kind`, 0 at the contact or 1 at the sensor, and the highest threshold of it.
 
     The worst peak is constant between the levels at which the detection of some contact moves by a tick.
     """
     every = [contact for of_axis in contacts.values() for contact in of_axis]
-    low, high = max(wish.bounds_n[0], math.nextafter(lowest_n, math.inf)), wish.bounds_n[1]
+    low, high = max(settings.bounds_n[0], math.nextafter(lowest_n, math.inf)), settings.bounds_n[1]
     tried = [_inside(*each) for each in _intervals(every, low, high)]
     without = _worst(contacts, None)
     hardest = max(every, key=lambda each: peaks_of(each.plain)[kind])
@@ -197,14 +201,14 @@ def _choose(
     as_good = [i for i, peak in lowered.items() if peak <= (1.0 + SAME_PEAK) * least] or [guess]
     best = max(as_good)
     return ThresholdChoice(
-        wish=wish,
+        settings=settings,
         free_motion_n=free_n,
         lowest_n=lowest_n,
         threshold_n=tried[best],
         worst_without_n=float(np.max(without[:, kind])),
         worst_with_n=lowered.get(best, float(np.max(guessed[:, kind]))),
         is_used=bool(lowered),
-        limited_by=_limited_by(as_good, len(tried), wish, lowest_n),
+        limited_by=_limited_by(as_good, len(tried), settings, lowest_n),
     )
 
 
@@ -241,14 +245,14 @@ def _inside(low: float, high: float) -> float:
     return high
 
 
-def _limited_by(as_good: Sequence[int], count: int, wish: ThresholdWish, lowest_n: float) -> str | None:
+def _limited_by(as_good: Sequence[int], count: int, settings: ThresholdSettings, lowest_n: float) -> str | None:
     """Say at which end of the range the best intervals lie; at both of them nothing is limited."""
     at_low, at_high = min(as_good) == 0, max(as_good) == count - 1
     if at_low == at_high:
         return None
     if at_high:
         return "upper bound"
-    return "free motion" if wish.bounds_n[0] <= lowest_n else "lower bound"
+    return "free motion" if settings.bounds_n[0] <= lowest_n else "lower bound"
 
 
 def _with_response(

@@ -43,7 +43,7 @@ _POSITIVE = ("coupling_stiffness_n_per_m", "robot_bandwidth_hz", "robot_damping_
 _WALL_DAMPING = "environment_damping_n_s_per_m"
 # Standard deviations to the upper end of a damping that has no covariance: one side of 95 % and more.
 _REACH = 2.0
-# However little the log tells, a stiffness stays positive.
+# However little the log holds, a stiffness stays positive.
 _LEAST_SHARE = 1e-3
 _DIGITS = 5
 # Of a deviation: what was written and read again is the same number.
@@ -107,20 +107,20 @@ def _ellipsoid(
     problem: DesignProblem, axis: AxisEstimate, name: str, asked: list[str], by_default: list[str]
 ) -> Ellipsoid | None:
     """Return the joint confidence set of the parameters, around the problem's nominal values; None without any."""
-    told, matrix = _known(problem, axis)
+    known, matrix = _known(problem, axis)
     for key in asked:
-        if key not in told:
+        if key not in known:
             where = f"axes.{name}.covariance"
             why = (
                 f"{where} is not in it; identify the log again with this release, or give a range [low, high]."
                 if axis.covariance is None
-                else f"{where} tells nothing of it; give a range [low, high], or {{from: nominal}}."
+                else f"{where} says nothing of it; give a range [low, high], or {{from: nominal}}."
             )
             raise EstimateError(f"problem.yaml takes {key} from the identified file, and {why}")
     nominal = problem.nominal()
     chosen = [
         key
-        for i, key in enumerate(told)
+        for i, key in enumerate(known)
         if (key in asked or key in by_default)
         and key in nominal
         and matrix[i, i] > 0.0
@@ -128,7 +128,7 @@ def _ellipsoid(
     ]
     if not chosen:
         return None
-    places = [told.index(key) for key in chosen]
+    places = [known.index(key) for key in chosen]
     part = matrix[np.ix_(places, places)]
     return Ellipsoid(
         names=tuple(chosen),
@@ -139,21 +139,21 @@ def _ellipsoid(
 
 
 def _known(problem: DesignProblem, axis: AxisEstimate) -> tuple[list[str], FloatArray]:
-    """Return what is told with its covariance: the log's, and of what is given the variance that was given with it.
+    """Return what is known with its covariance: the log's, and of what is given the variance that was given with it.
 
     A prior that took part in the fit is in the log's covariance. One that did not, or a value that was corrected by
     hand, is known to whoever gave it, independently of the log; without a deviation it is exact.
     """
-    told, fitted = ([], np.zeros((0, 0))) if axis.covariance is None else _transformed(problem, axis.covariance)
+    known, fitted = ([], np.zeros((0, 0))) if axis.covariance is None else _transformed(problem, axis.covariance)
     given = {key: e.std or 0.0 for key, e in plant_estimates(axis).items() if _is_given(e)}
     if given.get("robot_bandwidth_hz") == 0.0:
-        # The damping ratio is told together with the bandwidth.
+        # The damping ratio is known together with the bandwidth.
         given["robot_damping_ratio"] = 0.0
-    in_fit = {key for key in given if key in told and _is_in_fit(axis, key, given[key])}
-    keys = [key for key in _SYMBOLS if key in told or key in given]
+    in_fit = {key for key in given if key in known and _is_in_fit(axis, key, given[key])}
+    keys = [key for key in _SYMBOLS if key in known or key in given]
     matrix = np.zeros((len(keys), len(keys)))
-    theirs = [key for key in told if key not in given or key in in_fit]
-    places, own = [keys.index(key) for key in theirs], [told.index(key) for key in theirs]
+    theirs = [key for key in known if key not in given or key in in_fit]
+    places, own = [keys.index(key) for key in theirs], [known.index(key) for key in theirs]
     matrix[np.ix_(places, places)] = fitted[np.ix_(own, own)]
     for key in given.keys() - in_fit:
         matrix[keys.index(key), keys.index(key)] = given[key] ** 2
@@ -218,7 +218,7 @@ def _environment_damping(axis: AxisEstimate, name: str) -> Interval:
             key = ROTATIONAL_KEYS[_WALL_DAMPING] if name in ROTATIONAL_AXES else _WALL_DAMPING
             raise EstimateError(
                 f"problem.yaml takes {key} from the identified "
-                f"file, and axes.{name}.covariance tells nothing of {symbol}; give a range [low, high]."
+                f"file, and axes.{name}.covariance says nothing of {symbol}; give a range [low, high]."
             )
         found.append(_within(axis.covariance, symbol))
     if not found:

@@ -32,10 +32,10 @@ class Wrench:
 
 
 def build_wrench(estimate: WrenchFilterEstimate | None, said: Uncertain) -> Wrench:
-    """Return what the log tells of the wrench's filter or delay, and what `problem.yaml` says of it instead.
+    """Return what the log says of the wrench's filter or delay, and what `problem.yaml` says of it instead.
 
     By default it is the identified value with its 95 % range, or the interval of a weak one. Raises EstimateError for
-    an entry that tells no number, UsageError for `identified` where nothing was.
+    an entry without a number, UsageError for `identified` where nothing was.
     """
     corner = None if estimate is None else estimate.corner_hz
     delay = None if estimate is None else estimate.delay_s
@@ -113,11 +113,11 @@ def _late(delay: Estimate | None, said: Interval | str | None) -> tuple[float, I
 
 
 def _known(estimate: Estimate, where: str) -> tuple[float, Interval]:
-    """Return the value and its 95 % range; the middle of the interval where that is all that the log tells."""
+    """Return the value and its 95 % range; the middle of the interval where that is all that the log shows."""
     if estimate.status is Status.UNIDENTIFIABLE or (estimate.value is None and estimate.ci95 is None):
-        told = f" ({estimate.note})" if estimate.note else ""
+        note = f" ({estimate.note})" if estimate.note else ""
         raise EstimateError(
-            f"{where} is not identified{told}, and no controller is tuned on a guess; record what is missing, or say "
+            f"{where} is not identified{note}, and no controller is tuned on a guess; record what is missing, or say "
             f"{LAG} or {LATE} in problem.yaml."
         )
     if estimate.value is None:
@@ -142,7 +142,7 @@ def _constant(corner_hz: float) -> float:
 def _refuse_identified(name: str, said: str | None) -> None:
     if said == "identified":
         raise UsageError(
-            f"problem.yaml takes {name} from the identified file, and its sensor.wrench_filter tells nothing of it; "
+            f"problem.yaml takes {name} from the identified file, and its sensor.wrench_filter says nothing of it; "
             "give a range [low, high]."
         )
 

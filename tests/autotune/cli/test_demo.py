@@ -55,7 +55,7 @@ def brief(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoResult, list[st
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(demo_module, "Program", lambda: SHORT)
         patch.setattr(demo_module, "ProblemSpec", lambda: FAST_SPEC)
-        patch.setattr(demo_module, "Wishes", lambda: FAST_WISHES)
+        patch.setattr(demo_module, "DesignOptions", lambda: FAST_WISHES)
         return run_demo(folder, seed=3, step=steps.append, progress=shares.append), steps, shares
 
 

@@ -12,7 +12,7 @@ from tests.autotune.tuning.cases import fast_optimized
 
 def with_active(*active: Active) -> Optimized:
     found = fast_optimized()
-    return replace(found, standings={"x": replace(found.standings["x"], active=active)})
+    return replace(found, optimality_reports={"x": replace(found.optimality_reports["x"], active=active)})
 
 
 @pytest.mark.parametrize(
@@ -56,8 +56,8 @@ def test_with_wishes_the_gap_is_one_of_peak_and_price() -> None:
 
 def test_nothing_active_and_nothing_found_elsewhere() -> None:
     found = with_active()
-    standing = found.standings["x"]
+    standing = found.optimality_reports["x"]
     alone = replace(standing.reference, elsewhere_n=float("inf"), arrived=0)
-    lines = active_lines(replace(found, standings={"x": replace(standing, reference=alone)}), "x")
+    lines = active_lines(replace(found, optimality_reports={"x": replace(standing, reference=alone)}), "x")
     assert lines[0] == "no requirement is active: the peak is the approach force itself"
     assert lines[-1].endswith("other designs, none of which met the requirements")

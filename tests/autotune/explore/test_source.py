@@ -14,7 +14,7 @@ from autotune.explore.source import problem_of, read_exploration
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import Controller, ControllerStatus, SoftRequirement
 from autotune.tuning.record import build_domain
-from autotune.tuning.threshold import ThresholdWish
+from autotune.tuning.threshold import ThresholdSettings
 from problems.design.evaluation import build_scenarios
 from problems.model.plant import WrenchFilter
 from tests.autotune.explore.start import solved_exploration
@@ -130,7 +130,7 @@ def test_plants_that_hold_the_best_design_back_are_looked_at(tmp_path: Path, mon
 
 
 def test_what_is_saved_is_an_ordinary_controller(tmp_path: Path) -> None:
-    exploration = replace(solved_exploration(), threshold=ThresholdWish(bounds_n=(5.0, 60.0)))
+    exploration = replace(solved_exploration(), threshold=ThresholdSettings(bounds_n=(5.0, 60.0)))
     path, start = tmp_path / "controller.yaml", exploration.axes["x"]
     design = start.design * np.array([1.0, 0.999, 1.0, 1.0])
     saved = save_controller(exploration, {"x": design}, Target(path))

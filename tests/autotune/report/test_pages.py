@@ -161,7 +161,7 @@ def test_an_unstable_loop_has_no_numbers_to_draw() -> None:
 def test_the_page_says_what_was_asked_what_it_costs_and_how_the_search_came_there() -> None:
     found, page = fast_optimized(), controller_page()
     text = texts_of(page)
-    for active in found.standings["x"].active:
+    for active in found.optimality_reports["x"].active:
         if active.price_n > 0.01 and "bound" not in active.name:
             assert f"{active.price_n:.2f} N" in text
     steps = found.searches["x"].steps

@@ -9,7 +9,7 @@ from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IdentifiedFile, read_identified, write_identified
 from autotune.formats.problem import ProblemSpec
 from autotune.tuning.optimize import Optimized, optimize
-from autotune.tuning.problems import Wishes
+from autotune.tuning.problems import DesignOptions
 from autotune.tuning.search import SearchResult, solve_design
 from autotune.validation.axis_proof import ProofOptions
 from identification.result import (
@@ -42,7 +42,7 @@ FAST_REQUIREMENTS = Requirements(free_space_admittance=AdmittanceTarget(min_m_s_
 FAST_SPEC = ProblemSpec(
     bounds={**ROOM, "mass": (6.0, 6.0), "feedback_damping_s": (0.005, 0.005)}, requirements=FAST_REQUIREMENTS
 )
-FAST_WISHES = Wishes(payload_mass_kg=(16.0, 16.0), environment_stiffness_n_per_m=(1e5, 1.2e5))
+FAST_WISHES = DesignOptions(payload_mass_kg=(16.0, 16.0), environment_stiffness_n_per_m=(1e5, 1.2e5))
 
 
 def design_problem(

@@ -7,7 +7,7 @@ from pathlib import Path
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ProblemSpec
 from autotune.tuning.optimize import Optimized, optimize
-from autotune.tuning.problems import Wishes
+from autotune.tuning.problems import DesignOptions
 from autotune.validation.axis_proof import ProofOptions
 from identification.result import CouplingEstimate, PayloadEstimate, RobotEstimate
 from problems.design.problem import Requirements
@@ -30,7 +30,7 @@ SPEC = ProblemSpec(
     uncertain={"drag_n_s_per_m": (100.0, 150.0)},
     collision_threshold_n=(2.0, 40.0),
 )
-WISHES = Wishes(payload_mass_kg=(6.3, 6.3), environment_stiffness_n_per_m=STIFFNESS)
+WISHES = DesignOptions(payload_mass_kg=(6.3, 6.3), environment_stiffness_n_per_m=STIFFNESS)
 
 
 def small_robot() -> IdentifiedFile:

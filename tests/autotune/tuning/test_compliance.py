@@ -25,7 +25,7 @@ from autotune.tuning.compliance import (
     compliance_tree,
 )
 from autotune.tuning.optimize import Optimized, optimize
-from autotune.tuning.problems import Wishes, build_problems
+from autotune.tuning.problems import DesignOptions, build_problems
 from autotune.tuning.relax import Relaxation
 from autotune.tuning.scenario_exchange import moved_scenario
 from autotune.tuning.schedule import build_classes, tune_schedule
@@ -47,7 +47,7 @@ from tests.autotune.tuning.cases import (
 from tests.autotune.tuning.turning import two_axes
 
 BOUNDS = (2e4, 5e5)
-ONE_MASS = Wishes(payload_mass_kg=(16.0, 16.0))
+ONE_MASS = DesignOptions(payload_mass_kg=(16.0, 16.0))
 # Two searches of one problem from different starts end within this of each other; the gap that they tell is as large.
 SAME = 3e-3
 Curve = Callable[[float], float]
@@ -265,20 +265,22 @@ def test_no_compliance_at_all_tells_the_nearest_and_what_would_have_to_be_eased(
 
 
 @pytest.mark.parametrize(
-    ("axes", "wishes", "told"),
+    ("axes", "options", "told"),
     [
-        (("x",), Wishes(environment_stiffness_n_per_m=(1e4, 2e4)), "both say the surface"),
-        (None, Wishes(), r"one axis at a time only; .*\(to be tuned: x, ry\)"),
-        (("ry",), Wishes(), "is in N/m, and ry turns"),
+        (("x",), DesignOptions(environment_stiffness_n_per_m=(1e4, 2e4)), "both say the surface"),
+        (None, DesignOptions(), r"one axis at a time only; .*\(to be tuned: x, ry\)"),
+        (("ry",), DesignOptions(), "is in N/m, and ry turns"),
     ],
 )
-def test_a_compliance_that_cannot_be_is_refused(axes: tuple[str, ...] | None, wishes: Wishes, told: str) -> None:
+def test_a_compliance_that_cannot_be_is_refused(
+    axes: tuple[str, ...] | None, options: DesignOptions, told: str
+) -> None:
     with pytest.raises(UsageError, match=told):
-        build_compliance_problems(two_axes(), replace(SPEC, axes=axes), wishes)
+        build_compliance_problems(two_axes(), replace(SPEC, axes=axes), options)
 
 
 def test_what_takes_a_range_takes_no_choice() -> None:
     with pytest.raises(UsageError, match="is chosen by optimize for one controller"):
-        build_problems(identified_plant(), SPEC, Wishes())
+        build_problems(identified_plant(), SPEC, DesignOptions())
     with pytest.raises(UsageError, match="a schedule has many controllers"):
-        tune_schedule(plant(), SPEC, Wishes(), build_classes([(16.0, 16.0)], []))
+        tune_schedule(plant(), SPEC, DesignOptions(), build_classes([(16.0, 16.0)], []))

@@ -15,7 +15,7 @@ from autotune.tuning.bounds import Box
 from autotune.tuning.compare import start_design
 from autotune.tuning.optimality import active_rows, unit_widths
 from autotune.tuning.optimize import Optimized, optimize
-from autotune.tuning.problems import Wishes, build_problems
+from autotune.tuning.problems import DesignOptions, build_problems
 from autotune.tuning.search import presentable
 from autotune.validation.validate import validate_controller
 from problems.design.evaluation import build_scenarios
@@ -82,7 +82,7 @@ def test_more_freedom_makes_a_gentler_contact_that_validates() -> None:
     found, fixed = free_optimized(), fast_optimized()
     assert found.report.passed
     assert found.searches["x"].evaluation.objective_n < 0.99 * fixed.searches["x"].evaluation.objective_n
-    assert found.standings["x"].optimality.relative_residual < 5e-3
+    assert found.optimality_reports["x"].optimality.relative_residual < 5e-3
     assert found.controller.compensation_mass_kg >= 4.0
 
 
@@ -113,12 +113,12 @@ def test_another_filter_or_compensation_is_not_what_was_certified(changed) -> No
 def test_a_file_has_room_for_one_choice() -> None:
     spec = ProblemSpec(free=FREE)
     with pytest.raises(UsageError, match="one axis at a time"):
-        build_problems(two_axes(), spec, Wishes())
+        build_problems(two_axes(), spec, DesignOptions())
     turning = replace(spec, axes=("ry",))
     with pytest.raises(UsageError, match="compensation_mass_kg is a mass, and ry turns"):
-        build_problems(two_axes(), turning, Wishes())
+        build_problems(two_axes(), turning, DesignOptions())
     filters = replace(turning, free={"velocity_filter_rad_per_s": (60.0, 300.0)})
-    assert build_problems(two_axes(), filters, Wishes())["ry"].variables[-1] == "velocity_filter_rad_per_s"
+    assert build_problems(two_axes(), filters, DesignOptions())["ry"].variables[-1] == "velocity_filter_rad_per_s"
 
 
 def test_a_compensation_that_may_be_zero_is_none_there() -> None:

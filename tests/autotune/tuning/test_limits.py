@@ -8,7 +8,7 @@ import pytest
 from autotune.errors import UsageError
 from autotune.formats.controller_record import Controller
 from autotune.formats.limits import LimitsSpec, ResidualPeaks
-from autotune.tuning.limits import LimitsWish, largest_motion, limits_wish, with_limits
+from autotune.tuning.limits import LimitsSettings, largest_motion, limits_settings, with_limits
 from autotune.validation.replay import replay_contact
 from autotune.validation.validate import admittance_controller, validate_controller
 from tests.autotune.tuning.cases import FAST_SPEC, identified_plant, known, small_controller
@@ -56,7 +56,7 @@ def test_the_peaks_hold_the_weight_that_may_be_left_over() -> None:
 def test_noise_and_what_was_left_over_in_the_log_widen_them() -> None:
     plant = identified_plant()
     sensor = replace(plant.sensor, position_noise_rms_m=known(5e-5), gravity_residual_rms_n=known(1.1))
-    wish = limits_wish(replace(plant, sensor=sensor), FAST_SPEC)
+    wish = limits_settings(replace(plant, sensor=sensor), FAST_SPEC)
     assert (wish.force_noise_n, wish.position_noise_m, wish.gravity_residual_n) == (0.14, 5e-5, 1.1)
     quiet, noisy = small_controller().limits, with_limits(small_controller(), wish).limits
     assert quiet is not None
@@ -72,7 +72,7 @@ def test_noise_and_what_was_left_over_in_the_log_widen_them() -> None:
 
 def test_a_problem_says_its_own() -> None:
     spec = LimitsSpec(values={"force_n": 660.0, "rest_samples": 250}, axes={"x": {"speed": 0.4}})
-    limits = with_limits(small_controller(), LimitsWish(spec=spec)).limits
+    limits = with_limits(small_controller(), LimitsSettings(spec=spec)).limits
     assert limits is not None
     assert (limits.force_n, limits.rest_samples, limits.axes["x"].speed) == (660.0, 250, 0.4)
     assert limits.reasons["force_n"] == limits.reasons["axes.x.speed"] == "said in problem.yaml"
@@ -88,7 +88,7 @@ def test_a_problem_says_its_own() -> None:
 )
 def test_a_limit_that_the_certified_contacts_reach_is_refused(axes: dict[str, dict[str, float]], told: str) -> None:
     with pytest.raises(UsageError, match=told):
-        with_limits(small_controller(), LimitsWish(spec=LimitsSpec(axes=axes)))
+        with_limits(small_controller(), LimitsSettings(spec=LimitsSpec(axes=axes)))
 
 
 def test_validation_finds_limits_that_are_too_low_and_peaks_without_the_residual() -> None:

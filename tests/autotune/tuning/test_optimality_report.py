@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import pytest
 
-from autotune.tuning.optimality_report import Standing, find_standing, standing_tree
+from autotune.tuning.optimality_report import OptimalityReport, optimality_tree, report_optimality
 from autotune.tuning.search import SearchResult
 from problems.design.batch_evaluation import build_batch_evaluator
 from problems.design.evaluation import build_scenarios
 from tests.autotune.tuning.cases import fast_optimized, solved
 
 
-def standing() -> Standing:
-    return fast_optimized().standings["x"]
+def standing() -> OptimalityReport:
+    return fast_optimized().optimality_reports["x"]
 
 
 def search() -> SearchResult:
@@ -34,9 +34,9 @@ def test_what_is_told_is_met_is_met_over_the_whole_grid() -> None:
 
 def test_a_missed_requirement_is_told() -> None:
     missed = replace(search().evaluation, requirements={"modulus_margin": 1.01, "phase_margin_deg": 0.5})
-    found = find_standing(replace(search(), evaluation=missed))
+    found = report_optimality(replace(search(), evaluation=missed))
     assert not found.is_feasible
-    tree = standing_tree(found, rotational=False)
+    tree = optimality_tree(found, rotational=False)
     assert (tree["feasible"], tree["nearest_requirement"], tree["required_per_achieved"]) == (
         False,
         "modulus_margin",
@@ -47,7 +47,7 @@ def test_a_missed_requirement_is_told() -> None:
 @pytest.mark.parametrize(("rotational", "unit"), [(False, "n"), (True, "n_m")])
 def test_the_tree_is_rounded_upwards_and_names_its_units(rotational: bool, unit: str) -> None:
     found = standing()
-    tree = standing_tree(found, rotational=rotational)
+    tree = optimality_tree(found, rotational=rotational)
     assert tree["kkt_residual"] >= found.optimality.relative_residual
     assert tree["unused_slack"] >= found.optimality.slack
     assert found.gap <= tree["gap"] <= max(1.1 * found.gap, 1e-5)
@@ -58,9 +58,9 @@ def test_the_tree_is_rounded_upwards_and_names_its_units(rotational: bool, unit:
 
 def test_nothing_found_elsewhere_is_told_as_nothing() -> None:
     alone = replace(standing(), reference=replace(standing().reference, elsewhere_n=float("inf"), arrived=0))
-    assert standing_tree(alone, rotational=False)["gap_against"]["from_elsewhere_n"] is None
+    assert optimality_tree(alone, rotational=False)["gap_against"]["from_elsewhere_n"] is None
 
 
 def test_the_bound_that_a_design_rests_on_is_among_the_prices() -> None:
-    tree = standing_tree(find_standing(solved()), rotational=False)
+    tree = optimality_tree(report_optimality(solved()), rotational=False)
     assert "lower bound of mass" in {each["name"] for each in tree["active"]}

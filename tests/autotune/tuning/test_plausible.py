@@ -9,7 +9,7 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.formats.problem import ProblemSpec
-from autotune.tuning.problems import Wishes, build_problems
+from autotune.tuning.problems import DesignOptions, build_problems
 from tests.autotune.tuning.cases import identified_plant, write_plant
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -19,48 +19,50 @@ MASS = IDENTIFIED.payload.mass_kg.value or 0.0
 
 
 @pytest.mark.parametrize(
-    ("wishes", "meant"),
+    ("options", "meant"),
     [
-        (Wishes(environment_stiffness_n_per_m=(20.0, 500.0)), "did you mean 2e4:5e5"),
-        (Wishes(environment_stiffness_n_per_m=(1e3 * SURFACE, 2e3 * SURFACE)), "did you mean"),
-        (Wishes(payload_mass_kg=(1e3 * MASS, 1e3 * MASS)), "did you mean"),
-        (Wishes(payload_mass_kg=(1e-3 * MASS, 1e-3 * MASS)), "did you mean"),
-        (Wishes(payload_mass_kg=(200.0 * MASS, 300.0 * MASS)), "a payload of"),
+        (DesignOptions(environment_stiffness_n_per_m=(20.0, 500.0)), "did you mean 2e4:5e5"),
+        (DesignOptions(environment_stiffness_n_per_m=(1e3 * SURFACE, 2e3 * SURFACE)), "did you mean"),
+        (DesignOptions(payload_mass_kg=(1e3 * MASS, 1e3 * MASS)), "did you mean"),
+        (DesignOptions(payload_mass_kg=(1e-3 * MASS, 1e-3 * MASS)), "did you mean"),
+        (DesignOptions(payload_mass_kg=(200.0 * MASS, 300.0 * MASS)), "a payload of"),
     ],
 )
-def test_a_range_in_another_unit_is_refused_with_what_was_identified(wishes: Wishes, meant: str) -> None:
+def test_a_range_in_another_unit_is_refused_with_what_was_identified(options: DesignOptions, meant: str) -> None:
     with pytest.raises(UsageError, match=meant):
-        build_problems(IDENTIFIED, ProblemSpec(), wishes)
+        build_problems(IDENTIFIED, ProblemSpec(), options)
 
 
 def test_a_payload_that_no_file_holds_is_refused_before_a_search_whatever_its_unit() -> None:
-    wishes = Wishes(payload_mass_kg=(16200.0, 16200.0), with_unit=frozenset({"payload_mass_kg"}))
+    options = DesignOptions(payload_mass_kg=(16200.0, 16200.0), with_unit=frozenset({"payload_mass_kg"}))
     with pytest.raises(UsageError, match="asks for 16200 kg; a payload of 1000 kg is the heaviest"):
-        build_problems(IDENTIFIED, ProblemSpec(), wishes)
+        build_problems(IDENTIFIED, ProblemSpec(), options)
 
 
 def test_a_problem_file_is_held_against_it_too() -> None:
     with pytest.raises(UsageError, match="identified"):
-        build_problems(IDENTIFIED, ProblemSpec(environment_stiffness_n_per_m=(20.0, 500.0)), Wishes())
+        build_problems(IDENTIFIED, ProblemSpec(environment_stiffness_n_per_m=(20.0, 500.0)), DesignOptions())
 
 
 @pytest.mark.parametrize(
-    "wishes",
+    "options",
     [
-        Wishes(environment_stiffness_n_per_m=(20.0, 5e5)),  # wide, and holds what was identified
-        Wishes(environment_stiffness_n_per_m=(0.1 * SURFACE, 0.2 * SURFACE)),
-        Wishes(environment_stiffness_n_per_m=(5e3, 6e3)),  # foam instead of the wall
-        Wishes(environment_stiffness_n_per_m=(20.0, 500.0), with_unit=frozenset({"environment_stiffness_n_per_m"})),
-        Wishes(payload_mass_kg=(0.5 * MASS, 2.0 * MASS)),
+        DesignOptions(environment_stiffness_n_per_m=(20.0, 5e5)),  # wide, and holds what was identified
+        DesignOptions(environment_stiffness_n_per_m=(0.1 * SURFACE, 0.2 * SURFACE)),
+        DesignOptions(environment_stiffness_n_per_m=(5e3, 6e3)),  # foam instead of the wall
+        DesignOptions(
+            environment_stiffness_n_per_m=(20.0, 500.0), with_unit=frozenset({"environment_stiffness_n_per_m"})
+        ),
+        DesignOptions(payload_mass_kg=(0.5 * MASS, 2.0 * MASS)),
     ],
 )
-def test_what_is_meant_passes(wishes: Wishes) -> None:
-    assert build_problems(IDENTIFIED, ProblemSpec(), wishes)
+def test_what_is_meant_passes(options: DesignOptions) -> None:
+    assert build_problems(IDENTIFIED, ProblemSpec(), options)
 
 
 def test_without_a_surface_there_is_nothing_to_compare_with() -> None:
     bare = replace(IDENTIFIED, axes={"x": replace(IDENTIFIED.axes["x"], environments=())})
-    assert build_problems(bare, ProblemSpec(), Wishes(environment_stiffness_n_per_m=(20.0, 500.0)))
+    assert build_problems(bare, ProblemSpec(), DesignOptions(environment_stiffness_n_per_m=(20.0, 500.0)))
 
 
 @pytest.mark.parametrize(

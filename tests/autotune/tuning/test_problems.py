@@ -1,4 +1,4 @@
-"""From identified parameters and wishes to design problems: who wins, what is refused."""
+"""From identified parameters and options to design problems: who wins, what is refused."""
 
 import math
 from dataclasses import replace
@@ -8,7 +8,7 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.formats.problem import ProblemSpec
-from autotune.tuning.problems import Wishes, build_problems, is_identified_mass, runtime_mass_kg
+from autotune.tuning.problems import DesignOptions, build_problems, is_identified_mass, runtime_mass_kg
 from identification.errors import EstimateError
 from identification.result import CONTACT_UNEXPLAINED, AxisEstimate, Estimate, Finding, Identified, Status
 from problems.contact.transient import Approach
@@ -16,7 +16,7 @@ from problems.design.problem import DEFAULT_BOUNDS, NoiseLimit, Requirements
 from tests.autotune.tuning.cases import absent, identified_axis, identified_plant, known, known_vector, with_axis
 
 DEFAULT = ProblemSpec()
-NOTHING = Wishes()
+NOTHING = DesignOptions()
 
 
 def test_the_plant_is_the_identified_one() -> None:
@@ -77,7 +77,7 @@ def touched(axis: str) -> Identified:
 def test_no_default_range_leaves_out_what_was_touched() -> None:
     with pytest.raises(EstimateError, match=r"52\.7 s \(75\.7 N\).*or say --environment-stiffness LO:HI"):
         build_problems(touched("x"), DEFAULT, NOTHING)
-    said = Wishes(environment_stiffness_n_per_m=(2e4, 5e5))
+    said = DesignOptions(environment_stiffness_n_per_m=(2e4, 5e5))
     assert build_problems(touched("x"), DEFAULT, said)["x"].environment_stiffness_n_per_m == (2e4, 5e5)
     # What was touched along another axis is that axis's matter.
     assert build_problems(touched("y"), DEFAULT, NOTHING)["x"].environment_stiffness_n_per_m == (8.8e4, 1.32e5)
@@ -100,8 +100,8 @@ def test_the_command_line_wins_over_the_problem_file_and_that_over_the_log() -> 
     spec = ProblemSpec(payload_mass_kg=(10.0, 20.0), environment_stiffness_n_per_m=(1e4, 2e4))
     by_file = build_problems(identified_plant(), spec, NOTHING)["x"]
     assert (by_file.payload_mass_kg, by_file.environment_stiffness_n_per_m) == ((10.0, 20.0), (1e4, 2e4))
-    wishes = Wishes(payload_mass_kg=(11.0, 12.0), environment_stiffness_n_per_m=(3e4, 4e4))
-    by_hand = build_problems(identified_plant(), spec, wishes)["x"]
+    options = DesignOptions(payload_mass_kg=(11.0, 12.0), environment_stiffness_n_per_m=(3e4, 4e4))
+    by_hand = build_problems(identified_plant(), spec, options)["x"]
     assert (by_hand.payload_mass_kg, by_hand.environment_stiffness_n_per_m) == ((11.0, 12.0), (3e4, 4e4))
 
 
@@ -156,8 +156,8 @@ def test_nothing_is_tuned_on_a_guess(axis: AxisEstimate, told: str) -> None:
 
 def test_a_missing_environment_can_be_given() -> None:
     axis = replace(identified_axis(), environments=())
-    wishes = Wishes(environment_stiffness_n_per_m=(1e4, 2e4))
-    assert build_problems(with_axis(axis), DEFAULT, wishes)["x"].environment_stiffness_n_per_m == (1e4, 2e4)
+    options = DesignOptions(environment_stiffness_n_per_m=(1e4, 2e4))
+    assert build_problems(with_axis(axis), DEFAULT, options)["x"].environment_stiffness_n_per_m == (1e4, 2e4)
 
 
 def test_a_value_that_is_called_unidentifiable_is_not_used() -> None:
@@ -204,10 +204,10 @@ def test_a_range_that_leaves_the_identified_payload_out_is_refused() -> None:
 
 def test_masses_that_disagree_must_both_be_safe() -> None:
     moved = replace(identified_axis(), mass_kg=known(18.0, 0.01))
-    low, high = build_problems(with_axis(moved), ProblemSpec(), Wishes())["x"].payload_mass_kg
+    low, high = build_problems(with_axis(moved), ProblemSpec(), DesignOptions())["x"].payload_mass_kg
     assert low <= 16.0 * 0.98
     assert high >= 18.0 * 1.02
-    alone = build_problems(with_axis(replace(moved, mass_kg=known(16.1, 0.01))), ProblemSpec(), Wishes())["x"]
+    alone = build_problems(with_axis(replace(moved, mass_kg=known(16.1, 0.01))), ProblemSpec(), DesignOptions())["x"]
     assert alone.payload_mass_kg[1] < 17.0
 
 

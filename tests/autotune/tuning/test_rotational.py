@@ -13,7 +13,7 @@ from autotune.export.export import export_controller
 from autotune.formats.controller import controller_tree, read_controller, write_controller
 from autotune.formats.problem import ProblemSpec, RotationalSpec
 from autotune.maps.source import read_source
-from autotune.tuning.problems import Wishes, build_problems, runtime_mass_kg
+from autotune.tuning.problems import DesignOptions, build_problems, runtime_mass_kg
 from autotune.tuning.rotational import through_lever
 from autotune.validation.domain import check_domain
 from autotune.validation.validate import validate_controller
@@ -26,13 +26,15 @@ from tests.autotune.tuning.cases import FAST_WISHES, absent, identified_plant, k
 from tests.autotune.tuning.turning import FAST_TURNING_SPEC, LEVER_M, SQUARE, both_optimized, turned_axis, two_axes
 from tests.problems.axes import LAW
 
-DEFAULT, NOTHING = ProblemSpec(), Wishes()
+DEFAULT, NOTHING = ProblemSpec(), DesignOptions()
 FORCE = Approach(force_n=30.0)
 
 
-def turned(axis: AxisEstimate | None = None, spec: ProblemSpec = DEFAULT, wishes: Wishes = NOTHING) -> DesignProblem:
+def turned(
+    axis: AxisEstimate | None = None, spec: ProblemSpec = DEFAULT, options: DesignOptions = NOTHING
+) -> DesignProblem:
     plant = replace(identified_plant(), axes={"ry": turned_axis() if axis is None else axis})
-    return build_problems(plant, spec, wishes)["ry"]
+    return build_problems(plant, spec, options)["ry"]
 
 
 # --- what is asked ------------------------------------------------------------------------------------------------
@@ -118,7 +120,7 @@ def test_missing_parameters_are_named_as_the_file_names_them() -> None:
 
 
 def test_another_payload_is_refused_unless_its_inertia_is_said() -> None:
-    heavy = Wishes(payload_mass_kg=(16.0, 22.0))
+    heavy = DesignOptions(payload_mass_kg=(16.0, 22.0))
     with pytest.raises(UsageError, match=r"16 to 22 kg is not the identified one .* rotational\.payload_inertia_kg_m2"):
         build_problems(two_axes(), DEFAULT, heavy)
     said = ProblemSpec(rotational=RotationalSpec(payload_mass_kg=(0.6, 0.9)))
@@ -126,12 +128,12 @@ def test_another_payload_is_refused_unless_its_inertia_is_said() -> None:
     assert (problems["x"].payload_mass_kg, problems["ry"].payload_mass_kg) == ((16.0, 22.0), (0.6, 0.9))
     assert build_problems(two_axes(), ProblemSpec(axes=("x",)), heavy)["x"].payload_mass_kg == (16.0, 22.0)
     # The identified mass itself is no other payload.
-    assert turned(wishes=Wishes(payload_mass_kg=(16.0, 16.0))).payload_mass_kg == turned().payload_mass_kg
+    assert turned(options=DesignOptions(payload_mass_kg=(16.0, 16.0))).payload_mass_kg == turned().payload_mass_kg
 
 
 def test_ranges_that_no_axis_takes_are_refused() -> None:
     with pytest.raises(UsageError, match="says nothing of rotation"):
-        turned(wishes=Wishes(environment_stiffness_n_per_m=(1e4, 2e4)))
+        turned(options=DesignOptions(environment_stiffness_n_per_m=(1e4, 2e4)))
     with pytest.raises(UsageError, match="no rotational axis is tuned: x"):
         build_problems(identified_plant(), ProblemSpec(rotational=RotationalSpec(payload_mass_kg=(0.6, 0.9))), NOTHING)
 

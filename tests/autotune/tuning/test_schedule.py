@@ -17,7 +17,7 @@ from autotune.formats.identified import IdentifiedFile
 from autotune.formats.schedule import covered, read_schedule, write_schedule
 from autotune.tuning import schedule as schedule_module
 from autotune.tuning.optimize import optimize
-from autotune.tuning.problems import Wishes, build_problems
+from autotune.tuning.problems import DesignOptions, build_problems
 from autotune.tuning.schedule import Schedule, ScheduleClass, build_classes, hull, tune_schedule
 from autotune.validation.validate import admittance_controller
 from identification.errors import EstimateError
@@ -27,7 +27,7 @@ from problems.model.sampled import build_sampled_plant
 from tests.autotune.tuning.cases import FAST_SPEC, identified_plant
 
 PLANT = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
-SURFACE = Wishes(environment_stiffness_n_per_m=(1e5, 1.2e5))
+SURFACE = DesignOptions(environment_stiffness_n_per_m=(1e5, 1.2e5))
 CLASSES = build_classes([(8.0, 8.0), (22.0, 22.0)], [])
 POSITIVE = st.floats(min_value=1e-3, max_value=1e12)
 
@@ -40,7 +40,7 @@ def small_schedule() -> Schedule:
 
 def peak_n(controller: Controller, mass_kg: float) -> float:
     """Return the largest peak at the contact over the ends of the surface's range, from the plant alone."""
-    (problem,) = build_problems(PLANT.result, FAST_SPEC, CLASSES[0].wishes(SURFACE)).values()
+    (problem,) = build_problems(PLANT.result, FAST_SPEC, CLASSES[0].options(SURFACE)).values()
     law = admittance_controller(controller, "x")
     peaks = []
     for stiffness in problem.environment_stiffness_n_per_m:
@@ -106,8 +106,8 @@ def test_classes_that_say_nothing_new_are_refused(
 
 
 def test_a_class_has_the_controller_of_an_ordinary_call() -> None:
-    wishes = Wishes(payload_mass_kg=(8.0, 8.0), environment_stiffness_n_per_m=(1e5, 1.2e5))
-    assert small_schedule().tuned[0].controller == optimize(PLANT, FAST_SPEC, wishes, seed=1).controller
+    options = DesignOptions(payload_mass_kg=(8.0, 8.0), environment_stiffness_n_per_m=(1e5, 1.2e5))
+    assert small_schedule().tuned[0].controller == optimize(PLANT, FAST_SPEC, options, seed=1).controller
 
 
 def test_peaks_and_cost_are_those_of_the_exact_transient() -> None:
@@ -148,10 +148,10 @@ def test_a_class_that_the_common_controller_beats_is_searched_again(monkeypatch:
     honest, calls = optimize, list[str]()
     lazy_spec = replace(FAST_SPEC, bounds={**FAST_SPEC.bounds, "lead_s": (0.01, 0.012)})
 
-    def lazy(identified: Any, spec: Any, wishes: Any, **options: Any) -> Any:
-        first = wishes.payload_mass_kg == (8.0, 8.0) and options.get("existing") is None
+    def lazy(identified: Any, spec: Any, options: Any, **further: Any) -> Any:
+        first = options.payload_mass_kg == (8.0, 8.0) and further.get("existing") is None
         calls.append("lazy" if first else "honest")
-        return honest(identified, lazy_spec if first else spec, wishes, **options)
+        return honest(identified, lazy_spec if first else spec, options, **further)
 
     monkeypatch.setattr(schedule_module, "optimize", lazy)
     found = tune_schedule(PLANT, FAST_SPEC, SURFACE, CLASSES, seed=1).tuned[0]
@@ -171,7 +171,7 @@ def test_all_infeasible_classes_are_named() -> None:
     with pytest.raises(
         InfeasibleError, match=r"^2 of 3 classes have no controller\. m16_k1e5-1\.2e5: Axis x: .*"
     ) as at:
-        tune_schedule(PLANT, asked, Wishes(), classes, seed=1)
+        tune_schedule(PLANT, asked, DesignOptions(), classes, seed=1)
     assert "m16_k1.1e5-1.2e5: Axis x: " in str(at.value)
     assert "m16_k4e4-5e4" not in str(at.value)
 
@@ -179,7 +179,9 @@ def test_all_infeasible_classes_are_named() -> None:
 def test_a_hull_that_no_controller_serves_is_told_and_is_no_error(tmp_path: Path) -> None:
     # Either mass alone is compensated; nobody can say which weight a range without the identified one would need.
     classes = build_classes([(16.5, 16.5), (16.6, 16.6)], [])
-    schedule = tune_schedule(PLANT, FAST_SPEC, Wishes(environment_stiffness_n_per_m=(1e5, 1.1e5)), classes, seed=1)
+    schedule = tune_schedule(
+        PLANT, FAST_SPEC, DesignOptions(environment_stiffness_n_per_m=(1e5, 1.1e5)), classes, seed=1
+    )
     assert schedule.common is None
     assert "leaves out the identified payload of 16 kg" in schedule.common_refusal
     assert [each.controller.payload.mass_kg for each in schedule.tuned] == [16.5, 16.6]
@@ -199,19 +201,19 @@ def test_a_range_without_the_identified_mass_names_its_class_before_any_search(m
     monkeypatch.setattr(schedule_module, "optimize", lambda *_, **__: pytest.fail("searched"))
     classes = build_classes([(16.0, 16.0), (8.0, 12.0)], [])
     with pytest.raises(UsageError, match=r"^Class m8-12: The payload range 8 to 12 kg leaves out"):
-        tune_schedule(PLANT, FAST_SPEC, Wishes(), classes)
+        tune_schedule(PLANT, FAST_SPEC, DesignOptions(), classes)
     nothing = replace(PLANT.result, axes={"x": replace(PLANT.result.axes["x"], environments=())})
     with pytest.raises(EstimateError, match=r"^Class m16: Axis x has no identified environment"):
-        tune_schedule(replace(PLANT, result=nothing), FAST_SPEC, Wishes(), classes)
+        tune_schedule(replace(PLANT, result=nothing), FAST_SPEC, DesignOptions(), classes)
 
 
 def test_another_failure_keeps_its_kind_and_names_the_class(monkeypatch: pytest.MonkeyPatch) -> None:
     honest = optimize
 
-    def doubtful(identified: Any, spec: Any, wishes: Any, **options: Any) -> Any:
-        if wishes.payload_mass_kg == (8.0, 8.0):
+    def doubtful(identified: Any, spec: Any, options: Any, **further: Any) -> Any:
+        if options.payload_mass_kg == (8.0, 8.0):
             raise CertificateError("Axis x: not proved.")
-        return honest(identified, spec, wishes, **options)
+        return honest(identified, spec, options, **further)
 
     monkeypatch.setattr(schedule_module, "optimize", doubtful)
     with pytest.raises(CertificateError, match=r"^Class m8: Axis x: not proved"):

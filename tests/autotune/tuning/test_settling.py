@@ -10,9 +10,9 @@ from autotune.errors import CertificateError, InfeasibleError
 from autotune.formats.identified import read_identified
 from autotune.formats.problem import read_problem
 from autotune.tuning import settling
-from autotune.tuning.beyond import NOTHING, Beyond, ImpactTest
+from autotune.tuning.counterexamples import NOTHING, Counterexamples, ImpactTest
 from autotune.tuning.optimize import optimize
-from autotune.tuning.problems import Wishes
+from autotune.tuning.problems import DesignOptions
 from autotune.tuning.record import build_domain
 from autotune.tuning.search import solve_design
 from autotune.tuning.settling import prove_search, settle
@@ -41,7 +41,7 @@ def test_the_best_design_bounces_and_the_search_goes_on_to_one_that_does_not() -
         prove_search("x", first, ProofOptions())
     assert refuted.value.scenario == PLANT
     settled = settle("x", first, ProofOptions(), seed=0)
-    assert settled.beyond.impacts
+    assert settled.counterexamples.impacts
     assert settled.search.evaluation.objective_n > first.evaluation.objective_n
     assert settled.search.evaluation.is_feasible
     assert 0.03 < settled.search.design[2] < BOUNCY.lead_s
@@ -62,7 +62,7 @@ def test_the_shared_case_is_refused(shared_data: Path) -> None:
     if not folder.is_dir():
         pytest.skip("needs the cases in ../shared/data")
     with pytest.raises(InfeasibleError, match="bounces for ever"):
-        optimize(read_identified(folder / "identified.yaml"), read_problem(folder / "problem.yaml"), Wishes())
+        optimize(read_identified(folder / "identified.yaml"), read_problem(folder / "problem.yaml"), DesignOptions())
 
 
 def test_a_plant_where_the_proof_fails_joins_the_scenarios(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -77,7 +77,7 @@ def test_a_plant_where_the_proof_fails_joins_the_scenarios(monkeypatch: pytest.M
 
     monkeypatch.setattr(settling, "prove_search", once)
     settled = settle("x", found, ProofOptions(), seed=0)
-    assert settled.beyond == Beyond(scenarios=(plant,))
+    assert settled.counterexamples == Counterexamples(scenarios=(plant,))
     assert plant in settled.search.active.scenarios
 
 
@@ -106,12 +106,12 @@ def test_a_gap_to_the_reference_is_searched_again_from_there() -> None:
     settled = settle("x", worse, ProofOptions(), seed=0)
     # The search's own tolerance: six digits of each variable.
     assert settled.search.evaluation.objective_n == pytest.approx(best.evaluation.objective_n, rel=1e-4)
-    assert settled.standing.gap < 1e-3
+    assert settled.optimality.gap < 1e-3
 
 
 def test_walking_back_stops_where_the_contact_comes_to_rest() -> None:
     problem = bouncing_problem(lead_s=(0.03, BOUNCY.lead_s))
-    impacts = ImpactTest(problem, Beyond(impacts=((PLANT, 24.0),)))
+    impacts = ImpactTest(problem, Counterexamples(impacts=((PLANT, 24.0),)))
     calm, bouncy = (
         np.array([BOUNCY.mass_kg, BOUNCY.damping_n_s_per_m, lead, BOUNCY.feedback_damping_s])
         for lead in (0.03, BOUNCY.lead_s)

@@ -10,7 +10,13 @@ from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller_record import Collision, CollisionResponse, Controller
 from autotune.formats.problem import ProblemSpec
 from autotune.tuning.first_contacts import contacts_of, opposing_force
-from autotune.tuning.threshold import SAME_PEAK, ThresholdWish, choose_threshold, threshold_wish, without_response
+from autotune.tuning.threshold import (
+    SAME_PEAK,
+    ThresholdSettings,
+    choose_threshold,
+    threshold_settings,
+    without_response,
+)
 from problems.contact.nonlinear_simulation import NonlinearRun, simulate_nonlinear
 from problems.contact.nonlinearities import Collision as Detection
 from problems.contact.nonlinearities import Deadband, Nonlinearities
@@ -18,7 +24,7 @@ from problems.design.uncertainty import Scenario
 from tests.autotune.tuning.cases import fast_optimized, identified_plant
 from tests.autotune.tuning.responding import SPEC, responding
 
-WIDE = ThresholdWish(bounds_n=(2.0, 40.0), noise_rms_n=0.14)
+WIDE = ThresholdSettings(bounds_n=(2.0, 40.0), noise_rms_n=0.14)
 NOISE_RUNS = 8
 
 
@@ -167,7 +173,7 @@ def test_bounds_below_free_motion_and_axes_that_only_turn_are_refused() -> None:
     with pytest.raises(InfeasibleError, match=r"asks for 2 to 9 N, and a threshold must be above 9\.966 N: .*9\.13 N"):
         choose_threshold(found.controller, found.searches, replace(WIDE, bounds_n=(2.0, 9.0)))
     with pytest.raises(InfeasibleError, match=r"above 12\.13 N: .* noise is 0\.5 N RMS"):
-        choose_threshold(found.controller, found.searches, ThresholdWish(bounds_n=(5.0, 5.0), noise_rms_n=0.5))
+        choose_threshold(found.controller, found.searches, ThresholdSettings(bounds_n=(5.0, 5.0), noise_rms_n=0.5))
     with pytest.raises(UsageError, match="only axes that turn are tuned"):
         choose_threshold(on_axes("ry"), {"ry": found.searches["x"]}, WIDE)
 
@@ -205,12 +211,12 @@ def test_a_deadband_hides_what_is_below_it() -> None:
 
 def test_the_noise_is_the_identified_one_or_a_conservative_one_that_is_named() -> None:
     plant = identified_plant()
-    assert threshold_wish(plant, ProblemSpec()) is None
-    assert threshold_wish(plant, SPEC) == ThresholdWish(bounds_n=(2.0, 40.0), noise_rms_n=0.14)
+    assert threshold_settings(plant, ProblemSpec()) is None
+    assert threshold_settings(plant, SPEC) == ThresholdSettings(bounds_n=(2.0, 40.0), noise_rms_n=0.14)
     unknown = replace(plant.sensor.force_noise_rms_n, value=None)
     silent = replace(plant, sensor=replace(plant.sensor, force_noise_rms_n=unknown))
-    wish = threshold_wish(silent, SPEC)
-    assert wish == ThresholdWish(bounds_n=(2.0, 40.0), noise_rms_n=0.5, is_assumed=True)
+    wish = threshold_settings(silent, SPEC)
+    assert wish == ThresholdSettings(bounds_n=(2.0, 40.0), noise_rms_n=0.5, is_assumed=True)
 
 
 def test_a_force_opposes_only_what_moves_against_it() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from autotune.errors import AutotuneError
 from autotune.formats.problem import ProblemSpec, RotationalSpec, Uncertain
-from autotune.tuning.problems import Wishes, build_problems
+from autotune.tuning.problems import DesignOptions, build_problems
 from autotune.tuning.rotational import through_lever
 from autotune.tuning.search import solve_design
 from autotune.tuning.uncertain import with_uncertainty
@@ -51,7 +51,7 @@ def built(
     uncertain: Uncertain, axis: AxisEstimate = AXIS, stiffness: tuple[float, float] | None = None
 ) -> DesignProblem:
     spec = ProblemSpec(uncertain=uncertain, environment_stiffness_n_per_m=stiffness)
-    return build_problems(with_axis(axis), spec, Wishes())["x"]
+    return build_problems(with_axis(axis), spec, DesignOptions())["x"]
 
 
 def test_by_default_the_joint_confidence_set_must_be_safe() -> None:
@@ -229,8 +229,8 @@ def test_a_prior_that_took_part_in_the_fit_keeps_the_correlations_of_the_fit() -
     ("uncertain", "axis", "told"),
     [
         ({"delay_s": "identified"}, identified_axis(), r"delay_s .* axes\.x\.covariance is not in it"),
-        ({"robot_damping_ratio": "identified"}, AXIS, r"tells nothing of it; give a range"),
-        ({"environment_damping_n_s_per_m": "identified"}, identified_axis(), r"tells nothing of x1\.B_e"),
+        ({"robot_damping_ratio": "identified"}, AXIS, r"says nothing of it; give a range"),
+        ({"environment_damping_n_s_per_m": "identified"}, identified_axis(), r"says nothing of x1\.B_e"),
     ],
 )
 def test_an_uncertainty_that_the_file_does_not_tell_is_refused(

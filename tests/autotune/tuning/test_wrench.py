@@ -7,7 +7,7 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.formats.problem import ProblemSpec, Uncertain
-from autotune.tuning.problems import Wishes, build_problems
+from autotune.tuning.problems import DesignOptions, build_problems
 from autotune.tuning.record import build_domain
 from autotune.validation.margins import sweep_margins
 from autotune.validation.validate import uncertain_plant
@@ -36,7 +36,7 @@ def seen_by(wrench: WrenchFilterEstimate | None) -> Identified:
 def built(
     wrench: WrenchFilterEstimate | None, said: Uncertain | None = None, spec: ProblemSpec | None = None
 ) -> DesignProblem:
-    return build_problems(seen_by(wrench), replace(spec or ProblemSpec(), uncertain=said or {}), Wishes())["x"]
+    return build_problems(seen_by(wrench), replace(spec or ProblemSpec(), uncertain=said or {}), DesignOptions())["x"]
 
 
 def test_without_an_entry_the_plant_is_as_it_was() -> None:
@@ -50,9 +50,9 @@ def test_a_filter_that_was_found_and_taken_out_of_the_file_is_asked_for() -> Non
     found = Finding(code="wrench-filter", severity="info", message="The wrench passes 50 Hz.", advice="")
     cut = replace(seen_by(None), findings=(found,))
     with pytest.raises(UsageError, match=r"no sensor\.wrench_filter, and its findings say: The wrench passes 50 Hz"):
-        build_problems(cut, ProblemSpec(), Wishes())
+        build_problems(cut, ProblemSpec(), DesignOptions())
     said = replace(ProblemSpec(), uncertain={"wrench_time_constant_s": (0.0, 0.0)})
-    assert build_problems(cut, said, Wishes())["x"].wrench_filter.is_none
+    assert build_problems(cut, said, DesignOptions())["x"].wrench_filter.is_none
     assert not built(CORNER).wrench_filter.is_none
 
 
@@ -129,7 +129,7 @@ def test_torques_pass_the_same_filter() -> None:
     """x through the lever is the same loop, filter and all; what is said of the filter once is said of both."""
     plant = two_axes()
     plant = replace(plant, sensor=replace(plant.sensor, wrench_filter=CORNER))
-    found = build_problems(plant, ProblemSpec(), Wishes())
+    found = build_problems(plant, ProblemSpec(), DesignOptions())
     assert found["ry"].wrench_filter == found["x"].wrench_filter == built(CORNER).wrench_filter
     straight = admittance(6.0, 1600.0, 0.012)
     turning = replace(straight, mass_kg=6.0 * SQUARE, damping_n_s_per_m=1600.0 * SQUARE)
@@ -140,7 +140,7 @@ def test_torques_pass_the_same_filter() -> None:
         moduli.append(find_margins(sampled, law).modulus)
     assert moduli[1] == pytest.approx(moduli[0], rel=1e-6)
     said = ProblemSpec(uncertain={"wrench_time_constant_s": (1e-3, 2e-3)})
-    both = build_problems(plant, said, Wishes())
+    both = build_problems(plant, said, DesignOptions())
     assert {each.uncertain["wrench_time_constant_s"] for each in both.values()} == {(1e-3, 2e-3)}
 
 
@@ -149,7 +149,7 @@ def test_torques_pass_the_same_filter() -> None:
     [
         (WrenchFilterEstimate(corner_hz=absent("the sweep is too slow")), {}, EstimateError, "the sweep is too slow"),
         (WrenchFilterEstimate(corner_hz=known(50.0, 30.0)), {}, EstimateError, "with a range that reaches 0"),
-        (None, {"wrench_time_constant_s": "identified"}, UsageError, "tells nothing of it"),
+        (None, {"wrench_time_constant_s": "identified"}, UsageError, "says nothing of it"),
         (None, {"wrench_time_constant_s": (0.0, 1e-3)}, UsageError, r"above 0 at both ends, or \[0, 0\] for none"),
     ],
 )

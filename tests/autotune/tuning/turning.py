@@ -7,7 +7,7 @@ from pathlib import Path
 from autotune.formats.identified import IdentifiedFile, write_identified
 from autotune.formats.problem import ProblemSpec, RotationalSpec
 from autotune.tuning.optimize import Optimized, optimize
-from autotune.tuning.problems import Wishes
+from autotune.tuning.problems import DesignOptions
 from identification.result import AxisEstimate, CouplingEstimate, Estimate, Identified
 from tests.autotune.tuning.cases import FAST_SPEC, FAST_WISHES, identified_axis, identified_plant
 
@@ -69,6 +69,6 @@ def both_optimized() -> Optimized:
     return optimized(FAST_TURNING_SPEC, FAST_WISHES)
 
 
-def optimized(spec: ProblemSpec, wishes: Wishes) -> Optimized:
+def optimized(spec: ProblemSpec, options: DesignOptions) -> Optimized:
     plant = IdentifiedFile(result=two_axes(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
-    return optimize(plant, spec, wishes, seed=1)
+    return optimize(plant, spec, options, seed=1)

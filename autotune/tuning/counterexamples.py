@@ -1,4 +1,4 @@
-"""What a search takes in beyond its own scenarios: plants at which a proof failed, impacts that bounced for ever."""
+"""Counterexamples that a search takes in: plants at which a proof failed, impacts that bounced for ever."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ _WINDOW_SHARE, _SHORTEST_WINDOW = 0.25, 64
 
 
 @dataclass(frozen=True, kw_only=True)
-class Beyond:
+class Counterexamples:
     """Plants that join the scenarios of a search, and impacts that must come to rest as (plant, ratio s).
 
     s is the speed at the impact times (B_a + B_p) over F^d, so that it is the same impact whatever the damping.
@@ -35,7 +35,7 @@ class Beyond:
     scenarios: tuple[Scenario, ...] = ()
     impacts: tuple[tuple[Scenario, float], ...] = ()
 
-    def joined(self, error: RefutedError) -> "Beyond":
+    def joined(self, error: RefutedError) -> "Counterexamples":
         """Return the same with what an error names."""
         if error.impact is None:
             return replace(self, scenarios=tuple(dict.fromkeys((*self.scenarios, error.scenario))))
@@ -43,17 +43,17 @@ class Beyond:
         return replace(self, impacts=tuple(dict.fromkeys((*self.impacts, impact))))
 
 
-NOTHING = Beyond()
+NOTHING = Counterexamples()
 
 
 class ImpactTest:
-    """Whether designs of a problem come to rest after the impacts that a search has taken in."""
+    """Tests whether designs of a problem come to rest after the impacts of counterexamples."""
 
-    def __init__(self, problem: DesignProblem, beyond: Beyond) -> None:
+    def __init__(self, problem: DesignProblem, counterexamples: Counterexamples) -> None:
         self._problem = problem
         self._known: dict[bytes, bool] = {}
         self._cases: list[tuple[SampledContact, Sequence[float]]] = []
-        for scenario, ratio in beyond.impacts:
+        for scenario, ratio in counterexamples.impacts:
             pair = build_sampled_contact(build_sampled_plant(problem.plant(scenario), problem.sample_time_s))
             self._cases.append((pair, (ratio, *_LADDER)))
 
