@@ -52,7 +52,9 @@ def settle(name: str, found: SearchResult, asked: ProofOptions, *, seed: int) ->
     return second if lower else first
 
 
-def _unrefuted(name: str, search: SearchResult, asked: ProofOptions, counterexamples: Counterexamples, seed: int) -> Settled:
+def _unrefuted(
+    name: str, search: SearchResult, asked: ProofOptions, counterexamples: Counterexamples, seed: int
+) -> Settled:
     """Return a result that nothing refutes, and what was taken in."""
     for round_index in range(_ROUNDS + 1):
         try:
