@@ -380,17 +380,17 @@ def _about_masses(axis: str, gravity: GravityFit, fit: JointFit) -> list[Finding
 
 def _about_lag(axis: str, fit: JointFit) -> list[Finding]:
     """Tell when the wrench comes late, or early: the motion shows it, and it was taken out."""
-    if fit.lag.is_filter or fit.lag.applied_s == 0.0:
+    if fit.latency.is_filter or fit.latency.applied_s == 0.0:
         return []
-    late = "late" if fit.lag.seconds > 0.0 else "early"
+    late = "late" if fit.latency.seconds > 0.0 else "early"
     return [
         Finding(
             code="wrench-lag",
             severity="info",
-            message=f"Axis {axis}: the wrench is stamped {1e3 * abs(fit.lag.seconds):.3f} ± "
-            f"{1e3 * fit.lag.std_s:.2g} ms {late} against pose and command, as its motion shows; this was taken out.",
+            message=f"Axis {axis}: the wrench is stamped {1e3 * abs(fit.latency.seconds):.3f} ± "
+            f"{1e3 * fit.latency.std_s:.2g} ms {late} against pose and command, as its motion shows; this was taken out.",
             advice="A filter of the sensor or of its driver does this as well as a clock."
-            if fit.lag.seconds > 0.0
+            if fit.latency.seconds > 0.0
             else "No sensor shows a force before it is there: have both drivers stamp with one clock.",
         )
     ]

@@ -114,8 +114,8 @@ def _identify(
     accounted = _accounted(cell, told)
     timeline = Timeline(phases=accounted.phases)
     sensor, about_sensor = describe_sensor(read, gravity, frames)
-    lags = {name: axis.fit.lag for name, axis in told.items() if axis.fit is not None}
-    late, about_late = find_wrench_filter(lags, recording.wrench_shifted_s, log.period_s)
+    latencies = {name: axis.fit.latency for name, axis in told.items() if axis.fit is not None}
+    late, about_late = find_wrench_filter(latencies, recording.wrench_shifted_s, log.period_s)
     report(1.0 - _WEIGHING_SHARE - _AXES_SHARE)
     found = Identified(
         sample_time_s=_sample_time(recording),

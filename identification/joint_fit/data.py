@@ -49,7 +49,7 @@ class JointData:
     `position_m`, `force_n` (n,) on one clock of period `period_s`, the force without weight and bias; `command` on
     the same clock, or None. `rests`, spans at rest for the noise; `moving`, all spans of motion along this axis;
     `free`, those without a hand; `rings`, where the payload swings after something let go; `holds`, rests under
-    force. `coupling` is K_s, B_s, B_p, M_p (4,), `robot` r(s) of one or two poles and T_d. `lag_s` is how late the
+    force. `coupling` is K_s, B_s, B_p, M_p (4,), `robot` r(s) of one or two poles and T_d. `latency_s` is how late the
     wrench may be stamped, mean and standard deviation, after `shifted_s` was taken off its stamps when it was read;
     `measured`, first tick at which the pose was measured and every how many it was (between them it is interpolated).
     `mass_kg`, from gravity, is a start too and no information; M_p is looked for between a fifth of it and five times
@@ -69,7 +69,7 @@ class JointData:
     robot: RobotModel | None
     mass_kg: float | None = None
     rings: Sequence[Span] = ()
-    lag_s: tuple[float, float] = (0.0, _USUAL_LAG_S)
+    latency_s: tuple[float, float] = (0.0, _USUAL_LAG_S)
     measured: tuple[int, int] = (0, 1)
     shifted_s: float = 0.0
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -125,7 +125,7 @@ def build_joint_data(
     command: PoseSignal | None,
     mass_kg: float,
     noise_rms_n: float = 0.0,
-    lag_s: tuple[float, float] | None = None,
+    latency_s: tuple[float, float] | None = None,
     pose_stamp_ns: StampArray | None = None,
 ) -> JointData:
     """Gather what `identify_joint` needs.
@@ -152,7 +152,7 @@ def build_joint_data(
         robot=robot,
         mass_kg=mass_kg,
         measured=(0, 1) if pose_stamp_ns is None else _measured(pose_stamp_ns, log),
-        lag_s=(0.0, max(_USUAL_LAG_S, _USUAL_LAG_PERIODS * log.period_s)) if lag_s is None else lag_s,
+        latency_s=(0.0, max(_USUAL_LAG_S, _USUAL_LAG_PERIODS * log.period_s)) if latency_s is None else latency_s,
     )
 
 

@@ -138,8 +138,8 @@ class JointEstimates:
             noise_ratio_contact=of_contacts(told.noise_ratio[1]),
             left_out_contact=told.left_out_error[1],
             widening=told.widening,
-            wrench_lag_s=self.fit.lag.seconds,
-            wrench_lag_std_s=self.fit.lag.std_s,
+            wrench_lag_s=self.fit.latency.seconds,
+            wrench_lag_std_s=self.fit.latency.std_s,
         )
 
     def _judged(self, name: str, *, floor: float = 0.0) -> Estimate:

@@ -73,8 +73,8 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
     base, start = _robot_first(data, start)
     problem, point = begin(data, base, start[:-3])
     blurred = data.command is not None and data.command.is_mean
-    problem, point, lag = fit_latency(problem, point, data.force_n, data.lag_s, 0.0, blurred=blurred)
-    problem, point, lag = filter_or_delay(problem, point, data.force_n, lag, data.shifted_s)
+    problem, point, latency = fit_latency(problem, point, data.force_n, data.latency_s, 0.0, blurred=blurred)
+    problem, point, latency = filter_or_delay(problem, point, data.force_n, latency, data.shifted_s)
     progress.advance_to(_BEGUN)
     contacts = _starts(data, problem, np.concatenate([point.values, start[-3:]]))
     alone = [fit_alone(problem, point, contact) for contact in contacts]
@@ -84,12 +84,12 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
     for _ in range(_ROUNDS):
         problem = _recoloured(problem, point)
         point, _ = minimise(problem, point, _STEPS_LATER)
-    if lag.is_filter:
+    if latency.is_filter:
         problem, point, std = fit_filter(problem, point)
-        lag = replace(lag, seconds=problem.signals.sensor_dynamics.time_constant_s, std_s=std)
-    elif not lag.is_whole:
-        again = fit_latency(problem, point, data.force_n, data.lag_s, lag.applied_s, blurred=blurred)
-        problem, point, lag = again[0], again[1], replace(again[2], evidence=lag.evidence)
+        latency = replace(latency, seconds=problem.signals.sensor_dynamics.time_constant_s, std_s=std)
+    elif not latency.is_whole:
+        again = fit_latency(problem, point, data.force_n, data.latency_s, latency.applied_s, blurred=blurred)
+        problem, point, latency = again[0], again[1], replace(again[2], evidence=latency.evidence)
     progress.advance_to(_ROUNDED)
     problem, point = deepest_surfaces(problem, deepest_stiffness(problem, point))
     problem = _recoloured(problem, point)
@@ -97,7 +97,7 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
     _require_mass(problem, float(point.values[3]))
     resting = np.concatenate([_settled(data.force_n[s]) for s in _quiet_rests(data)])
     fit = build_joint_fit(
-        problem, point, found, competing, command=data.command, lag=lag, rest_rms_n=float(np.std(resting))
+        problem, point, found, competing, command=data.command, latency=latency, rest_rms_n=float(np.std(resting))
     )
     if not np.all(np.isfinite(fit.covariance)) or fit.diagnostics.fit_share[0] < _LEAST_EXPLAINED:
         explained = 100.0 * max(fit.diagnostics.fit_share[0], 0.0)

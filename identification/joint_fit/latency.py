@@ -70,8 +70,8 @@ def fit_latency(
     """Fit the wrench's latency, take it out where it shows, and fit all again.
 
     What is left of it counts as a systematic error. `force_n` (n,) is the force as logged, `prior` the latency's mean
-    and deviation [s], `applied_s` what the problem's force is already shifted by. One Gauss-Newton step of the lag
-    beside all other parameters, -F'(t) being what it does to the force, repeated while it moves. A lag within two
+    and deviation [s], `applied_s` what the problem's force is already shifted by. One Gauss-Newton step of the latency
+    beside all other parameters, -F'(t) being what it does to the force, repeated while it moves. A latency within two
     deviations of what is applied is left where it is: shifting interpolates the noise. `blurred`: the command is a mean
     over every sample.
     """
@@ -105,7 +105,7 @@ def advance_in_time(force_n: FloatArray, samples: float) -> FloatArray:
 
 
 def latency_step(problem: Problem, point: Point, prior: tuple[float, float], applied_s: float) -> tuple[float, float]:
-    """Return by how much the lag should grow, and its deviation with all other parameters free [s]."""
+    """Return by how much the latency should grow, and its deviation with all other parameters free [s]."""
     mean, std = prior
     blocks = linearise(replace(problem, signals=replace(problem.signals, latency_std_s=std)), point)
     count = len(problem.layout)
@@ -188,9 +188,9 @@ def _at(point: Point, index: int, delay_s: float) -> Point:
     return replace(point, values=values)
 
 
-def is_significant_latency(lag_s: float, std_s: float, period_s: float) -> bool:
-    """Return whether a lag is there and matters: four deviations, and a fifth of a sample or 0.2 ms, what is less."""
-    return lag_s > max(_LATE_STDS * std_s, min(_MATTERS_SAMPLES * period_s, _MATTERS_S))
+def is_significant_latency(latency_s: float, std_s: float, period_s: float) -> bool:
+    """Return whether a latency matters: above four deviations, and a fifth of a sample or 0.2 ms, what is less."""
+    return latency_s > max(_LATE_STDS * std_s, min(_MATTERS_SAMPLES * period_s, _MATTERS_S))
 
 
 def taken_for_filter(shifted_s: float) -> float:
@@ -199,7 +199,7 @@ def taken_for_filter(shifted_s: float) -> float:
 
 
 def filter_or_delay(
-    problem: Problem, point: Point, force_n: FloatArray, lag: WrenchLatency, shifted_s: float
+    problem: Problem, point: Point, force_n: FloatArray, latency: WrenchLatency, shifted_s: float
 ) -> tuple[Problem, Point, WrenchLatency]:
     """Return the problem with a low-pass in its sensor where that explains a late wrench better than a delay.
 
@@ -209,20 +209,23 @@ def filter_or_delay(
     """
     period = problem.signals.period_s
     clock = taken_for_filter(shifted_s)
-    if not is_significant_latency(lag.seconds + clock, lag.std_s, period):
-        return problem, point, lag
+    if not is_significant_latency(latency.seconds + clock, latency.std_s, period):
+        return problem, point, latency
     raw = replace(problem.signals, force_n=force_n, latency_std_s=0.0)
-    there, best, whole = _deepest_delay(replace(problem, signals=raw), point, lag.seconds)
+    there, best, whole = _deepest_delay(replace(problem, signals=raw), point, latency.seconds)
     fits = [
         _fitted_filter(
-            problem, raw, point, SensorDynamics(time_constant_s=lag.seconds + clock, delay_s=-clock - early * period)
+            problem,
+            raw,
+            point,
+            SensorDynamics(time_constant_s=latency.seconds + clock, delay_s=-clock - early * period),
         )
         for early in _EARLY_SAMPLES
     ]
     filtered, here, std, deepest = min(fits, key=lambda fit: fit[3])
     evidence = best - deepest
     if evidence < 0.0 and whole is None:
-        return problem, point, replace(lag, evidence=evidence)
+        return problem, point, replace(latency, evidence=evidence)
     if evidence < 0.0 and whole is not None:
         std = _FILTER_BETWEEN_SAMPLES * period
         signals = replace(raw, force_n=advance_in_time(force_n, whole), latency_std_s=std)
@@ -248,21 +251,21 @@ def _fitted_filter(
     return filtered, here, std, depth(filtered, here)
 
 
-def _deepest_delay(problem: Problem, point: Point, lag_s: float) -> tuple[Point, float, int | None]:
+def _deepest_delay(problem: Problem, point: Point, latency_s: float) -> tuple[Point, float, int | None]:
     """Return the deepest fit with a delay, its depth, and how many whole samples it is, None for a part of one.
 
     A force that jumps with the held command keeps its jumps only where it is shifted by whole samples.
     """
     period = problem.signals.period_s
-    sensor_dynamics = SensorDynamics(delay_s=lag_s)
+    sensor_dynamics = SensorDynamics(delay_s=latency_s)
     for _ in range(_DELAY_ROUNDS):
         problem = replace(problem, signals=replace(problem.signals, sensor_dynamics=sensor_dynamics, latency_std_s=0.0))
-        step, std = latency_step(problem, point, (sensor_dynamics.delay_s, _VAGUE * lag_s), sensor_dynamics.delay_s)
+        step, std = latency_step(problem, point, (sensor_dynamics.delay_s, _VAGUE * latency_s), sensor_dynamics.delay_s)
         sensor_dynamics = SensorDynamics(delay_s=sensor_dynamics.delay_s + float(np.clip(step, -period, period)))
         if abs(step) < _SETTLED * std:
             break
     about = sensor_dynamics.delay_s / period
-    wholes = sorted({int(np.floor(about)), int(np.ceil(about)), round(lag_s / period)})
+    wholes = sorted({int(np.floor(about)), int(np.ceil(about)), round(latency_s / period)})
     found = []
     for whole in (None, *(each for each in wholes if each > 0)):
         late = sensor_dynamics if whole is None else SensorDynamics(delay_s=whole * period)
@@ -334,22 +337,29 @@ def _fitted(left: Sequence[FloatArray], before: Whitener) -> Whitener:
 
 
 def find_wrench_filter(
-    lags: Mapping[str, WrenchLatency], shifted_s: float, period_s: float
+    latencies: Mapping[str, WrenchLatency], shifted_s: float, period_s: float
 ) -> tuple[WrenchFilterEstimate | None, tuple[Finding, ...]]:
     """Return the low-pass or the delay that the axes show, None where the wrench is not late by what matters.
 
-    `lags` are those of the fits by axis, after `shifted_s` was taken off the wrench's stamps. Where axes show different
-    kinds, the one with more evidence counts; where they show different sizes, the latest one. What a wrench is early
-    by is a clock's, not a filter's, and left out.
+    `latencies` are those of the fits by axis, after `shifted_s` was taken off the wrench's stamps. Where axes show
+    different kinds, the one with more evidence counts; where they show different sizes, the latest one. What a wrench
+    is early by is a clock's, not a filter's, and left out.
     """
     clock = taken_for_filter(shifted_s)
-    whole = {n: lag if lag.is_filter else replace(lag, seconds=lag.seconds + clock) for n, lag in lags.items()}
-    late = {name: lag for name, lag in whole.items() if is_significant_latency(lag.seconds, lag.std_s, period_s)}
+    whole = {
+        n: latency if latency.is_filter else replace(latency, seconds=latency.seconds + clock)
+        for n, latency in latencies.items()
+    }
+    late = {
+        name: latency
+        for name, latency in whole.items()
+        if is_significant_latency(latency.seconds, latency.std_s, period_s)
+    }
     if not late:
         return None, ()
-    evidence = sum(lag.evidence or 0.0 for lag in late.values())
-    is_filter = evidence > 0.0 or all(lag.is_filter for lag in late.values())
-    alike = {name: lag for name, lag in late.items() if lag.is_filter == is_filter} or late
+    evidence = sum(latency.evidence or 0.0 for latency in late.values())
+    is_filter = evidence > 0.0 or all(latency.is_filter for latency in late.values())
+    alike = {name: latency for name, latency in late.items() if latency.is_filter == is_filter} or late
     seconds, std, why = _together(alike)
     if abs(evidence) < DECIDED:
         why = f"a {'delay' if is_filter else 'low-pass'} explains it nearly as well"
@@ -370,7 +380,10 @@ def find_wrench_filter(
 
 def _together(alike: Mapping[str, WrenchLatency]) -> tuple[float, float, str]:
     """Return mean and deviation of what the axes show, the largest where they disagree, and why it is weak then."""
-    values, stds = np.array([lag.seconds for lag in alike.values()]), np.array([lag.std_s for lag in alike.values()])
+    values, stds = (
+        np.array([latency.seconds for latency in alike.values()]),
+        np.array([latency.std_s for latency in alike.values()]),
+    )
     weights = stds**-2.0
     mean = float(weights @ values / np.sum(weights))
     apart = float(np.max(values) - np.min(values))

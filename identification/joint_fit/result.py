@@ -79,9 +79,9 @@ class Diagnostics:
 class JointFit:
     """All parameters of one axis with one covariance, (p,) and (p, p) in SI, in the order of `names`.
 
-    `ci95` holds intervals where plus and minus two deviations would be wrong (a damping or mass near 0); `lag` is the
-    wrench's against pose and command. `is_weighed` where ringing alone told the coupling, with the mass from gravity.
-    `spans` are what was fitted, span by span.
+    `ci95` holds intervals where plus and minus two deviations would be wrong (a damping or mass near 0); `latency` is
+    the wrench's against pose and command. `is_weighed` where ringing alone told the coupling, with the mass from
+    gravity. `spans` are what was fitted, span by span.
     """
 
     names: tuple[str, ...]
@@ -91,7 +91,7 @@ class JointFit:
     robot: RobotModel | None
     surfaces: tuple[JointSurface, ...]
     diagnostics: Diagnostics
-    lag: WrenchLatency
+    latency: WrenchLatency
     is_weighed: bool = False
     spans: tuple[FittedSpan, ...] = ()
 
@@ -120,7 +120,7 @@ def build_joint_fit(
     competing: CompetingMinimum | None,
     *,
     command: HeldCommand | None,
-    lag: WrenchLatency,
+    latency: WrenchLatency,
     rest_rms_n: float,
 ) -> JointFit:
     """Turn the minimum into a result; the delay counts from the command and not from the tick before it."""
@@ -146,7 +146,7 @@ def build_joint_fit(
         robot=robot_model(values[layout.robot]) if layout.robot_order else None,
         surfaces=surfaces,
         diagnostics=_diagnostics(problem, point, blocks, spread, share, ratio),
-        lag=lag,
+        latency=latency,
         spans=_spans(problem, point, blocks),
     )
 

@@ -158,7 +158,8 @@ def logarithmic(layout: ParameterLayout) -> NDArray[np.bool_]:
 class Block:
     """One span, whitened: residual and derivatives by the scaled shared parameters, free of the span's own ones.
 
-    `systematic` are forces that the model may lack, treated alike: see `_untimed`; the last one is the wrench's lag.
+    `systematic` are forces that the model may lack, treated alike: see `_untimed`; the last one is the wrench's
+    latency.
     """
 
     residual: FloatArray

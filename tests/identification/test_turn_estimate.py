@@ -53,7 +53,7 @@ def joint_fit(names: tuple[str, ...], values: FloatArray) -> JointFit:
                 peak_force_n=(40.0,),
             ),
         ),
-        lag=WrenchLatency(seconds=0.0, std_s=1e-5, applied_s=0.0),
+        latency=WrenchLatency(seconds=0.0, std_s=1e-5, applied_s=0.0),
         diagnostics=Diagnostics(
             fit_share=(1.0, 1.0),
             whiteness=(0.5, 0.5),
@@ -99,7 +99,7 @@ def test_the_inertia_of_a_turn_is_compared_with_the_tensors(value: float, std: f
         matrix_S_kg_m2=None,
         std_S_kg_m2=None,
         mass_kg=unknown,
-        lag_s=0.0,
+        latency_s=0.0,
         lag_std_s=0.0,
         moves=4,
         left_out=0,

@@ -55,11 +55,11 @@ def test_a_late_wrench_is_told_and_taken_out(recording: Recording, whole: JointF
     fit = identify_joint(
         gathered(dataclasses.replace(recording, wrench=dataclasses.replace(recording.wrench, stamp_ns=late)))
     )
-    assert abs(fit.lag.seconds - samples * H_S) < 4.4 * fit.lag.std_s
-    assert fit.lag.std_s < 0.05 * H_S
-    # 4.4 deviations: the quantile of 1e-4 for nine values. A lag that is left in costs tens.
+    assert abs(fit.latency.seconds - samples * H_S) < 4.4 * fit.latency.std_s
+    assert fit.latency.std_s < 0.05 * H_S
+    # 4.4 deviations: the quantile of 1e-4 for nine values. A latency that is left in costs tens.
     assert np.max(np.abs(scores(fit, Cell()))) < 4.4
-    assert whole.lag.applied_s == 0.0
+    assert whole.latency.applied_s == 0.0
 
 
 def test_the_force_is_shifted_as_time_is() -> None:
@@ -182,17 +182,17 @@ def moved(corner_hz: float | None = None, late_samples: int = 0, shifted_s: floa
 @pytest.mark.parametrize(("corner_hz", "shifted_s"), [(50.0, 0.0), (100.0, 0.0), (200.0, 0.0), (50.0, 4 * H_S)])
 def test_the_corner_of_a_low_pass_is_found_and_biases_nothing(corner_hz: float, shifted_s: float) -> None:
     fit = identify_joint(moved(corner_hz, shifted_s=shifted_s))
-    assert fit.lag.is_filter
-    assert fit.lag.evidence is not None
-    assert fit.lag.evidence > 25.0
+    assert fit.latency.is_filter
+    assert fit.latency.evidence is not None
+    assert fit.latency.evidence > 25.0
     truth_s = 1.0 / (2.0 * np.pi * corner_hz)
     # One value: 3.3 deviations are the quantile of 1e-3. A share of a sample is what the steps of the command cost.
-    assert abs(fit.lag.seconds - truth_s) < 3.3 * fit.lag.std_s
-    assert fit.lag.std_s < 0.05 * H_S
+    assert abs(fit.latency.seconds - truth_s) < 3.3 * fit.latency.std_s
+    assert fit.latency.std_s < 0.05 * H_S
     off = {name: (fit.value(name)[0] - value) / fit.value(name)[1] for name, value in TRUTH.items()}
     # Six values, 4.2 deviations: the quantile of 1e-4 for all of them.
     assert max(map(abs, off.values())) < 4.2, off
-    found, (finding,) = find_wrench_filter({"x": fit.lag}, shifted_s, H_S)
+    found, (finding,) = find_wrench_filter({"x": fit.latency}, shifted_s, H_S)
     assert found is not None
     assert found.corner_hz is not None
     assert found.corner_hz.value is not None
@@ -206,9 +206,9 @@ def test_a_low_pass_that_a_driver_computes_sample_by_sample_is_found() -> None:
     plain, share = moved(), 1.0 - float(np.exp(-2.0 * np.pi * 50.0 * H_S))
     smoothed = lfilter([share], [1.0, share - 1.0], plain.force_n)
     fit = identify_joint(replace(plain, force_n=smoothed))
-    assert fit.lag.is_filter
+    assert fit.latency.is_filter
     # Between the samples it follows no equation; a fifth of the 10 % up to which a corner is called identified.
-    assert fit.lag.seconds == pytest.approx(1.0 / (2.0 * np.pi * 50.0), rel=0.02)
+    assert fit.latency.seconds == pytest.approx(1.0 / (2.0 * np.pi * 50.0), rel=0.02)
     off = {name: (fit.value(name)[0] - value) / fit.value(name)[1] for name, value in TRUTH.items()}
     # Six values, 4.2 deviations: the quantile of 1e-4 for all of them.
     assert max(map(abs, off.values())) < 4.2, off
@@ -217,8 +217,8 @@ def test_a_low_pass_that_a_driver_computes_sample_by_sample_is_found() -> None:
 @pytest.mark.parametrize(("samples", "shifted_s"), [(1, 0.0), (2, 0.0), (2, 2 * H_S)])
 def test_a_delay_is_a_delay(samples: int, shifted_s: float) -> None:
     fit = identify_joint(moved(late_samples=samples, shifted_s=shifted_s))
-    assert not fit.lag.is_filter
-    found, _ = find_wrench_filter({"x": fit.lag}, shifted_s, H_S)
+    assert not fit.latency.is_filter
+    found, _ = find_wrench_filter({"x": fit.latency}, shifted_s, H_S)
     assert found is not None
     assert found.corner_hz is None
     assert found.delay_s is not None
@@ -231,8 +231,8 @@ def test_a_delay_is_a_delay(samples: int, shifted_s: float) -> None:
 
 def test_a_wrench_that_is_not_late_has_no_filter() -> None:
     fit = identify_joint(moved())
-    assert (fit.lag.is_filter, fit.lag.evidence) == (False, None)
-    assert find_wrench_filter({"x": fit.lag}, 0.0, H_S) == (None, ())
+    assert (fit.latency.is_filter, fit.latency.evidence) == (False, None)
+    assert find_wrench_filter({"x": fit.latency}, 0.0, H_S) == (None, ())
 
 
 def test_what_is_early_or_does_not_matter_is_no_filter() -> None:
@@ -241,28 +241,28 @@ def test_what_is_early_or_does_not_matter_is_no_filter() -> None:
     assert is_significant_latency(0.25 * H_S, 1e-6, H_S)
     assert is_significant_latency(2.1e-4, 1e-6, 4e-3)
     assert not is_significant_latency(1e-3, 3e-4, H_S)
-    assert find_wrench_filter({"x": lag(-2e-3)}, 0.0, H_S) == (None, ())
+    assert find_wrench_filter({"x": latency(-2e-3)}, 0.0, H_S) == (None, ())
     # 50 ms are a clock's; 3 ms that were taken off the stamps may be the sensor's.
-    assert find_wrench_filter({"x": lag(0.0)}, 0.05, H_S) == (None, ())
-    found, _ = find_wrench_filter({"x": lag(0.0)}, 3e-3, H_S)
+    assert find_wrench_filter({"x": latency(0.0)}, 0.05, H_S) == (None, ())
+    found, _ = find_wrench_filter({"x": latency(0.0)}, 3e-3, H_S)
     assert found is not None
     assert found.delay_s is not None
     assert found.delay_s.value == 3e-3
 
 
-def lag(
+def latency(
     seconds: float, std_s: float = 1e-5, *, is_filter: bool = False, evidence: float | None = None
 ) -> WrenchLatency:
     return WrenchLatency(seconds=seconds, std_s=std_s, applied_s=0.0, is_filter=is_filter, evidence=evidence)
 
 
 def test_the_kind_with_more_evidence_counts_and_a_near_draw_is_weak() -> None:
-    filtered, delayed = lag(1e-3, is_filter=True, evidence=400.0), lag(1e-3, evidence=-30.0)
+    filtered, delayed = latency(1e-3, is_filter=True, evidence=400.0), latency(1e-3, evidence=-30.0)
     found, _ = find_wrench_filter({"x": filtered, "y": delayed}, 0.0, H_S)
     assert found is not None
     assert found.corner_hz is not None
     assert found.corner_hz.value == pytest.approx(1.0 / (2.0 * np.pi * 1e-3))
-    near, (finding,) = find_wrench_filter({"x": lag(1e-3, evidence=-3.0)}, 0.0, H_S)
+    near, (finding,) = find_wrench_filter({"x": latency(1e-3, evidence=-3.0)}, 0.0, H_S)
     assert near is not None
     assert near.delay_s is not None
     assert near.delay_s.status is Status.WEAK
@@ -270,12 +270,12 @@ def test_the_kind_with_more_evidence_counts_and_a_near_draw_is_weak() -> None:
 
 
 def test_axes_of_one_kind_are_averaged_and_where_they_disagree_the_latest_counts() -> None:
-    alike = {"x": lag(1e-3, evidence=-99.0), "y": lag(1.02e-3, evidence=-99.0)}
+    alike = {"x": latency(1e-3, evidence=-99.0), "y": latency(1.02e-3, evidence=-99.0)}
     found, _ = find_wrench_filter(alike, 0.0, H_S)
     assert found is not None
     assert found.delay_s is not None
     assert found.delay_s.value == pytest.approx(1.01e-3)
-    found, (finding,) = find_wrench_filter({**alike, "y": lag(2e-3, evidence=-99.0)}, 0.0, H_S)
+    found, (finding,) = find_wrench_filter({**alike, "y": latency(2e-3, evidence=-99.0)}, 0.0, H_S)
     assert found is not None
     assert found.delay_s is not None
     assert (found.delay_s.value, found.delay_s.status) == (2e-3, Status.WEAK)

@@ -10,6 +10,8 @@ from scipy.spatial.transform import Rotation
 from identification.errors import EstimateError
 from identification.payload.gravity import (
     LOCAL_GRAVITY_STD,
+    _joint_covariance,
+    _solve,
     collect_static_poses,
     identify_gravity,
     orientation_spread_rad,
@@ -232,6 +234,29 @@ def test_tilts_about_one_axis_tell_mass_and_only_then_a_centre_if_they_are_large
     assert fit.mass_kg == pytest.approx(MASS_KG, rel=1e-11)
     assert not fit.com_is_excited
     assert identify_gravity(poses_at(tilted(8, 1.0))).com_is_excited
+
+
+def test_a_centre_that_the_torques_do_not_show_is_unknown_and_the_mass_keeps_its_deviation() -> None:
+    # One orientation: torque and bias are one column times a constant each.
+    rows, alike = np.tile(np.concatenate([np.diag([1.0, 2.0, 3.0]), np.eye(3)], axis=1), (5, 1, 1)), np.arange(5)
+    torque = _solve(rows, np.ones((5, 3)), alike, [1e-3] * 5, 3)
+    assert torque.condition == np.inf
+    force = np.diag([0.04, 0.1, 0.2, 0.3])
+    covariance = _joint_covariance(MASS_KG, np.zeros(3), force, torque.covariance)
+    expected = [0.04 + (LOCAL_GRAVITY_STD * MASS_KG) ** 2, *[np.inf] * 3, 0.1, 0.2, 0.3, *[np.inf] * 3]
+    np.testing.assert_allclose(np.diag(covariance), expected, rtol=1e-15)
+    assert not np.any(covariance[~np.eye(10, dtype=bool)])
+
+
+def test_a_far_centre_that_small_tilts_suggest_is_no_reason_to_refuse_the_mass() -> None:
+    far = Truth(com_m=np.array([0.0, 0.0, 2.0]))
+    down = Rotation.from_euler("x", np.pi)
+    small = down * Rotation.from_rotvec(np.outer(np.linspace(-0.35, 0.35, 8), [1.0, 0.0, 0.0]))
+    fit = identify_gravity(poses_at(small, truth=far))
+    assert not fit.com_is_excited
+    assert fit.mass_kg == pytest.approx(MASS_KG, rel=1e-11)
+    with pytest.raises(EstimateError, match=r"The centre of mass comes out 2\.00 m"):
+        identify_gravity(poses_at(tilted(8, 1.0), truth=far))
 
 
 def test_a_mass_that_its_own_deviation_covers_is_refused() -> None:

@@ -1,0 +1,61 @@
+"""Stated 95 % intervals of a joint fit that is written down by hand."""
+
+import numpy as np
+import pytest
+
+from identification.joint_fit.estimates import JointEstimates
+from identification.joint_fit.latency import WrenchLatency
+from identification.joint_fit.model import ParameterLayout
+from identification.joint_fit.result import Diagnostics, JointFit, JointSurface
+
+VALUES = np.array([3e5, 50.0, 600.0, 16.0, 1e5, 40.0, 1.5])
+# 1.5 ± 0.2 kg of a moving mass is weak beside a payload of 16 kg, and so stated with its interval.
+MASS_KG, STD_KG = 1.5, 0.2
+LOW_KG, HIGH_KG = MASS_KG - 1.96 * STD_KG, MASS_KG + 1.96 * STD_KG
+
+
+def fit_with(interval: tuple[float, float]) -> JointFit:
+    surface = JointSurface(
+        sign=1, first_parameter=4, secant_n_per_m=7.5e4, secant_std_n_per_m=100.0, onsets=(100,), peak_force_n=(30.0,)
+    )
+    return JointFit(
+        names=ParameterLayout(robot_order=0, surfaces=1).names,
+        values=VALUES,
+        covariance=np.diag(np.append(1e-3 * VALUES[:-1], STD_KG) ** 2),
+        ci95={"environment1_mass_kg": interval},
+        robot=None,
+        surfaces=(surface,),
+        diagnostics=Diagnostics(
+            fit_share=(1.0, 1.0),
+            whiteness=(0.5, 0.5),
+            noise_ratio=(1.0, 1.0),
+            left_out_error=(None, None),
+            widening=1.0,
+            used=(1, 1),
+        ),
+        latency=WrenchLatency(seconds=0.0, std_s=1e-5, applied_s=0.0),
+    )
+
+
+@pytest.mark.parametrize(
+    ("profile", "stated"),
+    [
+        ((1.3, 1.6), (LOW_KG, HIGH_KG)),
+        ((1.3, 3.0), (LOW_KG, 3.0)),
+        ((0.2, 1.6), (0.2, HIGH_KG)),
+        ((0.2, 3.0), (0.2, 3.0)),
+        ((-0.5, 3.0), (0.0, 3.0)),
+    ],
+)
+def test_a_stated_interval_holds_the_profile_and_two_deviations(
+    profile: tuple[float, float], stated: tuple[float, float]
+) -> None:
+    (surface,) = JointEstimates(name="x", fit=fit_with(profile), period_s=1e-3).environments
+    # Rounding of one sum; the deviation comes out of a square root.
+    assert surface.mass_kg.ci95 == pytest.approx(stated, rel=1e-12)
+
+
+def test_an_interval_without_an_upper_end_is_not_stated() -> None:
+    (surface,) = JointEstimates(name="x", fit=fit_with((0.0, np.inf)), period_s=1e-3).environments
+    assert surface.mass_kg.value == MASS_KG
+    assert surface.mass_kg.ci95 is None
