@@ -1,4 +1,4 @@
-"""What to record next, for every parameter that is weak or missing."""
+"""Recommendations of what to record next, for every parameter that is weak or missing."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ _FILTERED = (
 _OTHER_ROBOT = (
     "The sweep is there, but the robot does not follow as one or two poles and a delay do. Log the command where the "
     "position loop receives it, behind every interpolator, filter and limit. If it is logged there, the loop has a "
-    "zero (feed-forward, say): tell its delay from elsewhere, `--given {name}.delay_s=SECONDS`, and use it with care."
+    "zero (feed-forward, say): measure its delay elsewhere, `--given {name}.delay_s=SECONDS`, and use it with care."
 )
 _CONTACTS = "Record 3 or more contacts on the same spot: 1 to 3 cm/s, 20 to 50 N, hold for 1 s, back off."
 _IMPACTS = "Record 3 or more contacts at 3 to 5 cm/s, as far as the predicted peak force allows."
@@ -60,7 +60,7 @@ def advise(result: Identified) -> tuple[Finding, ...]:
     """Return a finding for everything that is weak or missing, those with the same remedy together.
 
     What is missing and needed is an error, unless another error says why already; what is weak and needed is a warning;
-    so is what is needed and told as an interval only; the rest is information.
+    so is what is needed and known as an interval only; the rest is information.
     """
     first = _DRIFTING if any(finding.code == _DRIFT for finding in result.findings) else ""
     findings = list(_findings("", list(_payload_lacks(result)), first))
@@ -72,26 +72,26 @@ def advise(result: Identified) -> tuple[Finding, ...]:
 
 def _findings(where: str, lacks: Sequence[_Lack], first: str) -> Iterator[Finding]:
     for code, verb, severities in (
-        ("unidentifiable", "not told by the log", ("error", "info")),
-        ("bounded", "told as an interval only", ("warning", "info")),
+        ("unidentifiable", "not identified from the log", ("error", "info")),
+        ("bounded", "known as an interval only", ("warning", "info")),
         ("weak", "weak", ("warning", "info")),
     ):
         for needed, severity in zip((True, False), severities, strict=True):
             mine = [lack for lack in lacks if lack.code == code and lack.needed is needed]
             for advice in dict.fromkeys(lack.advice for lack in mine):
-                told = ", ".join(_told(lack) for lack in mine if lack.advice == advice)
+                shown = ", ".join(_text(lack) for lack in mine if lack.advice == advice)
                 text = first + advice
-                yield Finding(code=code, severity=severity, message=f"{where}{told}: {verb}.", advice=text)
+                yield Finding(code=code, severity=severity, message=f"{where}{shown}: {verb}.", advice=text)
 
 
-def _told(lack: _Lack) -> str:
+def _text(lack: _Lack) -> str:
     estimate = lack.estimate
     if isinstance(estimate, Estimate) and estimate.value is None and estimate.ci95 is not None:
         return "{} ({:.3g} to {:.3g} with 95 %)".format(lack.name, *estimate.ci95)
     if isinstance(estimate, VectorEstimate) or not estimate.value or estimate.std is None:
         return lack.name
     share = 100.0 * estimate.std / abs(estimate.value)
-    # What is told sharply and weak all the same has its reason in the note.
+    # What is known sharply and weak all the same has its reason in the note.
     why = f"± {share:.0f} %" if share >= _SHARP_PERCENT or not estimate.note else estimate.note
     return f"{lack.name} ({why})"
 
@@ -125,7 +125,7 @@ def _axis_lacks(name: str, axis: AxisEstimate, sweep: str) -> Iterator[_Lack]:
 
 
 def _about_coupling(axis: AxisEstimate, sweep: str) -> str:
-    """Return what helps where the coupling is not told: another sweep does not, where the model does not fit."""
+    """Return what helps where the coupling is not identified: another sweep does not, where the model does not fit."""
     ratio = _misfit_ratio(axis)
     if axis.coupling.stiffness_n_per_m.status is not Status.UNIDENTIFIABLE or ratio <= _MISFIT_RATIO:
         return sweep
@@ -135,9 +135,9 @@ def _about_coupling(axis: AxisEstimate, sweep: str) -> str:
 def _about_robot(name: str, axis: AxisEstimate, sweep: str) -> str:
     if axis.robot.denominator.value is None:
         return _COMMAND
-    is_told = axis.coupling.stiffness_n_per_m.status is not Status.UNIDENTIFIABLE
+    is_stated = axis.coupling.stiffness_n_per_m.status is not Status.UNIDENTIFIABLE
     misses = axis.robot.delay_s.status is Status.UNIDENTIFIABLE and _misfit_ratio(axis) > _MISFIT_RATIO
-    return _OTHER_ROBOT.format(name=name) if is_told and misses else sweep
+    return _OTHER_ROBOT.format(name=name) if is_stated and misses else sweep
 
 
 def _misfit_ratio(axis: AxisEstimate) -> float:
@@ -165,7 +165,7 @@ def _speed(result: Identified, name: str, highest_hz: float) -> str:
 
 
 def _through_coupling(axis: AxisEstimate, surface: EnvironmentEstimate) -> bool:
-    """Return whether K_e is unknown because K_s is: the secant is told, and better than K_e."""
+    """Return whether K_e is unknown because K_s is: the secant is known, and better than K_e."""
     secant, stiffness = surface.secant_stiffness_n_per_m, surface.stiffness_n_per_m
     k_s = axis.coupling.stiffness_n_per_m
     if secant.value is None or secant.std is None:

@@ -1,4 +1,4 @@
-"""Everything that a recording tells of one axis: robot, coupling, payload, surfaces."""
+"""Estimates of one straight axis out of a recording: robot, coupling, payload, surfaces."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -43,7 +43,7 @@ _EXACT_SHARE = 1e-6
 _LEFT_AT_REST_N = 2.0
 _STAGES_SHARE = 0.27  # of the time that an axis takes
 _OFF_ADVICE = (
-    "First see what is told of the payload's weight: a sensor whose gain or zero changes leaves such a force. Or press "
+    "See the findings on the payload's weight: a sensor whose gain or zero changes leaves such a force. Or press "
     "near an orientation in which the poses were held."
 )
 
@@ -52,7 +52,7 @@ _OFF_ADVICE = (
 class CellSignals:
     """What the axes of a recording share; `force_S_n` (n, 3) is free of weight and bias.
 
-    `robots` are those that the admittance's known gains tell where no command was logged; `turns`, the axes about which
+    `robots` are those that the admittance's known gains show where no command was logged; `turns`, the axes about which
     the tool turned.
     """
 
@@ -68,7 +68,7 @@ class CellSignals:
 
 @dataclass(frozen=True, kw_only=True)
 class AxisResult:
-    """What is told of one axis: the estimate, what there is to know about it, and the fit that only the log is in.
+    """Result of one axis: the estimate with priors, its findings, and the fit to the log alone.
 
     `contacts` are its rests under force with the coupling as far as it is known; `data` is what the fit began with.
     """
@@ -99,9 +99,9 @@ class AxisView:
 
 
 def identify_axis(cell: CellSignals, axis: AxisMotion, progress: ProgressSlice | None = None) -> AxisResult:
-    """Estimate one translational axis; what cannot be told is `unidentifiable`, with a finding of severity `error`.
+    """Estimate one translational axis; what is unidentifiable has a finding of severity `error`.
 
-    `progress` is told the share of the work that is done.
+    `progress` receives the share of the work that is done.
     """
     holds, findings = _holds(cell, axis)
     view = AxisView(
@@ -115,17 +115,17 @@ def identify_axis(cell: CellSignals, axis: AxisMotion, progress: ProgressSlice |
         in_units=partial(with_gain_error, share=cell.gravity.gain_error_share),
         weighed=(cell.gravity.mass_kg, cell.gravity.mass_std_kg),
     )
-    told = fit_axis(cell, view, progress or ProgressSlice())
-    findings += told.findings
-    if told.fit is not None and not told.fit.is_weighed:
-        disagreement = _about_masses(axis.name, cell.gravity, told.fit)
+    result = fit_axis(cell, view, progress or ProgressSlice())
+    findings += result.findings
+    if result.fit is not None and not result.fit.is_weighed:
+        disagreement = _about_masses(axis.name, cell.gravity, result.fit)
         findings += disagreement
         if disagreement:
-            told = replace(told, estimate=_doubted(told.estimate))
-    return replace(told, findings=tuple(findings))
+            result = replace(result, estimate=_weakened(result.estimate))
+    return replace(result, findings=tuple(findings))
 
 
-def _doubted(estimate: AxisEstimate) -> AxisEstimate:
+def _weakened(estimate: AxisEstimate) -> AxisEstimate:
     """Return the estimate with nothing more than weak of what hangs on the force's scale."""
     why = "the masses from motion and from gravity disagree"
     coupling = estimate.coupling
@@ -141,7 +141,7 @@ def _doubted(estimate: AxisEstimate) -> AxisEstimate:
 
 
 def fit_axis(cell: CellSignals, view: AxisView, progress: ProgressSlice) -> AxisResult:
-    """Let the stages find where to start, and the joint fit tell values and uncertainty."""
+    """Find start values by the stages, then values and uncertainty by the joint fit."""
     axis, findings = view.axis, list[Finding]()
     robot_fit, robot = _robot(cell, view, findings)
     coupling = _coupling(view, cell.motion)
@@ -184,35 +184,35 @@ def fit_axis(cell: CellSignals, view: AxisView, progress: ProgressSlice) -> Axis
     return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=fit, data=data)
 
 
-def axis_evidence(told: AxisResult) -> AxisEvidence:
+def axis_evidence(result: AxisResult) -> AxisEvidence:
     """Return the signals of an axis that the joint fit could use or not, a turn in rad and N·m."""
-    axis, data = told.contacts.axis, told.data
+    axis, data = result.contacts.axis, result.data
     lever = LEVER_M if axis.name not in AXIS_NAMES else 1.0
     command = None if data is None or data.command is None else data.command.command_m
     return AxisEvidence(
         position=axis.position_m / lever,
         force=axis.force_n * lever,
         command=None if command is None else command / lever,
-        spans=() if told.fit is None else told.fit.spans,
+        spans=() if result.fit is None else result.fit.spans,
         free=() if data is None else tuple(data.free),
     )
 
 
 def _estimate(axis: AxisMotion, fit: JointFit, robot: RobotEstimate, period_s: float) -> AxisEstimate:
-    told = JointEstimates(name=axis.name, fit=fit, period_s=period_s)
+    result = JointEstimates(name=axis.name, fit=fit, period_s=period_s)
     return AxisEstimate(
-        coupling=told.coupling,
-        drag_n_s_per_m=told.drag_n_s_per_m,
-        environments=told.environments,
-        robot=told.robot or robot,
-        mass_kg=None if fit.is_weighed else told.mass_kg,
-        covariance=told.covariance,
-        fits=(told.quality,),
+        coupling=result.coupling,
+        drag_n_s_per_m=result.drag_n_s_per_m,
+        environments=result.environments,
+        robot=result.robot or robot,
+        mass_kg=None if fit.is_weighed else result.mass_kg,
+        covariance=result.covariance,
+        fits=(result.quality,),
     )
 
 
 def _robot(cell: CellSignals, view: AxisView, findings: list[Finding]) -> tuple[RobotFit | None, RobotEstimate]:
-    """Return the start of the joint fit, and what the command tells where that fit cannot use it."""
+    """Return the start of the joint fit, and what the command shows where that fit cannot use it."""
     recording, axis = view.recording, view.axis
     if recording.command is None:
         if axis.name in cell.robots:
@@ -220,7 +220,7 @@ def _robot(cell: CellSignals, view: AxisView, findings: list[Finding]) -> tuple[
         findings.append(
             missing(
                 "no-command",
-                "The log has no commanded pose, so neither the robot's response nor its delay can be told.",
+                "The log has no commanded pose, so neither the robot's response nor its delay can be determined.",
                 "Record the position command that the robot receives as a PoseStamped topic, or name it with "
                 "--command-topic.",
             )
@@ -282,7 +282,7 @@ def _position_noise(position_m: FloatArray, still: tuple[Span, ...]) -> float:
 
 
 def _holds(cell: CellSignals, axis: AxisMotion) -> tuple[tuple[Span, ...], list[Finding]]:
-    """Return the rests that press along this axis; an oblique normal is told with its direction.
+    """Return the rests that press along this axis; an oblique normal is reported with its direction.
 
     What is touched at the end of a turn is pressed sideways, and belongs to the turn.
     """
@@ -327,7 +327,7 @@ def _first_rests(still: Sequence[Span], holds: Sequence[Span]) -> tuple[Span, ..
 
 
 def _about_contacts(axis: str, holds: Sequence[Span], fit: JointFit, left_n: float) -> list[Finding]:
-    """Tell which rests under force were no contacts; a force that is there without contact explains that best."""
+    """Return findings on rests under force that were no contacts; a force without contact explains that best."""
     used = sum(len(surface.onsets) for surface in fit.surfaces)
     is_off = left_n > _LEFT_AT_REST_N
     findings = []
@@ -351,7 +351,7 @@ def _about_contacts(axis: str, holds: Sequence[Span], fit: JointFit, left_n: flo
             missing(
                 "no-contact",
                 f"Axis {axis}: no contact with an onset and a hold was found, so the environment's stiffness "
-                "cannot be told.",
+                "cannot be determined.",
                 _OFF_ADVICE
                 if is_off and holds
                 else "Record 3 or more contacts: approach at 1 to 3 cm/s, press with 20 to 50 N, hold for 1 s, back "
@@ -379,7 +379,7 @@ def _about_masses(axis: str, gravity: GravityFit, fit: JointFit) -> list[Finding
 
 
 def _about_lag(axis: str, fit: JointFit) -> list[Finding]:
-    """Tell when the wrench comes late, or early: the motion shows it, and it was taken out."""
+    """Return the finding that the wrench was late, or early, against the motion; it was taken out."""
     if fit.latency.is_filter or fit.latency.applied_s == 0.0:
         return []
     late = "late" if fit.latency.seconds > 0.0 else "early"
@@ -388,7 +388,7 @@ def _about_lag(axis: str, fit: JointFit) -> list[Finding]:
             code="wrench-lag",
             severity="info",
             message=f"Axis {axis}: the wrench is stamped {1e3 * abs(fit.latency.seconds):.3f} ± "
-            f"{1e3 * fit.latency.std_s:.2g} ms {late} against pose and command, as its motion shows; this was taken out.",
+            f"{1e3 * fit.latency.std_s:.2g} ms {late} against pose and command, which was taken out.",
             advice="A filter of the sensor or of its driver does this as well as a clock."
             if fit.latency.seconds > 0.0
             else "No sensor shows a force before it is there: have both drivers stamp with one clock.",
@@ -397,17 +397,17 @@ def _about_lag(axis: str, fit: JointFit) -> list[Finding]:
 
 
 def _about_fit(axis: str, fit: JointFit) -> list[Finding]:
-    """Tell when the residual says that the model leaves something out."""
+    """Return the finding that the residual exceeds the noise."""
     parts = zip(("free motion", "contacts"), fit.diagnostics.noise_ratio, strict=True)
-    told = [f"{ratio:.1f} times in {where}" for where, ratio in parts if ratio > _MORE_THAN_NOISE]
-    if not told:
+    result = [f"{ratio:.1f} times in {where}" for where, ratio in parts if ratio > _MORE_THAN_NOISE]
+    if not result:
         return []
     return [
         Finding(
             code="model-misfit",
             severity="info",
             message=f"Axis {axis}: what the fit leaves of the force is larger than the sensor's noise at rest, "
-            f"{' and '.join(told)}; the stated deviations are wider by what that costs.",
+            f"{' and '.join(result)}; the stated deviations are wider by what that costs.",
             advice="A payload that is not one mass on one spring, friction, a hand, or clocks that drift do this.",
         )
     ]

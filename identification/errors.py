@@ -1,10 +1,10 @@
-"""What can go wrong between a log and plant parameters."""
+"""Errors between a log and plant parameters, and the listing of names in their messages."""
 
 from collections.abc import Iterable
 
 from problems.errors import AutotuneError
 
-MOST_TOLD = 10
+MOST_LISTED = 10
 
 
 class LogError(AutotuneError):
@@ -12,11 +12,11 @@ class LogError(AutotuneError):
 
 
 class EstimateError(AutotuneError):
-    """The log is sound but does not tell what was asked of it."""
+    """The log is sound but does not show what was asked of it."""
 
 
 def listed(names: Iterable[object], *, empty: str = "none") -> str:
     """Return the first ten names with commas between, and how many more there are; `empty` where there is none."""
-    told = [str(name) for name in names]
-    more = len(told) - MOST_TOLD
-    return ", ".join(told[:MOST_TOLD]) + (f", … and {more} more" if more > 0 else "") or empty
+    texts = [str(name) for name in names]
+    more = len(texts) - MOST_LISTED
+    return ", ".join(texts[:MOST_LISTED]) + (f", … and {more} more" if more > 0 else "") or empty

@@ -1,4 +1,4 @@
-"""What a result rests on, for pictures: the signals, and what the model says of the spans that told it."""
+"""Signals and fitted spans on which an identification result rests, for pictures."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Knowledge from outside the log, entered as a prior."""
+"""Prior knowledge from outside the log, and its conflicts with the log."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -53,7 +53,7 @@ def check_names(given: Mapping[str, Given], axes: Iterable[str]) -> None:
 def settle_cell(result: Identified, given: Mapping[str, Given]) -> Identified:
     """Combine mass and control period with what is given of them, as independent normal knowledge (Bayes).
 
-    A number that the log did not tell becomes the given one. Where log and prior are more than four joint deviations
+    A number that the log did not show becomes the given one. Where log and prior are more than four joint deviations
     apart, a finding of severity `error` says so. A parameter whose prior is as sharp as the log or sharper is `given`.
     """
     findings = list(result.findings)
@@ -74,7 +74,7 @@ def settle_axis(
 ) -> tuple[AxisEstimate, list[Finding]]:
     """Give the parameters of an axis that are known from elsewhere their verdict.
 
-    `alone` is what the log tells, `both` what it tells with the priors in the fit; where there was none (None), each
+    `alone` is what the log shows, `both` what it shows with the priors in the fit; where there was none (None), each
     prior moves its own number only.
     """
     changed, findings = alone if both is None else both, []
@@ -107,7 +107,7 @@ def _set(axis: AxisEstimate, name: str, estimate: Estimate) -> AxisEstimate:
 
 
 def _posterior(name: str, estimate: Estimate, fitted: Estimate | None, prior: Given) -> tuple[Estimate, list[Finding]]:
-    """Return what log and prior tell together: as the fit found it, else the product of two normal densities.
+    """Return what log and prior show together: as the fit found it, else the product of two normal densities.
 
     Beside it what the user should know: that it was used, or that it contradicts the log.
     """
@@ -121,24 +121,24 @@ def _posterior(name: str, estimate: Estimate, fitted: Estimate | None, prior: Gi
         precision = estimate.std**-2.0 + prior.std**-2.0
         value = (estimate.value / estimate.std**2 + prior.value / prior.std**2) / precision
         std = precision**-0.5
-    note = f"given {prior.value:.6g} ± {prior.std:.2g}, the log tells {estimate.value:.6g} ± {estimate.std:.2g}"
+    note = f"given {prior.value:.6g} ± {prior.std:.2g}, the log shows {estimate.value:.6g} ± {estimate.std:.2g}"
     status = Status.GIVEN if prior.std <= estimate.std else estimate.status
     apart, alone = abs(estimate.value - prior.value), f"{estimate.value:.5g} ± {estimate.std:.2g}"
     if apart > _CONTRADICTION_STDS * math.hypot(estimate.std, prior.std):
         about = Finding(
             code="given-contradicts",
             severity="error",
-            message=f"The log tells {name} as {alone}, given is {prior.value:.5g} ± {prior.std:.2g}.",
+            message=f"The log shows {name} as {alone}, given is {prior.value:.5g} ± {prior.std:.2g}.",
             advice="Check the given value and its unit, and that the log is of this cell and payload.",
         )
     else:
-        told = f"{value:.5g} ± {std:.2g}" if std else f"{value:.5g}"
-        about = _used(f"{name}: given is {_number(prior)}, the log alone tells {alone}; {told} was taken.")
+        stated = f"{value:.5g} ± {std:.2g}" if std else f"{value:.5g}"
+        about = _used(f"{name}: given is {_number(prior)}, the log alone shows {alone}; {stated} was taken.")
     return Estimate(value=value, std=std, status=status, method=estimate.method, note=note), [about]
 
 
 def _without_log(name: str, fitted: Estimate | None, prior: Given) -> tuple[Estimate, list[Finding]]:
-    note = "the log alone does not tell it"
+    note = "the log alone does not show it"
     found = Estimate(value=prior.value, std=prior.std, status=Status.GIVEN, method="given", note=note)
     if fitted is not None and fitted.value is not None:
         found = replace(found, value=fitted.value, std=fitted.std, method=fitted.method)

@@ -1,4 +1,4 @@
-"""From a recording to plant parameters: one driver over the estimators of this floor."""
+"""Identification of plant parameters from one recording: the driver over all estimators."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -47,7 +47,7 @@ from .verdicts import missing
 FloatArray = NDArray[np.float64]
 
 _OBLIQUE_SHARE = 0.3
-# Of the work of a log with one axis; measured, and of no other use than to tell how it goes on.
+# Of the work of a log with one axis; measured, and of no other use than to say how it goes on.
 _WEIGHING_SHARE, _AXES_SHARE = 0.17, 0.77
 _ABOUT = "about the origin of the sensor frame, not the centre of mass"
 
@@ -58,11 +58,11 @@ def identify_cell(
     """Estimate payload, sensor, and per axis robot, coupling and environments, each with a verdict.
 
     `frames` is what the cell declares (all the same where nothing is): the payload's weight is asked whether the
-    declared signs, frames and quaternion order are true, and where only others fit, those are taken and named.
-    `given` is what is known from elsewhere: priors of mass and period, and of the joint fit of every axis; names that
-    are not of this recording are passed over (`given.check_names` refuses them). What the log does not tell is
-    `unidentifiable` and named by a finding of severity `error`. Raises EstimateError when not even gravity can be told
-    (nothing else can be without it), LogError when the channels do not fit together.
+    declared signs, frames and quaternion order are true, and where only others fit, those are taken and named. `given`
+    is what is known from elsewhere: priors of mass and period, and of the joint fit of every axis; names that are not
+    of this recording are passed over (`given.check_names` refuses them). What the log does not show is `unidentifiable`
+    and named by a finding of severity `error`. Raises EstimateError when not even gravity can be determined (nothing
+    else can be without it), LogError when the channels do not fit together.
     """
     return _identify(recording, frames, given or {}, no_progress)[0]
 
@@ -75,10 +75,10 @@ def identify_with_evidence(
 ) -> tuple[Identified, Evidence | None]:
     """Return what `identify_cell` does, and the signals that it rests on; None where gravity was taken off before.
 
-    `progress` is told the share of the work done since the last call.
+    `progress` receives the share of the work done since the last call.
     """
-    found, cell, told = _identify(recording, frames, given or {}, progress if progress is not None else no_progress)
-    return found, None if cell is None else _evidence(cell, told)
+    found, cell, results = _identify(recording, frames, given or {}, progress if progress is not None else no_progress)
+    return found, None if cell is None else _evidence(cell, results)
 
 
 def _identify(
@@ -110,11 +110,11 @@ def _identify(
         robots=robots.robots,
         turns=find_turns(recording, log, motion, gravity),
     )
-    told, about_axes = _identify_axes(cell, inertia, lambda share: report(_AXES_SHARE * share))
-    accounted = _accounted(cell, told)
+    results, about_axes = _identify_axes(cell, inertia, lambda share: report(_AXES_SHARE * share))
+    accounted = _accounted(cell, results)
     timeline = Timeline(phases=accounted.phases)
     sensor, about_sensor = describe_sensor(read, gravity, frames)
-    latencies = {name: axis.fit.latency for name, axis in told.items() if axis.fit is not None}
+    latencies = {name: axis.fit.latency for name, axis in results.items() if axis.fit is not None}
     late, about_late = find_wrench_filter(latencies, recording.wrench_shifted_s, log.period_s)
     report(1.0 - _WEIGHING_SHARE - _AXES_SHARE)
     found = Identified(
@@ -122,7 +122,7 @@ def _identify(
         payload=PayloadEstimate(
             mass_kg=mass_estimate(gravity), com_m=com_estimate(gravity), inertia_kg_m2=_inertia(inertia)
         ),
-        axes={name: _with_surfaces(axis.estimate, accounted.surfaces[name]) for name, axis in told.items()},
+        axes={name: _with_surfaces(axis.estimate, accounted.surfaces[name]) for name, axis in results.items()},
         sensor=replace(sensor, wrench_filter=late),
         findings=(
             *about_spikes,
@@ -138,10 +138,10 @@ def _identify(
         ),
         timelines=(timeline,),
     )
-    return settle_cell(found, cell.given), cell, told
+    return settle_cell(found, cell.given), cell, results
 
 
-def _evidence(cell: CellSignals, told: Mapping[str, AxisResult]) -> Evidence:
+def _evidence(cell: CellSignals, results: Mapping[str, AxisResult]) -> Evidence:
     """Gather what the pictures of this log show."""
     return Evidence(
         period_s=cell.log.period_s,
@@ -149,7 +149,7 @@ def _evidence(cell: CellSignals, told: Mapping[str, AxisResult]) -> Evidence:
         compensated_S_n=cell.force_S_n,
         raw_torque_S_n_m=cell.log.torque_S_n_m,
         compensated_torque_S_n_m=cell.gravity.compensated_torque_S_n_m(cell.log),
-        axes={name: axis_evidence(axis) for name, axis in told.items()},
+        axes={name: axis_evidence(axis) for name, axis in results.items()},
         gain_error_share=cell.gravity.gain_error_share,
     )
 
@@ -181,15 +181,15 @@ def _identify_axes(
     return axes, [*findings, *(finding for axis in axes.values() for finding in axis.findings)]
 
 
-def _accounted(cell: CellSignals, told: Mapping[str, AxisResult]) -> Accounted:
-    """Return what happened when, contacts with the names of their surfaces, and the surfaces that no fit told."""
-    contacts, period = [axis.contacts for axis in told.values()], cell.log.period_s
+def _accounted(cell: CellSignals, results: Mapping[str, AxisResult]) -> Accounted:
+    """Return what happened when, contacts with the names of their surfaces, and the surfaces that no fit used."""
+    contacts, period = [axis.contacts for axis in results.values()], cell.log.period_s
     payloads = [observe_payload(of, period) for of in contacts]
     pressed = [find_contacts(of, seen, cell.motion, period) for of, seen in zip(contacts, payloads, strict=True)]
     command, mass = cell.recording.command, cell.gravity.mass_kg
     phases = build_timeline(cell.log, cell.motion, cell.force_S_n, contacts, command, mass, pressed)
     axes = []
-    for (name, axis), payload, found in zip(told.items(), payloads, pressed, strict=True):
+    for (name, axis), payload, found in zip(results.items(), payloads, pressed, strict=True):
         surfaces = () if axis.fit is None else axis.fit.surfaces
         phases = name_surfaces(phases, name, [[onset * period for onset in surface.onsets] for surface in surfaces])
         signs = [surface.sign for surface in surfaces]
@@ -211,7 +211,7 @@ def _with_surfaces(axis: AxisEstimate, added: Sequence[EnvironmentEstimate]) -> 
 
 
 def _hands(timeline: Timeline) -> list[Finding]:
-    """Tell of contacts during which somebody pushed."""
+    """Report of contacts during which somebody pushed."""
     pushed = [p for p in timeline.phases if p.contact is not None and p.contact.hand_suspected]
     if not pushed:
         return []
@@ -229,14 +229,14 @@ def _hands(timeline: Timeline) -> list[Finding]:
 
 
 def _led_robots(recording: Recording, log: AlignedLog, force_S_n: FloatArray) -> AdmittanceRobots:
-    """Return what the admittance's gains tell of the robot where no command was logged."""
+    """Return what the admittance's gains show of the robot where no command was logged."""
     if recording.command is not None or recording.gains is None:
         return AdmittanceRobots(robots={}, findings=())
     return identify_admittance_robots(with_compensated_force(recording, log, force_S_n))
 
 
 def _inertia(fit: InertiaFit) -> InertiaEstimate | None:
-    """Return the tensor, None where no component is told."""
+    """Return the tensor, None where no component is known."""
     if all(component.value is None for component in fit.components):
         return None
     xx, yy, zz, xy, xz, yz = (
@@ -272,6 +272,6 @@ def _no_travel() -> Finding:
     return missing(
         "no-travel",
         "The tool never travels along one axis of the sensor frame with constant orientation, so neither robot, "
-        "coupling nor environment can be told.",
+        "coupling nor environment can be determined.",
         "Record a commanded sweep and contacts along one tool axis.",
     )

@@ -1,4 +1,4 @@
-"""Logs whose weight was removed before recording: no payload and no coupling, but what is left of robot and contact."""
+"""Identification of logs whose weight was removed before recording: the robot, and the secant of a contact trace."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -42,11 +42,11 @@ _NOT_A_SPRING = 0.1
 
 
 def identify_partial(recording: Recording, sample_time_s: Estimate) -> Identified:
-    """Tell what a log without gravity tells: the robot through known gains, and the secant of a contact trace.
+    """Identify what a log without gravity shows: the robot through known gains, and the secant of a contact trace.
 
     A trace is a displacement since contact with its force; a pose in the base frame is taken as motion under the
     admittance. `sample_time_s` is handed on. Payload, coupling and sensor are unidentifiable, with findings of
-    severity `error`. Raises EstimateError when nothing at all is told.
+    severity `error`. Raises EstimateError when nothing is identified.
     """
     findings: list[Finding] = [*_always_missing(recording)]
     robots: Mapping[str, RobotEstimate] = {}
@@ -60,7 +60,7 @@ def identify_partial(recording: Recording, sample_time_s: Estimate) -> Identifie
             missing(
                 "no-command",
                 "The log has neither a commanded pose nor the admittance gains, so neither the robot's response nor "
-                "its delay can be told.",
+                "its delay can be determined.",
                 "Record the position command, or declare `gains`.",
             )
         )
@@ -72,8 +72,8 @@ def identify_partial(recording: Recording, sample_time_s: Estimate) -> Identifie
         findings.append(
             missing(
                 "no-contact",
-                "Without the payload's mass and coupling a contact cannot be told from a hand, so no environment is "
-                "told.",
+                "Without the payload's mass and coupling a contact cannot be distinguished from a hand, so no "
+                "environment is identified.",
                 "Record the sensor's own wrench, with contacts, hands off.",
             )
         )
@@ -91,13 +91,13 @@ def _always_missing(recording: Recording) -> tuple[Finding, ...]:
         missing(
             "gravity-removed",
             f"Gravity is already removed from the force of topic {recording.wrench.topic}, so the payload's mass, its "
-            "centre and the sensor's bias cannot be told from it.",
+            "centre and the sensor's bias cannot be determined from it.",
             "Record the sensor's wrench before gravity compensation.",
         ),
         missing(
             "coupling",
             "The force that the payload's inertia makes is hidden by gravity compensation, deadband or the hand, so "
-            "K_s, B_s and B_p cannot be told.",
+            "K_s, B_s and B_p cannot be determined.",
             "Record raw wrench and pose with a commanded sweep, hands off.",
         ),
     )
@@ -129,7 +129,7 @@ def _surfaces(recording: Recording, findings: list[Finding]) -> dict[str, Enviro
 
 def _axis(axis: str, robots: Mapping[str, RobotEstimate], surfaces: Mapping[str, EnvironmentEstimate]) -> AxisEstimate:
     none = unidentifiable(note=_REMOVED)
-    unknown = unidentifiable_vector("neither command nor gains tell the robot on this axis")
+    unknown = unidentifiable_vector("neither command nor gains identify the robot on this axis")
     without = RobotEstimate(
         numerator=unknown,
         denominator=unknown,
@@ -149,7 +149,9 @@ def _sensor(recording: Recording) -> SensorEstimate:
     zeros = 100.0 * float(np.nanmean(wrench.force_n == 0.0))
     known = None if wrench.deadband is None else wrench.deadband.force_n
     deadband = (
-        unidentifiable(note=f"{zeros:.1f} % of the forces are exactly 0; the width cannot be told from a moving log")
+        unidentifiable(
+            note=f"{zeros:.1f} % of the forces are exactly 0; the width cannot be determined from a moving log"
+        )
         if known is None
         else Estimate(value=known, std=0.0, status=Status.GIVEN, note="declared in cell.yaml")
     )
@@ -202,7 +204,7 @@ def identify_trace(displacement_m: FloatArray, pressing_n: FloatArray, period_s:
     if peak < _SMALLEST_PEAK_N or depth < _SMALLEST_TRAVEL_M or np.count_nonzero(loaded) < _FEWEST:
         raise EstimateError(
             f"A force of {peak:.2f} N at most, over {1e3 * depth:.2f} mm into the surface, is no contact from which a "
-            "stiffness can be told; press with 20 N or more, and check `exerted_by` if the trace does press."
+            "stiffness can be determined; press with 20 N or more, and check `exerted_by` if the trace does press."
         )
     stiffness, scatter = _through_origin(x[loaded], force[loaded])
     first = int(np.argmax(loaded))
@@ -224,18 +226,18 @@ def identify_trace(displacement_m: FloatArray, pressing_n: FloatArray, period_s:
 
 
 def describe_trace(contact: TraceContact, name: str) -> tuple[EnvironmentEstimate, tuple[Finding, ...]]:
-    """Return what a trace tells of a surface: the secant, never K_e, B_e or M_e alone."""
+    """Return what a trace shows of a surface: the secant, never K_e, B_e or M_e alone."""
     secant = contact.secant_n_per_m
     method = "force over robot travel: least squares through the origin over the samples above 20 % of the peak force"
-    hold = _told_of_hold(contact)
+    hold = _hold_text(contact)
     blow = contact.spike
     environment = EnvironmentEstimate(
         name=name,
         stiffness_n_per_m=unidentifiable(
-            note=f"in series with a coupling that this trace does not tell; above the secant, {secant:.4g} N/m"
+            note=f"in series with a coupling that this trace does not identify; above the secant, {secant:.4g} N/m"
         ),
         secant_stiffness_n_per_m=judged(secant, contact.secant_std_n_per_m, method=method, note=hold),
-        damping_n_s_per_m=unidentifiable(note="the motion of the payload behind the coupling is not told"),
+        damping_n_s_per_m=unidentifiable(note="the motion of the payload behind the coupling is not identified"),
         mass_kg=unidentifiable(
             note="no impact spike"
             if blow is None
@@ -259,7 +261,7 @@ def _findings(contact: TraceContact, name: str) -> tuple[Finding, ...]:
                 f"{1e3 * spike.depth_m:.2f} mm, where the secant explains "
                 f"{contact.secant_n_per_m * spike.depth_m:.1f} N: masses meet, so a slope fitted there is no "
                 "stiffness.",
-                advice="Record wrench, whole pose and command, so that the masses of payload and surface can be told.",
+                advice="Record wrench, whole pose and command, to determine the masses of payload and surface.",
             )
         )
     if contact.fit_error > _NOT_A_SPRING:
@@ -268,7 +270,7 @@ def _findings(contact: TraceContact, name: str) -> tuple[Finding, ...]:
                 code="secant-only",
                 severity="warning",
                 message=f"Surface {name}: force and displacement leave {100.0 * contact.fit_error:.0f} % of the force "
-                f"unexplained by {contact.secant_n_per_m:.4g} N/m ({_told_of_hold(contact)}; "
+                f"unexplained by {contact.secant_n_per_m:.4g} N/m ({_hold_text(contact)}; "
                 f"contact felt at {1e3 * contact.touch_m:.2f} mm): the secant "
                 "depends on load, on swings of the payload and on where the contact begins.",
                 advice="Hold the contact for 1 s after the swings have died out.",
@@ -277,7 +279,7 @@ def _findings(contact: TraceContact, name: str) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def _told_of_hold(contact: TraceContact) -> str:
+def _hold_text(contact: TraceContact) -> str:
     if contact.hold_secant_n_per_m is None:
         return "the trace has no hold"
     return f"{contact.hold_secant_n_per_m:.4g} N/m over the hold"

@@ -27,8 +27,8 @@ class ContactPhase:
     """What happens in a contact, in s after the start of the log, None where it is not shown.
 
     `hold_s` from when to when the payload rested on the surface; `bounces_s` when it left the surface before that;
-    `surface` is the name of what was touched, None until told (`name_surfaces`); `hand_suspected` that somebody pushed
-    meanwhile, None where the log does not tell.
+    `surface` is the name of what was touched, None until it is known (`name_surfaces`); `hand_suspected` that somebody
+    pushed meanwhile, None where the log does not show.
     """
 
     onset_s: float | None
@@ -57,7 +57,7 @@ class LogPhase:
 
 @dataclass(frozen=True, kw_only=True)
 class Timeline:
-    """What happened when in one log, each instant told once; `log` is its name where there are several."""
+    """What happened when in one log, each instant once; `log` is its name where there are several."""
 
     phases: tuple[LogPhase, ...]
     log: str = ""
@@ -96,7 +96,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A scalar parameter; `std` is one standard deviation, both None where the log does not tell."""
+    """A scalar parameter; `std` is one standard deviation, both None where the log does not show."""
 
     value: float | None
     std: float | None
@@ -224,8 +224,8 @@ class FitQuality:
 class AxisEstimate:
     """Everything that one axis of the control frame needs.
 
-    `drag_n_s_per_m` is B_p; `mass_kg` is M_p as motion along this axis tells it; `fits` has an entry for every log that
-    tells something of the axis.
+    `drag_n_s_per_m` is B_p; `mass_kg` is M_p as motion along this axis shows it; `fits` has an entry for every log that
+    shows something of the axis.
     """
 
     coupling: CouplingEstimate
@@ -314,7 +314,7 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class Identified:
-    """The plant as the log tells it; `axes` is keyed x y z rx ry rz of the control frame, `timelines` one per log."""
+    """The plant as the log shows it; `axes` is keyed x y z rx ry rz of the control frame, `timelines` one per log."""
 
     sample_time_s: Estimate
     payload: PayloadEstimate

@@ -1,4 +1,4 @@
-"""What a log tells of the force/torque sensor: bias, noise, deadband, mounting."""
+"""Estimates of the force/torque sensor: bias, noise, deadband, mounting."""
 
 from collections.abc import Sequence
 
@@ -57,7 +57,7 @@ def _deadband(read: ReadLog, noise: SensorNoise | None) -> Estimate:
     widest = max(found, key=lambda each: np.inf if each.width is None else each.width)
     note = f"{widest.kind}, {100.0 * widest.zero_share:.1f} % of the forces on its axis are exactly 0"
     if widest.width is None:
-        return unidentifiable(method=method, note=f"{note}; its width cannot be told")
+        return unidentifiable(method=method, note=f"{note}; its width cannot be determined")
     return Estimate(value=widest.width, std=0.2 * widest.width, status=Status.WEAK, method=method, note=note)
 
 
@@ -79,7 +79,7 @@ def position_noise(pose: PoseSignal, rests_ns: Sequence[tuple[int, int]]) -> Est
     if count < _FEWEST_DIFFERENCES or squares == 0.0:
         return None
     rms = float(np.sqrt(squares / (6.0 * count)))
-    # Neighbouring second differences repeat each other: for white noise 35/18 of them tell what one would.
+    # Neighbouring second differences repeat each other: for white noise 35/18 of them show what one would.
     std = rms * float(np.sqrt(35.0 / 18.0 / (2.0 * count)))
     return Estimate(value=rms, std=std, status=Status.IDENTIFIED, method="second differences within rests")
 

@@ -1,4 +1,4 @@
-"""Everything that a recording tells of one axis about which the tool turns."""
+"""Estimates of one axis about which the tool turns, in rotational units."""
 
 from dataclasses import replace
 from functools import partial
@@ -26,11 +26,11 @@ _DISAGREEMENT_SHARE = 0.03
 def identify_turn(
     cell: CellSignals, turn: AxisTurn, inertia: InertiaFit, progress: ProgressSlice | None = None
 ) -> AxisResult | None:
-    """Estimate one rotational axis in N·m/rad, N·m·s/rad and kg·m²; None, with its reason, where it tells nothing.
+    """Estimate one rotational axis in N·m/rad, N·m·s/rad and kg·m²; None, with its reason, where it shows nothing.
 
     The turn is seen as motion along a straight path 0.2 m off the centre, for which all thresholds hold; the inertia is
-    compared with that of the tensor. What is missing is a warning: a log whose translations are told is a good log.
-    `progress` is told the share of the work that is done.
+    compared with that of the tensor. What is missing is a warning: a log whose translations are identified is good.
+    `progress` receives the share of the work that is done.
     """
     try:
         unrolled = unroll(turn, cell.recording, cell.log)
@@ -42,7 +42,7 @@ def identify_turn(
         hold_threshold_n(cell.gravity.torque_residual_rms_n_m / LEVER_M),
     )
     tensor = inertia.components[turn.index]
-    told = fit_axis(
+    result = fit_axis(
         cell,
         AxisView(
             recording=unrolled.recording,
@@ -59,18 +59,18 @@ def identify_turn(
         ),
         progress or ProgressSlice(),
     )
-    if told.fit is None:
+    if result.fit is None:
         return None
-    findings = [replace(f, severity="warning") if f.severity == "error" else f for f in told.findings]
-    return replace(told, findings=(*findings, *inertia_findings(told.fit, turn, inertia)))
+    findings = [replace(f, severity="warning") if f.severity == "error" else f for f in result.findings]
+    return replace(result, findings=(*findings, *inertia_findings(result.fit, turn, inertia)))
 
 
 def unidentified_turn(turn: AxisTurn) -> Finding:
-    """Return the finding that an axis about which the tool turned does not tell its coupling."""
+    """Return the finding that the coupling about an axis was not identified though the tool turned."""
     return Finding(
         code="turn-not-told",
         severity="info",
-        message=f"The tool turned about axis {turn.name}, but that does not tell its coupling, and it is left out.",
+        message=f"The tool turned about axis {turn.name}, but its coupling is not identified: it is left out.",
         advice="To tune this axis, record a commanded sweep of 0.5 to 50 Hz about it in free space, hands off.",
     )
 
@@ -123,7 +123,7 @@ def fit_about_axis(fit: JointFit, turn: AxisTurn) -> JointFit:
 def inertia_findings(fit: JointFit, turn: AxisTurn, inertia: InertiaFit) -> tuple[Finding, ...]:
     """Compare the inertia from turning about an axis of S with the tensor's: two methods, one payload.
 
-    `fit` is in rotational units. Both hold about the origin of S; a tensor that is not told says nothing.
+    `fit` is in rotational units. Both hold about the origin of S; a tensor that is not identified says nothing.
     """
     tensor = inertia.components[turn.index]
     if tensor.value is None or tensor.std is None:

@@ -1,4 +1,4 @@
-"""From a number and its standard deviation to a verdict."""
+"""Verdicts on estimates from a value and its standard deviation."""
 
 from dataclasses import replace
 
@@ -35,8 +35,8 @@ def judged(
     if share <= max(weak, identified):
         status = Status.IDENTIFIED if share <= identified else Status.WEAK
         return Estimate(value=float(value), std=float(std), status=status, method=method, note=note, ci95=ci95)
-    told = f"standard deviation {std:.3g} for a value of {value:.3g}"
-    return unidentifiable(method=method, note=f"{note}; {told}" if note else told)
+    spread = f"standard deviation {std:.3g} for a value of {value:.3g}"
+    return unidentifiable(method=method, note=f"{note}; {spread}" if note else spread)
 
 
 def judged_damping(
@@ -44,8 +44,8 @@ def judged_damping(
 ) -> Estimate:
     """Return the verdict on a damping: the value itself as any other, else an interval where that says enough.
 
-    A damping near zero is not told to a share of itself, though it may be known well beside `floor`, a size that
-    matters: up to a deviation of a quarter of it the 95 % interval is told, without a value.
+    A damping near zero is not identified to a share of itself, though it may be known well beside `floor`, a size that
+    matters: up to a deviation of a quarter of it the 95 % interval is stated, without a value.
     """
     estimate = judged(value, std, method=method, ci95=ci95)
     if estimate.status is not Status.UNIDENTIFIABLE or not std <= _BOUND_SHARE * floor:
@@ -79,5 +79,5 @@ def unidentifiable_vector(note: str) -> VectorEstimate:
 
 
 def missing(code: str, message: str, advice: str = "") -> Finding:
-    """Return the finding that a parameter which a controller needs is not told."""
+    """Return the finding that a parameter which a controller needs is not identified."""
     return Finding(code=code, severity="error", message=message, advice=advice)

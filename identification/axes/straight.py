@@ -1,4 +1,4 @@
-"""One axis of the sensor frame: what moved along it, who moved it, and what it touched."""
+"""Motion along one straight axis of the sensor frame: free spans, spans led by a hand, ringing, and contacts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -186,7 +186,7 @@ def find_ringing(
     without a hand, `holds` the rests under force. After a tap, from 25 ms behind the highest force; after a hold, from
     where the force changes its sign: pressed, the payload pushes the flange back, drawn away it is dragged along. Where
     the flange travels 2 mm or more without a hold before, somebody leads it.
-    Whether a hand was still there is for the fit to tell.
+    Whether a hand was still there is for the fit to decide.
     """
     known = {(s.start, s.stop) for s in free}
     held = {hold.stop: hold for hold in holds}

@@ -1,4 +1,4 @@
-"""One rotational axis of the sensor frame: what turned about it, and the same as motion along a straight axis."""
+"""Motion about one axis of the sensor frame, and the same as motion along a straight axis."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""From the ranking of conventions to the recording that is used: kept, read anew, or a question."""
+"""The recording under the best-fitting conventions: kept, read anew, or refused with a question."""
 
 from dataclasses import dataclass
 
@@ -37,20 +37,20 @@ def read_by_weight(recording: Recording, log: AlignedLog, motion: MotionSpans, f
     """Check the declared conventions by the payload's weight and read the log anew where only others fit.
 
     `log` and `motion` are those of `recording`, `frames` what the cell declares. A force of the wrong sign is the
-    wrench's or gravity's; moves that turn the tool tell which. Raises EstimateError, naming the entries of cell.yaml,
+    wrench's or gravity's; moves that turn the tool show which. Raises EstimateError, naming the entries of cell.yaml,
     where several conventions fit alike or none does.
     """
     poses = collect_static_poses(log, motion.still)
     ranking = rank_conventions(poses, frames)
     findings = ranking.findings()
     if ranking.verdict is ConventionVerdict.ASK and _differ_in_pull_only(ranking):
-        told = _told_by_moves(recording, ranking, frames)
-        if told is not None:
-            chosen, sign = told
+        decided = _decided_by_moves(recording, ranking, frames)
+        if decided is not None:
+            chosen, sign = decided
             finding = Finding(
                 code="convention-found",
                 severity="warning",
-                message="The weight has the wrong sign as declared; the forces of acceleration tell that "
+                message="The weight has the wrong sign as declared; the forces of acceleration show that "
                 f"{chosen.sign_origin.value} ({abs(sign):.0f} standard deviations): read as "
                 f"`{', '.join(chosen.entries(frames))}`.",
                 advice="Declare it in cell.yaml.",
@@ -95,7 +95,7 @@ def _read(
     )
 
 
-def _told_by_moves(
+def _decided_by_moves(
     recording: Recording, ranking: ConventionRanking, frames: Frames | None
 ) -> tuple[Convention, float] | None:
     """Read the wrench as the other body's: the inertia comes out positive if it is, negative if gravity is reversed."""

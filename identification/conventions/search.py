@@ -1,4 +1,4 @@
-"""One way to read a log: signs, frames and orders, relative to the declared ones."""
+"""Ranking of the conventions (signs, frames, orders) in which a log may have been written."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,15 +28,15 @@ _ALIKE_LOG_LIKELIHOOD = float(np.log(1000.0))
 _ALIKE_RATIO = 1.2
 _FEWEST_ORIENTATIONS = 4
 _UNEXPLAINED = 0.1
-_MOST_TOLD = 6
+_MOST_LISTED = 6
 _SMALLEST_ANGLE_RAD = np.radians(10.0)
 _FAR_BETTER = 3.0
-# What leans further is told by the sign of the force, if at all.
+# What leans further shows in the sign of the force, if at all.
 _LARGEST_LEAN_RAD = np.radians(135.0)
 
 
 class SignOrigin(StrEnum):
-    """What a force of the opposite sign comes from; rests alone cannot tell the latter two apart."""
+    """What a force of the opposite sign comes from; rests alone cannot distinguish the latter two."""
 
     AS_DECLARED = "as declared"
     WRENCH = "the wrench is the other body's"
@@ -80,18 +80,20 @@ class Convention:
 
     def entries(self, frames: Frames | None = None) -> tuple[str, ...]:
         """Return what cell.yaml would have to say, given the frames that it declares now."""
-        told, declared = [], Frames.plain() if frames is None else frames
+        shown, declared = [], Frames.plain() if frames is None else frames
         if self.hypothesis.order != "xyzw":
-            told.append("pose.orientation_as: quaternion_wxyz")
+            shown.append("pose.orientation_as: quaternion_wxyz")
         if self.hypothesis.inverted:
-            told.append("pose.parent and pose.child: swapped (what is logged is flange from base)")
+            shown.append("pose.parent and pose.child: swapped (what is logged is flange from base)")
         if self.sign_origin is SignOrigin.WRENCH:
-            told.append("wrench.exerted_by: sensor (payload where it is sensor now)")
+            shown.append("wrench.exerted_by: sensor (payload where it is sensor now)")
         if self.sign_origin is SignOrigin.GRAVITY:
-            told.append(f"gravity_direction: {numbers_text(declared.R_WB.inv().apply([0.0, 0.0, 1.0]))}")
+            shown.append(f"gravity_direction: {numbers_text(declared.R_WB.inv().apply([0.0, 0.0, 1.0]))}")
         if self.hypothesis.is_turned:
-            told.append(f"sensor.orientation: {numbers_text((declared.R_FS * self.hypothesis.quarter_turn).as_quat())}")
-        return tuple(told) or ("as declared",)
+            shown.append(
+                f"sensor.orientation: {numbers_text((declared.R_FS * self.hypothesis.quarter_turn).as_quat())}"
+            )
+        return tuple(shown) or ("as declared",)
 
     def apply(self, recording: Recording, frames: Frames | None = None) -> Recording:
         """Return the recording read this way: poses base from sensor with gravity along −z, the payload's wrench.
@@ -135,13 +137,13 @@ def numbers_text(values: FloatArray) -> str:
 
 
 class ConventionVerdict(StrEnum):
-    """What the weight says about the declared conventions; each value tells what follows."""
+    """What the weight says about the declared conventions; each value says what follows."""
 
     DECLARED = "the declared conventions fit"
     FOUND = "only other conventions than the declared ones fit"
-    ASK = "several conventions other than the declared ones fit alike, so cell.yaml has to tell"
+    ASK = "several conventions other than the declared ones fit alike, so cell.yaml has to say"
     NONE = "no convention fits: the wrench does not follow the pose"
-    UNTOLD = "the rests are too few or too alike to tell"
+    UNDECIDED = "the rests are too few or too alike to decide"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,7 +170,7 @@ class ConventionRanking:
         return tuple(sorted((c for c in self.candidates if c.fits_best), key=lambda c: (c.changes, c.short_by)))
 
     def chosen(self) -> Convention | None:
-        """Return the hypothesis to use, None where the rests do not tell and the declared one stands unchecked.
+        """Return the hypothesis to use, None where the rests do not decide and the declared one is kept unchecked.
 
         Raises EstimateError where several hypotheses fit alike or none does.
         """
@@ -176,18 +178,18 @@ class ConventionRanking:
             return self.declared
         if self.verdict is ConventionVerdict.FOUND:
             return self.alike[0]
-        if self.verdict is ConventionVerdict.UNTOLD:
+        if self.verdict is ConventionVerdict.UNDECIDED:
             return None
         raise EstimateError(self._question())
 
     def _question(self) -> str:
         best = self.candidates[0]
         if self.mounting is not None:
-            told = numbers_text(np.round(self.mounting.as_quat(), 4))
+            shown = numbers_text(np.round(self.mounting.as_quat(), 4))
             return (
                 f"No quarter turn of the sensor fits the weight: {best.residual_rms_n:.2f} N of a swing of "
                 f"{self.swing_rms_n:.2f} N are left under the best of {len(self.candidates)} conventions. The sensor "
-                f"seems mounted at an angle: declare `sensor.orientation: {told}` in cell.yaml "
+                f"seems mounted at an angle: declare `sensor.orientation: {shown}` in cell.yaml "
                 "(xyzw, flange from sensor) after checking it against the drawing, or `gravity_direction` if the base "
                 "is tilted."
             )
@@ -209,14 +211,14 @@ class ConventionRanking:
                 "`gravity_direction` if the base leans."
             )
         alike = self.alike
-        told = "; ".join(self._told(each) for each in alike[:_MOST_TOLD])
-        more = f"; and {len(alike) - _MOST_TOLD} more" if len(alike) > _MOST_TOLD else ""
+        shown = "; ".join(self._text(each) for each in alike[:_MOST_LISTED])
+        more = f"; and {len(alike) - _MOST_LISTED} more" if len(alike) > _MOST_LISTED else ""
         return (
             f"The declared conventions {self._declared()}, and {len(alike)} others fit it alike. Say in "
-            f"cell.yaml which it is: {told}{more}. Poses that also turn about the vertical tell more of them apart."
+            f"cell.yaml which it is: {shown}{more}. Poses that also turn about the vertical distinguish more of them."
         )
 
-    def _told(self, convention: Convention) -> str:
+    def _text(self, convention: Convention) -> str:
         return f"`{', '.join(convention.entries(self.frames))}` ({residuals_text(convention)} left)"
 
     def _declared(self) -> str:
@@ -232,12 +234,12 @@ class ConventionRanking:
                 Finding(
                     code="convention-found",
                     severity="warning",
-                    message=f"The declared conventions {self._declared()}; the log was read as {self._told(best)} "
+                    message=f"The declared conventions {self._declared()}; the log was read as {self._text(best)} "
                     f"instead, the only one of {len(self.candidates)} that fits.",
                     advice="Declare it in cell.yaml.",
                 ),
             )
-        if self.verdict is ConventionVerdict.UNTOLD:
+        if self.verdict is ConventionVerdict.UNDECIDED:
             return (
                 Finding(
                     code="conventions-unchecked",
@@ -253,14 +255,14 @@ def rank_conventions(poses: Sequence[StaticPose], frames: Frames | None = None) 
     """Rank 192 hypotheses of the rests by what the payload's weight leaves unexplained.
 
     Quaternion order, inverse, sensor axes by quarter turns, and the sign of the force, which is the wrench's or
-    gravity's: rests cannot tell which, so that both are candidates. The declared hypothesis stands unless it is
+    gravity's: rests cannot show which, so that both are candidates. The declared hypothesis holds unless it is
     significantly worse than the best one: less likely than 1 : 1000 (the noise's size left open, but no less than that
     within the rests) and 20 % more residual. `frames` are those that the cell declares and that are in the poses.
     """
     declared = Frames.plain() if frames is None else frames
     groups = group_by_orientation(poses)
-    untold = ConventionRanking(
-        verdict=ConventionVerdict.UNTOLD,
+    unclear = ConventionRanking(
+        verdict=ConventionVerdict.UNDECIDED,
         candidates=(),
         declared=None,
         orientations=len(np.unique(groups)),
@@ -268,13 +270,13 @@ def rank_conventions(poses: Sequence[StaticPose], frames: Frames | None = None) 
         frames=declared,
     )
     if len(np.unique(groups)) < _FEWEST_ORIENTATIONS:
-        return untold
+        return unclear
     scores = score_hypotheses(poses, groups, declared)
     if scores.orientations < _FEWEST_ORIENTATIONS:
-        return untold
+        return unclear
     candidates = _candidates(scores)
     ranked = replace(
-        untold,
+        unclear,
         candidates=candidates,
         declared=next((each for each in candidates if each.changes == 0), None),
         orientations=scores.orientations,
@@ -322,7 +324,7 @@ def _verdict(ranking: ConventionRanking, scores: Scores) -> ConventionVerdict:
         if best.residual_rms_n < np.sqrt(_UNEXPLAINED) * ranking.swing_rms_n:
             return ConventionVerdict.DECLARED
         # Nothing swings with the orientation: gravity may have been removed, which is for the estimate of mass to say.
-        return ConventionVerdict.UNTOLD if ranking.swing_rms_n < 10.0 * noise else ConventionVerdict.NONE
+        return ConventionVerdict.UNDECIDED if ranking.swing_rms_n < 10.0 * noise else ConventionVerdict.NONE
     if best.residual_rms_n >= np.sqrt(_UNEXPLAINED) * ranking.swing_rms_n:
         return ConventionVerdict.NONE
     return ConventionVerdict.FOUND if len(alike) == 1 else ConventionVerdict.ASK

@@ -241,7 +241,7 @@ def find_gravity_direction(poses: Sequence[StaticPose]) -> GravityDirection | No
     """Solve f = R_WSᵀ w + b for the weight w in W and the bias b, by least absolute deviations.
 
     Rests in contact weigh little that way; `left_n` is what the middle rest leaves. None where the orientations do not
-    tell weight and bias apart.
+    distinguish weight and bias.
     """
     to_sensor = Rotation.from_quat(np.array([pose.quaternion_xyzw for pose in poses])).inv().as_matrix()
     rows = np.concatenate([to_sensor, np.broadcast_to(np.eye(3), to_sensor.shape)], axis=2)

@@ -1,4 +1,4 @@
-"""How often, how fast and how hard to touch, so that the environment is told and no force limit is passed."""
+"""Contacts and taps to record: how often, how fast and how hard, within the force limits."""
 
 from dataclasses import dataclass, replace
 from itertools import product
@@ -44,7 +44,7 @@ class ContactPlan:
 
     The peaks are those of the exact sampled loop with the usual controller of damping `assumed_damping_n_s_per_m`;
     `rigid_peak_n` is hold force plus v sqrt(K_e M_p), an impact on the environment's spring alone, for comparison.
-    `std` is keyed as `PlanValues` and holds for a K_s that is known; `through_coupling` tells what else K_e misses by.
+    `std` is keyed as `PlanValues` and holds for a K_s that is known; `through_coupling` shows what else K_e misses by.
     """
 
     count: int
@@ -147,7 +147,7 @@ def _is_stable(pair: SampledContact, controller: AdmittanceController) -> bool:
 def _touch(
     values: PlanValues, pair: SampledContact, controller: AdmittanceController, speed: float, hold_n: float
 ) -> _Touch | None:
-    """Simulate one contact and return what it tells; None if the payload does not come to rest on the surface."""
+    """Simulate one contact and return what it shows; None if the payload does not come to rest on the surface."""
     h = values.sample_time_s.value
     approach = Approach(speed_m_s=speed, after_impact_n=hold_n)
     run = simulate_contact(pair, controller, approach, samples=round(_SIMULATED_S / h))
@@ -209,9 +209,9 @@ def _repeated(values: PlanValues, touch: _Touch, count: int, controller: Admitta
     damping = values.environment_damping_n_s_per_m
     # The secant misses by the misfit's share, which counts the more the stiffer the environment is.
     model = values.misfit_share.value * stiffness.value * (1.0 + stiffness.value / values.stiffness_n_per_m.value)
-    told = np.hypot(touch.std / np.sqrt(count), touch.misfit_std)
-    alone = float(np.hypot(told[0], model))
-    std = [_apart_from_coupling(values).std_after(alone, "K_e"), damping.std_after(float(told[1]), "B_e")]
+    deviations = np.hypot(touch.std / np.sqrt(count), touch.misfit_std)
+    alone = float(np.hypot(deviations[0], model))
+    std = [_apart_from_coupling(values).std_after(alone, "K_e"), damping.std_after(float(deviations[1]), "B_e")]
     return ContactPlan(
         count=count,
         speed_m_s=touch.speed_m_s,
@@ -242,7 +242,7 @@ class TapPlan:
 def plan_taps(values: PlanValues, *, max_force_n: float, mass_std_kg: float) -> TapPlan:
     """Predict K_s and the total damping from the ring-down after taps of unknown strength, the flange held.
 
-    F(s) = J C/(M_p s² + B s + K_s), C = K_s, B = B_s + B_p: what rings is told by frequency and decay alone, so the
+    F(s) = J C/(M_p s² + B s + K_s), C = K_s, B = B_s + B_p: ringing shows frequency and decay alone, so the
     mass, known to `mass_std_kg`, turns them into stiffness and damping. Information (2/(σ² h)) ∫ |dF/dθ|² df.
     """
     mass, stiffness = values.mass_kg.value, values.stiffness_n_per_m.value

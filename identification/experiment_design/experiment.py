@@ -1,4 +1,4 @@
-"""What to record next: poses, sweep, taps and contacts, the one that cuts the binding uncertainty most first."""
+"""Plan of the next recording: poses, sweep, taps and contacts, the most useful first."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ _COM_M = 2e-3
 _DAMPING_FLOOR = 0.1
 _DELAY_SAMPLES = 0.2
 _AIM = 0.5
-_UNTOLD = 20.0  # times what is allowed: a deviation as large as the value
+_UNKNOWN_FACTOR = 20.0  # times what is allowed: a deviation as large as the value
 _PEAK_SHARE = 0.01
 _NOTHING = 0.002  # of the peak
 _AIM_SHARE = 0.9  # of the force limit, for a repeated sweep
@@ -61,7 +61,7 @@ def plan_experiment(
     What binds is counted in newtons of the peak with `controller`, or with a usual one where none is given or it is not
     stable on the surface.
 
-    Raises EstimateError when poses are needed and no orientations within the limit on the tilt tell mass and centre.
+    Raises EstimateError when poses are needed and no orientations within the limit on the tilt show mass and centre.
     """
     allowed = allowed_std(values)
     now = {name: values.known()[name].std for name in _STEP_OF}
@@ -94,15 +94,15 @@ def plan_experiment(
 def _prediction(
     name: str, values: PlanValues, allowed: float, now: float | None, after: float | None, effect: PeakEffect | None
 ) -> Prediction:
-    told = None if after is None or after > _UNTOLD * allowed else after
+    stated = None if after is None or after > _UNKNOWN_FACTOR * allowed else after
     return Prediction(
         name=name,
         value=values.known()[name].value,
         allowed_std=allowed,
         std_now=now,
-        std_after=told,
+        std_after=stated,
         peak_now_n=None if effect is None else effect.moves_n(name, now),
-        peak_after_n=None if effect is None else effect.moves_n(name, told),
+        peak_after_n=None if effect is None else effect.moves_n(name, stated),
     )
 
 
@@ -157,18 +157,18 @@ def _poses(
     least = smallest_tilt_deg(
         values, count=limits.pose_count, mass_std_kg=allowed["mass_kg"], com_std_m=allowed["com_m"]
     )
-    told = "no tilt up to 90 degrees would" if least is None else f"it takes {least:.0f} degrees"
+    stated = "no tilt up to 90 degrees would" if least is None else f"it takes {least:.0f} degrees"
     raise EstimateError(
-        f"No {limits.pose_count} poses tilted by at most {limits.max_tilt_deg:g} degrees tell the payload's mass to "
-        f"{allowed['mass_kg']:.2g} kg and its centre to {1e3 * allowed['com_m']:.2g} mm; {told}. Allow a larger tilt, "
-        "change the number of poses, or leave them out (0) where mass and centre of mass are known from elsewhere."
+        f"No {limits.pose_count} poses tilted by at most {limits.max_tilt_deg:g} degrees determine the payload's mass "
+        f"to {allowed['mass_kg']:.2g} kg and its centre to {1e3 * allowed['com_m']:.2g} mm; {stated}. Allow a "
+        "larger tilt, change the number of poses, or leave them out (0) where mass and centre of mass are known from elsewhere."
     )
 
 
 def _taps(
     values: PlanValues, limits: ExperimentLimits, allowed: dict[str, float], after: dict[str, float | None]
 ) -> TapPlan | None:
-    """Return taps where the sweep leaves K_s above half of what is allowed and they tell it better."""
+    """Return taps where the sweep leaves K_s above half of what is allowed and they show it better."""
     swept = after["stiffness_n_per_m"]
     if swept is not None and swept <= _AIM * allowed["stiffness_n_per_m"]:
         return None
@@ -251,14 +251,14 @@ def _why(kind: str, worst: Prediction, needed: bool, waits: bool) -> str:
         if worst.peak_now_n is not None:
             sentence += f", which moves the peak by {worst.peak_now_n:.2g} N"
     if waits and kind == "sweep":
-        return "most of what is not known of environment K_e comes from coupling K_s, which the sweep tells"
+        return "most of what is not known of environment K_e comes from coupling K_s, which the sweep identifies"
     if waits and kind == "contacts":
-        return "more contacts do not help environment K_e: coupling K_s binds it, and the sweep tells that"
+        return "more contacts do not help environment K_e: coupling K_s binds it, and the sweep identifies that"
     return sentence if needed else f"{sentence}: nothing asks for more"
 
 
 def _why_taps(values: PlanValues, sweep: SweepPlan) -> str:
     return (
         f"the payload swings at {values.payload_frequency_hz:.1f} Hz, the sweep ends at {sweep.sweep.high_hz:.1f} Hz "
-        f"and {sweep.bound_by} holds it down: taps on the payload tell coupling K_s better"
+        f"and {sweep.bound_by} holds it down: taps on the payload identify coupling K_s better"
     )

@@ -1,4 +1,4 @@
-"""Which orientations at rest tell mass and centre of mass best: a D-optimal design under a limit on the tilt."""
+"""D-optimal orientations at rest for mass and centre of mass, under a limit on the tilt."""
 
 from dataclasses import dataclass
 
@@ -26,7 +26,7 @@ _GRAVITY_M_S2 = float(np.linalg.norm(GRAVITY_B_M_S2))
 
 @dataclass(frozen=True, kw_only=True)
 class PosePlan:
-    """Orientations in the order of short turns, and what they would tell together with what is known already.
+    """Orientations in the order of short turns, and what they would show together with what is known already.
 
     `tilt_deg`, `azimuth_deg` (n,): turned by the tilt about the horizontal axis at that azimuth from x of the base;
     `quaternion_xyzw` (n, 4) the same turn, in the base frame, to be applied to the reference orientation (R = q R_ref).
@@ -47,7 +47,7 @@ class PosePlan:
 
     @property
     def is_excited(self) -> bool:
-        """Whether identification would accept the poses as telling weight from bias."""
+        """Whether identification would accept the poses as separating weight from bias."""
         return self.condition <= LARGEST_CONDITION
 
 
@@ -110,10 +110,10 @@ def predicted_std(turns: Rotation, values: PlanValues, hold_s: float = 1.0) -> t
     """Return the deviations of mass [kg] and of the worst component of c [m] after these poses and what is known."""
     information = pose_information(turns, values, hold_s).sum(axis=0)
     covariance = np.linalg.pinv(information, rcond=1e-14, hermitian=True)
-    tells = np.linalg.cond(information[:4, :4]) < 1e12, np.linalg.cond(information[4:, 4:]) < 1e12
+    identifies = np.linalg.cond(information[:4, :4]) < 1e12, np.linalg.cond(information[4:, 4:]) < 1e12
     mass, com = values.mass_kg.value, values.com_m.value
-    mass_std = float(np.sqrt(covariance[0, 0])) if tells[0] else np.inf
-    moment = float(np.max(np.diag(covariance)[4:7])) if tells[1] else np.inf
+    mass_std = float(np.sqrt(covariance[0, 0])) if identifies[0] else np.inf
+    moment = float(np.max(np.diag(covariance)[4:7])) if identifies[1] else np.inf
     com_std = float(np.hypot(np.sqrt(moment), com * mass_std) / mass)
     # Local gravity scales mass and first moment alike: it stays in the mass and cancels in c.
     weighed = float(np.hypot(mass_std, LOCAL_GRAVITY_STD * mass))

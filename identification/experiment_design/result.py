@@ -1,4 +1,4 @@
-"""What the deviation of each parameter makes of the peak force of a contact."""
+"""Result of an experiment design: what to record, and what each uncertainty changes in the peak contact force."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -62,11 +62,11 @@ class PeakEffect:
     peak_force_n: float
     controller: AdmittanceController
     approach_force_n: float
-    slopes: Mapping[str, float]
+    gradients: Mapping[str, float]
 
     def moves_n(self, name: str, std: float | None) -> float | None:
         """Return by how much a deviation moves the peak [N], None where one of both is not known."""
-        slope = self.slopes.get(name)
+        slope = self.gradients.get(name)
         return None if slope is None or std is None else slope * std
 
 
@@ -79,20 +79,20 @@ def peak_effect(values: PlanValues, controller: AdmittanceController | None = No
     law = controller if controller is not None else stable_controller(values)
     if law is None:
         return None
-    slopes = {}
+    gradients = {}
     try:
         peak = _peak_n(values, law)
         for name, step in _steps(values).items():
             known = values.known()[name].value
             low = max(known - step, 0.0)
             high = known + step
-            slopes[name] = abs(_peak_n(_moved(values, name, high), law) - _peak_n(_moved(values, name, low), law)) / (
-                high - low
-            )
+            gradients[name] = abs(
+                _peak_n(_moved(values, name, high), law) - _peak_n(_moved(values, name, low), law)
+            ) / (high - low)
     except (UnstableLoopError, ParameterError):
         return None
-    slopes["motion_mass_kg"] = slopes["mass_kg"]
-    return PeakEffect(peak_force_n=peak, controller=law, approach_force_n=_APPROACH_FORCE_N, slopes=slopes)
+    gradients["motion_mass_kg"] = gradients["mass_kg"]
+    return PeakEffect(peak_force_n=peak, controller=law, approach_force_n=_APPROACH_FORCE_N, gradients=gradients)
 
 
 def _steps(values: PlanValues) -> dict[str, float]:
@@ -168,7 +168,7 @@ class ExperimentLimits:
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction:
-    """One parameter (named as in `PlanValues`): std now and after the whole plan, None where nothing tells it.
+    """One parameter (named as in `PlanValues`): std now and after the whole plan, None where nothing shows it.
 
     `peak_now_n`, `peak_after_n` are by how much those deviations move the peak of the reference contact; None for what
     does not act on it, and where nothing is known.
@@ -190,7 +190,7 @@ class Prediction:
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One phase to record; `settings` is None where the limits leave none, `is_needed` tells whether anything asks."""
+    """One phase to record; `settings` is None where the limits leave none, `is_needed` shows whether anything asks."""
 
     kind: StepKind
     is_needed: bool

@@ -1,4 +1,4 @@
-"""Which sweep tells coupling, payload and robot best: predicted deviations from the Fisher information."""
+"""Sine sweep that identifies coupling, payload and robot best, by the Fisher information."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -88,7 +88,7 @@ class SweepPlan:
 
     `peak_force_n` is its largest force amplitude with the plan's values, `worst_peak_force_n` that of the plausible
     cell `worst`; above `abort_force_n` at the sensor it is to be stopped. Its amplitude rises and falls over `fade_s`.
-    `bound_by` tells which limit keeps the speed down. `robot_limit_hz`: above it the robot passes less than a twentieth
+    `bound_by` shows which limit keeps the speed down. `robot_limit_hz`: above it the robot passes less than a twentieth
     of the command.
     """
 
@@ -137,7 +137,7 @@ def plan_sweep(
     highest = min(highest, limits.max_frequency_hz or highest)
     lowest = [start for start in _STARTS_HZ if start < 0.4 * highest] or [0.1 * highest]
     ends = np.geomspace(0.25 * highest, highest, _ENDS)
-    # Both flanks of the payload's swing tell stiffness, mass and drag apart, where the robot reaches that far.
+    # Both flanks of the payload's swing distinguish stiffness, mass and drag, where the robot reaches that far.
     beyond = _BEYOND_SWING * values.payload_frequency_hz
     ends = ends[ends >= beyond] if highest > beyond else ends
     lengths = [length for length in _DURATIONS_S if length < limits.max_duration_s] + [limits.max_duration_s]
@@ -168,15 +168,15 @@ def sweep_information(values: PlanValues, sweep: Sweep) -> FloatArray:
 
     Parameters: K_s, B_s, B_p, M_p in SI, then the relative sizes of the n coefficients of r(s)'s monic denominator (the
     numerator follows from r(0) = 1) and of T_d. x = R x^d with R = r(s) e^(-s T_d), and F = Z x of the measured x, as
-    it is fitted: the force tells nothing of the robot.
+    it is fitted: the force shows nothing of the robot.
 
     White noise of σ per sample gives (1/(σ² h)) ∫ (dy/dθ)² dt (Kay 1993, 3.9); a sweep slow beside the payload's
     ringing stays a sine, whose square is half that of its amplitude on average. The misfit counts as noise that is
-    smooth over the band: what shows in less of the force than that is not told, however long the sweep.
+    smooth over the band: what shows in less of the force than that is not identified, however long the sweep.
     """
     s = _s(sweep.frequency_hz())
-    payload, impedance = _slopes(values, s)
-    robot, passed = _robot_slopes(values.robot, s)
+    payload, impedance = _gradients(values, s)
+    robot, passed = _robot_gradients(values.robot, s)
     command = sweep.command_speed_m_s(values.robot)[:, None] / np.abs(s)[:, None]
     none = np.zeros_like(payload)
     position = command * np.concatenate([none, robot], axis=1)
@@ -189,10 +189,10 @@ def sweep_information(values: PlanValues, sweep: Sweep) -> FloatArray:
     return np.asarray(np.real(total) / len(s))
 
 
-def _robot_slopes(robot: RobotModel, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+def _robot_gradients(robot: RobotModel, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     """Return dR (n, p) per relative change of each denominator coefficient and of T_d, and R (n,)."""
     count = robot.order + 1
-    slopes = [
+    gradients = [
         (
             _changed(robot, which, _STEP).position_response(s.imag)
             - _changed(robot, which, -_STEP).position_response(s.imag)
@@ -200,7 +200,7 @@ def _robot_slopes(robot: RobotModel, s: ComplexArray) -> tuple[ComplexArray, Com
         / (2.0 * _STEP)
         for which in range(count)
     ]
-    return np.stack(slopes, axis=1), robot.position_response(s.imag)
+    return np.stack(gradients, axis=1), robot.position_response(s.imag)
 
 
 def _changed(robot: RobotModel, which: int, step: float) -> RobotModel:
@@ -280,7 +280,7 @@ def _force_per_speed(values: PlanValues, sweep: Sweep) -> float:
 
 
 def _std_after(values: PlanValues, sweep: Sweep) -> dict[str, float]:
-    """Return what is known after the sweep: what it tells by itself, merged with what is known as logs are merged."""
+    """Return what is known after the sweep: what it shows by itself, merged with what is known as logs are merged."""
     known: dict[str, Known] = {
         "stiffness_n_per_m": values.stiffness_n_per_m,
         "damping_n_s_per_m": values.damping_n_s_per_m,
@@ -314,7 +314,7 @@ def _std_after(values: PlanValues, sweep: Sweep) -> dict[str, float]:
 
 
 def covariance_of(information: FloatArray) -> FloatArray:
-    """Invert an information matrix whose parameters differ by decades; infinite where something is not told."""
+    """Invert an information matrix whose parameters differ by decades; infinite where something is not identified."""
     size = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information * np.outer(size, size)
     if np.linalg.cond(scaled) > _SINGULAR:
@@ -327,16 +327,16 @@ def standard_deviations(information: FloatArray) -> FloatArray:
     return np.sqrt(np.diag(covariance_of(information)))
 
 
-def _slopes(values: PlanValues, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+def _gradients(values: PlanValues, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     """Return dZ/dθ (n, 4) for K_s, B_s, B_p, M_p by central differences, and Z (n,)."""
     theta = values.theta
     critical = values.critical_damping_n_s_per_m
     steps = 1e-5 * np.array([theta[0], critical, critical, theta[3]])
-    slopes = [
+    gradients = [
         (felt_impedance(theta + step, s) - felt_impedance(theta - step, s)) / (2.0 * np.sum(step))
         for step in np.diag(steps)
     ]
-    return np.stack(slopes, axis=1), felt_impedance(theta, s)
+    return np.stack(gradients, axis=1), felt_impedance(theta, s)
 
 
 def _s(frequency_hz: FloatArray) -> ComplexArray:

@@ -1,4 +1,4 @@
-"""What an experiment plan starts from: values of the cell, how well each is known, and what is assumed."""
+"""Values of the cell that an experiment design starts from, their uncertainty, and the worst plausible cell."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -51,10 +51,10 @@ class Known:
         return float(1.0 / max(self.std**2 - beside**2, floor**2))
 
     def std_after(self, recording_std: float, symbol: str = "") -> float:
-        """Return σ once a recording that by itself tells `recording_std` is merged (`merging.merged_std`).
+        """Return σ once a recording that by itself shows `recording_std` is merged (`merging.merged_std`).
 
         `symbol` names the parameter for what all recordings share of it (`merging.shared_std`); infinite where neither
-        tells anything.
+        shows anything.
         """
         if self.std is None or not np.isfinite(recording_std):
             return recording_std if self.std is None else self.std
@@ -66,7 +66,7 @@ class PlanValues:
     """One axis of a cell as far as it is known, and the noise with which it will be measured.
 
     `com_m` is the distance of the centre of mass from the sensor with the deviation of its worst component;
-    `motion_mass_kg` is M_p as motion tells it. `pose_force_std_n`, `pose_torque_std_n_m`: what one pose at rest misses
+    `motion_mass_kg` is M_p as motion shows it. `pose_force_std_n`, `pose_torque_std_n_m`: what one pose at rest misses
     by, beyond noise; `misfit_share` is what the model of motion and contact misses of the force, beyond noise.
     `surface` is the one that is to be touched, where the file knows some.
     """
@@ -136,7 +136,7 @@ _MAY_VANISH = {
 
 
 def usual_values(*, mass_kg: float | None = None, stiffness_n_per_m: float | None = None) -> PlanValues:
-    """Return values of a usual cell, nothing of it known; what is told counts as a value, not as a result."""
+    """Return values of a usual cell, nothing of it known; what is known counts as a value, not as a result."""
     mass = 16.0 if mass_kg is None else mass_kg
     stiffness = 3e5 if stiffness_n_per_m is None else stiffness_n_per_m
     if not (0.0 < mass < np.inf and 0.0 < stiffness < np.inf):
@@ -199,7 +199,7 @@ def _choose(result: Identified, axis: str | None) -> str:
 
 
 def _known(estimate: Estimate, usual: Known, *, may_vanish: bool = False) -> Known:
-    """Return what an estimate tells; `given` without a deviation is exact."""
+    """Return what an estimate shows; `given` without a deviation is exact."""
     if estimate.value is None or estimate.value < 0.0 or (estimate.value == 0.0 and not may_vanish):
         return usual
     return Known(value=estimate.value, std=estimate.std if estimate.std is not None else 0.0, is_assumed=False)
@@ -215,16 +215,16 @@ def _distance(com: VectorEstimate, usual: Known) -> Known:
 
 def _with_sensor(values: PlanValues, sensor: SensorEstimate) -> PlanValues:
     noise = _known(sensor.force_noise_rms_n, values.force_noise_rms_n)
-    told = sensor.torque_noise_rms_n_m
+    stated = sensor.torque_noise_rms_n_m
     torque = values.torque_noise_rms_n_m
-    if told is not None and told.value is not None and max(told.value) > 0.0:
-        torque = Known(value=float(max(told.value)), std=0.0, is_assumed=False)
+    if stated is not None and stated.value is not None and max(stated.value) > 0.0:
+        torque = Known(value=float(max(stated.value)), std=0.0, is_assumed=False)
     residual = _known(sensor.gravity_residual_rms_n, values.pose_force_std_n)
     told_position = sensor.position_noise_rms_m
     position = (
         values.position_noise_rms_m if told_position is None else _known(told_position, values.position_noise_rms_m)
     )
-    # The file tells no residual of the torque: it is taken to exceed its noise as that of the force does.
+    # The file shows no residual of the torque: it is taken to exceed its noise as that of the force does.
     share = min(torque.value / noise.value, _LEVER_M)
     return replace(
         values,
@@ -255,11 +255,11 @@ def _with_axis(values: PlanValues, axis: AxisEstimate) -> PlanValues:
             delay_s=_known(axis.robot.delay_s, values.delay_s, may_vanish=True),
         )
     if surface is not None:
-        told = surface.damping_n_s_per_m
+        stated = surface.damping_n_s_per_m
         values = replace(
             values,
             environment_stiffness_n_per_m=_known(surface.stiffness_n_per_m, values.environment_stiffness_n_per_m),
-            environment_damping_n_s_per_m=_known(told, values.environment_damping_n_s_per_m, may_vanish=True),
+            environment_damping_n_s_per_m=_known(stated, values.environment_damping_n_s_per_m, may_vanish=True),
             surface=surface.name
             if len(axis.environments) == 1
             else f"{surface.name}, the least well known of {len(axis.environments)}",
@@ -280,13 +280,13 @@ def _misfit(axis: AxisEstimate, usual: Known) -> Known:
 
 
 def _robot(axis: AxisEstimate) -> RobotModel | None:
-    told = axis.robot
-    if told.numerator.value is None or told.denominator.value is None or told.delay_s.value is None:
+    stated = axis.robot
+    if stated.numerator.value is None or stated.denominator.value is None or stated.delay_s.value is None:
         return None
     return RobotModel(
-        numerator=np.array(told.numerator.value),
-        denominator=np.array(told.denominator.value),
-        delay_s=told.delay_s.value,
+        numerator=np.array(stated.numerator.value),
+        denominator=np.array(stated.denominator.value),
+        delay_s=stated.delay_s.value,
     )
 
 
@@ -384,11 +384,11 @@ def _robot_factor(bandwidth: Known) -> float:
 def _least_damped(values: PlanValues, stiffness: float, mass: float) -> FloatArray:
     """Return K_s, B_s, B_p, M_p (4,) with the least damping that is plausible."""
     critical = float(2.0 * np.sqrt(stiffness * mass))
-    told = values.damping_n_s_per_m, values.drag_n_s_per_m
-    least = [0.0 if each.std is None else max(each.value - _DEVIATIONS * each.std, 0.0) for each in told]
+    stated = values.damping_n_s_per_m, values.drag_n_s_per_m
+    least = [0.0 if each.std is None else max(each.value - _DEVIATIONS * each.std, 0.0) for each in stated]
     floor = SMALLEST_DAMPING_RATIO * critical
-    if all(each.std is not None for each in told):
-        floor = min(floor, told[0].value + told[1].value)
+    if all(each.std is not None for each in stated):
+        floor = min(floor, stated[0].value + stated[1].value)
     missing = max(floor - sum(least), 0.0)
     return np.array([stiffness, least[0] + missing, least[1], mass])
 

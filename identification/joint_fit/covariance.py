@@ -1,4 +1,4 @@
-"""Other minima of the joint fit than the one that a descent reached."""
+"""Covariance, competing minima and profile-likelihood intervals of the joint fit."""
 
 import itertools
 from collections.abc import Sequence
@@ -66,7 +66,7 @@ def forces_only(problem: Problem, point: Point) -> Problem:
 
 
 def other_surfaces(problem: Problem, point: Point, mass: int) -> list[tuple[Point, float]]:
-    """Return minima beside this one and their depths: a surface, told by its M_e's index, without mass or with."""
+    """Return minima beside this one and their depths: a surface, known by its M_e's index, without mass or with."""
     found = []
     if point.values[mass] > 0.0:
         massless = point.values.copy()
@@ -104,7 +104,7 @@ def widened(blocks: Sequence[Block], count: int, period_s: float) -> Spread:
     matrix, _ = information(blocks, count)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
-    # What nothing tells gets a variance that no verdict can overlook.
+    # What nothing shows gets a variance that no verdict can overlook.
     root = vectors / np.sqrt(np.maximum(values, 1e-12))
     factor = np.eye(count)
     for length_s in _PIECES_S:
@@ -112,17 +112,17 @@ def widened(blocks: Sequence[Block], count: int, period_s: float) -> Spread:
         scores = np.concatenate([_scores(block, count, length) for block in blocks])
         factor = factor + _excess(scores * scale @ root)
     inner = root @ factor @ root.T * np.outer(scale, scale)
-    inner += _doubtful(blocks, root @ root.T * np.outer(scale, scale), count)
+    inner += _systematic_errors(blocks, root @ root.T * np.outer(scale, scale), count)
     plain = root @ root.T * np.outer(scale, scale)
     widening = float(np.sqrt(np.max(np.diag(inner) / np.diag(plain))))
     return Spread(covariance=inner, plain=plain, widening=widening)
 
 
-def _doubtful(blocks: Sequence[Block], covariance: FloatArray, count: int) -> FloatArray:
+def _systematic_errors(blocks: Sequence[Block], covariance: FloatArray, count: int) -> FloatArray:
     """Return Σ δ δᵀ, δ the shift of all parameters by each force that the model may lack (`Block.systematic`)."""
-    told = [b for b in blocks if b.systematic is not None]
-    shift = np.zeros((count, max((b.systematic.shape[1] for b in told if b.systematic is not None), default=0)))
-    for block in told:
+    known = [b for b in blocks if b.systematic is not None]
+    shift = np.zeros((count, max((b.systematic.shape[1] for b in known if b.systematic is not None), default=0)))
+    for block in known:
         if block.systematic is not None:
             shift[block.indices] += block.jacobian.T @ block.systematic
     moved = covariance @ shift

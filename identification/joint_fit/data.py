@@ -1,4 +1,4 @@
-"""What the joint refinement starts from, put together from the stages of one axis."""
+"""Data of the joint fit of one axis: signals on one clock, spans, and start values."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -86,7 +86,7 @@ def hold_command(command: PoseSignal, log: AlignedLog, axis: AxisMotion) -> Held
 
     A command at the log's rate or at a whole fraction of it changes always at one phase of a sample, and the robot's
     answer is exact. Any other is replaced by its mean over every sample: the same push at slightly another time, which
-    makes the delay wrong by about ω h²/12. Before its first message the command is that one; `uncovered` tells where it
+    makes the delay wrong by about ω h²/12. Before its first message the command is that one; `uncovered` shows where it
     says nothing.
     """
     period = log.period_s
@@ -171,7 +171,7 @@ def _measured(pose_stamp_ns: StampArray, log: AlignedLog) -> tuple[int, int]:
 def _most_telling(spans: Sequence[Span], axis: AxisMotion, period_s: float, most_s: float) -> tuple[Span, ...]:
     """Return the spans, cut into pieces where they are too long, with most force until `most_s` are full.
 
-    Ten minutes tell no more than the best of them.
+    Ten minutes show no more than the best of them.
     """
     left = round(most_s / period_s)
     if sum(len(span) for span in spans) <= left:

@@ -1,4 +1,4 @@
-"""From the joint fit of one axis to estimates with verdicts."""
+"""Estimates with verdicts from the joint fit of one axis."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -30,7 +30,7 @@ _SURFACE_SYMBOLS = ("K_e", "B_e", "M_e")
 
 @dataclass(frozen=True, kw_only=True)
 class JointEstimates:
-    """What the joint fit of axis `name` tells, parameter by parameter; `period_s` judges the delay."""
+    """What the joint fit of axis `name` shows, parameter by parameter; `period_s` judges the delay."""
 
     name: str
     fit: JointFit
@@ -75,7 +75,7 @@ class JointEstimates:
         """Return the surfaces, softest first on each side.
 
         Their stiffness is weak at best where no command was logged: the payload's path then rests on a pose that is
-        smooth between the ticks by assumption. K_e alone is, too, where K_s is not told.
+        smooth between the ticks by assumption. K_e alone is, too, where K_s is not identified.
         """
         return tuple(self._environment(i, surface) for i, surface in enumerate(self.fit.surfaces))
 
@@ -92,7 +92,7 @@ class JointEstimates:
         if self.fit.robot is None:
             stiffness, secant = (weak_at_best(e, "no commanded pose took part") for e in (stiffness, secant))
         if self.coupling.stiffness_n_per_m.status is Status.UNIDENTIFIABLE:
-            stiffness = weak_at_best(stiffness, "K_s is not told, and K_e is what the secant leaves beside it")
+            stiffness = weak_at_best(stiffness, "K_s is not identified, and K_e is what the secant leaves beside it")
         mass, _ = self.fit.value("mass_kg")
         return EnvironmentEstimate(
             name=self.surface_name(index),
@@ -120,24 +120,24 @@ class JointEstimates:
     @property
     def quality(self) -> FitQuality:
         """Return how well it fits."""
-        told = self.fit.diagnostics
-        contacts = told.used[1]
+        stated = self.fit.diagnostics
+        contacts = stated.used[1]
 
         def of_contacts(value: float | None) -> float | None:
             return value if contacts else None
 
         return FitQuality(
-            free_spans=told.used[0],
-            explained_free=told.fit_share[0],
-            whiteness_free=told.whiteness[0],
-            noise_ratio_free=told.noise_ratio[0],
-            left_out_free=told.left_out_error[0],
+            free_spans=stated.used[0],
+            explained_free=stated.fit_share[0],
+            whiteness_free=stated.whiteness[0],
+            noise_ratio_free=stated.noise_ratio[0],
+            left_out_free=stated.left_out_error[0],
             contacts=contacts,
-            explained_contact=of_contacts(told.fit_share[1]),
-            whiteness_contact=of_contacts(told.whiteness[1]),
-            noise_ratio_contact=of_contacts(told.noise_ratio[1]),
-            left_out_contact=told.left_out_error[1],
-            widening=told.widening,
+            explained_contact=of_contacts(stated.fit_share[1]),
+            whiteness_contact=of_contacts(stated.whiteness[1]),
+            noise_ratio_contact=of_contacts(stated.noise_ratio[1]),
+            left_out_contact=stated.left_out_error[1],
+            widening=stated.widening,
             wrench_lag_s=self.fit.latency.seconds,
             wrench_lag_std_s=self.fit.latency.std_s,
         )
@@ -196,5 +196,5 @@ def _poles(values: FloatArray, covariance: FloatArray) -> tuple[FloatArray, Floa
     poles = values[:-1]
     here = described(poles)
     steps = 1e-6 * poles
-    slopes = np.array([(described(poles + step) - here) / step.sum() for step in np.diag(steps)]).T
-    return here, np.sqrt(np.maximum(np.diag(slopes @ covariance[:-1, :-1] @ slopes.T), 0.0))
+    gradients = np.array([(described(poles + step) - here) / step.sum() for step in np.diag(steps)]).T
+    return here, np.sqrt(np.maximum(np.diag(gradients @ covariance[:-1, :-1] @ gradients.T), 0.0))

@@ -1,4 +1,4 @@
-"""One refinement of everything on one axis by maximum likelihood on the raw signals, with one covariance."""
+"""Joint maximum-likelihood fit of all parameters of one axis to the raw force and pose."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -48,8 +48,8 @@ def identify_joint(data: JointData, progress: ProgressSlice | None = None) -> Jo
 
     The likelihood is that of the pose given the command times that of the force given both: the flange's path is the
     robot's exact answer to the command plus what Wiener's filter keeps of the rest, and what remains of the force is
-    whitened by an autoregression, fitted again after every round. Where free motion does not tell the payload, what
-    rings after taps and releases may, with the mass that gravity tells (`JointFit.is_weighed`). `progress` is told the
+    whitened by an autoregression, fitted again after every round. Where free motion does not show the payload, what
+    rings after taps and releases may, with the mass that gravity shows (`JointFit.is_weighed`). `progress` is known the
     share of the work that is done. Raises EstimateError when no span can be used.
     """
     progress = progress or ProgressSlice()
@@ -111,11 +111,11 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
 
 
 def _require_mass(problem: Problem, mass_kg: float) -> None:
-    """Raise EstimateError when the mass ran to the limits of its search: then motion does not tell it."""
+    """Raise EstimateError when the mass ran to the limits of its search: then motion does not show it."""
     low, high = (1.0 + _AT_LIMIT) * problem.lightest_kg, problem.heaviest_kg / (1.0 + _AT_LIMIT)
     if not low < mass_kg < high:
         raise EstimateError(
-            "The payload's acceleration hardly shows in the force, so motion tells neither its mass nor the coupling; "
+            "The payload's acceleration hardly shows in the force, so motion shows neither its mass nor the coupling; "
             "record a commanded sweep of 0.5 to 50 Hz in free space without a hand on the payload."
         )
 
@@ -140,10 +140,12 @@ def _robot_values(data: JointData) -> FloatArray:
 
 
 def _robot_first(data: JointData, start: FloatArray) -> tuple[Problem, FloatArray]:
-    """Fit the robot to the pose alone; only then what the pose shows beside it can be told from a wrong robot."""
+    """Fit the robot to the pose alone; only then what the pose shows beside it can be determined from a wrong robot."""
     layout, rests = ParameterLayout(robot_order=data.robot_order, surfaces=0), _quiet_rests(data)
     if not rests:
-        raise EstimateError("The noise is told by spans at rest without contact, found none; stand still for 1 s.")
+        raise EstimateError(
+            "The noise is measured at rest without contact, found no such span; keep the robot at rest for 1 s."
+        )
     signals = Signals(
         period_s=data.period_s,
         position_m=data.position_m,
@@ -200,7 +202,7 @@ def _pose_spans(data: JointData) -> tuple[slice, ...]:
 
 
 def _free_motion(data: JointData, base: Problem, values: FloatArray) -> tuple[Problem, Point]:
-    """Fit the most telling spans alone, let the best one choose its like, and fit those together."""
+    """Fit the most informative spans alone, let the best one choose its like, and fit those together."""
     edge = round(_FREE_EDGE_S / data.period_s)
     path = base.path(values)
     cuts = [contact_segment(hold, path, data.force_n, values[:4], data.period_s) for hold in data.holds]
@@ -221,7 +223,7 @@ def _free_motion(data: JointData, base: Problem, values: FloatArray) -> tuple[Pr
     )[0]
     used = _explained(base, best, candidates, rings)
     if len(used) < len(candidates) + len(rings) and telling:
-        # A sweep that ends below the resonance leaves K_s open: what rings tells it, with the mass that motion told.
+        # A sweep that ends below the resonance leaves K_s open: what rings shows it, with the mass that motion known.
         for ring in _strongest(data, rings)[:_RING_STARTS]:
             start = start_coupling(base, best, ring, float(best[3]))[0]
             more = _explained(base, start, candidates, rings)
@@ -240,9 +242,9 @@ def _free_motion(data: JointData, base: Problem, values: FloatArray) -> tuple[Pr
 
 
 def _ringing_alone(data: JointData, base: Problem, values: FloatArray) -> tuple[Problem, Point]:
-    """Fit what taps and releases alone tell, with the mass that gravity tells.
+    """Fit what taps and releases alone show, with the mass that gravity shows.
 
-    A payload that swings on a flange at rest tells K_s/M_p and the dampings over M_p, and nothing of M_p itself.
+    A payload that swings on a flange at rest shows K_s/M_p and the dampings over M_p, and nothing of M_p itself.
     """
     if data.weighed is None:
         raise EstimateError("The payload's mass is not known.")
@@ -253,7 +255,7 @@ def _ringing_alone(data: JointData, base: Problem, values: FloatArray) -> tuple[
     # A strong tap may end its search in another valley; the values that explain most rings count.
     for ring in _strongest(data, rings):
         start = start_coupling(weighed, values, ring, data.weighed[0])[0]
-        # On a flange at rest both dampings look alike; how they share is left as it was, for contacts to tell.
+        # On a flange at rest both dampings look alike; how they share is left as it was, for contacts to decide.
         together = start[1] + start[2]
         start[2] = min(values[2], together)
         start[1] = together - start[2]

@@ -1,4 +1,4 @@
-"""The derivatives of a span's force by everything that it depends on, exact to rounding."""
+"""Derivatives of a span's predicted force by every parameter, exact to rounding."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -23,7 +23,7 @@ def force_jacobian(
     nuisance: FloatArray,
     segment: Segment,
     path: FlangePath,
-    path_slopes: Callable[[int], FlangePath],
+    path_gradients: Callable[[int], FlangePath],
     indices: NDArray[np.intp],
     layout: ParameterLayout,
     period_s: float,
@@ -32,24 +32,25 @@ def force_jacobian(
 
     Nothing is a difference: the matrices of a sample are differentiated by complex steps (`joint_model`), and a slope
     follows x'_(k+1) = phi x'_k + phi' x_k + gamma' w_k + gamma w'_k. The moment of a touch or release moves with the
-    parameters, too (`switch_along`). `path_slopes(i)` is the derivative of the flange's path by parameter i, a robot's.
+    parameters, too (`switch_along`). `path_gradients(i)` is the derivative of the flange's path by parameter i, a
+    robot's.
 
     Where the force has a corner there are two derivatives, and the one is taken that belongs to the run as it is: a
     bounce that begins or ends just at a tick; M_e = 0, by a larger one; a delay of whole samples, by a longer one.
     """
     cut, robot = path.cut(segment.slice), range(layout.robot.start, layout.robot.stop)
     # The first are those of the coupling, and a surface's are the last.
-    moved = [path_slopes(i).cut(segment.slice) for i in indices.tolist() if i in robot]
+    moved = [path_gradients(i).cut(segment.slice) for i in indices.tolist() if i in robot]
     law = segment_model(values, nuisance, segment, path, layout, period_s)
     derivatives = step_derivatives(values, segment, path, layout, period_s, moves_robot=bool(moved))
     found = run(law, cut, segment)
-    slopes = _carried(
+    gradients = _carried(
         law, derivatives, cut, moved, found, segment, _places(law, nuisance, moved, segment, len(indices))
     )
     rows = np.empty((len(indices) + segment.nuisance_count, len(segment)))
     rows[len(indices) + OFFSET] = 1.0
     kept = np.arange(len(rows)) != len(indices) + OFFSET
-    rows[kept] = segment.sign * slopes.T
+    rows[kept] = segment.sign * gradients.T
     return np.asarray(segment.sign * found.force + nuisance[OFFSET]), rows
 
 

@@ -1,4 +1,4 @@
-"""How late the wrench is against pose and command: a shift in time of one signal, fitted beside everything else."""
+"""Latency of the wrench: a clock offset, a delay or a first-order low-pass, fitted with all other parameters."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -139,7 +139,7 @@ def compare_delay_hypotheses(problem: Problem, point: Point) -> tuple[Point, Com
 
     The velocity of a robot with one pole jumps with every step of its command, and the damping of the coupling turns
     that into a jump of the force. A delay just below a whole number of samples puts the step just before the tick, one
-    just above it behind: the same force at all other times, but another one in the log. No slope tells of that jump.
+    just above it behind: the same force at all other times, but another one in the log. No derivative shows that jump.
     Of a robot with two poles the competing is that of one pole, where the second pole is fast.
     """
     layout, period = problem.layout, problem.signals.period_s
@@ -369,13 +369,13 @@ def find_wrench_filter(
             corner, corner * std / seconds, method=_METHOD, identified=_IDENTIFIED_SHARE, weak=_WEAK_SHARE
         )
         found = WrenchFilterEstimate(corner_hz=weak_at_best(estimate, why) if why else estimate)
-        told = f"passes a first-order low-pass of {corner:.3g} ± {corner * std / seconds:.2g} Hz"
+        described = f"passes a first-order low-pass of {corner:.3g} ± {corner * std / seconds:.2g} Hz"
     else:
         is_sharp = std < _IDENTIFIED_SAMPLES * period_s
         status = Status.IDENTIFIED if is_sharp and not why else Status.WEAK
         found = WrenchFilterEstimate(delay_s=Estimate(value=seconds, std=std, status=status, method=_METHOD, note=why))
-        told = f"comes {1e3 * seconds:.3f} ± {1e3 * std:.2g} ms late"
-    return found, (_told(told, tuple(alike), why),)
+        described = f"comes {1e3 * seconds:.3f} ± {1e3 * std:.2g} ms late"
+    return found, (_text(described, tuple(alike), why),)
 
 
 def _together(alike: Mapping[str, WrenchLatency]) -> tuple[float, float, str]:
@@ -393,11 +393,11 @@ def _together(alike: Mapping[str, WrenchLatency]) -> tuple[float, float, str]:
     return mean, float(np.min(stds)) * max(1.0, float(np.sqrt(squares))), ""
 
 
-def _told(told: str, axes: tuple[str, ...], why: str) -> Finding:
+def _text(described: str, axes: tuple[str, ...], why: str) -> Finding:
     return Finding(
         code="wrench-filter",
         severity="warning" if why else "info",
-        message=f"The wrench {told} (axis {', '.join(axes)}){f': {why}' if why else ''}. It is in the loop, and in "
-        "`sensor.wrench_filter`.",
+        message=f"The wrench {described} (axis {', '.join(axes)}){f': {why}' if why else ''}. It is in the loop, "
+        "and in `sensor.wrench_filter`.",
         advice="",
     )

@@ -1,4 +1,4 @@
-"""The colour of noise: spectra from rests, autoregressive whitening, and tests of whiteness."""
+"""Noise models: spectra at rest, autoregressive whitening, Wiener smoothing, and tests of whiteness."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

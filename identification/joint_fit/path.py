@@ -1,4 +1,4 @@
-"""The flange's path between the ticks: the robot's answer to a held command, and what the pose shows beside it."""
+"""Path of the flange between the ticks, and the sensor's low-pass and delay."""
 
 import math
 from dataclasses import dataclass, field
@@ -276,13 +276,13 @@ def low_passed(forces: FloatArray, time_constant_s: float, period_s: float) -> F
     keep = math.exp(-share)
     newer = 1.0 - (1.0 - keep) / share
     b, a = np.array([newer, 1.0 - keep - newer]), np.array([1.0, -keep])
-    # The state that makes the first value stand still.
+    # The state that makes the first value steady.
     state = (b[1] + keep) * forces[..., :1]
     return np.asarray(lfilter(b, a, forces, axis=-1, zi=state)[0])
 
 
 def _later(forces: FloatArray, samples: float) -> FloatArray:
-    """Return forces (…, n) `samples` later; the ends stand still."""
+    """Return forces (…, n) `samples` later; the ends are held."""
     whole = math.floor(samples)
     u = 1.0 - (samples - whole)  # where between the older sample (0) and the newer one (1)
     weights = (

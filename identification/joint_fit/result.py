@@ -1,4 +1,4 @@
-"""The result of the joint refinement: values, one covariance, and how far they may be trusted."""
+"""Result of the joint fit of one axis: values, one covariance, surfaces and diagnostics."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ from .solve import Block, Point, Problem, information, linearise, logarithmic, m
 FloatArray = NDArray[np.float64]
 _STEPS = 4
 _LARGEST_STEP = 3.0
-# A K_s beyond this share of the stiffest that a sampling rate can show is not told: swinging at 0.8 of half that rate.
+# A K_s beyond this share of the stiffest that a sampling rate can show is not identified (0.8 of half that rate).
 _FASTEST_SEEN = 0.64
 _MECHANICAL = ("stiffness_n_per_m", "damping_n_s_per_m", "drag_n_s_per_m", "mass_kg")
 
@@ -80,7 +80,7 @@ class JointFit:
     """All parameters of one axis with one covariance, (p,) and (p, p) in SI, in the order of `names`.
 
     `ci95` holds intervals where plus and minus two deviations would be wrong (a damping or mass near 0); `latency` is
-    the wrench's against pose and command. `is_weighed` where ringing alone told the coupling, with the mass from
+    the wrench's against pose and command. `is_weighed` where ringing alone gave the coupling, with the mass from
     gravity. `spans` are what was fitted, span by span.
     """
 
@@ -247,7 +247,7 @@ def _force_error(problem: Problem, point: Point, segment: Segment, index: int) -
 
 
 def _left_out(problem: Problem, point: Point, blocks: Sequence[Block], kind: Sequence[int]) -> float | None:
-    """Predict the last span of a kind with the parameters that all others tell."""
+    """Predict the last span of a kind with the parameters that all others show."""
     if not kind:
         return None
     last = kind[-1]

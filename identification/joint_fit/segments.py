@@ -1,4 +1,4 @@
-"""Spans of the log that one payload on one spring explains, and the force that the model predicts there."""
+"""Spans that the joint fit uses: contacts cut out of the log, and the force that the model predicts in a span."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -239,7 +239,7 @@ def contact_segment(
 def start_contact(
     hold: Span, path: FlangePath, force_n: FloatArray, values: FloatArray, layout: ParameterLayout, period_s: float
 ) -> ContactCandidate | None:
-    """PathSegment the contact out and search K_e and B_e on a grid; the hold's balance of forces tells x_w for each.
+    """Cut the contact out and search K_e and B_e on a grid; the hold's balance of forces shows x_w for each.
 
     `values` holds the shared parameters of a `layout` with one surface, which is overwritten. None without an onset.
     """

@@ -1,4 +1,4 @@
-"""What the joint refinement minimises: the signals of one axis, its spans, the noise, and the parameters' units."""
+"""Least-squares problem of the joint fit, and the Gauss-Newton steps that solve it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -96,7 +96,8 @@ class Problem:
 
     `priors` are (index, value, standard deviation); `fixed` are indices that stay as they are, and with the robot's
     among them `known_path` is the flange's path; `summary` stands for other spans. No payload is lighter than
-    `lightest_kg`: next to nothing, its own motion could not be told from rounding. None is heavier than `heaviest_kg`.
+    `lightest_kg`: next to nothing, its own motion could not be distinguished from rounding. None is heavier than
+    `heaviest_kg`.
     """
 
     signals: Signals
@@ -125,7 +126,7 @@ class Problem:
 def stiffest_seen_n_per_m(mass_kg: float, period_s: float) -> float:
     """Return the K_s at which a payload of this mass swings at half the sampling rate.
 
-    Above it a sample shows the swinging of a softer spring as well (aliasing), so no K_s can be told there.
+    Above it a sample shows the swinging of a softer spring as well (aliasing), so no K_s can be determined there.
     """
     return float(mass_kg * (np.pi / period_s) ** 2)
 
@@ -188,8 +189,8 @@ def linearise(problem: Problem, point: Point) -> list[Block]:
         indices = np.array(robot)
         for span in map(signals.at_poses, problem.pose_spans):
             misfit = here.misfit(span)
-            slopes = [slope(i).misfit(span) * sizes[i] for i in robot]
-            rows = np.array([misfit, *slopes, np.ones(len(misfit))]).T
+            gradients = [slope(i).misfit(span) * sizes[i] for i in robot]
+            rows = np.array([misfit, *gradients, np.ones(len(misfit))]).T
             blocks.append(_block(problem.pose_noise.apply(rows), indices, 1))
     return blocks + _known(problem, point)
 
@@ -269,7 +270,7 @@ def _untimed(values: FloatArray, segment: Segment, path: FlangePath, period_s: f
 
     Between the ticks the pose says nothing. A robot that follows a held command jumps in speed at every tick, by up to
     h (a + ω v); the coupling's damping passes that on. ω stands for 2π·5 Hz, the damping for at least a twentieth of
-    the critical one, since it is itself told by this.
+    the critical one, since it is itself known by this.
     """
     damping = max(float(values[1]), 0.1 * float(np.sqrt(values[0] * values[3])))
     speed = path.cut(segment.slice).velocity / period_s
@@ -348,7 +349,7 @@ def _bounded_step(problem: Problem, point: Point, matrix: FloatArray, gradient: 
     for _ in range(count):
         step[:] = 0.0
         inside = matrix[np.ix_(free, free)]
-        # What the spans do not tell to 30 of its sizes stays where it is: its slopes may be nothing but rounding.
+        # What the spans do not show to 30 of its sizes stays where it is: its slopes may be nothing but rounding.
         ridge = 1e-10 * np.diag(inside) + 1e-3
         step[free] = -np.linalg.solve(inside + np.diag(ridge), gradient[free])
         at_bound = linear & (scaled <= 0.0)

@@ -1,4 +1,4 @@
-"""Where the refinement starts: the coupling from the most telling free motion, each surface from its contacts."""
+"""Start values of the joint fit: the coupling from free motion, each surface from its contacts."""
 
 from collections.abc import Sequence
 from dataclasses import replace

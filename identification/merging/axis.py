@@ -1,4 +1,4 @@
-"""One axis out of several logs: one joint record, from which values, deviations, surfaces and covariance are taken."""
+"""Merged estimate of one axis out of several logs."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ..joint_fit.estimates import DAMPING_FLOOR, MASS_FLOOR, describe_robot, robot_bandwidth
 from ..result import AxisEstimate, CouplingEstimate, Covariance, EnvironmentEstimate, Estimate, RobotEstimate
 from ..verdicts import judged, judged_damping
-from .values import ORDER, Merge, Normal, is_beyond_chance, is_told, merge_normals, with_priors, with_verdict
+from .values import ORDER, Merge, Normal, is_beyond_chance, is_stated, merge_normals, with_priors, with_verdict
 
 FloatArray = NDArray[np.float64]
 Judge = Callable[[float, float], Estimate]
@@ -34,7 +34,7 @@ _BANDWIDTH = "robot bandwidth [Hz]"
 
 @dataclass(frozen=True, kw_only=True)
 class AxisRecord:
-    """What logs tell of the axis `name` together: `normal` holds it all, `axes` (None where a log lacks it) the rest.
+    """What logs show of the axis `name` together: `normal` holds it all, `axes` (None where a log lacks it) the rest.
 
     `scattering` names what scatters beyond its deviations; `robot_axes` have a robot of the order in `normal`.
     """
@@ -139,9 +139,9 @@ class AxisRecord:
         )
 
     def _secant(self, name: str, logs: Sequence[EnvironmentEstimate]) -> Estimate:
-        """Return K_s and K_e in series out of the record, else the mean of what contact traces tell of it."""
+        """Return K_s and K_e in series out of the record, else the mean of what contact traces show of it."""
         springs = ("K_s", f"{name}.K_e")
-        told = [surface.secant_stiffness_n_per_m for surface in logs]
+        stated = [surface.secant_stiffness_n_per_m for surface in logs]
         if not any(axis.covariance is not None and set(springs) <= set(axis.covariance.names) for axis in self._there):
             by_log = [None if axis is None else _secant_of(axis, name) for axis in self.axes]
             return self.merge.scalars(f"secant stiffness of surface {name}", by_log)
@@ -149,7 +149,7 @@ class AxisRecord:
         secant = 1.0 / float(np.sum(1.0 / part.values))
         slope = (secant / part.values) ** 2
         std = float(np.sqrt(slope @ part.matrix @ slope))
-        return with_verdict(judged(secant, std, method=told[0].method), secant, std, told, scatters=False)
+        return with_verdict(judged(secant, std, method=stated[0].method), secant, std, stated, scatters=False)
 
     def _covariance(self) -> Covariance:
         return Covariance(
@@ -168,8 +168,8 @@ def merge_axis(
     the bandwidths disagree. `gain_share` is the share by which the force's scale may be wrong in all logs.
     """
     orders = [None if axis is None else _robot_order(axis) for axis in axes]
-    told = [(axis, order) for axis, order in zip(axes, orders, strict=True) if axis is not None and order is not None]
-    chosen = min(told, key=lambda pair: _delay_std(pair[0]))[1] if told else None
+    stated = [(axis, order) for axis, order in zip(axes, orders, strict=True) if axis is not None and order is not None]
+    chosen = min(stated, key=lambda pair: _delay_std(pair[0]))[1] if stated else None
     parts = [
         None if axis is None else _record(axis, with_robot=order is None or order == chosen)
         for axis, order in zip(axes, orders, strict=True)
@@ -189,9 +189,9 @@ def merge_axis(
                 if symbol in symbols
             ]
             logs, values, stds = zip(*seen, strict=True)
-            merge.tell(_label(name, symbol), logs, values, stds)
+            merge.report(_label(name, symbol), logs, values, stds)
     normal = merged.normal
-    if len({order for _, order in told}) > 1:
+    if len({order for _, order in stated}) > 1:
         normal = normal.added({"omega": _between_orders(merge, name, axes, normal, chosen)})
     return AxisRecord(
         name=name,
@@ -199,7 +199,7 @@ def merge_axis(
         normal=normal.select(_in_order(normal.names)),
         merge=merge,
         axes=tuple(axes),
-        robot_axes=tuple(axis for axis, order in told if order == chosen),
+        robot_axes=tuple(axis for axis, order in stated if order == chosen),
         scattering=frozenset(name for name, square in merged.square.items() if square > merged.freedom[name]),
     )
 
@@ -235,14 +235,14 @@ def judged_plainly(value: float, std: float) -> Estimate:
 
 
 def _record(axis: AxisEstimate, *, with_robot: bool) -> Normal:
-    """Return all that a log tells of an axis: its covariance, and what stands beside it as independent."""
-    told = axis.covariance
-    names = () if told is None else told.names
+    """Return all that a log shows of an axis: its covariance, and what stands beside it as independent."""
+    stated = axis.covariance
+    names = () if stated is None else stated.names
     alone = {symbol: found for symbol in _symbols(axis) if symbol not in names and (found := _alone(axis, symbol))}
-    values = np.array([*(() if told is None else told.values), *(value for value, _ in alone.values())])
+    values = np.array([*(() if stated is None else stated.values), *(value for value, _ in alone.values())])
     matrix = np.diag([*np.zeros(len(names)), *(std**2 for _, std in alone.values())])
-    if told is not None:
-        matrix[: len(names), : len(names)] = told.matrix
+    if stated is not None:
+        matrix[: len(names), : len(names)] = stated.matrix
     whole = Normal(names=(*names, *alone), values=values, matrix=matrix)
     return whole.select([name for name in whole.names if with_robot or name not in _ROBOT])
 
@@ -279,7 +279,7 @@ def _poles(axis: AxisEstimate) -> dict[str, tuple[float, float]]:
 
 
 def _robot_order(axis: AxisEstimate) -> int | None:
-    """Return how many poles r(s) has, None where it is not told, 0 where it is of another form."""
+    """Return how many poles r(s) has, None where it is not identified, 0 where it is of another form."""
     numerator, denominator = axis.robot.numerator.value, axis.robot.denominator.value
     if numerator is None or denominator is None:
         return None
@@ -292,9 +292,9 @@ def _delay_std(axis: AxisEstimate) -> float:
 
 
 def _counts(axis: AxisEstimate, symbol: str) -> bool:
-    """Whether a log tells a parameter well enough to disagree on it."""
+    """Whether a log shows a parameter well enough to disagree on it."""
     estimate = estimate_of(axis, symbol)
-    return estimate is not None and is_told(estimate)
+    return estimate is not None and is_stated(estimate)
 
 
 def _between_orders(

@@ -1,4 +1,4 @@
-"""Several logs of one cell: one set of parameters, and a loud word where the logs disagree."""
+"""Merged result of several logs of one cell, with findings where they disagree."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,7 @@ from ..result import (
 )
 from ..verdicts import missing, unidentifiable
 from .axis import AxisRecord, merge_axis
-from .values import ORDER, WEIGHED_MASS, Merge, is_told
+from .values import ORDER, WEIGHED_MASS, Merge, is_stated
 
 _CLEAR_STDS, _PROMPT_SHARE = 4.0, 0.5
 _SAME_PERIOD = 1e-3
@@ -38,7 +38,7 @@ _SAME_SURFACE_STDS = 3.0
 
 @dataclass(frozen=True, kw_only=True)
 class NamedResult:
-    """What one log told; `name` is how findings call it.
+    """Result of one log; `name` is how findings call it.
 
     `gain_error_share` is the share by which the force's scale may be wrong, as the log shows it.
     """
@@ -49,7 +49,7 @@ class NamedResult:
 
 
 def combine_identified(parts: Sequence[NamedResult], given: Mapping[str, Given] | None = None) -> Identified:
-    """Merge what several logs of one cell told (`merging`), then enter what is `given` from elsewhere, once.
+    """Merge the results of several logs of one cell (`merging`), then enter what is `given` from elsewhere, once.
 
     Each axis is one joint record of its parameters: values, deviations, names of surfaces and covariance of the result
     are all taken from it. Noise averages; what the logs share (local gravity, the sensor's calibration) does not.
@@ -93,7 +93,7 @@ def combine_identified(parts: Sequence[NamedResult], given: Mapping[str, Given] 
 
 
 def _load(result: Identified) -> list[tuple[float, float]]:
-    """Return the payload's mass and what its weight leaves, nothing where one of them is not told."""
+    """Return the payload's mass and what its weight leaves, nothing where one of them is not identified."""
     mass, left = result.payload.mass_kg.value, result.sensor.gravity_residual_rms_n.value
     return [] if mass is None or left is None else [(mass, left)]
 
@@ -160,10 +160,10 @@ def _sensor(merge: Merge, results: Sequence[Identified]) -> SensorEstimate:
 def _wrench_filter(merge: Merge, results: Sequence[Identified]) -> WrenchFilterEstimate | None:
     """Average filters of one kind; where logs show different kinds, or one shows none, the latest wrench counts."""
     filters = [result.sensor.wrench_filter for result in results]
-    told = [(name, f) for name, f in zip(merge.names, filters, strict=True) if f is not None]
-    if not told:
+    stated = [(name, f) for name, f in zip(merge.names, filters, strict=True) if f is not None]
+    if not stated:
         return None
-    prompt = [name for name, result in zip(merge.names, results, strict=True) if _is_prompt(result, told)]
+    prompt = [name for name, result in zip(merge.names, results, strict=True) if _is_prompt(result, stated)]
     corners = [None if f is None else f.corner_hz for f in filters]
     delays = [None if f is None else f.delay_s for f in filters]
     if not any(delays) and not prompt:
@@ -171,7 +171,8 @@ def _wrench_filter(merge: Merge, results: Sequence[Identified]) -> WrenchFilterE
     if not any(corners) and not prompt:
         return WrenchFilterEstimate(delay_s=merge.scalars("delay of the wrench [s]", delays))
     late = ", ".join(
-        [f"{1e3 * _lateness_s(f):.3g} ms late ({name})" for name, f in told] + [f"not late ({name})" for name in prompt]
+        [f"{1e3 * _lateness_s(f):.3g} ms late ({name})" for name, f in stated]
+        + [f"not late ({name})" for name in prompt]
     )
     merge.findings.append(
         Finding(
@@ -181,7 +182,7 @@ def _wrench_filter(merge: Merge, results: Sequence[Identified]) -> WrenchFilterE
             advice="Identify logs of different sensors, or of different filters in one, each on its own.",
         )
     )
-    return max((f for _, f in told), key=_lateness_s)
+    return max((f for _, f in stated), key=_lateness_s)
 
 
 def _is_prompt(result: Identified, late: Sequence[tuple[str, WrenchFilterEstimate]]) -> bool:
@@ -200,9 +201,9 @@ def _lateness_s(wrench_filter: WrenchFilterEstimate) -> float:
 
 
 def _noisiest(sensors: Sequence[SensorEstimate]) -> NoiseSpectrum | None:
-    """Return the spectrum of the log with most noise, as its rms is what is told."""
-    told = [s for s in sensors if s.noise is not None]
-    return max(told, key=lambda s: s.force_noise_rms_n.value or 0.0).noise if told else None
+    """Return the spectrum of the log with most noise, as its rms is what is known."""
+    stated = [s for s in sensors if s.noise is not None]
+    return max(stated, key=lambda s: s.force_noise_rms_n.value or 0.0).noise if stated else None
 
 
 def _optional(merge: Merge, what: str, estimates: Sequence[VectorEstimate | None]) -> VectorEstimate | None:
@@ -227,12 +228,12 @@ def _largest(estimates: Sequence[Estimate]) -> Estimate:
 
 def _largest_told(estimates: Sequence[Estimate | None]) -> Estimate | None:
     """Return the worst of those that have a value, None where none has."""
-    told = [estimate for estimate in estimates if estimate is not None and estimate.value is not None]
-    return max(told, key=lambda e: 0.0 if e.value is None else e.value, default=None)
+    stated = [estimate for estimate in estimates if estimate is not None and estimate.value is not None]
+    return max(stated, key=lambda e: 0.0 if e.value is None else e.value, default=None)
 
 
 def _sample_time(parts: Sequence[NamedResult], findings: list[Finding], *, is_given: bool) -> Estimate:
-    """Return the control period, which commands tell: without one the rate of the wrench is taken, if all have one."""
+    """Return the control period, which commands show: without one the rate of the wrench is taken, if all have one."""
     times = [(part.name, part.result.sample_time_s) for part in parts if part.result.sample_time_s.value is not None]
     if not times:
         return parts[0].result.sample_time_s
@@ -242,22 +243,24 @@ def _sample_time(parts: Sequence[NamedResult], findings: list[Finding], *, is_gi
     values = [t.value for _, t in counted if t.value is not None]
     if max(values) - min(values) <= _SAME_PERIOD * min(values):
         return min((t for _, t in counted), key=lambda t: ORDER.index(t.status))
-    told = ", ".join(f"{1e3 * t.value:.4f} ms ({name})" for name, t in counted if t.value is not None)
+    stated = ", ".join(f"{1e3 * t.value:.4f} ms ({name})" for name, t in counted if t.value is not None)
     if sure:
-        raise LogError(f"Logs that are combined must come from one control period, found {told}; identify each apart.")
+        raise LogError(
+            f"Logs that are combined must come from one control period, found {stated}; identify each on its own."
+        )
     if not is_given:
         findings.append(
             missing(
                 "control-period",
-                f"No log has a command, and their wrenches come every {told}: none of that need be the control period.",
+                f"No log has a command, and their wrenches come every {stated}: the control period may be another.",
                 f"Record the position command, or give the period with --given {_PERIOD}=VALUE.",
             )
         )
-    return unidentifiable(note=f"no log has a command, and the wrenches come every {told}")
+    return unidentifiable(note=f"no log has a command, and the wrenches come every {stated}")
 
 
 def _without_settled(findings: Sequence[Finding], combined: Identified) -> list[Finding]:
-    """Leave out what one log lacks and another has: the combination tells it."""
+    """Leave out what one log lacks and another has: the combination shows it."""
     axes = combined.axes.values()
     settled = {
         "no-command": bool(axes) and all(axis.robot.delay_s.value is not None for axis in axes),
@@ -330,7 +333,7 @@ def _symbol(symbol: str, names: Mapping[str, str]) -> str:
 
 def _alike(one: EnvironmentEstimate, other: EnvironmentEstimate) -> bool:
     first, second = one.secant_stiffness_n_per_m, other.secant_stiffness_n_per_m
-    if not is_told(first) or not is_told(second):
+    if not is_stated(first) or not is_stated(second):
         first, second = one.stiffness_n_per_m, other.stiffness_n_per_m
     if first.value is None or second.value is None or first.std is None or second.std is None:
         return False

@@ -91,7 +91,7 @@ def _chi_square(values: FloatArray, noise: FloatArray, beyond: float) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Normal:
-    """What one source tells of parameters: `values` (p,) with covariance `matrix` (p, p) in SI, by their names."""
+    """Knowledge of one source about parameters: `values` (p,) with covariance `matrix` (p, p) in SI, by their names."""
 
     names: tuple[str, ...]
     values: FloatArray
@@ -119,7 +119,7 @@ class Normal:
 
 @dataclass(frozen=True, kw_only=True)
 class Merged:
-    """The merged knowledge; `square` and `freedom` hold χ² and its degrees of freedom of what several sources tell."""
+    """The merged knowledge; `square` and `freedom` hold χ² and its degrees of freedom of what several sources show."""
 
     normal: Normal
     square: Mapping[str, float]
@@ -129,19 +129,19 @@ class Merged:
         freeze(self, "square", "freedom")
 
 
-def merge_normals(parts: Sequence[Normal], told: Sequence[Collection[str]], *, gain_share: float = 0.0) -> Merged:
-    """Merge what recordings of one cell tell of an axis: generalised least squares over all names.
+def merge_normals(parts: Sequence[Normal], stated: Sequence[Collection[str]], *, gain_share: float = 0.0) -> Merged:
+    """Merge what recordings of one cell show of an axis: generalised least squares over all names.
 
-    Springs go in as compliances, since what a contact tells best, 1/K_s + 1/K_e, is linear in them. Where values
+    Springs go in as compliances, since what a contact shows best, 1/K_s + 1/K_e, is linear in them. Where values
     scatter more than their noise lets expect, each of them gets the variance that is beyond (`scatter`), so that the
-    mean is no log's own and its deviation reaches the logs; `told` holds for each part the names that count there (what
-    it hardly tells scatters by no normal law). `gain_share` is the smallest share by which the force's scale may be
-    wrong in any of them.
+    mean is no log's own and its deviation reaches the logs; `stated` holds for each part the names that count there
+    (what it hardly shows scatters by no normal law). `gain_share` is the smallest share by which the force's scale may
+    be wrong in any of them.
     """
     noises = [_noise(part, gain_share) for part in parts]
     square, freedom, beyond = {}, {}, {}
     for name in dict.fromkeys(name for part in parts for name in part.names):
-        seen = [part.at(name) for part, names in zip(noises, told, strict=True) if name in names]
+        seen = [part.at(name) for part, names in zip(noises, stated, strict=True) if name in names]
         if len(seen) > 1:
             values, stds = np.array(seen).T
             square[name], beyond[name] = scatter(values, stds)
@@ -202,8 +202,8 @@ def _mapped(part: Normal, to: Callable[[float], float], slope: Callable[[float],
     springs = [_kind(name) in _SPRINGS for name in part.names]
     pairs = list(zip(part.values.tolist(), springs, strict=True))
     values = np.array([to(value) if spring else value for value, spring in pairs])
-    slopes = np.array([slope(value) if spring else 1.0 for value, spring in pairs])
-    return Normal(names=part.names, values=values, matrix=part.matrix * np.outer(slopes, slopes))
+    gradients = np.array([slope(value) if spring else 1.0 for value, spring in pairs])
+    return Normal(names=part.names, values=values, matrix=part.matrix * np.outer(gradients, gradients))
 
 
 def _solved(parts: Sequence[Normal]) -> Normal:
@@ -246,24 +246,24 @@ class Merge:
     findings: list[Finding]
 
     def scalars(self, what: str, estimates: Sequence[Estimate | None], *, symbol: str = "") -> Estimate:
-        """Return the weighted mean of what is told, the first estimate where nothing is.
+        """Return the weighted mean of what is known, the first estimate where nothing is.
 
         `symbol` says what the logs share of it (`merging.shared_std`).
         """
-        told = [(name, e) for name, e in zip(self.names, estimates, strict=True) if e is not None and is_told(e)]
-        if len(told) < 2:
-            return told[0][1] if told else next(e for e in estimates if e is not None)
-        values = np.array([[e.value] for _, e in told], dtype=np.float64)
-        stds = np.array([[e.std] for _, e in told], dtype=np.float64)
-        mean, std = self._mean(what, [name for name, _ in told], values, stds, may_change=False, symbol=symbol)
+        stated = [(name, e) for name, e in zip(self.names, estimates, strict=True) if e is not None and is_stated(e)]
+        if len(stated) < 2:
+            return stated[0][1] if stated else next(e for e in estimates if e is not None)
+        values = np.array([[e.value] for _, e in stated], dtype=np.float64)
+        stds = np.array([[e.std] for _, e in stated], dtype=np.float64)
+        mean, std = self._mean(what, [name for name, _ in stated], values, stds, may_change=False, symbol=symbol)
         combined = Estimate(
             value=float(mean[0]),
             std=float(std[0]),
-            status=sharpest([e for _, e in told]).status,
-            method=_method([e for _, e in told]),
+            status=sharpest([e for _, e in stated]).status,
+            method=_method([e for _, e in stated]),
         )
         # Where the logs scatter, the mean may be nobody's value.
-        widened = std[0] > (1.0 + _WIDER) * min(e.std for _, e in told if e.std is not None)
+        widened = std[0] > (1.0 + _WIDER) * min(e.std for _, e in stated if e.std is not None)
         if widened and not std[0] <= IDENTIFIED_SHARE * abs(mean[0]):
             return weak_at_best(combined, DISAGREE)
         return combined
@@ -273,17 +273,17 @@ class Merge:
 
         What `may_change` from log to log (a bias) does not average: its deviation is the smallest of the logs'.
         """
-        told = [(name, e) for name, e in zip(self.names, estimates, strict=True) if e.value is not None]
-        if len(told) < 2 or len({len(e.value) for _, e in told if e.value is not None}) > 1:
-            return told[0][1] if told else estimates[0]
-        values = np.array([e.value for _, e in told], dtype=np.float64)
-        stds = np.array([e.std if e.std is not None else np.zeros(values.shape[1]) for _, e in told])
-        mean, std = self._mean(what, [name for name, _ in told], values, stds, may_change=may_change, symbol="")
+        stated = [(name, e) for name, e in zip(self.names, estimates, strict=True) if e.value is not None]
+        if len(stated) < 2 or len({len(e.value) for _, e in stated if e.value is not None}) > 1:
+            return stated[0][1] if stated else estimates[0]
+        values = np.array([e.value for _, e in stated], dtype=np.float64)
+        stds = np.array([e.std if e.std is not None else np.zeros(values.shape[1]) for _, e in stated])
+        mean, std = self._mean(what, [name for name, _ in stated], values, stds, may_change=may_change, symbol="")
         return VectorEstimate(
             value=tuple(float(v) for v in mean),
             std=tuple(float(s) for s in std),
-            status=min((e.status for _, e in told), key=ORDER.index),
-            method=_method([e for _, e in told]),
+            status=min((e.status for _, e in stated), key=ORDER.index),
+            method=_method([e for _, e in stated]),
         )
 
     def _mean(
@@ -296,7 +296,7 @@ class Merge:
         may_change: bool,
         symbol: str,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return mean and deviation of (n, k) values, and tell where they scatter more than their noise lets expect."""
+        """Return mean and deviation of (n, k) values, and report where they scatter beyond their noise."""
         # What is known exactly counts as known to rounding; 1/0 would leave no mean.
         noise = np.maximum(stds, 1e-12 * np.maximum(np.abs(values), 1e-12))
         common = np.zeros(values.shape[1])
@@ -315,10 +315,10 @@ class Merge:
             std = np.where(beyond > 0.0, std, np.minimum(std, least))
         if any(is_beyond_chance(float(square), len(values) - 1, len(squares)) for square in squares):
             worst = int(np.argmax(squares))
-            self.tell(what, names, values[:, worst], stds[:, worst], worst, values.shape[1], may_change=may_change)
+            self.report(what, names, values[:, worst], stds[:, worst], worst, values.shape[1], may_change=may_change)
         return mean, std
 
-    def tell(
+    def report(
         self,
         what: str,
         names: Sequence[str],
@@ -330,7 +330,7 @@ class Merge:
         may_change: bool = False,
     ) -> None:
         """Add the finding that logs disagree on a number, with what each says."""
-        told = ", ".join(
+        stated = ", ".join(
             f"{value:.5g} ± {std:.2g} ({name})" for name, value, std in zip(names, values, stds, strict=True)
         )
         part = f", component {component + 1}" if of > 1 else ""
@@ -338,7 +338,7 @@ class Merge:
             Finding(
                 code="logs-differ" if may_change else "logs-disagree",
                 severity="warning" if may_change else "error",
-                message=f"The logs disagree on the {what}{part}: {told}.",
+                message=f"The logs disagree on the {what}{part}: {stated}.",
                 advice=""
                 if may_change
                 else "Leave out the log of another payload, tool or surface, or identify each on its own.",
@@ -351,14 +351,14 @@ def is_beyond_chance(square: float, freedom: int, tests: int = 1) -> bool:
     return bool(chdtrc(freedom, square) < _CHANCE / tests)
 
 
-def is_told(estimate: Estimate) -> bool:
+def is_stated(estimate: Estimate) -> bool:
     """Whether a value is stated with its deviation."""
     return estimate.value is not None and estimate.std is not None
 
 
-def sharpest(told: Sequence[Estimate]) -> Estimate:
+def sharpest(stated: Sequence[Estimate]) -> Estimate:
     """Return the estimate of the log that knows best."""
-    return min(told, key=lambda e: np.inf if e.std is None else e.std)
+    return min(stated, key=lambda e: np.inf if e.std is None else e.std)
 
 
 def with_verdict(fresh: Estimate, value: float, std: float, logs: Sequence[Estimate], *, scatters: bool) -> Estimate:
@@ -366,19 +366,19 @@ def with_verdict(fresh: Estimate, value: float, std: float, logs: Sequence[Estim
 
     A log may call a sharp number weak for a reason of its own; where that log knows best, so is the mean.
     """
-    told = [e for e in logs if is_told(e)]
+    stated = [e for e in logs if is_stated(e)]
     if fresh.value is None and fresh.ci95 is None and scatters:
         fresh = replace(fresh, value=value, std=std, status=Status.WEAK, note="")
     if scatters and not std <= IDENTIFIED_SHARE * abs(value):
         fresh = weak_at_best(replace(fresh, note=DISAGREE), DISAGREE) if fresh.status is Status.WEAK else fresh
-    if not told:
+    if not stated:
         return fresh
-    fresh = replace(fresh, method=_method(told))
-    best = sharpest(told)
+    fresh = replace(fresh, method=_method(stated))
+    best = sharpest(stated)
     if best.status is Status.WEAK and best.std is not None and best.std <= IDENTIFIED_SHARE * abs(best.value or 0.0):
         return weak_at_best(fresh, best.note)
     return fresh
 
 
-def _method(told: Sequence[Estimate] | Sequence[VectorEstimate]) -> str:
-    return told[0].method if len(told) == 1 else f"{told[0].method}; mean of {len(told)} logs"
+def _method(stated: Sequence[Estimate] | Sequence[VectorEstimate]) -> str:
+    return stated[0].method if len(stated) == 1 else f"{stated[0].method}; mean of {len(stated)} logs"

@@ -48,7 +48,7 @@ class GravityFit:
     mass included. `condition` is that of the normalised force equations, `com_condition` that of the torque equations;
     `pose_count` counts distinct orientations; `rejected` rests did not fit (something touched the payload), `inliers`
     are the numbers of those that did. Where the sensor was tared between rests, the biases are those after it and
-    `bias_step` tells what they were before. `terms` tell what the misfit follows: what is significant among them is in
+    `bias_step` shows what they were before. `terms` show what the misfit follows: what is significant among them is in
     the standard deviations.
     """
 
@@ -74,7 +74,7 @@ class GravityFit:
 
     @property
     def com_is_excited(self) -> bool:
-        """Whether the poses tell all three components of the centre of mass apart from the torque bias."""
+        """Whether the poses distinguish all three components of the centre of mass from the torque bias."""
         return self.com_condition <= _LARGEST_CONDITION
 
     @property
@@ -114,7 +114,7 @@ def identify_gravity(poses: tuple[StaticPose, ...]) -> GravityFit:
     Each distinct orientation counts once, however often it was visited: what one sensor does wrong in one orientation
     does not average out. Standard deviations come from the scatter of the orientations about the fit, never below what
     the noise allows, widened as Student's distribution asks so that two of them hold 95 %. Raises EstimateError when
-    the orientations do not tell mass from bias, or the result is unphysical.
+    the orientations do not separate mass from bias, or the result is unphysical.
     """
     if not poses:
         raise EstimateError(
@@ -238,7 +238,7 @@ def _sandwich(rows: FloatArray, residual: FloatArray) -> FloatArray:
     meat = np.zeros_like(inverse)
     for block, misfit in zip(rows.reshape(-1, 3, rows.shape[1]), residual.reshape(-1, 3), strict=True):
         left = np.eye(3) - block @ inverse @ block.T
-        # A pose that alone determines a parameter has no misfit of its own to tell.
+        # A pose that alone determines a parameter has no misfit of its own.
         score = block.T @ np.linalg.pinv(left, rcond=1e-6) @ misfit
         meat += np.outer(score, score)
     return np.asarray(np.diag(inverse @ meat @ inverse))
@@ -278,7 +278,7 @@ def _joint_covariance(mass: float, com: FloatArray, force: FloatArray, torque: F
 def _check_mass(condition: float, mass_kg: float, std_kg: float) -> None:
     if condition > _LARGEST_CONDITION:
         raise EstimateError(
-            f"The poses are too alike to tell weight from sensor bias (condition number {condition:.0f}, at most "
+            f"The poses are too alike to separate weight from sensor bias (condition number {condition:.0f}, at most "
             f"{_LARGEST_CONDITION:.0f}); record poses tilted by 30 to 70 degrees about two axes."
         )
     if abs(mass_kg) < _SMALLEST_MASS_KG or abs(mass_kg) < _SIGNIFICANT_MASS * std_kg:

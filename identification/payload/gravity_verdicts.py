@@ -1,4 +1,4 @@
-"""What the fit of the weight is worth: verdicts on mass and centre, and findings on what the residual follows."""
+"""Verdicts on mass and centre of mass, and findings on what the residual of the weight follows."""
 
 from collections.abc import Sequence
 
@@ -61,12 +61,12 @@ def gravity_findings(fit: GravityFit) -> tuple[Finding, ...]:
         )
     step = fit.bias_step
     if step is not None:
-        told = ", ".join(f"{-value:+.2f}" for value in step.force_before_S_n)
+        shown = ", ".join(f"{-value:+.2f}" for value in step.force_before_S_n)
         found.append(
             Finding(
                 code="bias-step",
                 severity="warning",
-                message=f"The sensor's bias steps by ({told}) N between {step.after_s:.2f} and {step.before_s:.2f} s; "
+                message=f"The sensor's bias steps by ({shown}) N between {step.after_s:.2f} and {step.before_s:.2f} s; "
                 "both parts of the log were used, each with its own bias.",
                 advice="Tare before recording, not during it.",
             )

@@ -49,7 +49,7 @@ class InertiaFit:
     """The inertia tensor about the sensor's origin in S [kg·m²]: `components` xx, yy, zz, xy, xz, yz with verdicts.
 
     `matrix_S_kg_m2` (3, 3) is the physically consistent estimate, `std_S_kg_m2` (3, 3) its deviation; both None where
-    no component is told, and of components that are not told no more than one possible value. `mass_kg` is the
+    no component is known, and of components that are not identified no more than one possible value. `mass_kg` is the
     inertial mass where the origin was accelerated, free of the weight. `lag_s` is how much the wrench comes after the
     pose, `lag_std_s` its deviation (NaN without moves). `moves` took part, `left_out` did not fit.
     """
@@ -77,7 +77,7 @@ class MotionSolution:
 def identify_inertia(
     log: AlignedLog, motion: MotionSpans, poses: Sequence[StaticPose], gravity: GravityFit
 ) -> InertiaFit:
-    """Solve the Newton–Euler equations over free moves for I, with m and m c as the rests tell them.
+    """Solve the Newton–Euler equations over free moves for I, with m and m c as the rests show them.
 
     The inertia is that of the payload and of the sensor's outer part, about the origin of the pose's frame. Components
     that the moves do not turn about are unidentifiable. What no distribution of mass can have is replaced by the
@@ -104,11 +104,11 @@ def identify_inertia(
         else _component(index, values[4:], std, bool(findings))
         for index in range(6)
     )
-    told = any(each.value is not None for each in components)
+    shown = any(each.value is not None for each in components)
     return InertiaFit(
         components=components,
-        matrix_S_kg_m2=inertia_matrix(values[4:]) if told else None,
-        std_S_kg_m2=inertia_matrix(std) if told else None,
+        matrix_S_kg_m2=inertia_matrix(values[4:]) if shown else None,
+        std_S_kg_m2=inertia_matrix(std) if shown else None,
         mass_kg=mass,
         lag_s=lag,
         lag_std_s=lag_std,
@@ -119,10 +119,10 @@ def identify_inertia(
 
 
 def inertial_sign(log: AlignedLog, motion: MotionSpans, poses: Sequence[StaticPose], gravity: GravityFit) -> float:
-    """Return the inertia over its standard deviation, of the axis that the moves tell best; 0 without moves.
+    """Return the inertia over its standard deviation, of the axis that the moves show best; 0 without moves.
 
     Below −5 the forces of acceleration have the sign of the weight: gravity points the other way in the base than
-    assumed. Rests cannot tell that from a wrench of the other body, moves can.
+    assumed. Rests cannot show that from a wrench of the other body, moves can.
     """
     solution = solve_motion(log, motion, poses, gravity)
     if solution is None:
@@ -166,9 +166,9 @@ def _solve(data: MotionRows, inside: BoolArray) -> tuple[FloatArray, FloatArray]
     for _ in range(4):
         spread = np.maximum(spread, np.maximum(data.noise, 1e-9))
         rows = np.vstack([(data.rows[inside] / spread[:, None]).reshape(-1, 17), np.diag(1.0 / _PRIOR_STD)])
-        told = np.concatenate([(data.values[inside] / spread).reshape(-1), np.zeros(17)])
+        shown = np.concatenate([(data.values[inside] / spread).reshape(-1), np.zeros(17)])
         scale = np.linalg.norm(rows, axis=0)
-        values = np.linalg.lstsq(rows / scale, told, rcond=None)[0] / scale
+        values = np.linalg.lstsq(rows / scale, shown, rcond=None)[0] / scale
         left = data.values[inside] - data.rows[inside] @ values
         spread = np.sqrt(np.mean(left**2, axis=0))
         spread = np.repeat([np.sqrt(np.mean(spread[:3] ** 2)), np.sqrt(np.mean(spread[3:] ** 2))], 3)
@@ -219,7 +219,7 @@ def _component(index: int, six: FloatArray, std: FloatArray, is_doubtful: bool) 
 
 
 def _disagreement(solution: MotionSolution, gravity: GravityFit) -> tuple[Finding, ...]:
-    """Return findings where inertial mass or moment is not what the rests tell."""
+    """Return findings where inertial mass or moment is not what the rests show."""
     mass, std = float(solution.values[0]), float(np.sqrt(solution.covariance[0, 0]))
     apart, both = abs(mass - gravity.mass_kg), float(np.hypot(std, gravity.mass_std_kg))
     found = []
@@ -237,12 +237,12 @@ def _disagreement(solution: MotionSolution, gravity: GravityFit) -> tuple[Findin
     off = solution.values[1:4] - moment
     std_h = np.sqrt(np.diag(solution.covariance)[1:4] + (gravity.mass_kg * gravity.com_std_m) ** 2)
     if bool(np.any(np.abs(off) > np.maximum(_DISAGREEMENT * std_h, 0.01 * gravity.mass_kg))):
-        told = ", ".join(f"{1e3 * value / gravity.mass_kg:+.0f}" for value in off)
+        shown = ", ".join(f"{1e3 * value / gravity.mass_kg:+.0f}" for value in off)
         found.append(
             Finding(
                 code="origin-offset",
                 severity="warning",
-                message=f"The centre of mass from motion lies ({told}) mm from the one at rest: the pose's origin is "
+                message=f"The centre of mass from motion lies ({shown}) mm from the one at rest: the pose's origin is "
                 "not the sensor's, or the wrench lags.",
                 advice="Record the pose of the sensor's own frame; the inertia is about neither origin.",
             )
@@ -268,7 +268,7 @@ def _missing(components: tuple[Estimate, ...]) -> tuple[Finding, ...]:
         Finding(
             code="inertia-not-excited",
             severity="info",
-            message=f"The moves do not tell {', '.join(names)} of the payload's inertia tensor.",
+            message=f"The moves do not identify {', '.join(names)} of the payload's inertia tensor.",
             advice=_ADVICE,
         ),
     )

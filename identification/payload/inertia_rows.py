@@ -1,4 +1,4 @@
-"""The Newton–Euler equations of the payload over moves in which nothing but the robot drives it."""
+"""Newton-Euler equations of the payload over moves that only the robot drives."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

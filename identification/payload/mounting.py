@@ -1,4 +1,4 @@
-"""How the sensor sits on the flange and how the base leans, from poses at rest, where they tell."""
+"""Mounting of the sensor on the flange and tilt of the base, from poses at rest."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,9 +27,10 @@ class MountingFit:
     """Rotation vector of the real sensor axes as seen from the assumed ones, and of the vertical in the base.
 
     `mounting_S_rad` (3) turns flange-from-sensor as assumed into what it is: R_FS exp(μ). `base_tilt_B_rad` (2) about x
-    and y of the base turns its −z into the direction of gravity. Either is unidentifiable where the poses do not tell
-    it to half a degree; `is_mounting_zero`, `is_tilt_zero` say whether what was told is consistent with none, None
-    where nothing was told. `residual_rms_n` is what is left with both. The findings name what cell.yaml should declare.
+    and y of the base turns its −z into the direction of gravity. Either is unidentifiable where the poses do not show
+    it to half a degree; `is_mounting_zero`, `is_tilt_zero` say whether the estimate is consistent with none, None
+    where there is none. `residual_rms_n` is what is left with both. The findings name what cell.yaml should
+    declare.
     """
 
     mounting_S_rad: VectorEstimate
@@ -57,7 +58,7 @@ def identify_mounting(
     """Solve f = m g_S + b_f, τ = h × g_S + b_τ with g_S = exp(μ)ᵀ R_BSᵀ exp(β) g_B for m, h, b, μ and β at once.
 
     Only both at once, since a sensor that is turned and a base that leans look alike where the tool hardly turns; the
-    covariance tells. `mounting_FS` is what the cell declares, for the text of the findings. The rests are those that
+    covariance shows. `mounting_FS` is what the cell declares, for the text of the findings. The rests are those that
     `gravity` found free.
     """
     means = _free_means(poses, gravity)
@@ -65,7 +66,7 @@ def identify_mounting(
         return _nothing("needs seven free orientations under one sensor bias")
     fit = _solve(means)
     if fit is None:
-        return _nothing("the poses do not tell the sensor's mounting from the base's tilt")
+        return _nothing("the poses do not separate the sensor's mounting from the base's tilt")
     values, covariance, freedom, rms = fit
     mounting, is_zero = _judged(values[:3], covariance[:3, :3], freedom)
     tilt, is_level = _judged(values[3:], covariance[3:, 3:], freedom)
@@ -177,8 +178,8 @@ def _judged(values: FloatArray, covariance: FloatArray, freedom: int) -> tuple[V
     """Return the angles with their verdict, and whether they are consistent with none."""
     std = np.sqrt(np.diag(covariance)) * float(stdtrit(freedom, 0.975) / 1.96)
     if float(np.max(std)) > _LARGEST_STD_RAD:
-        told = ", ".join(f"{np.degrees(each):.2g}" for each in std)
-        note = f"standard deviations of {told} degrees; record poses that differ more, turned about the vertical too"
+        shown = ", ".join(f"{np.degrees(each):.2g}" for each in std)
+        note = f"standard deviations of {shown} degrees; record poses that differ more, turned about the vertical too"
         return VectorEstimate(value=None, std=None, status=Status.UNIDENTIFIABLE, method=_METHOD, note=note), None
     wald = float(values @ np.linalg.solve(covariance, values)) / len(values)
     is_zero = float(fdtrc(len(values), freedom, wald)) > _SIGNIFICANCE

@@ -1,4 +1,4 @@
-"""The equations of a payload at rest, fitted so that touched rests and a tare between rests do not move it."""
+"""Robust regression over poses at rest, a tare between them, and what the residual follows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -175,7 +175,7 @@ class ResidualTerm:
 
     `coefficient` is the drift d [N/s] of b + d t, the masses [kg] that each axis shows of its own, or q [1/N] of
     w + q w|w| for the load w. `effect_n` is the largest force that it makes over the rests; `p_value` is that of the
-    F test against the plain model. `mass_shift_kg` and `bias_shift_n` (3,) tell by how much the plain model is misled.
+    F test against the plain model. `mass_shift_kg` and `bias_shift_n` (3,) show by how much the plain model is misled.
     """
 
     kind: TermKind
@@ -289,7 +289,7 @@ def _axis_gain(rests: _Rests) -> ResidualTerm | None:
         return None
     masses = pair.extended[:3]
     effect = np.abs(masses - pair.plain[0]) * np.max(np.abs(rests.gravity), axis=0)
-    # How far the axes lie apart tells how far their mean may be off; three of them tell it as Student's law says.
+    # How far the axes lie apart shows how far their mean may be off; three of them show it as Student's law says.
     spread = float(np.std(masses, ddof=1)) / np.sqrt(3.0) * float(stdtrit(2, 0.975) / 1.96)
     return _term(TermKind.AXIS_GAIN, pair, slice(0, 3), effect, spread, pair.extended[3:] - pair.plain[1:])
 

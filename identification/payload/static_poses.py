@@ -1,4 +1,4 @@
-"""Rests of the tool: mean wrench and orientation, what noise leaves of the means, and which rests are alike."""
+"""Poses of the tool at rest: mean wrench and orientation, their noise, and groups of like orientation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What an admittance with known gains asked of the robot, and what the robot did, axis by axis."""
+"""Motion that an admittance with known gains asks for, beside the motion of the robot, axis by axis."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ _SHORTEST_S = 3.0
 _STEP_S = 0.01
 _CLOCK_S = 0.004
 # A robot that stands while the admittance asks for this speed is not driven by it.
-_STANDING = np.array([1e-3] * 3 + [5e-4] * 3)
+_AT_REST = np.array([1e-3] * 3 + [5e-4] * 3)
 _ASKED = np.array([4e-3] * 3 + [2e-3] * 3)
 _SHORTEST_HALT_S = 0.4
 _BEFORE_HALT_S, _AFTER_HALT_S = 0.3, 1.0
@@ -56,7 +56,7 @@ def admittance_motions(recording: Recording) -> tuple[AdmittanceMotion, ...]:
     gains = recording.gains
     if gains is None:
         raise EstimateError(
-            "Without a logged command the admittance gains M_a and B_a must be known to tell the robot's response; "
+            "Without a logged command the admittance gains M_a and B_a must be known to identify the robot's response; "
             "declare `gains` in cell.yaml (a topic with its fields, or `mass` and `damping` as numbers)."
         )
     recording = longest_whole(recording)
@@ -65,7 +65,7 @@ def admittance_motions(recording: Recording) -> tuple[AdmittanceMotion, ...]:
     common_s = float(stop - start) * 1e-9
     if common_s < _SHORTEST_S:
         raise EstimateError(
-            f"Wrench and pose must cover the same time for {_SHORTEST_S:g} s to tell the robot's response, found "
+            f"Wrench and pose must cover the same time for {_SHORTEST_S:g} s to identify the robot's response, found "
             f"{max(common_s, 0.0):.2f} s; record longer."
         )
     period = check_regular(wrench.topic, wrench.stamp_ns)
@@ -155,8 +155,8 @@ def _moved(pose: PoseSignal, start_ns: int, clock: FloatArray) -> tuple[FloatArr
         return edge, np.hstack([linear, np.full(linear.shape, np.nan)])
     if "rx" not in pose.measured_axes:
         raise EstimateError(
-            f"The pose of topic {pose.topic} tells no orientation, so its motion cannot be told in the axes of the "
-            "wrench; record the whole pose."
+            f"The pose of topic {pose.topic} has no orientation, so its motion cannot be expressed in the axes of "
+            "the wrench; record the whole pose."
         )
     orientation_BS = Rotation.from_quat(np.array(pose.quaternion_xyzw[kept]))
     turn = np.asarray((orientation_BS[:-1].inv() * orientation_BS[1:]).as_rotvec())
@@ -179,10 +179,10 @@ def _mean_between(edge: FloatArray, time: FloatArray, values: FloatArray) -> Flo
 
 def _halted(edge: FloatArray, moved: FloatArray, asked: FloatArray) -> BoolArray:
     """Return the steps (m,) in which nothing moves for 0.4 s or longer although the admittance asks for it."""
-    standing = np.all(np.nan_to_num(np.abs(moved)) < _STANDING, axis=1)
+    at_rest = np.all(np.nan_to_num(np.abs(moved)) < _AT_REST, axis=1)
     pushed = np.any(np.nan_to_num(np.abs(asked)) > _ASKED, axis=1)
     shortest = max(1, round(_SHORTEST_HALT_S / float(np.median(np.diff(edge)))))
-    return np.asarray(binary_opening(standing & pushed, structure=np.ones(shortest)))
+    return np.asarray(binary_opening(at_rest & pushed, structure=np.ones(shortest)))
 
 
 def _reach(edge: FloatArray, halted: BoolArray) -> BoolArray:

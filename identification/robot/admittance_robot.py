@@ -1,4 +1,4 @@
-"""The robot's response from the wrench, through an admittance whose gains are known: for logs without a command."""
+"""Robot response from wrench to motion through an admittance with known gains: for logs without a command."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -38,7 +38,9 @@ _GAIN_SHARE = 0.05
 _SIGNIFICANT_STDS = 3.0
 _SMALLEST_LEVER_M = 0.1
 _LOOSEST_SHARE, _LOOSEST_BOUND = 0.5, 0.25
-_NOT_SPLIT = "loop delay, half a control period and the logger's lag together, which only a logged command tells apart"
+_NOT_SPLIT = (
+    "loop delay, half a control period and the logger's lag together, which only a logged command distinguishes"
+)
 _ASSUMED = "holds if neither lead nor feedback damping ran in the controller"
 
 
@@ -46,7 +48,7 @@ _ASSUMED = "holds if neither lead nor feedback damping ran in the controller"
 class AdmittanceRobotFit:
     """r(s) with T from wrench to motion, the hold of the controller and the logger's lag included in `model.delay_s`.
 
-    `lag_s` is the lag at low frequency, T + (d_1 − n_1)/d_0, told far better than its parts. `gain` is measured over
+    `lag_s` is the lag at low frequency, T + (d_1 − n_1)/d_0, known far better than its parts. `gain` is measured over
     expected speed; `lever_m` (2 or 0) the two components across the axis of a point that the admittance moves, seen
     from the logged one; `fit_error` is residual RMS over motion RMS.
     """
@@ -70,7 +72,7 @@ def identify_admittance_robot(motion: AdmittanceMotion) -> AdmittanceRobotFit:
 
     One pole or two, with or without a lever, by the Bayesian information criterion. Deviations are those of coloured
     residuals (scores summed over seconds); where the other number of poles fits within a quarter as well, its answer
-    with its deviation lies inside them too, since a slow hand tells the sum of the lags better than their kind.
+    with its deviation lies inside them too, since a slow hand shows the sum of the lags better than their kind.
     Raises EstimateError when the axis hardly moves or no such robot explains the motion.
     """
     moved = motion.moved_m_s[motion.used]
@@ -78,7 +80,7 @@ def identify_admittance_robot(motion: AdmittanceMotion) -> AdmittanceRobotFit:
     if travel < _SMALLEST_TRAVEL or len(moved) < _FEWEST_STEPS or not np.all(np.isfinite(motion.asked_m_s)):
         raise EstimateError(
             f"The tool travels {1e3 * travel:.1f} mm (mrad) in {len(moved)} samples under the admittance with known "
-            "gains, too little to tell the robot's response; lead it by hand for 10 s, in quick pushes."
+            "gains, too little to identify the robot's response; lead it by hand for 10 s, in quick pushes."
         )
     turns = bool(np.any(np.sqrt(np.mean(motion.turning_rad_s[motion.used] ** 2, axis=0)) > _SMALLEST_TURN_RAD_S))
     levers = (False, True) if turns else (False,)
@@ -102,17 +104,19 @@ class _Fit:
     residual_rms: float
     effective_samples: float
 
-    def told(self, parameters: FloatArray | None = None) -> FloatArray:
+    def summary(self, parameters: FloatArray | None = None) -> FloatArray:
         """Return bandwidth [Hz], delay [s] and lag at low frequency [s]."""
         model = _model(self.order, self.parameters if parameters is None else parameters)
         poles = float(model.denominator[-2] / model.denominator[-1])
         return np.array([find_bandwidth_hz(model), model.delay_s, model.delay_s + poles])
 
-    def told_std(self) -> FloatArray:
-        """Return the deviations of what is told."""
+    def summary_std(self) -> FloatArray:
+        """Return the deviations of what is known."""
         count = len(self.parameters)
-        slopes = np.array([self.told(self.parameters + _NUDGE * row) - self.told() for row in np.eye(count)]) / _NUDGE
-        variance = np.einsum("ik,ij,jk->k", slopes, self.covariance[:count, :count], slopes)
+        gradients = (
+            np.array([self.summary(self.parameters + _NUDGE * row) - self.summary() for row in np.eye(count)]) / _NUDGE
+        )
+        variance = np.einsum("ik,ij,jk->k", gradients, self.covariance[:count, :count], gradients)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     def criterion(self, effective_samples: float) -> float:
@@ -131,7 +135,7 @@ def _check(fit: _Fit, error: float) -> None:
         raise EstimateError(
             "The robot moves against the force that should drive it; check the sign of the wrench (`exerted_by`)."
         )
-    if fit.told()[1] > 0.999 * _LONGEST_DELAY_S:
+    if fit.summary()[1] > 0.999 * _LONGEST_DELAY_S:
         raise EstimateError(
             f"The robot follows the wrench later than {_LONGEST_DELAY_S * 1e3:.0f} ms, the most that is searched; "
             "check that the stamps of wrench and pose come from one clock."
@@ -187,7 +191,7 @@ def _fit(motion: AdmittanceMotion, order: int, *, with_lever: bool) -> _Fit:
         lambda p: solved(p)[0] / scale, best, bounds=(low, high), diff_step=1e-4, ftol=1e-7, gtol=None, max_nfev=40
     )
     residual, linear, columns = solved(found.x)
-    jacobian = np.column_stack([_slopes(motion, order, found.x) * linear[0], columns])
+    jacobian = np.column_stack([_gradients(motion, order, found.x) * linear[0], columns])
     rho = float(np.clip(residual[1:] @ residual[:-1] / max(float(residual @ residual), 1e-300), 0.0, 0.999))
     return _Fit(
         order=order,
@@ -200,7 +204,7 @@ def _fit(motion: AdmittanceMotion, order: int, *, with_lever: bool) -> _Fit:
     )
 
 
-def _slopes(motion: AdmittanceMotion, order: int, parameters: FloatArray) -> FloatArray:
+def _gradients(motion: AdmittanceMotion, order: int, parameters: FloatArray) -> FloatArray:
     """Return the response's derivatives by central differences, one-sided where the delay ends at 0."""
     columns = []
     for i in range(len(parameters)):
@@ -232,21 +236,21 @@ def _covariance(jacobian: FloatArray, residual: FloatArray, time: FloatArray) ->
 
 def _described(fit: _Fit, rivals: Sequence[_Fit], error: float, period_s: float) -> AdmittanceRobotFit:
     model, count = _model(fit.order, fit.parameters), len(fit.parameters)
-    told, own = fit.told(), fit.told_std()
-    widest = np.max([own, *(np.hypot(rival.told_std(), rival.told() - told) for rival in rivals)], axis=0)
-    floor = np.array([_BANDWIDTH_SHARE * told[0], _DELAY_SAMPLES * period_s, _DELAY_SAMPLES * period_s])
+    summary, own = fit.summary(), fit.summary_std()
+    widest = np.max([own, *(np.hypot(rival.summary_std(), rival.summary() - summary) for rival in rivals)], axis=0)
+    floor = np.array([_BANDWIDTH_SHARE * summary[0], _DELAY_SAMPLES * period_s, _DELAY_SAMPLES * period_s])
     stds = np.hypot(widest, floor)
     denominators = [_model(fit.order, fit.parameters + _NUDGE * row).denominator for row in np.eye(count)]
-    slopes = (np.array(denominators) - model.denominator) / _NUDGE
-    spread = np.einsum("ik,ij,jk->k", slopes, fit.covariance[:count, :count], slopes)
+    gradients = (np.array(denominators) - model.denominator) / _NUDGE
+    spread = np.einsum("ik,ij,jk->k", gradients, fit.covariance[:count, :count], gradients)
     linear_std = np.sqrt(np.diag(fit.covariance)[count:])
     return AdmittanceRobotFit(
         model=model,
         denominator_std=np.sqrt(np.maximum(spread, 0.0)) * float(stds[0] / max(own[0], 1e-300)),
         delay_std_s=float(stds[1]),
-        bandwidth_hz=float(told[0]),
+        bandwidth_hz=float(summary[0]),
         bandwidth_std_hz=float(stds[0]),
-        lag_s=float(told[2]),
+        lag_s=float(summary[2]),
         lag_std_s=float(stds[2]),
         gain=float(fit.linear[0]),
         gain_std=float(linear_std[0]),
@@ -258,18 +262,18 @@ def _described(fit: _Fit, rivals: Sequence[_Fit], error: float, period_s: float)
 
 @dataclass(frozen=True, kw_only=True)
 class AdmittanceRobots:
-    """The robot per axis of S, of those axes that tell something, and what to know about it."""
+    """The robot per axis of S, of those axes that show something, and what to know about it."""
 
     robots: Mapping[str, RobotEstimate]
     findings: tuple[Finding, ...]
 
 
 def identify_admittance_robots(recording: Recording) -> AdmittanceRobots:
-    """Tell r(s) and the total delay of every axis from wrench, gains and pose.
+    """Identify r(s) and the total delay of every axis from wrench, gains and pose.
 
     Nothing is more than weak: the delay holds what the logger put between wrench and pose, r(s) what lead and feedback
     damping the controller had. Axes of which no robot is
-    told are named with the reason; a finding of severity `error` stands where there is none at all.
+    known are named with the reason; a finding of severity `error` stands where there is none at all.
     """
     try:
         motions = admittance_motions(recording)
@@ -293,7 +297,7 @@ def identify_admittance_robots(recording: Recording) -> AdmittanceRobots:
         findings.append(
             missing(
                 "no-command",
-                "The log has no commanded pose, and wrench, gains and motion tell no robot on any axis.",
+                "The log has no commanded pose, and wrench, gains and motion identify no robot on any axis.",
                 "Record the position command, or lead the tool by hand with quick pushes along each axis.",
             )
         )
@@ -303,15 +307,15 @@ def identify_admittance_robots(recording: Recording) -> AdmittanceRobots:
 def with_compensated_force(recording: Recording, log: AlignedLog, force_S_n: FloatArray) -> Recording:
     """Return a recording whose wrench is the force that a controller sees behind gravity compensation (n, 3).
 
-    Torques are left out (their compensation is not told by the force alone), as are the samples in holes.
+    Torques are left out (their compensation is not identified by the force alone), as are the samples in holes.
     """
-    told = np.isfinite(force_S_n).all(axis=1)
+    valid = np.isfinite(force_S_n).all(axis=1)
     stamps = log.start_ns + np.round(log.time_s * 1e9).astype(np.int64)
     wrench = replace(
         recording.wrench,
-        stamp_ns=stamps[told],
-        force_n=force_S_n[told],
-        torque_n_m=np.full((int(np.count_nonzero(told)), 3), np.nan),
+        stamp_ns=stamps[valid],
+        force_n=force_S_n[valid],
+        torque_n_m=np.full((int(np.count_nonzero(valid)), 3), np.nan),
         gravity_compensated=True,
         measured_axes=("x", "y", "z"),
     )
@@ -378,7 +382,7 @@ def _about(motion: AdmittanceMotion, fit: AdmittanceRobotFit) -> list[Finding]:
 def _lag_not_split(recording: Recording) -> Finding:
     wrench, pose = recording.wrench, recording.pose
     together = wrench.topic == pose.topic and np.array_equal(wrench.stamp_ns, pose.stamp_ns)
-    where = "in one message, so their own ages in it are not told" if together else "with stamps of their own"
+    where = "in one message, so their own ages are not known" if together else "with stamps of their own"
     return Finding(
         code="delay-not-split",
         severity="warning",
@@ -392,7 +396,7 @@ def _halted(duration_s: float) -> Finding:
     return Finding(
         code="admittance-halted",
         severity="warning",
-        message=f"For {duration_s:.1f} s the robot stands still although the admittance of the wrench asks for motion; "
+        message=f"For {duration_s:.1f} s the robot is at rest although the admittance of the wrench asks for motion; "
         "these parts, with 0.3 s before and 1 s after them, were left out.",
         advice="",
     )

@@ -62,7 +62,7 @@ def felt_impedance(parameters: FloatArray, s: ComplexArray) -> ComplexArray:
     return np.asarray(-coupling * payload / (payload + coupling))
 
 
-def impedance_slopes(parameters: FloatArray, s: ComplexArray) -> ComplexArray:
+def impedance_gradients(parameters: FloatArray, s: ComplexArray) -> ComplexArray:
     """Return the derivatives (4, n) of `felt_impedance` by K_s, B_s, B_p, M_p.
 
     With c = B_s s + K_s and p = (M s + B_p) s, Z = −c p/(p + c): ∂Z/∂c = −(p/(p + c))², ∂Z/∂p = −(c/(p + c))².
@@ -94,14 +94,14 @@ def identify_coupling(motions: Sequence[FreeMotion], period_s: float, pose_rate_
     alone = [_fit_coupling([motion], period_s, highest, noise) for motion in long]
     best = min(alone, key=lambda fit: fit.fit_error, default=None)
     if best is None or best.fit_error > _POOR_FIT:
-        told = (
+        shown = (
             "none lasts that long"
             if best is None
             else f"the best is explained to {100 * max(0.0, 1 - best.fit_error**2):.0f} %"
         )
         raise EstimateError(
             f"The coupling shows in free motion without a hand on the payload, {_SHORTEST_S:g} s or more from rest to "
-            f"rest; of {len(motions)} spans {told}. Record a commanded sweep of 0.5 to 50 Hz in free space, away from "
+            f"rest; of {len(motions)} spans {shown}. Record a commanded sweep of 0.5 to 50 Hz in free space, away from "
             "every surface, and check that wrench and pose share one clock."
         )
     like = [m for m in long if prediction_error(best, m, period_s, noise) < _POOR_FIT]
@@ -147,9 +147,9 @@ def _fit_coupling(motions: Sequence[FreeMotion], period_s: float, highest: float
 
         def slope(scaled: FloatArray) -> FloatArray:
             impedance, weight = felt_impedance(scaled * size, s), _weights(scaled * size, s, noise)
-            slopes = impedance_slopes(scaled * size, s) * size[:, None]
-            by_weight = -0.5 * weight**3 * noise.position_rms_m**2 * (impedance.conj() * slopes).real
-            rows = by_weight * (force - impedance * position) - weight * slopes * position
+            gradients = impedance_gradients(scaled * size, s) * size[:, None]
+            by_weight = -0.5 * weight**3 * noise.position_rms_m**2 * (impedance.conj() * gradients).real
+            rows = by_weight * (force - impedance * position) - weight * gradients * position
             return np.concatenate([rows.real, rows.imag], axis=1).T
 
         inside = np.clip(start / size, low + 1e-6, 0.5 * high)

@@ -191,7 +191,7 @@ def _fit(command: FloatArray, position: FloatArray, period_s: float, order: int)
 def _telling_part(command: FloatArray, period_s: float) -> int | None:
     """Return how many samples from the start, 20 s or more, hold an eighth of the way; None where most are needed.
 
-    From what they tell the whole of a long log is a few steps away.
+    From what they show the whole of a long log is a few steps away.
     """
     way = np.cumsum(np.abs(np.diff(command)))
     some = max(round(_TELLING_S / period_s), int(np.searchsorted(way, _TELLING_SHARE * way[-1])))

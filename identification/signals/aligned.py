@@ -1,4 +1,4 @@
-"""All channels on the wrench's clock."""
+"""Wrench and pose on one uniform clock."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -86,7 +86,7 @@ def align(recording: Recording) -> AlignedLog:
     The clock starts at a wrench stamp, so that a regular wrench keeps its samples: between them its noise would be
     averaged. Position by cubic spline, orientation by slerp, neither across a hole. Raises LogError when the channels
     do not overlap, or have holes that the recording does not keep; EstimateError when wrench or pose are not as sensor
-    and robot tell them (`Recording.require_raw`).
+    and robot show them (`Recording.require_raw`).
     """
     recording.require_raw()
     wrench, pose = recording.wrench, recording.pose
@@ -147,7 +147,7 @@ def check_regular(topic: str, stamp_ns: StampArray, *, keeps_holes: bool = False
             f"{(stamp_ns[worst] - stamp_ns[0]) * 1e-9:.3f} s (its period is {period * 1e-9:.6f} s); record again "
             "without losing messages, or cut the log there."
         )
-    # Free of the stamps' rounding is the mean over the log, once lost messages are counted; a hole tells none.
+    # Free of the stamps' rounding is the mean over the log, once lost messages are counted; a hole shows none.
     gaps = gaps[gaps <= _LARGEST_GAP_PERIODS * period]
     steps = gaps / period
     counts = np.round(steps)
@@ -217,7 +217,7 @@ class _Pieces:
         return cls(time=time, at=at, parts=tuple(parts))
 
     def covered(self) -> BoolArray:
-        """Return where the channel tells something (n,)."""
+        """Return where the channel shows something (n,)."""
         covered = np.zeros(len(self.at), dtype=np.bool_)
         for _, inside in self.parts:
             covered[inside] = True

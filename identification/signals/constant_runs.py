@@ -1,4 +1,4 @@
-"""Values that stay exactly the same: dead and stuck axes, saturation, repeated messages, coarse steps."""
+"""Values that stay exactly the same: dead and stuck axes, saturation, repeats, coarse steps, deadbands."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -70,7 +70,7 @@ def stuck_runs(values: FloatArray, period_s: float) -> Runs:
     """Return where a sensor with noise says exactly the same for too long to be chance, (n,) values.
 
     The noise has to show elsewhere: a signal without noise, or one of coarse steps, may well stay the same. How often
-    two samples are equal where anything changes tells how long a run by chance can get.
+    two samples are equal where anything changes shows how long a run by chance can get.
     """
     runs = equal_runs(values)
     repeats = _natural_repeats(values)
@@ -117,7 +117,7 @@ def saturated_samples(values: FloatArray, limit: float | None, resting: BoolArra
     """Return which samples of (n,) are at the end of the range: the declared one, or one that shows.
 
     Undeclared, a limit shows as an extreme value held for several samples, repeatedly, and left and entered abruptly
-    while something else moves: `resting` (n,) tells where no axis of the sensor changes.
+    while something else moves: `resting` (n,) shows where no axis of the sensor changes.
     """
     if limit is not None:
         return np.asarray(np.abs(values) >= _RANGE_SHARE * limit)
@@ -173,7 +173,7 @@ def repeated_share(values: FloatArray) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class FoundDeadband:
-    """`zero_share` of the samples are exactly 0; `width` in the unit of the axis, None where it cannot be told."""
+    """`zero_share` of the samples are exactly 0; `width` in the unit of the axis, None where unknown."""
 
     kind: Literal["threshold", "subtractive"]
     width: float | None

@@ -1,4 +1,4 @@
-"""How the frames of a log become ours."""
+"""Frames that a cell declares, and unit quaternions: interpolation and angles."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The signals that identification works on, free of any log format."""
+"""Signals that identification works on, free of any log format."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -133,9 +133,9 @@ class Recording:
     """The channels of one or more logs that `identify` needs, each on its own clock.
 
     `sha256` maps every log path to the digest of its bytes; `clocks` maps each role to the clock that stamps it
-    (`header` or `log`); `findings` tell what was chosen, assumed or left out on the way. With `keeps_holes` (a salvaged
+    (`header` or `log`); `findings` show what was chosen, assumed or left out on the way. With `keeps_holes` (a salvaged
     log) times without messages are kept as holes, of which nothing is known, instead of being refused. `wrench_lag_s`
-    is how late the wrench is stamped against the pose, value and standard deviation, where the log told it, after
+    is how late the wrench is stamped against the pose, value and standard deviation, where the log shows it, after
     `wrench_shifted_s` were taken off its stamps as an offset between clocks that are said to be one.
     """
 
@@ -160,14 +160,14 @@ class Recording:
         if self.wrench.gravity_compensated:
             raise EstimateError(
                 f"Gravity is already removed from the force of topic {self.wrench.topic}, so the payload's mass, its "
-                "centre and the sensor's bias cannot be told from it; record the sensor's wrench before gravity "
+                "centre and the sensor's bias cannot be determined from it; record the sensor's wrench before gravity "
                 "compensation."
             )
         _require_axes(f"The wrench of topic {self.wrench.topic}", self.wrench.measured_axes)
         if self.pose.is_displacement:
             raise EstimateError(
-                f"Topic {self.pose.topic} tells a displacement from an unknown pose, so the direction of gravity in "
-                "the sensor frame cannot be told from it; record the flange pose in the base frame."
+                f"Topic {self.pose.topic} shows a displacement from an unknown pose, so the direction of gravity in "
+                "the sensor frame cannot be determined from it; record the flange pose in the base frame."
             )
         _require_axes(f"The pose of topic {self.pose.topic}", self.pose.measured_axes)
 

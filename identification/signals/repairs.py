@@ -1,4 +1,4 @@
-"""Single samples of the wrench that are no force."""
+"""Repairs of a recording: spikes of the wrench, commands that the logger lost."""
 
 import math
 from dataclasses import replace
@@ -36,13 +36,13 @@ def without_spikes(recording: Recording) -> tuple[Recording, tuple[Finding, ...]
     if not count:
         return recording, ()
     clean: WrenchSignal = replace(wrench, force_n=forces, torque_n_m=torques)
-    told = Finding(
+    finding = Finding(
         code="spikes",
         severity="warning",
         message=f"Topic {wrench.topic} has {count} single values that jump away from both neighbours.",
         advice=_ADVICE,
     )
-    return replace(recording, wrench=clean), (told,)
+    return replace(recording, wrench=clean), (finding,)
 
 
 def _replaced(values: FloatArray) -> tuple[FloatArray, int]:

@@ -1,4 +1,4 @@
-"""Where the cell stands still and where it moves."""
+"""Spans of a log at rest and in motion."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -82,7 +82,7 @@ def find_motion(log: AlignedLog) -> MotionSpans:
     rest, away = np.zeros(len(log), dtype=np.bool_), np.ones(len(log), dtype=np.bool_)
     for piece in log.pieces:
         moving = without_pauses(~still[piece.slice], 2 * pause)
-        # The margin of a piece is too short to tell motion from a pause.
+        # The margin of a piece is too short to distinguish motion from a pause.
         moving[:pause] = moving[-pause:] = False
         rest[piece.slice] = without_short(~moving, shortest)
     margin = round(_HOLE_MARGIN_S / log.period_s)

@@ -1,4 +1,4 @@
-"""What the sensor adds of its own: noise per axis and its spectrum, resolution, a deadband already applied."""
+"""Noise of the sensor per axis: size, spectrum, resolution, and a deadband applied before recording."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -72,12 +72,12 @@ class SensorNoise:
         first = max(int(np.argmax(self.frequency_hz > 0.0)), 1)
         edges = np.geomspace(self.frequency_hz[first], self.frequency_hz[-1] * (1.0 + 1e-9), _BANDS + 1)
         band = np.digitize(self.frequency_hz, edges)
-        told = [band == i for i in range(1, _BANDS + 1) if np.any(band == i)]
+        shown = [band == i for i in range(1, _BANDS + 1) if np.any(band == i)]
         force, torque = np.mean(self.density[:, :3], axis=1), np.mean(self.density[:, 3:], axis=1)
         return NoiseSpectrum(
-            frequency_hz=tuple(float(np.mean(self.frequency_hz[inside])) for inside in told),
-            force_n2_per_hz=tuple(float(np.mean(force[inside])) for inside in told),
-            torque_n2_m2_per_hz=tuple(float(np.mean(torque[inside])) for inside in told),
+            frequency_hz=tuple(float(np.mean(self.frequency_hz[inside])) for inside in shown),
+            force_n2_per_hz=tuple(float(np.mean(force[inside])) for inside in shown),
+            torque_n2_m2_per_hz=tuple(float(np.mean(torque[inside])) for inside in shown),
             resolution=self.resolution,
         )
 
@@ -228,19 +228,19 @@ def _coarse(resolution: tuple[float | None, ...], rms: FloatArray) -> tuple[Find
 
 
 def _deadbands(deadband: tuple[FoundDeadband | None, ...]) -> tuple[Finding, ...]:
-    told = [
+    shown = [
         f"{AXES[i]} {band.kind}, {'width unknown' if band.width is None else f'{band.width:.3g}'}, "
         f"{100.0 * band.zero_share:.0f} % of the time"
         for i, band in enumerate(deadband)
         if band is not None
     ]
-    if not told:
+    if not shown:
         return ()
     return (
         Finding(
             code="deadband-applied",
             severity="error",
-            message=f"A deadband was applied before recording ({'; '.join(told)}); forces below it are lost.",
+            message=f"A deadband was applied before recording ({'; '.join(shown)}); forces below it are lost.",
             advice="Record the wrench before the deadband.",
         ),
     )

@@ -1,4 +1,4 @@
-"""What a contact feels like: its law of force over depth, and whether a hand breaks it."""
+"""Contacts of a time line: onset, peak, hold, release, bounces, and whether a hand pushed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -44,7 +44,7 @@ class ContactTimes:
     """A contact in samples: `span` from first touch to release; `bounces` when it left the surface before the hold.
 
     Where it never came to rest, `hold` is when it pressed and not `is_held`. `onset` and `release` are None where the
-    log does not show them; `hand_suspected` is None where it cannot be told.
+    log does not show them; `hand_suspected` is None where it cannot be determined.
     """
 
     span: Span
@@ -105,7 +105,7 @@ def learn_law(contact: ContactTimes, of: AxisContacts, payload: PayloadMotion, p
     rows = np.column_stack([position, payload.velocity_m_s[used]])
     if not np.all(np.isfinite(rows)):
         return None
-    # On the way into something soft the speed falls as the depth grows: only the signs tell K_e and B_e apart.
+    # On the way into something soft the speed falls as the depth grows: only the signs distinguish K_e and B_e.
     rows, force = rows - rows.mean(axis=0), force - force.mean()
     size = np.maximum(np.max(np.abs(rows), axis=0), 1e-300)
     solution, left = nnls(rows / size, force)
@@ -156,9 +156,9 @@ def suspect_hand(
     noise = float(np.median([np.mean(bend**2) for bend in bends])) / 6.0
     freedom = _SECOND_DIFFERENCES * sum(len(bend) for bend in bends)
     limit = noise * float(fdtri(len(held) - 1, freedom, 1.0 - FALSE_ALARM))
-    told = law.stiffness * float(np.std(payload.position_m[pressed.slice]))
+    expected = law.stiffness * float(np.std(payload.position_m[pressed.slice]))
     held_n = abs(span_median(payload.touch_n, contact.hold))
-    return float(np.var(held, ddof=1)) > limit + (_SMALLEST_HAND_SHARE * held_n) ** 2 + (_LAW_SHARE * told) ** 2
+    return float(np.var(held, ddof=1)) > limit + (_SMALLEST_HAND_SHARE * held_n) ** 2 + (_LAW_SHARE * expected) ** 2
 
 
 def _batches(values: FloatArray, period_s: float) -> FloatArray:
@@ -170,14 +170,14 @@ def _batches(values: FloatArray, period_s: float) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True)
 class Pressed:
-    """Rests under force: `contacts` with a surface, those that are `untold`, and those `by_hand`.
+    """Rests under force: `contacts` with a surface, those that are `unclear`, and those `by_hand`.
 
     Untold is what the way in or out does not show, or shows as no law of force over depth; by hand is what rests on
     something that is softer than any surface or drives the payload. `restless` pressed in motion, without a clear law.
     """
 
     contacts: tuple[ContactTimes, ...]
-    untold: tuple[ContactTimes, ...]
+    unclear: tuple[ContactTimes, ...]
     by_hand: tuple[ContactTimes, ...]
     restless: tuple[ContactTimes, ...] = ()
 
@@ -217,7 +217,7 @@ def find_contacts(of: AxisContacts, payload: PayloadMotion, motion: MotionSpans,
     restless, unclear = _restless(of, payload, motion, contacts, noise, period_s)
     return Pressed(
         contacts=tuple(sorted((*contacts, *restless), key=lambda each: each.span.start)),
-        untold=tuple(contact for contact, law in pairs if law is None or not law.is_clear),
+        unclear=tuple(contact for contact, law in pairs if law is None or not law.is_clear),
         by_hand=tuple(contact for contact, law in pairs if law is not None and law.is_clear and _is_hand(law, of)),
         restless=tuple(unclear),
     )
@@ -293,7 +293,7 @@ def _window(hold: Span, free: Sequence[Span], count: int, period_s: float, found
 def _contact(
     of: AxisContacts, sign: float, hold: Span, window: Span, touches: NDArray[np.bool_], period_s: float
 ) -> ContactTimes:
-    """Put the instants together; `touches` tells over the window where the payload touches."""
+    """Put the instants together; `touches` shows over the window where the payload touches."""
     held = slice(hold.start - window.start, hold.stop - window.start)
     touches[held] = True
     joined = without_pauses(touches, round(_LONGEST_BOUNCE_S / period_s))

@@ -1,4 +1,4 @@
-"""How the force on what is touched grows with depth, seen through the coupling: K_e between two ends."""
+"""Stiffness of the surfaces of contacts that no fit used, from the slope of force over depth."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -114,7 +114,7 @@ class _Left:
 def account_for_contacts(phases: Sequence[LogPhase], axes: Sequence[ObservedAxis], period_s: float) -> Accounted:
     """Give every contact of a time line a surface, or name it in a finding of severity `error`.
 
-    `phases` name the surfaces of the contacts that a fit used. Of the others, `learn_slope` tells the stiffness: that
+    `phases` name the surfaces of the contacts that a fit used. Of the others, `learn_slope` shows the stiffness: that
     of a fitted surface where it lies within 3 deviations or 20 % of that, else a new surface, which is `weak`. Rests
     under force, and presses in motion, that are not in the time line as contacts are asked the same; of them, what
     gives more than a surface or does work is a hand.
@@ -163,7 +163,7 @@ def _left_of(axis: ObservedAxis, phases: Sequence[LogPhase], period_s: float) ->
         phase, surface = places.get(contact.span.start, (None, None))
         if surface is None:
             left.append(seen(contact, phase))
-    left += [seen(contact, None) for contact in axis.pressed.untold]
+    left += [seen(contact, None) for contact in axis.pressed.unclear]
     # What looks like a hand is one, unless its force grows with depth as on a surface.
     perhaps = [seen(contact, None) for contact in (*axis.pressed.by_hand, *axis.pressed.restless)]
     return [*left, *(each for each in perhaps if each.slope is not None)]
@@ -189,10 +189,10 @@ def _fitted(axis: ObservedAxis, slope: ContactSlope) -> str | None:
     return None
 
 
-def _grouped(slopes: Sequence[ContactSlope]) -> tuple[tuple[ContactSlope, ...], ...]:
+def _grouped(gradients: Sequence[ContactSlope]) -> tuple[tuple[ContactSlope, ...], ...]:
     """Return the slopes by surface: of one side, and none above 1.25 times the softest."""
     groups: list[list[ContactSlope]] = []
-    for slope in sorted(slopes, key=lambda s: (s.sign, s.stiffness_n_per_m)):
+    for slope in sorted(gradients, key=lambda s: (s.sign, s.stiffness_n_per_m)):
         first = groups[-1][0] if groups else None
         is_same_side = first is not None and first.sign == slope.sign
         if is_same_side and slope.stiffness_n_per_m <= _SAME_SURFACE * groups[-1][0].stiffness_n_per_m:
@@ -219,7 +219,7 @@ class _Surfaces:
         return next(name for name, group in zip(self.names, self.groups, strict=True) if slope in group)
 
     def estimate(self, name: str, contacts: Sequence[_Left]) -> EnvironmentEstimate:
-        """Return what the contacts tell of their surface: K_e over all that their slopes leave open."""
+        """Return what the contacts show of their surface: K_e over all that their slopes leave open."""
         group, square = self.groups[self.names.index(name)], self.axis.lever_m**2
         low, high = (
             square * min(slope.low_n_per_m for slope in group),
@@ -264,13 +264,13 @@ def _added(axis: ObservedAxis, surface: EnvironmentEstimate) -> Finding:
 
 def _unexplained(axis: ObservedAxis, left: Sequence[_Left]) -> Finding:
     unit = "N" if axis.lever_m == 1.0 else "N·m"
-    told = ", ".join(f"{each.start_s:.1f} s ({each.peak_n:.1f} {unit})" for each in left[:_MOST_LISTED])
+    shown = ", ".join(f"{each.start_s:.1f} s ({each.peak_n:.1f} {unit})" for each in left[:_MOST_LISTED])
     more = f" and {len(left) - _MOST_LISTED} more" if len(left) > _MOST_LISTED else ""
     return Finding(
         code=CONTACT_UNEXPLAINED,
         severity="error",
-        message=f"Axis {axis.name}: what was touched at {told}{more} is none of the surfaces, and force over depth "
-        "does not tell its stiffness.",
+        message=f"Axis {axis.name}: what was touched at {shown}{more} is none of the surfaces, and force over depth "
+        "does not identify its stiffness.",
         advice=_ADVICE,
         axis=axis.name,
     )

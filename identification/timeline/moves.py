@@ -1,4 +1,4 @@
-"""What drives a motion: a hand, a program, or nothing that the log tells."""
+"""Causes of a motion: a hand, a command, a desired force, or none that the log shows."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -135,7 +135,7 @@ class Move:
 
 
 def judge_move(scene: Scene, span: Span, piece: Span) -> Move:
-    """Tell what a piece of a moving span is, and the axis that it goes along."""
+    """Return what a piece of a moving span is, and the axis that it goes along."""
     log = scene.log
     mover = next((i for i, of in enumerate(scene.axes) if span in of.axis.spans), None)
     if orientation_spread_rad(log.orientation_BS[piece.slice]) > _TURNING_RAD:
@@ -168,7 +168,7 @@ def judge_move(scene: Scene, span: Span, piece: Span) -> Move:
 
 
 def settle_moves(moves: Sequence[Move], period_s: float) -> Iterator[tuple[Span, PhaseKind, str | None]]:
-    """Yield the moves; where other moves tell the admittance, one that a desired force alone drives is free too."""
+    """Yield the moves; where other moves show the admittance, one that a desired force alone drives is free too."""
     laws = [move.law for move in moves if move.law is not None]
     middle = sorted(laws, key=lambda law: law.damping_n_s_per_m)[len(laws) // 2] if laws else None
     for move in moves:

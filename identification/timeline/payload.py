@@ -1,4 +1,4 @@
-"""An axis of a time line, and the payload on it as it shows through the coupling."""
+"""Motion of the payload behind the coupling, and the force on what it touches."""
 
 from dataclasses import dataclass
 

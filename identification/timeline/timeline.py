@@ -1,4 +1,4 @@
-"""The time line of a log: what happened when, each instant told once."""
+"""Time line of a log: its phases without gaps or overlaps."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -96,7 +96,7 @@ def _phase(span: Span, kind: PhaseKind, axis: str | None, contact: ContactTimes 
     start, stop = span.start * period_s, span.stop * period_s
     if contact is None:
         return LogPhase(kind=kind, start_s=start, stop_s=stop, axis=axis)
-    told = ContactPhase(
+    described = ContactPhase(
         onset_s=None if contact.onset is None else contact.onset * period_s,
         peak_s=contact.peak * period_s,
         peak_force_n=contact.peak_force_n,
@@ -106,7 +106,7 @@ def _phase(span: Span, kind: PhaseKind, axis: str | None, contact: ContactTimes 
         surface=None,
         hand_suspected=contact.hand_suspected,
     )
-    return LogPhase(kind=kind, start_s=start, stop_s=stop, axis=axis, contact=told)
+    return LogPhase(kind=kind, start_s=start, stop_s=stop, axis=axis, contact=described)
 
 
 def _pieces(span: Span, number: NDArray[np.int64]) -> Iterator[Span]:

@@ -11,7 +11,7 @@ from identification.advice import advise
 from identification.experiment_design.sweep import SweepLimits, fastest_sweep
 from identification.experiment_design.values import values_of
 from identification.result import Estimate, Finding, FitQuality, Identified, Status
-from tests.identification.merging.test_combine import UNTOLD, known, surface, told
+from tests.identification.merging.test_combine import UNDECIDED, known, surface, told
 
 
 def weak(value: float, std: float) -> Estimate:
@@ -37,7 +37,7 @@ def test_what_is_known_well_needs_no_advice() -> None:
 
 
 def test_a_missing_stiffness_is_an_error_and_a_weak_one_a_warning() -> None:
-    (missing,) = needed(advise(with_stiffness(told(), UNTOLD)))
+    (missing,) = needed(advise(with_stiffness(told(), UNDECIDED)))
     assert (missing.code, missing.severity) == ("unidentifiable", "error")
     assert "Axis x: K_s" in missing.message
     assert "sweep" in missing.advice
@@ -47,22 +47,22 @@ def test_a_missing_stiffness_is_an_error_and_a_weak_one_a_warning() -> None:
 
 
 def test_an_interval_is_a_warning() -> None:
-    bounded = dataclasses.replace(UNTOLD, ci95=(0.0, 63.0))
+    bounded = dataclasses.replace(UNDECIDED, ci95=(0.0, 63.0))
     axis = told().axes["x"]
     coupling = dataclasses.replace(axis.coupling, damping_n_s_per_m=bounded)
     (found,) = needed(advise(dataclasses.replace(told(), axes={"x": dataclasses.replace(axis, coupling=coupling)})))
     assert (found.code, found.severity) == ("bounded", "warning")
-    assert "B_s (0 to 63 with 95 %): told as an interval only" in found.message
+    assert "B_s (0 to 63 with 95 %): known as an interval only" in found.message
 
 
 def test_a_missing_number_is_not_told_twice() -> None:
     because = Finding(code="coupling", severity="error", message="Axis x: a reason.", advice="")
-    broken = dataclasses.replace(with_stiffness(told(), UNTOLD), findings=(because,))
+    broken = dataclasses.replace(with_stiffness(told(), UNDECIDED), findings=(because,))
     assert needed(advise(broken)) == []
 
 
 def test_damping_and_mass_of_a_surface_are_information() -> None:
-    findings = advise(with_surface(damping_n_s_per_m=UNTOLD, mass_kg=weak(1.0, 0.2)))
+    findings = advise(with_surface(damping_n_s_per_m=UNDECIDED, mass_kg=weak(1.0, 0.2)))
     assert needed(findings) == []
     text = " ".join(f.message for f in findings)
     assert "x1 B_e" in text
@@ -105,14 +105,14 @@ def with_misfit(result: Identified, ratio: float) -> Identified:
 
 @pytest.mark.parametrize(("ratio", "said"), [(5.6, "low-pass in the sensor"), (1.0, "commanded sweep in free space")])
 def test_where_the_model_does_not_fit_another_sweep_is_no_advice(ratio: float, said: str) -> None:
-    (missing,) = needed(advise(with_misfit(with_stiffness(told(), UNTOLD), ratio)))
+    (missing,) = needed(advise(with_misfit(with_stiffness(told(), UNDECIDED), ratio)))
     assert said in missing.advice
 
 
 @pytest.mark.parametrize(("ratio", "said"), [(2.4, "--given x.delay_s="), (1.0, "commanded sweep in free space")])
 def test_a_robot_of_another_form_is_named(ratio: float, said: str) -> None:
     axis = told().axes["x"]
-    robot = dataclasses.replace(axis.robot, delay_s=UNTOLD)
+    robot = dataclasses.replace(axis.robot, delay_s=UNDECIDED)
     result = dataclasses.replace(told(), axes={"x": dataclasses.replace(axis, robot=robot)})
     (missing,) = needed(advise(with_misfit(result, ratio)))
     assert said in missing.advice

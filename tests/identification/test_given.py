@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from identification.errors import EstimateError
 from identification.given import Given, check_names, settle_axis, settle_cell
 from identification.result import Status
-from tests.identification.merging.test_combine import UNTOLD, known, told
+from tests.identification.merging.test_combine import UNDECIDED, known, told
 from tests.problems.axes import LAW
 
 VALUES, STDS = st.floats(15.0, 17.0), st.floats(0.01, 1.0)
@@ -37,7 +37,7 @@ def test_the_posterior_is_where_the_product_of_both_densities_is_largest(
 
 
 def test_what_the_log_does_not_tell_is_the_given_value() -> None:
-    axis = told(delay=UNTOLD).axes["x"]
+    axis = told(delay=UNDECIDED).axes["x"]
     found, _ = settle_axis("x", axis, None, {"x.delay_s": Given(value=2.5e-3, std=1e-4)})
     delay = found.robot.delay_s
     assert (delay.value, delay.std, delay.status) == (2.5e-3, 1e-4, Status.GIVEN)
@@ -70,7 +70,7 @@ def test_a_fit_with_the_prior_in_it_decides_and_the_log_alone_is_what_it_is_comp
     both = dataclasses.replace(alone, drag_n_s_per_m=known(341.0, 2.0))
     near, findings = settle_axis("x", alone, both, {"x.drag_n_s_per_m": Given(value=342.0, std=2.5)})
     assert (near.drag_n_s_per_m.value, near.drag_n_s_per_m.std) == (341.0, 2.0)
-    assert "the log tells 330" in near.drag_n_s_per_m.note
+    assert "the log shows 330" in near.drag_n_s_per_m.note
     assert [finding.code for finding in findings] == ["given-used"]
     _, findings = settle_axis("x", alone, both, {"x.drag_n_s_per_m": Given(value=900.0, std=0.1)})
     assert [finding.code for finding in findings] == ["given-contradicts"]
@@ -82,7 +82,7 @@ def test_a_prior_that_contradicts_the_log_is_an_error() -> None:
     assert (finding.severity, "16.2 ± 0.02, given is 22 ± 0.1" in finding.message) == ("error", True)
     near = settle_cell(told(known(16.2, 0.02)), {"mass_kg": Given(value=16.25, std=0.1)})
     assert [finding.code for finding in near.findings] == ["given-used"]
-    assert "the log alone tells" in near.findings[0].message
+    assert "the log alone shows" in near.findings[0].message
 
 
 @pytest.mark.parametrize("name", ["mass", "y.delay_s", "x.mass_kg"])

@@ -51,7 +51,7 @@ def test_a_led_robot_is_weak_at_best_since_its_logger_is_not_known() -> None:
     assert robot.delay_s.value == pytest.approx(0.0125, abs=5e-4)
     assert robot.bandwidth_hz.value == pytest.approx(20.0 / (2.0 * np.pi), rel=0.01)
     assert {robot.denominator.status, robot.delay_s.status, robot.bandwidth_hz.status} == {Status.WEAK}
-    assert "only a logged command tells apart" in robot.delay_s.note
+    assert "only a logged command distinguishes" in robot.delay_s.note
     assert "neither lead nor feedback damping" in robot.bandwidth_hz.note
     messages = {finding.code: finding.message for finding in result.findings}
     assert "in one message" in messages["delay-not-split"]

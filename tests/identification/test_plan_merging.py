@@ -44,10 +44,10 @@ def test_a_plan_adds_knowledge_as_the_merging_of_logs_does(ratio: float) -> None
     _, values = values_of(told())
     values = replace(values, pose_force_std_n=Known(value=1.0))
     turns = naive_turns(9, 60.0)
-    untold = with_stds(values, dict.fromkeys((*SWEPT, "mass_kg", "motion_mass_kg", "bandwidth_hz", "com_m")))
-    alone = _std_after(untold, SWEEP) | {"mass_kg": predicted_std(turns, untold)[0]}
+    unclear = with_stds(values, dict.fromkeys((*SWEPT, "mass_kg", "motion_mass_kg", "bandwidth_hz", "com_m")))
+    alone = _std_after(unclear, SWEEP) | {"mass_kg": predicted_std(turns, unclear)[0]}
     now = {name: ratio * alone[name] for name in (*SWEPT, "mass_kg")}
-    knowing = with_stds(untold, dict(now))
+    knowing = with_stds(unclear, dict(now))
     planned = _std_after(knowing, SWEEP) | {"mass_kg": predicted_std(turns, knowing)[0]}
     logs = [NamedResult(name=str(i), result=record(values, stds)) for i, stds in enumerate((now, alone))]
     merged = combine_identified(logs)

@@ -99,7 +99,7 @@ def test_the_inertia_of_a_turn_is_compared_with_the_tensors(value: float, std: f
         matrix_S_kg_m2=None,
         std_S_kg_m2=None,
         mass_kg=unknown,
-        latency_s=0.0,
+        lag_s=0.0,
         lag_std_s=0.0,
         moves=4,
         left_out=0,

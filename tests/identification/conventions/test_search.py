@@ -182,11 +182,11 @@ def test_a_wrench_that_follows_nothing_fits_no_convention() -> None:
 
 def test_too_few_or_weightless_rests_tell_nothing() -> None:
     few = rank_conventions(noisy(tilted(3, 1.0)))
-    assert few.verdict is ConventionVerdict.UNTOLD
+    assert few.verdict is ConventionVerdict.UNDECIDED
     assert few.chosen() is None
     assert [finding.code for finding in few.findings()] == ["conventions-unchecked"]
     removed = noisy(general(), truth=Truth(mass_kg=0.0))
-    assert rank_conventions(removed).verdict is ConventionVerdict.UNTOLD
+    assert rank_conventions(removed).verdict is ConventionVerdict.UNDECIDED
 
 
 def pose_read(pose: PoseSignal, change: Callable[[Rotation, FloatArray], tuple[Rotation, FloatArray]]) -> PoseSignal:

@@ -178,7 +178,7 @@ def test_a_sweep_that_cannot_reach_the_payloads_swing_is_helped_by_taps() -> Non
     assert settings_of(plan_experiment("x", values, ExperimentLimits()), StepKind.TAPS) is None
     plan = plan_experiment("x", slow, ExperimentLimits())
     (taps,) = [step for step in plan.steps if step.kind is StepKind.TAPS]
-    assert "taps on the payload tell coupling K_s better" in taps.why
+    assert "taps on the payload identify coupling K_s better" in taps.why
     sweep = settings_of(plan, StepKind.SWEEP)
     assert isinstance(sweep, SweepPlan)
     assert after(plan)["stiffness_n_per_m"] < sweep.std["stiffness_n_per_m"]

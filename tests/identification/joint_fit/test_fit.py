@@ -128,7 +128,7 @@ def test_a_spring_that_swings_faster_than_it_is_sampled_is_not_told_and_nor_is_k
     assert told.coupling.stiffness_n_per_m.status is Status.UNIDENTIFIABLE
     (surface,) = told.environments
     assert surface.stiffness_n_per_m.status is Status.WEAK
-    assert "K_s is not told" in surface.stiffness_n_per_m.note
+    assert "K_s is not identified" in surface.stiffness_n_per_m.note
 
 
 def test_the_covariance_is_a_covariance(demo_fit: JointFit) -> None:
@@ -199,7 +199,7 @@ def test_a_start_far_off_leads_to_the_same_place(demo_data: JointData, demo_fit:
 def test_nothing_to_fit_is_refused_and_told(demo_data: JointData) -> None:
     with pytest.raises(EstimateError, match=r"Of 0 spans of free motion.*record a commanded sweep"):
         identify_joint(dataclasses.replace(demo_data, free=()))
-    with pytest.raises(EstimateError, match="spans at rest"):
+    with pytest.raises(EstimateError, match="measured at rest without contact"):
         identify_joint(dataclasses.replace(demo_data, rests=()))
 
 

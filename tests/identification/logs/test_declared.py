@@ -403,7 +403,7 @@ def test_an_orientation_that_jumps_is_told(tmp_path: Path) -> None:
             {"wrench": WrenchSource(topic="/ft", gravity_compensated=True, expressed_in=Frame.SENSOR)},
             "Gravity is already removed from the force of topic /ft, so the payload's mass",
         ),
-        ({"displacement": PoseSource(topic="/pose")}, "Topic /pose tells a displacement from an unknown pose"),
+        ({"displacement": PoseSource(topic="/pose")}, "Topic /pose shows a displacement from an unknown pose"),
     ],
 )
 def test_what_mass_cannot_be_told_from_ends_in_a_reason(tmp_path: Path, change: dict[str, Any], told: str) -> None:

@@ -23,7 +23,7 @@ from identification.result import (
     Status,
     Timeline,
 )
-from tests.identification.merging.test_combine import UNTOLD, codes, combined, known, told, vector
+from tests.identification.merging.test_combine import UNDECIDED, codes, combined, known, told, vector
 
 
 def recorded(values: dict[str, tuple[float, float]], correlation: float = 0.3) -> Identified:
@@ -34,7 +34,7 @@ def recorded(values: dict[str, tuple[float, float]], correlation: float = 0.3) -
     record = Covariance(names=names, values=tuple(found.tolist()), matrix=tuple(map(tuple, matrix.tolist())))
 
     def one(symbol: str) -> Estimate:
-        return known(*values[symbol]) if symbol in values else UNTOLD
+        return known(*values[symbol]) if symbol in values else UNDECIDED
 
     def secant(name: str) -> Estimate:
         springs = [names.index("K_s"), names.index(f"{name}.K_e")]
@@ -142,8 +142,8 @@ def test_a_log_without_the_coupling_still_counts_for_the_robot(first: bool) -> N
     whole = with_surfaces(SOFT)
     robot_only = replace(
         whole.axes["x"],
-        coupling=CouplingEstimate(stiffness_n_per_m=UNTOLD, damping_n_s_per_m=UNTOLD),
-        drag_n_s_per_m=UNTOLD,
+        coupling=CouplingEstimate(stiffness_n_per_m=UNDECIDED, damping_n_s_per_m=UNDECIDED),
+        drag_n_s_per_m=UNDECIDED,
         mass_kg=None,
         environments=(),
         covariance=None,

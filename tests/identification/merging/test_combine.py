@@ -41,7 +41,7 @@ def vector(*values: float, std: float = 1e-3) -> VectorEstimate:
     return VectorEstimate(value=values, std=(std,) * len(values), status=Status.IDENTIFIED)
 
 
-UNTOLD = Estimate(value=None, std=None, status=Status.UNIDENTIFIABLE)
+UNDECIDED = Estimate(value=None, std=None, status=Status.UNIDENTIFIABLE)
 
 
 def surface(stiffness: float, std: float, peaks: tuple[float, ...] = (40.0,), name: str = "x1") -> EnvironmentEstimate:
@@ -49,8 +49,8 @@ def surface(stiffness: float, std: float, peaks: tuple[float, ...] = (40.0,), na
         name=name,
         stiffness_n_per_m=known(stiffness, std),
         secant_stiffness_n_per_m=known(0.7 * stiffness, 0.7 * std),
-        damping_n_s_per_m=UNTOLD,
-        mass_kg=UNTOLD,
+        damping_n_s_per_m=UNDECIDED,
+        mass_kg=UNDECIDED,
         contacts=len(peaks),
         peak_force_n=peaks,
     )
@@ -168,14 +168,14 @@ def test_a_bias_may_change_from_log_to_log() -> None:
 
 def test_what_one_log_lacks_another_tells() -> None:
     missing = Finding(code="robot", severity="error", message="Axis x: no motion.", advice="")
-    found = combined(told(delay=UNTOLD, findings=(missing,)), told())
+    found = combined(told(delay=UNDECIDED, findings=(missing,)), told())
     # Rounding of a matrix inverse.
     assert found.axes["x"].robot.delay_s.value == pytest.approx(2.4e-3, rel=1e-12)
     assert found.axes["x"].robot.delay_s.std == pytest.approx(1e-5, rel=1e-9)
     assert found.axes["x"].robot.delay_s.status is Status.IDENTIFIED
     assert codes(found, "error") == []
     assert "log0: Axis x: no motion." in [finding.message for finding in found.findings]
-    both = combined(told(delay=UNTOLD, findings=(missing,)), told(delay=UNTOLD, findings=(missing,)))
+    both = combined(told(delay=UNDECIDED, findings=(missing,)), told(delay=UNDECIDED, findings=(missing,)))
     assert codes(both, "error") == ["robot", "robot"]
 
 
@@ -223,7 +223,7 @@ def test_the_rate_of_a_wrench_is_no_control_period() -> None:
 
 def test_the_worst_of_a_known_and_an_unknown_noise_is_the_known_one() -> None:
     quiet, unknown = told(), told()
-    unknown = replace(unknown, sensor=replace(unknown.sensor, force_noise_rms_n=UNTOLD))
+    unknown = replace(unknown, sensor=replace(unknown.sensor, force_noise_rms_n=UNDECIDED))
     for pair in ((quiet, unknown), (unknown, quiet)):
         noise = combined(*pair).sensor.force_noise_rms_n
         assert noise.value == 0.14
@@ -290,7 +290,7 @@ def test_the_noisiest_pose_counts_and_a_log_that_is_silent_of_it_does_not() -> N
         found = told()
         return replace(found, sensor=replace(found.sensor, position_noise_rms_m=value))
 
-    noises = (None, known(2e-6, 1e-8), known(2e-5, 1e-7), UNTOLD)
+    noises = (None, known(2e-6, 1e-8), known(2e-5, 1e-7), UNDECIDED)
     parts = [NamedResult(name=str(i), result=with_noise(noise)) for i, noise in enumerate(noises)]
     assert combine_identified(parts).sensor.position_noise_rms_m == known(2e-5, 1e-7)
     assert combine_identified([parts[0], parts[0]]).sensor.position_noise_rms_m is None

@@ -11,7 +11,7 @@ from identification.robot.coupling import (
     Noise,
     felt_impedance,
     identify_coupling,
-    impedance_slopes,
+    impedance_gradients,
     prediction_error,
 )
 from tests.identification.synthetic import Load, felt_force, ramp, sweep, tapered
@@ -112,7 +112,7 @@ def test_the_felt_impedance_is_what_the_equations_of_motion_say() -> None:
 
 def test_the_impedances_slopes_are_its_differences() -> None:
     parameters, s = np.array([3e5, 40.0, 25.0, 16.0]), 2j * np.pi * np.array([0.3, 5.0, 21.8, 60.0])
-    slopes = impedance_slopes(parameters, s)
+    slopes = impedance_gradients(parameters, s)
     for index, size in enumerate(parameters):
         step = 1e-4 * size * np.eye(4)[index]
         near = felt_impedance(parameters + step, s) - felt_impedance(parameters - step, s)

@@ -73,7 +73,7 @@ def test_only_a_raw_wrench_and_a_whole_pose_identify() -> None:
     for signals, told in (
         ({"wrench": wrench(gravity_compensated=True)}, "Gravity is already removed from the force of topic /ft"),
         ({"wrench": wrench(measured_axes=("z",))}, "The wrench of topic /ft must have all six axes, found none for x"),
-        ({"pose": pose(is_displacement=True)}, "Topic /p tells a displacement"),
+        ({"pose": pose(is_displacement=True)}, "Topic /p shows a displacement"),
         ({"pose": pose(measured_axes=("x", "y", "z"))}, "The pose of topic /p .* found none for rx, ry, rz"),
     ):
         recording = Recording(**{"wrench": wrench(), "pose": pose(), "command": None, **signals})  # type: ignore[arg-type]  # by name

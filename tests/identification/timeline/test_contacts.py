@@ -99,7 +99,7 @@ def test_onset_peak_and_hold_are_where_they_are(stiffness: float, sign: float) -
     press = there_and_back(stiffness, 40.0 / stiffness)
     found = find_contacts(*pressed(press.position_m, press.force_n, sign=sign), H_S)
     (contact,) = found.contacts
-    assert (found.untold, found.by_hand) == ((), ())
+    assert (found.unclear, found.by_hand) == ((), ())
     assert contact.onset is not None
     # A tenth of 40 N at the approach's speed, and a filter of 60 Hz on both sides.
     assert contact.onset == pytest.approx(press.first, abs=0.03 / H_S)
@@ -124,7 +124,7 @@ def test_a_log_that_begins_and_ends_under_force_tells_nothing_of_it() -> None:
     inside = slice(press.first + 300, press.last - 300)
     found = find_contacts(*pressed(press.position_m[inside], press.force_n[inside]), H_S)
     assert found.contacts == ()
-    assert len(found.untold) == 1
+    assert len(found.unclear) == 1
 
 
 def suspected(size_n: float, seed: int = 2) -> bool | None:

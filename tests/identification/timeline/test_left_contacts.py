@@ -19,7 +19,7 @@ from tests.identification.timeline.test_contacts import H_S, LOAD, WALL_M, Press
 FloatArray = NDArray[np.float64]
 
 K_S = Estimate(value=LOAD.stiffness, std=0.01 * LOAD.stiffness, status=Status.IDENTIFIED)
-UNTOLD = unidentifiable(note="not told")
+UNDECIDED = unidentifiable(note="not told")
 
 
 @cache
@@ -64,8 +64,8 @@ def surface(name: str, stiffness: float) -> EnvironmentEstimate:
         name=name,
         stiffness_n_per_m=known,
         secant_stiffness_n_per_m=known,
-        damping_n_s_per_m=UNTOLD,
-        mass_kg=UNTOLD,
+        damping_n_s_per_m=UNDECIDED,
+        mass_kg=UNDECIDED,
         contacts=1,
         peak_force_n=(30.0,),
     )
@@ -115,7 +115,7 @@ def test_what_the_way_in_does_not_show_is_an_error_with_its_time_and_peak() -> N
     inside = slice(press.first + 300, press.last - 300)
     cut = Press(position_m=press.position_m[inside], force_n=press.force_n[inside], first=0, last=0)
     accounted, axis = seen(cut)
-    assert len(axis.pressed.untold) == 1
+    assert len(axis.pressed.unclear) == 1
     (finding,) = accounted.findings
     assert (finding.code, finding.severity, finding.axis) == (CONTACT_UNEXPLAINED, "error", "x")
     peak = float(np.max(np.abs(axis.of.axis.force_n)))
@@ -126,7 +126,7 @@ def test_without_a_coupling_no_slope_is_told() -> None:
     _, axis = seen(restless(2e5, 40.0))
     (contact,) = axis.pressed.contacts
     assert learn_slope(axis.of, axis.payload, contact, K_S) is not None
-    assert learn_slope(axis.of, axis.payload, contact, UNTOLD) is None
+    assert learn_slope(axis.of, axis.payload, contact, UNDECIDED) is None
     # K_s to a third leaves more than half of a stiff wall open.
     vague = replace(K_S, std=0.33 * LOAD.stiffness)
     assert learn_slope(axis.of, axis.payload, contact, vague) is None
@@ -139,7 +139,7 @@ def test_as_many_touches_are_found_as_end_in_surfaces_and_findings(
 ) -> None:
     presses = [pushed(), *(restless(stiffness, 40.0) for stiffness in order), there_and_back(1e5, 4e-4)]
     accounted, axis = seen(*presses, coupling=coupling)
-    touches = len(axis.pressed.contacts) + len(axis.pressed.untold)
+    touches = len(axis.pressed.contacts) + len(axis.pressed.unclear)
     assert touches == len(order) + 1
     # A force that comes and goes while the flange rests is no surface's.
     assert len(axis.pressed.by_hand) == 1
