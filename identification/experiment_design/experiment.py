@@ -160,8 +160,9 @@ def _poses(
     stated = "no tilt up to 90 degrees would" if least is None else f"it takes {least:.0f} degrees"
     raise EstimateError(
         f"No {limits.pose_count} poses tilted by at most {limits.max_tilt_deg:g} degrees determine the payload's mass "
-        f"to {allowed['mass_kg']:.2g} kg and its centre to {1e3 * allowed['com_m']:.2g} mm; {stated}. Allow a "
-        "larger tilt, change the number of poses, or leave them out (0) where mass and centre of mass are known from elsewhere."
+        f"to {allowed['mass_kg']:.2g} kg and its centre to {1e3 * allowed['com_m']:.2g} mm; {stated}. "
+        "Allow a larger tilt, change the number of poses, or leave them out (0) where mass and centre of mass are "
+        "known from elsewhere."
     )
 
 
