@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.progress import ProgressSlice
 
 from .axes.straight import AXIS_NAMES, AxisMotion, commanded_motion, free_motions, unguided_spans
@@ -29,8 +29,6 @@ from .signals.recording import Recording
 from .signals.segments import MotionSpans, Span
 from .timeline.timeline import AxisContacts
 from .verdicts import judged, missing, unidentifiable, unidentifiable_vector, vector, weak_at_best
-
-FloatArray = NDArray[np.float64]
 
 _MASS_DISAGREEMENT_STDS = 3.0
 _MASS_DISAGREEMENT_SHARE = 0.02

@@ -4,16 +4,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-
+from problems.arrays import FloatArray
 from problems.frozen import freeze
 
 from .joint_fit.result import FittedSpan
 from .result import Finding
 from .signals.aligned import Span
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.progress import ProgressSlice, no_progress
 
 from .axes.straight import AXIS_NAMES, find_axes
@@ -43,8 +43,6 @@ from .timeline.payload import observe_payload
 from .timeline.timeline import build_timeline, name_surfaces
 from .turn_estimate import identify_turn, unidentified_turn
 from .verdicts import missing
-
-FloatArray = NDArray[np.float64]
 
 _OBLIQUE_SHARE = 0.3
 # Of the work of a log with one axis; measured, and of no other use than to say how it goes on.

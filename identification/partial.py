@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from problems.arrays import BoolArray, FloatArray
 
 from .errors import EstimateError
 from .result import (
@@ -25,7 +26,6 @@ from .signals.recording import AXES, Recording
 from .verdicts import judged, missing, unidentifiable, unidentifiable_vector
 
 _REMOVED = "gravity was removed before recording"
-FloatArray = NDArray[np.float64]
 _SMALLEST_PEAK_N = 3.0
 _SMALLEST_TRAVEL_M = 2e-4
 _FEWEST = 50
@@ -285,7 +285,7 @@ def _hold_text(contact: TraceContact) -> str:
     return f"{contact.hold_secant_n_per_m:.4g} N/m over the hold"
 
 
-def _hold_secant(x: FloatArray, force: FloatArray, loaded: NDArray[np.bool_]) -> float | None:
+def _hold_secant(x: FloatArray, force: FloatArray, loaded: BoolArray) -> float | None:
     """Return mean force over mean displacement of the longest stretch under load at one depth, None without a hold."""
     depths = np.sort(x[loaded])
     width = _SAME_DEPTH_SHARE * float(depths[-1])

@@ -4,7 +4,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import detrend
 
 from problems.progress import ProgressSlice
@@ -18,7 +17,6 @@ from .joint_fit.segments import find_holds, hold_threshold_n
 from .payload.inertia import InertiaFit
 from .result import Finding
 
-FloatArray = NDArray[np.float64]
 _DISAGREEMENT_STDS = 3.0
 _DISAGREEMENT_SHARE = 0.03
 

@@ -3,11 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+
+from problems.arrays import FloatArray
 
 from .result import Estimate, Finding, Status, VectorEstimate
-
-FloatArray = NDArray[np.float64]
 
 IDENTIFIED_SHARE = 0.05
 _WEAK_SHARE = 0.2

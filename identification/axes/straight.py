@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.signal import find_peaks
 from scipy.spatial.transform import Rotation
+
+from problems.arrays import FloatArray
 
 from ..errors import EstimateError
 from ..payload.gravity import orientation_spread_rad
@@ -16,7 +17,6 @@ from ..signals.aligned import AlignedLog, check_regular, find_gaps
 from ..signals.recording import PoseSignal, Recording, StampArray
 from ..signals.segments import MotionSpans, Span
 
-FloatArray = NDArray[np.float64]
 AXIS_NAMES = ("x", "y", "z")
 _TRAVELLING_M_S = 3e-3
 _ALONG_ONE_AXIS = 0.97

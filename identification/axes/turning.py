@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
+from problems.arrays import FloatArray
 
 from ..errors import EstimateError
 from ..payload.gravity import GRAVITY_B_M_S2, GravityFit
@@ -13,8 +14,6 @@ from ..signals.aligned import AlignedLog, align
 from ..signals.recording import PoseSignal, Recording
 from ..signals.segments import MotionSpans, Span, low_pass
 from .straight import AxisMotion
-
-FloatArray = NDArray[np.float64]
 
 AXIS_NAMES = ("rx", "ry", "rz")
 

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
+from problems.arrays import FloatArray
 
 from ..errors import EstimateError
 from ..payload.static_poses import StaticPose, group_by_orientation
@@ -23,7 +24,6 @@ from .weight_misfit import (
     score_hypotheses,
 )
 
-FloatArray = NDArray[np.float64]
 _ALIKE_LOG_LIKELIHOOD = float(np.log(1000.0))
 _ALIKE_RATIO = 1.2
 _FEWEST_ORIENTATIONS = 4

@@ -4,15 +4,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
+from problems.arrays import BoolArray, FloatArray, IntArray
 
 from ..payload.static_poses import GRAVITY_B_M_S2, StaticPose, cross_matrix, group_means, group_shares, weighted_median
 from ..signals.frames import Frames
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 _Fit = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 QUARTER_TURNS = Rotation.create_group("O")
 """The 24 turns that take axes to axes."""

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from problems.arrays import ComplexArray, FloatArray
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact, simulate_contact
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
@@ -18,7 +18,6 @@ from ..signals.segments import low_pass
 from .sweep import standard_deviations
 from .values import Known, PlanValues
 
-FloatArray = NDArray[np.float64]
 _SPEEDS_M_S = (0.005, 0.01, 0.02, 0.03, 0.05)
 _HOLDS_N = (10.0, 20.0, 30.0, 50.0, 80.0)
 _COUNTS = (3, 4, 6, 10)
@@ -29,7 +28,6 @@ _BAND_HZ = 60.0
 _ONSET_SKIP_S = 0.012
 _SIMULATED_S = 0.7
 _INDEPENDENT_MISFITS = 40.0
-ComplexArray = NDArray[np.complex128]
 _LARGEST_IMPULSE_N_S = 1.0  # a soft hammer in the hand
 _TAPS = 5
 _SPACING_S = 2.0

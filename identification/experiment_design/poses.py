@@ -3,15 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
+from problems.arrays import BoolArray, FloatArray
 
 from ..merging.values import WEIGHED_MASS
 from ..payload.gravity import LOCAL_GRAVITY_STD
 from ..payload.static_poses import GRAVITY_B_M_S2, cross_matrix
 from .values import PlanValues
-
-FloatArray = NDArray[np.float64]
 
 FEWEST_POSES = 4
 LARGEST_CONDITION = 25.0
@@ -173,13 +172,13 @@ def _turns(tilts: FloatArray) -> Rotation:
     return Rotation.from_rotvec(tilt[:, None] * axis)
 
 
-def _too_close(turns: Rotation) -> NDArray[np.bool_]:
+def _too_close(turns: Rotation) -> BoolArray:
     """Return which pairs (n, n) of orientations hold gravity alike."""
     down = turns.inv().apply(GRAVITY_B_M_S2) / _GRAVITY_M_S2
     return np.asarray(down @ down.T > np.cos(_APART_RAD))
 
 
-def _exchange(information: FloatArray, too_close: NDArray[np.bool_], count: int, prior: FloatArray) -> list[int] | None:
+def _exchange(information: FloatArray, too_close: BoolArray, count: int, prior: FloatArray) -> list[int] | None:
     """Swap one pose at a time for the candidate that raises det most, until none does; the start is spread widely."""
     chosen = _spread(too_close, count)
     if chosen is None:
@@ -203,7 +202,7 @@ def _exchange(information: FloatArray, too_close: NDArray[np.bool_], count: int,
     return chosen
 
 
-def _spread(too_close: NDArray[np.bool_], count: int) -> list[int] | None:
+def _spread(too_close: BoolArray, count: int) -> list[int] | None:
     """Return `count` candidates of the outer rings first, spread by the golden angle, none near another."""
     ring = np.arange(1, len(too_close))
     order = [0, *ring[np.argsort((ring - 1) // _AZIMUTHS * _AZIMUTHS + (ring - 1) * 7 % _AZIMUTHS, kind="stable")]]

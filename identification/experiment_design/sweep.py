@@ -5,17 +5,14 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from problems.arrays import ComplexArray, FloatArray
 from problems.model.robot import RobotModel
 
 from ..joint_fit.covariance import SHARPEST_DELAY_SAMPLES
 from ..merging.values import shared_std
 from ..robot.coupling import felt_impedance
 from .values import Known, PlanValues, WorstCase, worst_case
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _POINTS = 400
 _STARTS_HZ = (0.5, 1.0, 2.0)

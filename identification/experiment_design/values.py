@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.errors import ParameterError
 from problems.model.robot import RobotModel
 
@@ -21,7 +21,6 @@ _DAMPING_RATIO = 0.05
 _SMALLEST_MISFIT_SHARE = 0.002  # less does not stand out of the noise of one recording
 # Known exactly would be infinite information; a millionth is exact enough and keeps matrices regular.
 _EXACT_SHARE = 1e-6
-FloatArray = NDArray[np.float64]
 SMALLEST_DAMPING_RATIO = 0.01
 """A bare steel gripper; less is taken only where less was identified."""
 _POINTS = 400
@@ -108,7 +107,7 @@ class PlanValues:
         return {name: known.value for name, known in self.known().items() if known.is_assumed}
 
     @property
-    def theta(self) -> NDArray[np.float64]:
+    def theta(self) -> FloatArray:
         """K_s, B_s, B_p, M_p (4,) in SI."""
         coupling = self.stiffness_n_per_m.value, self.damping_n_s_per_m.value
         return np.array([*coupling, self.drag_n_s_per_m.value, self.mass_kg.value])

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+
+from problems.arrays import FloatArray
 
 from .latency import CompetingMinimum
 from .solve import Block, Point, Problem, Summary, cost, information, linearise, minimise, sizes_of
@@ -14,7 +15,6 @@ _STEPS = 4
 _DEEPER = 1.0
 _KNOWN_SHARE, _OTHER_STIFFNESSES, _STEPS_FAR = 0.02, (0.15, 0.4, 2.5), 12
 _OTHER_MASS_SHARE = 0.3
-FloatArray = NDArray[np.float64]
 _WHOLE_S = 1e4
 _PIECES_S = (0.1, 0.5, _WHOLE_S)
 _DOUBTFUL_STDS = 20.0

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.model.robot import RobotModel
 
 from ..axes.straight import AxisMotion, find_ringing, keeps_orientation, unguided_spans
@@ -13,8 +13,6 @@ from ..robot.coupling import CouplingFit
 from ..signals.aligned import AlignedLog, find_gaps
 from ..signals.recording import PoseSignal, StampArray
 from ..signals.segments import MotionSpans, Span
-
-FloatArray = NDArray[np.float64]
 
 _SAME_PHASE = 0.05
 _ROUNDING = 1e-3

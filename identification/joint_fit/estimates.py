@@ -4,15 +4,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+
+from problems.arrays import FloatArray
 
 from ..result import CouplingEstimate, Covariance, EnvironmentEstimate, Estimate, FitQuality, RobotEstimate, Status
 from ..robot.position_loop import find_bandwidth_hz
 from ..verdicts import IDENTIFIED_SHARE, judged, judged_damping, vector, weak_at_best
 from .model import COUPLING_NAMES, SURFACE_NAMES, robot_model
 from .result import JointFit, JointSurface
-
-FloatArray = NDArray[np.float64]
 
 # Sizes below which a value does not matter: a tenth of the critical damping, a tenth of the payload.
 _TWO_SIDED = 1.96

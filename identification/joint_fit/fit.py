@@ -4,9 +4,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import detrend
 
+from problems.arrays import FloatArray
 from problems.progress import ProgressSlice
 
 from ..errors import EstimateError
@@ -19,8 +19,6 @@ from .result import JointFit, build_joint_fit
 from .segments import ContactCandidate, FoundContact, Segment, contact_segment, group_contacts, start_contact
 from .solve import Point, Problem, Signals, linearise, minimise
 from .start import fit_alone, start_coupling, start_surface
-
-FloatArray = NDArray[np.float64]
 
 _ROUNDS = 2
 _STEPS_FIRST, _STEPS_LATER = 8, 4

@@ -6,11 +6,11 @@ Time is counted in samples, as in `joint_kernel`. All is seen in the direction o
 import numpy as np
 from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.compiled import compiled
 
 from .kernel import MOST_TAKEN, TINY, pressing, switch, switch_along
 
-FloatArray = NDArray[np.float64]
 ModeArray = NDArray[np.int8]
 # K_s, B_s/h, B_p/h, M_p/h², K_e, B_e/h, M_e/h²
 RealBody = tuple[float, float, float, float, float, float, float]

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
+
 from .force_kernel import OFF, ON, TURNS, carry_contact, carry_free
 from .kernel import TINY
 from .model import ParameterLayout, body, held, robot_rate
 from .path import FlangePath, PathSegment
 from .segments import OFFSET, Run, Segment, SegmentModel, run, segment_model, steps_of, surface_of
-
-FloatArray = NDArray[np.float64]
 
 _COUPLING = 4
 

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from problems.arrays import ComplexArray, FloatArray
 from problems.compiled import compiled
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Of floats, or of complex numbers.
 Array = NDArray[Any]
 # (K_s, B_s/h, B_p/h, M_p/h², K_e, B_e/h, M_e/h²)

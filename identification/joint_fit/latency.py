@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
+
+from problems.arrays import FloatArray
 
 from ..result import Estimate, Finding, Status, WrenchFilterEstimate
 from ..verdicts import judged, weak_at_best
@@ -14,7 +15,6 @@ from .path import SensorDynamics
 from .segments import predict_force
 from .solve import Point, Problem, Signals, cost, information, linearise, minimise
 
-FloatArray = NDArray[np.float64]
 _ROUNDS = 6
 _STEPS = 4
 _SETTLED = 0.1

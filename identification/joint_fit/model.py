@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from problems.arrays import FloatArray
 from problems.model.robot import RobotModel
 from problems.model.sampled import split_delay
 
 from .kernel import Body
 
-FloatArray = NDArray[np.float64]
 # Of floats, or of complex numbers where a parameter is one.
 Array = NDArray[Any]
 Rows = tuple[tuple[complex, ...], ...]

@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter, oaconvolve, welch
 from scipy.special import chdtrc
 
-FloatArray = NDArray[np.float64]
+from problems.arrays import FloatArray
 
 _ORDERS = (0, 1, 2, 4, 8, 16, 24)
 _SMOOTHED_BINS = 5

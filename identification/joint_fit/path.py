@@ -4,14 +4,14 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
+
+from problems.arrays import FloatArray
 
 from .kernel import TINY, mark_robot, run_robot
 from .model import Hold, held, held_step, robot_rate
 from .noise import Smoother
 
-FloatArray = NDArray[np.float64]
 _MARK_EVERY = 256
 MOST_CUTS = 64
 _DIED_AWAY, _LONGEST_S = 6.0, 0.1

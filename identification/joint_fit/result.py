@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.frozen import freeze
 from problems.model.robot import RobotModel
 
@@ -17,7 +17,6 @@ from .noise import whiteness
 from .segments import FoundContact, Segment, predict_force
 from .solve import Block, Point, Problem, information, linearise, logarithmic, minimise, sizes_of, stiffest_seen_n_per_m
 
-FloatArray = NDArray[np.float64]
 _STEPS = 4
 _LARGEST_STEP = 3.0
 # A K_s beyond this share of the stiffest that a sampling rate can show is not identified (0.8 of half that rate).

@@ -7,13 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
+
 from ..signals.segments import Span, low_pass
 from .force_kernel import ModeArray, RealBody, run_contact, run_free
 from .kernel import Body, returns_at_once
 from .model import Array, ParameterLayout, body, payload_step, swing_step
 from .path import FlangePath, PathSegment
 
-FloatArray = NDArray[np.float64]
 _NO_SURFACE = np.zeros(3)
 OFFSET = 2
 FREE = -1

@@ -7,13 +7,14 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from problems.arrays import BoolArray, FloatArray
+
 from .gradients import force_jacobian
 from .model import ParameterLayout
 from .noise import Smoother, Whitener
 from .path import MOST_CUTS, FlangePath, SensorDynamics, commanded_path, low_passed, measured_path, path_slope
 from .segments import Segment, predict_force, shared_indices
 
-FloatArray = NDArray[np.float64]
 _KEPT = 2
 _MOST_HALVINGS = 6
 _CONVERGED = 1e-3
@@ -145,7 +146,7 @@ def sizes_of(values: FloatArray, layout: ParameterLayout, period_s: float) -> Fl
     return out
 
 
-def logarithmic(layout: ParameterLayout) -> NDArray[np.bool_]:
+def logarithmic(layout: ParameterLayout) -> BoolArray:
     """Return which parameters are stepped in their logarithm: K_s, M_p, ω, ζ and K_e."""
     out = np.zeros(len(layout), dtype=bool)
     out[[0, 3]] = True

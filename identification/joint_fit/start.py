@@ -4,14 +4,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+
+from problems.arrays import FloatArray
 
 from ..signals.segments import low_pass
 from .model import ParameterLayout
 from .segments import ContactCandidate, FoundContact, Segment
 from .solve import Point, Problem, information, linearise, minimise
-
-FloatArray = NDArray[np.float64]
 
 _SLOW_HZ = 6.0
 _RESONANCES_HZ = np.geomspace(6.0, 220.0, 7)

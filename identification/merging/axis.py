@@ -4,14 +4,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..joint_fit.estimates import DAMPING_FLOOR, MASS_FLOOR, describe_robot, robot_bandwidth
 from ..result import AxisEstimate, CouplingEstimate, Covariance, EnvironmentEstimate, Estimate, RobotEstimate
 from ..verdicts import judged, judged_damping
 from .values import ORDER, Merge, Normal, is_beyond_chance, is_stated, merge_normals, with_priors, with_verdict
 
-FloatArray = NDArray[np.float64]
 Judge = Callable[[float, float], Estimate]
 
 _ROBOT = ("omega", "zeta", "T_d")

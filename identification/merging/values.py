@@ -9,16 +9,15 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from problems.arrays import FloatArray
 from problems.frozen import freeze
 
 from ..payload.gravity import LOCAL_GRAVITY_STD
 from ..result import Estimate, Finding, Status, VectorEstimate
 from ..verdicts import IDENTIFIED_SHARE, weak_at_best
 
-FloatArray = NDArray[np.float64]
 WEIGHED_MASS = "mass"
 # No sensor's scale is better known than this (`joint_covariance` adds as much to each of these).
 _CALIBRATION_SHARE = 0.0003

@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import stdtrit
+
+from problems.arrays import BoolArray, FloatArray, IntArray
 
 from ..errors import EstimateError
 from ..signals.aligned import AlignedLog
@@ -23,8 +24,6 @@ __all__ = [
     "orientation_spread_rad",
 ]
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 # Gravity on the ground lies between 9.780 and 9.832 m/s²; the log does not say where it was recorded.
 LOCAL_GRAVITY_STD = 0.0015
@@ -157,7 +156,7 @@ class _Solution:
 def _finished(
     poses: tuple[StaticPose, ...],
     equations: PoseEquations,
-    groups: NDArray[np.int64],
+    groups: IntArray,
     keep: BoolArray,
     split: int | None,
 ) -> GravityFit:
@@ -200,7 +199,7 @@ def _finished(
 
 
 def _solve(
-    rows: FloatArray, values: FloatArray, groups: NDArray[np.int64], mean_std: list[float], gravity_columns: int
+    rows: FloatArray, values: FloatArray, groups: IntArray, mean_std: list[float], gravity_columns: int
 ) -> _Solution:
     """Solve rows (n, 3, p) x = values (n, 3) by least squares over the means of the groups."""
     count = rows.shape[2]

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
+
+from problems.arrays import BoolArray, FloatArray, IntArray
 
 from ..result import Estimate, Finding
 from ..signals.aligned import AlignedLog
@@ -15,8 +16,6 @@ from .gravity import GravityFit
 from .inertia_rows import MotionRows, build_motion_rows
 from .static_poses import StaticPose
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 _FEWEST_MOVES = 3
 _ROUNDS = 6
 _OUTLIER_FACTOR = 4.0
@@ -175,7 +174,7 @@ def _solve(data: MotionRows, inside: BoolArray) -> tuple[FloatArray, FloatArray]
     return values, np.maximum(spread, np.maximum(data.noise, 1e-9))
 
 
-def _covariance(rows: FloatArray, left: FloatArray, move: NDArray[np.int64]) -> FloatArray:
+def _covariance(rows: FloatArray, left: FloatArray, move: IntArray) -> FloatArray:
     """Return the covariance (17, 17) of a whitened fit, widened by what whole moves misfit together."""
     flat = rows.reshape(-1, 17)
     freedom = max(left.size - 17, 1)

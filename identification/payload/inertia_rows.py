@@ -4,15 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from problems.arrays import FloatArray, IntArray
 
 from ..signals.aligned import AlignedLog
 from ..signals.frames import turn_vectors_rad
 from ..signals.segments import MotionSpans, Span, low_pass
 from .gravity import GravityFit
 from .static_poses import StaticPose, cross_matrix
-
-FloatArray = NDArray[np.float64]
 
 _EDGE_S = 0.12
 _BAND_HZ = 8.0
@@ -36,7 +35,7 @@ class MotionRows:
 
     rows: FloatArray
     values: FloatArray
-    move: NDArray[np.int64]
+    move: IntArray
     noise: FloatArray
     attenuation: FloatArray
 
@@ -82,7 +81,7 @@ class _SmoothWrench:
     noise: FloatArray
 
 
-def _smooth_wrench(log: AlignedLog, motion: MotionSpans, gravity: GravityFit, at: NDArray[np.int64]) -> _SmoothWrench:
+def _smooth_wrench(log: AlignedLog, motion: MotionSpans, gravity: GravityFit, at: IntArray) -> _SmoothWrench:
     values, lag, noise = np.empty((len(at), 6)), np.empty((len(at), 6)), np.empty(6)
     # Column by column: the whole wrench of a long log, filtered twice, would be the most that is ever in memory.
     for first, compensated, measured in (
@@ -108,7 +107,7 @@ class _Signals:
     rate: FloatArray
     period_s: float
 
-    def columns(self, at: NDArray[np.int64]) -> FloatArray:
+    def columns(self, at: IntArray) -> FloatArray:
         """Return the filtered columns (k, 6, 10) of m, h and I at the samples `at` (k,)."""
         margin = round(_MARGIN_S / self.period_s)
         around = slice(max(0, int(at[0]) - margin), min(len(self.rate), int(at[-1]) + margin + 1))

@@ -4,15 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import fdtrc, stdtrit
+
+from problems.arrays import FloatArray
 
 from ..result import Finding, Status, VectorEstimate
 from .gravity import GravityFit
 from .static_poses import GRAVITY_B_M_S2, StaticPose, cross_matrix, group_by_orientation, group_means
-
-FloatArray = NDArray[np.float64]
 
 _FEWEST_ORIENTATIONS = 7
 _LARGEST_STD_RAD = np.radians(0.5)

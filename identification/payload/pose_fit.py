@@ -5,14 +5,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtrc, stdtrit
+
+from problems.arrays import BoolArray, FloatArray, IntArray
 
 from .static_poses import StaticPose, cross_matrix, group_means, group_shares, weighted_median
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 _ROUNDS = 50
 _REFITS = 10
 _OUTLIER_DEVIATIONS = 6.0

@@ -4,14 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
+from problems.arrays import FloatArray, IntArray
 
 from ..signals.aligned import AlignedLog
 from ..signals.segments import Span
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 GRAVITY_B_M_S2 = np.array([0.0, 0.0, -9.80665])
 

@@ -3,18 +3,15 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_opening
 from scipy.spatial.transform import Rotation
 
+from problems.arrays import BoolArray, FloatArray, IntArray
 from problems.compiled import compiled
 
 from ..errors import EstimateError
 from ..signals.aligned import check_regular, longest_whole, spans_of
 from ..signals.recording import AXES, GainsSignal, PoseSignal, Recording, StampArray
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _SHORTEST_S = 3.0
 _STEP_S = 0.01
@@ -112,7 +109,7 @@ def _six(linear: FloatArray, angular: FloatArray) -> list[FloatArray]:
     return [*linear.T, *angular.T]
 
 
-def _held_rows(stamp_ns: StampArray, start_ns: int, time: FloatArray) -> NDArray[np.int64]:
+def _held_rows(stamp_ns: StampArray, start_ns: int, time: FloatArray) -> IntArray:
     """Return the message that holds at each time; the first one also before it."""
     at = (stamp_ns - start_ns) * 1e-9
     return np.maximum(np.searchsorted(at, time, side="right") - 1, 0)

@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter
 
+from problems.arrays import FloatArray
 from problems.model.robot import RobotModel
 
 from ..errors import EstimateError
@@ -19,7 +19,6 @@ from ..verdicts import judged, missing, unidentifiable_vector, vector, weak_at_b
 from .admittance_motion import AdmittanceMotion, admittance_motions
 from .position_loop import find_bandwidth_hz
 
-FloatArray = NDArray[np.float64]
 _SMALLEST_TRAVEL = 5e-3  # m or rad
 _FEWEST_STEPS = 100
 _SMALLEST_TURN_RAD_S = 2e-4

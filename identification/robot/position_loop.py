@@ -4,17 +4,15 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from problems.arrays import FloatArray
 from problems.model.robot import RobotModel
 from problems.model.sampled import split_delay
 
 from ..errors import EstimateError
-
-FloatArray = NDArray[np.float64]
 
 _LONGEST_DELAY_S = 0.05
 _FASTEST_RAD_PER_S = 2e3

@@ -4,16 +4,14 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
+
+from problems.arrays import BoolArray, FloatArray, IntArray
 
 from ..errors import LogError
 from .frames import slerp
 from .recording import PoseSignal, Recording, StampArray, WrenchSignal
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _SHORTEST_OVERLAP_S = 2.0
 _LARGEST_GAP_PERIODS = 12.0
@@ -38,7 +36,7 @@ class Span:
         return self.stop - self.start
 
 
-def edges_of(mask: BoolArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def edges_of(mask: BoolArray) -> tuple[IntArray, IntArray]:
     """Return the starts and stops (m,) of the stretches in which a mask (n,) is true."""
     padded = np.concatenate([[False], mask, [False]])
     changes = np.flatnonzero(padded[1:] != padded[:-1]).astype(np.int64)
@@ -128,7 +126,7 @@ def align(recording: Recording) -> AlignedLog:
     )
 
 
-def find_gaps(stamp_ns: StampArray) -> NDArray[np.int64]:
+def find_gaps(stamp_ns: StampArray) -> IntArray:
     """Return the numbers of the messages after which a hole of more than 12 periods begins."""
     steps = np.diff(stamp_ns)
     return np.flatnonzero(steps > _LARGEST_GAP_PERIODS * np.median(steps)) if len(steps) else np.zeros(0, np.int64)

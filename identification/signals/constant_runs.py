@@ -4,12 +4,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+
+from problems.arrays import BoolArray, IntArray
 
 from .recording import FloatArray
 
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 _BLOCK = 100
 _NOISY_RATIO = 0.5
 _NOISY_REPEATS = 0.6

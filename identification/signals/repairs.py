@@ -4,15 +4,15 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation, Slerp
+
+from problems.arrays import FloatArray
 
 from ..result import Finding
 from .aligned import find_gaps
 from .recording import PoseSignal, Recording, WrenchSignal
 
-FloatArray = NDArray[np.float64]
 _NOISES, _OTHERS = 12.0, 6.0
 _AROUND, _FEWEST, _LONGEST_PERIOD_S = 8, 20, 2.5e-3
 _TO_STD = 1.4826  # of a normal distribution, over its median absolute deviation
@@ -103,7 +103,7 @@ def restore_commands(command: PoseSignal) -> PoseSignal:
     )
 
 
-def _missing(steps: NDArray[np.float64]) -> int:
+def _missing(steps: FloatArray) -> int:
     """Return how many messages are missing in the first of these steps (n,), counted in periods.
 
     As many of the following steps as could make up for a late message are looked at.

@@ -4,18 +4,16 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, sosfiltfilt
+
+from problems.arrays import BoolArray, FloatArray, IntArray
 
 from .aligned import AlignedLog, Span, edges_of, spans_of
 from .frames import turned_rad
 
 __all__ = ["MotionSpans", "Span", "find_motion", "low_pass", "without_pauses", "without_short"]
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 _STILL_SPEED_M_S = 1.5e-3
 _STILL_TURN_RAD_S = 0.02

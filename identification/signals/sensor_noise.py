@@ -4,17 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.signal import detrend, welch
+
+from problems.arrays import FloatArray
 
 from ..result import Estimate, Finding, NoiseSpectrum, Status
 from .aligned import AlignedLog
 from .constant_runs import FoundDeadband, find_deadband
 from .recording import AXES, WrenchSignal
 from .segments import Span
-
-FloatArray = NDArray[np.float64]
 
 _TRIM_S = 0.12
 _SHAKING = 0.15

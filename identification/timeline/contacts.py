@@ -4,16 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.special import fdtri
+
+from problems.arrays import BoolArray, FloatArray
 
 from ..signals.aligned import spans_of
 from ..signals.segments import MotionSpans, Span, low_pass, without_pauses, without_short
 from .moves import is_hand_led
 from .payload import AxisContacts, PayloadMotion, least_touch, press_sign, span_median
 
-FloatArray = NDArray[np.float64]
 _ONSET_SKIP_S = 0.012
 _LEARNT_S = 0.3
 _RELEASE_SKIP_S = 0.05
@@ -291,7 +291,7 @@ def _window(hold: Span, free: Sequence[Span], count: int, period_s: float, found
 
 
 def _contact(
-    of: AxisContacts, sign: float, hold: Span, window: Span, touches: NDArray[np.bool_], period_s: float
+    of: AxisContacts, sign: float, hold: Span, window: Span, touches: BoolArray, period_s: float
 ) -> ContactTimes:
     """Put the instants together; `touches` shows over the window where the payload touches."""
     held = slice(hold.start - window.start, hold.stop - window.start)

@@ -4,8 +4,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
+
+from problems.arrays import FloatArray
 
 from ..payload.gravity import orientation_spread_rad
 from ..result import PhaseKind
@@ -14,7 +15,6 @@ from ..signals.recording import PoseSignal
 from ..signals.segments import MotionSpans, low_pass
 from .payload import AxisContacts, PayloadMotion, unexplained_share
 
-FloatArray = NDArray[np.float64]
 _FOLLOWED_SHARE = 0.3
 _SMALLEST_TRAVEL_M = 5e-4
 _BAND_HZ = 8.0

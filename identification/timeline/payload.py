@@ -3,12 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from problems.arrays import FloatArray
 
 from ..axes.straight import AxisMotion
 from ..signals.segments import Span, low_pass, rate_of
-
-FloatArray = NDArray[np.float64]
 
 _HIGHEST_HZ = 60.0
 _LOWEST_HZ = 20.0

@@ -4,7 +4,8 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+
+from problems.arrays import FloatArray, IntArray
 
 from ..result import ContactPhase, LogPhase, PhaseKind, name_surfaces
 from ..signals.aligned import AlignedLog, Span, spans_of
@@ -16,7 +17,6 @@ from .payload import AxisContacts, observe_payload
 
 __all__ = ["AxisContacts", "ContactPhase", "LogPhase", "PhaseKind", "build_timeline", "name_surfaces"]
 
-FloatArray = NDArray[np.float64]
 
 _OFFSET_FACTOR = 3.0
 _SMALLEST_OFFSET_N = 0.2
@@ -85,7 +85,7 @@ def _offset(force_S_n: FloatArray, free: Sequence[Span]) -> float:
     return _OFFSET_FACTOR * float(np.median(shown)) + _SMALLEST_OFFSET_N if shown else np.inf
 
 
-def _runs(number: NDArray[np.int64]) -> Iterator[tuple[int, Span]]:
+def _runs(number: IntArray) -> Iterator[tuple[int, Span]]:
     """Yield the stretches of equal numbers (n,)."""
     edges = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(number)]
     for start, stop in pairwise(edges):
@@ -109,7 +109,7 @@ def _phase(span: Span, kind: PhaseKind, axis: str | None, contact: ContactTimes 
     return LogPhase(kind=kind, start_s=start, stop_s=stop, axis=axis, contact=described)
 
 
-def _pieces(span: Span, number: NDArray[np.int64]) -> Iterator[Span]:
+def _pieces(span: Span, number: IntArray) -> Iterator[Span]:
     """Yield what of a span is not labelled yet."""
     for part in spans_of(number[span.slice] == 0):
         yield Span(start=span.start + part.start, stop=span.start + part.stop)

@@ -3,13 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.signal import butter, cont2discrete, lfilter, sosfilt
 from scipy.spatial.transform import Rotation
 
 from identification.signals.recording import GainsSignal, PoseSignal, Recording, WrenchSignal
-
-FloatArray = NDArray[np.float64]
+from problems.arrays import FloatArray
 
 FINE_S = 1e-4
 LOG_S = 5e-3

@@ -3,13 +3,11 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from identification.payload.static_poses import StaticPose
 from identification.signals.segments import Span
-
-FloatArray = NDArray[np.float64]
+from problems.arrays import FloatArray
 
 G_M_S2 = 9.80665
 SAMPLES = 1000

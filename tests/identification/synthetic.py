@@ -3,13 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.signal import StateSpace, chirp, lsim
 from scipy.spatial.transform import Rotation
 
-FloatArray = NDArray[np.float64]
+from problems.arrays import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
@@ -15,6 +14,7 @@ from identification.errors import EstimateError, LogError
 from identification.identify import identify_cell
 from identification.result import Estimate, Finding, Identified, Status, VectorEstimate
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
+from problems.arrays import BoolArray
 
 
 def simulated(program: Program) -> Recording:
@@ -57,7 +57,7 @@ def check_honesty(found: Identified) -> None:
             assert np.all(np.isfinite(estimate.std))
 
 
-def sliced(signal: PoseSignal | WrenchSignal, keep: NDArray[np.bool_] | slice) -> Any:
+def sliced(signal: PoseSignal | WrenchSignal, keep: BoolArray | slice) -> Any:
     arrays = {
         field.name: getattr(signal, field.name)[keep]
         for field in dataclasses.fields(signal)

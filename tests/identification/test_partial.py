@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from autotune.formats.cell import read_cell
 from identification.errors import EstimateError
@@ -22,12 +21,12 @@ from identification.robot.admittance_robot import (
 )
 from identification.signals.aligned import align
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
+from problems.arrays import FloatArray
 from problems.model.robot import RobotModel
 
 from .led_robot import ONE_POLE, hand_force, led, recorded
 
 PERIOD = Estimate(value=1e-3, std=0.0, status=Status.WEAK)
-FloatArray = NDArray[np.float64]
 H_S = 1e-3
 TIME_S = np.arange(1500) * H_S
 DEPTH_M = np.asarray(0.01 * (1.0 - np.exp(-TIME_S / 0.2)))

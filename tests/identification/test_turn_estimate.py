@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import StateSpace, lsim
 
@@ -28,12 +27,11 @@ from identification.signals.aligned import align
 from identification.signals.segments import find_motion
 from identification.turn_estimate import fit_about_axis, inertia_findings, path_of
 from identification.verdicts import unidentifiable
+from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from problems.model.robot import RobotModel
 from tests.identification.synthetic import Load, felt_force, sweep
 from tests.identification.turned import H_S, RATE_HZ, recorded, to_and_fro, turns_of
-
-FloatArray = NDArray[np.float64]
 
 
 def joint_fit(names: tuple[str, ...], values: FloatArray) -> JointFit:

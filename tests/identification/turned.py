@@ -1,7 +1,6 @@
 """Logs of a tool that turns, made from the equations of a rotation alone."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from identification.axes.turning import AxisTurn, find_turns
@@ -9,9 +8,8 @@ from identification.payload.gravity import GravityFit
 from identification.signals.aligned import align
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 from identification.signals.segments import find_motion
+from problems.arrays import FloatArray
 from tests.identification.synthetic import ramp
-
-FloatArray = NDArray[np.float64]
 
 RATE_HZ = 500.0
 H_S = 1.0 / RATE_HZ

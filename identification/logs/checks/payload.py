@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
+from problems.arrays import BoolArray
+
 from ...errors import EstimateError, LogError
 from ...payload.gravity import StaticPose, collect_static_poses
 from ...result import Finding
 from ...signals.aligned import AlignedLog, align
-from ...signals.constant_runs import BoolArray, find_runs
+from ...signals.constant_runs import find_runs
 from ...signals.frames import turned_rad
 from ...signals.recording import AXES, FloatArray, Recording
 from ...signals.segments import find_motion, low_pass

@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from autotune.simulation.phases import Program
@@ -24,11 +23,11 @@ from identification.joint_fit.fit import identify_joint
 from identification.signals.aligned import AlignedLog
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 from identification.signals.segments import Span, find_motion
+from problems.arrays import FloatArray, IntArray
 from problems.progress import ProgressSlice
 from tests.identification.joint_fit.test_fit import gathered, scores
 from tests.identification.synthetic import Load, felt_force, ramp, tapered
 
-FloatArray = NDArray[np.float64]
 RATE_HZ = 500.0
 H_S = 1.0 / RATE_HZ
 ORIENTATION = Rotation.from_euler("xyz", [2.8, 0.3, 0.7])
@@ -127,7 +126,7 @@ def test_free_motions_take_a_little_rest_along() -> None:
     np.testing.assert_array_equal(first.force_n, -first.position_m)
 
 
-def pose(stamps: NDArray[np.int64], along_m: FloatArray) -> PoseSignal:
+def pose(stamps: IntArray, along_m: FloatArray) -> PoseSignal:
     turns = np.tile(ORIENTATION.as_quat(), (len(stamps), 1))
     position = ORIENTATION.apply(np.outer(along_m, np.eye(3)[1]))
     return PoseSignal(topic="/p", frame_id="base", stamp_ns=stamps, position_m=position, quaternion_xyzw=turns)

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from identification.axes.straight import commanded_motion
@@ -13,10 +12,9 @@ from identification.errors import EstimateError
 from identification.payload.gravity import GRAVITY_B_M_S2
 from identification.signals.aligned import align
 from identification.signals.segments import Span, find_motion
+from problems.arrays import FloatArray
 from tests.identification.synthetic import ramp, sweep
 from tests.identification.turned import RATE_HZ, WEIGHTLESS, WORKING, recorded, to_and_fro, turns_of
-
-FloatArray = NDArray[np.float64]
 
 
 @pytest.mark.parametrize("index", [0, 1, 2])

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from identification.conventions.choice import ReadLog, read_by_weight
@@ -19,10 +18,9 @@ from identification.signals.aligned import align
 from identification.signals.frames import Frames
 from identification.signals.recording import PoseSignal, Recording
 from identification.signals.segments import find_motion
+from problems.arrays import FloatArray
 from tests.identification.rests import PAYLOAD, Truth, poses_at, turned_about_the_vertical
 from tests.identification.synthetic import tilted
-
-FloatArray = NDArray[np.float64]
 
 
 def general(count: int = 9, seed: int = 4) -> Rotation:

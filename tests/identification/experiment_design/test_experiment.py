@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from autotune.simulation.phases import Program
@@ -21,12 +20,11 @@ from identification.experiment_design.values import Known, PlanValues, usual_val
 from identification.identify import identify_cell
 from identification.result import Estimate, Status
 from identification.robot.position_loop import robot_response
+from problems.arrays import FloatArray
 from problems.errors import ParameterError
 from problems.model.robot import RobotModel
 from tests.autotune.formats.samples import make_identified
 from tests.identification.synthetic import Load, felt_force, tapered
-
-FloatArray = NDArray[np.float64]
 
 CELL = Cell()
 

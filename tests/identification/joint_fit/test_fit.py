@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
@@ -24,10 +23,9 @@ from identification.robot.position_loop import identify_robot
 from identification.signals.aligned import align
 from identification.signals.recording import PoseSignal, Recording
 from identification.signals.segments import find_motion
+from problems.arrays import FloatArray
 from problems.model.plant import Environment
 from problems.model.robot import RobotModel
-
-FloatArray = NDArray[np.float64]
 
 SHORT = Program(pose_count=5, jogging_s=0.0, sweep_s=7.0, contact_count=2)
 SLOW = Cell(

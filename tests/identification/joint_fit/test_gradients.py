@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from identification.joint_fit.force_kernel import TURNS
 from identification.joint_fit.gradients import force_jacobian, step_derivatives
@@ -14,14 +13,13 @@ from identification.joint_fit.noise import Smoother
 from identification.joint_fit.path import FlangePath, commanded_path, measured_path, path_slope
 from identification.joint_fit.segments import FREE, OFFSET, Segment, predict_force, run, segment_model, shared_indices
 from identification.joint_fit.solve import sizes_of
+from problems.arrays import FloatArray
 from problems.design.symbolic import Structure, build_symbolic_form
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment, Payload, Plant
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_sampled_plant
 from tests.identification.synthetic import ramp, sweep
-
-FloatArray = NDArray[np.float64]
 
 H_S = 1e-3
 LOAD = [2.4e5, 120.0, 280.0, 14.0]

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 
 from autotune.simulation.simulate import simulate_cell
@@ -25,7 +24,6 @@ from tests.identification.synthetic import Load, sweep
 from .test_fit import SHORT, gathered, scores
 
 H_S = Cell().sample_time_s
-FloatArray = NDArray[np.float64]
 LOAD = Load()
 OMEGA, DELAY_SAMPLES = 25.0, 3
 NOISE_N, JITTER_M = 0.14, 2e-6

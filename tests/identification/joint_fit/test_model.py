@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
@@ -11,9 +10,8 @@ from identification.joint_fit.model import ParameterLayout, body, held, payload_
 from identification.joint_fit.noise import Smoother
 from identification.joint_fit.path import commanded_path, measured_path
 from identification.joint_fit.segments import Segment, predict_force
+from problems.arrays import FloatArray
 from tests.identification.synthetic import Load, felt_force, sweep, touch
-
-FloatArray = NDArray[np.float64]
 
 H_S = 1e-3
 LOAD = Load()

@@ -4,16 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from identification.joint_fit.covariance import bounded_intervals, count_misfits, widened
 from identification.joint_fit.model import ParameterLayout
 from identification.joint_fit.noise import Smoother, Whitener
 from identification.joint_fit.segments import Segment, group_contacts, predict_force
 from identification.joint_fit.solve import Point, Problem, Signals, information, linearise, minimise, sizes_of
+from problems.arrays import FloatArray
 from tests.identification.synthetic import sweep
-
-FloatArray = NDArray[np.float64]
 
 H_S = 1e-3
 LAYOUT = ParameterLayout(robot_order=1, surfaces=1)

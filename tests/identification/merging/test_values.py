@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from identification.merging.values import (
@@ -20,9 +19,8 @@ from identification.merging.values import (
     with_priors,
 )
 from identification.payload.gravity import LOCAL_GRAVITY_STD
+from problems.arrays import FloatArray
 from tests.problems.axes import LAW
-
-FloatArray = NDArray[np.float64]
 
 NAMES = ("K_s", "B_s", "B_p", "M_p", "x1.K_e")
 TRUTH = np.array([3e5, 150.0, 330.0, 16.2, 1.2e5])

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from identification.errors import EstimateError
@@ -18,10 +17,9 @@ from identification.payload.gravity import (
 )
 from identification.signals.aligned import AlignedLog
 from identification.signals.segments import Span
+from problems.arrays import FloatArray
 from tests.identification.rests import G_M_S2, PAYLOAD, Truth, poses_at
 from tests.identification.synthetic import tilted
-
-FloatArray = NDArray[np.float64]
 
 MASS_KG, COM_M = PAYLOAD.mass_kg, PAYLOAD.com_m
 FORCE_BIAS_N, TORQUE_BIAS_N_M = PAYLOAD.force_bias_n, PAYLOAD.torque_bias_n_m

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from identification.payload.gravity import GravityFit, identify_gravity
@@ -14,8 +13,6 @@ from identification.payload.static_poses import StaticPose
 from identification.result import Status
 from tests.identification.rests import Truth, poses_at
 from tests.identification.synthetic import tilted
-
-FloatArray = NDArray[np.float64]
 
 
 def rests(seed: int, *, mass_kg: float = 16.2, count: int = 12) -> tuple[StaticPose, ...]:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from identification.payload.gravity import GravityFit, identify_gravity
@@ -27,9 +26,9 @@ from identification.payload.static_poses import StaticPose, collect_static_poses
 from identification.result import Status
 from identification.signals.aligned import AlignedLog
 from identification.signals.segments import MotionSpans, find_motion
+from problems.arrays import FloatArray
 from tests.identification.synthetic import ramp
 
-FloatArray = NDArray[np.float64]
 RATE_HZ = 500.0
 G_B = np.array([0.0, 0.0, -9.80665])
 # A payload of point masses: what it weighs and how it turns follows from sums over them alone.

@@ -2,16 +2,14 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from identification.payload.gravity import identify_gravity
 from identification.payload.mounting import MountingFit, identify_mounting
 from identification.result import Status
+from problems.arrays import FloatArray
 from tests.identification.rests import poses_at, turned_about_the_vertical
 from tests.identification.synthetic import tilted
-
-FloatArray = NDArray[np.float64]
 
 MOUNTING_RAD = np.array([0.02, -0.03, 0.05])
 TILT_RAD = np.array([0.015, -0.02])

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from identification.errors import EstimateError
 from identification.robot.admittance_motion import admittance_motions
 from identification.robot.admittance_robot import AdmittanceRobotFit, identify_admittance_robot
 from identification.signals.recording import Recording
+from problems.arrays import FloatArray
 from tests.identification.led_robot import (
     DAMPING_N_S_PER_M,
     FINE_S,
@@ -21,7 +21,6 @@ from tests.identification.led_robot import (
     recorded,
 )
 
-FloatArray = NDArray[np.float64]
 DELAY_S = 0.0123
 
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.signal import lsim
 
 from identification.errors import EstimateError
@@ -15,8 +14,6 @@ from identification.robot.coupling import (
     prediction_error,
 )
 from tests.identification.synthetic import Load, felt_force, ramp, sweep, tapered
-
-FloatArray = NDArray[np.float64]
 
 RATE_HZ = 1000.0
 H_S = 1.0 / RATE_HZ

@@ -2,15 +2,13 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.signal import butter, cont2discrete, lfilter, sosfilt
 
 from identification.errors import EstimateError
 from identification.robot.position_loop import held_robot, identify_robot, robot_response
+from problems.arrays import FloatArray
 from problems.model.robot import RobotModel
 from tests.identification.synthetic import sweep
-
-FloatArray = NDArray[np.float64]
 
 H_S = 1e-3
 PARTS = 50  # delays are drawn in fiftieths of a sample

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from identification.errors import LogError
 from identification.signals.aligned import Span, align, check_regular, longest_whole
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
+from problems.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 START_NS = 1_700_000_000_000_000_000

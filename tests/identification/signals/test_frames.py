@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from identification.signals.frames import slerp, turn_vectors_rad, turned_rad
-
-FloatArray = NDArray[np.float64]
+from problems.arrays import FloatArray
 
 
 def walk(count: int, largest_rad: float, seed: int = 0) -> FloatArray:

@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, binary_opening
 from scipy.spatial.transform import Rotation
 
 from identification.signals.aligned import AlignedLog
 from identification.signals.segments import Span, find_motion, low_pass, without_pauses, without_short
+from problems.arrays import FloatArray
 from tests.identification.synthetic import ramp
-
-FloatArray = NDArray[np.float64]
 
 RATE_HZ = 500.0
 

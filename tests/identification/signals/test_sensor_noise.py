@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt
 from scipy.spatial.transform import Rotation
 
@@ -13,8 +12,7 @@ from identification.signals.aligned import AlignedLog
 from identification.signals.recording import WrenchSignal
 from identification.signals.segments import Span
 from identification.signals.sensor_noise import SensorNoise, find_resolution, identify_sensor_noise
-
-FloatArray = NDArray[np.float64]
+from problems.arrays import FloatArray
 
 RATE_HZ = 1000.0
 REST = 2000

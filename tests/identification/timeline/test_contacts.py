@@ -5,7 +5,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
@@ -13,10 +12,9 @@ from identification.axes.straight import AxisMotion
 from identification.signals.segments import MotionSpans, find_motion
 from identification.timeline.contacts import Pressed, find_contacts
 from identification.timeline.payload import AxisContacts, PayloadMotion, observe_payload
+from problems.arrays import FloatArray
 from tests.identification.signals.test_segments import RATE_HZ, line, log_of
 from tests.identification.synthetic import Load, ramp
-
-FloatArray = NDArray[np.float64]
 
 H_S = 1.0 / RATE_HZ
 LOAD = Load()

@@ -5,7 +5,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from identification.result import CONTACT_UNEXPLAINED, EnvironmentEstimate, Estimate, Status
 from identification.timeline.contacts import find_contacts
@@ -15,8 +14,6 @@ from identification.verdicts import unidentifiable
 from tests.identification.signals.test_segments import line, log_of
 from tests.identification.synthetic import ramp
 from tests.identification.timeline.test_contacts import H_S, LOAD, WALL_M, Press, driven, pressed, there_and_back
-
-FloatArray = NDArray[np.float64]
 
 K_S = Estimate(value=LOAD.stiffness, std=0.01 * LOAD.stiffness, status=Status.IDENTIFIED)
 UNDECIDED = unidentifiable(note="not told")

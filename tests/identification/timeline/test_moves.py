@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.signal import butter, lsim, sosfilt
 
 from identification.timeline.moves import FoundAdmittance, find_admittance, follows, is_hand_led, is_stepped
+from problems.arrays import FloatArray
 from tests.identification.synthetic import Load, felt_force, ramp, sweep
-
-FloatArray = NDArray[np.float64]
 
 H_S = 2e-3
 LAW = FoundAdmittance(mass_kg=14.0, damping_n_s_per_m=1100.0)

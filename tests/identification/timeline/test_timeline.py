@@ -23,12 +23,12 @@ from identification.signals.recording import PoseSignal
 from identification.signals.segments import find_motion, without_pauses, without_short
 from identification.timeline.payload import AxisContacts
 from identification.timeline.timeline import ContactPhase, LogPhase, PhaseKind, build_timeline, name_surfaces
+from problems.arrays import BoolArray
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment
 from problems.model.robot import RobotModel
 from tests.identification.signals.test_segments import held, line, log_of, moved, with_hole
 
-FloatArray = NDArray[np.float64]
 Labels = NDArray[np.object_]
 
 SEEDS = range(20)
@@ -130,7 +130,7 @@ def label(phases: tuple[LogPhase, ...], count: int, period_s: float) -> Labels:
     return labels
 
 
-def script_labels(run: CellRun) -> tuple[Labels, NDArray[np.bool_]]:
+def script_labels(run: CellRun) -> tuple[Labels, BoolArray]:
     """What the script and the signals without noise say, and where a hand has the payload."""
     script, axis, period = run.script, run.axis, run.cell.sample_time_s
     turning = np.linalg.norm(np.gradient(script.rotation_rad, period, axis=0), axis=1)
