@@ -284,5 +284,5 @@ def test_only_the_secant_is_told() -> None:
     ids=["pulling", "no force", "no way"],
 )
 def test_what_is_no_contact_is_refused(displacement: FloatArray, force: FloatArray) -> None:
-    with pytest.raises(EstimateError, match="no contact from which a stiffness can be told"):
+    with pytest.raises(EstimateError, match="no contact from which a stiffness can be determined"):
         identify_trace(displacement, force, H_S)

@@ -16,7 +16,7 @@ from tests.identification.synthetic import ramp
 from tests.identification.timeline.test_contacts import H_S, LOAD, WALL_M, Press, driven, pressed, there_and_back
 
 K_S = Estimate(value=LOAD.stiffness, std=0.01 * LOAD.stiffness, status=Status.IDENTIFIED)
-UNDECIDED = unidentifiable(note="not told")
+UNDECIDED = unidentifiable(note="not identified")
 
 
 @cache
