@@ -1,6 +1,6 @@
 """Estimates of one straight axis out of a recording: robot, coupling, payload, surfaces."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -11,6 +11,7 @@ from problems.progress import ProgressSlice
 
 from .axes.straight import AXIS_NAMES, AxisMotion, commanded_motion, free_motions, unguided_spans
 from .axes.turning import LEVER_M, AxisTurn, rests_after
+from .axis_findings import contact_findings, first_rests, force_beside, latency_findings, mass_findings, misfit_findings
 from .errors import EstimateError
 from .evidence import AxisEvidence
 from .given import Given, axis_keys, settle_axis
@@ -30,20 +31,11 @@ from .signals.segments import MotionSpans, Span
 from .timeline.timeline import AxisContacts
 from .verdicts import judged, missing, unidentifiable, unidentifiable_vector, vector, weak_at_best
 
-_MASS_DISAGREEMENT_STDS = 3.0
-_MASS_DISAGREEMENT_SHARE = 0.02
 _OBLIQUE_CONTACT_DEG = 10.0
 # The continuous model is fitted to signals sampled behind a hold: measured on simulated cells, this is what it costs.
 _MODEL_STD_SHARE = 0.003
-_MORE_THAN_NOISE = 1.5
 _EXACT_SHARE = 1e-6
-# What a force must exceed to count as a touch.
-_LEFT_AT_REST_N = 2.0
 _STAGES_SHARE = 0.27  # of the time that an axis takes
-_OFF_ADVICE = (
-    "See the findings on the payload's weight: a sensor whose gain or zero changes leaves such a force. Or press "
-    "near an orientation in which the poses were held."
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +108,7 @@ def identify_axis(cell: CellSignals, axis: AxisMotion, progress: ProgressSlice |
     result = fit_axis(cell, view, progress or ProgressSlice())
     findings += result.findings
     if result.fit is not None and not result.fit.is_weighed:
-        disagreement = _about_masses(axis.name, cell.gravity, result.fit)
+        disagreement = mass_findings(axis.name, cell.gravity, result.fit)
         findings += disagreement
         if disagreement:
             result = replace(result, estimate=_weakened(result.estimate))
@@ -172,9 +164,9 @@ def fit_axis(cell: CellSignals, view: AxisView, progress: ProgressSlice) -> Axis
         estimate, contradictions = settle_axis(axis.name, _without_coupling(robot, str(error)), None, cell.given)
         contacts = AxisContacts(axis=axis, holds=view.holds, coupling=usual_coupling(cell.gravity.mass_kg))
         return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=None)
-    left_n = _left_beside(axis, cell.motion.still, view.holds)
-    findings += _about_contacts(axis.name, _first_rests(cell.motion.still, data.holds), fit, left_n)
-    findings += [*_about_lag(axis.name, fit), *_about_fit(axis.name, fit)]
+    left_n = force_beside(axis, cell.motion.still, view.holds)
+    findings += contact_findings(axis.name, first_rests(cell.motion.still, data.holds), fit, left_n)
+    findings += [*latency_findings(axis.name, fit), *misfit_findings(axis.name, fit)]
     alone = _estimate(axis, fit, robot, data.period_s)
     both = alone if with_priors is None else _estimate(axis, with_priors, robot, data.period_s)
     estimate, contradictions = settle_axis(axis.name, alone, both, cell.given)
@@ -307,108 +299,6 @@ def _is_along(hold: Span, force_S_n: FloatArray, axis: AxisMotion, findings: lis
             )
         )
     return along
-
-
-def _left_beside(axis: AxisMotion, still: Sequence[Span], holds: Sequence[Span]) -> float:
-    """Return the highest force [N] at the rests next to the holds, in which nothing is touched; 0 without such."""
-    free = [span for span in still if span not in holds]
-    if not free or not holds:
-        return 0.0
-    nearest = [min(free, key=lambda span: abs(span.start - hold.start)) for hold in holds]
-    return max(abs(float(np.median(axis.force_n[span.slice]))) for span in nearest)
-
-
-def _first_rests(still: Sequence[Span], holds: Sequence[Span]) -> tuple[Span, ...]:
-    """Return the holds without those that only a jerk parts from another, no rest without force being in between."""
-    before = [None, *still]
-    return tuple(span for i, span in enumerate(still) if span in holds and before[i] not in holds)
-
-
-def _about_contacts(axis: str, holds: Sequence[Span], fit: JointFit, left_n: float) -> list[Finding]:
-    """Return findings on rests under force that were no contacts; a force without contact explains that best."""
-    used = sum(len(surface.onsets) for surface in fit.surfaces)
-    is_off = left_n > _LEFT_AT_REST_N
-    findings = []
-    if used < len(holds):
-        findings.append(
-            Finding(
-                code="rests-without-spring",
-                severity="warning",
-                message=f"Axis {axis}: {len(holds) - used} of {len(holds)} rests under force do not look like pressing "
-                "on a surface after a free approach and were left out: "
-                + (
-                    f"even without contact weight and bias leave {left_n:.1f} N along the axis."
-                    if is_off
-                    else "a hand may have pushed."
-                ),
-                advice=_OFF_ADVICE if is_off else "Keep hands off the payload during contacts.",
-            )
-        )
-    if not fit.surfaces:
-        findings.append(
-            missing(
-                "no-contact",
-                f"Axis {axis}: no contact with an onset and a hold was found, so the environment's stiffness "
-                "cannot be determined.",
-                _OFF_ADVICE
-                if is_off and holds
-                else "Record 3 or more contacts: approach at 1 to 3 cm/s, press with 20 to 50 N, hold for 1 s, back "
-                "off.",
-            )
-        )
-    return findings
-
-
-def _about_masses(axis: str, gravity: GravityFit, fit: JointFit) -> list[Finding]:
-    """Compare the mass from motion with that from gravity: two methods, one payload."""
-    moved, moved_std = fit.value("mass_kg")
-    apart, together = abs(moved - gravity.mass_kg), float(np.hypot(moved_std, gravity.mass_std_kg))
-    if apart <= max(_MASS_DISAGREEMENT_STDS * together, _MASS_DISAGREEMENT_SHARE * gravity.mass_kg):
-        return []
-    return [
-        Finding(
-            code="mass-disagreement",
-            severity="warning",
-            message=f"Axis {axis}: the mass from motion, {moved:.3f} ± {moved_std:.2g} kg, and from gravity, "
-            f"{gravity.mass_kg:.3f} ± {gravity.mass_std_kg:.2g} kg, disagree.",
-            advice="Check force and length units, the clocks of wrench and pose, and that the payload is the same.",
-        )
-    ]
-
-
-def _about_lag(axis: str, fit: JointFit) -> list[Finding]:
-    """Return the finding that the wrench was late, or early, against the motion; it was taken out."""
-    if fit.latency.is_filter or fit.latency.applied_s == 0.0:
-        return []
-    late = "late" if fit.latency.seconds > 0.0 else "early"
-    return [
-        Finding(
-            code="wrench-lag",
-            severity="info",
-            message=f"Axis {axis}: the wrench is stamped {1e3 * abs(fit.latency.seconds):.3f} ± "
-            f"{1e3 * fit.latency.std_s:.2g} ms {late} against pose and command, which was taken out.",
-            advice="A filter of the sensor or of its driver does this as well as a clock."
-            if fit.latency.seconds > 0.0
-            else "No sensor shows a force before it is there: have both drivers stamp with one clock.",
-        )
-    ]
-
-
-def _about_fit(axis: str, fit: JointFit) -> list[Finding]:
-    """Return the finding that the residual exceeds the noise."""
-    parts = zip(("free motion", "contacts"), fit.diagnostics.noise_ratio, strict=True)
-    result = [f"{ratio:.1f} times in {where}" for where, ratio in parts if ratio > _MORE_THAN_NOISE]
-    if not result:
-        return []
-    return [
-        Finding(
-            code="model-misfit",
-            severity="info",
-            message=f"Axis {axis}: what the fit leaves of the force is larger than the sensor's noise at rest, "
-            f"{' and '.join(result)}; the stated deviations are wider by what that costs.",
-            advice="A payload that is not one mass on one spring, friction, a hand, or clocks that drift do this.",
-        )
-    ]
 
 
 def axis_priors(given: Mapping[str, Given], axis: str) -> dict[str, tuple[float, float]]:

@@ -20,6 +20,7 @@ from identification.axes.straight import (
 from identification.errors import EstimateError
 from identification.joint_fit import fit as joint_fit
 from identification.joint_fit.fit import identify_joint
+from identification.joint_fit.free_motion import fit_ringing
 from identification.signals.aligned import AlignedLog
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 from identification.signals.segments import Span, find_motion
@@ -242,12 +243,12 @@ def test_taps_alone_tell_the_spring_with_the_mass_from_gravity() -> None:
     cell = Cell()
     data = gathered(simulate_cell(cell, dataclasses.replace(TAPPED, contact_count=3), seed=5).recording)
     data = dataclasses.replace(data, free=(), weighed=(cell.payload_mass_kg, 2e-3 * cell.payload_mass_kg))
-    fit = joint_fit._identify(data, joint_fit._ringing_alone, ProgressSlice())
+    fit = joint_fit._identify(data, fit_ringing, ProgressSlice())
     assert np.max(np.abs(scores(fit, cell))) < 4.4
     assert fit.value("stiffness_n_per_m")[1] < 5e-3 * cell.coupling.stiffness_n_per_m
     # One tap is no witness.
     with pytest.raises(EstimateError, match="No two spans"):
-        joint_fit._identify(dataclasses.replace(data, rings=data.rings[:1]), joint_fit._ringing_alone, ProgressSlice())
+        joint_fit._identify(dataclasses.replace(data, rings=data.rings[:1]), fit_ringing, ProgressSlice())
 
 
 def test_where_free_motion_tells_nothing_taps_are_asked() -> None:

@@ -1,0 +1,124 @@
+"""Findings about the fit of one axis: contacts, masses, latency, misfit."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .axes.straight import AxisMotion
+from .joint_fit.result import JointFit
+from .payload.gravity import GravityFit
+from .result import Finding
+from .signals.segments import Span
+from .verdicts import missing
+
+_MASS_DISAGREEMENT_STDS = 3.0
+_MASS_DISAGREEMENT_SHARE = 0.02
+_MORE_THAN_NOISE = 1.5
+# What a force must exceed to count as a touch.
+_LEFT_AT_REST_N = 2.0
+_OFF_ADVICE = (
+    "See the findings on the payload's weight: a sensor whose gain or zero changes leaves such a force. Or press "
+    "near an orientation in which the poses were held."
+)
+
+
+def force_beside(axis: AxisMotion, still: Sequence[Span], holds: Sequence[Span]) -> float:
+    """Return the highest force [N] at the rests next to the holds, in which nothing is touched; 0 without such."""
+    free = [span for span in still if span not in holds]
+    if not free or not holds:
+        return 0.0
+    nearest = [min(free, key=lambda span: abs(span.start - hold.start)) for hold in holds]
+    return max(abs(float(np.median(axis.force_n[span.slice]))) for span in nearest)
+
+
+def first_rests(still: Sequence[Span], holds: Sequence[Span]) -> tuple[Span, ...]:
+    """Return the holds without those that only a jerk parts from another, no rest without force being in between."""
+    before = [None, *still]
+    return tuple(span for i, span in enumerate(still) if span in holds and before[i] not in holds)
+
+
+def contact_findings(axis: str, holds: Sequence[Span], fit: JointFit, left_n: float) -> list[Finding]:
+    """Return findings on rests under force that were no contacts; a force without contact explains that best."""
+    used = sum(len(surface.onsets) for surface in fit.surfaces)
+    is_off = left_n > _LEFT_AT_REST_N
+    findings = []
+    if used < len(holds):
+        findings.append(
+            Finding(
+                code="rests-without-spring",
+                severity="warning",
+                message=f"Axis {axis}: {len(holds) - used} of {len(holds)} rests under force do not look like pressing "
+                "on a surface after a free approach and were left out: "
+                + (
+                    f"even without contact weight and bias leave {left_n:.1f} N along the axis."
+                    if is_off
+                    else "a hand may have pushed."
+                ),
+                advice=_OFF_ADVICE if is_off else "Keep hands off the payload during contacts.",
+            )
+        )
+    if not fit.surfaces:
+        findings.append(
+            missing(
+                "no-contact",
+                f"Axis {axis}: no contact with an onset and a hold was found, so the environment's stiffness "
+                "cannot be determined.",
+                _OFF_ADVICE
+                if is_off and holds
+                else "Record 3 or more contacts: approach at 1 to 3 cm/s, press with 20 to 50 N, hold for 1 s, back "
+                "off.",
+            )
+        )
+    return findings
+
+
+def mass_findings(axis: str, gravity: GravityFit, fit: JointFit) -> list[Finding]:
+    """Compare the mass from motion with that from gravity: two methods, one payload."""
+    moved, moved_std = fit.value("mass_kg")
+    apart, together = abs(moved - gravity.mass_kg), float(np.hypot(moved_std, gravity.mass_std_kg))
+    if apart <= max(_MASS_DISAGREEMENT_STDS * together, _MASS_DISAGREEMENT_SHARE * gravity.mass_kg):
+        return []
+    return [
+        Finding(
+            code="mass-disagreement",
+            severity="warning",
+            message=f"Axis {axis}: the mass from motion, {moved:.3f} ± {moved_std:.2g} kg, and from gravity, "
+            f"{gravity.mass_kg:.3f} ± {gravity.mass_std_kg:.2g} kg, disagree.",
+            advice="Check force and length units, the clocks of wrench and pose, and that the payload is the same.",
+        )
+    ]
+
+
+def latency_findings(axis: str, fit: JointFit) -> list[Finding]:
+    """Return the finding that the wrench was late, or early, against the motion; it was taken out."""
+    if fit.latency.is_filter or fit.latency.applied_s == 0.0:
+        return []
+    late = "late" if fit.latency.seconds > 0.0 else "early"
+    return [
+        Finding(
+            code="wrench-lag",
+            severity="info",
+            message=f"Axis {axis}: the wrench is stamped {1e3 * abs(fit.latency.seconds):.3f} ± "
+            f"{1e3 * fit.latency.std_s:.2g} ms {late} against pose and command, which was taken out.",
+            advice="A filter of the sensor or of its driver does this as well as a clock."
+            if fit.latency.seconds > 0.0
+            else "No sensor shows a force before it is there: have both drivers stamp with one clock.",
+        )
+    ]
+
+
+def misfit_findings(axis: str, fit: JointFit) -> list[Finding]:
+    """Return the finding that the residual exceeds the noise."""
+    parts = zip(("free motion", "contacts"), fit.diagnostics.noise_ratio, strict=True)
+    result = [f"{ratio:.1f} times in {where}" for where, ratio in parts if ratio > _MORE_THAN_NOISE]
+    if not result:
+        return []
+    return [
+        Finding(
+            code="model-misfit",
+            severity="info",
+            message=f"Axis {axis}: what the fit leaves of the force is larger than the sensor's noise at rest, "
+            f"{' and '.join(result)}; the stated deviations are wider by what that costs.",
+            advice="A payload that is not one mass on one spring, friction, a hand, or clocks that drift do this.",
+        )
+    ]
