@@ -43,7 +43,7 @@ def identify_joint(data: JointData, progress: ProgressSlice | None = None) -> Jo
     The likelihood is that of the pose given the command times that of the force given both: the flange's path is the
     robot's exact answer to the command plus what Wiener's filter keeps of the rest, and what remains of the force is
     whitened by an autoregression, fitted again after every round. Where free motion does not show the payload, what
-    rings after taps and releases may, with the mass that gravity shows (`JointFit.is_weighed`). `progress` is known the
+    rings after taps and releases may, with the mass that gravity shows (`JointFit.is_weighed`). `progress` receives the
     share of the work that is done. Raises EstimateError when no span can be used.
     """
     progress = progress or ProgressSlice()
