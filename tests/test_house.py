@@ -168,10 +168,32 @@ def test_no_import_goes_in_a_circle(repository: Path) -> None:
 
 
 # The second meaning of each is to be renamed; a name that is gone from the code has to go from here, too.
-NAMES_WITH_TWO_MEANINGS = set(
-    "Batch Breach Cell Certificate Collision CollisionResponse CommandNoise ContactOutcome Damage DeadbandType Held Layout "
-    "Limit Opener Page Payload Program Recording Series Span Standing Structure Target Told".split()
-)
+NAMES_WITH_TWO_MEANINGS = {
+    "Batch",
+    "Breach",
+    "Cell",
+    "Certificate",
+    "Collision",
+    "CollisionResponse",
+    "CommandNoise",
+    "ContactOutcome",
+    "Damage",
+    "DeadbandType",
+    "Held",
+    "Layout",
+    "Limit",
+    "Opener",
+    "Page",
+    "Payload",
+    "Program",
+    "Recording",
+    "Series",
+    "Span",
+    "Standing",
+    "Structure",
+    "Target",
+    "Told",
+}
 
 
 def test_a_public_class_name_has_one_meaning(repository: Path) -> None:
