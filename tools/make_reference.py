@@ -166,9 +166,14 @@ def _number(value: float) -> str:
 
 def page() -> str:
     """Return the whole page."""
+    # The project of this folder, installed or not.
+    sys.path.insert(0, str(ROOT))
+    from autotune.formats.problem import problem_schema  # noqa: PLC0415
+    from autotune.formats.schema import load_schema  # noqa: PLC0415
+
     parts = [HEAD]
     for name in ORDER:
-        tree = json.loads((SCHEMAS / f"{name}.schema.json").read_text(encoding="utf-8"))
+        tree = problem_schema({}) if name == "problem" else load_schema(name)
         rows = dict.fromkeys(row.text() for row in Schema(tree).rows())
         table = ["| | entry | is | unit | must be |", "|---|---|---|---|---|", *rows]
         parts.append(f"## {name}.yaml\n\n{tree['title']}.\n\n" + "\n".join(table) + "\n")

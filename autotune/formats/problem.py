@@ -99,7 +99,7 @@ class ProblemSpec:
 def read_problem(path: Path) -> ProblemSpec:
     """Read `problem.yaml`; raises UsageError with file, line and reason for anything unknown or out of range."""
     document = load_document(path, error=UsageError)
-    check_document(document, _schema(document.tree))
+    check_document(document, problem_schema(document.tree))
     tree = document.tree
     for place in _intervals(tree):
         _check_order(document, place)
@@ -172,7 +172,7 @@ def _requirements(tree: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, fl
     return asked, prices
 
 
-def _schema(tree: Mapping[str, Any]) -> dict[str, Any]:
+def problem_schema(tree: Mapping[str, Any]) -> dict[str, Any]:
     """Return the schema of the file with an entry for every requirement that it names and that has none there.
 
     The built-in ones have one whether they are named or not; those of other packages where they are installed.
