@@ -168,8 +168,8 @@ def page() -> str:
     """Return the whole page."""
     # The project of this folder, installed or not.
     sys.path.insert(0, str(ROOT))
-    from autotune.formats.problem import problem_schema  # noqa: PLC0415
-    from autotune.formats.schema import load_schema  # noqa: PLC0415
+    from autotune.formats.problem import problem_schema
+    from autotune.formats.schema import load_schema
 
     parts = [HEAD]
     for name in ORDER:
