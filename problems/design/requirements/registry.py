@@ -7,6 +7,7 @@ from ...frozen import FrozenDict
 from .admittance import AdmittanceRequirement
 from .base import Requirement
 from .command_noise import NoiseRequirement
+from .damping_ratio import DampingRatio
 from .margins import DecayRate, DelayMargin, GainMargin, ModulusMargin, PhaseMargin
 from .passivity import PassivityRequirement
 from .peak_force import PeakForceLimit
@@ -24,6 +25,7 @@ BUILT_IN: Mapping[str, Requirement[Any]] = FrozenDict(
             AdmittanceRequirement(),
             NoiseRequirement(),
             PassivityRequirement(),
+            DampingRatio(),
         )
     }
 )
