@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from autotune.formats.identified import IdentifiedFile
     from autotune.report.page import Page
     from autotune.validation.against_log import ComparedContact, LogComparison
-    from autotune.validation.disturbances import Told
+    from autotune.validation.disturbances import Disturbances
     from autotune.validation.monte_carlo import AxisMonteCarlo
     from autotune.validation.report import ValidationReport
 
@@ -118,8 +118,7 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
     from autotune.formats.controller import read_controller
     from autotune.formats.identified import read_identified
     from autotune.validation.domain import check_domain
-    from autotune.validation.monte_carlo import run_monte_carlo
-    from autotune.validation.monte_carlo_report import monte_carlo_checks, monte_carlo_tree
+    from autotune.validation.monte_carlo import monte_carlo_checks, monte_carlo_tree, run_monte_carlo
     from autotune.validation.report import ValidationReport
     from autotune.validation.validate import validate_controller
 
@@ -246,9 +245,9 @@ def _signed_by(read: "ControllerFile", public: Any) -> str:
     return check_signature(read.path, public, read.sha256)
 
 
-def _told(options: dict[str, Any], identified: "IdentifiedFile | None") -> "Told":
+def _told(options: dict[str, Any], identified: "IdentifiedFile | None") -> "Disturbances":
     """Return what is known of the cell: what the options say, else the noise that was identified."""
-    from autotune.validation.disturbances import Told
+    from autotune.validation.disturbances import Disturbances
 
     nothing = (None, None)
     noise = options["noise"]
@@ -256,7 +255,7 @@ def _told(options: dict[str, Any], identified: "IdentifiedFile | None") -> "Told
         sensor = identified.result.sensor
         torque = None if sensor.torque_noise_rms_n_m is None else sensor.torque_noise_rms_n_m.value
         noise = sensor.force_noise_rms_n.value, None if torque is None else max(torque)
-    return Told(
+    return Disturbances(
         noise_rms=noise or nothing,
         sensor_range=options["sensor_range"] or nothing,
         speed_limit=options["speed_limit"] or nothing,

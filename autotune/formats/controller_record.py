@@ -308,7 +308,7 @@ class Proof:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reach:
+class ProvenRegion:
     """How far a modulus margin, and stability with it, is proved at all frequencies, in contact and in free space.
 
     `over` names what varies in its whole range, the rest is nominal. `modulus` is the swept one less the share `slack`.
@@ -373,7 +373,7 @@ class Certificate:
     rotational_requirements: Mapping[str, Requirement] | None = None
     sampled: tuple[Proof, ...] = ()
     soft: Mapping[str, Mapping[str, SoftRequirement]] | None = None
-    continuous: Mapping[str, tuple[Reach, ...]] | None = None
+    continuous: Mapping[str, tuple[ProvenRegion, ...]] | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "domain", "requirements", "margins")

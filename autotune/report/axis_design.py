@@ -14,7 +14,7 @@ from autotune.formats.controller_record import (
     AxisMargins,
     AxisPrediction,
     Controller,
-    Reach,
+    ProvenRegion,
     ScenarioPrediction,
     SoftRequirement,
 )
@@ -48,7 +48,7 @@ class AxisDesign:
     margins: AxisMargins
     asked: Asked
     soft: Mapping[str, SoftRequirement]
-    reach: tuple[Reach, ...] = ()
+    reach: tuple[ProvenRegion, ...] = ()
 
     @property
     def units(self) -> AxisUnits:

@@ -15,8 +15,7 @@ from autotune.formats.schema import check_document, check_format
 from autotune.formats.yaml12 import load_document
 from autotune.pipeline import Topics, identify_log
 from autotune.processes import count_processors
-from autotune.validation.monte_carlo import run_monte_carlo
-from autotune.validation.monte_carlo_report import monte_carlo_checks
+from autotune.validation.monte_carlo import monte_carlo_checks, run_monte_carlo
 from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller
 from identification.errors import LogError

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.validation.bouncing import LEAST_FORCE, SPEEDS
-from autotune.validation.refuted import RefutedError
+from autotune.validation.bouncing import LEAST_FORCE, SPEEDS, RefutedError
 from problems.contact.bouncing import Ending, follow_contact, settling_window
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact
 from problems.design.problem import DesignProblem

@@ -15,7 +15,7 @@ from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import axis_units
 from autotune.runtime.law import STANDARD_GRAVITY_M_S2
 from autotune.runtime.load import LEVER_M, REDUCED_SPEED_M_S
-from autotune.validation.limits import commanded_motion, with_residual
+from autotune.validation.contacts import commanded_motion, with_residual
 from identification.result import Identified
 from problems.model.controller import controller_blocks
 

@@ -181,8 +181,8 @@ def certify(
         check_within_bounds(search, name)
     found = _prove(searches, proof, progress) if proved is None else proved
     proofs = {name: each.proofs for name, each in found.items()}
-    reaches = {name: each.reaches for name, each in found.items()}
-    controller = build_controller(searches, payload, proofs, reaches, provenance)
+    regions = {name: each.regions for name, each in found.items()}
+    controller = build_controller(searches, payload, proofs, regions, provenance)
     if threshold is not None:
         controller, _ = choose_threshold(controller, searches, threshold)
     controller = with_limits(controller, limits or LimitsSettings())

@@ -19,7 +19,7 @@ from autotune.formats.controller_record import (
     Filters,
     FreeSpaceAdmittance,
     Proof,
-    Reach,
+    ProvenRegion,
     Requirement,
     RuntimePayload,
     ScenarioPrediction,
@@ -49,10 +49,10 @@ def build_controller(
     results: Mapping[str, SearchResult],
     payload: RuntimePayload,
     proofs: Mapping[str, tuple[Proof, ...]],
-    reaches: Mapping[str, tuple[Reach, ...]],
+    regions: Mapping[str, tuple[ProvenRegion, ...]],
     provenance: Mapping[str, Any],
 ) -> Controller:
-    """Assemble the controller of all tuned axes; `proofs` and `reaches` are what validation's code has shown, per axis.
+    """Assemble the controller of all tuned axes; `proofs` and `regions` are what validation's code has shown, per axis.
 
     The axes share h, filters and payload, and axes of a kind their requirements; they come from one identified file
     and one problem. `payload` is what the runtime compensates.
@@ -88,11 +88,11 @@ def build_controller(
             sampled=tuple(
                 claim
                 for name in results
-                for claim in sampled_claims(domain[name], margins[name], predicted[name], name, reaches.get(name, ()))
+                for claim in sampled_claims(domain[name], margins[name], predicted[name], name, regions.get(name, ()))
             ),
             margins=margins,
             soft=soft or None,
-            continuous=reaches or None,
+            continuous=regions or None,
         ),
         provenance=provenance,
     )

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from autotune.errors import CertificateError, InfeasibleError
 from autotune.formats.units import axis_units
 from autotune.validation.axis_proof import AxisProof, ProofOptions, prove_axis
-from autotune.validation.bouncing import search_bouncing
-from autotune.validation.refuted import RefutedError
+from autotune.validation.bouncing import RefutedError, search_bouncing
 
 from .counterexamples import NOTHING, Counterexamples, ImpactTest
 from .optimality_report import OptimalityReport, report_optimality

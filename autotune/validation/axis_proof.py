@@ -9,12 +9,12 @@ from autotune.certificate.certify import Certificate
 from autotune.certificate.claim import METHOD, WORK_PER_SECOND, Claim, CombinedCertificate, prove
 from autotune.certificate.family import MASS, PROVABLE, STIFFNESS, Interval
 from autotune.errors import CertificateError
-from autotune.formats.controller_record import AxisDomain, Proof, Reach
+from autotune.formats.controller_record import AxisDomain, Proof, ProvenRegion
 from autotune.formats.units import AxisUnits, axis_units
 from problems.errors import ParameterError
 from problems.model.sampled import Controller
 
-from .refuted import RefutedError
+from .bouncing import RefutedError
 
 # What a proof of stability alone may take, and one of which the file names no budget.
 STABILITY_WORK = 60 * WORK_PER_SECOND
@@ -78,7 +78,7 @@ class AxisProof:
     """What is proved of one axis, as its certificate states it, and the `answers` that say so."""
 
     proofs: tuple[Proof, ...]
-    reaches: tuple[Reach, ...]
+    regions: tuple[ProvenRegion, ...]
     answers: Answers
 
 
@@ -128,7 +128,7 @@ def prove_axis(
     further = tuple(key for key in domain.uncertain or {} if key in PROVABLE)
     if further and options.further_s > 0.0:
         asked.append(((*_ALWAYS, *further), options.further_s))
-    prover, reaches = Prover(), []
+    prover, regions = Prover(), []
     for over, budget_s in asked:
         share = None if progress is None else partial(_passed_on, progress, 1.0 / len(asked))
         found = prover.prove(modulus_claim(domain, law, sample_time_s, over, modulus, budget_s), share)
@@ -136,8 +136,8 @@ def prove_axis(
         if false is not None:
             raise _refuted(name, domain, false, told_false(false, axis_units(name)))
         low, high = domain.environment_stiffness_n_per_m
-        reaches.append(
-            Reach(
+        regions.append(
+            ProvenRegion(
                 over=over,
                 modulus=modulus,
                 slack=options.slack,
@@ -150,12 +150,12 @@ def prove_axis(
                 run_time_s=found.run_time_s,
             )
         )
-    claim = stability_claim(domain, law, sample_time_s, reaches)
+    claim = stability_claim(domain, law, sample_time_s, regions)
     stable = prover.prove(claim)
     if stable.failed is not None:
         raise _refuted(name, domain, stable.failed, told_unstable(stable, axis_units(name)))
     proofs = stability_statements(domain, claim, stable, name)
-    return AxisProof(proofs=proofs, reaches=tuple(reaches), answers=prover.answers)
+    return AxisProof(proofs=proofs, regions=tuple(regions), answers=prover.answers)
 
 
 def _passed_on(progress: Callable[[float], None], share: float, done: float) -> None:
@@ -197,12 +197,14 @@ def modulus_claim(
     )
 
 
-def stability_claim(domain: AxisDomain, law: Controller, sample_time_s: float, reaches: Iterable[Reach] = ()) -> Claim:
+def stability_claim(
+    domain: AxisDomain, law: Controller, sample_time_s: float, regions: Iterable[ProvenRegion] = ()
+) -> Claim:
     """Return the claim by which stability over K_e and M_p is proved.
 
     It is the claim of the modulus where that is proved over all of K_e and M_p, and otherwise that of stability alone.
     """
-    for each in reaches:
+    for each in regions:
         if each.over == _ALWAYS and each.share == 1.0:
             return modulus_claim(domain, law, sample_time_s, each.over, each.modulus, each.budget_s)
     alone = modulus_claim(domain, law, sample_time_s, _ALWAYS, _MOST_MODULUS, 1.0)

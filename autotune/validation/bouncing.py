@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from autotune.errors import CertificateError
 from autotune.formats.controller_record import AxisDomain, Proof
 from autotune.formats.units import axis_units
 from problems.contact.bouncing import ContactOutcome, Ending, follow_contact, settling_window
@@ -198,3 +199,14 @@ def bouncing_claim(axis: str, domain: AxisDomain, whole: str) -> Proof:
             "seed": float(SEED),
         },
     )
+
+
+class RefutedError(CertificateError):
+    """A claim about `axis` is false, or cannot be proved, at the plant `scenario`.
+
+    `impact` is the contact on it that bounces for ever, None where it is something else.
+    """
+
+    def __init__(self, message: str, *, axis: str, scenario: Scenario, impact: Impact | None = None) -> None:
+        super().__init__(message)
+        self.axis, self.scenario, self.impact = axis, scenario, impact

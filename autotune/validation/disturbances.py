@@ -19,7 +19,7 @@ _ABOVE_APPROACH = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Told:
+class Disturbances:
     """What the caller knows of the cell, as pairs for x, y, z and for rx, ry, rz; None where it is not said.
 
     `noise_rms` of the sensor per tick [N, N·m], `sensor_range` at which it clips [N, N·m], `speed_limit` of the command
@@ -47,7 +47,7 @@ _RULES: tuple[tuple[str, Callable[[float], bool], str], ...] = (
 )
 
 
-def axis_effects(controller: Controller, name: str, told: Told, approach_speed: float) -> Nonlinearities:
+def axis_effects(controller: Controller, name: str, told: Disturbances, approach_speed: float) -> Nonlinearities:
     """Return deadband, noise, clipping, limit on the command and late commands of one axis.
 
     The deadband is the file's. The noise is what the caller says, else that of the file's limit on the command's noise,
@@ -84,7 +84,7 @@ def file_deadband(gains: AxisGains) -> Deadband:
     return Deadband(width_n=gains.deadband, kind="threshold")
 
 
-def _noise_rms(controller: Controller, name: str, told: Told) -> float:
+def _noise_rms(controller: Controller, name: str, told: Disturbances) -> float:
     turns = name in ROTATIONAL_AXES
     said = told.noise_rms[turns]
     if said is not None:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from autotune.certificate.claim import METHOD
-from autotune.formats.controller_record import AxisDomain, Controller, Proof, Reach
+from autotune.formats.controller_record import AxisDomain, Controller, Proof, ProvenRegion
 from autotune.formats.units import axis_units
 from problems.design.uncertainty import SYMBOLS
 from problems.errors import ParameterError
@@ -43,8 +43,8 @@ def check_stability(
     is proved, too, where the modulus of the file is false.
     """
     certificate, units = controller.certificate, axis_units(name)
-    domain, reaches = certificate.domain[name], (certificate.continuous or {}).get(name, ())
-    claim = stability_claim(domain, law, controller.sample_time_s, () if is_short else reaches)
+    domain, regions = certificate.domain[name], (certificate.continuous or {}).get(name, ())
+    claim = stability_claim(domain, law, controller.sample_time_s, () if is_short else regions)
     origin, found = prover.origin(claim), prover.prove(claim)
     if not found.holds and claim.modulus is not None:
         claim = stability_claim(domain, law, controller.sample_time_s)
@@ -83,11 +83,11 @@ def wrong_statements(controller: Controller, name: str, proved: Sequence[Proof])
     be stated than could be. What is stated of no tuned axis belongs to the first one.
     """
     certificate, first = controller.certificate, next(iter(controller.axes))
-    domain, reaches = certificate.domain[name], (certificate.continuous or {}).get(name, ())
+    domain, regions = certificate.domain[name], (certificate.continuous or {}).get(name, ())
     # As releases before this one say it: by another method, and before that of the same loops in fewer words.
     composed = [*proved, *(replace(each, method=FORMER_METHOD, numbers=None) for each in proved)]
     composed += [replace(each, claim=each.claim.replace("stable while it stays", "stable")) for each in composed]
-    sampled = sampled_claims(domain, certificate.margins[name], controller.predicted[name], name, reaches)
+    sampled = sampled_claims(domain, certificate.margins[name], controller.predicted[name], name, regions)
     wrong = [
         f"{kind} states {stated.claim!r} over {stated.over!r}{_expected(stated, known)}"
         for kind, stated_all, known in (
@@ -99,7 +99,7 @@ def wrong_statements(controller: Controller, name: str, proved: Sequence[Proof])
     ]
     wrong += [
         f"continuous states the method {each.method!r}, which is {METHOD!r}"
-        for each in reaches
+        for each in regions
         if each.method != METHOD
     ]
     return wrong
@@ -143,7 +143,7 @@ def check_continuous(controller: Controller, name: str, law: AdmittanceControlle
 
 
 def _continuous(
-    name: str, domain: AxisDomain, reach: Reach, law: AdmittanceController, sample_time_s: float, prover: Prover
+    name: str, domain: AxisDomain, reach: ProvenRegion, law: AdmittanceController, sample_time_s: float, prover: Prover
 ) -> Check:
     units, (low, high) = axis_units(name), reach.environment_stiffness_n_per_m
     over = ", ".join(SYMBOLS.get(each, each) for each in reach.over)

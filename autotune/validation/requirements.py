@@ -28,11 +28,10 @@ from problems.model.plant import FREE_SPACE, Plant
 from problems.model.sampled import Controller as LoopController
 from problems.model.sampled import build_sampled_plant
 
-from .admittance import sampled_admittance
 from .certified_requirements import asked_of, certified_problem_requirements, soft_told
-from .command import passive_band_hz, worst_speed_rms
 from .margins import SweptMargins
 from .report import Check
+from .simulated_responses import passive_band_hz, sampled_admittance, worst_speed_rms
 from .validation_samples import OtherPlants
 
 _MASS_POINTS, _NOISE_STIFFNESS_POINTS = 3, 9

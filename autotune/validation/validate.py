@@ -14,13 +14,11 @@ from problems.model.controller import AdmittanceController
 from .axis_proof import Answers, Prover
 from .bouncing import search_bouncing
 from .certified_requirements import limit_n
-from .limits import verify_limits
+from .contacts import verify_limits, verify_peaks, verify_response
 from .margins import SweptMargins, sweep_margins
-from .peaks import verify_peaks
 from .proof_checks import check_continuous, check_stability, check_statements
 from .report import Check, ValidationReport
 from .requirements import check_admittance, check_further, check_margins, check_requirements
-from .response import verify_response
 from .validation_samples import OtherPlants, build_other_plants, recorded_plants
 
 _STIFFNESS_POINTS, _MASS_POINTS = 25, 3

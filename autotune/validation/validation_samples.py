@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from autotune.formats.controller_record import AxisDomain, AxisMargins, AxisPrediction, Proof, Reach
+from autotune.formats.controller_record import AxisDomain, AxisMargins, AxisPrediction, Proof, ProvenRegion
 from autotune.formats.units import axis_units
 from problems.design.uncertainty import SYMBOLS, Scenario, Uncertainty
 from problems.model.plant import Plant, WrenchFilter
@@ -65,18 +65,18 @@ def recorded_plants(domain: AxisDomain, margins: AxisMargins) -> tuple[Plant, ..
 
 
 def sampled_claims(
-    domain: AxisDomain, margins: AxisMargins, predicted: AxisPrediction, name: str, reaches: Sequence[Reach] = ()
+    domain: AxisDomain, margins: AxisMargins, predicted: AxisPrediction, name: str, regions: Sequence[ProvenRegion] = ()
 ) -> tuple[Proof, ...]:
     """Return what is looked for, and not found, beyond what is proved.
 
     Of every axis that no contact bounces for ever; where more than K_e and M_p is uncertain, of that set too. Where
-    `reaches` hold a proof over all that is uncertain, stability is none of it.
+    `regions` hold a proof over all that is uncertain, stability is none of it.
     """
     bouncing = bouncing_claim(name, domain, "" if domain.uncertain is None else told_set(domain, name))
     if domain.uncertain is None:
         return (bouncing,)
     others = build_other_plants(domain, margins, predicted)
-    is_proved = any(reach.share == 1.0 and set(domain.uncertain) <= set(reach.over) for reach in reaches)
+    is_proved = any(reach.share == 1.0 and set(domain.uncertain) <= set(reach.over) for reach in regions)
     stable = "the margins stated" if is_proved else "stable with the margins stated"
     return (
         Proof(

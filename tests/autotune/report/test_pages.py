@@ -21,8 +21,7 @@ from autotune.report.page import Facts, Note, Page, Section, Table, join_pages, 
 from autotune.report.validate_page import Validated, build_validate_page
 from autotune.tuning.compare import compare
 from autotune.validation.against_log import LogComparison
-from autotune.validation.monte_carlo import run_monte_carlo
-from autotune.validation.monte_carlo_report import monte_carlo_checks
+from autotune.validation.monte_carlo import monte_carlo_checks, run_monte_carlo
 from autotune.validation.report import Check, ValidationReport
 from problems.model.controller import AdmittanceController
 from tests.autotune.formats.test_schedule import make_schedule

@@ -18,7 +18,7 @@ from autotune.tuning.search import solve_design
 from autotune.tuning.settling import prove_search, settle
 from autotune.validation import bouncing
 from autotune.validation.axis_proof import ProofOptions
-from autotune.validation.refuted import RefutedError
+from autotune.validation.bouncing import RefutedError
 from problems.design.uncertainty import Scenario
 from tests.autotune.tuning.cases import fast_optimized
 from tests.autotune.validation.bouncing_cases import bouncing_problem

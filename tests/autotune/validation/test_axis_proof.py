@@ -48,13 +48,13 @@ def test_a_swept_modulus_that_is_none_is_refused_with_its_point() -> None:
 def test_all_that_is_uncertain_is_proved_as_far_as_the_budget_goes() -> None:
     domain, law, swept = case()
     wide = replace(domain, uncertain=FURTHER)
-    (alone,) = prove_axis(wide, law, 8e-4, "x", 0.9 * swept, ProofOptions(further_s=0.0)).reaches
+    (alone,) = prove_axis(wide, law, 8e-4, "x", 0.9 * swept, ProofOptions(further_s=0.0)).regions
     assert alone.over == BOTH
-    first, second = prove_axis(wide, law, 8e-4, "x", 0.9 * swept, ProofOptions(further_s=2.0)).reaches
+    first, second = prove_axis(wide, law, 8e-4, "x", 0.9 * swept, ProofOptions(further_s=2.0)).regions
     assert first == alone
     assert second.over == (*BOTH, *FURTHER)
     assert second.share == 1.0
-    _, cut = prove_axis(wide, law, 8e-4, "x", 0.9 * swept, ProofOptions(further_s=0.02)).reaches
+    _, cut = prove_axis(wide, law, 8e-4, "x", 0.9 * swept, ProofOptions(further_s=0.02)).regions
     assert cut.share < 1.0
     assert cut.environment_stiffness_n_per_m[1] < domain.environment_stiffness_n_per_m[1]
 
@@ -88,9 +88,9 @@ def test_where_the_budget_ends_stability_is_proved_alone() -> None:
     domain, law, swept = case()
     found = prove_axis(domain, law, 8e-4, "x", swept, ProofOptions(budget_s=1e-4))
     assert [claim.modulus is None for claim, _ in found.answers] == [False, True]
-    (reach,) = found.reaches
+    (reach,) = found.regions
     assert reach.share < 1.0
-    assert found.answers[1][0] == stability_claim(domain, law, 8e-4, found.reaches)
+    assert found.answers[1][0] == stability_claim(domain, law, 8e-4, found.regions)
     assert found.answers[1][1].holds
     assert all("modulus" not in (stated.numbers or {}) for stated in found.proofs)
 

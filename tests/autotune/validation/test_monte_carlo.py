@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from autotune.formats.controller_record import Controller, DeadbandType
-from autotune.validation.disturbances import Told, axis_effects
-from autotune.validation.monte_carlo import AxisMonteCarlo, run_monte_carlo
-from autotune.validation.monte_carlo_report import monte_carlo_checks, monte_carlo_tree
+from autotune.validation.disturbances import Disturbances, axis_effects
+from autotune.validation.monte_carlo import AxisMonteCarlo, monte_carlo_checks, monte_carlo_tree, run_monte_carlo
 from autotune.validation.validate import admittance_controller
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.design.requirements import NoiseLimit
@@ -18,7 +17,7 @@ from problems.model.sampled import build_sampled_plant
 from tests.autotune.tuning.cases import small_controller
 from tests.autotune.validation.test_validate import domain, peaks
 
-NOTHING = Told(noise_rms=(0.0, 0.0), speed_limit=(10.0, 10.0), late_share=0.0)
+NOTHING = Disturbances(noise_rms=(0.0, 0.0), speed_limit=(10.0, 10.0), late_share=0.0)
 FEW = 8
 
 
@@ -26,7 +25,9 @@ def gains(controller: Controller, **values: Any) -> Controller:
     return replace(controller, axes={"x": replace(controller.axes["x"], **values)})
 
 
-def on_x(controller: Controller, *, count: int = FEW, seed: int = 1, told: Told | None = None) -> AxisMonteCarlo:
+def on_x(
+    controller: Controller, *, count: int = FEW, seed: int = 1, told: Disturbances | None = None
+) -> AxisMonteCarlo:
     (found,) = run_monte_carlo(controller, count=count, seed=seed, told=told)
     return found
 
@@ -124,7 +125,7 @@ def test_disturbances_that_explain_less_than_they_do_fail() -> None:
 
 def test_a_simulation_that_is_not_possible_is_no_verification() -> None:
     fast = domain(approach_speed_m_s=0.5, approach_force_n=None)(small_controller())
-    (check,) = monte_carlo_checks(run_monte_carlo(fast, count=2, told=Told(speed_limit=(0.1, None))))
+    (check,) = monte_carlo_checks(run_monte_carlo(fast, count=2, told=Disturbances(speed_limit=(0.1, None))))
     assert (check.name, check.passed) == ("full simulation", False)
     assert check.message.startswith("not possible: approach.speed_m_s")
 
@@ -138,7 +139,7 @@ def test_plants_without_any_delay_are_left_out_and_told_so() -> None:
 
 def test_what_is_not_said_is_taken_from_the_file_and_then_as_usual() -> None:
     controller = small_controller()
-    assert axis_effects(controller, "x", Told(), 0.02).force_noise_rms_n == 0.2
+    assert axis_effects(controller, "x", Disturbances(), 0.02).force_noise_rms_n == 0.2
     limited = replace(
         controller.certificate,
         requirements={
@@ -146,13 +147,13 @@ def test_what_is_not_said_is_taken_from_the_file_and_then_as_usual() -> None:
             "command_noise": NoiseLimit(max_speed_rms_m_s=1e-3, force_noise_rms_n=0.3),
         },
     )
-    assert axis_effects(replace(controller, certificate=limited), "x", Told(), 0.02).force_noise_rms_n == 0.3
-    told = Told(noise_rms=(0.4, None), sensor_range=(200.0, None), speed_limit=(0.1, None), late_share=0.0)
+    assert axis_effects(replace(controller, certificate=limited), "x", Disturbances(), 0.02).force_noise_rms_n == 0.3
+    told = Disturbances(noise_rms=(0.4, None), sensor_range=(200.0, None), speed_limit=(0.1, None), late_share=0.0)
     effects = axis_effects(replace(controller, certificate=limited), "x", told, 0.02)
     assert (effects.force_noise_rms_n, effects.force_limit_n, effects.late_share) == (0.4, 200.0, 0.0)
     assert effects.limits is not None
     assert effects.limits.speed_m_s == 0.1
-    fast = axis_effects(controller, "x", Told(), 0.2).limits
+    fast = axis_effects(controller, "x", Disturbances(), 0.2).limits
     assert fast is not None
     assert fast.speed_m_s == 0.4
     assert effects.deadband is not None
@@ -196,7 +197,7 @@ def test_an_axis_that_turns_has_its_own_units_and_noise() -> None:
 )
 def test_a_cell_that_cannot_be_is_refused(values: dict[str, Any], name: str) -> None:
     with pytest.raises(ParameterError) as caught:
-        Told(**values)
+        Disturbances(**values)
     assert caught.value.name == name
 
 

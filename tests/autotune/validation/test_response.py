@@ -16,10 +16,9 @@ from autotune.formats.controller_record import (
     ScenarioPrediction,
 )
 from autotune.validation.against_log import compare_with_log
-from autotune.validation.disturbances import Told, axis_effects
-from autotune.validation.monte_carlo import run_monte_carlo
-from autotune.validation.monte_carlo_report import monte_carlo_checks, monte_carlo_tree
-from autotune.validation.response import verify_response
+from autotune.validation.contacts import verify_response
+from autotune.validation.disturbances import Disturbances, axis_effects
+from autotune.validation.monte_carlo import monte_carlo_checks, monte_carlo_tree, run_monte_carlo
 from autotune.validation.validate import admittance_controller
 from problems.contact.nonlinearities import Collision as Detection
 from tests.autotune.tuning.responding import responding
@@ -115,9 +114,9 @@ def test_the_certified_set_is_simulated_with_the_response_too() -> None:
     controller = two_contacts()
     chosen = controller.collision.threshold_n
     assert chosen is not None
-    assert axis_effects(controller, "x", Told(), 0.03).collision == Detection(threshold_n=chosen)
+    assert axis_effects(controller, "x", Disturbances(), 0.03).collision == Detection(threshold_n=chosen)
     stopped = replace(controller, collision=replace(controller.collision, response=CollisionResponse.STOP))
-    assert axis_effects(stopped, "x", Told(), 0.03).collision == Detection(response="stop", threshold_n=chosen)
+    assert axis_effects(stopped, "x", Disturbances(), 0.03).collision == Detection(response="stop", threshold_n=chosen)
     found = run_monte_carlo(controller, count=8)
     plain = run_monte_carlo(replace(controller, collision=NONE), count=8)
     assert found[0].sensor is not None

@@ -1,0 +1,313 @@
+"""Replay the contacts that a certificate predicts: their peaks, the collision response, and the runtime's limits."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from operator import attrgetter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autotune.formats.controller_record import AxisDomain, CollisionResponse, Controller, ScenarioPrediction
+from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.units import AxisUnits, axis_units
+from autotune.runtime.law import STANDARD_GRAVITY_M_S2
+from problems.design.uncertainty import Scenario
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant
+
+from .replay import Replay, replay_contact
+from .validation_samples import OtherPlants
+
+# Replayed contacts begin anywhere between two samples, predicted ones on a sample (measured: up to 0.5 %).
+_SAME_PEAK = 0.02
+_SAME_NUMBER = 1e-6
+
+
+def verify_peaks(
+    domain: AxisDomain,
+    scenarios: Sequence[ScenarioPrediction],
+    others: OtherPlants,
+    law: AdmittanceController,
+    sample_time_s: float,
+    *,
+    limit_n: float | None,
+    units: AxisUnits,
+) -> tuple[str, list[str]]:
+    """Return what was confirmed, and what is wrong: contacts that differ, lie outside or exceed `limit_n`."""
+    if domain.approach_force_n is None and domain.approach_speed_m_s is None:
+        return "", ["the domain names no approach"]
+    if not scenarios:
+        return "", ["the file predicts no contact"]
+    wrong = [f"{case} lies outside of the certified domain" for case in others.outside]
+    replays = Replays(domain, law, sample_time_s)
+    for scenario in scenarios:
+        stiffness, mass = scenario.environment_stiffness_n_per_m, scenario.payload_mass_kg
+        if not inside(stiffness, domain.environment_stiffness_n_per_m) or not inside(mass, domain.payload_mass_kg):
+            wrong.append(f"{scenario.name}: the contact lies outside of the certified domain")
+        else:
+            wrong += _compared(scenario, replays, units)
+    # What was promised has been replayed; the rest of the domain must not be worse.
+    promised = max(scenario.peak_contact_force_n for scenario in scenarios)
+    for other in others.replayed:
+        found = replays.play(other).peak_contact_force_n
+        if found > promised + replays.tolerance_n(other, promised):
+            wrong.append(
+                f"{other.name}: the peak contact {units.force_name} is {found:.2f} {units.force}, more than the "
+                f"largest predicted, {promised:.2f} {units.force}"
+            )
+    if limit_n is not None:
+        # The limit is promised for the whole domain, whatever contacts the file lists.
+        for corner in _corners(domain):
+            replays.play(corner)
+        if replays.largest_n > limit_n * (1.0 + _SAME_PEAK):
+            wrong.append(
+                f"the peak {units.force_name} must be at most {limit_n:g} {units.force}, found {replays.largest_n:.2f} "
+                f"{units.force}"
+            )
+    count = len(scenarios) + len(others.replayed)
+    return f"{count} contacts replayed, largest {replays.largest_n:.1f} {units.force}, as predicted", wrong
+
+
+class Replays:
+    """Replays of contacts of one domain, and the largest force of them; by default without a collision response."""
+
+    def __init__(
+        self,
+        domain: AxisDomain,
+        law: AdmittanceController,
+        sample_time_s: float,
+        *,
+        reset_threshold_n: float = math.inf,
+    ) -> None:
+        self.domain, self.law, self.h = domain, law, sample_time_s
+        self.reset_threshold_n = reset_threshold_n
+        self.nominal = domain.nominal_plant()
+        self.largest_n = 0.0
+
+    def force_n(self, plant: Plant) -> float:
+        """Return the force that drives the approach; a speed takes more of it where the payload drags more."""
+        speed = self.domain.approach_speed_m_s
+        if speed is None:
+            return self.domain.approach_force_n or 0.0
+        return speed * (self.law.damping_n_s_per_m + plant.payload.drag_n_s_per_m)
+
+    def tolerance_n(self, scenario: Scenario, peak_n: float) -> float:
+        """Return by how much two roads to the same peak may differ."""
+        return _SAME_PEAK * max(peak_n, self.force_n(scenario.plant(self.nominal)))
+
+    def play(self, scenario: Scenario) -> Replay:
+        """Replay one contact."""
+        plant = scenario.plant(self.nominal)
+        force, threshold = self.force_n(plant), self.reset_threshold_n
+        seen = replay_contact(plant, self.law, self.h, force, reset_threshold_n=threshold)
+        self.largest_n = max(self.largest_n, seen.peak_contact_force_n)
+        return seen
+
+
+def _compared(scenario: ScenarioPrediction, replays: Replays, units: AxisUnits) -> Iterator[str]:
+    seen = replays.play(scenario.scenario())
+    for what, said, found in (
+        ("contact", scenario.peak_contact_force_n, seen.peak_contact_force_n),
+        ("sensor", scenario.peak_sensor_force_n, seen.peak_sensor_force_n),
+    ):
+        if abs(found - said) > replays.tolerance_n(scenario.scenario(), said):
+            yield (
+                f"{scenario.name}: the peak {what} {units.force_name} is predicted as {said:.2f} {units.force}, "
+                f"replayed {found:.2f} {units.force}"
+            )
+
+
+def inside(value: float, interval: tuple[float, float]) -> bool:
+    """Say whether a value lies in an interval as far as a file tells it."""
+    return interval[0] * (1.0 - _SAME_NUMBER) <= value <= interval[1] * (1.0 + _SAME_NUMBER)
+
+
+def _corners(domain: AxisDomain) -> list[Scenario]:
+    """Return the corners of K_e × M_p at the nominal plant."""
+    return [
+        Scenario(environment_stiffness_n_per_m=stiffness, payload_mass_kg=mass)
+        for mass in sorted(set(domain.payload_mass_kg))
+        for stiffness in sorted(set(domain.environment_stiffness_n_per_m))
+    ]
+
+
+_KINDS = {"contact": "peak_contact_force_n", "sensor": "peak_sensor_force_n"}
+# A threshold is chosen so that no worst peak rises; what is called the same there is so here.
+_NO_HIGHER = 2e-3
+
+
+def has_response(controller: Controller, name: str) -> bool:
+    """Say whether the motion of this axis is watched for a collision; that of axes that turn is not."""
+    return controller.collision.response is not CollisionResponse.NONE and name not in ROTATIONAL_AXES
+
+
+def verify_response(
+    controller: Controller, name: str, domain: AxisDomain, law: AdmittanceController
+) -> tuple[str, list[str]]:
+    """Return what was confirmed of the response on one axis, and what is wrong.
+
+    Confirmed is for every contact that nothing is detected before the touch, from rest under the whole force on, and
+    that the peaks are those in the file; of the file's own numbers, that the worst are no higher than without.
+    """
+    predicted, threshold = controller.predicted[name], controller.collision.threshold_n
+    told = predicted.with_collision_response
+    if not has_response(controller, name) or threshold is None:
+        reason = "contacts with a collision response are predicted, and the file has none on this axis"
+        return "", [reason] if told else []
+    if not told:
+        return "", ["the file has a collision response and predicts no contact with it"]
+    with_response = {each.scenario(): each for each in told}
+    wrong = [
+        f"{each.name}: no contact with the collision response is predicted"
+        for each in predicted.scenarios
+        if each.scenario() not in with_response
+    ]
+    wrong += _risen(controller, name)
+    replays = Replays(domain, law, controller.sample_time_s, reset_threshold_n=threshold)
+    begun = 0
+    for scenario, each in with_response.items():
+        if not _is_certified(domain, scenario):
+            wrong.append(f"{each.name}: the contact lies outside of the certified domain")
+            continue
+        seen = replays.play(scenario)
+        begun += seen.detected_after_s is not None
+        if seen.detected_after_s is not None and seen.detected_after_s < 0.0:
+            wrong.append(f"{each.name}: free motion passes the threshold of {threshold:g} N before the touch")
+        else:
+            wrong += _differences(each, vars(seen), replays, axis_units(name).force)
+    message = (
+        f"reset at {threshold:g} N: {len(with_response)} contacts replayed, it begins in {begun} and never before the "
+        f"touch; largest {replays.largest_n:.1f} N, as predicted"
+    )
+    return message, wrong
+
+
+def _is_certified(domain: AxisDomain, scenario: Scenario) -> bool:
+    return (
+        inside(scenario.environment_stiffness_n_per_m, domain.environment_stiffness_n_per_m)
+        and inside(scenario.payload_mass_kg, domain.payload_mass_kg)
+        and (not scenario.further() or domain.uncertainty().contains(scenario))
+    )
+
+
+def _risen(controller: Controller, name: str) -> Iterator[str]:
+    """Yield the worst peaks that the file itself says are higher with the response."""
+    predicted = controller.predicted[name]
+    for what, key in _KINDS.items():
+        without = max(float(getattr(each, key)) for each in predicted.scenarios)
+        found = max(float(getattr(each, key)) for each in predicted.with_collision_response)
+        if found > (1.0 + _NO_HIGHER) * without:
+            yield f"the worst peak {what} force is {found:.2f} N with the response, {without:.2f} N without"
+
+
+def _differences(said: ScenarioPrediction, seen: Mapping[str, float], replays: Replays, unit: str) -> Iterator[str]:
+    for what, key in _KINDS.items():
+        predicted, found = float(getattr(said, key)), seen[key]
+        if abs(found - predicted) > replays.tolerance_n(said.scenario(), predicted):
+            yield (
+                f"{said.name}: with the response the peak {what} force is predicted as {predicted:.2f} {unit}, "
+                f"replayed {found:.2f} {unit}"
+            )
+
+
+FloatArray = NDArray[np.float64]
+
+# As of a replayed contact: the peaks are products of those in the file.
+_PEAKS = ("peak_sensor_force_n", "peak_contact_force_n")
+
+
+def commanded_motion(command: FloatArray, sample_time_s: float) -> tuple[float, float]:
+    """Return the largest speed and acceleration of a command (n,) at the ticks, as the runtime counts them."""
+    speed = np.diff(command) / sample_time_s
+    changes = np.diff(speed) / sample_time_s
+    return float(np.max(np.abs(speed), initial=0.0)), float(np.max(np.abs(changes), initial=0.0))
+
+
+def with_residual(controller: Controller, name: str) -> tuple[float, float]:
+    """Return the residual that the start check allows along one axis, and by how much it raises every peak.
+
+    The contact is linear while it lasts and one-sided, so its forces scale with what drives it: (F^d + r)/F^d.
+    """
+    limits, domain = controller.limits, controller.certificate.domain[name]
+    if limits is None:
+        return 0.0, 1.0
+    residual = limits.rest_torque_n_m if name in ROTATIONAL_AXES else limits.rest_force_n
+    speed = domain.approach_speed_m_s or 0.0
+    force = domain.approach_force_n or speed * (controller.axes[name].damping + domain.drag_n_s_per_m)
+    return residual, 1.0 + residual / force if force > 0.0 else 1.0
+
+
+def verify_limits(
+    controller: Controller, name: str, domain: AxisDomain, law: AdmittanceController
+) -> tuple[str, list[str]]:
+    """Return what was confirmed of the limits on one axis, and what is wrong; the contacts are replayed from rest."""
+    limits, units = controller.limits, axis_units(name)
+    if limits is None:
+        return "the file has no limits (an earlier release); the runtime takes its defaults", []
+    if not controller.predicted[name].scenarios:
+        return "", []
+    wrong = [*_sensor(controller), *_residual(controller, name)]
+    replays = Replays(domain, law, controller.sample_time_s)
+    speed = acceleration = 0.0
+    scenarios = controller.predicted[name].scenarios
+    for scenario in dict.fromkeys(max(scenarios, key=attrgetter(kind)).scenario() for kind in _PEAKS):
+        seen = replays.play(scenario)
+        speed, acceleration = max(speed, seen.largest_speed_m_s), max(acceleration, seen.largest_acceleration_m_s2)
+    asked = limits.axes[name]
+    wrong += [
+        f"limits.axes.{name}.{what} is {limit:.4g} {unit}, and certified contacts command {found:.4g}"
+        for what, limit, found, unit in (
+            ("speed", asked.speed, speed, units.speed),
+            ("acceleration", asked.acceleration, acceleration, f"{units.speed}²"),
+        )
+        if found >= limit
+    ]
+    force, share = with_residual(controller, name)
+    worst = share * max(each.peak_contact_force_n for each in scenarios)
+    return (
+        f"certified contacts command {speed:.3g} of {asked.speed:g} {units.speed} and {acceleration:.3g} of "
+        f"{asked.acceleration:g} {units.speed}²; with {force:g} {units.force} of weight left over the worst peak is "
+        f"{worst:.1f} {units.force}"
+    ), wrong
+
+
+def _sensor(controller: Controller) -> list[str]:
+    """Say where the range of the sensor is less than weight, bias and the predicted peaks need."""
+    limits, payload = controller.limits, controller.payload
+    straight = [name for name in controller.axes if name not in ROTATIONAL_AXES]
+    if limits is None or not straight:
+        return []
+    weight = payload.mass_kg * STANDARD_GRAVITY_M_S2 + max(abs(each) for each in payload.force_bias_n)
+    needed = weight + max(
+        share * each.peak_sensor_force_n
+        for name in straight
+        for share in (with_residual(controller, name)[1],)
+        for each in controller.predicted[name].scenarios
+    )
+    if needed < limits.force_n:
+        return []
+    return [
+        f"limits.force_n is {limits.force_n:g} N, and weight, bias and the worst predicted peak make {needed:.4g} N"
+    ]
+
+
+def _residual(controller: Controller, name: str) -> list[str]:
+    """Say where the peaks with the residual are not what the others make them, or the residual moves by itself."""
+    limits, gains, predicted = controller.limits, controller.axes[name], controller.predicted[name]
+    told, units = predicted.with_residual_weight, axis_units(name)
+    residual, share = with_residual(controller, name)
+    if limits is None:
+        return []
+    wrong = []
+    if residual > gains.deadband > 0.0:
+        wrong.append(
+            f"at the start {residual:g} {units.force} may be left over, more than the deadband of {gains.deadband:g}"
+        )
+    if told is None:
+        return [*wrong, "the file predicts no peak with the weight that may be left over (with_residual_weight)"]
+    for kind in _PEAKS:
+        expected = share * max(float(getattr(each, kind)) for each in predicted.scenarios)
+        if float(getattr(told, kind)) < (1.0 - _SAME_NUMBER) * expected or told.force_n < residual:
+            must = f"at least {expected:.4g} {units.force} with {residual:g} left over"
+            wrong.append(f"with_residual_weight.{kind} must be {must}")
+    return wrong
