@@ -16,7 +16,7 @@ from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 
 from .replay import Replay, replay_contact
-from .validation_samples import OtherPlants
+from .validation_samples import ValidationSamples
 
 # Replayed contacts begin anywhere between two samples, predicted ones on a sample (measured: up to 0.5 %).
 _SAME_PEAK = 0.02
@@ -26,7 +26,7 @@ _SAME_NUMBER = 1e-6
 def verify_peaks(
     domain: AxisDomain,
     scenarios: Sequence[ScenarioPrediction],
-    others: OtherPlants,
+    others: ValidationSamples,
     law: AdmittanceController,
     sample_time_s: float,
     *,

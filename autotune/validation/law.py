@@ -48,7 +48,7 @@ from .axis_proof import STABILITY_WORK, told_unstable
 from .margins import SweptMargins, sweep_margins
 from .requirements import worst_of_loops
 from .validate import uncertain_plant
-from .validation_samples import OtherPlants, build_other_plants
+from .validation_samples import ValidationSamples, build_validation_samples
 
 _STIFFNESS_POINTS, _MASS_POINTS = 25, 3
 _PEAK_STIFFNESS_POINTS = 9
@@ -75,9 +75,9 @@ class AxisTask:
         """Return the set over K_e and M_p."""
         return uncertain_plant(self.domain)
 
-    def others(self) -> OtherPlants:
+    def others(self) -> ValidationSamples:
         """Return the plants of the domain beyond K_e and M_p."""
-        return build_other_plants(self.domain, self.margins, self.predicted)
+        return build_validation_samples(self.domain, self.margins, self.predicted)
 
     def approach(self) -> Approach:
         """Return how the contacts of the file begin; of a speed and a force, the speed."""
@@ -246,7 +246,11 @@ def _admittance(task: AxisTask, law: LinearController) -> FreeSpaceAdmittance:
 
 
 def _missed(
-    task: AxisTask, law: LinearController, swept: SweptMargins, worst: ScenarioPrediction | None, others: OtherPlants
+    task: AxisTask,
+    law: LinearController,
+    swept: SweptMargins,
+    worst: ScenarioPrediction | None,
+    others: ValidationSamples,
 ) -> Iterator[str]:
     """Say which requirements are not met, with both numbers."""
     units, turning = axis_units(task.axis), task.axis in ROTATIONAL_AXES
@@ -272,7 +276,7 @@ def _achieved(
     task: AxisTask,
     law: LinearController,
     swept: SweptMargins,
-    others: OtherPlants,
+    others: ValidationSamples,
 ) -> float | None:
     """Return what a law achieves of one requirement; None where only the requirement's own code could say it."""
     h, nominal = law.sample_time_s, task.domain.nominal_plant()

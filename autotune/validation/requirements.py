@@ -32,7 +32,7 @@ from .certified_requirements import asked_of, certified_problem_requirements, so
 from .margins import SweptMargins
 from .report import Check
 from .simulated_responses import passive_band_hz, sampled_admittance, worst_speed_rms
-from .validation_samples import OtherPlants
+from .validation_samples import ValidationSamples
 
 _MASS_POINTS, _NOISE_STIFFNESS_POINTS = 3, 9
 # Two roads to the same margin differ by their frequency grids (measured: 1e-4); what differs by more is another margin.
@@ -84,7 +84,7 @@ def check_requirements(controller: Controller, name: str, swept: SweptMargins) -
 
 
 def check_admittance(
-    controller: Controller, name: str, plants: UncertainPlant, others: OtherPlants, law: AdmittanceController
+    controller: Controller, name: str, plants: UncertainPlant, others: ValidationSamples, law: AdmittanceController
 ) -> Check:
     """Check the steady hand force and |G| in free space against what is claimed and what was asked."""
     predicted = controller.predicted[name].free_space_admittance
@@ -118,7 +118,7 @@ def check_admittance(
 
 
 def check_further(
-    controller: Controller, name: str, plants: UncertainPlant, others: OtherPlants, law: AdmittanceController
+    controller: Controller, name: str, plants: UncertainPlant, others: ValidationSamples, law: AdmittanceController
 ) -> Iterator[Check]:
     """Check the command's noise, the passive band and every other requirement, where they were asked."""
     h = controller.sample_time_s
@@ -161,7 +161,7 @@ def _worst_of_scenarios(
     name: str,
     requirement: Requirement[Any],
     required: Any,
-    others: OtherPlants,
+    others: ValidationSamples,
     law: AdmittanceController,
 ) -> float:
     """Return what is achieved on a grid of the domain, by the requirement's own code."""
@@ -175,7 +175,7 @@ def _worst_of_scenarios(
     return requirement.achieved_at(required, ratio)
 
 
-def _loop_plants(plants: UncertainPlant, others: OtherPlants) -> tuple[Plant, ...]:
+def _loop_plants(plants: UncertainPlant, others: ValidationSamples) -> tuple[Plant, ...]:
     """Return a grid of the set, ends included, and the further plants, all in contact."""
     masses = np.linspace(*plants.payload_mass_kg, _MASS_POINTS)
     low, high = plants.environment_stiffness_n_per_m

@@ -19,7 +19,7 @@ from .margins import SweptMargins, sweep_margins
 from .proof_checks import check_continuous, check_stability, check_statements
 from .report import Check, ValidationReport
 from .requirements import check_admittance, check_further, check_margins, check_requirements
-from .validation_samples import OtherPlants, build_other_plants, recorded_plants
+from .validation_samples import ValidationSamples, build_validation_samples, recorded_plants
 
 _STIFFNESS_POINTS, _MASS_POINTS = 25, 3
 _MOST_DEADBAND = 0.5  # of the force that drives the approach
@@ -94,10 +94,10 @@ class AxisCase:
         return uncertain_plant(self.domain)
 
     @cached_property
-    def others(self) -> OtherPlants:
+    def others(self) -> ValidationSamples:
         """The plants beyond K_e and M_p."""
         margins, predicted = self.controller.certificate.margins[self.name], self.controller.predicted[self.name]
-        return build_other_plants(self.domain, margins, predicted)
+        return build_validation_samples(self.domain, margins, predicted)
 
     @cached_property
     def swept(self) -> SweptMargins:

@@ -18,7 +18,7 @@ _REPLAYED = 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class OtherPlants:
+class ValidationSamples:
     """What is looked at of the whole uncertainty: every plant for its margins, the first few for their peak too.
 
     `outside` tells recorded worst cases that the domain does not hold.
@@ -38,10 +38,10 @@ class OtherPlants:
         return tuple((robot, slowest) for robot in dict.fromkeys((robots[0], robots[-1])))
 
 
-def build_other_plants(domain: AxisDomain, margins: AxisMargins, predicted: AxisPrediction) -> OtherPlants:
+def build_validation_samples(domain: AxisDomain, margins: AxisMargins, predicted: AxisPrediction) -> ValidationSamples:
     """Return the plants of a domain that the grid over K_e × M_p leaves out; none where nothing else is uncertain."""
     if domain.uncertain is None:
-        return OtherPlants(scenarios=(), replayed=(), plants=(), outside=())
+        return ValidationSamples(scenarios=(), replayed=(), plants=(), outside=())
     whole = domain.uncertainty()
     named = {f"the worst plant of {name}": _scenario(case, whole) for name, case in margins.worst.items()}
     named |= {each.name: each.scenario() for each in predicted.scenarios if each.further}
@@ -49,7 +49,7 @@ def build_other_plants(domain: AxisDomain, margins: AxisMargins, predicted: Axis
     samples = whole.samples(_SAMPLES, seed=SEED)
     scenarios = tuple(dict.fromkeys((*named.values(), *whole.corners(), *samples)))
     nominal = domain.nominal_plant()
-    return OtherPlants(
+    return ValidationSamples(
         scenarios=scenarios,
         replayed=samples[:_REPLAYED],
         plants=tuple(scenario.plant(nominal) for scenario in scenarios),
@@ -75,7 +75,7 @@ def sampled_claims(
     bouncing = bouncing_claim(name, domain, "" if domain.uncertain is None else told_set(domain, name))
     if domain.uncertain is None:
         return (bouncing,)
-    others = build_other_plants(domain, margins, predicted)
+    others = build_validation_samples(domain, margins, predicted)
     is_proved = any(reach.share == 1.0 and set(domain.uncertain) <= set(reach.over) for reach in regions)
     stable = "the margins stated" if is_proved else "stable with the margins stated"
     return (

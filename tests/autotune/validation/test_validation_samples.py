@@ -13,7 +13,7 @@ from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import AxisDomain, ConfidenceSet, Controller
 from autotune.validation.domain import check_domain
 from autotune.validation.validate import validate_controller
-from autotune.validation.validation_samples import build_other_plants
+from autotune.validation.validation_samples import build_validation_samples
 from problems.errors import ParameterError
 from tests.autotune.tuning.cases import FURTHER, identified_axis, known, uncertain_optimized, with_axis
 
@@ -117,7 +117,7 @@ def test_a_confidence_set_must_fit_the_ranges_and_itself() -> None:
     cut = ConfidenceSet(level=0.95, centre={"delay_s": 2.4e-3}, covariance={"delay_s": {"delay_s": 1e-10}})
     with_cut = replace(domain, confidence=cut)
     margins, predicted = small().certificate.margins["x"], small().predicted["x"]
-    others = build_other_plants(with_cut, margins, predicted)
+    others = build_validation_samples(with_cut, margins, predicted)
     low, high = cut.ellipsoid().box()["delay_s"]
     drawn = [s for s in others.scenarios if s not in {p.scenario() for p in predicted.scenarios}][8:]
     assert all(low * (1 - 1e-9) <= (s.delay_s or 0.0) <= high * (1 + 1e-9) for s in drawn[-64:])
