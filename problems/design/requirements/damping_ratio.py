@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from ...model.sampled import Controller, SampledPlant, build_cut_loop, stability_matrix
 from ..stable_design import StableLoop
@@ -36,7 +36,7 @@ class DampingRatio(LoopRequirement[float]):
         return slowest_damping_ratio(np.linalg.eigvals(closed[:-2, :-3]))
 
 
-def slowest_damping_ratio(eigenvalues: NDArray[np.complex128] | NDArray[np.float64]) -> float:
+def slowest_damping_ratio(eigenvalues: ArrayLike) -> float:
     """Return the damping ratio of the oscillating eigenvalue of the largest |z|; infinite without any.
 
     A negative real z alternates from tick to tick: it oscillates at the Nyquist frequency.
