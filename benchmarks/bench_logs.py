@@ -107,13 +107,13 @@ def alternate(*readers: Callable[[], object], rounds: int = 7) -> list[float]:
 def read_bare(path: Path) -> NDArray[np.uint8]:
     """Read every chunk, unpack it and copy its content to where it belongs in one array; nothing is checked."""
     file = FileBytes(path)
-    pieces = Walker(file).walk().pieces
-    out = np.empty(sum(piece.declared for piece in pieces), dtype=np.uint8)
+    chunks = Walker(file).walk().chunks
+    out = np.empty(sum(chunk.declared for chunk in chunks), dtype=np.uint8)
     at = 0
-    for piece in pieces:
-        packed = file.read(piece.body, piece.stored)
-        if piece.compression == "zstd":
-            data = zstandard.decompress(packed, max_output_size=piece.declared)
+    for chunk in chunks:
+        packed = file.read(chunk.body, chunk.stored)
+        if chunk.compression == "zstd":
+            data = zstandard.decompress(packed, max_output_size=chunk.declared)
         else:
             data = lz4.frame.decompress(packed)
         out[at : at + len(data)] = np.frombuffer(data, dtype=np.uint8)

@@ -32,7 +32,7 @@ import numpy as np
 from rosbags.serde import SerdeError
 
 from identification.logs.containers.channel import Batch, Channel
-from identification.logs.containers.mcap_kernel import Counting, gather
+from identification.logs.containers.mcap_kernel import RecordCounter, gather
 from identification.logs.messages.decode import MessageError, Part
 from identification.logs.messages.layout import parse_path
 from identification.logs.messages.read import build_decoder
@@ -245,10 +245,10 @@ def examine_records(random: np.random.Generator, data: bytes) -> bool:
         data = b"\5" + (22 + len(data)).to_bytes(8, "little") + bytes(22) + data
         data = mutate(random, data + data)
     array = np.frombuffer(data, dtype=np.uint8)
-    tally = Counting().count(array)
-    if tally.fault:
+    record_counts = RecordCounter().count(array)
+    if record_counts.fault:
         return False
-    total = sum(tally.counts.values())
+    total = sum(record_counts.counts.values())
     table = np.empty((3, total), dtype=np.int64)
     slots = np.zeros(2**16, dtype=np.int64)
     gather(array, 0, array.size, slots, np.zeros(1, dtype=np.int64), *table)

@@ -1,4 +1,4 @@
-"""Tell what logs hold, what each channel can be used for, and what is missing for `identify`."""
+"""Summarise what logs hold, what each channel can be used for, and what is missing for `identify`."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
@@ -37,10 +37,10 @@ def inspect_log(
     `reading` is what `read_checked_recording` found of the same files, which is read once more where it is not given.
     """
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
-    told = cell or Cell()
-    with open_logs(files, told, salvage=salvage) as logs:
+    declared = cell or Cell()
+    with open_logs(files, declared, salvage=salvage) as logs:
         infos = logs.infos
-        roles, choices, missing = _roles(logs, told)
+        roles, choices, missing = _roles(logs, declared)
         findings: list[Finding] = []
         series = _read_all(logs, findings)
         channels = tuple(_summary(info, series[info.channel]) for info in infos)
@@ -48,16 +48,16 @@ def inspect_log(
         findings += [
             f for info in infos for f in _channel_findings(info, series[info.channel], logs.start_ns, salvage=salvage)
         ]
-        findings += _declared_findings(logs, choices, told, salvage=salvage)
+        findings += _declared_findings(logs, choices, declared, salvage=salvage)
         findings += number_findings(logs, numbers, {choice.info.channel for choice in choices.values()})
         findings += _clock_findings(series, choices)
-        findings += open_questions(infos, told, logs.name)
+        findings += open_questions(infos, declared, logs.name)
         seen = logs.findings()
         span = (logs.start_ns, logs.end_ns)
         container = logs.parts[0].survey.container
     if Role.WRENCH in choices and Role.POSE in choices:
         if reading is None:
-            reading = _read_findings(files, told, findings, salvage=salvage)
+            reading = _read_findings(files, declared, findings, salvage=salvage)
         findings += [finding for finding in reading if finding.code not in _TOLD_ELSEWHERE]
     digest = digests(files)
     return LogSummary(
@@ -129,7 +129,7 @@ def _candidate(info: ChannelInfo) -> Candidate:
 
 
 def _read_all(logs: OpenedLogs, findings: list[Finding]) -> dict[Channel, Series]:
-    """Read what is told of every channel: its clocks, and the numbers of one whose type says what they are.
+    """Read what is summarised of every channel: its clocks, and the numbers of one whose type says what they are.
 
     Raises LogError if the log is damaged; a channel that is not what its type says is a finding.
     """
@@ -186,14 +186,14 @@ def _declared_findings(logs: OpenedLogs, choices: Mapping[Role, Choice], cell: C
     return found
 
 
-def _read_findings(files: Sequence[Path], cell: Cell, told: Sequence[Finding], *, salvage: bool) -> Sequence[Finding]:
-    """Return what reading for `identify` finds beside what was told: tare, payload, clocks, or why it is refused."""
+def _read_findings(files: Sequence[Path], cell: Cell, known: Sequence[Finding], *, salvage: bool) -> Sequence[Finding]:
+    """Return what reading for `identify` finds beside what is known: tare, payload, clocks, or why it is refused."""
     try:
         return read_checked_recording(files, cell, salvage=salvage).findings
     except EstimateError:
         return []
     except LogError as error:
-        if any(finding.severity == "error" and finding.message in str(error) for finding in told):
+        if any(finding.severity == "error" and finding.message in str(error) for finding in known):
             return []
         return [Finding(code="unusable", severity="error", message=str(error), advice="")]
 

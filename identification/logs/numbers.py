@@ -69,7 +69,7 @@ def number_findings(
         yield Finding(
             code="layout-undeclared",
             severity="warning",
-            message=f"{found.topic} is {_article(found)} with {_counts(found)}; what they mean is not told in the log, "
+            message=f"{found.topic} is {_article(found)} with {_counts(found)}; the log does not say what they mean, "
             "so a layout has to be declared in cell.yaml before it can serve as pose or wrench.",
             advice="Declare `fields` (`autotune inspect LOG --write-cell cell.yaml` begins a file), or record the "
             "wrench as WrenchStamped and the flange pose as PoseStamped.",
@@ -154,6 +154,6 @@ def _effort_finding(topic: str, effort: FloatArray) -> Finding:
         code="effort-deadband",
         severity="warning",
         message=f"{message} So many exact zeros are what a deadband applied before "
-        "recording leaves: samples cut to zero tell nothing about gravity and bias.",
+        "recording leaves: samples cut to zero hold nothing of gravity and bias.",
         advice="Record the sensor's wrench before gravity compensation and deadband.",
     )

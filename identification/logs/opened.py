@@ -50,7 +50,7 @@ class OpenedLog(Protocol):
         ...
 
     def findings(self) -> tuple[Finding, ...]:
-        """Tell what was seen of the container and what reading had to leave out."""
+        """Report what was seen of the container and what reading left out."""
         ...
 
     def close(self) -> None:
@@ -96,7 +96,7 @@ class ContainerLog:
         return found
 
     def findings(self) -> tuple[Finding, ...]:
-        """Tell what was seen of the container and what reading had to leave out."""
+        """Report what was seen of the container and what reading left out."""
         return tuple(dict.fromkeys((*self.survey.findings, *self._lost)))
 
     def close(self) -> None:
@@ -144,7 +144,7 @@ class OpenedLogs:
         return tuple(sorted(pairs))
 
     def findings(self) -> tuple[Finding, ...]:
-        """Tell what was seen of the containers and what reading had to leave out, each once."""
+        """Report what was seen of the containers and what reading left out, each once."""
         return tuple(dict.fromkeys(finding for part in self.parts for finding in part.findings()))
 
     def read(self, channels: Mapping[Channel, Wanted]) -> dict[Channel, Series]:

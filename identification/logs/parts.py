@@ -45,7 +45,7 @@ def join_recordings(parts: Sequence[Recording]) -> Recording:
 
     What a part repeats of the one before (the same stamps with the same values) is dropped; parts that overlap
     otherwise are refused with LogError, as are parts that differ in topics, frames or channels. Digests and findings
-    of all parts are kept, and a gap at a seam is told as a finding.
+    of all parts are kept, and a gap at a seam is a finding.
     """
     if not parts:
         raise LogError("Joining needs at least one log, found none.")

@@ -44,20 +44,20 @@ def read_recording(
 
     Several paths are parts of one recording: one after the other, or each with other channels. Channels are found by
     type, name, frame and rate, declared by `cell`, or named, which goes first. Header stamps are the clock unless a
-    channel has none or the cell declares another; what was chosen is told in the recording's findings. `salvage` takes
-    what a damaged log still holds and tells the loss.
+    channel has none or the cell declares another; the findings of the recording list what was chosen. `salvage` takes
+    what a damaged log still holds and reports the loss.
 
     Raises LogError when a file is damaged, a channel is missing or ambiguous, or its samples cannot be used.
     """
-    told = (cell or Cell()).with_topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
-    return _read(paths, told, salvage=salvage).recording
+    declared = (cell or Cell()).with_topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
+    return _read(paths, declared, salvage=salvage).recording
 
 
 def read_checked_recording(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool = False) -> Recording:
     """Read as `read_recording` does, and ask the motion itself about clocks and payload.
 
-    The offset between the clocks of wrench and pose is taken out where physics tells it. Raises LogError as
-    `read_recording` does, when the clocks differ and nothing tells by how much, and when the payload changed midway.
+    The offset between the clocks of wrench and pose is taken out where the motion determines it. Raises LogError as
+    `read_recording` does, when the clocks differ and the offset is unknown, and when the payload changed midway.
     """
     read = _read(paths, cell, salvage=salvage)
     recording = _on_one_clock(read)
@@ -158,7 +158,7 @@ def _times(parts: Sequence[Part], clocks: Mapping[Role, Clock]) -> list[ChannelT
 
 
 def _about_what_is_left(findings: Sequence[Finding], recording: Recording, logs: OpenedLogs) -> tuple[Finding, ...]:
-    """Tell from when to when a damaged log still holds a wrench: how much was recorded nobody may know any more."""
+    """Report from when to when a damaged log still holds a wrench."""
     if not any(finding.code == "salvaged" for finding in findings):
         return ()
     first, last = (int(recording.wrench.stamp_ns[i]) for i in (0, -1))

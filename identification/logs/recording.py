@@ -185,7 +185,7 @@ def _state_finding(topic: str) -> Finding:
     return Finding(
         code="admittance-state-wrench",
         severity="warning",
-        message=f"The wrench of {topic} is what the admittance controller acts on: taken as told in base axes, with "
+        message=f"The wrench of {topic} is what the admittance controller acts on: taken as given in base axes, with "
         "the configured gravity removed and filtered.",
         advice="Record the sensor's own wrench, or declare `expressed_in` and `gravity_compensated`.",
     )

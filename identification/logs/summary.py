@@ -1,4 +1,4 @@
-"""What `inspect` tells of logs."""
+"""The summary of logs that `inspect` prints."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ class RoleSummary:
 
 @dataclass(frozen=True, kw_only=True)
 class LogSummary:
-    """Logs as `inspect` tells them; `missing` holds one sentence for each thing `identify` lacks.
+    """The summary of logs; `missing` holds one sentence for each thing `identify` lacks.
 
     `path`, `container` and `sha256` are those of the first log, `size_bytes` is the size of all; `sha256s` holds the
     digest of every log.

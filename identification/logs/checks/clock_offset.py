@@ -9,7 +9,7 @@ from ...errors import EstimateError, LogError
 from ...result import Finding
 from ...signals.aligned import align
 from ...signals.recording import PoseSignal, Recording, StampArray, WrenchSignal
-from .offset_fit import Untold, offset_from_turning
+from .offset_fit import NoEstimate, offset_from_turning
 
 _LONGEST_S = 0.2
 _LOOKED_AT_S = 60.0
@@ -18,8 +18,8 @@ _TURNING_RAD_S = 0.03
 _FEWEST = 100
 _SURE_DEVIATIONS = 3.0
 _NEGLIGIBLE_PERIODS = 0.05
-_TELLING_PERIODS = 0.25
-_TELLING_S = 2e-4
+_NEEDED_PERIODS = 0.25
+_NEEDED_S = 2e-4
 _APPLIED = (
     "Have both drivers stamp with one clock at the instant of measuring. If they do, the sensor's own filter delays "
     "the force by this much, and the controller sees it as well: `sensor.wrench_filter` holds what matters of it."
@@ -31,14 +31,14 @@ class OffsetVerdict(StrEnum):
 
     CONSISTENT = "the log shows no offset between the clocks; nothing needs to be done"
     FOUND = "an offset was found; take it out with `apply_offset`"
-    UNTOLD = "the log does not tell the offset; what a fraction of a sample changes is not to be trusted"
+    UNKNOWN = "the log does not determine the offset; what a fraction of a sample changes is not to be trusted"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClockOffset:
     """An event stamped t by the pose's clock is stamped t + `offset_s` ± `std_s` (one deviation) by the wrench's.
 
-    Both are None where the log does not tell; `reason` says why and `advice` what to record.
+    Both are None where the log does not determine it; `reason` says why and `advice` what to record.
     """
 
     verdict: OffsetVerdict
@@ -54,22 +54,22 @@ class ClockOffset:
             return Finding(
                 code="clock-offset-untold",
                 severity="warning",
-                message=f"Whether the clocks of {wrench_topic} and {pose_topic} agree cannot be told: {self.reason}.",
+                message=f"Whether the clocks of {wrench_topic} and {pose_topic} agree is unknown: {self.reason}.",
                 advice=self.advice,
             )
-        told = f"({1e3 * self.offset_s:+.3f} ± {1e3 * self.std_s:.3f} ms, from {self.method})"
+        estimate = f"({1e3 * self.offset_s:+.3f} ± {1e3 * self.std_s:.3f} ms, from {self.method})"
         if self.verdict is OffsetVerdict.CONSISTENT:
             return Finding(
                 code="clocks-agree",
                 severity="info",
-                message=f"The clocks of {wrench_topic} and {pose_topic} agree {told}.",
+                message=f"The clocks of {wrench_topic} and {pose_topic} agree {estimate}.",
                 advice="",
             )
         return Finding(
             code="clock-offset",
             severity="warning",
             message=f"The stamps of {wrench_topic} are {'late' if self.offset_s > 0 else 'early'} against those of "
-            f"{pose_topic} {told}; they are shifted onto the pose's clock.",
+            f"{pose_topic} {estimate}; they are shifted onto the pose's clock.",
             advice=_APPLIED,
         )
 
@@ -80,40 +80,40 @@ def estimate_clock_offset(
     """Find the offset between wrench and pose from the payload's weight in the turning sensor frame.
 
     `around_s` is where to look (what the recording clock says of two header clocks), `longest_s` how far from there.
-    The force filter of a sensor counts as offset: nothing in a log tells one from the other. The offset between the
+    The force filter of a sensor counts as offset: nothing in a log separates the two. The offset between the
     *command* and the pose cannot be found like this: it is the same thing as the robot's delay T_d, which therefore
     needs command and pose stamped by one clock. An estimate vaguer than a quarter of the faster channel's period (or
     0.2 ms) is not handed on. Of a long log, the minute in which the tool turns most is looked at. Never raises for
-    what the log holds: that is an `UNTOLD`.
+    what the log holds: that is an `UNKNOWN`.
     """
     if wrench.gravity_compensated or wrench.deadband is not None:
-        return _untold(f"gravity or a deadband was taken out of {wrench.topic}", "Record the sensor's raw wrench.")
+        return _unknown(f"gravity or a deadband was taken out of {wrench.topic}", "Record the sensor's raw wrench.")
     forces, turns = np.isfinite(wrench.force_n).all(), np.isfinite(pose.quaternion_xyzw).all()
     if pose.is_displacement or not (forces and turns and np.isfinite(pose.position_m).all()):
-        return _untold("three forces and a whole pose are needed", "Record the wrench and the flange pose in full.")
+        return _unknown("three forces and a whole pose are needed", "Record the wrench and the flange pose in full.")
     near, pose = _busiest(_shifted(wrench, around_s), pose)
     try:
         log = align(Recording(wrench=near, pose=pose, command=None))
     except (EstimateError, LogError) as error:
-        return _untold(str(error).rstrip("."), "Record wrench and pose over the same time, without holes.")
-    told = offset_from_turning(log, min(longest_s, 0.05 * float(log.time_s[-1])))
-    if isinstance(told, Untold):
-        return _untold(told.reason, told.advice)
+        return _unknown(str(error).rstrip("."), "Record wrench and pose over the same time, without holes.")
+    found = offset_from_turning(log, min(longest_s, 0.05 * float(log.time_s[-1])))
+    if isinstance(found, NoEstimate):
+        return _unknown(found.reason, found.advice)
     period = min(log.period_s, 1.0 / log.pose_rate_hz)
-    telling = max(_TELLING_PERIODS * period, _TELLING_S)
-    if told.std_s > telling:
-        return _untold(
-            f"{told.method} gives {1e3 * (around_s + told.offset_s):+.2f} ± {1e3 * told.std_s:.2f} ms, and "
-            f"± {1e3 * telling:.2f} ms are needed",
+    needed = max(_NEEDED_PERIODS * period, _NEEDED_S)
+    if found.std_s > needed:
+        return _unknown(
+            f"{found.method} gives {1e3 * (around_s + found.offset_s):+.2f} ± {1e3 * found.std_s:.2f} ms, and "
+            f"± {1e3 * needed:.2f} ms are needed",
             "Tilt the tool further, faster and in more directions, hands off, with the payload mounted.",
         )
-    offset = around_s + told.offset_s
-    agrees = abs(offset) < max(_SURE_DEVIATIONS * told.std_s, _NEGLIGIBLE_PERIODS * period)
+    offset = around_s + found.offset_s
+    agrees = abs(offset) < max(_SURE_DEVIATIONS * found.std_s, _NEGLIGIBLE_PERIODS * period)
     return ClockOffset(
         verdict=OffsetVerdict.CONSISTENT if agrees else OffsetVerdict.FOUND,
         offset_s=offset,
-        std_s=told.std_s,
-        method=f"{told.method}, {told.spans} turns",
+        std_s=found.std_s,
+        method=f"{found.method}, {found.spans} turns",
         reason="",
         advice="" if agrees else _APPLIED,
     )
@@ -168,5 +168,7 @@ def _shifted(wrench: WrenchSignal, offset_s: float) -> WrenchSignal:
     return wrench if offset_s == 0.0 else replace(wrench, stamp_ns=stamps)
 
 
-def _untold(reason: str, advice: str) -> ClockOffset:
-    return ClockOffset(verdict=OffsetVerdict.UNTOLD, offset_s=None, std_s=None, method="", reason=reason, advice=advice)
+def _unknown(reason: str, advice: str) -> ClockOffset:
+    return ClockOffset(
+        verdict=OffsetVerdict.UNKNOWN, offset_s=None, std_s=None, method="", reason=reason, advice=advice
+    )

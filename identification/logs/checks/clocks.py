@@ -29,7 +29,7 @@ _DRIFT_PPM = 200.0
 class ClockJump:
     """`size_s` by which the header clock moved against the recording clock (positive: forwards), at `time_s`.
 
-    `in_header` tells which of the two jumped: the header's, or (False) the recorder's, which does no harm.
+    `in_header` says which of the two jumped: the header's, or (False) the recorder's, which does no harm.
     """
 
     time_s: float
@@ -137,7 +137,7 @@ def _jumps(
 
 
 def _located(time: FloatArray, stamp_ns: StampArray, log_ns: StampArray, late: FloatArray, near: slice) -> ClockJump:
-    """Tell where within two windows, how far, and which clock jumped: the one whose own step is out of the ordinary."""
+    """Return where within two windows, how far, and which clock jumped: the one with the unusual step of its own."""
     piece = late[near]
     # The split that leaves the least absolute deviation on both sides.
     n = len(piece)
@@ -214,7 +214,7 @@ class ChannelTimes:
 
 @dataclass(frozen=True, kw_only=True)
 class ClockDifference:
-    """`first`'s header clock is ahead of `second`'s by `offset_s` ± `std_s`, as far as the recording clock tells."""
+    """`first`'s header clock is ahead of `second`'s by `offset_s` ± `std_s`, by the recording clock."""
 
     first: str
     second: str
@@ -239,7 +239,7 @@ class ClockReport:
 
     @property
     def lag_left_s(self) -> tuple[float, float] | None:
-        """Return how late the wrench still is against the pose, value and deviation, None where nothing tells."""
+        """Return how late the wrench still is against the pose, value and deviation, None where it is unknown."""
         if self.offset.offset_s is None or self.offset.std_s is None:
             return None
         return (0.0 if self.offset.verdict is OffsetVerdict.FOUND else self.offset.offset_s), self.offset.std_s
@@ -252,11 +252,11 @@ class ClockReport:
 
 
 def check_clocks(recording: Recording, times: Sequence[ChannelTimes] = ()) -> ClockReport:
-    """Measure all clocks of a recording and take the offset between wrench and pose out where physics tells it.
+    """Measure all clocks of a recording and remove the offset between wrench and pose where the motion determines it.
 
     `times` holds the channels that have header stamps (by topic; others than those of the recording are ignored). When
-    the recording clock shows wrench and pose far apart, the offset is looked for there; if physics does not tell it
-    then, the finding is an error: the samples would be paired wrongly.
+    the recording clock shows wrench and pose far apart, the offset is looked for there; if the motion does not
+    determine it then, the finding is an error: the samples would be paired wrongly.
     """
     signals = {each.topic: each for each in (recording.command, recording.pose, recording.wrench) if each is not None}
     periods, clocks = {}, {}
@@ -300,12 +300,12 @@ def compare_clocks(first: ChannelClock, second: ChannelClock) -> ClockDifference
 
 
 def _offset_finding(recording: Recording, offset: ClockOffset, apart: ClockDifference | None, *, far: bool) -> Finding:
-    if far and apart is not None and offset.verdict is OffsetVerdict.UNTOLD:
+    if far and apart is not None and offset.verdict is OffsetVerdict.UNKNOWN:
         return Finding(
             code="clocks-disagree",
             severity="error",
             message=f"The header clocks of {apart.first} and {apart.second} are {apart.offset_s:+.3f} ± "
-            f"{apart.std_s:.3f} s apart by the recording clock, and the exact offset cannot be told: {offset.reason}.",
+            f"{apart.std_s:.3f} s apart by the recording clock, and the exact offset is unknown: {offset.reason}.",
             advice=f"Stamp both with one clock. {offset.advice}",
         )
     return offset.finding(recording.wrench.topic, recording.pose.topic)
@@ -317,5 +317,5 @@ def _disagreement(difference: ClockDifference) -> Finding:
         severity="warning",
         message=f"The header clocks of {difference.first} and {difference.second} are {difference.offset_s:+.4f} ± "
         f"{difference.std_s:.4f} s apart by the recording clock.",
-        advice="Stamp command and pose with one clock: an offset between them cannot be told from the robot's delay.",
+        advice="Stamp command and pose with one clock: an offset between them looks like the robot's delay.",
     )

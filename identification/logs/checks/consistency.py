@@ -45,7 +45,7 @@ def twist_findings(pose: PoseSignal, twist: TwistSignal) -> Iterator[Finding]:
     pose_time, twist_time = (pose.stamp_ns - start) * 1e-9, (twist.stamp_ns - start) * 1e-9
     inside = (pose_time >= twist_time[0]) & (pose_time <= twist_time[-1])
     lag = max(1, round(_LAG_S / float(np.median(np.diff(pose_time)))))
-    # Steps that overlap by more tell the same twice.
+    # Steps that overlap by more hold the same twice.
     starts = np.flatnonzero(inside)[: -lag : max(1, lag // _STEPS_PER_LAG)]
     if not starts.size:
         return
@@ -53,12 +53,12 @@ def twist_findings(pose: PoseSignal, twist: TwistSignal) -> Iterator[Finding]:
     between = (pose_time[starts], pose_time[stops])
     if _both(pose, twist, AXES[:3]):
         moved = pose.position_m[stops] - pose.position_m[starts]
-        told = _travelled(twist_time, twist.linear_m_s, *between)
-        yield from _compared("translation", moved, told, _STILL_M, pose, twist)
+        integrated = _travelled(twist_time, twist.linear_m_s, *between)
+        yield from _compared("translation", moved, integrated, _STILL_M, pose, twist)
     if _both(pose, twist, AXES[3:]):
         before, after = (Rotation.from_quat(pose.quaternion_xyzw[index]) for index in (starts, stops))
-        told = _travelled(twist_time, twist.angular_rad_s, *between)
-        yield from _compared("rotation", (after * before.inv()).as_rotvec(), told, _STILL_RAD, pose, twist)
+        integrated = _travelled(twist_time, twist.angular_rad_s, *between)
+        yield from _compared("rotation", (after * before.inv()).as_rotvec(), integrated, _STILL_RAD, pose, twist)
 
 
 def _both(pose: PoseSignal, twist: TwistSignal, axes: tuple[str, ...]) -> bool:
@@ -72,22 +72,22 @@ def _travelled(time: FloatArray, velocity: FloatArray, starts: FloatArray, stops
 
 
 def _compared(
-    what: str, moved: FloatArray, told: FloatArray, still: float, pose: PoseSignal, twist: TwistSignal
+    what: str, moved: FloatArray, integrated: FloatArray, still: float, pose: PoseSignal, twist: TwistSignal
 ) -> Iterator[Finding]:
-    told_power = float(np.sum(told**2))
-    power = max(float(np.sum(moved**2)), told_power)
+    integrated_power = float(np.sum(integrated**2))
+    power = max(float(np.sum(moved**2)), integrated_power)
     if np.sqrt(power / len(moved)) < still:
         return
-    mismatch = float(np.sqrt(np.sum((moved - told) ** 2) / power))
+    mismatch = float(np.sqrt(np.sum((moved - integrated) ** 2) / power))
     if mismatch <= _LARGEST_MISMATCH:
         return
-    share = float(np.sum(moved * told)) / told_power if told_power > 0.0 else 0.0
-    rest = float(np.sqrt(np.sum((moved - share * told) ** 2) / power))
+    share = float(np.sum(moved * integrated)) / integrated_power if integrated_power > 0.0 else 0.0
+    rest = float(np.sqrt(np.sum((moved - share * integrated) ** 2) / power))
     fits = f"times {share:.3f} it fits within {100 * rest:.0f} %" if rest < _LARGEST_MISMATCH else "no factor mends it"
     yield Finding(
         code="twist-disagrees",
         severity="warning",
-        message=f"The {what} that the twist of {twist.topic} tells differs from that of the pose of {pose.topic} by "
+        message=f"The {what} that the twist of {twist.topic} gives differs from that of the pose of {pose.topic} by "
         f"{100 * mismatch:.0f} % (root mean square over steps of {_LAG_S:g} s; {fits}).",
         advice="Check units, frames, `orientation_as` and clocks of both in cell.yaml.",
     )

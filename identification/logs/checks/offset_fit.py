@@ -14,7 +14,7 @@ from ...signals.segments import low_pass
 
 
 @dataclass(frozen=True, kw_only=True)
-class Told:
+class OffsetEstimate:
     """The wrench's clock is ahead of the pose's by `offset_s` ± `std_s` (one deviation); `spans` of motion say so."""
 
     offset_s: float
@@ -24,7 +24,7 @@ class Told:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Untold:
+class NoEstimate:
     """Why one kind of motion says nothing, and what to record instead."""
 
     reason: str
@@ -90,15 +90,15 @@ class _Turning:
 
     def residual(self, offset_s: float, theta: FloatArray) -> FloatArray:
         """Return f − Φ(t − T) θ, (n, 3)."""
-        told = [(piece.rows(offset_s) @ theta).reshape(-1, 3) for piece in self.pieces()]
-        return np.asarray(self.force_n - np.concatenate(told))
+        fitted = [(piece.rows(offset_s) @ theta).reshape(-1, 3) for piece in self.pieces()]
+        return np.asarray(self.force_n - np.concatenate(fitted))
 
     def joint(self, offset_s: float, theta: FloatArray) -> FloatArray:
         """Return the derivatives of the force by θ and T, (3n, 25)."""
         return np.column_stack([self.rows(offset_s), -self.rows(offset_s, 1) @ theta])
 
 
-def offset_from_turning(log: AlignedLog, longest_s: float) -> Told | Untold:
+def offset_from_turning(log: AlignedLog, longest_s: float) -> OffsetEstimate | NoEstimate:
     """Fit f(t) = Φ(t − T) θ where the tool turns; T is the offset, θ what a payload may be.
 
     Φ θ = b + ḃ t + G (g_S − a_S) − α × mc − ω × (ω × mc) − D v_S − ω × d: bias with its drift, weight and inertia of
@@ -109,7 +109,7 @@ def offset_from_turning(log: AlignedLog, longest_s: float) -> Told | Untold:
     """
     prepared = _prepare(log, longest_s)
     if prepared is None or len(np.unique(prepared.turn)) < _FEWEST_TURNS:
-        return Untold(
+        return NoEstimate(
             reason=f"the tool turns fewer than {_FEWEST_TURNS} times by {np.degrees(_SMALLEST_TURN_RAD):.0f} degrees",
             advice=_ADVICE,
         )
@@ -124,20 +124,26 @@ def offset_from_turning(log: AlignedLog, longest_s: float) -> Told | Untold:
     return _judged(prepared, kept, offset, longest_s)
 
 
-def _judged(prepared: _Turning, kept: _Turning, offset: float, longest_s: float) -> Told | Untold:
+def _judged(prepared: _Turning, kept: _Turning, offset: float, longest_s: float) -> OffsetEstimate | NoEstimate:
     used, found = len(np.unique(kept.turn)), len(np.unique(prepared.turn))
     if used < max(_FEWEST_TURNS, 0.5 * found):
-        return Untold(reason=f"the force follows the weight of one payload in {used} of {found} turns", advice=_ADVICE)
+        return NoEstimate(
+            reason=f"the force follows the weight of one payload in {used} of {found} turns", advice=_ADVICE
+        )
     if abs(offset) > 0.95 * longest_s:
-        return Untold(reason=f"no offset within {longest_s:.2f} s explains the force while turning", advice=_ADVICE)
+        return NoEstimate(reason=f"no offset within {longest_s:.2f} s explains the force while turning", advice=_ADVICE)
     theta = kept.solve(offset)
     residual = kept.residual(offset, theta)
     swing = kept.force_n - kept.force_n.mean(axis=0)
     share = float(np.linalg.norm(residual)) / max(float(np.linalg.norm(swing)), 1e-12)
     if share > _POOR_FIT:
-        return Untold(reason=f"{100 * share:.0f} % of the force while turning is no payload's weight", advice=_ADVICE)
+        return NoEstimate(
+            reason=f"{100 * share:.0f} % of the force while turning is no payload's weight", advice=_ADVICE
+        )
     std = _standard_deviation(kept, offset, theta, residual)
-    return Told(offset_s=offset, std_s=float(np.hypot(std, _mount_lag(kept, offset))), spans=used, method=_METHOD)
+    return OffsetEstimate(
+        offset_s=offset, std_s=float(np.hypot(std, _mount_lag(kept, offset))), spans=used, method=_METHOD
+    )
 
 
 def _prepare(log: AlignedLog, longest_s: float) -> _Turning | None:
@@ -276,7 +282,7 @@ def _fitting(turning: _Turning, offset: float, theta: FloatArray) -> NDArray[np.
 def _standard_deviation(turning: _Turning, offset: float, theta: FloatArray, residual: FloatArray) -> float:
     """Return the standard deviation of T, the larger of two: residuals correlated within each turn, or by the filter.
 
-    The first sums what each turn adds to the estimate (few turns tell little of their own scatter, hence the factor);
+    The first sums what each turn adds to the estimate (few turns underestimate their own scatter, hence the factor);
     the second counts 2 B independent values per second in residuals of bandwidth B.
     """
     joints = [piece.joint(offset, theta) for piece in turning.pieces()]

@@ -46,7 +46,7 @@ class TareJump:
             code="tare-jump",
             severity="warning",
             message=f"The wrench of {topic} steps by ({force}) N and ({torque}) N·m at {self.time_s:.3f} s while the "
-            "robot stands still and nothing rings: its bias was set there.",
+            "robot is still and nothing rings: its bias was set there.",
             advice="Tare before recording, not during it, or cut the log there.",
         )
 
@@ -121,7 +121,7 @@ def check_payload(recording: Recording) -> tuple[Finding, ...]:
 
     Needs a raw wrench, a whole pose, and for all but the tare jumps rests in at least 4 orientations; says nothing
     where they are missing or where wrench and pose do not fit together. A tare jump is an error where the rests beside
-    it do not tell both biases: contacts would be weighed wrongly.
+    it do not determine both biases: contacts would be weighed wrongly.
     """
     wrench, pose = recording.wrench, recording.pose
     if wrench.gravity_compensated or wrench.deadband is not None or pose.is_displacement:
@@ -139,7 +139,7 @@ def weigh_rests(topic: str, log: AlignedLog, poses: tuple[StaticPose, ...]) -> t
     """Do what `check_payload` does on a raw log that is aligned already, with its rests."""
     jumps = find_tare_jumps(log)
     found = [_judged(jump.finding(topic), jump, jumps, log, poses) for jump in jumps]
-    # A tare in the middle of the poses is told once.
+    # A tare in the middle of the poses is reported once.
     change = None if jumps else _find_change(topic, log, poses)
     return (*found, *(() if change is None else (change,)), *_unit_findings(topic, poses))
 
@@ -147,7 +147,7 @@ def weigh_rests(topic: str, log: AlignedLog, poses: tuple[StaticPose, ...]) -> t
 def _judged(
     finding: Finding, jump: TareJump, jumps: Sequence[TareJump], log: AlignedLog, poses: tuple[StaticPose, ...]
 ) -> Finding:
-    """Return the finding as an error where the rests on one side of a jump cannot tell the bias that holds there."""
+    """Return the finding as an error where the rests on one side of a jump cannot determine the bias there."""
     if float(np.linalg.norm(jump.force_n)) < _HARMLESS_N:
         return finding
     edges = [-np.inf, *(each.time_s for each in jumps), np.inf]
@@ -161,7 +161,7 @@ def _judged(
     return replace(
         finding,
         severity="error",
-        message=f"{finding.message} The bias beside it cannot be told: the tool rests in {', '.join(map(str, asked))} "
+        message=f"{finding.message} The bias beside it is unknown: the tool rests in {', '.join(map(str, asked))} "
         f"orientations on its sides, and {_FEWEST_BESIDE} are needed on each of two.",
     )
 
@@ -172,7 +172,7 @@ def _directions(poses: tuple[StaticPose, ...]) -> FloatArray:
 
 
 def _distinct(poses: tuple[StaticPose, ...]) -> int:
-    """Count the directions of gravity, each of which stands for those within 2 degrees of it."""
+    """Count the directions of gravity, each taken for all within 2 degrees of it."""
     if not poses:
         return 0
     left, count = _directions(poses), 0
@@ -266,12 +266,12 @@ def _bias_change(
         return None
     if _distinct(later) < 2 and not _returns(log, earlier, later):
         return None
-    told = ", ".join(f"{value:+.2f}" for value in step)
+    components = ", ".join(f"{value:+.2f}" for value in step)
     return Finding(
         code="bias-change",
         severity="warning",
-        message=f"The force of {topic} at rest steps by ({told}) N {_times(log, earlier, later)} and stays so: the "
-        "sensor was tared, or something was added to or taken off the payload.",
+        message=f"The force of {topic} at rest steps by ({components}) N {_times(log, earlier, later)} and stays so: "
+        "the sensor was tared, or something was added to or taken off the payload.",
         advice="Tare before recording and keep the payload as it is, or cut the log there.",
     )
 
@@ -305,7 +305,7 @@ def _unit_findings(topic: str, poses: tuple[StaticPose, ...]) -> Iterator[Findin
             code="force-sign",
             severity="warning",
             message=f"The force of {topic} follows gravity with the opposite sign (it would be {mass:.3g} kg).",
-            advice="Declare `exerted_by` of the wrench or `gravity_direction`; `identify` tells which is true.",
+            advice="Declare `exerted_by` of the wrench or `gravity_direction`; `identify` finds which is true.",
         )
     if abs(mass) < _SMALLEST_KG:
         yield Finding(

@@ -35,7 +35,7 @@ def frame_faults(topic: str, frame_ids: tuple[str, ...]) -> Iterator[Finding]:
         names = ", ".join(repr(name) for name in frame_ids[:5])
         yield _error(
             "several-frames",
-            f"Topic {topic} is told in {len(frame_ids)} frames: {names}.",
+            f"Topic {topic} has {len(frame_ids)} frames: {names}.",
             "Record each frame on a topic of its own.",
         )
 
@@ -142,7 +142,7 @@ def _axis_faults(topic: str, name: str, column: FloatArray, since_start_s: Float
         yield from _stuck_faults(topic, name, column, since_start_s)
         yield from _step_faults(topic, name, column)
         return
-    width = "a width that cannot be told" if band.width is None else f"a width of roughly {band.width:.2g}"
+    width = "an unknown width" if band.width is None else f"a width of roughly {band.width:.2g}"
     yield Finding(
         code="deadband",
         severity="warning",
@@ -229,12 +229,12 @@ def _finite_faults(topic: str, bad: NDArray[np.bool_], since_start_s: FloatArray
 
 
 def _spans(runs: Runs, since_start_s: FloatArray) -> str:
-    told = [
+    spans = [
         f"{since_start_s[a]:.3f} to {since_start_s[b - 1]:.3f} s"
         for a, b in zip(runs.starts[:3], runs.stops[:3], strict=True)
     ]
     more = f" and {len(runs.starts) - 3} times more" if len(runs.starts) > 3 else ""
-    return ", ".join(told) + more
+    return ", ".join(spans) + more
 
 
 def _error(code: str, message: str, advice: str) -> Finding:
@@ -266,16 +266,16 @@ def role_faults(
     topic = parts[0].choice.info.channel.topic
     for part, stamp_ns in zip(parts, stamps, strict=True):
         # A recording clock may start at 0; only a header stamp of 0 is one that was never set.
-        told = stamp_ns - stamp_ns[:1] + 1 if stamp_ns is part.log_ns else stamp_ns
+        shifted = stamp_ns - stamp_ns[:1] + 1 if stamp_ns is part.log_ns else stamp_ns
         yield from frame_faults(topic, part.frame_ids)
-        yield from stamp_faults(topic, told, (part.log_ns - start_ns) / 1e9, keeps_holes=keeps_holes)
+        yield from stamp_faults(topic, shifted, (part.log_ns - start_ns) / 1e9, keeps_holes=keeps_holes)
     ordered = sorted(parts, key=lambda part: int(part.log_ns[0]) if part.log_ns.size else 0)
     when = (joined([part.log_ns for part in ordered]) - start_ns) / 1e9
     values = _without_unmeasured(parts[0], joined([part.values for part in ordered]))
     if role in (Role.POSE, Role.COMMAND):
         declared = source if isinstance(source, PoseSource) else PoseSource()
         for finding in _pose_faults(topic, values, declared, when):
-            # A command that stands still is no broken sensor.
+            # A command at rest is no broken sensor.
             if role is Role.POSE or finding.code not in _OF_A_RESTING_COMMAND:
                 yield finding
     elif role is Role.WRENCH:

@@ -16,7 +16,7 @@ _JITTER_SHARE = 0.1
 _FOLDED_PERIODS = 1.5
 _FEWEST_FOLDED = 8
 _MOSTLY = 0.9
-_TOLD_HOLES = 5
+_LISTED_HOLES = 5
 _CLOCK_ADVICE = "Keep the clock from being set during a recording (NTP, PTP, a restarted driver), and record again."
 _ADVICE = "Record with the sensor driver's own clock in the header and one publisher per topic."
 
@@ -69,7 +69,7 @@ def stamp_faults(
 ) -> Iterator[Finding]:
     """Yield what is wrong with header stamps (n,): zero, constant, backwards, repeated; gaps and jitter.
 
-    `since_start_s` (n,) tells when each message was recorded. With `keeps_holes` (a salvaged log) a long gap is a
+    `since_start_s` (n,) is when each message was recorded. With `keeps_holes` (a salvaged log) a long gap is a
     warning: it is kept as a hole.
     """
     if stamp_ns.size < 2:
@@ -102,7 +102,7 @@ def stamp_faults(
             "backwards-stamps",
             f"The header stamps of topic {topic} go back by about {(stamp_ns[stop] - stamp_ns[start]) * 1e-9:.3f} s: "
             f"the time from {since_start_s[start]:.3f} to {since_start_s[stop]:.3f} s after the start of the log is "
-            "told twice, by two messages in each period. The clock of the recording went back too.",
+            "covered twice, by two messages in each period. The clock of the recording went back too.",
             _CLOCK_ADVICE,
         )
     repeated = (steps == 0) & ~folded
@@ -157,12 +157,14 @@ def _uneven(topic: str, report: StampReport, since_start_s: FloatArray, *, keeps
 
 
 def _kept(topic: str, holes: Sequence[tuple[int, float]], since_start_s: FloatArray) -> Finding:
-    told = ", ".join(f"{length:.3f} s from {since_start_s[index - 1]:.3f} s" for index, length in holes[:_TOLD_HOLES])
-    more = f" and {len(holes) - _TOLD_HOLES} more" if len(holes) > _TOLD_HOLES else ""
+    places = ", ".join(
+        f"{length:.3f} s from {since_start_s[index - 1]:.3f} s" for index, length in holes[:_LISTED_HOLES]
+    )
+    more = f" and {len(holes) - _LISTED_HOLES} more" if len(holes) > _LISTED_HOLES else ""
     return Finding(
         code="hole",
         severity="warning",
-        message=f"Topic {topic} has {len(holes)} hole(s) in which nothing is known: {told}{more} after the start of "
+        message=f"Topic {topic} has {len(holes)} hole(s) in which nothing is known: {places}{more} after the start of "
         f"the log, {sum(length for _, length in holes):.3f} s in all. Nothing is interpolated across them.",
         advice="Check that what a parameter needs (rests, sweep, contacts) lies outside, or record again.",
     )

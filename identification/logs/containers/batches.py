@@ -81,7 +81,7 @@ def unpack_message(data: bytes, topic: str) -> bytes:
 
 
 def _unpack_unknown(data: bytes, topic: str) -> bytes:
-    """Unpack a frame that does not tell its size, in pieces so small that a bomb is noticed early."""
+    """Unpack a frame of unknown size, in pieces so small that a bomb is noticed early."""
     unpacker = zstandard.ZstdDecompressor().decompressobj()
     pieces: list[bytes] = []
     left = CHUNK_LIMIT_BYTES

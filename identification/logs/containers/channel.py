@@ -1,9 +1,8 @@
-"""What every container hands on: channels, what it holds of each, and their raw messages in batches."""
+"""The interface of all containers: channels, what it holds of each, and their raw messages in batches."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Protocol, Self, TypeVar
 
 import numpy as np
@@ -48,10 +47,10 @@ class Held:
 
 @dataclass(frozen=True, kw_only=True)
 class Survey:
-    """What a log holds, told without decoding it.
+    """What a log holds, known without decoding it.
 
     `container` names the format; `start_ns` and `end_ns` span all messages on the recording clock, both 0 without any;
-    `findings` tell what was seen of the container itself (no CRCs, no index, what a salvage had to leave out).
+    `findings` report what was seen of the container itself (no CRCs, no index, what a salvage had to leave out).
     """
 
     container: str
@@ -85,7 +84,7 @@ class Container(Protocol):
     """An opened log file (or folder of files) of one format; a context manager."""
 
     def survey(self) -> Survey:
-        """Tell what the log holds; raise LogError if that cannot be told."""
+        """Return what the log holds; raise LogError if it is damaged."""
         ...
 
     def read(self, wanted: Collection[Channel], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
@@ -97,7 +96,7 @@ class Container(Protocol):
         ...
 
     def findings(self) -> tuple[Finding, ...]:
-        """Tell what the last `read` had to leave out (with `salvage`), else nothing."""
+        """Report what the last `read` left out (with `salvage`), else nothing."""
         ...
 
     def close(self) -> None:
@@ -115,9 +114,7 @@ class Closing(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 

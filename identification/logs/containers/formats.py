@@ -103,7 +103,7 @@ def open_file(path: Path, *, salvage: bool = False) -> Container:
 
 
 def is_table(path: Path) -> bool:
-    """Tell whether a file is a table (Parquet by its first bytes, CSV by its name and because it is text)."""
+    """Return whether a file is a table (Parquet by its first bytes, CSV by its name and because it is text)."""
     head = head_of(path)
     return head.startswith(b"PAR1") or (path.suffix.lower() in _TABLE_ENDINGS and _is_text(head))
 
@@ -133,7 +133,7 @@ def _is_text(head: bytes) -> bool:
 
 
 def is_folder(path: Path) -> bool:
-    """Tell whether a path names a folder; raise LogError where it is no path at all."""
+    """Return whether a path names a folder; raise LogError where it is no path at all."""
     try:
         return path.is_dir()
     except OSError as error:
@@ -169,7 +169,7 @@ def _what_else(path: Path, head: bytes) -> str:
         return f"{name} is empty (0 bytes); record again and stop the recorder before copying the file."
     if is_table(path):
         return (
-            f"{name} is a table: its columns have no types that tell what they mean; "
+            f"{name} is a table: its columns have no types that say what they mean; "
             "map them in cell.yaml and name it with --cell."
         )
     for magic, what, advice in _FOREIGN:

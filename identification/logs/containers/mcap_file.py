@@ -15,15 +15,15 @@ from .file_bytes import FileBytes
 from .mcap_chunks import Opened, Opener, complete, map_in_order, total_counts
 from .mcap_kernel import gather
 from .mcap_layout import Layout, Walker
-from .mcap_records import Damage, Definition, Piece
+from .mcap_records import Chunk, Damage, Definition
 from .mcap_salvage import salvage_layout
 
 
 def file_findings(layout: Layout) -> tuple[Finding, ...]:
-    """Tell of messages without a checksum, and of a file without a summary."""
+    """Report messages without a checksum, and a file without a summary."""
     found = []
-    total = sum(sum((piece.counts or {}).values()) for piece in layout.pieces)
-    bare = sum(sum((piece.counts or {}).values()) for piece in layout.pieces if not piece.crc)
+    total = sum(sum((chunk.counts or {}).values()) for chunk in layout.chunks)
+    bare = sum(sum((chunk.counts or {}).values()) for chunk in layout.chunks if not chunk.crc)
     if bare and not layout.data_crc:
         found.append(
             Finding(
@@ -50,7 +50,7 @@ _IDS = 2**16
 
 
 class McapContainer(Closing):
-    """An MCAP file; with `salvage` damaged parts are left out and told instead of refused."""
+    """An MCAP file; with `salvage` damaged parts are left out and reported instead of refused."""
 
     def __init__(self, path: Path, *, salvage: bool = False) -> None:
         self._file = FileBytes(path)
@@ -61,9 +61,9 @@ class McapContainer(Closing):
         self._file.close()
 
     def survey(self) -> Survey:
-        """Tell what the file holds, from its indexes where they tell it, else by counting."""
+        """Return what the file holds, from its indexes where they are complete, else by counter."""
         with self._refusing():
-            return self._told
+            return self._survey
 
     def read(self, wanted: Collection[Channel], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
         """Read the wanted channels; see `Container`."""
@@ -71,7 +71,7 @@ class McapContainer(Closing):
             yield from self._read(tuple(dict.fromkeys(wanted)), handle)
 
     def findings(self) -> tuple[Finding, ...]:
-        """Tell what a salvage leaves out."""
+        """Return what a salvage leaves out."""
         return salvaged(self._file.name, self._known[0].lost) if self._salvage else ()
 
     @contextmanager
@@ -102,30 +102,30 @@ class McapContainer(Closing):
         return ids
 
     @cached_property
-    def _told(self) -> Survey:
+    def _survey(self) -> Survey:
         layout, _ = self._known
-        total = total_counts(layout.pieces)
+        total = total_counts(layout.chunks)
         first = self._first_messages()
-        filled = [piece for piece in layout.pieces if piece.counts]
+        filled = [chunk for chunk in layout.chunks if chunk.counts]
         return Survey(
             container="mcap",
             held=tuple(
                 Held(channel=channel, count=sum(total[i] for i in ids), first_message=first.get(channel, b""))
                 for channel, ids in sorted(self._ids.items(), key=lambda item: (item[0].topic, item[0].type_name))
             ),
-            start_ns=min((piece.start_ns for piece in filled), default=0),
-            end_ns=max((piece.end_ns for piece in filled), default=0),
+            start_ns=min((chunk.start_ns for chunk in filled), default=0),
+            end_ns=max((chunk.end_ns for chunk in filled), default=0),
             findings=(*file_findings(layout), *self.findings()),
         )
 
     def _first_messages(self) -> dict[Channel, bytes]:
         layout, opener = self._known
         missing, found = dict(self._ids), {}
-        for piece in layout.pieces:
-            here = [channel for channel, ids in missing.items() if any((piece.counts or {}).get(i) for i in ids)]
+        for chunk in layout.chunks:
+            here = [channel for channel, ids in missing.items() if any((chunk.counts or {}).get(i) for i in ids)]
             if here:
                 selection = Selection({channel: missing.pop(channel) for channel in here})
-                for batch in selection.batches(opener.open(piece)):
+                for batch in selection.batches(opener.open(chunk)):
                     begin = int(batch.starts[0])
                     found[batch.channel] = batch.data[begin : begin + int(batch.sizes[0])].tobytes()
         return found
@@ -137,11 +137,11 @@ class McapContainer(Closing):
                 raise LogError(f"Topic {channel.topic} of type {channel.type_name} is not in {self._file.name}.")
         selection = Selection({channel: self._ids[channel] for channel in wanted})
 
-        def work(piece: Piece) -> tuple[tuple[Definition, ...], list[tuple[Channel, T]]]:
-            opened = opener.open(piece)
+        def work(chunk: Chunk) -> tuple[tuple[Definition, ...], list[tuple[Channel, T]]]:
+            opened = opener.open(chunk)
             return opened.definitions, [(batch.channel, handle(batch)) for batch in selection.batches(opened)]
 
-        for definitions, results in map_in_order(work, filter(selection.is_in, layout.pieces)):
+        for definitions, results in map_in_order(work, filter(selection.is_in, layout.chunks)):
             for definition in definitions:
                 layout.definitions.add(*definition)
             yield from results
@@ -156,13 +156,13 @@ class Selection:
         for slot, group in enumerate(ids.values()):
             self._slot_of[list(group)] = slot
 
-    def is_in(self, piece: Piece) -> bool:
-        """Tell whether a piece holds any of them."""
-        return any(self._slot_of[channel_id] >= 0 for channel_id in piece.counts or ())
+    def is_in(self, chunk: Chunk) -> bool:
+        """Return whether a chunk holds any of them."""
+        return any(self._slot_of[channel_id] >= 0 for channel_id in chunk.counts or ())
 
     def batches(self, opened: Opened) -> Iterator[Batch]:
-        """Yield their messages in an opened piece, a batch for each channel that has any."""
-        counts = opened.tally.counts
+        """Yield their messages in an opened chunk, a batch for each channel that has any."""
+        counts = opened.record_counts.counts
         sizes = [sum(counts.get(channel_id, 0) for channel_id in group) for group in self._ids.values()]
         stops: StampArray = np.cumsum(sizes, dtype=np.int64)
         next_row: StampArray = stops - np.array(sizes, dtype=np.int64)

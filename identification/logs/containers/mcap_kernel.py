@@ -1,4 +1,4 @@
-"""Walk records that stand one behind the other in memory, at machine speed and without the interpreter's lock."""
+"""Walk consecutive records in memory, at machine speed and without the interpreter's lock."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ def _kind(data: ByteArray, at: int) -> int:
 
 
 @unlocked
-def tally(
+def count_records(
     data: ByteArray,
     start: int,
     end: int,
@@ -51,7 +51,7 @@ def tally(
     span_ns: StampArray,
     others: StampArray,
 ) -> tuple[int, int, int, int]:
-    """Count the messages per channel id and list where records of other kinds stand.
+    """Count the messages per channel id and list the places of records of other kinds.
 
     Adds to `counts` (65536,), names in `ids` the channel ids that occur, widens `span_ns` (earliest and latest
     recording time) and fills `others`. Returns a code, the position up to which it came, how many others there are
@@ -99,7 +99,7 @@ def gather(
 ) -> None:
     """Write time, place and size of every message whose channel id has a slot to the next row of that slot.
 
-    The records have been walked by `tally` before.
+    The records have been walked by `count_records` before.
     """
     position = start
     while position < end:
@@ -117,7 +117,7 @@ def gather(
 
 @unlocked
 def skim(data: ByteArray, start: int, end: int) -> int:
-    """Return where the first record stands that is no message or does not end before `end`."""
+    """Return the place of the first record that is no message or does not end before `end`."""
     position = start
     while end - position >= _FRAME and _kind(data, position) == _MESSAGE:
         length = _u64(data, position + 1)
@@ -148,7 +148,7 @@ def find_chunk(data: ByteArray, start: int, end: int) -> int:
 def find_messages(data: ByteArray, start: int, end: int, is_known: ByteArray) -> int:
     """Return the first position from which several records of sensible kind follow each other, or -1.
 
-    The first is a message of a known channel, `is_known` (65536,); the last may reach exactly to `end`.
+    The first is a message of a known channel, `is_known` (65536,); the last may end exactly at `end`.
     """
     for first in range(start, end - _FRAME - MESSAGE_HEAD_BYTES + 1):
         if _kind(data, first) != _MESSAGE:
@@ -176,8 +176,8 @@ _NEVER_NS = 2**63 - 1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tally:
-    """Messages per channel id, the recording times they span (0 and 0 without any), where other records stand.
+class RecordCounts:
+    """Messages per channel id, the recording times they span (0 and 0 without any), the places of other records.
 
     `fault` says what does not fit at `stop`, empty where all is well.
     """
@@ -190,7 +190,7 @@ class Tally:
     fault: str
 
 
-class Counting:
+class RecordCounter:
     """Arrays that are used again for every count, by one thread."""
 
     def __init__(self) -> None:
@@ -199,11 +199,11 @@ class Counting:
         self._others = np.empty(256, dtype=np.int64)
         self._span = np.empty(2, dtype=np.int64)
 
-    def count(self, data: ByteArray) -> Tally:
+    def count(self, data: ByteArray) -> RecordCounts:
         """Count the records in `data`."""
         while True:
             self._span[:] = _NEVER_NS, -1
-            code, stop, other_count, id_count = tally(
+            code, stop, other_count, id_count = count_records(
                 data, 0, data.size, self._counts, self._ids, self._span, self._others
             )
             ids = self._ids[:id_count]
@@ -212,7 +212,7 @@ class Counting:
             if code != FULL:
                 break
             self._others = np.empty(2 * self._others.size, dtype=np.int64)
-        return Tally(
+        return RecordCounts(
             counts=counts,
             start_ns=int(self._span[0]) if counts else 0,
             end_ns=int(self._span[1]) if counts else 0,

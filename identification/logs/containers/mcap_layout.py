@@ -9,7 +9,7 @@ from mcap import records
 
 from .channel import CHUNK_LIMIT_BYTES, ByteArray
 from .file_bytes import FileBytes
-from .mcap_kernel import MESSAGE_HEAD_BYTES, Counting, Tally, skim
+from .mcap_kernel import MESSAGE_HEAD_BYTES, RecordCounter, RecordCounts, skim
 from .mcap_records import (
     CHUNK_HEAD_BYTES,
     FOOTER_BYTES,
@@ -20,10 +20,10 @@ from .mcap_records import (
     INDEX_HEAD_BYTES,
     KNOWN,
     MAGIC,
+    Chunk,
     Damage,
     Definitions,
     Kind,
-    Piece,
     parse,
     parse_chunk,
     parse_index_head,
@@ -36,20 +36,20 @@ _MESSAGE = struct.Struct("<BQHIQ")
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """The pieces of a file and what its other records tell.
+    """The chunks of a file and what its other records hold.
 
-    `data_stop` is where the data section ends, `data_crc` and `summary_crc` are 0 where absent; `has_strangers` tells
-    of records whose kind the format does not name; `lost` are the parts that a salvage leaves out.
+    `data_stop` is where the data section ends, `data_crc` and `summary_crc` are 0 where absent; `has_unknown_kinds`
+    says that there are records whose kind the format does not name; `lost` are the parts that a salvage leaves out.
     """
 
-    pieces: tuple[Piece, ...]
+    chunks: tuple[Chunk, ...]
     definitions: Definitions
     statistics: records.Statistics | None
     chunk_indexes: tuple[records.ChunkIndex, ...]
     data_stop: int
     data_crc: int
     summary_crc: int
-    has_strangers: bool
+    has_unknown_kinds: bool
     lost: tuple[str, ...] = ()
 
 
@@ -59,17 +59,17 @@ class Walker:
     def __init__(self, file: FileBytes) -> None:
         self.file = file
         self.definitions = Definitions()
-        self.pieces: list[Piece] = []
+        self.chunks: list[Chunk] = []
         self.indexed: dict[int, Counter[int]] = {}
         self.statistics: records.Statistics | None = None
         self.chunk_indexes: list[records.ChunkIndex] = []
         self.data_stop = file.size
         self.data_end: records.DataEnd | None = None
         self.summary_crc = 0
-        self.has_strangers = False
+        self.has_unknown_kinds = False
         self._peeked, self._peeked_at = b"", 0
         self._window: ByteArray = np.empty(0, dtype=np.uint8)
-        self._counting = Counting()
+        self._counter = RecordCounter()
         self._footer_start = 0
 
     def walk(self) -> Layout:
@@ -86,19 +86,19 @@ class Walker:
     def layout(self, lost: tuple[str, ...] = ()) -> Layout:
         """Return what has been found."""
         return Layout(
-            pieces=tuple(self._with_counts(piece) for piece in self.pieces),
+            chunks=tuple(self._with_counts(chunk) for chunk in self.chunks),
             definitions=self.definitions,
             statistics=self.statistics,
             chunk_indexes=tuple(self.chunk_indexes),
             data_stop=self.data_stop,
             data_crc=0 if self.data_end is None else self.data_end.data_section_crc,
             summary_crc=self.summary_crc,
-            has_strangers=self.has_strangers,
+            has_unknown_kinds=self.has_unknown_kinds,
             lost=lost,
         )
 
-    def _with_counts(self, piece: Piece) -> Piece:
-        return replace(piece, counts=self.indexed[piece.start]) if piece.start in self.indexed else piece
+    def _with_counts(self, chunk: Chunk) -> Chunk:
+        return replace(chunk, counts=self.indexed[chunk.start]) if chunk.start in self.indexed else chunk
 
     def peek(self, offset: int, length: int) -> bytes:
         """Return up to `length` bytes from an offset, of which it reads more at once than are asked for."""
@@ -124,7 +124,7 @@ class Walker:
             raise Damage(0, f"an MCAP file starts with the bytes {MAGIC.hex(' ')}")
         kind, length = self.frame(len(MAGIC))
         if kind != Kind.HEADER:
-            raise Damage(len(MAGIC), f"the header should stand here, a record of kind {kind} does")
+            raise Damage(len(MAGIC), f"the header should be here, a record of kind {kind} does")
         parse(records.Header.read, self.body(len(MAGIC), length), len(MAGIC))
         return len(MAGIC) + FRAME_BYTES + length
 
@@ -141,7 +141,7 @@ class Walker:
             return self._walk_messages(offset, length)
         stop = offset + FRAME_BYTES + length
         if kind == Kind.CHUNK:
-            self.pieces.append(parse_chunk(self.peek(offset + FRAME_BYTES, CHUNK_HEAD_BYTES), offset, stop))
+            self.chunks.append(parse_chunk(self.peek(offset + FRAME_BYTES, CHUNK_HEAD_BYTES), offset, stop))
         elif kind == Kind.MESSAGE_INDEX:
             self._add_index(offset, length)
         elif kind in (Kind.SCHEMA, Kind.CHANNEL):
@@ -149,21 +149,21 @@ class Walker:
         elif kind == Kind.DATA_END:
             self.data_end, self.data_stop = parse(records.DataEnd.read, self.body(offset, length), offset), offset
         elif kind in KNOWN and kind not in IN_DATA:
-            raise Damage(offset, f"a record of kind {kind} stands in the data section")
+            raise Damage(offset, f"a record of kind {kind} is in the data section")
         elif kind not in KNOWN:
-            self._add_stranger(kind, offset)
+            self._add_unknown(kind, offset)
         return stop
 
-    def _add_stranger(self, kind: int, offset: int) -> None:
+    def _add_unknown(self, kind: int, offset: int) -> None:
         if kind == 0:
             raise Damage(offset, "a record is of kind 0")
-        self.has_strangers = True
+        self.has_unknown_kinds = True
 
     def _add_index(self, offset: int, length: int) -> None:
         channel_id, count = parse_index_head(self.peek(offset + FRAME_BYTES, INDEX_HEAD_BYTES), length, offset)
-        if not self.pieces or not self.pieces[-1].is_chunk:
+        if not self.chunks or not self.chunks[-1].is_chunk:
             raise Damage(offset, "a message index follows no chunk")
-        self.indexed.setdefault(self.pieces[-1].start, Counter())[channel_id] += count
+        self.indexed.setdefault(self.chunks[-1].start, Counter())[channel_id] += count
 
     def _walk_messages(self, offset: int, length: int) -> int:
         if length < MESSAGE_HEAD_BYTES:
@@ -174,12 +174,12 @@ class Walker:
         window = self._window[:size]
         self.file.read_into(offset, window.data)
         stop = offset + skim(window, 0, size)
-        tally = self._counting.count(window[: stop - offset])
+        record_counts = self._counter.count(window[: stop - offset])
         if stop == offset:
-            stop, tally = offset + FRAME_BYTES + length, _alone(window)
-        if tally.fault:
-            raise Damage(offset, tally.fault)
-        self.pieces.append(message_piece(offset, stop, tally))
+            stop, record_counts = offset + FRAME_BYTES + length, _alone(window)
+        if record_counts.fault:
+            raise Damage(offset, record_counts.fault)
+        self.chunks.append(message_chunk(offset, stop, record_counts))
         return stop
 
     def walk_summary(self, offset: int) -> tuple[int, records.Footer | None]:
@@ -196,7 +196,7 @@ class Walker:
             self._footer_start = offset
             footer = parse(records.Footer.read, self.body(offset, length), offset)
         elif kind in KNOWN and kind not in IN_SUMMARY:
-            raise Damage(offset, f"a record of kind {kind} stands in the summary")
+            raise Damage(offset, f"a record of kind {kind} is in the summary")
         return offset + FRAME_BYTES + length, footer
 
     def _check_end(self, footer: records.Footer, summary_start: int, end: int) -> None:
@@ -210,12 +210,13 @@ class Walker:
             self._check_indexes()
 
     def _check_indexes(self) -> None:
-        """Compare place and times of the chunks with what the summary, which mostly has a CRC, tells of them."""
-        found = {(piece.start, piece.start_ns, piece.end_ns) for piece in self.pieces if piece.is_chunk}
-        told = {(i.chunk_start_offset, i.message_start_time, i.message_end_time) for i in self.chunk_indexes}
-        if told != found:
+        """Compare place and times of the chunks with what the summary, which mostly has a CRC, lists."""
+        found = {(chunk.start, chunk.start_ns, chunk.end_ns) for chunk in self.chunks if chunk.is_chunk}
+        listed = {(i.chunk_start_offset, i.message_start_time, i.message_end_time) for i in self.chunk_indexes}
+        if listed != found:
             raise Damage(
-                min(told ^ found)[0], f"the summary lists {len(told)} chunks, the data hold {len(found)}, and not these"
+                min(listed ^ found)[0],
+                f"the summary lists {len(listed)} chunks, the data hold {len(found)}, and not these",
             )
 
     def check_summary(self, footer: records.Footer, summary_start: int) -> None:
@@ -229,9 +230,9 @@ class Walker:
             raise Damage(summary_start, "the CRC of the summary does not agree with its content")
 
 
-def message_piece(start: int, stop: int, tally: Tally) -> Piece:
-    """Return the piece of the messages outside of chunks at bytes `start` to `stop`."""
-    return Piece(
+def message_chunk(start: int, stop: int, record_counts: RecordCounts) -> Chunk:
+    """Return the chunk of the messages outside of chunks at bytes `start` to `stop`."""
+    return Chunk(
         start=start,
         stop=stop,
         body=start,
@@ -240,14 +241,14 @@ def message_piece(start: int, stop: int, tally: Tally) -> Piece:
         is_chunk=False,
         compression="",
         crc=0,
-        start_ns=tally.start_ns,
-        end_ns=tally.end_ns,
-        counts=tally.counts,
+        start_ns=record_counts.start_ns,
+        end_ns=record_counts.end_ns,
+        counts=record_counts.counts,
     )
 
 
-def _alone(head: ByteArray) -> Tally:
+def _alone(head: ByteArray) -> RecordCounts:
     """Count a message that is longer than the window, of which only the head is there."""
     _, _, channel_id, _, log_ns = _MESSAGE.unpack_from(head.data)
     fault = "a message has a recording time of 2^63 ns or more" if log_ns >= 2**63 else ""
-    return Tally(counts={channel_id: 1}, start_ns=log_ns, end_ns=log_ns, others=(), stop=0, fault=fault)
+    return RecordCounts(counts={channel_id: 1}, start_ns=log_ns, end_ns=log_ns, others=(), stop=0, fault=fault)

@@ -73,11 +73,11 @@ class Damage(Exception):  # noqa: N818 - it is what is found, and becomes a LogE
 
 
 @dataclass(frozen=True, kw_only=True)
-class Piece:
-    """Bytes of the data section that are read at once: one chunk, or messages that lie outside of chunks.
+class Chunk:
+    """Bytes of the data section that are read at once: a chunk record, or messages outside of them.
 
     `start` and `stop` are the offsets of the whole records, `body` and `stored` where the packed content begins and
-    its size, `declared` the size that it unpacks to. `counts` are the messages per channel id where something tells
+    its size, `declared` the size that it unpacks to. `counts` are the messages per channel id where something counts
     them (`None`: nothing does). `start_ns` and `end_ns` span its messages on the recording clock.
     """
 
@@ -95,7 +95,7 @@ class Piece:
 
     @property
     def has_span(self) -> bool:
-        """Tell whether the recording times are told; writers that do not care leave zeros."""
+        """Return whether the recording times are known; writers that do not care leave zeros."""
         return self.end_ns != 0
 
 
@@ -110,7 +110,7 @@ def parse(read: Callable[[ReadDataStream], Record], body: bytes, offset: int) ->
         raise Damage(offset, f"a record has no proper content ({str(error) or type(error).__name__})") from error
 
 
-def parse_chunk(head: bytes, start: int, stop: int) -> Piece:
+def parse_chunk(head: bytes, start: int, stop: int) -> Chunk:
     """Parse the head of the chunk record at bytes `start` to `stop` of the file."""
     inside = stop - start - FRAME_BYTES
     if inside < _CHUNK.size + _LENGTH.size:
@@ -125,7 +125,7 @@ def parse_chunk(head: bytes, start: int, stop: int) -> Piece:
     used = _CHUNK.size + name_bytes + _LENGTH.size
     if stored > inside - used:
         raise Damage(start, f"a chunk of {stored} bytes does not fit into its record of {inside} bytes")
-    return Piece(
+    return Chunk(
         start=start,
         stop=stop,
         body=start + FRAME_BYTES + used,
@@ -176,7 +176,7 @@ class Definitions:
         self._built: dict[int, Channel] = {}
 
     def is_new(self, kind: int, body: bytes) -> bool:
-        """Tell whether a definition has to be added."""
+        """Return whether a definition has to be added."""
         return (kind, body) not in self._seen
 
     def add(self, kind: int, body: bytes, offset: int) -> None:
@@ -186,7 +186,7 @@ class Definitions:
         if kind == Kind.SCHEMA:
             schema = parse_schema(body, offset)
             if schema.id == 0:
-                raise Damage(offset, "a schema has the id 0, which stands for none")
+                raise Damage(offset, "a schema has the id 0, which means none")
             if self._schemas.setdefault(schema.id, schema) != schema:
                 raise Damage(offset, f"schema {schema.id} is defined twice, differently")
         else:
@@ -206,14 +206,14 @@ class Definitions:
         return frozenset(channel_id for channel_id in self._channels if self.has_all((channel_id,)))
 
     def has_all(self, channel_ids: Iterable[int]) -> bool:
-        """Tell whether these channels and their schemas are defined."""
+        """Return whether these channels and their schemas are defined."""
         return all(
             channel_id in self._channels and self._channels[channel_id][0].schema_id in {0, *self._schemas}
             for channel_id in channel_ids
         )
 
     def channel(self, channel_id: int) -> Channel:
-        """Return what a channel id stands for; raise Damage when its schema is nowhere defined."""
+        """Return the channel of an id; raise Damage when its schema is nowhere defined."""
         found = self._built.get(channel_id)
         if found is None:
             found = self._built[channel_id] = self._build(*self._channels[channel_id])

@@ -8,8 +8,8 @@ import numpy as np
 from .channel import CHUNK_LIMIT_BYTES, ByteArray
 from .file_bytes import FileBytes
 from .mcap_chunks import Opened, Opener, counted, is_protected, map_in_order, total_counts, without_data
-from .mcap_kernel import Counting, find_chunk, find_messages
-from .mcap_layout import Layout, Walker, message_piece
+from .mcap_kernel import RecordCounter, find_chunk, find_messages
+from .mcap_layout import Layout, Walker, message_chunk
 from .mcap_records import (
     CHUNK_HEAD_BYTES,
     FOOTER_BYTES,
@@ -17,9 +17,9 @@ from .mcap_records import (
     FRAME_BYTES,
     KNOWN,
     MAGIC,
+    Chunk,
     Damage,
     Kind,
-    Piece,
     parse_chunk,
 )
 
@@ -45,13 +45,13 @@ def _is_sound(file: FileBytes, opener: Opener, start: int) -> bool:
     return True
 
 
-def _chunk_at(file: FileBytes, start: int) -> Piece:
+def _chunk_at(file: FileBytes, start: int) -> Chunk:
     head = file.read(start, FRAME_BYTES + CHUNK_HEAD_BYTES)
     _, length = FRAME.unpack_from(head)
-    piece = parse_chunk(head[FRAME_BYTES:], start, start + FRAME_BYTES + length)
-    if piece.stop > file.size:
+    chunk = parse_chunk(head[FRAME_BYTES:], start, start + FRAME_BYTES + length)
+    if chunk.stop > file.size:
         raise Damage(start, "a chunk does not fit into the file")
-    return piece
+    return chunk
 
 
 def next_messages(file: FileBytes, channel_ids: Collection[int], begin: int, stop: int) -> int | None:
@@ -73,34 +73,34 @@ def _search(file: FileBytes, find: Callable[[ByteArray, int, int], int], begin: 
     return None
 
 
-def cut_chunk(file: FileBytes, start: int) -> Piece | None:
+def cut_chunk(file: FileBytes, start: int) -> Chunk | None:
     """Return the whole messages of a chunk without compression whose end is beyond that of the file, if it is that."""
     head = file.read(start, FRAME_BYTES + CHUNK_HEAD_BYTES)
     if len(head) < FRAME_BYTES + CHUNK_HEAD_BYTES or head[0] != Kind.CHUNK:
         return None
     _, length = FRAME.unpack_from(head)
     try:
-        piece = parse_chunk(head[FRAME_BYTES:], start, start + FRAME_BYTES + length)
+        chunk = parse_chunk(head[FRAME_BYTES:], start, start + FRAME_BYTES + length)
     except Damage:
         return None
-    if piece.compression or piece.declared > CHUNK_LIMIT_BYTES or piece.body + piece.stored <= file.size:
+    if chunk.compression or chunk.declared > CHUNK_LIMIT_BYTES or chunk.body + chunk.stored <= file.size:
         return None
-    data = np.frombuffer(file.read(piece.body, piece.stored), dtype=np.uint8)
-    tally = Counting().count(data)
-    if not tally.stop:
+    data = np.frombuffer(file.read(chunk.body, chunk.stored), dtype=np.uint8)
+    record_counts = RecordCounter().count(data)
+    if not record_counts.stop:
         return None
-    whole = Counting().count(data[: tally.stop])
-    return replace(message_piece(piece.body, piece.body + tally.stop, whole), start=start)
+    whole = RecordCounter().count(data[: record_counts.stop])
+    return replace(message_chunk(chunk.body, chunk.body + record_counts.stop, whole), start=start)
 
 
-def start_of_last(file: FileBytes, piece: Piece) -> tuple[int, ByteArray]:
-    """Return where the last message starts in a piece outside of chunks, and the bytes before it."""
-    data = np.frombuffer(file.read(piece.start, piece.stop - piece.start), dtype=np.uint8)
+def start_of_last(file: FileBytes, chunk: Chunk) -> tuple[int, ByteArray]:
+    """Return where the last message starts in a chunk outside of chunks, and the bytes before it."""
+    data = np.frombuffer(file.read(chunk.start, chunk.stop - chunk.start), dtype=np.uint8)
     position = last = 0
     while position < data.size:
         last = position
         position += FRAME_BYTES + FRAME.unpack_from(data.data, position)[1]
-    return piece.start + last, data[:last]
+    return chunk.start + last, data[:last]
 
 
 _SPARE_BYTES = 64
@@ -110,20 +110,20 @@ _LONGEST = 2**32
 
 
 def salvage_layout(file: FileBytes) -> tuple[Layout, Opener]:
-    """Return the layout of what is left, with the counts of its pieces, and what opens them."""
+    """Return the layout of what is left, with the counts of its chunks, and what opens them."""
     walker = _Salvager(file)
     layout = walker.salvage()
-    pieces: list[Piece] = []
-    for piece, opened in map_in_order(lambda piece: (piece, walker.try_open(piece)), layout.pieces):
+    chunks: list[Chunk] = []
+    for chunk, opened in map_in_order(lambda chunk: (chunk, walker.try_open(chunk)), layout.chunks):
         try:
             if isinstance(opened, Damage):
                 raise opened
             for definition in opened.definitions:
                 layout.definitions.add(*definition)
-            pieces.append(counted(opened))
+            chunks.append(counted(opened))
         except Damage as damage:
-            walker.lose(piece.start, piece.stop, damage.reason, piece)
-    return replace(layout, pieces=tuple(pieces), lost=walker.tell_lost(layout, pieces)), walker.opener
+            walker.lose(chunk.start, chunk.stop, damage.reason, chunk)
+    return replace(layout, chunks=tuple(chunks), lost=walker.describe_lost(layout, chunks)), walker.opener
 
 
 class _Salvager(Walker):
@@ -145,58 +145,60 @@ class _Salvager(Walker):
             offset = self._walk(offset)
         return self.layout()
 
-    def try_open(self, piece: Piece) -> Opened | Damage:
-        """Open a piece or return what is wrong; where its CRC agrees, a damaged index does not matter."""
+    def try_open(self, chunk: Chunk) -> Opened | Damage:
+        """Open a chunk or return what is wrong; where its CRC agrees, a damaged index does not matter."""
         try:
-            return without_data(self.opener.open(replace(piece, counts=None) if piece.crc else piece))
+            return without_data(self.opener.open(replace(chunk, counts=None) if chunk.crc else chunk))
         except Damage as damage:
             return damage
 
-    def lose(self, start: int, stop: int, reason: str, piece: Piece | None = None) -> None:
+    def lose(self, start: int, stop: int, reason: str, chunk: Chunk | None = None) -> None:
         """Note that the bytes from `start` to `stop` are left out."""
         spans = [
             (index.message_start_time, index.message_end_time)
             for index in self.chunk_indexes
             if start <= index.chunk_start_offset < stop
         ]
-        if not spans and piece is not None and piece.has_span:
-            spans = [(piece.start_ns, piece.end_ns)]
+        if not spans and chunk is not None and chunk.has_span:
+            spans = [(chunk.start_ns, chunk.end_ns)]
         when = f", recorded from {min(spans)[0]} to {max(end for _, end in spans)} ns" if spans else ""
-        counts = None if piece is None else piece.counts
+        counts = None if chunk is None else chunk.counts
         many = f", {sum(counts.values())} messages" if counts else ""
         self._lost.append((start, f"bytes {start} to {stop}{when}{many} ({reason})"))
 
-    def tell_lost(self, layout: Layout, pieces: Sequence[Piece]) -> tuple[str, ...]:
+    def describe_lost(self, layout: Layout, chunks: Sequence[Chunk]) -> tuple[str, ...]:
         """Return what is left out, in order of place, and how many messages of how many that is."""
-        told = [text for _, text in sorted(self._lost)]
-        total = total_counts(pieces)
-        homeless = sum(total[channel_id] for channel_id in total.keys() - self.definitions.usable)
-        if homeless:
-            told.append(f"{homeless} messages of channels whose definition is lost")
-        if self.statistics is not None and self.statistics.message_count != total.total() - homeless:
-            missing = self.statistics.message_count - total.total() + homeless
-            told.append(f"altogether {missing} of {self.statistics.message_count} messages")
-        bare = layout.data_crc and not told and not is_protected(layout)
+        missing_parts = [text for _, text in sorted(self._lost)]
+        total = total_counts(chunks)
+        orphaned = sum(total[channel_id] for channel_id in total.keys() - self.definitions.usable)
+        if orphaned:
+            missing_parts.append(f"{orphaned} messages of channels whose definition is lost")
+        if self.statistics is not None and self.statistics.message_count != total.total() - orphaned:
+            missing = self.statistics.message_count - total.total() + orphaned
+            missing_parts.append(f"altogether {missing} of {self.statistics.message_count} messages")
+        bare = layout.data_crc and not missing_parts and not is_protected(layout)
         if bare and self.file.crc32(0, layout.data_stop) != layout.data_crc:
-            told.append("nothing that could be told, but the CRC of the data section does not agree with its content")
-        return tuple(told)
+            missing_parts.append(
+                "nothing that can be located, but the CRC of the data section does not agree with its content"
+            )
+        return tuple(missing_parts)
 
     def _walk(self, offset: int) -> int:
-        count = len(self.pieces)
+        count = len(self.chunks)
         try:
             stop = self.walk_data(offset)
             self._check_length(offset, stop)
         except Damage as damage:
-            del self.pieces[count:]
+            del self.chunks[count:]
             return self._skip(offset, damage.reason)
         return stop
 
     def _check_length(self, offset: int, stop: int) -> None:
         """Refuse a record that reaches too far: in a damaged file such a one hides what follows."""
-        if self.pieces and self.pieces[-1].start == offset:
-            piece = self.pieces[-1]
-            if piece.is_chunk and piece.stop - piece.body - piece.stored > _SPARE_BYTES:
-                raise Damage(offset, f"a chunk record is longer than its content of {piece.stored} bytes")
+        if self.chunks and self.chunks[-1].start == offset:
+            chunk = self.chunks[-1]
+            if chunk.is_chunk and chunk.stop - chunk.body - chunk.stored > _SPARE_BYTES:
+                raise Damage(offset, f"a chunk record is longer than its content of {chunk.stored} bytes")
         elif stop < self._stop and self.data_end is None and self._kind(stop) not in KNOWN:
             raise Damage(offset, "no record follows where its length points to")
 
@@ -208,7 +210,7 @@ class _Salvager(Walker):
             found = self._stop
             rest = cut_chunk(self.file, begin)
             if rest is not None:
-                self.pieces.append(rest)
+                self.chunks.append(rest)
                 begin = rest.stop
         self.lose(begin, found, reason)
         return found
@@ -219,7 +221,7 @@ class _Salvager(Walker):
                 (i.chunk_start_offset for i in self.chunk_indexes if i.chunk_start_offset >= begin), default=None
             )
         found = next_chunk(self.file, self.opener, begin, self._stop)
-        if found is None and not any(piece.is_chunk for piece in self.pieces) and self._kind(begin - 1) != Kind.CHUNK:
+        if found is None and not any(chunk.is_chunk for chunk in self.chunks) and self._kind(begin - 1) != Kind.CHUNK:
             found = next_messages(self.file, self.definitions.ids, begin, self._stop)
         return found
 
@@ -228,17 +230,17 @@ class _Salvager(Walker):
 
     def _drop_suspect(self, offset: int) -> int:
         """Drop the message before the damage if its length may be what is damaged; return where the damage begins."""
-        last = self.pieces[-1] if self.pieces else None
+        last = self.chunks[-1] if self.chunks else None
         if last is None or last.is_chunk or last.stop != offset or self._starts_record(offset):
             return offset
-        del self.pieces[-1]
+        del self.chunks[-1]
         begin, data = start_of_last(self.file, last)
         if begin > last.start:
-            self.pieces.append(message_piece(last.start, begin, Counting().count(data)))
+            self.chunks.append(message_chunk(last.start, begin, RecordCounter().count(data)))
         return begin
 
     def _starts_record(self, offset: int) -> bool:
-        """Tell whether a record may start at an offset, though cut or of damaged length."""
+        """Return whether a record may start at an offset, though cut or of damaged length."""
         head = self.peek(offset, _START_BYTES)
         if len(head) < _START_BYTES:
             return not head or head[0] in KNOWN
@@ -270,6 +272,6 @@ class _Salvager(Walker):
         if footer_start < len(MAGIC) or self.peek(self.file.size - len(MAGIC), len(MAGIC)) != MAGIC:
             raise Damage(self.file.size, "the file does not end as a log does")
         if probe.frame(footer_start)[0] != Kind.FOOTER:
-            raise Damage(footer_start, "no footer stands before the end")
+            raise Damage(footer_start, "no footer is before the end")
         _, footer = probe.walk_summary(footer_start)
         return footer_start if footer is None or not footer.summary_start else footer.summary_start

@@ -60,7 +60,7 @@ class BagFile(io.BufferedReader):
 def _at(file: BagFile, offset: int) -> Iterator[None]:
     """Start reading at an offset; raise Damage there for whatever rosbags cannot read."""
     if not 0 <= offset <= file.size:
-        raise Damage(offset, f"a record should stand here, the file has {file.size} bytes")
+        raise Damage(offset, f"a record should be here, the file has {file.size} bytes")
     try:
         file.seek(offset)
         yield

@@ -121,7 +121,7 @@ def check_index(
             record.offset,
             f"the chunk here holds {held.total()} messages, the index counts {sum(expected.values())} or others",
         )
-    # An entry may point at the connection that stands before its message.
+    # An entry may point at the connection before its message.
     rows = np.where(is_message, np.arange(walk.ops.size), walk.ops.size)
     message_from = np.minimum.accumulate(rows[::-1])[::-1]
     for offset, number, data in index:
@@ -173,7 +173,7 @@ def copy_messages(data: bytes, starts: StampArray, sizes: StampArray) -> ByteArr
     return packed
 
 
-# The helpers stand in this file because the disk cache of a
+# The helpers are in this file because the disk cache of a
 # compiled function asks after the age of this file alone.
 
 
@@ -190,7 +190,7 @@ def _is_name(data: ByteArray, at: int, a: int, b: int, c: int, d: int) -> bool:
 
 @compiled
 def _record(data: ByteArray, at: int, row: NDArray[np.int64]) -> bool:
-    """Parse the record at an offset into `row`; tell whether a message or a connection stands there."""
+    """Parse the record at an offset into `row`; return whether it is a message or a connection."""
     size = data.size
     if at + 8 > size:
         return False

@@ -16,7 +16,7 @@ from .rosbag2_metadata import NAME, Metadata, read_metadata
 T = TypeVar("T")
 _PACKED = (".zstd", ".zst")
 _DIGITS = re.compile(r"(\d+)")
-_TOLD = 5
+_LISTED = 5
 
 
 class Rosbag2FolderContainer(Closing):
@@ -28,7 +28,7 @@ class Rosbag2FolderContainer(Closing):
         self._path, self._open_part, self._endings, self._salvage = path, open_part, tuple(endings), salvage
         self._name = path.name or str(path)
         self._lost: list[str] = []
-        self._told: list[Finding] = []
+        self._remarks: list[Finding] = []
         self._surveys: dict[Path, Survey] = {}
         self._survey: Survey | None = None
         self._part_findings: list[Finding] = []
@@ -38,7 +38,7 @@ class Rosbag2FolderContainer(Closing):
         self._parts = self._find_parts(self._metadata) if self._metadata else self._guess_parts()
 
     def survey(self) -> Survey:
-        """Tell what the parts hold together; raise LogError where one is damaged or the counts do not agree."""
+        """Return what the parts hold together; raise LogError where one is damaged or the counts do not agree."""
         if self._survey is None:
             for part in self._parts:
                 self._survey_part(part)
@@ -53,8 +53,8 @@ class Rosbag2FolderContainer(Closing):
         self._was_read = True
         self._part_findings = []
         chosen = set(wanted)
-        for part, told in self._surveys.items():
-            here = {held.channel for held in told.held if held.channel in chosen}
+        for part, survey in self._surveys.items():
+            here = {held.channel for held in survey.held if held.channel in chosen}
             if not here:
                 continue
             with self._opened(part) as container:
@@ -62,7 +62,7 @@ class Rosbag2FolderContainer(Closing):
                 self._part_findings.extend(container.findings())
 
     def findings(self) -> tuple[Finding, ...]:
-        """Tell what the last `read` had to leave out."""
+        """Report what the last `read` left out."""
         return (*self._part_findings, *salvaged(self._name, self._lost)) if self._was_read else ()
 
     def close(self) -> None:
@@ -109,7 +109,7 @@ class Rosbag2FolderContainer(Closing):
         parts = [path for path in listed.values() if path is not None]
         others = [path.name for path in self._log_files() if path not in parts]
         if others:
-            self._told.append(
+            self._remarks.append(
                 Finding(
                     code="unlisted-files",
                     severity="warning",
@@ -132,7 +132,7 @@ class Rosbag2FolderContainer(Closing):
                 f"{self._name} is a folder without {NAME} that holds several logs "
                 f"({_names([path.name for path in files])}); name one of them."
             )
-        self._told.append(
+        self._remarks.append(
             Finding(
                 code="metadata-absent",
                 severity="info" if len(files) == 1 else "warning",
@@ -161,16 +161,16 @@ class Rosbag2FolderContainer(Closing):
     def _check_counts(self, metadata: Metadata) -> None:
         """Raise LogError, or note it with `salvage`, where the files hold other messages than the metadata count."""
         held: Counter[str] = Counter()
-        for told in self._surveys.values():
-            for each in told.held:
+        for survey in self._surveys.values():
+            for each in survey.held:
                 held[each.channel.topic] += each.count
         wrong = [
             f"{held[topic]} of {metadata.topic_counts.get(topic, 0)} messages of {topic}"
             for topic in sorted(held.keys() | metadata.topic_counts.keys())
             if held[topic] != metadata.topic_counts.get(topic, 0)
         ]
-        for part, told in self._surveys.items():
-            count = sum(each.count for each in told.held)
+        for part, survey in self._surveys.items():
+            count = sum(each.count for each in survey.held)
             expected = metadata.file_counts.get(part.name, metadata.file_counts.get(part.stem, count))
             if count != expected:
                 wrong.append(f"{count} of {expected} messages in {part.name}")
@@ -186,30 +186,30 @@ class Rosbag2FolderContainer(Closing):
     def _merged(self) -> Survey:
         counts: Counter[Channel] = Counter()
         first: dict[Channel, bytes] = {}
-        for part, told in self._surveys.items():
-            for held in told.held:
+        for part, survey in self._surveys.items():
+            for held in survey.held:
                 counts[held.channel] += held.count
                 if held.count and held.channel not in first:
                     first[held.channel] = self._plain(part, held)
-        filled = [told for told in self._surveys.values() if any(held.count for held in told.held)]
-        kinds = sorted({told.container.removeprefix("rosbag2 ") for told in self._surveys.values()})
+        filled = [survey for survey in self._surveys.values() if any(held.count for held in survey.held)]
+        kinds = sorted({survey.container.removeprefix("rosbag2 ") for survey in self._surveys.values()})
         return Survey(
             container=f"rosbag2 folder ({', '.join(kinds)})",
             held=tuple(
                 Held(channel=channel, count=counts[channel], first_message=first.get(channel, b""))
                 for channel in sorted(counts, key=lambda each: (each.topic, each.type_name, each.schema))
             ),
-            start_ns=min((told.start_ns for told in filled), default=0),
-            end_ns=max((told.end_ns for told in filled), default=0),
+            start_ns=min((survey.start_ns for survey in filled), default=0),
+            end_ns=max((survey.end_ns for survey in filled), default=0),
             findings=(
-                *self._told,
-                *_joined([told.findings for told in self._surveys.values()]),
+                *self._remarks,
+                *_joined([survey.findings for survey in self._surveys.values()]),
                 *salvaged(self._name, self._lost),
             ),
         )
 
     def _is_packed(self, part: Path) -> bool:
-        """Tell whether the container hands on messages that are still compressed: SQLite's unpacks them itself."""
+        """Return whether the container returns messages that are still compressed: SQLite's unpacks them itself."""
         mode = self._metadata.compression_mode if self._metadata else ""
         return mode == "message" and ".mcap" in part.suffixes
 
@@ -252,9 +252,9 @@ def _natural(name: str) -> list[tuple[int, str]]:
 
 
 def _names(names: Collection[str]) -> str:
-    told = sorted(names, key=_natural)
-    more = f" and {len(told) - _TOLD} more" if len(told) > _TOLD else ""
-    return ", ".join(told[:_TOLD]) + more
+    ordered = sorted(names, key=_natural)
+    more = f" and {len(ordered) - _LISTED} more" if len(ordered) > _LISTED else ""
+    return ", ".join(ordered[:_LISTED]) + more
 
 
 def _joined(findings: list[tuple[Finding, ...]]) -> Iterator[Finding]:

@@ -106,7 +106,7 @@ def _build(where: str, tree: object) -> Metadata:
 
 
 def _file_name(where: str, value: object, version: int) -> str:
-    """Return the name of a part; up to version 3 the name of the folder stands before it."""
+    """Return the name of a part; up to version 3 the name of the folder precedes it."""
     path = PurePosixPath(value if isinstance(value, str) else "")
     parts = path.parts[1:] if version <= 3 and len(path.parts) == 2 else path.parts
     if len(parts) != 1 or parts[0] in ("..", "/") or "\0" in parts[0]:

@@ -236,7 +236,7 @@ class SqliteBagContainer(Closing):
                 yield unpacked.channel, handle(unpacked)
 
     def findings(self) -> tuple[Finding, ...]:
-        """Tell what the last `read` had to leave out."""
+        """Report what the last `read` left out."""
         return salvaged(self._name, self._lost) if self._was_read else ()
 
     def close(self) -> None:
@@ -266,7 +266,7 @@ class SqliteBagContainer(Closing):
             if not isinstance(number, int) or not all(isinstance(text, str) for text in texts):
                 raise self._file.refusal(ValueError(f"topic {number!r} is not defined by texts"))
             name, type_name, encoding, digest = cast(list[str], texts)
-            # A definition may stand there without the digest that the topic tells, or the other way round.
+            # A definition may lack the digest that the topic has, or the other way round.
             schema = defined.get((type_name, digest)) or defined.get((type_name, "")) or ("", b"")
             topics[number] = Channel(
                 topic=name, type_name=type_name, encoding=encoding, schema_encoding=schema[0], schema=schema[1]

@@ -35,14 +35,14 @@ class ZstdFileContainer(Closing):
             raise
 
     def survey(self) -> Survey:
-        """Tell what the unpacked file holds."""
-        told = self._inner.survey()
+        """Return what the unpacked file holds."""
+        inner = self._inner.survey()
         return Survey(
-            container=f"{told.container}, zstd file",
-            held=told.held,
-            start_ns=told.start_ns,
-            end_ns=told.end_ns,
-            findings=(*told.findings, *salvaged(self._name, self._lost)),
+            container=f"{inner.container}, zstd file",
+            held=inner.held,
+            start_ns=inner.start_ns,
+            end_ns=inner.end_ns,
+            findings=(*inner.findings, *salvaged(self._name, self._lost)),
         )
 
     def read(self, wanted: Collection[Channel], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
@@ -50,7 +50,7 @@ class ZstdFileContainer(Closing):
         return self._inner.read(wanted, handle)
 
     def findings(self) -> tuple[Finding, ...]:
-        """Tell what the last `read` had to leave out."""
+        """Report what the last `read` left out."""
         return (*self._inner.findings(), *salvaged(self._name, self._lost))
 
     def close(self) -> None:

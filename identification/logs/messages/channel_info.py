@@ -20,7 +20,7 @@ T = TypeVar("T")
 class ChannelInfo:
     """A channel, its number of messages, its rate over the whole log, and the frame in its first header.
 
-    `columns` are the names that a table has, empty for messages. `has_header` tells whether messages start with one.
+    `columns` are the names that a table has, empty for messages. `has_header` says whether messages start with one.
     """
 
     channel: Channel
@@ -32,12 +32,12 @@ class ChannelInfo:
 
     def __str__(self) -> str:
         """Name the channel for a list to choose from."""
-        told = [self.channel.type_name or "no type", f"{self.count} messages"]
+        facts = [self.channel.type_name or "no type", f"{self.count} messages"]
         if self.rate_hz is not None:
-            told.append(f"{self.rate_hz:.1f} Hz")
+            facts.append(f"{self.rate_hz:.1f} Hz")
         if self.frame:
-            told.append(f"frame {self.frame}")
-        return f"{self.channel.topic} ({', '.join(told)})"
+            facts.append(f"frame {self.frame}")
+        return f"{self.channel.topic} ({', '.join(facts)})"
 
 
 Infos = Sequence[ChannelInfo]
@@ -77,7 +77,7 @@ class FirstMessage:
         self._held = held
 
     def survey(self) -> Survey:
-        """Tell of the one message."""
+        """Return the one message."""
         return Survey(container="message", held=(self._held,), start_ns=0, end_ns=0, findings=())
 
     def read(self, wanted: Collection[Channel], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:

@@ -11,7 +11,7 @@ from .kernel_bytes import ENCAPSULATION, FINE, FRAMES_FULL, LEFT_OVER, NANOSECON
 from .layout import Program
 
 _REASONS = {
-    TOO_SHORT: "something should stand at byte {at} that does not fit into its {size} bytes",
+    TOO_SHORT: "a field at byte {at} does not fit into its {size} bytes",
     LEFT_OVER: "its type ends at byte {at}, the message has {size}",
     ENCAPSULATION: "its encapsulation {head} is not plain CDR (00 00 or 00 01), which the RMW should write",
     TERMINATOR: "a string should end with a zero at byte {at}",

@@ -72,7 +72,7 @@ def _names_in(description: Any) -> list[str]:
 
 
 def has_header(channel: Channel) -> bool:
-    """Tell whether messages begin with a `std_msgs/msg/Header`."""
+    """Return whether messages begin with a `std_msgs/msg/Header`."""
     if channel.encoding not in ROS_ENCODINGS:
         return False
     try:
@@ -83,7 +83,7 @@ def has_header(channel: Channel) -> bool:
 
 
 def is_standard(channel: Channel) -> bool:
-    """Tell whether the log's own definition, if there is one, has the fields of the standard type."""
+    """Return whether the log's own definition, if there is one, has the fields of the standard type."""
     known = _standard(channel.encoding).fielddefs
     try:
         types = needed_types(channel)

@@ -1,6 +1,6 @@
 """Decode every message of a batch by running the program of its type over it, compiled.
 
-The program says, step by step, what stands in a message of one type: what is skipped, what becomes a column of the
+The program says, step by step, what a message of one type holds: what is skipped, what becomes a column of the
 values, what is header. Every access is checked against the end of the message.
 """
 
@@ -33,7 +33,7 @@ SKIP, RUN, STAMP, STRING, FRAME, SEQUENCE, PICK, REPEAT, TIMES, END = range(10)
 
 SKIP and RUN pass over or take `count` numbers of `size` bytes; STAMP takes a time; STRING passes over a text, FRAME
 takes it; SEQUENCE passes over numbers behind their count, PICK takes those that `picks` names from the second number
-to the third; what stands between REPEAT and END is done once per entry of a sequence, or as often as TIMES says
+to the third; what is between REPEAT and END is done once per entry of a sequence, or as often as TIMES says
 (second number; the first is the step behind END).
 """
 MAX_DEPTH = 16
@@ -200,7 +200,7 @@ def run_program(
 ) -> tuple[int, int, int]:
     """Fill the values, `stamps` (n,) and `frames` (m, 2): place and length of each different frame name.
 
-    Returns a code, the message it belongs to and the position inside that message; `found` (1,) tells how many frame
+    Returns a code, the message it belongs to and the position inside that message; `found` (1,) counts how many frame
     names there are; `loops` (MAX_DEPTH, 2) is room for the loops that are open.
     """
     found[0] = 0

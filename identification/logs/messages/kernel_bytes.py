@@ -106,7 +106,7 @@ def stamp(data: ByteArray, at: int, end: int, origin: int, is_cdr: bool, is_big:
 
 @inlined
 def same(data: ByteArray, first: int, second: int, length: int) -> bool:
-    """Tell whether the bytes at two places are the same."""
+    """Return whether the bytes at two places are the same."""
     one, other = np.uint64(first), np.uint64(second)
     for offset in range(np.uint64(length)):  # noqa: SIM110 - a compiled kernel has no generators
         if data[one + offset] != data[other + offset]:

@@ -72,7 +72,7 @@ class _Node:
     inside: dict[Token, "_Node"] = field(default_factory=dict)
     is_header: bool = False
 
-    def reach(self, tokens: tuple[Token, ...]) -> "_Node":
+    def node_at(self, tokens: tuple[Token, ...]) -> "_Node":
         node = self
         for token in tokens:
             node = node.inside.setdefault(token, _Node())
@@ -86,7 +86,7 @@ class _Compiler:
         self.picks: list[tuple[int, int]] = []
 
     def add_struct(self, name: str, node: _Node, depth: int) -> None:
-        """Add the steps of a message type, below which `node` tells what is wanted."""
+        """Add the steps of a message type, below which `node` says what is wanted."""
         if depth > MAX_DEPTH or len(self.steps) > _STEPS_AT_MOST:
             raise _NotKnownError
         fields = self._types[name][1]
@@ -223,12 +223,12 @@ def build_program(channel: Channel, wanted: Wanted) -> Program | None:
     types = needed_types(channel)
     root = _Node()
     for column, path in enumerate(wanted.fields):
-        node = root.reach(parse_path(path))
+        node = root.node_at(parse_path(path))
         if node.column is not None:
             raise LogError(f"{path} of topic {channel.topic} is wanted twice; name it once.")
         node.column = column
     if wanted.header:
-        header = root.reach(parse_path(wanted.header))
+        header = root.node_at(parse_path(wanted.header))
         if header.inside or header.column is not None:
             return None
         header.is_header = True

@@ -24,7 +24,7 @@ def parse_json(data: bytes) -> object:
 
     `NaN`, `Infinity` and `-Infinity`, which many writers use though the standard has none, become such numbers: as
     those of any other encoding they are for the checks of a signal to report. Raises LogError for everything else that
-    is not JSON, for a key that stands twice, and for messages that are too large or nested too deeply.
+    is not JSON, for a key that occurs twice, and for messages that are too large or nested too deeply.
     """
     if len(data) > _LIMIT_BYTES:
         raise LogError(f"A JSON message of {len(data)} bytes is larger than the {_LIMIT_BYTES} that are allowed.")
@@ -45,7 +45,7 @@ def _mapping(pairs: Sequence[tuple[str, object]]) -> dict[str, object]:
     if len(tree) < len(pairs):
         keys = [key for key, _ in pairs]
         twice = next(key for key in keys if keys.count(key) > 1)
-        raise _refusal(f"the key {twice[:60]!r} stands twice")
+        raise _refusal(f"the key {twice[:60]!r} occurs twice")
     return tree
 
 
@@ -137,7 +137,7 @@ def _step(thing: Any, token: Token) -> Any:
 
 
 def pick(thing: object, path: tuple[Token, ...]) -> Any:
-    """Return what stands at a path; raise LackingError where there is nothing."""
+    """Return what is at a path; raise LackingError where there is nothing."""
     try:
         return reduce(_step, path, thing)
     except (LookupError, TypeError, AttributeError) as error:
@@ -175,7 +175,7 @@ def either(thing: Any, names: tuple[str, ...]) -> Any:
 
 
 def header_of(thing: object, path: tuple[Token, ...]) -> tuple[int, str]:
-    """Return stamp in ns and frame name of a header, or of what stands in its place: a time beside the numbers."""
+    """Return stamp in ns and frame name of a header, or of what takes its place: a time beside the numbers."""
     header: Any
     try:
         header = pick(thing, path)

@@ -100,8 +100,8 @@ def gather(
     container: Container, decoders: Mapping[Channel, Callable[[Batch], Part]], wanted: Mapping[Channel, Wanted]
 ) -> dict[Channel, Gathering]:
     """Read the channels once and put together what their decoders make of each batch."""
-    told = {held.channel: held.count for held in container.survey().held}
-    gatherings = {channel: Gathering(each, told.get(channel, 0)) for channel, each in wanted.items()}
+    counted = {held.channel: held.count for held in container.survey().held}
+    gatherings = {channel: Gathering(each, counted.get(channel, 0)) for channel, each in wanted.items()}
     counts = dict.fromkeys(wanted, 0)
 
     def handle(batch: Batch) -> tuple[int, Part]:

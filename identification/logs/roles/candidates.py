@@ -43,14 +43,14 @@ def roles_of(channel: Channel) -> tuple[Role, ...]:
 
 
 def is_command_name(topic: str) -> bool:
-    """Tell whether a word of the topic says that it carries a command."""
+    """Return whether a word of the topic says that it carries a command."""
     words = _words(topic)
     pairs = {first + second for first, second in pairwise(words)}
     return bool(COMMAND_WORDS & ({*words} | (pairs & {"setpoint"})))
 
 
 def is_processed_name(topic: str) -> bool:
-    """Tell whether a word of the topic says that a wrench is not as the sensor showed it."""
+    """Return whether a word of the topic says that a wrench is not as the sensor showed it."""
     return bool(PROCESSED_WORDS & {*_words(topic)})
 
 
@@ -101,7 +101,7 @@ def _ruled_out(role: Role, log: str, infos: Infos, source: Source | None) -> str
 
 
 def is_undeclared(info: ChannelInfo) -> bool:
-    """Tell whether a channel holds numbers whose meaning has to be declared."""
+    """Return whether a channel holds numbers whose meaning has to be declared."""
     return info.channel.type_name in UNDECLARED or info.channel.encoding not in ("cdr", "ros1")
 
 

@@ -1,4 +1,4 @@
-"""Units and ways to tell an orientation that a log may be declared to use."""
+"""What a log cannot say of itself: topics, layouts, units, signs, frames and what was done before recording."""
 
 import math
 import re
@@ -49,7 +49,7 @@ def check_unit(name: str, unit: str, known: Mapping[str, float]) -> None:
 
 
 Paths = tuple[str | None, ...]
-"""Where the numbers of a vector stand in a message; None for an axis that the log does not have."""
+"""Paths of the numbers of a vector in a message; None for an axis that the log does not have."""
 
 _NORM_TOLERANCE = 1e-3
 _Source = TypeVar("_Source", bound="Source")
@@ -130,7 +130,7 @@ class DeclaredDeadband:
 
 @dataclass(frozen=True, kw_only=True)
 class Saturation:
-    """The sensor's range: the largest magnitude per axis that it can tell."""
+    """The sensor's range: the largest magnitude per axis that it measures."""
 
     force_n: tuple[float, float, float] | None = None
     torque_n_m: tuple[float, float, float] | None = None
@@ -189,9 +189,11 @@ class PoseSource(Source):
 
     def __post_init__(self) -> None:
         width = orientation_width(self.orientation_as)
-        told = 0 if self.fields is None else len(self.fields.orientation)
-        if told not in (0, width):
-            raise ParameterError("orientation_as", self.orientation_as, f"of {told} numbers, as fields.orientation has")
+        count = 0 if self.fields is None else len(self.fields.orientation)
+        if count not in (0, width):
+            raise ParameterError(
+                "orientation_as", self.orientation_as, f"of {count} numbers, as fields.orientation has"
+            )
         if (self.parent is None) != (self.child is None):
             missing = "parent" if self.parent is None else "child"
             raise ParameterError(missing, "nothing", "named too: a transform needs parent and child")
@@ -253,7 +255,7 @@ class GainsSource(Source):
 
 @dataclass(frozen=True, kw_only=True)
 class Mounting:
-    """How the sensor sits on the flange: flange from sensor, told as `orientation_as`; () for no turn."""
+    """How the sensor sits on the flange: flange from sensor, written as `orientation_as`; () for no turn."""
 
     orientation: tuple[float, ...] = ()
     orientation_as: str = "quaternion_xyzw"
@@ -276,7 +278,7 @@ class Cell:
     """Everything that may be declared of a cell's logs; every entry may be left out.
 
     `gravity_direction` is in the base frame. A measured `pose` and a `displacement` (a pose relative to one that is not
-    known) exclude each other. `table` tells how CSV and Parquet files are timed; `fields` name their columns.
+    known) exclude each other. `table` says how CSV and Parquet files are timed; `fields` name their columns.
     """
 
     gravity_direction: tuple[float, float, float] = (0.0, 0.0, -1.0)

@@ -47,7 +47,7 @@ class RoleSeries:
 
 
 def choose_all(infos: Infos, cell: Cell, log: str, frames_of: FramesOf) -> dict[Role, Choice]:
-    """Return the channel of each role that the log or the cell tells of.
+    """Return the channel of each role that the log or the cell determines.
 
     Raises LogError for a wrench, pose or command that is missing or ambiguous (a missing command is none), and for
     anything declared that the log does not have.
@@ -90,7 +90,7 @@ def candidates_of(role: Role, infos: Infos, cell: Cell) -> list[ChannelInfo]:
 
 
 def open_questions(infos: Infos, cell: Cell, log: str) -> tuple[Finding, ...]:
-    """Tell which roles that `identify` can do without were left empty because several channels could serve them."""
+    """List which roles that `identify` can do without were left empty because several channels could serve them."""
     found = []
     for role in (role for role, kind in ROLES.items() if not kind.option):
         candidates = _candidates(role, None, infos, set())
@@ -226,7 +226,7 @@ def _declared(role: Role, source: Source, fields: tuple[str | None, ...], infos:
 
 
 def _has_columns(info: ChannelInfo, wanted: set[str]) -> bool:
-    """Tell whether a table has the wanted columns, by name or number; of messages that is not known yet."""
+    """Return whether a table has the wanted columns, by name or number; of messages that is not known yet."""
     numbers = {str(index) for index in range(len(info.columns))}
     return not info.columns or wanted <= {*info.columns} | numbers
 
@@ -242,9 +242,9 @@ def _transform(
     having = {info.channel: frames_of(info) for info in trees}
     found = [info for info in trees if pair in having[info.channel]]
     if not found:
-        told = sorted({f"{child} in {parent}" for pairs in having.values() for parent, child in pairs})
+        known = sorted({f"{child} in {parent}" for pairs in having.values() for parent, child in pairs})
         raise LogError(
-            f"No transform of {pair[1]} in {pair[0]} is in {log}, which tells: {listed(told, empty='no transforms')}."
+            f"No transform of {pair[1]} in {pair[0]} is in {log}, which holds: {listed(known, empty='no transforms')}."
         )
     info = _only(role, found, infos, log, source)
     layout = ROLES[role].layouts[info.channel.type_name]

@@ -61,7 +61,7 @@ def build_frames(cell: Cell) -> Frames:
 
 
 def orientation_quaternion(kind: str, numbers: FloatArray, rad_per_unit: float = 1.0) -> FloatArray:
-    """Return unit quaternions xyzw (n, 4), w not negative, from orientations (n, 3 or 4) told as `kind`.
+    """Return unit quaternions xyzw (n, 4), w not negative, from orientations (n, 3 or 4) written as `kind`.
 
     Quaternions are expected to be of norm 1 within rounding and are normalised.
     """
@@ -124,7 +124,7 @@ def interpret_wrench(
 ) -> WrenchSignal:
     """Return the payload's wrench on the sensor in N and N·m, in the sensor frame.
 
-    Raises LogError when it is told in base axes and the pose does not tell how the sensor is turned.
+    Raises LogError when it is given in base axes and the pose lacks the orientation of the sensor.
     """
     scale = np.repeat([FORCE_N[source.units.force], TORQUE_N_M[source.units.torque]], 3) * np.array(source.signs)
     values = columns.values * scale * (-1.0 if source.exerted_by is ExertedBy.SENSOR else 1.0)
@@ -209,7 +209,7 @@ def _turned(topic: str, rotation: Rotation, vectors: FloatArray, has: Sequence[b
         return vectors
     if not all(has):
         raise LogError(
-            f"Topic {topic} must tell all three components of a vector that has to be turned into another frame; "
+            f"Topic {topic} must hold all three components of a vector that has to be turned into another frame; "
             "declare all of them, or the frame in which those that are there are meant."
         )
     return np.asarray(rotation.apply(vectors))

@@ -65,7 +65,7 @@ _STATE_GAINS = Layout(fields=tuple(f"{name}.data[{i}]" for name in ("mass", "dam
 class RoleKind:
     """What is known of a role: its entry in cell.yaml, its name in messages, and the message types that carry it.
 
-    `layouts` says where its numbers stand in each type. The types in `tiers` are looked for, those of a later tier only
+    `layouts` has the paths of its numbers in each type. The types in `tiers` are looked for, those of a later tier only
     where a log has none of the tiers before; the first one is what to record. `is_command` says whether a word of the
     topic must name a command or must not. `option` is that of the command line, which decides between several channels;
     without one the role is left empty then. `is_required` says that a log without it is refused, and `record` is the

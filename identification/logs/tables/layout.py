@@ -16,7 +16,7 @@ NO_ROW = "holds the names of columns but no row; record again"
 class TableLayout:
     """The wanted columns of a table, its time, and for CSV how it is written.
 
-    `columns` are names, or indices from 0 as text where the table has no names. The time stands in the column `time`
+    `columns` are names, or indices from 0 as text where the table has no names. The time is the column `time`
     in `time_unit`, or the rows follow each other with `sample_rate_hz`, from 0. `delimiter`, `header_rows` (the first
     of which holds the names) and `encoding` are found out where they are None; lines that start with `comment` are left
     out, as are `skip_rows` lines before everything else. Raises ParameterError.

@@ -49,8 +49,12 @@ def read_parquet(
         rows = file.metadata.num_rows
         if wanted and count != rows:
             raise LogError(f"{path.name} is damaged: it holds {count} rows, its footer counts {rows}; export it again.")
-    told = np.concatenate(values) if values else np.empty((0, len(columns)))
-    return told, (np.concatenate(times) if times else np.zeros(0, dtype=np.int64)) if time is not None else None, rows
+    numbers = np.concatenate(values) if values else np.empty((0, len(columns)))
+    return (
+        numbers,
+        (np.concatenate(times) if times else np.zeros(0, dtype=np.int64)) if time is not None else None,
+        rows,
+    )
 
 
 @contextmanager
@@ -73,16 +77,16 @@ def _opened(path: Path) -> Iterator[pa.parquet.ParquetFile]:
 
 
 def _check_footer(file: pa.parquet.ParquetFile) -> None:
-    """Raise ValueError unless the footer, which has no checksum, agrees where it tells names and types twice."""
+    """Raise ValueError unless the footer, which has no checksum, agrees where it holds names and types twice."""
     stored = (file.metadata.metadata or {}).get(b"ARROW:schema")
     if stored is None:
         return
     read = list(file.schema_arrow)
-    told = list(pa.ipc.read_schema(pa.py_buffer(base64.b64decode(stored))))
-    if [field.name for field in read] != [field.name for field in told] or any(
-        one.type != other.type for one, other in zip(read, told, strict=True) if other.type in _KEPT_TYPES
+    stored_fields = list(pa.ipc.read_schema(pa.py_buffer(base64.b64decode(stored))))
+    if [field.name for field in read] != [field.name for field in stored_fields] or any(
+        one.type != other.type for one, other in zip(read, stored_fields, strict=True) if other.type in _KEPT_TYPES
     ):
-        raise ValueError("its footer tells names or types of the columns in two ways")
+        raise ValueError("its footer holds two versions of the names or types of the columns")
 
 
 def _twice(names: Sequence[str]) -> str:

@@ -13,7 +13,7 @@ from ..messages.series import Series, Wanted
 from .read import TableLayout, list_columns, read_table
 
 _STAND_IN_HZ = 1.0
-"""Counts the rows of a table without a declared time; no time is told from it."""
+"""Counts the rows of a table without a declared time; no time is derived from it."""
 
 
 class TableLog:
@@ -64,10 +64,10 @@ class TableLog:
 
     def transform(self, channel: Channel, pair: tuple[str, str]) -> Series:
         """Raise LogError: a table has no transforms."""
-        raise LogError(f"{channel.topic} is a table and tells no transform of {pair[1]} in {pair[0]}.")
+        raise LogError(f"{channel.topic} is a table and holds no transform of {pair[1]} in {pair[0]}.")
 
     def findings(self) -> tuple[Finding, ...]:
-        """Tell that checksums are missing, and the time, if it is not declared."""
+        """Report that checksums are missing, and the time, if it is not declared."""
         return (*_unprotected(self.path, self._times.channel.type_name), *self._untimed())
 
     def close(self) -> None:
@@ -88,7 +88,7 @@ class TableLog:
 
 
 def _unprotected(path: Path, kind: str) -> tuple[Finding, ...]:
-    told = (
+    checked = (
         "the checksums of its pages are verified where they are there, but most writers leave them out"
         if kind == "parquet"
         else "a CSV carries none"
@@ -97,7 +97,7 @@ def _unprotected(path: Path, kind: str) -> tuple[Finding, ...]:
         Finding(
             code="crc-absent",
             severity="info",
-            message=f"{path.name} may have no checksums (CRC): {told}; a flipped bit may go unnoticed.",
+            message=f"{path.name} may have no checksums (CRC): {checked}; a flipped bit may go unnoticed.",
             advice="Record MCAP with chunk CRCs where that is possible.",
         ),
     )

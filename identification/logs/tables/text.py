@@ -1,4 +1,4 @@
-"""The text of a CSV file: its encoding, what stands before its rows, and the rows as a stream of UTF-8."""
+"""The text of a CSV file: its encoding, the lines before its rows, and the rows as a stream of UTF-8."""
 
 import codecs
 import csv
@@ -51,16 +51,16 @@ def look_at(path: Path, layout: TableLayout) -> Text:
             numbered = list(_numbered(path, file, count))
     except (UnicodeError, LookupError, OSError) as error:
         raise unreadable(path, encoding, error) from error
-    told = [(number, line) for number, line in numbered[layout.skip_rows :] if not is_comment(line, layout)]
-    while told and not told[0][1].strip():
-        told.pop(0)
-    if not told:
+    written = [(number, line) for number, line in numbered[layout.skip_rows :] if not is_comment(line, layout)]
+    while written and not written[0][1].strip():
+        written.pop(0)
+    if not written:
         raise LogError(f"{path.name} holds no line of a table; record again, or correct the lines that are left out.")
-    delimiter = layout.delimiter or _find_delimiter([line for _, line in told])
+    delimiter = layout.delimiter or _find_delimiter([line for _, line in written])
     try:
-        first = split(told[0][1], delimiter)
+        first = split(written[0][1], delimiter)
     except csv.Error as error:
-        raise LogError(f"{path.name}, line {told[0][0]}: it cannot be split ({error}); correct the line.") from error
+        raise LogError(f"{path.name}, line {written[0][0]}: it cannot be split ({error}); correct the line.") from error
     header_rows = layout.header_rows
     if header_rows is None:
         header_rows = 0 if all(_NUMBER.fullmatch(field) for field in first) else 1
@@ -71,7 +71,7 @@ def look_at(path: Path, layout: TableLayout) -> Text:
         encoding=encoding,
         delimiter=delimiter,
         names=tuple(names) if header_rows else tuple(map(str, range(len(first)))),
-        first_line=told[header_rows][0] if header_rows < len(told) else numbered[-1][0] + 1,
+        first_line=written[header_rows][0] if header_rows < len(written) else numbered[-1][0] + 1,
     )
 
 
@@ -92,7 +92,7 @@ class Rows(io.RawIOBase):
         self._left = b""
 
     def readable(self) -> bool:
-        """Tell that it can be read."""
+        """Return that it can be read."""
         return True
 
     def readinto(self, buffer: bytearray | memoryview) -> int:  # type: ignore[override]  # any buffer will do
@@ -148,7 +148,7 @@ def split(line: str, delimiter: str) -> list[str]:
 
 
 def is_comment(line: str, layout: TableLayout) -> bool:
-    """Tell whether a line is to be left out."""
+    """Return whether a line is to be left out."""
     return bool(layout.comment) and line.startswith(layout.comment)
 
 
@@ -192,7 +192,7 @@ def _find_delimiter(lines: Sequence[str]) -> str:
     """Return the delimiter that splits the first lines alike, else the one that splits the first line most."""
     lines = [line for line in lines if line.strip()]
     counts = {mark: [_count(line, mark) for line in lines] for mark in _DELIMITERS}
-    alike = [mark for mark, told in counts.items() if told[0] > 1 and len(set(told)) == 1]
+    alike = [mark for mark, widths in counts.items() if widths[0] > 1 and len(set(widths)) == 1]
     if alike:
         return alike[0]
     most = max(_DELIMITERS, key=lambda mark: counts[mark][0])

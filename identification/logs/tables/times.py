@@ -55,7 +55,7 @@ def _number(data: Bytes, start: int, end: int, power: int, mark: int, found: Sta
 
 @compiled
 def _rounded(data: Bytes, start: int, stop: int, mark: int, whole: int) -> int:
-    """Return the number of which the first `whole` digits stand before the point, or -1 where it is too large."""
+    """Return the number of which the first `whole` digits are before the point, or -1 where it is too large."""
     value, seen, first, rest = 0, 0, 0, 0
     for at in range(start, stop):
         if data[at] == mark:
@@ -92,7 +92,7 @@ def _has_sign(data: Bytes, start: int, end: int) -> int:
 
 @compiled
 def _exponent(data: Bytes, start: int, end: int) -> int:
-    """Return the exponent that stands behind the digits, 0 without one, below -_LONGEST_EXPONENT where it is none."""
+    """Return the exponent behind the digits, 0 without one, below -_LONGEST_EXPONENT where it is none."""
     none = -_LONGEST_EXPONENT - 1
     if start == end:
         return 0

@@ -50,7 +50,7 @@ def test_errors_are_as_large_as_the_deviations_say() -> None:
         run = poses_run((2.0, 16.2, 45.0)[case // 3 % 3], h_s, case % 2)
         truth = float(rng.uniform(-5e-3, 5e-3))
         found = estimated(delayed(run.recording, truth))
-        if found.verdict is OffsetVerdict.UNTOLD:
+        if found.verdict is OffsetVerdict.UNKNOWN:
             refused += 1
             continue
         value, std = told(found)
@@ -155,13 +155,13 @@ def test_a_hand_at_every_turn_is_refused_or_covered(push_n: float) -> None:
         push = sosfilt(butter(2, 2.0, fs=500.0, output="sos"), rng.standard_normal(force.shape), axis=0)
         push *= push_n / push.std()
         found = estimated(delayed(run.recording, -3e-3, force + push))
-        if found.verdict is not OffsetVerdict.UNTOLD:
+        if found.verdict is not OffsetVerdict.UNKNOWN:
             value, std = told(found)
             assert abs(value + 3e-3) < 3.5 * std
         else:
             assert found.reason
             assert "hands off" in found.advice
-        assert push_n < 30.0 or found.verdict is OffsetVerdict.UNTOLD
+        assert push_n < 30.0 or found.verdict is OffsetVerdict.UNKNOWN
 
 
 def test_a_contact_at_some_turns_is_left_out() -> None:
@@ -179,7 +179,7 @@ def test_a_contact_at_some_turns_is_left_out() -> None:
 )
 def test_without_turns_it_cannot_be_told(program: Program, reason: str) -> None:
     found = estimated(simulate_cell(Cell(), program, seed=1).recording)
-    assert found.verdict is OffsetVerdict.UNTOLD
+    assert found.verdict is OffsetVerdict.UNKNOWN
     assert found.offset_s is None
     assert reason in found.reason
     assert "Tilt the tool" in found.advice
@@ -188,7 +188,7 @@ def test_without_turns_it_cannot_be_told(program: Program, reason: str) -> None:
 
 def test_a_wrench_of_noise_tells_nothing(demo_recording: Recording) -> None:
     noise = np.random.default_rng(4).standard_normal(demo_recording.wrench.force_n.shape)
-    assert estimated(delayed(demo_recording, 0.0, noise)).verdict is OffsetVerdict.UNTOLD
+    assert estimated(delayed(demo_recording, 0.0, noise)).verdict is OffsetVerdict.UNKNOWN
 
 
 def test_channels_without_common_time_and_processed_ones_tell_nothing(demo_recording: Recording) -> None:

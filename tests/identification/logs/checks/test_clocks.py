@@ -143,7 +143,7 @@ def test_clocks_far_apart_that_physics_cannot_bring_together_are_an_error(demo_r
     )
     moved = replace(demo_recording, wrench=silent)
     report = check_clocks(moved, channel_times(moved, wrench_ahead_s=1.0))
-    assert report.offset.verdict is OffsetVerdict.UNTOLD
+    assert report.offset.verdict is OffsetVerdict.UNKNOWN
     assert [(each.code, each.severity) for each in report.findings] == [("clocks-disagree", "error")]
     assert report.recording is moved
 

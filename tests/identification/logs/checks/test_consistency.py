@@ -46,7 +46,7 @@ def test_a_factor_is_told(factor: float) -> None:
     wrong = replace(TWIST, linear_m_s=TWIST.linear_m_s * factor)
     found = list(twist_findings(POSE, wrong))
     assert len(found) == 1
-    assert "The translation that the twist of /twist tells differs" in found[0].message
+    assert "The translation that the twist of /twist gives differs" in found[0].message
     # The clocks are 1 ms apart: 1e-3 of a motion of 2 rad/s.
     assert f"times {1.0 / factor:.3f} it fits" in found[0].message
 

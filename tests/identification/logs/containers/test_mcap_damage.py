@@ -151,7 +151,7 @@ def statistics(messages: int, chunks: int, channel_id: int = 1) -> bytes:
 
 CASES: dict[str, tuple[bytes, str]] = {
     "nothing": (b"", "the file ends after 16 bytes without"),
-    "no header": (GOOD + TAIL + MAGIC, "the header should stand here, a record of kind 3 does"),
+    "no header": (GOOD + TAIL + MAGIC, "the header should be here, a record of kind 3 does"),
     "bomb told": (HEAD + chunk(bytes(2**28 + 1)) + TAIL, "more than the 268435456 that are allowed"),
     "huge chunk": (HEAD + chunk(GOOD, size=HUGE) + TAIL, "more than the 268435456 that are allowed"),
     "bomb not told": (HEAD + chunk(GOOD, data=zstandard.compress(bytes(2**26))) + TAIL, "unpacks to more than"),
@@ -174,7 +174,7 @@ CASES: dict[str, tuple[bytes, str]] = {
     "short message": (HEAD + chunk(SCHEMA + CHANNEL + record(5, bytes(21))) + TAIL, "too short"),
     "late message": (HEAD + chunk(GOOD + record(5, raw.message(1, HUGE, b""))) + TAIL, r"2\^63 ns or more"),
     "outside times": (HEAD + chunk(GOOD, start=6, end=9) + TAIL, "before or after the times"),
-    "chunk in chunk": (HEAD + chunk(GOOD + chunk(GOOD)) + TAIL, "kind 6 stands in a chunk"),
+    "chunk in chunk": (HEAD + chunk(GOOD + chunk(GOOD)) + TAIL, "kind 6 is in a chunk"),
     "stored size": (HEAD + chunk(GOOD, stored=2**40) + TAIL, "does not fit into its record"),
     "short chunk": (HEAD + record(raw.CHUNK, bytes(30)) + TAIL, "a chunk record of 30 bytes is too short"),
     "two schemas": (
@@ -190,8 +190,8 @@ CASES: dict[str, tuple[bytes, str]] = {
     "largest length": (HEAD + struct.pack("<BQ", 6, 2**64 - 1) + TAIL, "says 18446744073709551615 bytes"),
     "short top message": (HEAD + SCHEMA + CHANNEL + record(5, b"abc") + TAIL, "message record of 3 bytes is too short"),
     "bad text": (HEAD + record(raw.CHANNEL, struct.pack("<HHI", 1, 1, 2) + b"\xff\xfe") + TAIL, "no proper content"),
-    "no data end": (HEAD + SCHEMA + record(raw.FOOTER, bytes(20)), "kind 2 stands in the data section"),
-    "chunk in summary": (HEAD + END + chunk(GOOD) + record(raw.FOOTER, bytes(20)), "kind 6 stands in the summary"),
+    "no data end": (HEAD + SCHEMA + record(raw.FOOTER, bytes(20)), "kind 2 is in the data section"),
+    "chunk in summary": (HEAD + END + chunk(GOOD) + record(raw.FOOTER, bytes(20)), "kind 6 is in the summary"),
     "kind 0": (HEAD + record(0, b"") + TAIL, "kind 0"),
     "stranger": (HEAD + SCHEMA + CHANNEL + record(0x85, b"hidden") + TAIL, "unknown kinds, and no count"),
     "stranger in chunk": (HEAD + chunk(GOOD + record(0x85, b"")) + TAIL, "unknown kinds, and no count"),
