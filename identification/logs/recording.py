@@ -7,7 +7,7 @@ import numpy as np
 from ..errors import LogError
 from ..result import Finding
 from ..signals.frames import Frames
-from ..signals.recording import GainsSignal, PoseSignal, Recording, StampArray, TwistSignal, WrenchSignal
+from ..signals.recording import GainsSignal, PoseSignal, Recording, StampArray, WrenchSignal
 from .checks.consistency import turn_findings, twist_findings
 from .checks.samples import role_faults
 from .roles.candidates import is_processed_name
@@ -84,17 +84,31 @@ def build_recording(series: dict[Role, RoleSeries], clocks: Mapping[Role, Clock]
     columns = {role: _columns(series[role], stamps[role]) for role in series}
     choice = series[Role.WRENCH].choice
     series.clear()
-    pose = _pose(columns.pop(Role.POSE), cell, frames)
+    is_relative = cell.displacement is not None
+    source = cell.pose or cell.displacement or PoseSource()
+    pose = interpret_pose(columns.pop(Role.POSE), source, frames, is_displacement=is_relative)
     wrench, findings = _wrench(choice, columns.pop(Role.WRENCH), cell, frames, pose)
-    twist = _twist(columns, cell, frames, pose)
-    findings += [*turn_findings(pose), *(twist_findings(pose, twist) if twist is not None else ())]
+    command = twist = desired_force = None
+    if Role.COMMAND in columns:
+        source = cell.command or PoseSource()
+        command = interpret_pose(columns[Role.COMMAND], source, frames, is_displacement=is_relative)
+    findings += turn_findings(pose)
+    if Role.TWIST in columns:
+        twist = interpret_twist(columns[Role.TWIST], cell.twist or TwistSource(), frames, pose)
+        findings += twist_findings(pose, twist)
+    if Role.DESIRED_FORCE in columns:
+        desired = cell.desired_force or WrenchSource()
+        axes = desired.expressed_in or Frame.SENSOR
+        desired_force = interpret_wrench(
+            columns[Role.DESIRED_FORCE], desired, frames, pose, expressed_in=axes, gravity_compensated=True
+        )
     return Recording(
         wrench=wrench,
         pose=pose,
-        command=_command(columns, cell, frames),
+        command=command,
         twist=twist,
         gains=_gains(columns, cell, wrench),
-        desired_force=_desired_force(columns, cell, frames, pose),
+        desired_force=desired_force,
         clocks={ROLES[role].entry: clock.value for role, clock in clocks.items()},
         findings=tuple(dict.fromkeys(findings)),
     )
@@ -105,10 +119,6 @@ def refuse(findings: Iterable[Finding]) -> None:
     for finding in findings:
         if finding.severity == "error":
             raise LogError(f"{finding.message} {finding.advice}")
-
-
-def _has(series: RoleSeries) -> tuple[bool, ...]:
-    return tuple(path is not None for path in series.choice.fields)
 
 
 def _topic(series: RoleSeries) -> str:
@@ -144,20 +154,8 @@ def _columns(series: RoleSeries, stamp_ns: StampArray) -> Columns:
         frame_id=pair[0] if pair else frame,
         stamp_ns=stamp_ns,
         values=series.values,
-        has=_has(series),
+        has=tuple(path is not None for path in series.choice.fields),
     )
-
-
-def _pose(columns: Columns, cell: Cell, frames: Frames) -> PoseSignal:
-    source = cell.pose or cell.displacement or PoseSource()
-    return interpret_pose(columns, source, frames, is_displacement=cell.displacement is not None)
-
-
-def _command(columns: Mapping[Role, Columns], cell: Cell, frames: Frames) -> PoseSignal | None:
-    if Role.COMMAND not in columns:
-        return None
-    is_displacement = cell.displacement is not None
-    return interpret_pose(columns[Role.COMMAND], cell.command or PoseSource(), frames, is_displacement=is_displacement)
 
 
 def _wrench(
@@ -198,28 +196,6 @@ def _processed_finding(topic: str) -> Finding:
         message=f"The name of {topic} says that its wrench is not as the sensor showed it; it is taken as raw.",
         advice="Record the raw wrench, or declare `gravity_compensated` (true or false) and `deadband` in cell.yaml.",
     )
-
-
-def _desired_force(
-    columns: Mapping[Role, Columns], cell: Cell, frames: Frames, pose: PoseSignal
-) -> WrenchSignal | None:
-    if Role.DESIRED_FORCE not in columns:
-        return None
-    source = cell.desired_force or WrenchSource()
-    return interpret_wrench(
-        columns[Role.DESIRED_FORCE],
-        source,
-        frames,
-        pose,
-        expressed_in=source.expressed_in or Frame.SENSOR,
-        gravity_compensated=True,
-    )
-
-
-def _twist(columns: Mapping[Role, Columns], cell: Cell, frames: Frames, pose: PoseSignal) -> TwistSignal | None:
-    if Role.TWIST not in columns:
-        return None
-    return interpret_twist(columns[Role.TWIST], cell.twist or TwistSource(), frames, pose)
 
 
 def _gains(columns: Mapping[Role, Columns], cell: Cell, wrench: WrenchSignal) -> GainsSignal | None:

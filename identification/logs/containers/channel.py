@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol, Self, TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,35 +80,26 @@ class Batch:
         return int(self.log_ns.size)
 
 
-class Container(Protocol):
+class Container(ABC):
     """An opened log file (or folder of files) of one format; a context manager."""
 
+    @abstractmethod
     def survey(self) -> Survey:
         """Return what the log holds; raise LogError if it is damaged."""
-        ...
 
+    @abstractmethod
     def read(self, wanted: Collection[Channel], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
         """Read the wanted channels once and yield what `handle` makes of each batch, per channel in file order.
 
         `handle` may be called in several threads at once, on different batches. Raises LogError as soon as anything
         that is read turns out to be damaged, at the latest when the iteration ends.
         """
-        ...
 
     def findings(self) -> tuple[Finding, ...]:
         """Report what the last `read` left out (with `salvage`), else nothing."""
-        ...
+        return ()
 
-    def close(self) -> None:
-        """Close the files."""
-        ...
-
-
-class Closing(ABC):
-    """What makes a container a context manager."""
-
-    @abstractmethod
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - what opens nothing has nothing to close
         """Close the files."""
 
     def __enter__(self) -> Self:

@@ -10,7 +10,7 @@ import numpy as np
 from ...errors import LogError
 from ...result import Finding
 from ...signals.recording import StampArray
-from .channel import Batch, Channel, Closing, Held, Survey, T, salvaged
+from .channel import Batch, Channel, Container, Held, Survey, T, salvaged
 from .file_bytes import FileBytes
 from .mcap_chunks import Opened, Opener, complete, map_in_order, total_counts
 from .mcap_kernel import gather
@@ -49,7 +49,7 @@ def file_findings(layout: Layout) -> tuple[Finding, ...]:
 _IDS = 2**16
 
 
-class McapContainer(Closing):
+class McapContainer(Container):
     """An MCAP file; with `salvage` damaged parts are left out and reported instead of refused."""
 
     def __init__(self, path: Path, *, salvage: bool = False) -> None:

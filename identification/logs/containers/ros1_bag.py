@@ -20,7 +20,7 @@ from rosbags.rosbag1.reader import Header, RecordType, read_uint32
 from ...errors import LogError
 from ...result import Finding
 from .batches import Gatherer
-from .channel import Batch, Channel, Closing, Held, Survey, salvaged
+from .channel import Batch, Channel, Container, Held, Survey, salvaged
 from .ros1_chunk import ChunkRecord, Damage, Walk, check_index, copy_messages, unpack_chunk, walk_chunk
 
 T = TypeVar("T")
@@ -95,7 +95,7 @@ class _Records(Reader):
         )
 
 
-class Ros1BagContainer(Closing):
+class Ros1BagContainer(Container):
     """A ROS 1 bag; with `salvage` damaged chunks are left out, and a missing index is replaced by a walk."""
 
     def __init__(self, path: Path, *, salvage: bool = False) -> None:

@@ -10,7 +10,7 @@ from typing import TypeVar
 from ...errors import LogError
 from ...result import Finding
 from .batches import unpack_message, unpack_messages
-from .channel import Batch, Channel, Closing, Container, Held, Survey, salvaged
+from .channel import Batch, Channel, Container, Held, Survey, salvaged
 from .rosbag2_metadata import NAME, Metadata, read_metadata
 
 T = TypeVar("T")
@@ -19,7 +19,7 @@ _DIGITS = re.compile(r"(\d+)")
 _LISTED = 5
 
 
-class Rosbag2FolderContainer(Closing):
+class Rosbag2FolderContainer(Container):
     """A folder of parts, each opened only while it is being read."""
 
     def __init__(
@@ -64,9 +64,6 @@ class Rosbag2FolderContainer(Closing):
     def findings(self) -> tuple[Finding, ...]:
         """Report what the last `read` left out."""
         return (*self._part_findings, *salvaged(self._name, self._lost)) if self._was_read else ()
-
-    def close(self) -> None:
-        """Do nothing: no part stays open."""
 
     def _check_links(self) -> None:
         """Refuse a link that leads out of the folder: what it leads to was not recorded here, and is not shown."""

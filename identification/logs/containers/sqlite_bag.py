@@ -5,6 +5,7 @@ import sqlite3
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TypeVar, cast
@@ -15,7 +16,7 @@ import numpy as np
 from ...errors import LogError
 from ...result import Finding
 from .batches import ZSTD_MAGIC, Gatherer, pack, unpack_message, unpack_messages
-from .channel import CHUNK_LIMIT_BYTES, Batch, Channel, Closing, Held, Survey, salvaged
+from .channel import CHUNK_LIMIT_BYTES, Batch, Channel, Container, Held, Survey, salvaged
 
 T = TypeVar("T")
 Row = tuple[object, ...]
@@ -26,7 +27,6 @@ _NEEDED = {
 }
 _DEFINED = {"topic_type", "encoding", "encoded_message_definition", "type_description_hash"}
 _ROWS = "SELECT rowid, topic_id, timestamp, data FROM messages"
-_GROUP = 1000
 _FETCHED = 2000
 _KNOWN_SCHEMAS = ("ros2msg", "ros2idl")
 _FOREIGN = (sqlite3.Error, ValueError, OverflowError, MemoryError)
@@ -180,7 +180,7 @@ class _Counted:
         self.log_ns = [min(times), max(times)] if times else []
 
 
-class SqliteBagContainer(Closing):
+class SqliteBagContainer(Container):
     """A .db3 file of rosbag2, opened without any right to change it; messages come in the order of their ids."""
 
     def __init__(self, path: Path, *, salvage: bool = False) -> None:
@@ -314,16 +314,13 @@ class SqliteBagContainer(Closing):
         if not self._salvage:
             yield from self._file.messages(topics)
             return
-        group: list[Row] = []
-        for row in self._file.readable_messages([]):
-            _, topic, log_ns, data = row
-            if topic in topics and isinstance(log_ns, int) and isinstance(data, bytes):
-                group.append(row)
-            if len(group) == _GROUP:
-                yield group
-                group = []
-        if group:
-            yield group
+        sound = (
+            row
+            for row in self._file.readable_messages([])
+            if row[1] in topics and isinstance(row[2], int) and isinstance(row[3], bytes)
+        )
+        while rows := list(islice(sound, _FETCHED)):
+            yield rows
 
     def _all_batches(self, topics: dict[int, Channel], gatherers: dict[Channel, Gatherer]) -> Iterator[Batch]:
         for rows in self._rows(topics) if topics else ():

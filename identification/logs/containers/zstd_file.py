@@ -10,7 +10,7 @@ import zstandard
 
 from ...errors import LogError
 from ...result import Finding
-from .channel import Batch, Channel, Closing, Container, Survey, salvaged
+from .channel import Batch, Channel, Container, Survey, salvaged
 
 T = TypeVar("T")
 _FEED_BYTES = 2**14
@@ -19,7 +19,7 @@ _ALWAYS_ALLOWED_BYTES = 2**26
 _SPARE_BYTES = 2**28
 
 
-class ZstdFileContainer(Closing):
+class ZstdFileContainer(Container):
     """What `open_inner` makes of the unpacked file, which lives as long as the container."""
 
     def __init__(self, path: Path, open_inner: Callable[[Path], Container], *, salvage: bool = False) -> None:

@@ -7,8 +7,7 @@ from typing import TypeVar
 import numpy as np
 
 from ...errors import LogError
-from ...result import Finding
-from ..containers.channel import Batch, Channel, Held, Survey
+from ..containers.channel import Batch, Channel, Container, Held, Survey
 from .definitions import has_header
 from .read import read_series
 from .series import Wanted
@@ -70,7 +69,7 @@ def _frame(held: Held) -> str | None:
     return frames[0] if frames else None
 
 
-class FirstMessage:
+class FirstMessage(Container):
     """A container that holds the first message of one channel."""
 
     def __init__(self, held: Held) -> None:
@@ -81,17 +80,10 @@ class FirstMessage:
         return Survey(container="message", held=(self._held,), start_ns=0, end_ns=0, findings=())
 
     def read(self, wanted: Collection[Channel], handle: Callable[[Batch], T]) -> Iterator[tuple[Channel, T]]:
-        """Hand on the one message."""
+        """Read the one message."""
         held = self._held
         if held.channel in wanted and held.count:
             data = np.frombuffer(held.first_message, dtype=np.uint8)
             zero = np.zeros(1, dtype=np.int64)
             size = np.array([data.size], dtype=np.int64)
             yield held.channel, handle(Batch(channel=held.channel, log_ns=zero, data=data, starts=zero, sizes=size))
-
-    def findings(self) -> tuple[Finding, ...]:
-        """Nothing is left out."""
-        return ()
-
-    def close(self) -> None:
-        """Nothing to close."""

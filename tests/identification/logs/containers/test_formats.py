@@ -23,7 +23,7 @@ from rosbags.rosbag2 import StoragePlugin
 from identification.errors import LogError
 from identification.logs.containers import formats
 from identification.logs.containers.batches import pack
-from identification.logs.containers.channel import Batch, Channel, Closing, Held, Survey
+from identification.logs.containers.channel import Batch, Channel, Container, Held, Survey
 from identification.logs.containers.formats import LogFormat, is_table, open_container, sha256_of
 from identification.logs.containers.mcap_file import McapContainer
 from identification.logs.containers.ros1_bag import Ros1BagContainer
@@ -32,7 +32,6 @@ from identification.logs.containers.sqlite_bag import SqliteBagContainer
 from identification.logs.messages.series import Wanted
 from identification.logs.opened import open_logs
 from identification.logs.roles.cell import Cell
-from identification.result import Finding
 from tests.identification.logs.containers.database import write_db3
 from tests.identification.logs.containers.stored import several, write_bag, write_folder
 
@@ -157,7 +156,7 @@ def test_the_digest_is_that_of_the_bytes_and_of_a_folder_that_of_its_list(tmp_pa
         sha256_of(tmp_path / "absent")
 
 
-class ToyContainer(Closing):
+class ToyContainer(Container):
     """A log of lines: time in ns, then a JSON message of the topic /toy."""
 
     def __init__(self, path: Path, *, salvage: bool = False) -> None:
@@ -176,12 +175,6 @@ class ToyContainer(Closing):
         starts = np.cumsum(sizes) - sizes
         batch = Batch(channel=self._channel, log_ns=self._log_ns, data=data, starts=starts, sizes=sizes)
         yield from ((channel, handle(batch)) for channel in wanted)
-
-    def findings(self) -> tuple[Finding, ...]:
-        return ()
-
-    def close(self) -> None:
-        """Nothing is open."""
 
 
 def test_a_format_is_added_by_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,8 +10,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from identification.logs.containers.channel import Batch, Channel, Held, Survey, T
-from identification.result import Finding
+from identification.logs.containers.channel import Batch, Channel, Container, Held, Survey, T
 
 ADMITTANCE = "control_msgs/msg/AdmittanceControllerState"
 MIXED = "test_msgs/msg/Mixed"
@@ -171,7 +170,7 @@ def batch_of(channel: Channel, messages: Sequence[bytes], gap: bytes = b"\xa5\xa
 
 
 @dataclass(frozen=True)
-class MemoryContainer:
+class MemoryContainer(Container):
     """A container of batches that are there already."""
 
     batches: tuple[Batch, ...]
@@ -187,9 +186,3 @@ class MemoryContainer:
         for batch in self.batches:
             if batch.channel in wanted:
                 yield batch.channel, handle(batch)
-
-    def findings(self) -> tuple[Finding, ...]:
-        return ()
-
-    def close(self) -> None:
-        pass
