@@ -15,6 +15,7 @@ from .roles.cell import Cell
 
 _LONGEST_PAUSE_NS = 10**9
 """A recorder that splits its files goes on at once; who records again takes longer."""
+_GAP_PERIODS = 1.5
 
 
 def separate_runs(paths: Sequence[Path], cell: Cell, *, salvage: bool = False) -> tuple[tuple[Path, ...], ...]:
@@ -35,9 +36,6 @@ def separate_runs(paths: Sequence[Path], cell: Cell, *, salvage: bool = False) -
             runs.append([index])
         latest = max(latest, end)
     return tuple(tuple(paths[index] for index in sorted(run)) for run in runs)
-
-
-_GAP_PERIODS = 1.5
 
 
 def join_recordings(parts: Sequence[Recording]) -> Recording:

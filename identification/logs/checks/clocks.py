@@ -23,6 +23,9 @@ _JUMP_ERROR_S = 0.01
 _JUMP_ERROR_PERIODS = 3.0
 _FAR_S = 1.0
 _DRIFT_PPM = 200.0
+_AGREE_DEVIATIONS = 4.0
+_AGREE_S = 5e-3
+_CERTAIN_S = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,11 +199,6 @@ def clock_findings(clock: ChannelClock, period_s: float) -> tuple[Finding, ...]:
             )
         )
     return tuple(found)
-
-
-_AGREE_DEVIATIONS = 4.0
-_AGREE_S = 5e-3
-_CERTAIN_S = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""What one kind of motion says about the offset between two clocks."""
+"""Fit the offset between the clocks of wrench and pose to the weight of the payload in the turning sensor frame."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -12,28 +12,8 @@ from ...signals.aligned import AlignedLog
 from ...signals.frames import turn_vectors_rad
 from ...signals.segments import low_pass
 
-
-@dataclass(frozen=True, kw_only=True)
-class OffsetEstimate:
-    """The wrench's clock is ahead of the pose's by `offset_s` ± `std_s` (one deviation); `spans` of motion say so."""
-
-    offset_s: float
-    std_s: float
-    spans: int
-    method: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class NoEstimate:
-    """Why one kind of motion says nothing, and what to record instead."""
-
-    reason: str
-    advice: str
-
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
 _BAND_HZ = 8.0
 _GRID_HZ = 240.0
 _SMOOTH_HZ = 40.0
@@ -55,6 +35,24 @@ _POOR_FIT = 0.15
 _MOUNT_LAG_S3 = 2.0 * 0.1 / (2.0 * np.pi * 10.0) ** 3
 _METHOD = "weight in the turning sensor frame"
 _ADVICE = "Tilt the tool to 6 or more orientations, 30 to 70 degrees apart, in about a second each, hands off."
+
+
+@dataclass(frozen=True, kw_only=True)
+class OffsetEstimate:
+    """The wrench's clock is ahead of the pose's by `offset_s` ± `std_s` (one deviation); `spans` of motion say so."""
+
+    offset_s: float
+    std_s: float
+    spans: int
+    method: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoEstimate:
+    """Why one kind of motion says nothing, and what to record instead."""
+
+    reason: str
+    advice: str
 
 
 @dataclass(frozen=True, kw_only=True)

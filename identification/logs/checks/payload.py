@@ -28,6 +28,23 @@ _STEP_S = 4e-3
 _NOISE_FACTOR = 8.0
 _SMALLEST = np.array([0.3, 0.3, 0.3, 0.03, 0.03, 0.03])
 _QUIET_SHARE = 0.15
+_DISTINCT_COSINE = float(np.cos(np.radians(2.0)))
+_FEWEST_ORIENTATIONS = 4
+_FEWEST_AFTER = 3
+_LARGEST_CONDITION = 40.0
+_ROUNDS = 30
+_SCATTER_N = 0.05
+_SCATTER_SHARE = 3e-3
+_SIGNIFICANT = 6.0
+_MASS_SHARE = 0.03
+_SMALLEST_STEP_N = 0.5
+_EXPLAINED = 0.9
+_TOGETHER = 0.6
+_FOLLOWED = 0.6
+_SMALLEST_KG = 0.1
+_HARMLESS_N = 3.0
+_FEWEST_BESIDE = 3
+_SAME_PLACE_M = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,25 +112,6 @@ def _jump(before: FloatArray, after: FloatArray, noise: FloatArray, least: Float
     swing = np.maximum(before.std(axis=0), after.std(axis=0))
     allowed = np.hypot(2.0 * noise, _QUIET_SHARE * np.max(np.abs(change) / least) * least)
     return change if bool(np.all(swing < allowed)) else None
-
-
-_DISTINCT_COSINE = float(np.cos(np.radians(2.0)))
-_FEWEST_ORIENTATIONS = 4
-_FEWEST_AFTER = 3
-_LARGEST_CONDITION = 40.0
-_ROUNDS = 30
-_SCATTER_N = 0.05
-_SCATTER_SHARE = 3e-3
-_SIGNIFICANT = 6.0
-_MASS_SHARE = 0.03
-_SMALLEST_STEP_N = 0.5
-_EXPLAINED = 0.9
-_TOGETHER = 0.6
-_FOLLOWED = 0.6
-_SMALLEST_KG = 0.1
-_HARMLESS_N = 3.0
-_FEWEST_BESIDE = 3
-_SAME_PLACE_M = 1e-3
 
 
 def check_payload(recording: Recording) -> tuple[Finding, ...]:

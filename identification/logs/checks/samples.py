@@ -27,6 +27,9 @@ _LARGEST_TURN_RAD = 2.0 * np.pi * 1.01
 _RESTING_SHARE = 1e-7
 _REPEATED_SHARE = 0.3
 _COARSE_REPEATS = 0.5
+_OF_A_RESTING_COMMAND = frozenset({"stuck-axis", "repeated-samples"})
+_OF_A_DEADBAND = frozenset({"stuck-axis", "deadband", "coarse-steps", "repeated-samples"})
+"""What a deadband does to a wrench: expected where one is declared, as is what looks like the end of a range at 0."""
 
 
 def frame_faults(topic: str, frame_ids: tuple[str, ...]) -> Iterator[Finding]:
@@ -242,10 +245,6 @@ def _error(code: str, message: str, advice: str) -> Finding:
 
 
 _Number = TypeVar("_Number", np.float64, np.int64)
-
-_OF_A_RESTING_COMMAND = frozenset({"stuck-axis", "repeated-samples"})
-_OF_A_DEADBAND = frozenset({"stuck-axis", "deadband", "coarse-steps", "repeated-samples"})
-"""What a deadband does to a wrench: expected where one is declared, as is what looks like the end of a range at 0."""
 
 
 def role_faults(

@@ -1,4 +1,4 @@
-"""The interface of all containers: channels, what it holds of each, and their raw messages in batches."""
+"""The interface of all containers: channels, their counts, and their raw messages in batches."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Sequence

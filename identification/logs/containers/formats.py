@@ -16,6 +16,22 @@ from .mcap_records import MAGIC as MCAP_MAGIC
 from .rosbag2_folder import Rosbag2FolderContainer
 from .zstd_file import ZstdFileContainer
 
+_HEAD_BYTES = 4096
+_TABLE_ENDINGS = (".csv", ".tsv", ".txt")
+_TEXT_CONTROLS = frozenset(range(32)) - {9, 10, 13}
+_FOREIGN = (
+    (b"PK\x03\x04", "a ZIP archive", "unpack it and name the log inside"),
+    (b"PK\x05\x06", "an empty ZIP archive", "name a log file"),
+    (b"\x1f\x8b", "compressed with gzip", "unpack it with `gzip -d` and name the log inside"),
+    (b"BZh", "compressed with bzip2", "unpack it with `bzip2 -d` and name the log inside"),
+    (b"\xfd7zXZ\x00", "compressed with xz", "unpack it with `xz -d` and name the log inside"),
+    (b"\x04\x22\x4d\x18", "compressed with lz4", "unpack it with `lz4 -d` and name the log inside"),
+    (b"7z\xbc\xaf\x27\x1c", "a 7-Zip archive", "unpack it and name the log inside"),
+    (b"\x89HDF", "an HDF5 file", "export it as CSV or Parquet"),
+    (b"MATLAB 5.0", "a MATLAB file", "export it as CSV or Parquet"),
+    (b"#ROSBAG V1", "a ROS 1 bag of version 1", "convert it with `rosbag fix`"),
+)
+
 
 class Opener(Protocol):
     """Open a file or folder; raise LogError where it is damaged, with `salvage` leave out what is."""
@@ -62,22 +78,6 @@ FORMATS = [
     LogFormat(name="a folder of rosbag2", is_folder=Path.is_dir, open=_open_folder),
 ]
 """All formats; to add one, write a file with its `Container` and a line here."""
-
-_HEAD_BYTES = 4096
-_TABLE_ENDINGS = (".csv", ".tsv", ".txt")
-_TEXT_CONTROLS = frozenset(range(32)) - {9, 10, 13}
-_FOREIGN = (
-    (b"PK\x03\x04", "a ZIP archive", "unpack it and name the log inside"),
-    (b"PK\x05\x06", "an empty ZIP archive", "name a log file"),
-    (b"\x1f\x8b", "compressed with gzip", "unpack it with `gzip -d` and name the log inside"),
-    (b"BZh", "compressed with bzip2", "unpack it with `bzip2 -d` and name the log inside"),
-    (b"\xfd7zXZ\x00", "compressed with xz", "unpack it with `xz -d` and name the log inside"),
-    (b"\x04\x22\x4d\x18", "compressed with lz4", "unpack it with `lz4 -d` and name the log inside"),
-    (b"7z\xbc\xaf\x27\x1c", "a 7-Zip archive", "unpack it and name the log inside"),
-    (b"\x89HDF", "an HDF5 file", "export it as CSV or Parquet"),
-    (b"MATLAB 5.0", "a MATLAB file", "export it as CSV or Parquet"),
-    (b"#ROSBAG V1", "a ROS 1 bag of version 1", "convert it with `rosbag fix`"),
-)
 
 
 def open_container(path: Path, *, salvage: bool = False) -> Container:

@@ -18,6 +18,12 @@ from .mcap_kernel import RecordCounter, RecordCounts
 from .mcap_layout import Layout
 from .mcap_records import FRAME, FRAME_BYTES, KNOWN, Chunk, Damage, Definition, Definitions, Kind
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+THREADS = 2
+AHEAD = 4
+"""Results that may wait: enough that no thread is idle, few enough that they weigh nothing."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Opened:
@@ -152,14 +158,6 @@ def _unlz4(packed: ByteArray, declared: int) -> bytes:
 
 def _at_least(buffer: ByteArray, size: int) -> ByteArray:
     return buffer if buffer.size >= size else np.empty(size + size // 8, dtype=np.uint8)
-
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
-
-THREADS = 2
-AHEAD = 4
-"""Results that may wait: enough that no thread is idle, few enough that they weigh nothing."""
 
 
 def map_in_order(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:

@@ -1,4 +1,8 @@
-"""What an MCAP file lacks that would protect its messages."""
+"""MCAP: own framing, so that what is not wanted is neither read nor unpacked, and what is wanted is checked.
+
+The top records are walked first, without the content of chunks. Chunks are then read, unpacked, checked and decoded in
+two threads. Counts in the file's summary and indexes have to agree with the messages that are read.
+"""
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
@@ -17,6 +21,8 @@ from .mcap_kernel import gather
 from .mcap_layout import Layout, Walker
 from .mcap_records import Chunk, Damage, Definition
 from .mcap_salvage import salvage_layout
+
+_IDS = 2**16
 
 
 def file_findings(layout: Layout) -> tuple[Finding, ...]:
@@ -44,9 +50,6 @@ def file_findings(layout: Layout) -> tuple[Finding, ...]:
             )
         )
     return tuple(found)
-
-
-_IDS = 2**16
 
 
 class McapContainer(Container):

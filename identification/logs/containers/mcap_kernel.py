@@ -18,6 +18,8 @@ _FRAME, _MESSAGE, _CHUNK = 9, 5, 6
 _CHUNK_FIXED = 40
 _LAST_KIND = 15
 _CHAIN = 4
+_IDS = 2**16
+_NEVER_NS = 2**63 - 1
 
 
 @inlined
@@ -169,10 +171,6 @@ def find_messages(data: ByteArray, start: int, end: int, is_known: ByteArray) ->
         if links == _CHAIN or (links > 0 and position == end):
             return first
     return -1
-
-
-_IDS = 2**16
-_NEVER_NS = 2**63 - 1
 
 
 @dataclass(frozen=True, kw_only=True)

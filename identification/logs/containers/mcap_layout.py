@@ -1,4 +1,4 @@
-"""What lies where in an MCAP file: walk its records without unpacking chunks, and check its frame."""
+"""The layout of an MCAP file: walk its top records without unpacking chunks, and check its frame."""
 
 import struct
 from collections import Counter

@@ -25,6 +25,9 @@ _INDEX = struct.Struct("<HI")
 INDEX_HEAD_BYTES = _INDEX.size
 CHUNK_HEAD_BYTES = _CHUNK.size + 16 + _LENGTH.size
 """Enough for the head of a chunk record whose compression has a name of up to 16 bytes."""
+Record = TypeVar("Record")
+Definition = tuple[int, bytes, int]
+"""Kind, content and offset of a record that defines a schema or a channel."""
 
 
 class Kind(IntEnum):
@@ -99,9 +102,6 @@ class Chunk:
         return self.end_ns != 0
 
 
-Record = TypeVar("Record")
-
-
 def parse(read: Callable[[ReadDataStream], Record], body: bytes, offset: int) -> Record:
     """Parse the content of a record; raise Damage with its `offset` in the file when it ends too early."""
     try:
@@ -160,10 +160,6 @@ def parse_channel(body: bytes, offset: int) -> records.Channel:
     """Parse a channel record."""
     channel: records.Channel = parse(records.Channel.read, body, offset)
     return channel
-
-
-Definition = tuple[int, bytes, int]
-"""Kind, content and offset of a record that defines a schema or a channel."""
 
 
 class Definitions:

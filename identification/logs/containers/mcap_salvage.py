@@ -1,4 +1,9 @@
-"""Search a damaged MCAP file for places at which something sound starts."""
+"""Read what is left of a damaged MCAP file.
+
+The records are walked as in a sound file. Where one is damaged, the next place is searched that proves itself sound: a
+chunk that the summary lists or whose CRC agrees, or several messages in a row where the file has no chunks. The
+summary, if it is sound, defines channels that are lost otherwise.
+"""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
@@ -26,6 +31,10 @@ from .mcap_records import (
 _WINDOW_BYTES = 4 * 2**20
 _OVERLAP_BYTES = 2**18
 _IDS = 2**16
+_SPARE_BYTES = 64
+"""A record with more bytes than this behind its content has a damaged length."""
+_START_BYTES = FRAME_BYTES + 2
+_LONGEST = 2**32
 
 
 def next_chunk(file: FileBytes, opener: Opener, begin: int, stop: int) -> int | None:
@@ -101,12 +110,6 @@ def start_of_last(file: FileBytes, chunk: Chunk) -> tuple[int, ByteArray]:
         last = position
         position += FRAME_BYTES + FRAME.unpack_from(data.data, position)[1]
     return chunk.start + last, data[:last]
-
-
-_SPARE_BYTES = 64
-"""A record with more bytes than this behind its content has a damaged length."""
-_START_BYTES = FRAME_BYTES + 2
-_LONGEST = 2**32
 
 
 def salvage_layout(file: FileBytes) -> tuple[Layout, Opener]:

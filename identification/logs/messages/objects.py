@@ -1,4 +1,4 @@
-"""JSON messages."""
+"""Decode messages one by one through libraries: JSON, Protobuf, and ROS types that the compiled program does not know."""
 
 import json
 import keyword
@@ -17,6 +17,8 @@ from .layout import Token, parse_path
 from .series import Wanted
 
 _LIMIT_BYTES = 2**26
+_SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanos")
+_BILLION = 10**9
 
 
 def parse_json(data: bytes) -> object:
@@ -51,10 +53,6 @@ def _mapping(pairs: Sequence[tuple[str, object]]) -> dict[str, object]:
 
 def _refusal(reason: str) -> LogError:
     return LogError(f"A JSON message cannot be used: {reason}; correct the writer and record again.")
-
-
-_SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanos")
-_BILLION = 10**9
 
 
 class ObjectDecoder:

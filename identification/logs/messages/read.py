@@ -1,4 +1,4 @@
-"""Put the parts of a channel together as they come, into arrays that are as long as the log says they will be."""
+"""Read from a log the numbers that are wanted of some channels, in one pass."""
 
 from collections.abc import Callable, Mapping
 from typing import TypeVar

@@ -26,6 +26,9 @@ LENGTH_M: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
 ANGLE_RAD: Mapping[str, float] = {"rad": 1.0, "deg": 0.017453292519943295}
 _EULER = re.compile(r"euler_([xyz]{3}|[XYZ]{3})")
 _QUATERNIONS = ("quaternion_xyzw", "quaternion_wxyz")
+Paths = tuple[str | None, ...]
+"""Paths of the numbers of a vector in a message; None for an axis that the log does not have."""
+_NORM_TOLERANCE = 1e-3
 
 
 def orientation_width(kind: str) -> int:
@@ -48,10 +51,6 @@ def check_unit(name: str, unit: str, known: Mapping[str, float]) -> None:
         raise ParameterError(name, unit, f"one of {', '.join(known)}")
 
 
-Paths = tuple[str | None, ...]
-"""Paths of the numbers of a vector in a message; None for an axis that the log does not have."""
-
-_NORM_TOLERANCE = 1e-3
 _Source = TypeVar("_Source", bound="Source")
 
 

@@ -17,6 +17,11 @@ FLOAT_ARRAY = "std_msgs/msg/Float64MultiArray"
 
 TRANSFORMS = frozenset({TRANSFORM_STAMPED, TF_MESSAGE, OLD_TF_MESSAGE})
 """Types of which a pair of frames is read."""
+_QUATERNION = tuple(f"orientation.{axis}" for axis in "xyzw")
+TRANSFORM_FIELDS = (*(f"translation.{axis}" for axis in "xyz"), *(f"rotation.{axis}" for axis in "xyzw"))
+_POSE_FIELDS = tuple(f"pose.{name}" for name in (*(f"position.{axis}" for axis in "xyz"), *_QUATERNION))
+UNDECLARED = frozenset({JOINT_STATE, FLOAT_ARRAY})
+"""Types that hold numbers whose meaning must be declared."""
 
 
 class Role(StrEnum):
@@ -44,9 +49,6 @@ def _vectors(prefix: str, parts: tuple[str, str]) -> tuple[str, ...]:
     return tuple(f"{prefix}{part}.{axis}" for part in parts for axis in "xyz")
 
 
-_QUATERNION = tuple(f"orientation.{axis}" for axis in "xyzw")
-TRANSFORM_FIELDS = (*(f"translation.{axis}" for axis in "xyz"), *(f"rotation.{axis}" for axis in "xyzw"))
-_POSE_FIELDS = tuple(f"pose.{name}" for name in (*(f"position.{axis}" for axis in "xyz"), *_QUATERNION))
 _WRENCHES = {
     WRENCH_STAMPED: Layout(fields=_vectors("wrench.", ("force", "torque")), header="header"),
     WRENCH: Layout(fields=_vectors("", ("force", "torque")), header=""),
@@ -138,6 +140,3 @@ ROLES: dict[Role, RoleKind] = {
     ),
 }
 """The roles that `inspect` and `identify` look for, in this order; to add one, write its `Role` and an entry here."""
-
-UNDECLARED = frozenset({JOINT_STATE, FLOAT_ARRAY})
-"""Types that hold numbers whose meaning must be declared."""

@@ -1,4 +1,4 @@
-"""Find the first line of a CSV file that cannot be read and say why; slow, so only asked once reading has failed."""
+"""CSV files, converted by Arrow, only the wanted columns; a file that cannot be read is searched for its first bad line."""
 
 import csv
 import re
@@ -19,6 +19,8 @@ from .times import from_texts
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
 _MISSING = ("", "nan", "NaN", "NAN")
+_BLOCK_BYTES = 2**18
+_EMPTY = tuple(" " * width for width in range(40))
 
 
 def first_fault(text: Text, columns: Sequence[int], time: int | None) -> str | None:
@@ -87,10 +89,6 @@ def _field_fault(text: Text, column: int, field: str) -> str:
     if text.delimiter != " " and len(field.split()) == len(text.names) > 1:
         return f"{where}; columns must be separated by one character"
     return f"{where}, not a number; correct the line, or name another column"
-
-
-_BLOCK_BYTES = 2**18
-_EMPTY = tuple(" " * width for width in range(40))
 
 
 def read_csv(text: Text, columns: Sequence[int], time: int | None) -> tuple[FloatArray, StampArray | None]:

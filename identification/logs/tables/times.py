@@ -1,4 +1,4 @@
-"""Decimal numbers written as text, rounded once to a whole number: no double and no digit is lost on the way."""
+"""Times of a table in nanoseconds: decimal text is rounded once to a whole number, with no double on the way."""
 
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]  # the package carries no annotations
@@ -13,6 +13,7 @@ Bytes = NDArray[np.uint8]
 SOUND, NO_NUMBER, TOO_LARGE = 0, 1, 2
 _LARGEST = 2**63 - 1
 _LONGEST_EXPONENT = 100_000
+_LARGEST_NS = 2**63 - 1
 
 
 @compiled
@@ -109,9 +110,6 @@ def _exponent(data: Bytes, start: int, end: int) -> int:
             return none
         value = min(value * 10 + int(data[at]) - 48, _LONGEST_EXPONENT)
     return -value if is_negative else value
-
-
-_LARGEST_NS = 2**63 - 1
 
 
 def from_texts(texts: pa.Array, unit: str, decimal: str = ".") -> StampArray:
