@@ -1,4 +1,4 @@
-"""Decode messages one by one through libraries: JSON, Protobuf, and ROS types that the compiled program does not know."""
+"""Decode messages one by one through libraries: JSON, Protobuf, and ROS types that no compiled program covers."""
 
 import json
 import keyword

@@ -1,4 +1,4 @@
-"""CSV files, converted by Arrow, only the wanted columns; a file that cannot be read is searched for its first bad line."""
+"""CSV files, converted by Arrow, only the wanted columns; an unreadable file is searched for its first bad line."""
 
 import csv
 import re

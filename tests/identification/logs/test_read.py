@@ -128,7 +128,7 @@ def test_a_frame_that_changes_within_a_topic_is_refused(tmp_path: Path) -> None:
     first = wrench_stream()
     second = replace(first, frame_id="other", stamp_ns=first.stamp_ns + 10**9, log_ns=first.log_ns + 10**9)
     path = write_mcap(tmp_path / "run.mcap", [first, second, pose_stream()])
-    with pytest.raises(LogError, match="told in 2 frames: 'other', 'tool0'"):
+    with pytest.raises(LogError, match="has 2 frames: 'other', 'tool0'"):
         read_recording(path)
 
 

@@ -41,7 +41,7 @@ SENTENCE = {
     "notes.mcap": (b"Monday, third run\n", "is text (it starts with 'Monday, third run"),
     "run.csv": (
         b"t,fx\n0,1\n",
-        "is a table: its columns have no types that tell what they mean; map them in cell.yaml",
+        "is a table: its columns have no types that say what they mean; map them in cell.yaml",
     ),
     "run.TSV": (b"t\tfx\n0\t1\n", "is a table"),
     "latin.csv": ("Zeit,Kraft_ü\n0,1\n".encode("latin-1"), "is a table"),

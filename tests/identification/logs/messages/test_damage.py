@@ -54,19 +54,19 @@ def test_up_to_three_bytes_behind_a_cdr_message_are_padding(spare: int) -> None:
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        (lambda _: b"", "byte 0 that does not fit into its 0 bytes"),
-        (lambda m: m[:3], "byte 0 that does not fit into its 3 bytes"),
-        (lambda m: m[:4], "byte 4 that does not fit into its 4 bytes"),
-        (lambda m: m[:15], "byte 12 that does not fit into its 15 bytes"),
-        (lambda m: m[:-1], "byte 28 that does not fit into its 75 bytes"),
+        (lambda _: b"", "byte 0 does not fit into its 0 bytes"),
+        (lambda m: m[:3], "byte 0 does not fit into its 3 bytes"),
+        (lambda m: m[:4], "byte 4 does not fit into its 4 bytes"),
+        (lambda m: m[:15], "byte 12 does not fit into its 15 bytes"),
+        (lambda m: m[:-1], "byte 28 does not fit into its 75 bytes"),
         (lambda m: m + bytes(4), "its type ends at byte 76, the message has 80"),
         (lambda m: b"\x00\x02" + m[2:], "encapsulation 00 02 00 00 is not plain CDR"),
         (lambda m: b"\x00\x03" + m[2:], "encapsulation 00 03 00 00 is not plain CDR"),
         (lambda m: b"\x00\x07" + m[2:], "encapsulation 00 07 00 00 is not plain CDR"),
         (lambda m: b"\x01\x01" + m[2:], "encapsulation 01 01 00 00 is not plain CDR"),
-        (lambda m: m[:12] + struct.pack("<I", 2**31) + m[16:], "byte 12 that does not fit"),
-        (lambda m: m[:12] + struct.pack("<I", 2**32 - 1) + m[16:], "byte 12 that does not fit"),
-        (lambda m: m[:12] + bytes(4) + m[16:], "byte 12 that does not fit"),
+        (lambda m: m[:12] + struct.pack("<I", 2**31) + m[16:], "byte 12 does not fit"),
+        (lambda m: m[:12] + struct.pack("<I", 2**32 - 1) + m[16:], "byte 12 does not fit"),
+        (lambda m: m[:12] + bytes(4) + m[16:], "byte 12 does not fit"),
         (lambda m: m[:20] + b"x" + m[21:], "end with a zero at byte 20"),
         (lambda m: m[:8] + struct.pack("<I", 10**9) + m[12:], "more than 999999999 ns at byte 8"),
         (lambda m: m[:16] + b"\xff\xfe" + m[18:], "a frame name is no text"),
@@ -89,7 +89,7 @@ def test_a_string_does_not_reach_into_what_follows_the_message(claimed: int) -> 
         if is_sound:
             assert read_series(container, {channel: wanted})[channel].log_ns.size == 1
         else:
-            with pytest.raises(LogError, match="byte 4 that does not fit"):
+            with pytest.raises(LogError, match="byte 4 does not fit"):
                 read_series(container, {channel: wanted})
 
 

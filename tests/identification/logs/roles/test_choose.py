@@ -184,7 +184,7 @@ def test_a_transform_is_chosen_by_its_frames_or_asked_for() -> None:
     assert chosen([FT, tree, info("/tf_static", TF_MESSAGE)], declared)[Role.POSE] == "/tf"
     assert "2 channels" in refused([FT, tree, one], declared)
     unknown = Cell(pose=PoseSource(parent="base", child="cup"))
-    assert "No transform of cup in base is in run.mcap, which tells: base in map, tool0 in base" in refused(
+    assert "No transform of cup in base is in run.mcap, which holds: base in map, tool0 in base" in refused(
         [FT, tree], unknown
     )
 
