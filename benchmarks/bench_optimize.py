@@ -39,7 +39,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from autotune.errors import InfeasibleError
-from autotune.tuning.multistart import find_reference
+from autotune.tuning.optimality_report import find_reference
 from autotune.tuning.search import solve_design
 from benchmarks.optimizer_authors import run_authors
 from benchmarks.optimizer_ipopt import run_ipopt

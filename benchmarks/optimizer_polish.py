@@ -1,8 +1,8 @@
 """The last digits by two solvers: sequential quadratic programming, as the search has it, and IPOPT.
 
-Both get the same local problem (`autotune.tuning.polish.LocalProblem`: the epigraph form over what is within 1 % of its
-limit, values by the compiled screen, exact gradients) and the same start, where a descent by differences ended on the
-scenarios that the search ended with. IPOPT takes its second derivatives from the gradients it has seen.
+Both get the same local problem (`autotune.tuning.descent.LocalProblem`: the epigraph form over what is within 1 % of
+its limit, values by the compiled evaluator, exact gradients) and the same start, where a descent by differences ended
+on the scenarios that the search ended with. IPOPT takes its second derivatives from the gradients it has seen.
 """
 
 import time
@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.tuning.bounds import Box
-from autotune.tuning.descent import descend
+from autotune.tuning.descent import LocalProblem, descend, polish_exactly
 from autotune.tuning.optimality import check_optimality
-from autotune.tuning.polish import LocalProblem, polish_exactly
 from autotune.tuning.search import solve_design
 from problems.design.batch_evaluation import BatchEvaluator, build_batch_evaluator
 from problems.design.problem import DesignProblem

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
 from autotune.tuning.bounds import Box
-from autotune.tuning.worst import DENSE_MASS, DENSE_STIFFNESS
+from autotune.tuning.scenario_exchange import DENSE_MASS, DENSE_STIFFNESS
 from benchmarks.optimizer_judge import DIMENSION, is_peak, ranked_costs
 from problems.design.batch_evaluation import build_batch_evaluator
 from problems.design.evaluation import PreparedScenarios, build_scenarios

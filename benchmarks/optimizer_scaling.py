@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import qmc
 
-from autotune.tuning import search, worst
+from autotune.tuning import scenario_exchange, search
 from autotune.tuning.bounds import Box
 from benchmarks.optimizer_judge import DIMENSION, screen_of
 from benchmarks.tuning_problems import paper_cell
@@ -47,7 +47,7 @@ def measure_growth(*, up_to: int = ALL_AT_ONCE_UP_TO) -> list[Growth]:
     for count, grid in GRIDS.items():
         problem = _problem(count)
         begin = time.process_time()
-        with mock.patch.multiple(worst, DENSE_STIFFNESS=grid[0], DENSE_MASS=grid[1]):
+        with mock.patch.multiple(scenario_exchange, DENSE_STIFFNESS=grid[0], DENSE_MASS=grid[1]):
             result = search.solve_design(problem)
         exchange = time.process_time() - begin
         if count <= up_to:

@@ -13,9 +13,7 @@ if TYPE_CHECKING:
     from autotune.formats.units import AxisUnits
     from autotune.tuning.compare import EvaluatedController, SideBySide
     from autotune.tuning.compliance import Compliance, CompliancePoint
-    from autotune.tuning.explain import Active
-    from autotune.tuning.multistart import Reference
-    from autotune.tuning.optimality_report import OptimalityReport
+    from autotune.tuning.optimality_report import ActiveConstraint, OptimalityReport, Reference
     from autotune.tuning.optimize import Optimized
     from problems.design.problem import DesignProblem
     from problems.model.controller import AdmittanceController
@@ -52,7 +50,7 @@ def active_lines(found: "Optimized", name: str) -> list[str]:
     return [*lines, *_optimality_lines(standing, units, bool(found.searches[name].problem.requirements.soft_n))]
 
 
-def _active_line(entry: "Active", problem: "DesignProblem", units: "AxisUnits") -> str:
+def _active_line(entry: "ActiveConstraint", problem: "DesignProblem", units: "AxisUnits") -> str:
     decimals = _DECIMALS[units.force]
     saved, is_nothing = f"{entry.price_n:.{decimals}f} {units.force}", entry.price_n < 0.5 * 10.0**-decimals
     side, _, variable = entry.name.partition(" bound of ")

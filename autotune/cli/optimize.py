@@ -203,7 +203,7 @@ def _refused_page(error: Exception, plants: "list[IdentifiedFile]") -> "Page":
 def _notes(plant: "IdentifiedFile", found: "Optimized", has_stiffness: bool) -> Iterator[str]:
     """Yield what the user should know beside the result; `has_stiffness`: a range was named on the command line."""
     from autotune.formats.records import ROTATIONAL_AXES
-    from autotune.tuning.prior_conflicts import doubtful_ranges, left_out_contacts
+    from autotune.tuning.plausible import doubtful_ranges, left_out_contacts
     from autotune.tuning.problems import is_identified_mass
 
     for finding in plant.result.findings:

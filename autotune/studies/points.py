@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.errors import AutotuneError, UsageError
-from autotune.tuning.worst import WholeSet
+from autotune.tuning.scenario_exchange import WholeSet
 from problems.design.evaluation import Evaluation
 from problems.design.problem import DesignProblem
 from problems.errors import ParameterError

@@ -1,4 +1,4 @@
-"""Put a new controller beside an existing one: both evaluated on the new problem, over the same dense scenarios."""
+"""Evaluate given designs over the dense scenarios: an existing controller beside the new one, or one chosen by hand."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,19 +6,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.errors import UsageError
+from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import CollisionResponse, Controller
 from autotune.validation.validate import admittance_controller
-from problems.design.evaluation import PreparedScenarios
+from problems.design.evaluation import PreparedScenarios, build_scenarios
 from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
 from problems.design.requirements import smallest_admittance
 from problems.model.controller import AdmittanceController
+from problems.stability.margins import UnstableLoopError
 
 from .bounds import bounds_of
 from .record import admittance_band_hz
-from .search import SearchResult
-from .worst import WholeSet
+from .scenario_exchange import WholeSet
+from .search import SearchResult, presentable
 
 FloatArray = NDArray[np.float64]
 
@@ -140,3 +141,39 @@ def evaluate_controller(prepared: PreparedScenarios, law: AdmittanceController) 
         missed={name: value for name, value in exact.evaluation.requirements.items() if value > 1.0},
     )
     return EvaluatedController(law=law, spectral_radius=radius, performance=performance)
+
+
+def judge_design(problem: DesignProblem, design: FloatArray, *, seed: int = 0) -> SearchResult:
+    """Evaluate one design (n,), exactly and over the whole uncertainty, as the result of a search that chose it.
+
+    The design is taken with six digits, as a search writes its own. Raises InfeasibleError, with what is missed, for a
+    design that lies outside the bounds, is unstable for a plant of the uncertainty, or misses a requirement.
+    """
+    bounds, chosen = bounds_of(problem), presentable(problem, design)
+    for name, value, (low, high) in zip(problem.variables, design, bounds, strict=True):
+        # Six digits may lie outside of a bound by half of the last one.
+        if not low * (1.0 - 1e-6) <= value <= high * (1.0 + 1e-6):
+            raise InfeasibleError(f"{name} must lie within {low:g} and {high:g}, found {value:g}.")
+    whole = WholeSet(problem, seed)
+    try:
+        exact = whole.evaluate(problem.controller(chosen))
+    except UnstableLoopError as error:
+        raise InfeasibleError(
+            f"The design is unstable for a plant of the whole set (largest |z| = {error.spectral_radius:.4f})."
+        ) from error
+    missed = {name: value for name, value in exact.evaluation.requirements.items() if value > 1.0}
+    if missed:
+        names = ", ".join(
+            f"{name} ({min(100.0 / value, 99.9):.3g} % of what is asked)" for name, value in missed.items()
+        )
+        raise InfeasibleError(f"The design misses {names} over the whole set of plants.")
+    return SearchResult(
+        problem=problem,
+        design=chosen,
+        evaluation=exact.evaluation,
+        margins=exact.margins,
+        active=build_scenarios(problem, problem.scenarios(3, 2)),
+        scenario_count=len(whole.scenarios),
+        rounds=0,
+        evaluations=1,
+    )

@@ -34,7 +34,7 @@ from .compliance import (
 )
 from .limits import LimitsSettings, limits_settings, with_limits
 from .optimality_report import OptimalityReport, optimality_tree
-from .prior_conflicts import left_out_tree
+from .plausible import left_out_tree
 from .problems import DesignOptions, build_problems, certified_mass_kg, runtime_mass_kg
 from .record import build_controller, runtime_payload
 from .relax import find_relaxations, tell_relaxations

@@ -7,29 +7,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from autotune.errors import UsageError
-from autotune.formats.problem import ProblemSpec, RotationalSpec
+from autotune.formats.problem import Interval, ProblemSpec, RotationalSpec
 from autotune.formats.records import ROTATIONAL_AXES, ROTATIONAL_KEYS
+from autotune.plugins import build_requirements
+from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError
 from identification.result import (
-    CONTACT_UNEXPLAINED,
     AxisEstimate,
     Estimate,
-    Finding,
     Identified,
     Status,
     VectorEstimate,
 )
 from problems.contact.transient import Approach
-from problems.design.problem import DesignProblem, Requirements
+from problems.design.problem import DEFAULT_BOUNDS, DesignProblem, Requirements
 from problems.model.plant import Coupling
 from problems.model.robot import RobotModel
 
-from .plausible import check_plausible
-from .rotational import through_lever
+from .plausible import check_plausible, unexplained_contacts
 from .uncertain import with_uncertainty
 from .wrench import LAG, LATE, build_wrench, check_wrench, without_position
-
-Interval = tuple[float, float]
 
 # The default range of a parameter: what the log allows, and not less than a cell changes from day to day.
 _STDS = 3.0
@@ -37,6 +34,7 @@ _LEAST_STIFFNESS_SHARE = 0.2
 _LEAST_MASS_SHARE = 0.02
 _SHOWN_DIGITS = 4
 _DEFAULT_APPROACH_N = 30.0
+_GO_WITH_THE_LEVER = ("mass", "damping")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,11 +250,6 @@ def _weighed_range(identified: Identified, name: str) -> Interval:
     return min(low, other[0]), max(high, other[1])
 
 
-def unexplained_contacts(identified: Identified, name: str) -> tuple[Finding, ...]:
-    """Return the findings that something was touched along or about an axis whose stiffness is not known."""
-    return tuple(f for f in identified.findings if f.code == CONTACT_UNEXPLAINED and f.axis in ("", name))
-
-
 def _stiffness_range(identified: Identified, name: str) -> Interval:
     """Return the range of K_e that holds every surface; raises EstimateError where a touched one is not identified."""
     axis = identified.axes[name]
@@ -321,3 +314,54 @@ def _vector(estimate: VectorEstimate, where: str) -> np.ndarray[tuple[int], np.d
 def _absent(where: str, note: str) -> str:
     because = f" ({note})" if note else ""
     return f"{where} is not identified{because}, and no controller is tuned on a guess; record what is missing."
+
+
+def through_lever(spec: ProblemSpec, approach: Approach) -> ProblemSpec:
+    """Return what is asked of a rotational axis: what is asked of x, y, z through a lever of 0.2 m, in rad and N·m.
+
+    A force F at the lever l turns with the torque l F, and a speed v there is the rate v/l. Masses and dampings go with
+    l², admittances with 1/l²; margins, times and bands stay. The lever is the one at which the paper's deadbands, 5 N
+    and 1 N·m, are the same. `approach` is the one of x, y, z.
+
+    What `spec.rotational` says is kept as it is. Ranges of payload and surface are taken from there alone: what the
+    cell is is never derived this way.
+    """
+    own = spec.rotational
+    bounds = {**DEFAULT_BOUNDS, **spec.bounds}
+    turned = {name: _interval(bounds[name], LEVER_M**2) for name in _GO_WITH_THE_LEVER}
+    return replace(
+        spec,
+        bounds={**bounds, **turned, **own.bounds},
+        approach=own.approach or _turned_approach(approach),
+        environment_stiffness_n_per_m=own.environment_stiffness_n_per_m,
+        payload_mass_kg=own.payload_mass_kg,
+        # A range has a unit and is kept where it was given; where it is to come from holds for every axis.
+        uncertain={**{name: each for name, each in spec.uncertain.items() if isinstance(each, str)}, **own.uncertain},
+        requirements=_turned_requirements(spec.requirements, own),
+    )
+
+
+def _turned_approach(approach: Approach) -> Approach:
+    force, speed = approach.force_n, approach.speed_m_s
+    return replace(
+        approach,
+        force_n=None if force is None else _nine_digits(force * LEVER_M),
+        speed_m_s=None if speed is None else _nine_digits(speed / LEVER_M),
+    )
+
+
+def _turned_requirements(asked: Requirements, own: RotationalSpec) -> Requirements:
+    # Prices of what the rotational axes are asked otherwise are given there too, or nowhere.
+    kept = {name: _nine_digits(price * LEVER_M) for name, price in asked.soft_n.items() if name not in own.requirements}
+    turned = {name: asked.kind(name).turned(value, LEVER_M) for name, value in asked.asked().items()}
+    prices = {**kept, **own.soft_n}
+    return build_requirements({**turned, **own.requirements}, prices, without_defaults=True, plugins=asked.plugins)
+
+
+def _interval(values: Interval, factor: float) -> Interval:
+    return _nine_digits(values[0] * factor), _nine_digits(values[1] * factor)
+
+
+def _nine_digits(value: float) -> float:
+    """Return the value with nine digits: 0.2² is not 0.04 in binary, and people read these numbers."""
+    return float(f"{value:.9g}")

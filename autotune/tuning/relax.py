@@ -14,9 +14,8 @@ from problems.design.uncertainty import Scenario
 from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
 
-from .scenario_exchange import margin_scenarios
+from .scenario_exchange import WholeSet, margin_scenarios
 from .search import Search, presentable
-from .worst import WholeSet
 
 FloatArray = NDArray[np.float64]
 

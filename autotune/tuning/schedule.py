@@ -13,7 +13,7 @@ from autotune.formats.controller import controller_tree, parse_controller
 from autotune.formats.controller_record import Controller
 from autotune.formats.dump import dump_yaml
 from autotune.formats.identified import IdentifiedFile
-from autotune.formats.problem import ProblemSpec
+from autotune.formats.problem import Interval, ProblemSpec
 from autotune.formats.schedule import COMMON_FILE, worst_peaks
 from autotune.processes import map_in_processes
 from autotune.validation.validate import admittance_controller
@@ -24,9 +24,9 @@ from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
 
 from .optimize import optimize
-from .problems import DesignOptions, Interval, build_problems, certified_mass_kg, runtime_mass_kg
+from .problems import DesignOptions, build_problems, certified_mass_kg, runtime_mass_kg
+from .scenario_exchange import WholeSet
 from .threshold import without_response
-from .worst import WholeSet
 
 _BRANCHES = (InfeasibleError, CertificateError, UsageError, EstimateError)
 # Two sets of samples see the same requirement differently by less than this.

@@ -17,11 +17,18 @@ from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
 
 from .bounds import Box, bounds_of, linear_variables, spread_out
-from .counterexamples import NOTHING, Counterexamples, ImpactTest
-from .descent import BACKOFF, descend
-from .polish import polish_exactly
-from .scenario_exchange import moved_scenario, scenarios_of, softly_missed_scenarios, worst_scenarios
-from .worst import DENSE_STIFFNESS, WholeSet
+from .descent import BACKOFF, descend, polish_exactly
+from .scenario_exchange import (
+    DENSE_STIFFNESS,
+    NOTHING,
+    Counterexamples,
+    ImpactTest,
+    WholeSet,
+    moved_scenario,
+    scenarios_of,
+    softly_missed_scenarios,
+    worst_scenarios,
+)
 
 FloatArray = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ from autotune.formats.units import axis_units
 from autotune.validation.axis_proof import AxisProof, ProofOptions, prove_axis
 from autotune.validation.bouncing import RefutedError, search_bouncing
 
-from .counterexamples import NOTHING, Counterexamples, ImpactTest
 from .optimality_report import OptimalityReport, report_optimality
 from .record import build_domain
+from .scenario_exchange import NOTHING, Counterexamples, ImpactTest
 from .search import SearchResult, solve_design
 
 _ROUNDS = 6

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from autotune.tuning.polish import polish_exactly
+from autotune.tuning.descent import polish_exactly
 from benchmarks.optimizer_page import tables
 from benchmarks.optimizer_polish import RESERVE, polish_by_ipopt
 from problems.design.batch_evaluation import build_batch_evaluator

@@ -5,12 +5,12 @@ from dataclasses import replace
 import pytest
 
 from autotune.cli._optimized import active_lines
-from autotune.tuning.explain import Active
+from autotune.tuning.optimality_report import ActiveConstraint
 from autotune.tuning.optimize import Optimized
 from tests.autotune.tuning.cases import fast_optimized
 
 
-def with_active(*active: Active) -> Optimized:
+def with_active(*active: ActiveConstraint) -> Optimized:
     found = fast_optimized()
     return replace(found, optimality_reports={"x": replace(found.optimality_reports["x"], active=active)})
 
@@ -19,29 +19,32 @@ def with_active(*active: Active) -> Optimized:
     ("entry", "said"),
     [
         (
-            Active(name="delay_margin_s", price_n=0.8),
+            ActiveConstraint(name="delay_margin_s", price_n=0.8),
             "delay_margin_s holds the peak up: easing it by 1 % saves 0.80 N, asking 1 % more costs as much",
         ),
         (
-            Active(name="upper bound of lead_s", price_n=0.25),
+            ActiveConstraint(name="upper bound of lead_s", price_n=0.25),
             "the upper bound of lead_s, 0.03, is active: 1 % wider saves 0.25 N; widen it, or accept",
         ),
         (
-            Active(name="lower bound of damping", price_n=0.0),
+            ActiveConstraint(name="lower bound of damping", price_n=0.0),
             "the lower bound of damping, 900, is active, and widening it saves nothing",
         ),
-        (Active(name="gain_margin_db", price_n=0.0), "gain_margin_db is active, easing it alone saves nothing"),
         (
-            Active(name="phase_margin_deg", price_n=0.0049),
+            ActiveConstraint(name="gain_margin_db", price_n=0.0),
+            "gain_margin_db is active, easing it alone saves nothing",
+        ),
+        (
+            ActiveConstraint(name="phase_margin_deg", price_n=0.0049),
             "phase_margin_deg is active, easing it alone saves nothing",
         ),
         (
-            Active(name="modulus_margin", price_n=0.5, soft=True),
+            ActiveConstraint(name="modulus_margin", price_n=0.5, soft=True),
             "modulus_margin is wished, not required: wishing 1 % less saves 0.50 N of peak and price",
         ),
     ],
 )
-def test_every_kind_of_limit_has_its_sentence(entry: Active, said: str) -> None:
+def test_every_kind_of_limit_has_its_sentence(entry: ActiveConstraint, said: str) -> None:
     assert active_lines(with_active(entry), "x")[0] == said
 
 

@@ -17,7 +17,7 @@ from autotune.studies.front import (
 from autotune.studies.objectives import Admittance, HandForce, PeakForce
 from autotune.studies.points import Front, Judge
 from autotune.tuning.bounds import Box
-from autotune.tuning.worst import DENSE_STIFFNESS
+from autotune.tuning.scenario_exchange import DENSE_STIFFNESS
 from problems.design.evaluation import build_scenarios
 from problems.design.problem import Requirements
 from tests.autotune.studies.small import small_problem, small_search

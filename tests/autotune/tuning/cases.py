@@ -182,3 +182,10 @@ def uncertain_optimized() -> Optimized:
     plant = IdentifiedFile(result=identified_plant(), provenance={}, path=Path("identified.yaml"), sha256="0" * 64)
     # A second of proof is enough to show that it is there, and is done again wherever the file is validated.
     return optimize(plant, FURTHER_SPEC, FAST_WISHES, seed=1, proof=ProofOptions(further_s=1.0))
+
+
+def relaxed(problem: DesignProblem, requirement: str, share: float) -> DesignProblem:
+    """Return the problem with one requirement asked for less by `share`."""
+    if requirement not in problem.requirements.asked():
+        return problem
+    return replace(problem, requirements=problem.requirements.relaxed(requirement, share))

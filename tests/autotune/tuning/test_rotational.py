@@ -13,8 +13,7 @@ from autotune.export.export import export_controller
 from autotune.formats.controller import controller_tree, read_controller, write_controller
 from autotune.formats.problem import ProblemSpec, RotationalSpec
 from autotune.maps.source import read_source
-from autotune.tuning.problems import DesignOptions, build_problems, runtime_mass_kg
-from autotune.tuning.rotational import through_lever
+from autotune.tuning.problems import DesignOptions, build_problems, runtime_mass_kg, through_lever
 from autotune.validation.domain import check_domain
 from autotune.validation.validate import validate_controller
 from identification.errors import EstimateError

@@ -10,10 +10,10 @@ from autotune.errors import CertificateError, InfeasibleError
 from autotune.formats.identified import read_identified
 from autotune.formats.problem import read_problem
 from autotune.tuning import settling
-from autotune.tuning.counterexamples import NOTHING, Counterexamples, ImpactTest
 from autotune.tuning.optimize import optimize
 from autotune.tuning.problems import DesignOptions
 from autotune.tuning.record import build_domain
+from autotune.tuning.scenario_exchange import NOTHING, Counterexamples, ImpactTest
 from autotune.tuning.search import solve_design
 from autotune.tuning.settling import prove_search, settle
 from autotune.validation import bouncing

@@ -6,12 +6,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from autotune.tuning.explain import explain, relaxed
 from autotune.tuning.optimality import check_optimality
+from autotune.tuning.optimality_report import active_constraints
 from autotune.tuning.search import SearchResult, solve_design
 from problems.design.evaluation import build_scenarios
 from problems.design.problem import NoiseLimit, PassivityTarget, Requirements
-from tests.autotune.tuning.cases import design_problem, solved
+from tests.autotune.tuning.cases import design_problem, relaxed, solved
 
 PRICES = (5.0, 40.0, 2000.0)
 # The search calls two peaks that differ by less the same (a thousandth, see `autotune.tuning.search`).
@@ -64,7 +64,9 @@ def test_the_result_meets_the_conditions_with_the_price_in_them(price: float) ->
 def test_the_price_of_a_wish_is_what_solving_again_for_less_saves() -> None:
     found = at_price(PRICES[0])
     optimality = check_optimality(found.active, found.design)
-    active = next(a for a in explain(found.problem, found.evaluation.peak_n, optimality) if a.name == "modulus_margin")
+    active = next(
+        a for a in active_constraints(found.problem, found.evaluation.peak_n, optimality) if a.name == "modulus_margin"
+    )
     assert active.soft
     again = solve_design(relaxed(found.problem, "modulus_margin", 0.01), start=found.design)
     saved = found.evaluation.objective_n - again.evaluation.objective_n

@@ -9,8 +9,7 @@ import pytest
 
 from autotune.errors import AutotuneError
 from autotune.formats.problem import ProblemSpec, RotationalSpec, Uncertain
-from autotune.tuning.problems import DesignOptions, build_problems
-from autotune.tuning.rotational import through_lever
+from autotune.tuning.problems import DesignOptions, build_problems, through_lever
 from autotune.tuning.search import solve_design
 from autotune.tuning.uncertain import with_uncertainty
 from identification.errors import EstimateError

@@ -3,7 +3,7 @@
 from functools import cache
 
 from autotune.formats.controller_record import Controller, RuntimePayload
-from autotune.tuning.manual_design import judge_design
+from autotune.tuning.compare import judge_design
 from autotune.tuning.record import build_controller, build_domain
 from autotune.validation.axis_proof import prove_axis
 from problems.contact.transient import Approach

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from autotune.tuning.scenario_exchange import WholeSet
 from autotune.tuning.search import solve_design
-from autotune.tuning.worst import WholeSet
 from problems.design.evaluation import build_scenarios
 from problems.design.uncertainty import Scenario
 from tests.autotune.tuning.cases import FURTHER, fast_optimized, uncertain_optimized
