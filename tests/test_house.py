@@ -189,7 +189,6 @@ NAMES_WITH_TWO_MEANINGS = {
     "Recording",
     "Series",
     "Span",
-    "Standing",
     "Structure",
     "Target",
     "Told",
