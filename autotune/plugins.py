@@ -6,6 +6,8 @@ from typing import Any
 
 from autotune.errors import UsageError
 from problems.design.evaluation import CustomRequirement
+from problems.design.objectives import BUILT_IN as BUILT_IN_OBJECTIVES
+from problems.design.objectives import Objective
 from problems.design.requirements import BUILT_IN, FIELDS, Requirement, Requirements
 
 OBJECTIVES = "autotune.objectives"
@@ -52,11 +54,19 @@ def build_requirements(
     )
 
 
+def load_objective(name: str) -> Objective:
+    """Make the objective of this name; raises UsageError as `load_requirement` does."""
+    if name in BUILT_IN_OBJECTIVES:
+        return BUILT_IN_OBJECTIVES[name]()
+    found: Objective = load_plugin(OBJECTIVES, name, Objective)
+    return found
+
+
 def load_plugin(group: str, name: str, kind: type) -> Any:
     """Import and make what an entry point registers; raises UsageError, see `load_requirement`."""
     known, what = registered(group), kind.__name__.lower()
     if name not in known:
-        listed = ", ".join(sorted({*known, *(BUILT_IN if group == REQUIREMENTS else ())})) or "none"
+        listed = ", ".join(sorted({*known, *(BUILT_IN if group == REQUIREMENTS else BUILT_IN_OBJECTIVES)})) or "none"
         raise UsageError(f"There is no {what} {name!r} installed; there are: {listed}.")
     entry = known[name]
     try:
@@ -92,6 +102,7 @@ __all__ = [
     "CustomRequirement",
     "build_requirements",
     "find_requirement",
+    "load_objective",
     "load_plugin",
     "load_requirement",
     "registered",

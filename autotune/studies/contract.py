@@ -10,6 +10,7 @@ import numpy as np
 from autotune.errors import AutotuneError
 from problems.contact.transient import Approach
 from problems.design.evaluation import Evaluation, build_scenarios
+from problems.design.objectives import BUILT_IN
 from problems.design.problem import DesignProblem
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling
@@ -69,6 +70,8 @@ def check_requirement(kind: type[Requirement]) -> None:
 
 def _check_registered(kind: type, group: str, name: str) -> None:
     _must(name.isidentifier(), kind, f"name must be a plain word, found {name!r}")
+    if BUILT_IN.get(name) is kind:
+        return
     entry: EntryPoint | None = registered(group).get(name)
     _must(entry is not None and entry.load() is kind, kind, f"must be the entry point {name} of {group}")
 

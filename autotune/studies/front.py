@@ -18,10 +18,10 @@ from autotune.errors import InfeasibleError, UsageError
 from autotune.tuning.bounds import Box
 from autotune.tuning.search import SearchResult, presentable, solve_design
 from problems.design.evaluation import Evaluation, PreparedScenarios, build_scenarios
+from problems.design.objectives import Admittance, PeakForce
 from problems.design.problem import AdmittanceTarget, DesignProblem
 from problems.progress import no_progress
 
-from .objectives import Admittance, PeakForce
 from .plugins import Demand, Objective, load_demands, load_objectives
 from .points import Front, Judge, check_choices, design_of, index_of, undominated
 

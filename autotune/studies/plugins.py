@@ -1,40 +1,17 @@
 """Objectives and requirements as small classes found by entry points, the built-in ones like anyone's."""
 
 import math
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Literal
 
 from autotune.errors import UsageError
-from autotune.plugins import OBJECTIVES, REQUIREMENTS, load_plugin, registered
+from autotune.plugins import OBJECTIVES, REQUIREMENTS, load_objective, load_plugin, registered
 from problems.design.evaluation import CustomRequirement, Evaluation
+from problems.design.objectives import Direction, Objective
 from problems.design.problem import DesignProblem
 from problems.model.controller import AdmittanceController
 
-Direction = Literal["minimize", "maximize"]
-
 Requirement = CustomRequirement
 """One thing that a controller must meet, as required/achieved: ≤ 1 is met. A subclass says its `name`."""
-
-
-class Objective(ABC):
-    """One number of a controller that should be small, or large.
-
-    A subclass says its `name` (that of its entry point), `unit` and `direction`; `rotational_unit` is the unit on rx,
-    ry, rz where it is another one. It is made without arguments, once per front.
-    """
-
-    name: ClassVar[str]
-    unit: ClassVar[str]
-    direction: ClassVar[Direction]
-    rotational_unit: ClassVar[str | None] = None
-
-    @abstractmethod
-    def __call__(self, controller: AdmittanceController, problem: DesignProblem, evaluation: Evaluation) -> float:
-        """Return the number, worst over the scenarios of `evaluation.peaks`; the loop is stable in all of them.
-
-        The same arguments must give the same number, to the last bit: trials of different processes are compared.
-        """
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,16 +67,6 @@ def _demand(text: str) -> Demand:
     if not 0.0 < value < math.inf:
         raise UsageError(f"The limit of {name} must be a finite number above 0, found {number!r}.")
     return Limit(objective=objective, value=value)
-
-
-def load_objective(name: str) -> Objective:
-    """Import and make the objective of this name.
-
-    Raises UsageError when there is none or more than one of that name, when it cannot be imported or made, or is no
-    subclass of `Objective`.
-    """
-    found: Objective = load_plugin(OBJECTIVES, name, Objective)
-    return found
 
 
 def load_requirement(name: str) -> Requirement:

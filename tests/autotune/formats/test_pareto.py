@@ -6,8 +6,8 @@ import pytest
 from autotune.errors import UsageError
 from autotune.formats.pareto import pareto_tree, write_pareto
 from autotune.formats.yaml12 import load_document
-from autotune.studies.objectives import Admittance, CommandNoise, PeakForce
 from autotune.studies.points import Front, Judge, StudyRecord
+from problems.design.objectives import Admittance, CommandNoise, PeakForce
 from problems.errors import ParameterError
 from tests.autotune.studies.small import START, small_problem
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.studies.objectives import Admittance, PeakForce
 from autotune.studies.storage import open_storage
 from autotune.studies.study import StudyPlan, run_study
 from autotune.tuning.search import SearchResult, solve_design
+from problems.design.objectives import Admittance, PeakForce
 from problems.design.problem import DesignProblem
 from tests.autotune.tuning.cases import FAST_REQUIREMENTS, FAST_SPEC, design_problem
 

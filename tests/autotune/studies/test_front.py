@@ -14,11 +14,11 @@ from autotune.studies.front import (
     trace_front,
     trace_fronts,
 )
-from autotune.studies.objectives import Admittance, HandForce, PeakForce
 from autotune.studies.points import Front, Judge
 from autotune.tuning.bounds import Box
 from autotune.tuning.scenario_exchange import DENSE_STIFFNESS
 from problems.design.evaluation import build_scenarios
+from problems.design.objectives import Admittance, HandForce, PeakForce
 from problems.design.problem import Requirements
 from tests.autotune.studies.small import small_problem, small_search
 

@@ -22,31 +22,28 @@ from autotune.studies.contract import (
     sample_evaluations,
     sample_problem,
 )
-from autotune.studies.objectives import Admittance, CommandNoise, HandForce, PassiveBand, PeakForce, free_plants
-from autotune.studies.plugins import OBJECTIVES, REQUIREMENTS, Objective, load_demands, load_objectives, registered
+from autotune.studies.objectives import PassiveBand
+from autotune.studies.plugins import REQUIREMENTS, Objective, load_demands, load_objectives, registered
+from problems.design.objectives import BUILT_IN, Admittance, CommandNoise, HandForce, PeakForce, free_plants
 from problems.design.problem import AdmittanceTarget, Requirements
 from problems.stability.noise import predict_command_noise
 from problems.stability.passivity import check_passivity
 from tests.autotune.studies.small import ROOT
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
 
-BUILT_IN: dict[str, set[type[Any]]] = {
-    OBJECTIVES: {PeakForce, Admittance, HandForce, CommandNoise},
-    REQUIREMENTS: {PassiveBand},
-}
 
-
-def test_the_built_in_ones_are_registered_as_anyones_are(repository: Path) -> None:
+def test_the_built_in_requirement_is_registered_as_anyones_are(repository: Path) -> None:
     project = tomllib.loads((repository / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    for group, kinds in BUILT_IN.items():
-        told = {kind.name: f"{kind.__module__}:{kind.__qualname__}" for kind in kinds}
-        assert project["entry-points"][group] == told
-        assert told.items() <= {name: entry.value for name, entry in registered(group).items()}.items()
+    registered_here = {PassiveBand.name: f"{PassiveBand.__module__}:{PassiveBand.__qualname__}"}
+    assert project["entry-points"] == {REQUIREMENTS: registered_here}
+    assert registered_here.items() <= {name: entry.value for name, entry in registered(REQUIREMENTS).items()}.items()
 
 
-@pytest.mark.parametrize("kind", [PeakForce, Admittance, HandForce, CommandNoise])
-def test_the_built_in_objectives_keep_the_contract(kind: type[Any]) -> None:
-    check_objective(kind)
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_the_built_in_objectives_are_found_by_name_and_keep_the_contract(name: str) -> None:
+    (found,) = load_objectives((name,))
+    assert type(found) is BUILT_IN[name]
+    check_objective(type(found))
 
 
 def test_the_built_in_requirement_keeps_the_contract() -> None:
@@ -164,11 +161,11 @@ def test_the_contract_refuses(kind: type[PeakForce], monkeypatch: pytest.MonkeyP
     ("pairs", "told"),
     [
         ((("mine", "no_such_module:Mine"),), "cannot be loaded: No module named"),
-        ((("mine", "autotune.studies.objectives:PeakForce"),), "whose name is 'mine'"),
+        ((("mine", "problems.design.objectives:PeakForce"),), "whose name is 'mine'"),
         ((("mine", "autotune.studies.objectives:PassiveBand"),), "must be a subclass of"),
         ((("mine", "math:pi"),), "must be a subclass of"),
         ((("mine", "a:A"), ("mine", "b:B")), "Two installed packages register mine"),
-        ((), "there are: none"),
+        ((), "there are: admittance, command_noise"),
     ],
 )
 def test_a_plugin_that_cannot_be_used_is_refused(

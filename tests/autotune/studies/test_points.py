@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autotune.errors import UsageError
-from autotune.studies.objectives import Admittance, PeakForce
 from autotune.studies.plugins import Objective
 from autotune.studies.points import Judge, Judgement, design_of, thinned, undominated
+from problems.design.objectives import Admittance, PeakForce
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.stability.margins import UnstableLoopError

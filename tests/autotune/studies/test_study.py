@@ -18,13 +18,13 @@ from optuna.trial import FrozenTrial, TrialState
 from sqlalchemy import create_engine, text
 
 from autotune.errors import InfeasibleError, UsageError
-from autotune.studies.objectives import HandForce, PeakForce
 from autotune.studies.plugins import Limit
 from autotune.studies.points import STRUCTURES, Judge, build_controller, check_choices
 from autotune.studies.storage import Storage, close_storage, open_storage, quiet_optuna
 from autotune.studies.study import Sampler, StudyPlan, is_feasible, run_study
 from autotune.tuning.search import presentable
 from problems.design.evaluation import build_scenarios
+from problems.design.objectives import HandForce, PeakForce
 from problems.design.problem import VARIABLES
 from tests.autotune.studies.small import START, small_plan, small_problem, start_worker
 
