@@ -7,6 +7,7 @@ from .admittance import Admittance, HandForce
 from .base import Objective
 from .command_noise import CommandNoise
 from .peak_force import PeakForce
+from .robustness import Robustness
 
 BUILT_IN: Mapping[str, type[Objective]] = FrozenDict(
     {
@@ -16,6 +17,7 @@ BUILT_IN: Mapping[str, type[Objective]] = FrozenDict(
             Admittance,
             HandForce,
             CommandNoise,
+            Robustness,
         )
     }
 )
