@@ -1,6 +1,6 @@
 """Option types, completion of file names, and the layout of `--help`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -102,3 +102,21 @@ class GroupedCommand(click.Command):
             if records:
                 with formatter.section(heading):
                     formatter.write_dl(records)
+
+
+def output_option(default: str, text: str = "File to write.") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Add `-o`, handed on as `out`: the one file that a command writes."""
+    kind = click.Path(path_type=Path, dir_okay=False)
+    return click.option("-o", "--output", "out", type=kind, default=Path(default), show_default=True, help=text)
+
+
+def cell_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add `--cell`, handed on as `cell_path`."""
+    text = "Settings that the log does not hold: cell.yaml."
+    return click.option("--cell", "cell_path", type=FilePath(*SETTINGS), help=text)(function)
+
+
+def salvage_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add `--salvage`."""
+    text = "Read the intact part of a damaged log, and list what is lost."
+    return click.option("--salvage", is_flag=True, help=text)(function)

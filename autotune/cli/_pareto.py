@@ -32,29 +32,29 @@ _PARETO_OPTIONS = (
         default=None,
         type=click.IntRange(min=2, max=1000),
         metavar="[POINTS]",
-        help="Write pareto.yaml (beside -o fast.yaml: fast.pareto.yaml) too: peak force against admittance, 7 points.",
+        help="Also write pareto.yaml (of -o fast.yaml: fast.pareto.yaml): peak force against admittance, 7 points.",
     ),
-    click.option("--objectives", callback=_names, metavar="A,B", help="Objectives of the front; makes it a study."),
+    click.option("--objectives", callback=_names, metavar="A,B", help="Objectives of the front, searched by a study."),
     click.option(
         "--require",
         callback=_names,
         metavar="A,B=LIMIT",
-        help="Requirements, or objectives with a limit, of the study.",
+        help="Requirements of the study, or objectives with a limit.",
     ),
     click.option(
         "--choose",
         callback=_names,
         metavar="A,B",
-        help="Leave discretization, compensation, lead or feedback to the study.",
+        help="Let the study choose discretization, compensation, lead or feedback.",
     ),
     click.option(
         "--storage",
         metavar="URL",
         help="The study's storage: sqlite:///FILE or postgresql+psycopg://...; default pareto.db beside pareto.yaml.",
     ),
-    click.option("--study", metavar="NAME", help="Begin or continue the study of this name."),
+    click.option("--study", metavar="NAME", help="Name of the study to begin or continue."),
     click.option("--trials", type=click.IntRange(min=1), metavar="N", help="Finished trials in all; 200 by default."),
-    click.option("--sampler", type=click.Choice(["tpe", "nsga2"]), help="How the study draws; tpe by default."),
+    click.option("--sampler", type=click.Choice(["tpe", "nsga2"]), help="Sampler of the study; tpe by default."),
 )
 
 
@@ -76,7 +76,7 @@ def _request(points: int | None, told: Mapping[str, Any], seed: int) -> "FrontRe
     given = {name: value for name, value in told.items() if value is not None}
     if points is None:
         if given:
-            raise click.UsageError(f"--{next(iter(given))} is about a front, and --pareto is not there.")
+            raise click.UsageError(f"--{next(iter(given))} is an option of --pareto; add --pareto.")
         return None
     from autotune.studies.front import FrontRequest
 
@@ -92,13 +92,13 @@ _PROOF_OPTIONS = (
         "--slack",
         type=click.FloatRange(min=0.1, max=50.0),
         metavar="PERCENT",
-        help="Prove the modulus to this much below the swept one; 5 by default.",
+        help="Prove a modulus margin this much below the swept one; 5 by default.",
     ),
     click.option(
         "--proof-budget",
         type=click.FloatRange(min=0.0, max=1e6),
         metavar="SECONDS",
-        help="Prove over all that is uncertain, for about so long (10); 0 leaves it out.",
+        help="Time for the proof over all uncertain parameters, about (10); 0 skips it.",
     ),
 )
 

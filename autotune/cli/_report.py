@@ -28,7 +28,7 @@ def report_option(function: Callable[..., Any]) -> Callable[..., Any]:
         "--report",
         type=click.Path(path_type=Path, dir_okay=False),
         metavar="R.html",
-        help="Also write what was found as one page with figures, which needs no network.",
+        help="Also write a report: one HTML page with figures, which needs no network.",
     )(function)
 
 

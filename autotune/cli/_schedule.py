@@ -86,7 +86,7 @@ def schedule_options(function: Callable[..., Any]) -> Callable[..., Any]:
         multiple=True,
         callback=_tables,
         metavar="payload=A,B|stiffness=LO:HI,...",
-        help="Tune a controller for every class of payload and surface, into a folder.",
+        help="Tune a controller for every class of payload and stiffness, into a folder.",
     )
     @functools.wraps(function)
     def command(output: Output, **kwargs: Any) -> Any:

@@ -25,13 +25,13 @@ Examples:
 
 @click.command("demo", cls=GroupedCommand, epilog=_EPILOG)
 @click.argument("directory", metavar="[DIR]", type=click.Path(path_type=Path, file_okay=False), default="autotune-demo")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Noise of the log, and search.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of noise and search.")
 @output_options
 def command(output: Output, directory: Path, seed: int) -> None:
-    """Write the log of a simulated cell to DIR and run the whole chain on it.
+    """Write the log of a simulated cell to DIR and run all steps on it.
 
     DIR (default autotune-demo) then holds the log (MCAP), identified.yaml, controller.yaml and its JSON twin, and
-    report.html with the figures. The summary puts what was identified beside the truth of the simulation.
+    report.html. The summary compares the identified parameters with those of the simulation.
     """
     from autotune.demo import PAGE, run_demo
 

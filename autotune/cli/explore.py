@@ -1,4 +1,4 @@
-"""`autotune explore`: turn gains and plant by hand and see what the loop does."""
+"""`autotune explore`: a page with sliders for gains and plant."""
 
 import contextlib
 import signal
@@ -14,7 +14,7 @@ import click
 from problems.errors import require_extra
 
 from ._common import Output, output_options
-from ._options import SETTINGS, FilePath, GroupedCommand
+from ._options import SETTINGS, FilePath, GroupedCommand, output_option
 
 if TYPE_CHECKING:
     from autotune.explore.saving import Target
@@ -30,23 +30,13 @@ Examples:
 
 @click.command("explore", cls=GroupedCommand, epilog=_EPILOG)
 @click.argument("source", metavar="FILE", type=FilePath(*SETTINGS))
-@click.option(
-    "-o",
-    "--output",
-    "out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    default=Path("controller.yaml"),
-    show_default=True,
-    help="The one file that the page can write.",
-)
+@output_option("controller.yaml", "The only file that the page can write.")
 @click.option(
     "--problem",
     type=FilePath(*SETTINGS),
-    help="Requirements, bounds and ranges, for an identified plant.",
+    help="Requirements, bounds and ranges for an identified plant: problem.yaml.",
 )
-@click.option(
-    "--port", type=click.IntRange(0, 65535), default=0, show_default="a free one", help="Where the page is served."
-)
+@click.option("--port", type=click.IntRange(0, 65535), default=0, show_default="a free one", help="Port of the page.")
 @click.option(
     "--open/--no-open",
     "opens",
@@ -59,9 +49,9 @@ def command(output: Output, source: Path, out: Path, problem: Path | None, port:
     """Serve a page on this machine with sliders for the gains and the plant of FILE.
 
     FILE is identified.yaml (the page starts at the best design) or controller.yaml. Contact transient, admittance,
-    Nyquist, requirements and the map of feasible designs follow the hand; "save" proves and validates as optimize does
-    and writes an ordinary controller.yaml, or says why not. The page needs no network and no other machine reaches it.
-    Ctrl-C ends it, with exit code 0; 130 before the page is there, and during a save, which then writes nothing.
+    Nyquist, requirements and the map of feasible designs follow the sliders; "save" proves and validates as optimize
+    does and writes an ordinary controller.yaml, or says why not. The page needs no network, and no other machine can
+    open it. Ctrl-C ends it with exit code 0; before the page is ready, or during a save, with 130 and nothing written.
     """
     with _noticed_interrupts() as noticed:
         require_extra("explore", "bokeh", "reports")

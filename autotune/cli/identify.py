@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ._common import Output, output_options
-from ._options import LOGS, SETTINGS, FilePath, GroupedCommand
+from ._options import LOGS, FilePath, GroupedCommand, cell_option, output_option, salvage_option
 from ._report import check_report, print_report_path, report_option, tells_refusal, write_report
 from ._terminal import print_message, print_table
 
@@ -25,37 +25,29 @@ Examples:
   autotune identify monday.mcap friday.mcap --given mass_kg=16.2±0.1
 """
 _GROUPS = {
-    "What the log does not say": ("cell_path", "wrench_topic", "pose_topic", "command_topic", "given"),
-    "Where a log or a result is not whole": ("allow_partial", "salvage"),
+    "Settings of the cell": ("cell_path", "wrench_topic", "pose_topic", "command_topic", "given"),
+    "Damaged logs and missing parameters": ("allow_partial", "salvage"),
 }
 
 
 @click.command("identify", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FilePath(*LOGS, dir_okay=True))
-@click.option(
-    "-o",
-    "--output",
-    "out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    default=Path("identified.yaml"),
-    show_default=True,
-    help="The file to write.",
-)
-@click.option("--cell", "cell_path", type=FilePath(*SETTINGS), help="What the log cannot say: cell.yaml.")
-@click.option("--wrench-topic", help="The wrench, if the log has several.")
-@click.option("--pose-topic", help="The measured flange pose, if the log has several.")
-@click.option("--command-topic", help="The commanded flange pose.")
+@output_option("identified.yaml")
+@cell_option
+@click.option("--wrench-topic", help="Channel of the wrench, if the log has several.")
+@click.option("--pose-topic", help="Channel of the measured flange pose, if the log has several.")
+@click.option("--command-topic", help="Channel of the commanded flange pose.")
 @click.option(
     "--allow-partial",
     is_flag=True,
-    help="Write the file even if a parameter is missing (it is marked unidentifiable) or logs disagree.",
+    help="Write the file even if a parameter is unidentifiable or logs disagree.",
 )
-@click.option("--salvage", is_flag=True, help="Read what a damaged log still holds, and tell what is lost.")
+@salvage_option
 @click.option(
     "--given",
     metavar="NAME=VALUE±STD",
     multiple=True,
-    help="What is known from elsewhere, e.g. mass_kg=16.2±0.1 or x.delay_s=2.4e-3+-1e-4; without ± it is exact.",
+    help="A known parameter, e.g. mass_kg=16.2±0.1 or x.delay_s=2.4e-3+-1e-4; exact without ±.",
 )
 @report_option
 @output_options
@@ -74,10 +66,10 @@ def command(
 ) -> None:
     """Estimate payload, sensor, robot, coupling and environment from LOG, each with its uncertainty and a verdict.
 
-    LOGs that follow each other within a second are one recording; others are identified apart and combined, and a
-    parameter on which they disagree is named. A recording needs a wrench, the measured flange pose and the commanded
-    one; in it: 6 to 12 tilted poses at rest, a commanded sweep in free space, and contacts. Exit code 3: a log cannot
-    be used. 4: they do not tell enough, or disagree; nothing is written then, unless with --allow-partial.
+    LOGs that follow each other within a second are one recording; others are identified apart and combined, and
+    parameters on which they disagree are named. A recording needs wrench, measured and commanded flange pose, with 6
+    to 12 tilted poses at rest, a commanded sweep in free space, and contacts. Exit code 3: a log cannot be used. 4: a
+    parameter is unidentifiable, or logs disagree; without --allow-partial nothing is written then.
     """
     from autotune.formats.atomic import check_target
     from autotune.formats.cell import read_cell

@@ -1,4 +1,4 @@
-"""`autotune inspect`: what logs hold and what each channel can be used for."""
+"""`autotune inspect`: channels of a log, their roles, and what is missing for `identify`."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -9,7 +9,7 @@ import click
 from autotune.errors import UsageError
 
 from ._common import Output, output_options
-from ._options import LOGS, SETTINGS, FilePath, GroupedCommand
+from ._options import LOGS, FilePath, GroupedCommand, cell_option, salvage_option
 from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
@@ -25,23 +25,23 @@ Examples:
 
 @click.command("inspect", cls=GroupedCommand, epilog=_EPILOG)
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FilePath(*LOGS, dir_okay=True))
-@click.option("--cell", "cell_path", type=FilePath(*SETTINGS), help="What the log cannot say: cell.yaml.")
+@cell_option
 @click.option(
     "--write-cell",
     "start_path",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Write a cell.yaml to start from: what was found filled in, what is open as questions.",
+    help="Write a cell.yaml to complete: what was found is filled in, what is open is a question.",
 )
 @click.option("--force", is_flag=True, help="Let --write-cell replace a file.")
-@click.option("--salvage", is_flag=True, help="Read what a damaged log still holds, and tell what is lost.")
+@salvage_option
 @output_options
 def command(
     output: Output, logs: tuple[Path, ...], cell_path: Path | None, start_path: Path | None, force: bool, salvage: bool
 ) -> None:
-    """Tell what LOG holds and what it can be used for; several LOGs are parts of one recording.
+    """List the channels of LOG and what is missing for `identify`; several LOGs are parts of one recording.
 
-    Reads MCAP, rosbag2 folders, ROS 1 bags, CSV and Parquet. Shows channels, types, rates, gaps and clocks, the use of
-    each channel, and what is missing for `identify`.
+    Reads MCAP, rosbag2 folders, ROS 1 bags, CSV and Parquet. Shows types, rates, gaps, clocks and the role of each
+    channel.
     """
     from autotune.formats.cell import read_cell
     from autotune.formats.cell_text import check_new, write_cell_start

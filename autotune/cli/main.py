@@ -38,7 +38,7 @@ Colour and progress are for terminals; NO_COLOR=1 switches colour off, FORCE_COL
 
 
 class ExitCode(IntEnum):
-    """What the process tells its caller."""
+    """Exit codes of the process."""
 
     GOOD = 0
     UNFORESEEN = 1
@@ -52,7 +52,7 @@ class ExitCode(IntEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class CommandEntry:
-    """Where a command lives (`module` holds `command: click.Command`) and what it does, in one line."""
+    """The module of a command, which holds `command: click.Command`, and its one-line help."""
 
     module: str
     help: str
@@ -61,20 +61,20 @@ class CommandEntry:
 COMMANDS: Mapping[str, CommandEntry] = FrozenDict(
     {
         "inspect": CommandEntry(
-            module="autotune.cli.inspect", help="Tell what a log holds and what it can be used for."
+            module="autotune.cli.inspect", help="List the channels of a log, and what is missing for identify."
         ),
-        "identify": CommandEntry(module="autotune.cli.identify", help="Turn logs into plant parameters."),
-        "optimize": CommandEntry(module="autotune.cli.optimize", help="Turn parameters into a validated controller."),
-        "validate": CommandEntry(module="autotune.cli.validate", help="Verify a controller file again, on its own."),
+        "identify": CommandEntry(module="autotune.cli.identify", help="Estimate plant parameters from logs."),
+        "optimize": CommandEntry(module="autotune.cli.optimize", help="Search and validate a controller."),
+        "validate": CommandEntry(module="autotune.cli.validate", help="Verify a controller file, by a second method."),
         "export": CommandEntry(module="autotune.cli.export", help="Write a controller in another format."),
-        "demo": CommandEntry(module="autotune.cli.demo", help="Run the whole chain on the log of a simulated cell."),
+        "demo": CommandEntry(module="autotune.cli.demo", help="Run all steps on the log of a simulated cell."),
         "map": CommandEntry(
-            module="autotune.cli.map", help="Draw two parameters against stability, margins or the peak."
+            module="autotune.cli.map", help="Draw stability, a margin or the peak force over two parameters."
         ),
-        "report": CommandEntry(module="autotune.cli.report", help="Show written files as one page with figures."),
-        "plan": CommandEntry(module="autotune.cli.plan", help="Propose what to record next."),
+        "report": CommandEntry(module="autotune.cli.report", help="Write an HTML page with figures from result files."),
+        "plan": CommandEntry(module="autotune.cli.plan", help="Propose the next recording."),
         "explore": CommandEntry(
-            module="autotune.cli.explore", help="Turn gains and plant by hand, and see what the loop does."
+            module="autotune.cli.explore", help="Change gains and plant with sliders in the browser."
         ),
         "completion": CommandEntry(module="autotune.cli.completion", help="Print the completion script for a shell."),
     }
@@ -202,14 +202,14 @@ def _report(error: BaseException, arguments: Sequence[str], delivery: Delivery) 
         # An interrupt inside of code that is run from text, such as that of a new dataclass, leaves a mark by which the
         # interpreter ends with the signal instead of our code; the next text that is run takes it away.
         exec("")
-    if _asked("--debug", arguments):
+    if _has_option("--debug", arguments):
         say("".join(traceback.format_exception(error)).rstrip())
     message = _one_line(error, code)
     hint = _hint(error, code)
     name = painted(f"{PROGRAM}:", error=True)
     ended = f"{message.rstrip('.')}." if delivery.remark else message
     say(" ".join(part for part in (name, ended, hint, delivery.remark) if part))
-    if _asked("--json", arguments) and not delivery.done:
+    if _has_option("--json", arguments) and not delivery.done:
         tree: dict[str, Any] = {
             "error": {"kind": type(error).__name__, "message": message, "exit_code": int(code), **_details(error)}
         }
@@ -221,7 +221,7 @@ def _report(error: BaseException, arguments: Sequence[str], delivery: Delivery) 
 
 
 def _details(error: BaseException) -> dict[str, Any]:
-    """Return what an error tells beside its sentence."""
+    """Return what an error carries beside its sentence."""
     eased = error.relaxations if isinstance(error, InfeasibleError) else ()
     names = ("name", "asked", "possible")
     return {"relaxations": [dict(zip(names, each, strict=True)) for each in eased]} if eased else {}
@@ -230,8 +230,8 @@ def _details(error: BaseException) -> dict[str, Any]:
 def _one_line(error: BaseException, code: ExitCode) -> str:
     if code is ExitCode.INTERRUPTED:
         return "Interrupted."
-    told = error.format_message() if isinstance(error, click.ClickException) else str(error)
-    sentence = " ".join(told.split())
+    text = error.format_message() if isinstance(error, click.ClickException) else str(error)
+    sentence = " ".join(text.split())
     if code is not ExitCode.UNFORESEEN:
         return sentence
     return f"Unforeseen {type(error).__name__}: {sentence or 'no further message'}".rstrip(".") + "."
@@ -245,8 +245,8 @@ def _hint(error: BaseException, code: ExitCode) -> str:
     return ""
 
 
-def _asked(option: str, arguments: Sequence[str]) -> bool:
-    """Tell whether `option` stands among the arguments, which an error may have kept from being parsed."""
+def _has_option(option: str, arguments: Sequence[str]) -> bool:
+    """Whether `option` is among the arguments, which an error may have kept from being parsed."""
     before = arguments[: arguments.index("--")] if "--" in arguments else arguments
     return option in before
 

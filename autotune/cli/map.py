@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output, output_options
-from ._options import SETTINGS, FilePath, GroupedCommand
+from ._options import SETTINGS, FilePath, GroupedCommand, output_option
 from ._terminal import print_message
 
 if TYPE_CHECKING:
@@ -35,8 +35,8 @@ _SHOWS = [
     *("stable-damping", "stable-lead"),
 ]
 _GROUPS = {
-    "What is drawn": ("x", "y", "show", "where", "search"),
-    "Of which loop": ("axis", "settings", "controller", "approach_force"),
+    "Axes and quantity": ("x", "y", "show", "where", "search"),
+    "Plant and controller": ("axis", "settings", "controller", "approach_force"),
     "Files": ("out", "data"),
 }
 _RANGE = "NAME=LO:HI[:N][:log|lin]"
@@ -44,22 +44,22 @@ _RANGE = "NAME=LO:HI[:N][:log|lin]"
 
 @click.command("map", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
 @click.argument("source", type=FilePath(*SETTINGS))
-@click.option("--x", metavar=_RANGE, help="The parameter to the right; N values (120), log from a factor of 10 on.")
-@click.option("--y", metavar=_RANGE, help="The parameter upwards (90 values), or that of which curves are compared.")
+@click.option("--x", metavar=_RANGE, help="Parameter of the x axis, N values (120); logarithmic from a factor of 10.")
+@click.option("--y", metavar=_RANGE, help="Parameter of the y axis (90 values), or of the compared curves.")
 @click.option(
     "--show",
     type=click.Choice(_SHOWS),
     default="stability",
     show_default=True,
     metavar="WHAT",
-    help=f"What is computed: {', '.join(_SHOWS)}.",
+    help=f"Quantity: {', '.join(_SHOWS)}.",
 )
 @click.option(
     "--where",
     type=click.Choice(["contact", "free_space", "both"]),
     default="both",
     show_default=True,
-    help="Which loop must be stable and gives the margin.",
+    help="The loop that must be stable and gives the margin.",
 )
 @click.option("--axis", metavar="NAME", help="x, y, z, rx, ry or rz; needed when SOURCE holds several.")
 @click.option(
@@ -67,28 +67,20 @@ _RANGE = "NAME=LO:HI[:N][:log|lin]"
     "settings",
     metavar="NAME=VALUE",
     multiple=True,
-    help="Change a parameter; may be repeated. Of one that varies: where the design lies.",
+    help="Set a parameter; may be repeated. Of one on an axis: where the design is marked.",
 )
 @click.option(
     "--controller",
     type=FilePath(*SETTINGS),
-    help="The controller file whose gains are used (default: those of SOURCE).",
+    help="Controller file with the gains (default: those of SOURCE).",
 )
-@click.option("--search", metavar="LO:HI[:N][:log|lin]", help="Where stable-damping or stable-lead looks.")
-@click.option("--approach-force", type=float, metavar="N", help="The force of the approach, for peaks.")
-@click.option(
-    "-o",
-    "--output",
-    "out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    default=Path("map.svg"),
-    show_default=True,
-    help="The picture, .svg or .png.",
-)
+@click.option("--search", metavar="LO:HI[:N][:log|lin]", help="Search range of stable-damping or stable-lead.")
+@click.option("--approach-force", type=float, metavar="N", help="Approach force, for peaks.")
+@output_option("map.svg", "Picture to write, .svg or .png.")
 @click.option(
     "--data",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="The numbers, .csv or .json (default: beside the picture, .csv).",
+    help="Data file to write, .csv or .json (default: .csv beside the picture).",
 )
 @output_options
 def command(
@@ -106,10 +98,10 @@ def command(
     out: Path,
     data: Path | None,
 ) -> None:
-    """Draw two parameters of the loop against stability, a margin or the peak force, and save the numbers.
+    """Draw stability, a margin or the peak force over two parameters of the loop, and save the numbers.
 
-    SOURCE is identified.yaml (then say the gains with --set or --controller) or controller.yaml (its plant is that of
-    the certificate). Without --x and --y the lead gain is drawn over the damping, around the design, which is marked.
+    SOURCE is identified.yaml (give the gains with --set or --controller) or controller.yaml (its plant is that of the
+    certificate). Without --x and --y the axes are damping and lead gain, around the design, which is marked.
 
     stable-damping draws the smallest stable damping over the environment stiffness for each part of the controller,
     stable-lead all stable lead gains over the payload frequency; --y then names the parameter of which a few values

@@ -43,11 +43,9 @@ Examples:
   autotune optimize identified.yaml --schedule payload=8:12,16.2,22 --schedule stiffness=2e4:1e5,1e5:5e5 -o cell
 """
 _GROUPS = {
-    "What must all be safe": ("payload_mass", "environment_stiffness", "schedule"),
-    "What is proved": ("slack", "proof_budget"),
-    "A front of peak force against admittance, or of other objectives": (
-        *("pareto", "objectives", "require", "choose", "storage", "study", "trials", "sampler"),
-    ),
+    "Ranges to certify": ("payload_mass", "environment_stiffness", "schedule"),
+    "Proof": ("slack", "proof_budget"),
+    "Pareto front": (*("pareto", "objectives", "require", "choose", "storage", "study", "trials", "sampler"),),
 }
 
 
@@ -79,29 +77,35 @@ def _stiffness(_context: click.Context, _option: click.Parameter, text: str | No
     "out",
     type=click.Path(path_type=Path),
     show_default="controller.yaml, or the folder schedule",
-    help="The file to write, or with --schedule the folder.",
+    help="File to write; with --schedule the folder.",
 )
-@click.option("--problem", type=FilePath(*SETTINGS), help="Requirements, bounds and ranges.")
+@click.option("--problem", type=FilePath(*SETTINGS), help="Requirements, bounds and ranges: problem.yaml.")
 @click.option(
     "--payload-mass",
     callback=_masses,
     metavar="KG[,KG]",
-    help="One mass, or a range that must all be safe; 16.2, 10,22 or 16200g.",
+    help="Payload mass, or the range to certify: 16.2, 10,22 or 16200g.",
 )
 @click.option(
     "--environment-stiffness",
     callback=_stiffness,
     metavar="LO:HI",
-    help="A range that must all be safe, in N/m or with its unit: 2e4:5e5, 20:500N/mm.",
+    help="Range of stiffness to certify, in N/m or with its unit: 2e4:5e5, 20:500N/mm.",
 )
 @click.option(
     "--compare",
     "old",
     type=FilePath(*SETTINGS),
     metavar="CONTROLLER",
-    help="Put this controller beside the new one on the same problem; the search starts from it too.",
+    help="Compare with this controller on the same problem; the search starts from it too.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same file.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Seed of the search.",
+)
 @pareto_options
 @report_option
 @proof_options
@@ -120,13 +124,13 @@ def command(
     report: Path | None,
     proof: "ProofOptions | None",
 ) -> None:
-    """Search the controller with the gentlest contact that stays stable and moves freely, and validate it.
+    """Search the controller with the smallest contact peak that meets all requirements, and validate it.
 
-    Every identified axis is tuned, rotational ones in rad, N·m and kg·m². Peak force, stability and margins are those
-    of the exact sampled loop, over the whole range of payload mass and environment stiffness, where stability and the
-    modulus are proved, not only swept. Exit code 5: no controller meets the requirements. 6: a claim could not be
-    verified, or the file to compare with is altered. Nothing is written then. The controller is the same with and
-    without --pareto. With --schedule the output is a folder. A stiffness that problem.yaml makes free is chosen too.
+    Tunes every identified axis, rotational ones in rad, N·m and kg·m². Peak force, stability and margins are those of
+    the exact sampled loop over the whole range of payload mass and environment stiffness; stability and the modulus
+    margin are proved there, not only swept. A stiffness that problem.yaml makes free is chosen too. A Pareto front does
+    not change the controller. Exit code 5: no controller meets the requirements. 6: a claim could not be verified, or
+    the compared file is altered. Nothing is written then.
     """
     from autotune.formats.atomic import check_target
     from autotune.formats.canonical import short

@@ -1,13 +1,14 @@
 """`autotune plan`: what to record next."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from ._common import Output, output_options
-from ._options import SETTINGS, FilePath, GroupedCommand, QuantityRange
+from ._options import SETTINGS, FilePath, GroupedCommand, QuantityRange, output_option
 from ._terminal import print_message, print_table, printable
 
 if TYPE_CHECKING:
@@ -25,8 +26,8 @@ Examples:
   autotune plan identified.yaml --poses 0 --max-speed 0.1 --json
 """
 _GROUPS = {
-    "What is guessed without a file": ("mass", "stiffness"),
-    "What the cell allows": (
+    "Guesses for a first recording": ("mass", "stiffness"),
+    "Limits of the cell": (
         *("max_tilt", "poses", "max_speed", "max_force", "max_stroke", "max_duration", "max_frequency"),
     ),
 }
@@ -38,51 +39,42 @@ _MASS = QuantityRange("mass", least=0.05, most=1000.0)
 _STIFFNESS = QuantityRange("stiffness", least=1e3, most=1e8)
 
 
+def _limit_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    for name, kind, default, unit, text in reversed(
+        (
+            ("--max-tilt", _POSITIVE, 60.0, "DEG", "Largest tilt of a pose."),
+            ("--max-speed", click.FloatRange(min=1e-3), 0.25, "M/S", "Largest speed of the command."),
+            ("--max-force", click.FloatRange(min=5.0), 100.0, "N", "Largest force at the sensor."),
+            ("--max-stroke", click.FloatRange(min=1e-4), 0.02, "M", "Largest stroke to each side."),
+            ("--max-duration", click.FloatRange(min=2.0), 60.0, "S", "Duration of the sweep."),
+            (
+                "--max-frequency",
+                click.FloatRange(min=2.0),
+                None,
+                "HZ",
+                "Highest of the sweep; default: of the robot.",
+            ),
+        )
+    ):
+        option = click.option(name, type=kind, default=default, show_default=True, metavar=unit, help=text)
+        command = option(command)
+    return command
+
+
 @click.command("plan", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
 @click.argument("identified", required=False, type=FilePath(*SETTINGS))
-@click.option(
-    "-o",
-    "--output",
-    "out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    default=Path("plan.yaml"),
-    show_default=True,
-    help="The file to write.",
-)
-@click.option("--axis", type=click.Choice(["x", "y", "z"]), help="The axis of sweep and contacts.")
+@output_option("plan.yaml")
+@click.option("--axis", type=click.Choice(["x", "y", "z"]), help="Axis of sweep and contacts.")
 @click.option(
     "--controller",
     "present",
     type=FilePath(*SETTINGS),
-    help="Count what binds in newtons of the peak with this controller.yaml; default: a usual controller.",
+    help="Weigh uncertainties by the peak force with this controller.yaml (default: a usual one).",
 )
-@click.option("--mass", type=_MASS, metavar="KG", help="A guess of the payload's mass, where no file tells it.")
-@click.option("--stiffness", type=_STIFFNESS, metavar="N/M", help="A guess of K_s, where no file tells it.")
-@click.option("--max-tilt", type=_POSITIVE, default=60.0, show_default=True, metavar="DEG", help="Largest tilt.")
-@click.option("--poses", type=click.IntRange(0, 24), default=9, show_default=True, help="0 for none, else 4 or more.")
-@click.option(
-    "--max-speed",
-    type=click.FloatRange(min=1e-3),
-    default=0.25,
-    show_default=True,
-    metavar="M/S",
-    help="Of the command.",
-)
-@click.option(
-    "--max-force", type=click.FloatRange(min=5.0), default=100.0, show_default=True, metavar="N", help="At the sensor."
-)
-@click.option(
-    "--max-stroke", type=click.FloatRange(min=1e-4), default=0.02, show_default=True, metavar="M", help="To each side."
-)
-@click.option(
-    "--max-duration", type=click.FloatRange(min=2.0), default=60.0, show_default=True, metavar="S", help="Of the sweep."
-)
-@click.option(
-    "--max-frequency",
-    type=click.FloatRange(min=2.0),
-    metavar="HZ",
-    help="Of the sweep; default: what the robot passes.",
-)
+@click.option("--mass", type=_MASS, metavar="KG", help="Guess of the payload mass, without a file.")
+@click.option("--stiffness", type=_STIFFNESS, metavar="N/M", help="Guess of the coupling stiffness, without a file.")
+@click.option("--poses", type=click.IntRange(0, 24), default=9, show_default=True, help="Poses: 0, or 4 and more.")
+@_limit_options
 @output_options
 def command(
     output: Output,
@@ -100,10 +92,10 @@ def command(
     max_duration: float,
     max_frequency: float | None,
 ) -> None:
-    """Propose the recording that cuts the binding uncertainty most: poses, sweep, taps and contacts.
+    """Propose the recording that reduces the binding uncertainty most: poses, sweep, taps and contacts.
 
     With IDENTIFIED, from its values, noise and deviations; without, a first recording from usual values. Exit code 4:
-    poses are needed and no orientations within the largest tilt tell mass and centre of mass; nothing is written then.
+    poses are needed, and none within the largest tilt identify mass and centre of mass; nothing is written then.
     """
     from autotune import __version__
     from autotune.errors import UsageError
@@ -117,7 +109,7 @@ def command(
     check_target(out, [path for path in (identified, present) if path is not None], kind="plan")
     if 0 < poses < FEWEST_POSES:
         raise UsageError(
-            f"--poses must be 0 (none) or at least {FEWEST_POSES}, which tell mass and centre; found {poses}."
+            f"--poses must be 0 (none) or at least {FEWEST_POSES}, as mass and centre of mass need; found {poses}."
         )
     limits = ExperimentLimits(
         max_tilt_deg=max_tilt,

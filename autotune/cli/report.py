@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from ._common import Output, output_options
-from ._options import LOGS, SETTINGS, FilePath, GroupedCommand
+from ._options import LOGS, SETTINGS, FilePath, GroupedCommand, output_option
 from ._report import check_report, tells_refusal, write_report
 from ._terminal import print_message
 
@@ -22,27 +22,23 @@ _FILE = click.Path(path_type=Path, dir_okay=False)
 
 @click.command("report", cls=GroupedCommand, epilog=_EPILOG)
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FilePath(*SETTINGS, *LOGS, dir_okay=True))
-@click.option(
-    "-o", "--output", "out", type=_FILE, default=Path("report.html"), show_default=True, help="The page to write."
-)
-@click.option(
-    "--compare", "old", type=FilePath(*SETTINGS), metavar="CONTROLLER", help="Draw this controller beside the others."
-)
+@output_option("report.html", "Page to write.")
+@click.option("--compare", "old", type=FilePath(*SETTINGS), metavar="CONTROLLER", help="Compare with this controller.")
 @click.option(
     "--samples",
     type=click.IntRange(0),
     default=256,
     show_default=True,
-    help="Plants of each certified set to simulate with all that disturbs; 0: none.",
+    help="Plants of each certified set to simulate with all disturbances; 0: none.",
 )
 @output_options
 def command(output: Output, files: tuple[Path, ...], out: Path, old: Path | None, samples: int) -> None:
-    """Show what FILEs hold as one page that needs no network, a part for each.
+    """Write one HTML page with figures of all FILEs, which needs no network.
 
-    FILE is what identify, optimize, --pareto or --schedule wrote. A log beside the identified.yaml that came from it,
-    told by its SHA-256, adds the signals. A controller is verified again. Exit code 2: a file that has no report. 3: a
-    log that cannot be used, or is another one. 6: a controller was altered, or a claim of it does not hold, which the
-    page then says.
+    FILE is a result of identify, optimize, --pareto or --schedule. A log beside the identified.yaml that came from it,
+    recognised by its SHA-256, adds the signals. A controller is verified again. Exit code 2: a file without a report.
+    3: a log that cannot be used, or is another one. 6: a controller was altered, or a claim does not hold; the page
+    then says so.
     """
     from autotune.report.from_files import report_files
     from autotune.report.refused_page import NOT_SHOWN, refuse

@@ -12,7 +12,7 @@ from autotune.formats.units import axis_units
 
 from ._common import Output, output_options
 from ._optimized import limit_lines
-from ._options import KEYS, LOGS, SETTINGS, FilePath, GroupedCommand
+from ._options import KEYS, LOGS, SETTINGS, FilePath, GroupedCommand, cell_option
 from ._report import check_report, print_report_path, report_option, tells_refusal, write_report
 from ._schedule import validate_schedule
 from ._terminal import echo, painted, print_message, print_table, printable
@@ -38,7 +38,7 @@ Examples:
 """
 _FILE, _KEY = FilePath(*SETTINGS), FilePath(*KEYS)
 _GROUPS = {
-    "Against a log": ("logs", "cell_path", "command_topic"),
+    "Comparison with a log": ("logs", "cell_path", "command_topic"),
     "Simulation of the certified set": ("samples", "seed", "noise", "sensor_range", "speed_limit", "late"),
     "Signature": ("public_key", "sign"),
 }
@@ -60,17 +60,15 @@ def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tupl
 
 @click.command("validate", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
 @click.argument("controller", type=_FILE)
-@click.option(
-    "--identified", type=_FILE, help="Also check that this identified plant lies inside the certified domain."
-)
+@click.option("--identified", type=_FILE, help="Check that this identified plant lies inside the certified domain.")
 @click.option(
     "--log",
     "logs",
     type=FilePath(*LOGS, dir_okay=True),
     multiple=True,
-    help="Also compare every contact in this log, recorded under this controller. Several are parts of one recording.",
+    help="Compare every contact in this log, recorded under this controller; several are parts of one recording.",
 )
-@click.option("--cell", "cell_path", type=_FILE, help="A cell.yaml that says what the log cannot.")
+@cell_option
 @click.option("--command-topic", help="Channel of the commanded pose in the log.")
 @click.option(
     "--samples",
@@ -79,24 +77,24 @@ def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tupl
     show_default=True,
     help="Plants of the certified set to simulate with deadband, noise, clipping and late commands; 0: none.",
 )
-@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Which plants, and which noise.")
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of the plants and the noise.")
 @click.option(
-    "--noise", callback=_pair, help="The sensor's noise, N RMS[,N·m RMS].  [default: of the file, else 0.2,0.02]"
+    "--noise", callback=_pair, help="Noise of the sensor, N RMS[,N·m RMS].  [default: of the file, else 0.2,0.02]"
 )
-@click.option("--sensor-range", callback=_pair, help="Where the sensor clips, N[,N·m].  [default: nowhere]")
-@click.option("--speed-limit", callback=_pair, help="Limit on the command, m/s[,rad/s].  [default: 0.25 m/s]")
+@click.option("--sensor-range", callback=_pair, help="Range of the sensor, N[,N·m].  [default: unlimited]")
+@click.option("--speed-limit", callback=_pair, help="Speed limit of the command, m/s[,rad/s].  [default: 0.25 m/s]")
 @click.option("--late", type=click.FloatRange(0, 1, max_open=True), help="Share of late commands.  [default: 0.01]")
-@click.option("--public-key", type=_KEY, help="Demand the signature CONTROLLER.sig, by the key of this file.")
-@click.option("--sign", type=_KEY, help="Write CONTROLLER.sig with this private key, if everything holds.")
+@click.option("--public-key", type=_KEY, help="Require the signature CONTROLLER.sig by this public key.")
+@click.option("--sign", type=_KEY, help="Write CONTROLLER.sig with this private key, if every check passes.")
 @report_option
 @output_options
 def command(output: Output, /, controller: Path, identified: Path | None, **options: Any) -> None:
-    """Verify CONTROLLER again, from the file alone and by other code than the optimizer's.
+    """Verify CONTROLLER from the file alone, by other code than the optimizer's.
 
-    Checksum, schema and ranges; stability proved anew over the whole domain; margins and free-space admittance by a
-    second method; every predicted contact replayed; contacts with many plants of the domain simulated with deadband,
-    noise, clipping and late commands. Of a schedule, every controller that it lists. Exit code 6: a claim or a
-    signature does not hold, or the file was altered. 3: the log cannot be used, or another controller was running.
+    Checks checksum, schema and ranges, proves stability anew over the whole domain, computes margins and free-space
+    admittance by a second method, replays every predicted contact, and simulates contacts of many plants with deadband,
+    noise, clipping and late commands. Of a schedule, verifies every controller that it lists. Exit code 6: a claim or
+    a signature does not hold, or the file was altered. 3: the log cannot be used, or another controller was running.
     """
     from autotune.formats.schedule import is_schedule
 
