@@ -31,7 +31,7 @@ STEPS = (
 )
 PAGE = "report.html"
 """The page of the command line, beside the files of `DemoFiles`."""
-# Of the time, measured; of no other use than to tell how it goes on.
+# Of the time, measured; only for the progress bar.
 _SHARES = (0.02, 0.25, 0.12, 0.37, 0.24, 0.0)
 
 
@@ -94,7 +94,7 @@ def run_demo(
 ) -> DemoResult:
     """Simulate the default cell, then identify, optimize, validate and export, through the files of a real run.
 
-    `step` is told the name of each step as it begins, `progress` the share of the work done since the last call.
+    `step` receives the name of each step as it begins, `progress` the share of the work done since the last call.
     Files of an earlier demo in the same folder are replaced. Raises UsageError where one of these names stands for
     anything else: a file of another origin, or one that was changed since (`autotune.formats.made`).
     """

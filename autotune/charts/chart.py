@@ -76,7 +76,7 @@ class Band:
 
 @dataclass(frozen=True, kw_only=True)
 class Points:
-    """Single points (n,), with `names` (n,) that are told where the pointer rests, or none."""
+    """Single points (n,), with `names` (n,) that are shown under the pointer, or none."""
 
     x: FloatArray
     y: FloatArray
@@ -160,7 +160,7 @@ class Heat:
 
     @property
     def is_two_sided(self) -> bool:
-        """Whether colours tell the sign, around a neutral middle."""
+        """Whether colours show the sign, around a neutral middle."""
         return self.limits is not None and self.limits[0] == -self.limits[1]
 
     def span(self) -> tuple[float, float]:

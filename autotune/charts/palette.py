@@ -1,4 +1,4 @@
-"""Colours that can be told apart by everybody, on white and on black paper (after Okabe and Ito)."""
+"""Colours that everybody can distinguish, on white and on black paper (after Okabe and Ito)."""
 
 import re
 from collections.abc import Mapping

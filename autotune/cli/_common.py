@@ -23,7 +23,7 @@ _Result = TypeVar("_Result")
 
 
 class Advance(Protocol):
-    """Moves a bar on by n, in the unit of its total; `doing`, if it is told, is what stands beside it from then on."""
+    """Moves a bar on by n, in the unit of its total; `doing`, if given, is the text beside it from then on."""
 
     def __call__(self, n: float, doing: str | None = None, /) -> None:
         """Move on."""
@@ -34,7 +34,7 @@ class Delivery:
     """What the error report of a run must know of it.
 
     `done` is whether standard output already holds its one JSON object, so that an error does not add a second;
-    `remark` is said behind the message of an error, and `report` is the page that tells more.
+    `remark` follows the message of an error, and `report` is its page.
     """
 
     done: bool = False
@@ -78,9 +78,9 @@ class Output:
 
     @contextlib.contextmanager
     def replacing(self, path: Path, kind: str) -> Iterator[None]:
-        """Say after the block, which writes `path`, what stood there before, if anything.
+        """Note after the block, which writes `path`, what it replaced, if anything.
 
-        Raises UsageError before it where what stands there is no file of `kind` (`autotune.formats.replaceable`).
+        Raises UsageError before it where the existing file is not of `kind` (`autotune.formats.replaceable`).
         """
         from autotune.formats.replaceable import check_kind
 
@@ -93,7 +93,7 @@ class Output:
     def progress(self, description: str, total: float | None) -> Iterator[Advance]:
         """Show a bar while the block runs, on a terminal only; yields `advance(n)`, n in the unit of `total`.
 
-        With `total` it tells how much time is left, without only how much has gone.
+        With `total` it shows the time that is left, without only the time that has gone.
         """
         if self.quiet or not detect_terminal(sys.stderr).can_redraw:
             yield _advance_nothing

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from problems.design.problem import DesignProblem
     from problems.model.controller import AdmittanceController
 
-# How many decimals of a price are told: what is none in them is told as nothing.
+# Decimals of a price: what is 0 in them saves nothing.
 _DECIMALS = {"N": 2, "N·m": 4}
 
 
@@ -89,13 +89,13 @@ def _optimality_lines(standing: "OptimalityReport", units: "AxisUnits", has_wish
 
 
 def _where_it_was_looked(reference: "Reference") -> str:
-    told = (
+    text = (
         f"over the {reference.scenarios} hardest contacts alone with nothing kept in reserve, from here and by "
         f"{reference.descents} descents from the best of {reference.designs} other designs"
     )
     if not math.isfinite(reference.elsewhere_n):
-        return f"{told}, none of which met the requirements"
-    return f"{told}, {reference.arrived} of which end there"
+        return f"{text}, none of which met the requirements"
+    return f"{text}, {reference.arrived} of which end there"
 
 
 def compare_tree(old: "ControllerFile", found: Mapping[str, "SideBySide"]) -> dict[str, Any]:
@@ -141,8 +141,8 @@ def compare_lines(old: "ControllerFile", found: Mapping[str, "SideBySide"]) -> I
     for name, both in found.items():
         units = axis_units(name)
         yield from table_lines([("", "old", "new"), *_rows(both, units)], point=(1, 2), indent=f"  {name}  ")
-        for told, standing in (("old", both.old), ("new", both.new)):
-            yield f"  {name}  {told}: {_verdict(standing, units)}"
+        for side, standing in (("old", both.old), ("new", both.new)):
+            yield f"  {name}  {side}: {_verdict(standing, units)}"
 
 
 def _rows(both: "SideBySide", units: "AxisUnits") -> Iterator[tuple[str, str, str]]:
@@ -183,8 +183,8 @@ def _verdict(side: "EvaluatedController", units: "AxisUnits") -> str:
         where = f"K_e {stiffness:.4g} {units.stiffness}" if stiffness > 0.0 else "free space"
         return f"{painted('UNSTABLE')} in {where} with {mass:.4g} {units.mass} (largest |z| {side.spectral_radius:.5f})"
     missed = {} if side.performance is None else side.performance.missed
-    told = ", ".join(f"{name} ({min(100.0 / value, 99.99):.4g} %)" for name, value in missed.items())
-    return f"misses {told} of what is asked" if told else "meets every requirement"
+    text = ", ".join(f"{name} ({min(100.0 / value, 99.99):.4g} %)" for name, value in missed.items())
+    return f"misses {text} of what is asked" if text else "meets every requirement"
 
 
 def print_compliance(name: str, compliance: "Compliance", problem: "DesignProblem") -> None:
@@ -212,8 +212,8 @@ def print_compliance(name: str, compliance: "Compliance", problem: "DesignProble
 def _numbers(point: "CompliancePoint", prices: int) -> tuple[str, ...]:
     evaluation = None if point.found is None else point.found.evaluation
     values = () if evaluation is None else (evaluation.peak_n, evaluation.objective_n)
-    told = [f"{value:.2f}" for value in values] or ["-", "-"]
-    return f"{point.stiffness_n_per_m * 1e-3:.6g}", *told[: 1 + prices]
+    text = [f"{value:.2f}" for value in values] or ["-", "-"]
+    return f"{point.stiffness_n_per_m * 1e-3:.6g}", *text[: 1 + prices]
 
 
 def _remark(compliance: "Compliance", point: "CompliancePoint") -> str:
@@ -222,14 +222,14 @@ def _remark(compliance: "Compliance", point: "CompliancePoint") -> str:
         return "no controller meets the requirements"
     if point.missed > 0.0:
         return "above max_peak_force_n"
-    told = []
+    remarks = []
     if point is compliance.chosen:
-        told.append("chosen")
+        remarks.append("chosen")
     elif point is compliance.nearly_as_good:
-        told.append("the stiffest within 1 % of that")
+        remarks.append("the stiffest within 1 % of that")
     if point is compliance.stiffest and point is not compliance.points[-1]:
-        told.append("the stiffest that meets everything")
-    return ", ".join(told)
+        remarks.append("the stiffest that meets everything")
+    return ", ".join(remarks)
 
 
 def _lines(compliance: "Compliance", problem: "DesignProblem") -> Iterator[str]:
@@ -246,9 +246,9 @@ def _lines(compliance: "Compliance", problem: "DesignProblem") -> Iterator[str]:
             "free.environment_stiffness_n_per_m: [K, K]"
         )
     damping = problem.uncertain.get("environment_damping_n_s_per_m", (problem.environment_damping_n_s_per_m,) * 2)
-    told = f"{damping[0]:g}" if damping[0] == damping[1] else f"{damping[0]:g} to {damping[1]:g}"
+    text = f"{damping[0]:g}" if damping[0] == damping[1] else f"{damping[0]:g} to {damping[1]:g}"
     yield (
-        f"assumed of the compliance: damping B_e {told} N·s/m, and no mass that moves with it; once it is built, "
+        f"assumed of the compliance: damping B_e {text} N·s/m, and no mass that moves with it; once it is built, "
         "identify it and ask validate --identified"
     )
 
@@ -263,14 +263,14 @@ _ENDS = {
 
 def response_lines(controller: "Controller") -> Iterator[str]:
     """Say which threshold was chosen in `controller.provenance`, where one was asked for, and what it saves."""
-    told: Mapping[str, Any] | None = controller.provenance.get("collision")
-    if told is None:
+    collision: Mapping[str, Any] | None = controller.provenance.get("collision")
+    if collision is None:
         return
-    where = "at the contact" if told["objective"] == "contact_force" else "at the sensor"
-    without, with_it = told["worst_peak_n"]["without"], told["worst_peak_n"]["with"]
-    best, (low, high), lowest = told["best_threshold_n"], told["bounds_n"], told["lowest_n"]
-    if told["response"] == "reset":
-        end = f"; {_ENDS[told['limited_by']]}" if told["limited_by"] in _ENDS else ""
+    where = "at the contact" if collision["objective"] == "contact_force" else "at the sensor"
+    without, with_it = collision["worst_peak_n"]["without"], collision["worst_peak_n"]["with"]
+    best, (low, high), lowest = collision["best_threshold_n"], collision["bounds_n"], collision["lowest_n"]
+    if collision["response"] == "reset":
+        end = f"; {_ENDS[collision['limited_by']]}" if collision["limited_by"] in _ENDS else ""
         yield (
             f"collision response: reset at {best:g} N takes the worst peak {where} from {without:.2f} to {with_it:.2f} "
             f"N ({100.0 * (with_it / without - 1.0):+.1f} %){end}"
@@ -282,15 +282,15 @@ def response_lines(controller: "Controller") -> Iterator[str]:
             f"collision response: none. No threshold from {max(low, lowest):.4g} to {high:g} N lowers the worst peak "
             f"{where} of {without:.2f} N by 0.1 % without raising the other one; {at_best}"
         )
-    if told.get("noise_is_assumed", False):
+    if collision.get("noise_is_assumed", False):
         yield (
-            f"the sensor's noise was not identified: {told['noise_rms_n']:.3g} N RMS was taken; record rests, which "
-            "tell it"
+            f"the sensor's noise was not identified: {collision['noise_rms_n']:.3g} N RMS was taken; record rests to "
+            "identify it"
         )
     if low < lowest:
         yield (
-            f"thresholds below {lowest:.4g} N are left out: {told['free_motion_n']:.3g} N stand against the motion as "
-            f"the approach begins in free space, and the noise of {told['noise_rms_n']:.3g} N RMS comes on top"
+            f"thresholds below {lowest:.4g} N are left out: {collision['free_motion_n']:.3g} N oppose the motion as "
+            f"the approach begins in free space, and the noise of {collision['noise_rms_n']:.3g} N RMS comes on top"
         )
 
 

@@ -63,17 +63,17 @@ def pareto_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def command(*args: Any, **kwargs: Any) -> Any:
-        told = {name: kwargs.pop(name) for name in _OPTIONS}
+        options = {name: kwargs.pop(name) for name in _OPTIONS}
         points = kwargs.pop("pareto")
-        return function(*args, pareto=_request(points, told, kwargs["seed"]), **kwargs)
+        return function(*args, pareto=_request(points, options, kwargs["seed"]), **kwargs)
 
     for option in reversed(_PARETO_OPTIONS):
         command = option(command)
     return command
 
 
-def _request(points: int | None, told: Mapping[str, Any], seed: int) -> "FrontRequest | None":
-    given = {name: value for name, value in told.items() if value is not None}
+def _request(points: int | None, options: Mapping[str, Any], seed: int) -> "FrontRequest | None":
+    given = {name: value for name, value in options.items() if value is not None}
     if points is None:
         if given:
             raise click.UsageError(f"--{next(iter(given))} is an option of --pareto; add --pareto.")
@@ -108,14 +108,14 @@ def proof_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def command(*args: Any, **kwargs: Any) -> Any:
-        return function(*args, proof=_wishes(kwargs.pop("slack"), kwargs.pop("proof_budget")), **kwargs)
+        return function(*args, proof=_proof_options(kwargs.pop("slack"), kwargs.pop("proof_budget")), **kwargs)
 
     for option in reversed(_PROOF_OPTIONS):
         command = option(command)
     return command
 
 
-def _wishes(slack: float | None, budget_s: float | None) -> "ProofOptions | None":
+def _proof_options(slack: float | None, budget_s: float | None) -> "ProofOptions | None":
     if slack is None and budget_s is None:
         return None
     from autotune.validation.axis_proof import ProofOptions
@@ -180,10 +180,10 @@ def print_fronts(fronts: Mapping[str, "Front"], path: Path) -> None:
 
     for axis, front in fronts.items():
         units = axis_units(axis)
-        told = " and ".join(each.name for each in front.objectives)
+        names = " and ".join(each.name for each in front.objectives)
         study = front.study
         by = "" if study is None else _share(study)
-        print_message(f"axis {axis}: front of {told}, every point in {front.scenario_count} scenarios{by}")
+        print_message(f"axis {axis}: front of {names}, every point in {front.scenario_count} scenarios{by}")
         heads = [f"{each.name} [{objective_unit(axis, each)}]" for each in front.objectives]
         gains = [
             f"M_a [{units.mass}]",
@@ -206,8 +206,8 @@ def print_fronts(fronts: Mapping[str, "Front"], path: Path) -> None:
 
 def _share(study: "StudyRecord") -> str:
     share = 100.0 * study.feasible / study.trials
-    told = f"{share:.0f}" if share >= 1.0 else f"{share:.1g}"
-    return f"; study {study.name}: {study.feasible} of {study.trials} trials feasible ({told} %)"
+    percent = f"{share:.0f}" if share >= 1.0 else f"{share:.1g}"
+    return f"; study {study.name}: {study.feasible} of {study.trials} trials feasible ({percent} %)"
 
 
 def _cells(front: "Front", point: "Judgement") -> Iterator[str]:

@@ -48,7 +48,7 @@ def check_report(report: Path | None, others: Iterable[Path], *, option: str = "
 
 
 def write_report(output: Output, report: Path | None, build: Callable[[], "Page"]) -> dict[str, str]:
-    """Draw and write the page, and return what `--json` tells of it: nothing without a report."""
+    """Draw and write the page, and return its entry for `--json`: nothing without a report."""
     if report is None:
         return {}
     from autotune.formats.atomic import write_atomic
@@ -63,10 +63,10 @@ def write_report(output: Output, report: Path | None, build: Callable[[], "Page"
 
 
 @contextlib.contextmanager
-def tells_refusal(
+def report_refusal(
     output: Output, report: Path | None, sources: Iterable[Path], build: Callable[[Exception], "Page"]
 ) -> Iterator[None]:
-    """Let the page say so where the block is refused, so that no older page stands for it; the error goes on.
+    """Write the refusal of the block on the page, so that no older page is taken for it; the error goes on.
 
     `build` makes the page of an error, of what could be seen all the same. Where nothing could be (a file that is not
     there, a wrong option, an interruption) an older page stays as it is, and the message of the error says so.
@@ -90,7 +90,7 @@ def _write_refusal(output: Output, report: Path, error: Exception, build: Callab
 
     try:
         text = render_page(build(error))
-    except Exception:  # noqa: BLE001 - what more there is to tell of a refusal must not take its place
+    except Exception:  # noqa: BLE001 - a fault in the page must not take the place of the refusal
         text = render_page(refuse(NOT_SHOWN, error))
     try:
         write_atomic(report, text)

@@ -59,7 +59,7 @@ def said_range(parts: list[str], kind: str, field: str) -> Interval:
 
 
 def fields_with_unit() -> frozenset[str]:
-    """Return the fields of the wishes whose units were typed."""
+    """Return the fields whose units were typed."""
     return frozenset(click.get_current_context().meta.get(_WITH_UNIT, ()))
 
 
@@ -184,11 +184,11 @@ def print_schedule(tree: Mapping[str, Any]) -> None:
     costs: dict[str, tuple[float, float, str]] = {}
     for entry in tree["classes"]:
         for axis, of_axis in entry["axes"].items():
-            told = rename_axis_keys(axis, of_axis, reading=True)
-            ranges = (_told(entry[name]) for name in scheduled)
-            rows.append((entry["name"], *ranges, axis, *_numbers(told), short(entry["checksum"])))
-            if told["cost_n"] is not None:
-                costs[axis] = max(costs.get(axis, (-float("inf"), 0.0, "")), _cost(told, entry["name"]))
+            values = rename_axis_keys(axis, of_axis, reading=True)
+            ranges = (_range_text(entry[name]) for name in scheduled)
+            rows.append((entry["name"], *ranges, axis, *_numbers(values), short(entry["checksum"])))
+            if values["cost_n"] is not None:
+                costs[axis] = max(costs.get(axis, (-float("inf"), 0.0, "")), _cost(values, entry["name"]))
     first = len(heads)
     print_table(rows, left=(0, len(scheduled) + 1, first + 4), point=range(first, first + 3), stacks=True)
     common = tree["common"]
@@ -204,17 +204,17 @@ def print_schedule(tree: Mapping[str, Any]) -> None:
         print_message(_coverage(name, tree["covered"][name]))
 
 
-def _numbers(told: Mapping[str, Any]) -> tuple[str, ...]:
+def _numbers(values: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the peaks and costs of a row; more digits for a small torque."""
-    digits = 1 if told["peak_force_n"] >= 10.0 else 3
-    if told["cost_n"] is None:
-        return f"{told['peak_force_n']:.{digits}f}", "-", "-", ""
-    peaks = (f"{told[name]:.{digits}f}" for name in ("peak_force_n", "peak_with_common_n"))
-    return *peaks, f"{told['cost_n']:.{digits + 1}f}", f"{told['cost_percent']:.1f} %"
+    digits = 1 if values["peak_force_n"] >= 10.0 else 3
+    if values["cost_n"] is None:
+        return f"{values['peak_force_n']:.{digits}f}", "-", "-", ""
+    peaks = (f"{values[name]:.{digits}f}" for name in ("peak_force_n", "peak_with_common_n"))
+    return *peaks, f"{values['cost_n']:.{digits + 1}f}", f"{values['cost_percent']:.1f} %"
 
 
-def _cost(told: Mapping[str, Any], name: str) -> tuple[float, float, str]:
-    return told["cost_percent"], told["cost_n"], name
+def _cost(values: Mapping[str, Any], name: str) -> tuple[float, float, str]:
+    return values["cost_percent"], values["cost_n"], name
 
 
 def validate_schedule(output: Output, path: Path, identified: Path | None) -> None:
@@ -259,20 +259,20 @@ def validate_schedule(output: Output, path: Path, identified: Path | None) -> No
 def _print_validated(tree: Mapping[str, Any]) -> None:
     for each in tree["controllers"].values():
         failed = [check for check in each["checks"] if not check["passed"]]
-        told = "; ".join(f"axis {check['axis']}, {check['name']}: {check['message']}" for check in failed)
-        verdict = told or f"{len(each['checks'])} checks passed"
+        faults = "; ".join(f"axis {check['axis']}, {check['name']}: {check['message']}" for check in failed)
+        verdict = faults or f"{len(each['checks'])} checks passed"
         print_message(f"{each['file']}: {verdict}", verdict=f"{'FAILED' if failed else 'ok':6} ")
     verdict = painted("valid" if tree["passed"] else "NOT valid")
     echo(f"{printable(tree['path'])}: {verdict}, checksum {tree['short_checksum']}")
 
 
-def _told(interval: Sequence[float]) -> str:
+def _range_text(interval: Sequence[float]) -> str:
     low, high = interval
     return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
 def _coverage(name: str, intervals: Sequence[Sequence[float]]) -> str:
     what, unit = _SHORT[name]
-    told = f"{what} covered: {', '.join(_told(each) for each in intervals)} {unit}"
-    gaps = [_told((before[1], after[0])) for before, after in itertools.pairwise(intervals)]
-    return f"{told}; no class from {', '.join(gaps)}" if gaps else told
+    text = f"{what} covered: {', '.join(_range_text(each) for each in intervals)} {unit}"
+    gaps = [_range_text((before[1], after[0])) for before, after in itertools.pairwise(intervals)]
+    return f"{text}; no class from {', '.join(gaps)}" if gaps else text

@@ -118,7 +118,7 @@ def painted(text: str, *, error: bool = False) -> str:
 
 
 def print_message(text: str = "", *, verdict: str = "", indent: str = "") -> None:
-    """Print a line on standard output; `verdict` stands before it, in colour where there is any.
+    """Print a line on standard output; `verdict` is written before it, in colour where there is any.
 
     On a terminal the line is folded between words, what follows indented to its beginning.
     """

@@ -45,16 +45,16 @@ def command(output: Output, directory: Path, seed: int) -> None:
         page = None
     with output.progress("demo", 1.0) as advance:
         found = run_demo(directory, seed=seed, step=lambda name: output.note(f"{name} ..."), progress=advance)
-    told = write_report(output, page, lambda: _page(found))
+    written = write_report(output, page, lambda: _page(found))
     if page is not None:
         found.made.add(page)
     for path in found.made.replaced:
         output.note(f"replaced {path}, of an earlier demo")
-    output.result({**_tree(found), **told}, lambda: _print(found, page))
+    output.result({**_tree(found), **written}, lambda: _print(found, page))
 
 
 def _page(found: "DemoResult") -> "Page":
-    """Return what the log told and what was made of it as one page."""
+    """Return the page of what was identified and tuned."""
     from autotune.report.identify_page import build_identify_page, summaries_of
     from autotune.report.optimize_page import build_optimize_page
     from autotune.report.page import join_pages
@@ -124,7 +124,7 @@ def _print(found: "DemoResult", page: Path | None) -> None:
     for check in found.report.checks:
         print_message(f"{check.name}: {check.message}", indent="  ", verdict=f"{check.verdict:6} ")
     _heading(f"Files (checksum of the controller: {short(found.checksum)})")
-    for told, path in (
+    for name, path in (
         ("log", found.files.log),
         ("identified plant", found.files.identified),
         ("controller for the cell", found.files.controller),
@@ -132,7 +132,7 @@ def _print(found: "DemoResult", page: Path | None) -> None:
         ("report with figures", page),
     ):
         if path is not None:
-            print_message(f"  {told:24}{path}")
+            print_message(f"  {name:24}{path}")
 
 
 def _heading(text: str) -> None:

@@ -8,7 +8,7 @@ import click
 
 from ._common import Output, output_options
 from ._options import LOGS, FilePath, GroupedCommand, cell_option, output_option, salvage_option
-from ._report import check_report, print_report_path, report_option, tells_refusal, write_report
+from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def command(
     check_report(report, [*sources, out])
     topics = Topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
     seen = _Seen(logs=logs, topics=topics, salvage=salvage)
-    with tells_refusal(output, report, sources, seen.refused_page):
+    with report_refusal(output, report, sources, seen.refused_page):
         seen.cell = None if cell_path is None else read_cell(cell_path)
         with output.progress(f"identifying {', '.join(log.name for log in logs)}", 1.0) as advance:
             found = seen.found = identify_log(
@@ -161,5 +161,5 @@ def _timeline_line(timeline: "Timeline") -> str:
     for phase in timeline.phases:
         count, seconds = spent.get(phase.kind.value, (0, 0.0))
         spent[phase.kind.value] = count + 1, seconds + phase.stop_s - phase.start_s
-    told = ", ".join(f"{count} x {kind} {seconds:.1f} s" for kind, (count, seconds) in spent.items())
-    return f"time line{f' of {timeline.log}' if timeline.log else ''}: {told}"
+    spans = ", ".join(f"{count} x {kind} {seconds:.1f} s" for kind, (count, seconds) in spent.items())
+    return f"time line{f' of {timeline.log}' if timeline.log else ''}: {spans}"

@@ -171,7 +171,7 @@ def main(argv: Sequence[str] | None = None, *, entries: Mapping[str, CommandEntr
 
 
 def exit_code_of(error: BaseException) -> ExitCode:
-    """Return the exit code that stands for `error`."""
+    """Return the exit code of `error`."""
     return next((code for kind, code in EXIT_CODES if isinstance(error, kind)), ExitCode.UNFORESEEN)
 
 

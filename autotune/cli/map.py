@@ -164,16 +164,16 @@ def _interval_lines(tree: dict[str, Any]) -> list[str]:
     searched = tree["searched"]
     lines = [f"{searched['name']} searched in {span([searched['low'], searched['high']])}, {WHERE[tree['where']]}"]
     for name, case in tree["cases"].items():
-        told = f"  {name}: " if len(tree["cases"]) > 1 else "  "
+        line = f"  {name}: " if len(tree["cases"]) > 1 else "  "
         if case["smallest"] is None:
-            lines.append(f"{told}nothing is stable")
+            lines.append(f"{line}nothing is stable")
             continue
-        told += f"smallest stable value {span(case['smallest'])}, largest {span(case['largest'])}"
+        line += f"smallest stable value {span(case['smallest'])}, largest {span(case['largest'])}"
         if case["most_intervals"] > 1:
-            told += f", in up to {case['most_intervals']} intervals"
+            line += f", in up to {case['most_intervals']} intervals"
         if case["stable_share"] < 1.0:
-            told += f", none at {1.0 - case['stable_share']:.0%} of the values of {tree['x']['name']}"
-        lines.append(told)
+            line += f", none at {1.0 - case['stable_share']:.0%} of the values of {tree['x']['name']}"
+        lines.append(line)
     return lines
 
 

@@ -20,7 +20,7 @@ from ._optimized import (
 )
 from ._options import SETTINGS, FilePath, GroupedCommand
 from ._pareto import FrontWriter, pareto_options, proof_options
-from ._report import check_report, print_report_path, report_option, tells_refusal, write_report
+from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._schedule import check_range, fields_with_unit, said_range, schedule_options
 from ._terminal import detect_terminal, echo, print_message, print_table
 
@@ -144,7 +144,7 @@ def command(
     check_target(out, [path for path in sources if path != old], kind="controller")
     check_report(report, [*sources, out])
     fronts, seen = FrontWriter(pareto, out), list["IdentifiedFile"]()
-    with tells_refusal(output, report, sources, lambda error: _refused_page(error, seen)):
+    with report_refusal(output, report, sources, lambda error: _refused_page(error, seen)):
         plant = read_identified(identified)
         seen.append(plant)
         existing = None if old is None else read_controller(old)
@@ -157,7 +157,7 @@ def command(
         with output.progress("searching", 1.0) as advance:
             found = optimize(
                 plant, spec, wishes, seed=seed, problem_path=problem, existing=existing, proof=proof,
-                step=lambda told: advance(0.0, f"searching {told}".rstrip()), progress=advance,
+                step=lambda doing: advance(0.0, f"searching {doing}".rstrip()), progress=advance,
             )  # fmt: skip
         fronts.trace(output, found)
         with output.replacing(out, "controller"):
@@ -306,9 +306,9 @@ def _print_peaks(scenarios: "Iterable[ScenarioPrediction]", units: "AxisUnits") 
     straight = units.force == "N"
     scale, stiffness, digits = (1e-3, "N/mm", 1) if straight else (1.0, units.stiffness, 2)
     scenarios = tuple(scenarios)
-    # The worst contacts of the whole uncertainty differ from the others in what K_e and payload do not tell.
+    # The worst contacts of the whole uncertainty differ from the others beyond K_e and payload.
     beyond = [off_nominal(s.scenario(), units) for s in scenarios]
-    told = any(beyond)
+    has_other = any(beyond)
     rows = [
         (
             f"K_e [{stiffness}]",
@@ -316,7 +316,7 @@ def _print_peaks(scenarios: "Iterable[ScenarioPrediction]", units: "AxisUnits") 
             f"peak at contact [{units.force}]",
             f"at sensor [{units.force}]",
             "after [ms]",
-            *(("otherwise",) if told else ()),
+            *(("otherwise",) if has_other else ()),
         )
     ]
     rows += [
@@ -326,8 +326,8 @@ def _print_peaks(scenarios: "Iterable[ScenarioPrediction]", units: "AxisUnits") 
             f"{s.peak_contact_force_n:.{digits}f}",
             f"{s.peak_sensor_force_n:.{digits}f}",
             f"{s.time_of_peak_s * 1e3:.0f}",
-            *((other or "nominal",) if told else ()),
+            *((other or "nominal",) if has_other else ()),
         )
         for s, other in zip(scenarios, beyond, strict=True)
     ]
-    print_table(rows, left=(5,) if told else (), indent="  ", stacks=True)
+    print_table(rows, left=(5,) if has_other else (), indent="  ", stacks=True)

@@ -190,15 +190,15 @@ def print_plan(plan: "ExperimentPlan", out: Path) -> None:
     ]
     print_table(rows, left=(0, 5, 8), point=(1, 2, 3, 4, 6, 7))
     if plan.values.assumed:
-        told = ", ".join(f"{name} {value:.4g}" for name, value in plan.values.assumed.items())
-        print_message(f"assumed, not measured: {told}")
+        assumed = ", ".join(f"{name} {value:.4g}" for name, value in plan.values.assumed.items())
+        print_message(f"assumed, not measured: {assumed}")
     print_message(f"written: {out}")
 
 
-def _row(entry: "Prediction", label: str, told_in: tuple[str, float], step: str) -> tuple[str, ...]:
+def _row(entry: "Prediction", label: str, shown_in: tuple[str, float], step: str) -> tuple[str, ...]:
     from autotune.numbers import rounded_to, with_deviation
 
-    unit, scale = told_in
+    unit, scale = shown_in
     value, now = with_deviation(entry.value, entry.std_now, scale)
     after, allowed = (
         "-" if std is None else rounded_to(std * scale, std * scale) for std in (entry.std_after, entry.allowed_std)
@@ -229,7 +229,7 @@ def _settings(step: "Step", plan: "ExperimentPlan") -> list[str]:
 
     settings = step.settings
     if settings is None:
-        return ["nothing within the limits tells it"]
+        return ["no setting within the limits identifies it"]
     if isinstance(settings, PosePlan):
         return _poses(settings)
     if isinstance(settings, SweepPlan):

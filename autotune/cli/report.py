@@ -6,7 +6,7 @@ import click
 
 from ._common import Output, output_options
 from ._options import LOGS, SETTINGS, FilePath, GroupedCommand, output_option
-from ._report import check_report, tells_refusal, write_report
+from ._report import check_report, report_refusal, write_report
 from ._terminal import print_message
 
 _EPILOG = """\b
@@ -46,7 +46,7 @@ def command(output: Output, files: tuple[Path, ...], out: Path, old: Path | None
     sources = [*files, *([] if old is None else [old])]
     check_report(out, sources, option="-o")
     with (
-        tells_refusal(output, out, sources, lambda error: refuse(NOT_SHOWN, error)),
+        report_refusal(output, out, sources, lambda error: refuse(NOT_SHOWN, error)),
         output.progress("reading and verifying", 1.0) as advance,
     ):
         found = report_files(files, old=old, samples=samples, progress=advance)

@@ -13,7 +13,7 @@ from autotune.formats.units import axis_units
 from ._common import Output, output_options
 from ._optimized import limit_lines
 from ._options import KEYS, LOGS, SETTINGS, FilePath, GroupedCommand, cell_option
-from ._report import check_report, print_report_path, report_option, tells_refusal, write_report
+from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._schedule import validate_schedule
 from ._terminal import echo, painted, print_message, print_table, printable
 
@@ -123,17 +123,17 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
     sources = [path, *options["logs"], *([] if identified_path is None else [identified_path])]
     check_report(options["report"], sources)
     seen = _Seen(path=path)
-    with tells_refusal(output, options["report"], sources, seen.refused_page):
+    with report_refusal(output, options["report"], sources, seen.refused_page):
         private, public = _keys(path, options)
         read = read_controller(path)
         seen.signed_by = None if public is None else _signed_by(read, public)
         identified = None if identified_path is None else read_identified(identified_path)
-        told, samples = _told(options, identified), options["samples"]
+        settings, samples = _disturbances(options, identified), options["samples"]
         with output.progress(f"validating {path.name}", 2.0 if samples else 1.0) as advance:
             report = validate_controller(read.controller, advance)
             # Behind a claim that does not hold there is nothing to simulate: an unstable loop has no peaks.
             simulated = (
-                run_monte_carlo(read.controller, count=samples, seed=options["seed"], told=told, progress=advance)
+                run_monte_carlo(read.controller, count=samples, seed=options["seed"], told=settings, progress=advance)
                 if samples and report.passed
                 else ()
             )
@@ -243,7 +243,7 @@ def _signed_by(read: "ControllerFile", public: Any) -> str:
     return check_signature(read.path, public, read.sha256)
 
 
-def _told(options: dict[str, Any], identified: "IdentifiedFile | None") -> "Disturbances":
+def _disturbances(options: dict[str, Any], identified: "IdentifiedFile | None") -> "Disturbances":
     """Return what is known of the cell: what the options say, else the noise that was identified."""
     from autotune.validation.disturbances import Disturbances
 

@@ -101,7 +101,7 @@ def read_exploration(path: Path, problem: Path | None = None, progress: Progress
             f"{path} is neither an identified plant nor a controller; give what identify or optimize wrote."
         )
     if problem is not None:
-        raise UsageError(f"{path} says by itself what is asked of it; --problem goes with an identified plant.")
+        raise UsageError(f"{path} contains its requirements; use --problem with an identified plant.")
     return _from_controller(read_controller(path))
 
 

@@ -329,7 +329,7 @@ def fixed_text(setup: MapSetup, approach: Approach | None = None) -> str:
 
 
 def _is_idle(setup: MapSetup, name: str) -> bool:
-    """Whether a filter stands in no path: a parameter that varies is not fixed, and counts as used."""
+    """Whether a filter is in no path: a parameter that varies is not fixed, and counts as used."""
     compensates = setup.fixed.get("compensation_mass", 1.0) > 0.0
     if name == "acceleration_filter_rad_per_s":
         return not compensates

@@ -19,7 +19,7 @@ PICTURES, TABLES = (".png", ".svg"), (".csv", ".json")
 # Of translational axes; about the others a number is in SI.
 _KINDS = {"kg": "mass", "N/m": "stiffness", "N·s/m": "damping", "s": "time"}
 _SPACINGS: dict[str, Spacing] = {"lin": "linear", "log": "log"}
-# Ranges that cover this factor are spaced by equal ratios unless told otherwise.
+# Ranges that cover this factor are spaced by equal ratios unless given otherwise.
 _WIDE = 10.0
 
 
@@ -42,7 +42,7 @@ class MapOptions:
 
     @property
     def table(self) -> Path:
-        """Where the data goes: beside the picture unless told otherwise."""
+        """Where the data goes: beside the picture unless given otherwise."""
         return self.picture.with_suffix(".csv") if self.data is None else self.data
 
 

@@ -1,4 +1,4 @@
-"""What a file tells a map: plant parameters of one axis, and a controller if it holds one."""
+"""Read the source of a map: plant parameters of one axis, and a controller if the file holds one."""
 
 import math
 import re
@@ -98,13 +98,13 @@ def kind_of_file(path: Path) -> str:
 
 
 def _axis(path: Path, axes: Mapping[str, object], wanted: str | None) -> str:
-    told = ", ".join(axes) or "none"
+    names = ", ".join(axes) or "none"
     if wanted is None and len(axes) == 1:
         return next(iter(axes))
     if wanted is None:
-        raise UsageError(f"{path} holds the axes {told}; say which one with --axis.")
+        raise UsageError(f"{path} holds the axes {names}; say which one with --axis.")
     if wanted not in axes:
-        raise UsageError(f"{path} does not hold axis {wanted}; it holds {told}.")
+        raise UsageError(f"{path} does not hold axis {wanted}; it holds {names}.")
     return wanted
 
 
@@ -162,13 +162,13 @@ def _identified(path: Path, found: Identified, wanted: str | None) -> MapSource:
     known, missing = {}, {}
     moving = axis.mass_kg if name in ROTATIONAL_AXES else found.payload.mass_kg
     if moving is None:
-        missing["payload_mass"] = "the log does not tell the payload's inertia about this axis"
+        missing["payload_mass"] = "the log does not identify the payload's inertia about this axis"
     else:
         estimates["payload_mass"] = moving
     for key, estimate in estimates.items():
         value = _number(estimate)
         if value is None:
-            missing[key] = estimate.note or "the log does not tell"
+            missing[key] = estimate.note or "not identified from the log"
         else:
             # An estimate near zero may come out below it.
             known[key] = max(value, 0.0)
@@ -176,7 +176,7 @@ def _identified(path: Path, found: Identified, wanted: str | None) -> MapSource:
     if stiffest > 0.0:
         known["environment_stiffness"] = stiffest
     else:
-        missing["environment_stiffness"] = "the log holds no contact that tells it"
+        missing["environment_stiffness"] = "the log holds no contact that identifies it"
     sample_time_s = _number(found.sample_time_s)
     if sample_time_s is None:
         raise EstimateError(f"{path}: sample_time_s is not identified, and nothing can be computed without it.")

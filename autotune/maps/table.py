@@ -59,11 +59,11 @@ def _header(setup: MapSetup, result: MapResult | IntervalResult) -> Iterator[str
 def _columns(setup: MapSetup, result: MapResult | IntervalResult) -> list[str]:
     if isinstance(result, MapResult):
         request = result.request
-        told = [_named(setup, request.x.parameter), _named(setup, request.y.parameter), "is_stable (1 or 0)"]
+        columns = [_named(setup, request.x.parameter), _named(setup, request.y.parameter), "is_stable (1 or 0)"]
         if request.quantity is not MapQuantity.STABILITY:
             unit = request.quantity.unit_of(rotational=setup.source.is_rotational)
-            told.append(f"{request.quantity.label}" + (f" [{unit}]" if unit else ""))
-        return told
+            columns.append(f"{request.quantity.label}" + (f" [{unit}]" if unit else ""))
+        return columns
     searched = _named(setup, result.request.searched.parameter)
     ends = [f"lower and upper end of {searched}", "whether they are a bound of the search (1 or 0)"]
     return ["case", _named(setup, result.request.along.parameter), "number of the interval", *ends]

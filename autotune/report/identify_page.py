@@ -59,7 +59,7 @@ def build_identify_page(
     parameters = Section(key="parameters", title="Parameters", blocks=(_parameter_table(rows),))
     sections = (_summary_section(result, rows, picture), parameters, *below, _sensor_section(result))
     return Page(
-        title="What the log tells of the cell",
+        title="The identified cell",
         lead=_lead(result, rows),
         tone=_worst_tone(result, rows),
         sections=tuple(section for section in sections if section.blocks),

@@ -152,7 +152,7 @@ def _renamed(section: Section, mark: str) -> Section:
 def render_page(page: Page, progress: Callable[[float], None] | None = None, *, processes: int = 1) -> str:
     """Return the page as one HTML text that refers to nothing outside of itself.
 
-    Every figure is a picture that stands alone, with its text alternative; those that can be zoomed carry what the
+    Every figure is a picture that needs no script, with its text alternative; those that can be zoomed carry what the
     engine needs, which draws them when asked. Pictures and engine are two libraries' work, done side by side by two
     `processes`. `progress` receives the share of the figures drawn since the last call. The same page gives the same
     text.

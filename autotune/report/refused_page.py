@@ -54,8 +54,8 @@ def refuse(
 
 
 def refused_estimate_page(error: Exception, page: Page) -> Page:
-    """Return the page of logs that do not tell enough: what `identify` shows, below what is missing."""
-    return refuse(NOT_IDENTIFIED, error, replace(page, title="The log does not tell enough"))
+    """Return the page of logs that do not identify every parameter: what `identify` shows, below what is missing."""
+    return refuse(NOT_IDENTIFIED, error, replace(page, title="The log does not identify every parameter"))
 
 
 def refused_log_page(

@@ -23,7 +23,7 @@ _FONT, _GLYPH = 8.0, 0.62
 _BELOW_INCHES, _TICKS_INCHES, _RIGHT_INCHES = 0.45, 0.2, 0.14
 _BAR_GAP_INCHES, _BAR_INCHES, _BAR_TEXT_INCHES = 0.07, 0.11, 0.48
 # A hundredth of a point is no width on any paper, and the digits after it were a third of the file.
-# What stands between tags is text for people, and stays.
+# Text between tags is for people, and stays.
 _LONG_NUMBER = re.compile(r">[^<]*<|(\d\.\d\d)\d+")
 _HEAD = re.compile(r'^.*?<svg [^>]*?viewBox="([^"]*)"[^>]*>\s*(?:<metadata>.*?</metadata>)?', re.DOTALL)
 _STYLE = re.compile(r"<defs>\s*<style[^>]*>[^<]*</style>\s*</defs>")

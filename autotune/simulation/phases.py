@@ -19,7 +19,7 @@ _TAP_S, _SWINGING_S = 0.012, 1.2
 
 @dataclass(frozen=True, kw_only=True)
 class Script:
-    """Inputs per controller period, (n,) each unless told otherwise.
+    """Inputs per controller period, (n,) each unless given otherwise.
 
     `rotation_rad` (n, 3) rotation vector of the tool from its working orientation; `admittance` whether the
     admittance controller runs, and `command_m` the position command relative to the phase's start where it does not;
@@ -179,7 +179,7 @@ def _sweep(program: Program, h: float) -> Script:
 
 
 def _tap(program: Program, h: float) -> Script:
-    """Knock on the payload while the robot stands: half a sine of 12 ms, then time to swing out."""
+    """Knock on the payload while the robot is at rest: half a sine of 12 ms, then time to swing out."""
     before, knock, after = round(0.3 / h), max(2, round(_TAP_S / h)), round(_SWINGING_S / h)
     force = np.zeros(before + knock + after)
     force[before : before + knock] = program.tap_force_n * np.sin(np.pi * (np.arange(knock) + 0.5) / knock)

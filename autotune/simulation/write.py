@@ -46,7 +46,7 @@ class _Channel:
 def write_mcap(recording: Recording, path: Path, *, progress: Callable[[int], None] | None = None) -> None:
     """Write wrench, pose and command as zstd-compressed CDR in the order of their stamps, whole or not at all.
 
-    `progress` is told how many messages were written since the last call. Log and publish time equal the stamp.
+    `progress` receives the number of messages written since the last call. Log and publish time equal the stamp.
     """
     sweep_leftovers(path.parent)
     partial, _ = temporary_beside(path)
