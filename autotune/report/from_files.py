@@ -81,9 +81,9 @@ def report_files(
     """Build one page of the files, a part for each but the logs, which go with what was identified from them.
 
     A controller is verified again, with `samples` simulated contacts; `old` is another one that is drawn beside it.
-    `progress` receives the share of the work done since the last call. One of `paths` that is altered has its refusal as
-    its part of the page. Raises UsageError for a file that cannot be shown, LogError for a log that is not the one that
-    was identified, CertificateError for an altered `old`.
+    `progress` receives the share of the work done since the last call. An altered one of `paths` has its refusal as its
+    part of the page. Raises UsageError for a file that cannot be shown, LogError for a log that is not the one that was
+    identified, CertificateError for an altered `old`.
     """
     kinds = {str(path): file_kind(path) for path in paths}
     shown = [path for path in paths if kinds[str(path)] != _LOG]

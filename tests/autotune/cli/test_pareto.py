@@ -73,7 +73,7 @@ def test_what_no_trial_meets_is_exit_5_and_nothing_is_written(run_cli: RunCli, t
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (("--objectives", "peak_force"), "--pareto is not there"),
+        (("--objectives", "peak_force"), "is an option of --pareto"),
         (("--pareto", "1"), "1"),
         (("--pareto", "--objectives", "speed"), "There is no objective 'speed' installed; there are: admittance"),
         (("--pareto", "--objectives", ""), "A front needs an objective"),
