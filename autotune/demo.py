@@ -9,7 +9,8 @@ from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.identified import read_identified, write_identified
 from autotune.formats.made import MadeHere
 from autotune.formats.problem import ProblemSpec
-from autotune.pipeline import IdentifiedLog, Topics, identify_log
+from autotune.pipeline import identify_log
+from autotune.results import Identification, Topics
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import Cell
@@ -76,7 +77,7 @@ class DemoFiles:
 class DemoResult:
     """What the chain found, step by step; `identified` has the signals of the log, for pictures."""
 
-    identified: IdentifiedLog
+    identified: Identification
     comparisons: tuple[Comparison, ...]
     optimized: Optimized
     report: ValidationReport
@@ -143,7 +144,7 @@ def run_demo(
     )
 
 
-def compare(cell: Cell, found: IdentifiedLog) -> tuple[Comparison, ...]:
+def compare(cell: Cell, found: Identification) -> tuple[Comparison, ...]:
     """Put the identified parameters of the approach axis beside the truth."""
     axis = found.result.axes[cell.approach_axis]
     rows = [

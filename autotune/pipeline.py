@@ -6,9 +6,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from autotune import __version__
 from autotune.formats.cell import CellFile
 from autotune.processes import map_in_processes
+from autotune.results import Identification, Topics
+from autotune.version import __version__
 from identification.advice import advise
 from identification.errors import EstimateError, LogError
 from identification.evidence import Evidence
@@ -19,42 +20,10 @@ from identification.logs.parts import separate_runs
 from identification.logs.roles.cell import Cell
 from identification.logs.roles.interpret import build_frames
 from identification.merging.combine import NamedResult, combine_identified
-from identification.result import Finding, Identified
 from identification.signals.recording import Recording
 from problems.progress import no_progress
 
-_CONTRADICTIONS = frozenset({"given-contradicts", "logs-disagree"})
 _READING_SHARE = 0.25
-_ALL_THE_SAME = " With --allow-partial what was found is written all the same."
-_EXPLAINING = frozenset({"clock-offset", "hand-in-contact", "rests-without-spring", "mass-disagreement"})
-
-
-@dataclass(frozen=True, kw_only=True)
-class Topics:
-    """Channels named by the user; None where they are to be found by type and name."""
-
-    wrench: str | None = None
-    pose: str | None = None
-    command: str | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class IdentifiedLog:
-    """An identified plant and where it comes from (the `provenance` of `identified.yaml`).
-
-    `evidence` has the signals of each recording, where it was asked for, in the order of `result.timelines`; `names`
-    are those of the logs.
-    """
-
-    result: Identified
-    provenance: Mapping[str, Any]
-    evidence: tuple[Evidence, ...] = ()
-    names: tuple[str, ...] = ()
-
-    def require(self) -> None:
-        """Raise EstimateError where a parameter that a controller needs is missing, or logs disagree on one."""
-        if any(finding.severity == "error" for finding in self.result.findings):
-            raise EstimateError(_refusal(self.names, self.result.findings))
 
 
 def identify_log(
@@ -63,13 +32,14 @@ def identify_log(
     *,
     cell: CellFile | None = None,
     salvage: bool = False,
+    recording: Recording | None = None,
     allow_partial: bool = False,
     defers_refusal: bool = False,
     given: Mapping[str, Given] | None = None,
     processes: int = 1,
     with_evidence: bool = False,
     progress: Callable[[float], None] | None = None,
-) -> IdentifiedLog:
+) -> Identification:
     """Read logs and identify the cell.
 
     Logs that follow each other within a second are one recording; each recording is identified on its own, `processes`
@@ -77,15 +47,14 @@ def identify_log(
     with each other and with what is `given` from elsewhere. Raises LogError for a log that cannot be used,
     EstimateError when a parameter that a controller needs is missing from all of them or they disagree on one (unless
     `allow_partial`, which keeps the former as unidentifiable and the latter as a widened mean). `defers_refusal` leaves
-    that last refusal to whoever asks the result to `require`. `with_evidence` keeps the signals, for pictures.
+    that last refusal to whoever asks the result to `require`. `recording` is what the logs hold, where they were read
+    as one already. `with_evidence` keeps the signals, for pictures.
     `progress` is told the share of the work done since the last call: stage by stage of one recording, else recording
     by recording.
     """
     report = progress or no_progress
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
-    told = (Cell() if cell is None else cell.cell).with_topics(
-        wrench=topics.wrench, pose=topics.pose, command=topics.command
-    )
+    told = topics.applied(cell)
     runs = separate_runs(files, told, salvage=salvage)
     work = partial(
         _identify_run,
@@ -97,14 +66,14 @@ def identify_log(
         with_evidence=with_evidence,
     )
     if len(runs) == 1:
-        done = [work(runs[0], report=report)]
+        done = [work(runs[0], recording=recording, report=report)]
     else:
         done = map_in_processes(work, runs, processes, each=lambda: report(1.0 / len(runs)))
     check_names(given or {}, [axis for run in done for axis in run.told.result.axes])
     result = combine_identified([run.told for run in done], given)
     result = replace(result, findings=(*result.findings, *advise(result)))
     options = _options(topics, allow_partial=allow_partial, salvage=salvage, given=given or {})
-    found = IdentifiedLog(
+    found = Identification(
         result=result,
         provenance=_provenance([run.source for run in done], cell, options),
         evidence=tuple(run.evidence for run in done if run.evidence is not None),
@@ -154,13 +123,15 @@ def _identify_run(
     given: Mapping[str, Given],
     is_one_of_many: bool,
     with_evidence: bool,
+    recording: Recording | None = None,
     report: Callable[[float], None] | None = None,
 ) -> _Run:
     """Read and identify one recording; where it is one of many, errors bear its name."""
     report = report or no_progress
     name = ", ".join(path.name for path in run)
     try:
-        recording = read_checked_recording(run, cell, salvage=salvage)
+        if recording is None:
+            recording = read_checked_recording(run, cell, salvage=salvage)
         report(_READING_SHARE)
         found, evidence = identify_with_evidence(
             recording, build_frames(cell), given, lambda share: report((1.0 - _READING_SHARE) * share)
@@ -189,19 +160,6 @@ def _source(recording: Recording) -> _Source:
         sha256=dict(recording.sha256),
         span_s=(float(wrench.stamp_ns[0]) / 1e9, float(wrench.stamp_ns[-1]) / 1e9),
     )
-
-
-def _refusal(names: Sequence[str], findings: Sequence[Finding]) -> str:
-    """Return one sentence: a contradiction first, since what is missing may follow from it; then what explains it."""
-    missing = [finding for finding in findings if finding.severity == "error"]
-    missing = sorted(missing, key=lambda finding: finding.code not in _CONTRADICTIONS)
-    first = missing[0]
-    alike = [finding.message for finding in missing[1:] if finding.code == first.code]
-    rest = [finding.code for finding in missing[1:] if finding.code != first.code]
-    others = (f" Also: {' '.join(alike)}" if alike else "") + (f" (And {', '.join(rest)}.)" if rest else "")
-    noticed = [finding.message for finding in findings if finding.code in _EXPLAINING and finding.severity != "info"]
-    others += f" Noticed: {' '.join(noticed)}" if noticed else ""
-    return f"{', '.join(names)}: {first.message} {first.advice}".rstrip() + others + _ALL_THE_SAME
 
 
 def _provenance(sources: Sequence[_Source], cell: CellFile | None, options: Mapping[str, Any]) -> dict[str, Any]:

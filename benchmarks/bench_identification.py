@@ -28,7 +28,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from autotune.errors import AutotuneError
 from autotune.formats.cell import read_cell
-from autotune.pipeline import Topics, identify_log
+from autotune.pipeline import identify_log
+from autotune.results import Topics
 from benchmarks.accuracy_table import Run, all_targets_met, page
 from benchmarks.cell_logs import write_cell_log
 from benchmarks.cell_outcomes import Outcome, compare

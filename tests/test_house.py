@@ -12,7 +12,6 @@ import pytest
 from autotune import __version__
 
 PACKAGES = ("autotune", "identification", "problems")
-PUBLIC = {"autotune": ["__version__"], "identification": None, "problems": None}
 MOST_LINES_OF_A_MODULE = 450
 MOST_LINES_OF_A_FUNCTION = 60
 CODE = (*PACKAGES, "tests", "tools", "examples", "benchmarks")
@@ -32,13 +31,20 @@ def test_no_module_is_too_long(repository: Path) -> None:
     assert {path.name: n for path, n in lengths.items() if n > MOST_LINES_OF_A_MODULE} == {}
 
 
+def _lines_of_code(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Count the lines without the docstring, which of a public function lists every argument."""
+    lines = (function.end_lineno or 0) - function.lineno + 1
+    first = function.body[0]
+    has_docstring = ast.get_docstring(function, clean=False) is not None
+    return lines - ((first.end_lineno or 0) - first.lineno + 1 if has_docstring else 0)
+
+
 def test_no_function_is_too_long(repository: Path) -> None:
     too_long = [
         f"{path.relative_to(repository)}:{node.lineno} {node.name}"
         for path in _modules(repository)
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-        and (node.end_lineno or 0) - node.lineno >= MOST_LINES_OF_A_FUNCTION
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and _lines_of_code(node) > MOST_LINES_OF_A_FUNCTION
     ]
     assert too_long == []
 
@@ -55,12 +61,10 @@ def test_every_package_folder_has_an_init_and_every_floor_its_types(repository: 
     assert [name for name in PACKAGES if not (repository / name / "py.typed").is_file()] == []
 
 
-@pytest.mark.parametrize("name", PACKAGES)
-def test_the_public_names_are_pinned(name: str) -> None:
-    package = importlib.import_module(name)
-    public = getattr(package, "__all__", None)
-    assert public == PUBLIC[name]
-    assert [each for each in public or [] if not hasattr(package, each)] == []
+@pytest.mark.parametrize("name", ["identification", "problems"])
+def test_only_autotune_has_public_names(name: str) -> None:
+    """Those of `autotune` are pinned in tests/autotune/test_api.py."""
+    assert getattr(importlib.import_module(name), "__all__", None) is None
 
 
 @pytest.mark.parametrize("command", ["make demo", "make test"])
@@ -185,6 +189,7 @@ NAMES_WITH_TWO_MEANINGS = {
     "Opener",
     "Page",
     "Payload",
+    "Plant",  # `at.Plant`, which a person writes, and the equations of motion that follow from it
     "Program",
     "Recording",
     "Series",

@@ -3,7 +3,7 @@
 import io
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import singledispatch
 from typing import Any, Literal
 
@@ -38,7 +38,13 @@ _MOST_VECTOR_CELLS = 400
 _WITHIN_A_DECADE = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
 
 
-def draw(chart: Chart, axes: Axes | Sequence[Axes] | None = None, *, legend: bool = True) -> Figure:
+def draw(
+    chart: Chart,
+    axes: Axes | Sequence[Axes] | None = None,
+    *,
+    legend: bool = True,
+    make: Callable[..., Figure] = Figure,
+) -> Figure:
     """Draw a chart and return the figure that holds it.
 
     Parameters
@@ -50,6 +56,8 @@ def draw(chart: Chart, axes: Axes | Sequence[Axes] | None = None, *, legend: boo
         caption above the panels.
     legend
         Whether the named lines, bands and markers are listed: per axes where they are given, else below the panels.
+    make
+        What makes the new figure; with `matplotlib.pyplot.figure` it is one that `matplotlib.pyplot.show` shows.
 
     Raises
     ------
@@ -58,7 +66,7 @@ def draw(chart: Chart, axes: Axes | Sequence[Axes] | None = None, *, legend: boo
 
     """
     panels = chart.panels
-    given = _new_axes(chart) if axes is None else [axes] if isinstance(axes, Axes) else list(axes)
+    given = _new_axes(chart, make) if axes is None else [axes] if isinstance(axes, Axes) else list(axes)
     if len(given) != len(panels):
         raise ValueError(f"{chart.title!r} has {len(panels)} panels and needs as many axes, found {len(given)}.")
     figure = given[0].get_figure(root=True)
@@ -100,12 +108,12 @@ def _columns(chart: Chart) -> int:
     return {1: 1, 2: 2, 4: 2}.get(count, 3) if chart.beside else 1
 
 
-def _new_axes(chart: Chart) -> list[Axes]:
+def _new_axes(chart: Chart, make: Callable[..., Figure]) -> list[Axes]:
     """Return the axes of a new figure, in rows as the chart says."""
     count, columns = len(chart.panels), _columns(chart)
     rows = math.ceil(count / columns)
     size = (_PANEL_INCHES[0] * columns + _AROUND_INCHES[0], _PANEL_INCHES[1] * rows + _AROUND_INCHES[1])
-    figure = Figure(figsize=_ONE_INCHES if count == 1 else size, layout="constrained")
+    figure = make(figsize=_ONE_INCHES if count == 1 else size, layout="constrained")
     is_grid = chart.linked and chart.beside
     grid = figure.subplots(rows, columns, squeeze=False, sharex=chart.linked, sharey=is_grid)
     for unused in grid.flat[count:]:

@@ -111,7 +111,7 @@ def _tune(
     **others: Any,
 ) -> None:
     _check_alone(tables, others)
-    from autotune.formats.identified import read_identified
+    from autotune.formats.plant import read_plant
     from autotune.formats.problem import ProblemSpec, read_problem
     from autotune.formats.schedule import check_schedule_target, write_schedule
     from autotune.processes import count_processors
@@ -120,7 +120,7 @@ def _tune(
 
     check_schedule_target(folder)
     classes = build_classes(tables.get("payload", ()), tables.get("stiffness", ()))
-    plant = read_identified(identified)
+    plant = read_plant(identified)
     with output.progress(f"tuning {len(classes)} classes", 1.0) as advance:
         schedule = tune_schedule(
             plant,

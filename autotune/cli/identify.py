@@ -13,8 +13,8 @@ from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
     from autotune.formats.cell import CellFile
-    from autotune.pipeline import IdentifiedLog, Topics
     from autotune.report.page import Page
+    from autotune.results import Identification, Topics
     from identification.result import Identified, Timeline
 
 _EPILOG = """\b
@@ -75,8 +75,9 @@ def command(
     from autotune.formats.cell import read_cell
     from autotune.formats.identified import identified_tree, write_identified
     from autotune.given import parse_given
-    from autotune.pipeline import Topics, identify_log
+    from autotune.pipeline import identify_log
     from autotune.processes import count_processors
+    from autotune.results import Topics
 
     sources = [*logs, *([] if cell_path is None else [cell_path])]
     check_target(out, sources, kind="identified")
@@ -119,7 +120,7 @@ class _Seen:
     topics: "Topics"
     salvage: bool
     cell: "CellFile | None" = None
-    found: "IdentifiedLog | None" = None
+    found: "Identification | None" = None
 
     def page(self) -> "Page":
         """Build the page of what was found."""

@@ -15,11 +15,11 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from autotune import __version__
 from autotune.cli._common import Delivery, discard_output, json_text, say
 from autotune.cli._terminal import painted
 from autotune.cli.completion import COMPLETE_VARIABLE
 from autotune.errors import CertificateError, InfeasibleError, UsageError
+from autotune.version import __version__
 from identification.errors import EstimateError, LogError
 from problems.errors import MissingExtraError, ParameterError
 from problems.frozen import FrozenDict

@@ -1,7 +1,7 @@
 """`autotune optimize`: a validated controller from identified parameters."""
 
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -135,8 +135,9 @@ def command(
     from autotune.formats.atomic import check_target
     from autotune.formats.canonical import short
     from autotune.formats.controller import controller_tree, read_controller, write_controller
-    from autotune.formats.identified import read_identified
+    from autotune.formats.plant import read_plant
     from autotune.formats.problem import ProblemSpec, read_problem
+    from autotune.tuning.design_notes import design_notes
     from autotune.tuning.optimize import optimize
     from autotune.tuning.problems import DesignOptions
 
@@ -145,7 +146,7 @@ def command(
     check_report(report, [*sources, out])
     fronts, seen = FrontWriter(pareto, out), list["IdentifiedFile"]()
     with report_refusal(output, report, sources, lambda error: _refused_page(error, seen)):
-        plant = read_identified(identified)
+        plant = read_plant(identified)
         seen.append(plant)
         existing = None if old is None else read_controller(old)
         spec = ProblemSpec() if problem is None else read_problem(problem)
@@ -163,7 +164,7 @@ def command(
         with output.replacing(out, "controller"):
             checksum = write_controller(out, found.controller)
         fronts.write(found)
-    for note in _notes(plant, found, environment_stiffness is not None):
+    for note in design_notes(plant, found, has_stiffness=environment_stiffness is not None):
         output.note(note)
     tree = {**controller_tree(found.controller), "active": active_tree(found)}
     if existing is not None:
@@ -202,54 +203,6 @@ def _refused_page(error: Exception, plants: "list[IdentifiedFile]") -> "Page":
     from autotune.report.refused_page import refused_search_page
 
     return refused_search_page(error, plants[0] if plants else None)
-
-
-def _notes(plant: "IdentifiedFile", found: "Optimized", has_stiffness: bool) -> Iterator[str]:
-    """Yield what the user should know beside the result; `has_stiffness`: a range was named on the command line."""
-    from autotune.formats.records import ROTATIONAL_AXES
-    from autotune.tuning.plausible import doubtful_ranges, left_out_contacts
-    from autotune.tuning.problems import is_identified_mass
-
-    for finding in plant.result.findings:
-        if finding.severity != "info":
-            yield f"{plant.path}: {finding.severity}: {finding.message}"
-    if not is_identified_mass(plant.result, found.controller.payload.mass_kg):
-        yield (
-            f"The runtime will compensate {found.controller.payload.mass_kg:g} kg with the centre of mass of the "
-            "identified payload; identify the new payload before it is led by hand."
-        )
-    if any(search.problem.wrench_filter.delay_s > 0.0 for search in found.searches.values()):
-        yield (
-            "The wrench comes late by a pure delay, so B_fb is held at 0: the loop of a late wrench beside a position "
-            "that is not late is not computed by this release."
-        )
-    yield from _residual_notes(found)
-    for name, search in found.searches.items():
-        yield from doubtful_ranges(search.problem, plant.result.axes[name], name)
-        if name not in found.compliance:
-            yield from left_out_contacts(search.problem, plant.result, name)
-    turning = [name for name in found.controller.axes if name in ROTATIONAL_AXES]
-    if turning and has_stiffness:
-        yield (
-            f"--environment-stiffness is in N/m and says nothing of {', '.join(turning)}; the range certified there is "
-            "the identified one, or that of problem.yaml."
-        )
-
-
-def _residual_notes(found: "Optimized") -> Iterator[str]:
-    """Yield for each axis that a limit of the peak is met only by a payload whose weight is fully compensated."""
-    from autotune.formats.units import axis_units
-
-    for name, prediction in found.controller.predicted.items():
-        limit = found.searches[name].problem.requirements.max_peak_force_n
-        left, unit = prediction.with_residual_weight, axis_units(name).force
-        if limit is not None and left is not None and left.peak_contact_force_n > limit:
-            worst = max(each.peak_contact_force_n for each in prediction.scenarios)
-            yield (
-                f"Axis {name}: with the {left.force_n:g} {unit} that the start check lets pass, the worst "
-                f"peak is {left.peak_contact_force_n:.1f} {unit}, above max_peak_force_n of {limit:g}; ask for "
-                f"{limit * worst / left.peak_contact_force_n:.3g} to hold it then too."
-            )
 
 
 def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "ControllerFile | None" = None) -> None:

@@ -97,10 +97,10 @@ def command(
     With IDENTIFIED, from its values, noise and deviations; without, a first recording from usual values. Exit code 4:
     poses are needed, and none within the largest tilt identify mass and centre of mass; nothing is written then.
     """
-    from autotune import __version__
     from autotune.errors import UsageError
     from autotune.formats.atomic import check_target
     from autotune.formats.plan import plan_tree, write_plan
+    from autotune.version import __version__
     from identification.experiment_design.experiment import plan_experiment
     from identification.experiment_design.poses import FEWEST_POSES
     from identification.experiment_design.result import ExperimentLimits

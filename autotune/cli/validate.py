@@ -116,9 +116,9 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
     from autotune.formats.controller import read_controller
     from autotune.formats.identified import read_identified
     from autotune.validation.domain import check_domain
-    from autotune.validation.monte_carlo import monte_carlo_checks, monte_carlo_tree, run_monte_carlo
+    from autotune.validation.monte_carlo import monte_carlo_tree
     from autotune.validation.report import ValidationReport
-    from autotune.validation.validate import validate_controller
+    from autotune.validation.verify import verify
 
     sources = [path, *options["logs"], *([] if identified_path is None else [identified_path])]
     check_report(options["report"], sources)
@@ -130,16 +130,10 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
         identified = None if identified_path is None else read_identified(identified_path)
         settings, samples = _disturbances(options, identified), options["samples"]
         with output.progress(f"validating {path.name}", 2.0 if samples else 1.0) as advance:
-            report = validate_controller(read.controller, advance)
-            # Behind a claim that does not hold there is nothing to simulate: an unstable loop has no peaks.
-            simulated = (
-                run_monte_carlo(read.controller, count=samples, seed=options["seed"], told=settings, progress=advance)
-                if samples and report.passed
-                else ()
-            )
-        checks = [*report.checks, *monte_carlo_checks(simulated)]
+            found = verify(read.controller, samples=samples, seed=options["seed"], told=settings, progress=advance)
+        checks = [*found.checks]
         checks += [] if identified is None else check_domain(read.controller, identified.result)
-        seen.read, seen.simulated, seen.report = read, tuple(simulated), ValidationReport(checks=tuple(checks))
+        seen.read, seen.simulated, seen.report = read, found.simulated, ValidationReport(checks=tuple(checks))
         compared = seen.compared = _compared(output, read, options) if seen.report.passed else None
         if compared is not None:
             from autotune.validation.against_log import log_checks
@@ -154,7 +148,7 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
         "passed": seen.report.passed,
         "signed_by": seen.signed_by,
         "checks": checks_tree(seen.report),
-        "monte_carlo": monte_carlo_tree(simulated),
+        "monte_carlo": monte_carlo_tree(found.simulated),
         "log": None if compared is None else comparison_tree(compared),
     }
     if seen.signed_by is None:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune import __version__
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller import ControllerFile, read_controller
 from autotune.formats.controller_record import (
@@ -18,20 +17,21 @@ from autotune.formats.controller_record import (
     Controller,
     RuntimePayload,
 )
-from autotune.formats.identified import read_identified
+from autotune.formats.plant import read_plant
 from autotune.formats.problem import ProblemSpec, read_problem
 from autotune.formats.records import ROTATIONAL_AXES
-from autotune.maps.source import kind_of_file
+from autotune.formats.yaml12 import kind_of_file
 from autotune.tuning.bounds import Box
 from autotune.tuning.compare import start_design
 from autotune.tuning.optimize import carried_mass_kg, make_provenance
-from autotune.tuning.problems import DesignOptions, build_problems
+from autotune.tuning.problems import DesignOptions, build_problems, within_domain
 from autotune.tuning.record import runtime_payload
 from autotune.tuning.search import SearchResult, solve_design
 from autotune.tuning.threshold import ThresholdSettings, threshold_settings
 from autotune.validation.axis_proof import ProofOptions
 from autotune.validation.certified_requirements import certified_problem_requirements
 from autotune.validation.validate import admittance_controller
+from autotune.version import __version__
 from problems.design.evaluation import build_scenarios
 from problems.design.problem import DEFAULT_BOUNDS, FURTHER_VARIABLES, VARIABLES, DesignProblem
 from problems.design.uncertainty import Scenario
@@ -94,11 +94,11 @@ def read_exploration(path: Path, problem: Path | None = None, progress: Progress
     controller.
     """
     kind = kind_of_file(path)
-    if kind == "identified":
+    if kind in {"identified", "plant"}:
         return _from_identified(path, problem, progress or no_progress)
     if kind != "controller":
         raise UsageError(
-            f"{path} is neither an identified plant nor a controller; give what identify or optimize wrote."
+            f"{path} is neither a plant nor a controller; give what identify or optimize wrote, or a plant.yaml."
         )
     if problem is not None:
         raise UsageError(f"{path} contains its requirements; use --problem with an identified plant.")
@@ -106,8 +106,8 @@ def read_exploration(path: Path, problem: Path | None = None, progress: Progress
 
 
 def _from_identified(path: Path, problem_path: Path | None, progress: Progress) -> Exploration:
-    identified = read_identified(path)
-    spec = ProblemSpec() if problem_path is None else read_problem(problem_path)
+    identified = read_plant(path)
+    spec = within_domain(ProblemSpec() if problem_path is None else read_problem(problem_path), identified.domain)
     problems = build_problems(identified.result, spec, DesignOptions())
     payload = runtime_payload(identified.result, carried_mass_kg(identified.result, problems, spec, DesignOptions()))
     return Exploration(

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from string import Template
 from typing import Any
 
-from autotune import __version__
 from autotune.formats.canonical import short
 from autotune.runtime.controller import SAME_SAMPLE_TIME, RuntimeController
 from autotune.runtime.frames import LARGEST_SKEW, LARGEST_WAY, SMALLEST_TRACE
@@ -22,6 +21,7 @@ from autotune.runtime.guard import (
     WEIGHT_WAY,
 )
 from autotune.runtime.law import AxisLaw, CollisionResponse
+from autotune.version import __version__
 
 from .c_header import HEADER
 from .c_text import SOURCE_CODE, SOURCE_DATA

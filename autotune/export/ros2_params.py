@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from autotune import __version__
+from autotune.version import __version__
 
 from .ros_yaml import check_names, dump_parameters
 from .target import ExportRequest, Rendered, Target, TargetOption, begins_with

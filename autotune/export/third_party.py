@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from autotune import __version__
 from autotune.certificate.certify import Certificate
-from autotune.errors import CertificateError, InfeasibleError
+from autotune.errors import CertificateError, InfeasibleError, UsageError
 from autotune.formats.controller import ControllerFile, short
 from autotune.formats.controller_record import AxisGains, CollisionResponse, Controller
 from autotune.formats.units import axis_units
 from autotune.validation.bouncing import search_bouncing
 from autotune.validation.law import AxisTask, LawCertificate, certify_law
+from autotune.version import __version__
 from problems.model.third_party_controllers import alternates
 
 from .retune import Structure, Values, retune
@@ -122,6 +122,11 @@ def translate_controller(
     what cannot be certified, InfeasibleError where the other controller can do nothing that meets the file's
     requirements, UsageError for options that do not fit the file.
     """
+    if source.controller.payload.set_in_cell:
+        raise UsageError(
+            f"{source.path} holds no centre of mass and no sensor bias, which that controller needs against gravity; "
+            "give them in the plant, or identify the payload, and optimize again."
+        )
     controller = source.controller
     tasks = {name: _task(controller, name) for name in controller.axes}
     axes, common = build_axes(tasks, controller.axes)

@@ -102,12 +102,17 @@ class Collision:
 
 @dataclass(frozen=True, kw_only=True)
 class RuntimePayload:
-    """What the runtime's gravity compensation needs, in the sensor frame."""
+    """What the runtime's gravity compensation needs, in the sensor frame.
+
+    With `set_in_cell` nobody knew centre of mass and bias when the controller was made: they are 0 here, and whoever
+    loads the controller must say the payload.
+    """
 
     mass_kg: float
     com_m: Vector
     force_bias_n: Vector
     torque_bias_n_m: Vector
+    set_in_cell: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,7 @@
 """`identified.yaml`: plant parameters on disk."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +16,26 @@ from .schema import VERSION, check_document, check_format, check_tree
 from .yaml12 import Document, dump_yaml, load_document
 
 FORMAT = "autotune/identified"
+IN_MEMORY = Path("(in memory)")
+"""The path of what was never read from a file."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifiedFile:
-    """A file of plant parameters that was read and found whole; `sha256` is that of its bytes."""
+    """Plant parameters of a file, with the sha256 of its bytes; of `IN_MEMORY` that of those it would have.
+
+    `domain` is the set that a controller must be safe for where a person said it, by the names of `problem.yaml`;
+    empty where it follows from the estimates.
+    """
 
     result: Identified
     provenance: Mapping[str, Any]
     path: Path
     sha256: str
+    domain: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        freeze(self, "provenance")
+        freeze(self, "provenance", "domain")
 
 
 def identified_tree(result: Identified, provenance: Mapping[str, object]) -> dict[str, Any]:

@@ -33,6 +33,7 @@ from .canonical import DEEPEST, LARGEST_INTEGER, Place
 from .dump import dump_yaml
 
 LARGEST_FILE_BYTES = 2**20
+_FORMAT = re.compile(rb"""["']?format["']?\s*:\s*["']?autotune/(\w+)""")
 _LONGEST_REASON = 600
 
 _INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]*)")
@@ -71,6 +72,16 @@ def refusal(error: type[AutotuneError], path: Path, line: int | None, reason: st
     """Return the error that names file, line and reason; a reason that quotes a monstrous file is cut."""
     where = f"{path}" if line is None else f"{path}, line {line}"
     return error(f"{where}: {reason if len(reason) <= _LONGEST_REASON else reason[:_LONGEST_REASON] + ' …'}")
+
+
+def kind_of_file(path: Path) -> str:
+    """Return what a file says that it is, `identified`, `controller` …; empty where it does not."""
+    try:
+        with path.open("rb") as stream:
+            found = _FORMAT.search(stream.read(LARGEST_FILE_BYTES))
+    except OSError as reason:
+        raise UsageError(f"{path} cannot be read: {reason.strerror or reason}.") from reason
+    return found[1].decode() if found else ""
 
 
 def load_yaml(path: Path | str, *, error: type[AutotuneError] = CertificateError) -> dict[str, Any]:

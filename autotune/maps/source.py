@@ -1,7 +1,6 @@
 """Read the source of a map: plant parameters of one axis, and a controller if the file holds one."""
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,9 +10,9 @@ import numpy as np
 from autotune.errors import UsageError
 from autotune.formats.controller import read_controller
 from autotune.formats.controller_record import AxisDomain, Controller
-from autotune.formats.identified import read_identified
+from autotune.formats.plant import read_plant
 from autotune.formats.records import ROTATIONAL_AXES
-from autotune.formats.yaml12 import LARGEST_FILE_BYTES
+from autotune.formats.yaml12 import kind_of_file
 from autotune.tuning.wrench import build_wrench
 from autotune.validation.validate import admittance_controller
 from identification.axes.turning import LEVER_M
@@ -25,7 +24,6 @@ from problems.model.controller import AdmittanceController
 from problems.model.plant import NO_FILTER, WrenchFilter
 from problems.model.robot import RobotModel
 
-_FORMAT = re.compile(rb"""["']?format["']?\s*:\s*["']?autotune/(\w+)""")
 _DEFAULT_APPROACH_N = 30.0
 
 
@@ -72,11 +70,11 @@ def read_source(path: Path, *, axis: str | None, controller: Path | None) -> Map
     if kind == "controller":
         read = read_controller(path)
         source = replace(_certified(path, read.controller, axis), checksums={str(path): read.checksum})
-    elif kind == "identified":
-        source = _identified(path, read_identified(path).result, axis)
+    elif kind in {"identified", "plant"}:
+        source = _identified(path, read_plant(path).result, axis)
     else:
         raise UsageError(
-            f"{path} is neither an identified plant nor a controller; give what identify or optimize wrote."
+            f"{path} is neither a plant nor a controller; give what identify or optimize wrote, or a plant.yaml."
         )
     if controller is None:
         return source
@@ -85,16 +83,6 @@ def read_source(path: Path, *, axis: str | None, controller: Path | None) -> Map
     law, domain = _law(controller, other, source.axis), other.certificate.domain.get(source.axis)
     approach = source.approach if domain is None else _approach(domain)
     return replace(source, controller=law, approach=approach, checksums=checksums)
-
-
-def kind_of_file(path: Path) -> str:
-    """Return what a file says that it is, `identified`, `controller` …; empty where it does not."""
-    try:
-        with path.open("rb") as stream:
-            found = _FORMAT.search(stream.read(LARGEST_FILE_BYTES))
-    except OSError as reason:
-        raise UsageError(f"{path} cannot be read: {reason.strerror or reason}.") from reason
-    return found[1].decode() if found else ""
 
 
 def _axis(path: Path, axes: Mapping[str, object], wanted: str | None) -> str:

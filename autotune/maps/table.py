@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from autotune import __version__
+from autotune.version import __version__
 from problems.maps.maps import MapAxis, MapResult
 from problems.maps.parameters import MAP_PARAMETERS, MapParameter, MapQuantity
 from problems.maps.search import IntervalResult

@@ -8,13 +8,14 @@ from contourpy import contour_generator
 from numpy.typing import NDArray
 
 from autotune.charts.chart import Chart, Element, Heat, Limit, Line, Panel, Points, Role, Scale, Stretch
+from autotune.errors import UsageError
 from autotune.formats.controller_record import ScenarioPrediction
 from autotune.formats.units import AxisUnits
 from autotune.scenario_text import off_nominal, stiffness_text
 from problems.contact.transient import ContactTransient
 from problems.design.requirements import AdmittanceTarget
 from problems.maps.maps import MapAxis, MapRequest, compute_map
-from problems.maps.parameters import MapQuantity, find_parameter
+from problems.maps.parameters import CONTROLLER_FIELDS, MapQuantity, find_parameter
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.response import free_space_admittance, loop_response
@@ -35,7 +36,9 @@ _LOOP_POINTS = 700
 _RE, _IM, _FAR = (-2.3, 1.1), (-1.8, 1.1), 30.0
 _STIFFNESS_POINTS, _BEYOND = 40, 3.0
 _MAP_COUNT, _MAP_LOW, _MAP_HIGH = 40, 0.4, 2.5
-_LEAST_LEAD_S, _LEAST_FEEDBACK_S = 0.02, 0.01
+_LEAST = {"lead_s": 0.02, "feedback_damping_s": 0.01}
+_GAINS = {"mass": "mass", "damping": "damping", "lead": "lead_s", "feedback_damping": "feedback_damping_s"}
+"""What a map of gains may vary, by the names of the Python interface."""
 
 
 def contact_charts(design: AxisDesign, old: AdmittanceController | None) -> Iterator[Chart]:
@@ -318,41 +321,48 @@ def _extremes_inside(now: Sequence[OverStiffness], low: float, high: float, unit
 
 def map_chart(design: AxisDesign) -> Chart:
     """Draw the smallest modulus margin over two pairs of gains, with the design in them."""
-    worst, law = design.worst_plant(), design.law
+    return _gain_maps(design, (("damping", "lead_s"), ("mass", "feedback_damping_s")))
+
+
+def gain_map_chart(design: AxisDesign, x: str, y: str) -> Chart:
+    """Draw the same over two gains of choice; raises UsageError for another name than of `_GAINS`, or one twice."""
+    if not {x, y} <= {*_GAINS} or x == y:
+        raise UsageError(f"A map takes two different gains of {', '.join(_GAINS)}; found {x} and {y}.")
+    return _gain_maps(design, ((_GAINS[x], _GAINS[y]),))
+
+
+def _gain_maps(design: AxisDesign, pairs: Sequence[tuple[str, str]]) -> Chart:
+    worst = design.worst_plant()
     plants = tuple(dict.fromkeys((*design.corners(), *(() if worst is None else (worst,)))))
-    pairs = (
-        (
-            _gain_axis("damping", law.damping_n_s_per_m),
-            _gain_axis("lead_s", law.lead_s, _LEAST_LEAD_S),
-            (law.damping_n_s_per_m, law.lead_s),
-        ),
-        (
-            _gain_axis("mass", law.mass_kg),
-            _gain_axis("feedback_damping_s", law.feedback_damping_s, _LEAST_FEEDBACK_S),
-            (law.mass_kg, law.feedback_damping_s),
-        ),
-    )
-    margins = [_smallest_margin(design, plants, x, y) for x, y, _ in pairs]
+    axes = [(_gain_axis(design, x), _gain_axis(design, y)) for x, y in pairs]
+    margins = [_smallest_margin(design, plants, x, y) for x, y in axes]
     highest = max(float(np.nanmax(margin, initial=design.margins.modulus)) for margin in margins)
-    shares = [100.0 * float(np.mean(np.isfinite(margin))) for margin in margins]
+    shares = [
+        f"{find_parameter(x.name).label} and {find_parameter(y.name).label} ({np.mean(np.isfinite(margin)):.0%} stable)"
+        for (x, y), margin in zip(axes, margins, strict=True)
+    ]
     return Chart(
-        key=f"{design.name}-map",
+        key="-".join((design.name, "map", *(pairs[0] if len(pairs) == 1 else ()))),
         title="Where the gains are stable",
-        alternative=f"Two maps of the smallest modulus margin, over damping and lead gain ({shares[0]:.0f} % of it "
-        f"stable) and over mass and feedback damping ({shares[1]:.0f} % stable), with the design marked at "
+        alternative=f"The smallest modulus margin over {', and over '.join(shares)}, with the design marked at "
         f"{design.margins.modulus:.3f}.",
         caption=f"Colour: the smallest modulus margin over {len(plants)} plants, the ends of the domain and its worst "
         "case, free space included. Grey: unstable.",
         panels=tuple(
-            _map_panel(design, x, y, margin, (0.0, highest), point)
-            for (x, y, point), margin in zip(pairs, margins, strict=True)
+            _map_panel(design, x, y, margin, (0.0, highest), (_gain(design, x.name), _gain(design, y.name)))
+            for (x, y), margin in zip(axes, margins, strict=True)
         ),
         beside=True,
     )
 
 
-def _gain_axis(name: str, value: float, least: float | None = None) -> MapAxis:
-    """Return an axis around a gain; one that may be 0 begins there and goes on at least to `least`."""
+def _gain(design: AxisDesign, name: str) -> float:
+    return float(getattr(design.law, CONTROLLER_FIELDS[name]))
+
+
+def _gain_axis(design: AxisDesign, name: str) -> MapAxis:
+    """Return an axis around a gain of the design; one that may be 0 begins there and goes on at least to `_LEAST`."""
+    value, least = _gain(design, name), _LEAST.get(name)
     low, high = (_MAP_LOW * value, _MAP_HIGH * value) if least is None else (0.0, max(_MAP_HIGH * value, least))
     return MapAxis(name=name, low=low, high=high, count=_MAP_COUNT)
 

@@ -13,11 +13,11 @@ from autotune.formats.identified import IdentifiedFile, read_identified
 from autotune.formats.schedule import read_schedule
 from autotune.formats.schema import check_document, check_format
 from autotune.formats.yaml12 import load_document
-from autotune.pipeline import Topics, identify_log
+from autotune.pipeline import identify_log
 from autotune.processes import count_processors
-from autotune.validation.monte_carlo import monte_carlo_checks, run_monte_carlo
+from autotune.results import Topics
 from autotune.validation.report import ValidationReport
-from autotune.validation.validate import validate_controller
+from autotune.validation.verify import verify
 from identification.errors import LogError
 from identification.evidence import Evidence
 from identification.given import Given
@@ -198,10 +198,9 @@ def _controller_page(
     def advance(done: float) -> None:
         report(part * done)
 
-    verified = validate_controller(file.controller, advance)
-    simulated = run_monte_carlo(file.controller, count=samples, progress=advance) if samples and verified.passed else ()
-    checks = ValidationReport(checks=(*verified.checks, *monte_carlo_checks(simulated)))
-    validated = Validated(report=checks, simulated=simulated)
+    verified = verify(file.controller, samples=samples, progress=advance)
+    checks = ValidationReport(checks=verified.checks)
+    validated = Validated(report=checks, simulated=verified.simulated)
     if not checks.passed:
         # Of a loop that may be unstable there are no peaks and margins to draw.
         sections = (verdict_section(file.checksum, validated),)

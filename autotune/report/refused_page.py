@@ -9,7 +9,7 @@ from autotune.formats.canonical import checksum, short
 from autotune.formats.cell import CellFile
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.yaml12 import load_document
-from autotune.pipeline import Topics
+from autotune.results import Topics
 from identification.errors import LogError
 from identification.logs import read_recording
 from identification.logs.opened import digests

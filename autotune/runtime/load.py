@@ -68,7 +68,7 @@ def load_controller(
     document = _read_document(path)
     if public_key is not None:
         verify_signature(path, public_key, document.sha256)
-    controller = _verified_law(document)
+    controller = _verified_law(document, payload)
     if expected_checksum is not None:
         check_expected(expected_checksum, controller.checksum, path)
     if payload is not None:
@@ -129,7 +129,7 @@ def _read_document(path: Path | str) -> Document:
     return load_document(path, error=CertificateError, exact=True)
 
 
-def _verified_law(document: Document) -> RuntimeController:
+def _verified_law(document: Document, payload: Payload | None = None) -> RuntimeController:
     check_format(document, "controller")
     refuse_first(document, map(explain, breaches(document.tree, load_schema("controller"))))
     stated, found = document.tree["checksum"], checksum_of(document.tree)
@@ -137,6 +137,12 @@ def _verified_law(document: Document) -> RuntimeController:
         reason = f"the checksum says {short(stated)}, but the content has {short(found)}; the file is altered."
         document.refuse(("checksum",), reason)
     _check_claims(document)
+    if payload is None and document.tree["payload"].get("set_in_cell", False):
+        reason = (
+            "it was made without the payload's centre of mass and the sensor's bias, so it cannot compensate gravity; "
+            "give the payload that the cell carries in payload."
+        )
+        document.refuse(("payload", "set_in_cell"), reason)
     try:
         law = _law(document.tree)
     except ParameterError as reason:

@@ -15,12 +15,12 @@ from optuna.samplers import BaseSampler, NSGAIISampler, TPESampler
 from optuna.search_space import intersection_search_space
 from optuna.trial import FrozenTrial, Trial, TrialState
 
-from autotune import __version__
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.canonical import checksum
 from autotune.formats.records import record_tree
 from autotune.tuning.bounds import LINEAR_VARIABLES
 from autotune.tuning.search import presentable
+from autotune.version import __version__
 from problems.design.problem import DesignProblem
 from problems.model.controller import AdmittanceController
 from problems.progress import no_progress

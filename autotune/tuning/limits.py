@@ -192,6 +192,8 @@ def _ranges(controller: Controller, reasons: dict[str, str]) -> tuple[float, flo
     reasons["torque_n_m"] = (
         f"{_ROOM:g} times the {torque:.4g} N·m of weight, bias and the worst predicted peaks, a force at {LEVER_M:g} m"
     )
+    if payload.set_in_cell:
+        reasons["torque_n_m"] += "; centre of mass and bias are not known and count as 0, so a heavy tool needs more"
     return _rounded_up(_ROOM * force), _rounded_up(max(_ROOM * torque, _LEAST_REST_N_M))
 
 

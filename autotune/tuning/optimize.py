@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune import __version__
 from autotune.errors import CertificateError, InfeasibleError
 from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import Controller, RuntimePayload
@@ -19,6 +18,7 @@ from autotune.formats.records import ROTATIONAL_AXES
 from autotune.validation.axis_proof import AxisProof, ProofOptions
 from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller
+from autotune.version import __version__
 from identification.result import Identified
 from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
 from problems.progress import ProgressSlice, no_progress
@@ -35,7 +35,7 @@ from .compliance import (
 from .limits import LimitsSettings, limits_settings, with_limits
 from .optimality_report import OptimalityReport, optimality_tree
 from .plausible import left_out_tree
-from .problems import DesignOptions, build_problems, certified_mass_kg, runtime_mass_kg
+from .problems import DesignOptions, build_problems, certified_mass_kg, runtime_mass_kg, within_domain
 from .record import build_controller, runtime_payload
 from .relax import find_relaxations, tell_relaxations
 from .search import SearchResult, solve_design
@@ -92,6 +92,7 @@ def optimize(
     """
     report = progress or no_progress
     asked = proof if proof is not None else ProofOptions()
+    spec = within_domain(spec, identified.domain)
     build = build_problems if spec.compliance is None else build_compliance_problems
     problems = build(identified.result, spec, options)
     if existing is not None:
@@ -327,7 +328,12 @@ def make_provenance(
     mass, stiffness = options.payload_mass_kg, options.environment_stiffness_n_per_m
     return {
         "tool": f"autotune {__version__}",
-        "identified": {"path": str(identified.path), "sha256": identified.sha256},
+        "identified": {
+            "path": str(identified.path),
+            "sha256": identified.sha256,
+            # Of a plant that a person wrote, what was written and what of it was taken as exact.
+            **{name: identified.provenance[name] for name in ("plant", "exact") if name in identified.provenance},
+        },
         "options": {
             "problem": None if problem_path is None else str(problem_path),
             "payload_mass_kg": None if mass is None else list(mass),

@@ -21,6 +21,7 @@ from identification.result import (
 )
 from problems.contact.transient import Approach
 from problems.design.problem import DEFAULT_BOUNDS, DesignProblem, Requirements
+from problems.design.uncertainty import ALWAYS_UNCERTAIN
 from problems.model.plant import Coupling
 from problems.model.robot import RobotModel
 
@@ -47,6 +48,21 @@ class DesignOptions:
     payload_mass_kg: Interval | None = None
     environment_stiffness_n_per_m: Interval | None = None
     with_unit: frozenset[str] = frozenset()
+
+
+def within_domain(spec: ProblemSpec, domain: Mapping[str, Interval]) -> ProblemSpec:
+    """Return the problem with the set that the plant itself names, wherever `spec` says nothing of it."""
+    if not domain:
+        return spec
+    stiffness = spec.environment_stiffness_n_per_m or domain.get("environment_stiffness_n_per_m")
+    further = {name: each for name, each in domain.items() if name not in ALWAYS_UNCERTAIN}
+    return replace(
+        spec,
+        # A stiffness that is still to be chosen has no range.
+        environment_stiffness_n_per_m=stiffness if spec.compliance is None else None,
+        payload_mass_kg=spec.payload_mass_kg or domain.get("payload_mass_kg"),
+        uncertain={**further, **spec.uncertain},
+    )
 
 
 def build_problems(identified: Identified, spec: ProblemSpec, options: DesignOptions) -> dict[str, DesignProblem]:

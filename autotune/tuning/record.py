@@ -30,7 +30,7 @@ from autotune.formats.units import axis_units
 from autotune.validation.validation_samples import sampled_claims
 from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError
-from identification.result import Identified
+from identification.result import Identified, Status
 from problems.design.evaluation import PlantMargins, build_scenarios
 from problems.design.problem import DesignProblem, Requirements
 from problems.design.requirements import smallest_admittance
@@ -118,9 +118,19 @@ def _gains(name: str, controller: AdmittanceController) -> AxisGains:
 
 
 def runtime_payload(identified: Identified, mass_kg: float) -> RuntimePayload:
-    """Return what gravity compensation needs; raises EstimateError for a file without centre of mass or bias."""
-    com, force = identified.payload.com_m.value, identified.sensor.force_bias_n.value
-    torque = identified.sensor.torque_bias_n_m.value
+    """Return what gravity compensation needs; raises EstimateError for a log that showed no centre of mass or bias.
+
+    Where a person wrote the plant and left them out, the payload must be set in the cell.
+    """
+    estimates = (identified.payload.com_m, identified.sensor.force_bias_n, identified.sensor.torque_bias_n_m)
+    com, force, torque = (each.value for each in estimates)
+    if all(each.value is not None or each.status is Status.GIVEN for each in estimates) and None in (
+        com,
+        force,
+        torque,
+    ):
+        none = (0.0, 0.0, 0.0)
+        return RuntimePayload(mass_kg=mass_kg, com_m=none, force_bias_n=none, torque_bias_n_m=none, set_in_cell=True)
     if com is None or force is None or torque is None:
         raise EstimateError(
             "payload.com_m, sensor.force_bias_n and sensor.torque_bias_n_m must be identified, because the runtime "

@@ -24,7 +24,7 @@ from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
 
 from .optimize import optimize
-from .problems import DesignOptions, build_problems, certified_mass_kg, runtime_mass_kg
+from .problems import DesignOptions, build_problems, certified_mass_kg, runtime_mass_kg, within_domain
 from .scenario_exchange import WholeSet
 from .threshold import without_response
 
@@ -153,7 +153,7 @@ def tune_schedule(
             "free.environment_stiffness_n_per_m in problem.yaml chooses one compliance, and a schedule has many "
             "controllers; choose it without --schedule, then say its range with stiffness=LOW:HIGH."
         )
-    whole = hull(classes)
+    whole, spec = hull(classes), within_domain(spec, identified.domain)
 
     def task(of: ScheduleClass) -> _Task:
         return _Task(identified=identified, spec=spec, options=of.options(others), seed=seed, problem_path=problem_path)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import matrix_balance
 
+from ..errors import ParameterError
 from .controller import AdmittanceController
 from .plant import Environment
 from .sampled import CutLoop, SampledPlant, build_cut_loop, translation_state
@@ -80,6 +81,20 @@ def to_control(sampled: SampledPlant, controller: AdmittanceController) -> Contr
         at_command=_system("L_x", _cut_at_command(cut, sampled), h, ["w"], ["-x_d"]),
         closed_loop=_system("closed_loop", _closed(cut, sampled), h, ["F_d", "f"], ["F", "x_d", "F_e"]),
     )
+
+
+def polynomials_of(system: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return numerator and denominator, in descending powers of s, of a continuous python-control system.
+
+    Raises ParameterError for one that is discrete or has not one input and one output.
+    """
+    if not hasattr(system, "isctime") or not system.isctime():
+        raise ParameterError("system", system, "a continuous python-control system")
+    if (system.ninputs, system.noutputs) != (1, 1):
+        raise ParameterError("system", (system.ninputs, system.noutputs), "one with one input and one output")
+    fraction = control.tf(system)
+    numerator, denominator = (np.trim_zeros(each[0][0], "f") for each in (fraction.num, fraction.den))
+    return tuple(float(each) for each in numerator), tuple(float(each) for each in denominator)
 
 
 def _system(name: str, matrices: Matrices, h: float, inputs: list[str], outputs: list[str]) -> Any:

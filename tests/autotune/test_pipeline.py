@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from autotune.formats.identified import read_identified, write_identified
-from autotune.pipeline import IdentifiedLog, Topics, identify_log
+from autotune.pipeline import identify_log
+from autotune.results import Identification, Topics
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import made_later, simulate_cell
 from autotune.simulation.truth import Cell
@@ -36,25 +37,25 @@ def one_orientation(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def in_one_process(two_logs: list[Path]) -> IdentifiedLog:
+def in_one_process(two_logs: list[Path]) -> Identification:
     return identify_log(two_logs, Topics(), allow_partial=True)
 
 
 def test_recordings_side_by_side_tell_what_they_tell_one_after_the_other(
-    two_logs: list[Path], in_one_process: IdentifiedLog
+    two_logs: list[Path], in_one_process: Identification
 ) -> None:
     # The same code on the same numbers: nothing may differ, not by rounding.
     assert identify_log(two_logs, Topics(), allow_partial=True, processes=2) == in_one_process
 
 
-def test_what_is_written_of_two_recordings_can_be_read_again(in_one_process: IdentifiedLog, tmp_path: Path) -> None:
+def test_what_is_written_of_two_recordings_can_be_read_again(in_one_process: Identification, tmp_path: Path) -> None:
     """Reading refuses a table that is not what its covariance says."""
     check_one_record(in_one_process.result)
     write_identified(tmp_path / "identified.yaml", in_one_process.result, in_one_process.provenance)
     assert read_identified(tmp_path / "identified.yaml").result == in_one_process.result
 
 
-def test_what_is_given_counts_once_beside_two_recordings(two_logs: list[Path], in_one_process: IdentifiedLog) -> None:
+def test_what_is_given_counts_once_beside_two_recordings(two_logs: list[Path], in_one_process: Identification) -> None:
     mass = in_one_process.result.payload.mass_kg
     assert mass.value is not None
     assert mass.std is not None
@@ -73,7 +74,7 @@ def test_the_progress_comes_to_the_whole_in_small_parts(two_logs: list[Path]) ->
     assert max(told) < 0.3
 
 
-def test_the_provenance_names_both_recordings(two_logs: list[Path], in_one_process: IdentifiedLog) -> None:
+def test_the_provenance_names_both_recordings(two_logs: list[Path], in_one_process: Identification) -> None:
     provenance = in_one_process.provenance
     assert [entry["path"] for entry in provenance["logs"]] == [str(path) for path in two_logs]
     (first, second), gap_s = provenance["recordings"], 3600.0

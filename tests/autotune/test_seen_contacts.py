@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from autotune.formats.problem import ProblemSpec
-from autotune.pipeline import Topics, identify_log
+from autotune.pipeline import identify_log
+from autotune.results import Topics
 from autotune.tuning.problems import DesignOptions, build_problems
 from identification.result import Status
 

@@ -11,9 +11,9 @@ from typing import cast
 
 import pytest
 
-from autotune.cli.optimize import _residual_notes
 from autotune.formats.controller import ResidualPeaks, read_controller, short
 from autotune.formats.yaml12 import load_yaml
+from autotune.tuning.design_notes import residual_notes
 from autotune.tuning.optimize import Optimized
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
 from tests.autotune.tuning.turning import write_two_axes
@@ -230,7 +230,7 @@ def test_a_limit_of_the_peak_that_the_residual_weight_breaks_is_said() -> None:
         found = SimpleNamespace(
             controller=SimpleNamespace(predicted={"x": prediction}), searches={"x": SimpleNamespace(problem=problem)}
         )
-        return list(_residual_notes(cast(Optimized, found)))
+        return list(residual_notes(cast(Optimized, found)))
 
     # 50 N asked and 49 N reached; with 1 N of weight left 50.6 N, so 50·49/50.6 = 48.4 N must be asked.
     (note,) = notes(50.0)

@@ -97,7 +97,7 @@ def test_a_problem_beside_a_controller_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="--problem goes with an identified plant"):
         read_exploration(path, tmp_path / "problem.yaml")
     path.write_text("neither", encoding="utf-8")
-    with pytest.raises(UsageError, match="neither an identified plant nor a controller"):
+    with pytest.raises(UsageError, match="neither a plant nor a controller"):
         read_exploration(path)
 
 

@@ -62,7 +62,7 @@ def test_an_identified_plant_has_no_controller_unless_one_is_given(folder: Path)
         ("two.yaml", None, UsageError, "holds the axes x, rz; say which one with --axis"),
         ("two.yaml", "y", UsageError, "does not hold axis y; it holds x, rz"),
         ("absent.yaml", None, UsageError, "cannot be read"),
-        ("other.yaml", None, UsageError, "neither an identified plant nor a controller"),
+        ("other.yaml", None, UsageError, "neither a plant nor a controller"),
         ("altered.yaml", None, CertificateError, "the file is altered"),
     ],
 )

@@ -1,0 +1,450 @@
+"""The functions of the Python interface: read, identify, optimize, predict, load."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from autotune.design import Design, PredictedContact
+from autotune.errors import UsageError
+from autotune.formats.plant import Plant, Quantity, Robot, Uncertain, as_interval
+from autotune.pipeline import identify_log
+from autotune.results import Identification, Log, Topics
+from autotune.shown import Progress, reporting
+from identification.errors import EstimateError, LogError
+from identification.given import Given
+
+if TYPE_CHECKING:
+    from autotune.formats.cell import CellFile
+    from autotune.formats.identified import IdentifiedFile
+    from autotune.formats.problem import ProblemSpec
+
+Paths = str | Path | Sequence[str | Path]
+
+
+def read_log(
+    paths: Paths,
+    *,
+    cell: "str | Path | CellFile | None" = None,
+    wrench_topic: str | None = None,
+    pose_topic: str | None = None,
+    command_topic: str | None = None,
+    salvage: bool = False,
+) -> Log:
+    """Read a log: what its channels are used for, their health, and the signals.
+
+    Parameters
+    ----------
+    paths
+        An MCAP, a rosbag2 folder, a ROS 1 bag, a CSV or Parquet table, or the parts of one recording.
+    cell
+        What the log cannot say of itself: a `cell.yaml`.
+    wrench_topic, pose_topic, command_topic
+        Channels of wrench, measured and commanded flange pose; found by type and name unless they are said.
+    salvage
+        Read what a damaged log still holds.
+
+    Returns
+    -------
+    Log
+        With `missing` where it lacks what `identify` needs.
+
+    Raises
+    ------
+    LogError
+        A file is damaged or no log.
+    UsageError
+        `cell.yaml` cannot be used.
+
+    Examples
+    --------
+    >>> import autotune as at
+    >>> path = at.simulate_log("run7.mcap")
+    >>> log = at.read_log(path)
+    >>> log.roles["wrench"]
+    '/ft_sensor/wrench'
+
+    """
+    from identification.logs import inspect_log, read_checked_recording  # noqa: PLC0415 - compiles
+
+    files, declared = _files(paths), _cell_file(cell)
+    topics = Topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
+    told = topics.applied(declared)
+    recording, findings = None, None
+    try:
+        recording = read_checked_recording(files, told, salvage=salvage)
+        findings = recording.findings
+    except (LogError, EstimateError):
+        # What is wrong is said by the summary, or raised by it.
+        recording = None
+    summary = inspect_log(files, told, salvage=salvage, reading=findings)
+    return Log(paths=files, summary=summary, recording=recording, cell=declared, topics=topics, salvage=salvage)
+
+
+def identify(
+    log: Log | Paths,
+    *,
+    cell: "str | Path | CellFile | None" = None,
+    given: Mapping[str, float | Uncertain] | None = None,
+    allow_partial: bool = False,
+    keep_signals: bool = False,
+    progress: Progress = None,
+) -> Identification:
+    """Identify payload, sensor, robot, coupling and environment, each with its deviation and a verdict.
+
+    Parameters
+    ----------
+    log
+        What `read_log` returned, or paths; paths that follow each other within a second are one recording, others are
+        identified apart and combined.
+    cell
+        A `cell.yaml`, for paths; a `Log` brings its own.
+    given
+        What is known from elsewhere, by name as in `mass_kg` or `x.delay_s` [SI]: a number is exact, `Uncertain` a
+        prior.
+    allow_partial
+        Return what was found even if a parameter is missing or logs disagree.
+    keep_signals
+        Keep the signals in `evidence`, for pictures.
+    progress
+        True for a bar, or a callable that takes the share of the work done since its last call.
+
+    Returns
+    -------
+    Identification
+        Prints as a table of values, deviations and verdicts.
+
+    Raises
+    ------
+    LogError
+        The log cannot be used.
+    EstimateError
+        It does not show what a controller needs, and not `allow_partial`.
+
+    References
+    ----------
+    Haninger, Radke, Vick and Krüger, *Towards High-Payload Admittance Control for Manual Guidance with Environmental
+    Contact*: the model of robot, coupling, payload and environment.
+
+    Examples
+    --------
+    >>> import autotune as at
+    >>> plant = at.identify(at.read_log(at.simulate_log("run7.mcap")))
+    >>> plant.result.payload.mass_kg.status.value
+    'identified'
+
+    """
+    source = log if isinstance(log, Log) else None
+    if source is not None and cell is not None:
+        raise UsageError("A log that was read brings its own cell; give cell to read_log.")
+    files = source.paths if source is not None else _files(log)  # type: ignore[arg-type]
+    with reporting(progress, f"identifying {', '.join(path.name for path in files)}") as report:
+        return identify_log(
+            files,
+            Topics() if source is None else source.topics,
+            cell=_cell_file(cell) if source is None else source.cell,
+            salvage=False if source is None else source.salvage,
+            recording=None if source is None else source.recording,
+            allow_partial=allow_partial,
+            given={name: _prior(value) for name, value in (given or {}).items()},
+            with_evidence=keep_signals,
+            progress=report,
+        )
+
+
+def optimize(
+    plant: "Plant | Identification | str | Path",
+    *,
+    payload_mass: Quantity | None = None,
+    environment_stiffness: Quantity | None = None,
+    problem: "str | Path | ProblemSpec | None" = None,
+    axes: Sequence[str] | None = None,
+    seed: int = 0,
+    compare: "Design | str | Path | None" = None,
+    progress: Progress = None,
+) -> Design:
+    """Search the controller with the gentlest contact that stays stable and moves freely, and validate it.
+
+    Parameters
+    ----------
+    plant
+        What `identify` returned, a `Plant`, or the path of an `identified.yaml` or `plant.yaml`.
+    payload_mass
+        Mass, or a range (low, high), that must all be safe [kg]; that of the plant unless it is said.
+    environment_stiffness
+        Range (low, high) that must all be safe [N/m]; that of the plant unless it is said.
+    problem
+        Requirements, bounds and further ranges: a `problem.yaml` or what it holds.
+    axes
+        Which axes to tune; all of the plant unless they are said.
+    seed
+        The same seed gives the same controller.
+    compare
+        A controller to put beside the new one; the search starts from it too.
+    progress
+        True for a bar, or a callable that takes the share of the work done since its last call.
+
+    Returns
+    -------
+    Design
+        A controller that validation has passed.
+
+    Raises
+    ------
+    InfeasibleError
+        No controller meets the requirements.
+    CertificateError
+        A claim could not be proved or verified.
+    EstimateError
+        A parameter is missing.
+    UsageError
+        What was asked contradicts itself.
+
+    References
+    ----------
+    Haninger, Radke, Vick and Krüger: the admittance law with lead K_l and feedback damping B_fb. The loop is the exact
+    sampled one (MODEL.md, "What runs in the cell").
+
+    Examples
+    --------
+    >>> import autotune as at
+    >>> plant = at.Plant(mass=16, coupling_stiffness=3e5, drag=630, robot=at.Robot(bandwidth=3.2, delay=2.4e-3),
+    ...                  environment_stiffness=(2e4, 5e5), sample_time=8e-4)
+    >>> design = at.optimize(plant)
+    >>> design.peak_force < 100
+    True
+
+    """
+    from autotune.formats.controller import read_controller  # noqa: PLC0415 - for who compares only
+    from autotune.formats.problem import ProblemSpec, read_problem  # noqa: PLC0415
+    from autotune.tuning.design_notes import design_notes  # noqa: PLC0415 - the search compiles
+    from autotune.tuning.optimize import optimize as search  # noqa: PLC0415
+    from autotune.tuning.problems import DesignOptions  # noqa: PLC0415
+
+    source = _plant_file(plant)
+    path = Path(problem) if isinstance(problem, str | Path) else None
+    spec = ProblemSpec() if problem is None else problem if isinstance(problem, ProblemSpec) else read_problem(path)  # type: ignore[arg-type]
+    if axes is not None:
+        spec = replace(spec, axes=tuple(axes))
+    if isinstance(compare, Design):
+        raise UsageError("compare takes the path of a controller file; save the design first.")
+    options = DesignOptions(
+        payload_mass_kg=_range("payload_mass", payload_mass),
+        environment_stiffness_n_per_m=_range("environment_stiffness", environment_stiffness),
+    )
+    with reporting(progress, "searching") as report:
+        found = search(
+            source,
+            spec,
+            options,
+            seed=seed,
+            problem_path=path,
+            existing=None if compare is None else read_controller(compare),
+            progress=report,
+        )
+    notes = tuple(design_notes(source, found, has_stiffness=environment_stiffness is not None))
+    return Design(controller=found.controller, optimized=found, notes=notes)
+
+
+def predict(
+    design: Design,
+    *,
+    environment_stiffness: float,
+    payload_mass: float | None = None,
+    approach_speed: float | None = None,
+    approach_force: float | None = None,
+    axis: str | None = None,
+) -> PredictedContact:
+    """Predict one contact of a design: approach in free space, impact, and what follows.
+
+    Parameters
+    ----------
+    design
+        What `optimize` or `load` returned.
+    environment_stiffness
+        Of the surface, K_e [N/m, N·m/rad].
+    payload_mass
+        M_p [kg, kg·m²]; the light end of the certified range unless it is said.
+    approach_speed
+        Speed at the impact [m/s, rad/s], sustained by the force that it needs in free space.
+    approach_force
+        Instead of a speed: the force that was held until the speed was steady [N, N·m]. That of the certificate unless
+        one of both is said.
+    axis
+        Which axis; may be left out where there is one.
+
+    Returns
+    -------
+    PredictedContact
+        Forces over time and their peaks; `certified` says whether the certificate speaks of this contact.
+
+    Raises
+    ------
+    ParameterError
+        A number is out of range, or both speed and force are said.
+    UnstableLoopError
+        The loop is unstable on this plant, so there is no steady approach or the contact grows without end.
+
+    References
+    ----------
+    MODEL.md, "The contact transient".
+
+    """
+    return design.predict(
+        environment_stiffness=environment_stiffness,
+        payload_mass=payload_mass,
+        approach_speed=approach_speed,
+        approach_force=approach_force,
+        axis=axis,
+    )
+
+
+def load(path: str | Path) -> "Design | Identification | Plant":
+    """Load a `controller.yaml`, `identified.yaml` or `plant.yaml`.
+
+    Parameters
+    ----------
+    path
+        The file; what it is stands in its first line.
+
+    Returns
+    -------
+    Design, Identification or Plant
+        A controller file is verified to be whole and unaltered; `Design.validate` verifies its claims.
+
+    Raises
+    ------
+    CertificateError
+        A controller file is altered or not validated.
+    UsageError
+        The file cannot be read, or is another one.
+
+    Examples
+    --------
+    >>> import autotune as at
+    >>> plant = at.Plant(mass=16, coupling_stiffness=3e5, drag=630, robot=at.Robot(bandwidth=3.2, delay=2.4e-3),
+    ...                  environment_stiffness=(2e4, 5e5), sample_time=8e-4)
+    >>> plant.save("plant.yaml")
+    >>> at.load("plant.yaml") == plant
+    True
+
+    """
+    from autotune.formats.controller import read_controller  # noqa: PLC0415 - one of three
+    from autotune.formats.identified import read_identified  # noqa: PLC0415
+    from autotune.formats.plant import parse_plant  # noqa: PLC0415
+    from autotune.formats.yaml12 import kind_of_file, load_document  # noqa: PLC0415
+
+    kind, path = kind_of_file(Path(path)), Path(path)
+    if kind == "controller":
+        read = read_controller(path)
+        return Design(controller=read.controller, path=path)
+    if kind == "identified":
+        plant = read_identified(path)
+        return Identification(
+            result=plant.result, provenance=plant.provenance, names=(path.name,), path=path, sha256=plant.sha256
+        )
+    if kind == "plant":
+        return parse_plant(load_document(path, error=UsageError))
+    found = f"autotune/{kind}" if kind else "no format entry"
+    raise UsageError(f"{path} must be a controller.yaml, identified.yaml or plant.yaml, found {found}.")
+
+
+def from_control(system: Any, *, delay: float | tuple[float, float] | Uncertain = 0.0) -> Robot:
+    """Return the robot whose r(s) a python-control system holds.
+
+    Parameters
+    ----------
+    system
+        A continuous TransferFunction or StateSpace from commanded to measured position, one input and one output,
+        stable, strictly proper, with r(0) = 1 [s in rad/s].
+    delay
+        Dead time [s], which such a system cannot hold.
+
+    Returns
+    -------
+    Robot
+        For `Plant(robot=…)`.
+
+    Raises
+    ------
+    ParameterError
+        It is discrete, has several inputs or outputs, or is no such r(s).
+
+    Examples
+    --------
+    >>> import autotune as at, control
+    >>> at.from_control(control.tf([20], [1, 20]), delay=2.4e-3).denominator
+    (1.0, 20.0)
+
+    """
+    from problems.model.python_control import polynomials_of  # noqa: PLC0415 - python-control takes seconds to import
+
+    numerator, denominator = polynomials_of(system)
+    return Robot(numerator=numerator, denominator=denominator, delay=delay)
+
+
+def simulate_log(path: str | Path, *, seed: int = 0, progress: Callable[[float], None] | None = None) -> Path:
+    """Simulate a cell and write its log, to try everything else on.
+
+    Parameters
+    ----------
+    path
+        The MCAP file to write.
+    seed
+        The same seed gives the same log.
+    progress
+        A callable that takes the share of the work done since its last call.
+
+    Returns
+    -------
+    pathlib.Path
+        The file: 44 s of poses at rest, a commanded sweep and four contacts along x, with 16.2 kg.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be written.
+
+    """
+    from autotune.simulation.phases import Program  # noqa: PLC0415 - compiles
+    from autotune.simulation.simulate import simulate_cell  # noqa: PLC0415
+    from autotune.simulation.truth import Cell  # noqa: PLC0415
+    from autotune.simulation.write import write_mcap  # noqa: PLC0415
+
+    run = simulate_cell(Cell(), Program(), seed=seed)
+    signals = (run.recording.wrench, run.recording.pose, run.recording.command)
+    share = 1.0 / sum(len(signal.stamp_ns) for signal in signals if signal is not None)
+    write_mcap(run.recording, Path(path), progress=None if progress is None else lambda n: progress(share * n))
+    return Path(path)
+
+
+def _files(paths: Paths) -> tuple[Path, ...]:
+    return (Path(paths),) if isinstance(paths, str | Path) else tuple(Path(path) for path in paths)
+
+
+def _cell_file(cell: "str | Path | CellFile | None") -> "CellFile | None":
+    from autotune.formats.cell import read_cell  # noqa: PLC0415 - most logs need none
+
+    return read_cell(Path(cell)) if isinstance(cell, str | Path) else cell
+
+
+def _prior(value: float | Uncertain) -> Given:
+    if isinstance(value, Uncertain):
+        return Given(value=value.value, std=value.std)
+    return Given(value=float(value), std=0.0)
+
+
+def _plant_file(plant: "Plant | Identification | str | Path") -> "IdentifiedFile":
+    from autotune.formats.plant import read_plant  # noqa: PLC0415 - a file only
+
+    if isinstance(plant, str | Path):
+        return read_plant(plant)
+    if isinstance(plant, Identification | Plant):
+        return plant.file()
+    raise UsageError(
+        f"plant must be what identify returns, a Plant or the path of a file, found {type(plant).__name__}."
+    )
+
+
+def _range(name: str, value: Quantity | None) -> tuple[float, float] | None:
+    return None if value is None else as_interval(name, value, may_vanish=False)

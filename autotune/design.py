@@ -1,0 +1,429 @@
+"""What a design is, what it predicts, and what was verified of it."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from autotune.errors import UsageError
+from autotune.formats.controller import controller_tree, write_controller
+from autotune.formats.controller_record import Controller
+from autotune.formats.units import AxisUnits, axis_units
+from autotune.shown import Progress, ResultTable, Shown, data_frame, plain_tree, reporting
+from autotune.validation.report import Check, ValidationReport
+from problems.contact.transient import ContactTransient
+from problems.design.uncertainty import Scenario
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from autotune.figures import AxesLike
+    from autotune.report.axis_design import AxisDesign
+    from autotune.tuning.optimize import Optimized
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Validation(Shown):
+    """What was verified of a controller, check by check.
+
+    Attributes
+    ----------
+    checks
+        Each with `axis`, `name`, `passed`, `message` and `verdict` (ok, note or FAILED).
+
+    """
+
+    checks: tuple[Check, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check passed."""
+        return all(check.passed for check in self.checks)
+
+    def require(self) -> None:
+        """Raise CertificateError with the first check that failed."""
+        ValidationReport(checks=self.checks).require()
+
+    def _headline(self) -> str:
+        failed = sum(not check.passed for check in self.checks)
+        return f"Validation: {len(self.checks)} checks, " + (f"{failed} FAILED" if failed else "all passed")
+
+    def _tables(self) -> Iterator[ResultTable]:
+        rows = tuple((each.axis, each.name, each.verdict, each.message) for each in self.checks)
+        yield ResultTable(title="checks", columns=("axis", "check", "verdict", "what was found"), rows=rows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the checks as plain data."""
+        return {"passed": self.passed, "checks": [vars(check) for check in self.checks]}
+
+    def to_pandas(self) -> Any:
+        """Return the checks as a pandas.DataFrame; raises UsageError without pandas."""
+        return data_frame({name: [getattr(each, name) for each in self.checks] for name in _CHECK_COLUMNS})
+
+
+_CHECK_COLUMNS = ("axis", "name", "verdict", "message")
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class PredictedContact(Shown):
+    """One contact as the model predicts it.
+
+    Attributes
+    ----------
+    axis
+        Name of the axis.
+    scenario
+        The plant: environment stiffness, payload mass and what else is not nominal.
+    contact
+        Forces at the controller's ticks from the impact on, and their peaks.
+    certified
+        Whether the certificate of the design speaks of this contact; if not, nothing is promised of it.
+
+    """
+
+    axis: str
+    scenario: Scenario
+    contact: ContactTransient
+    certified: bool
+
+    @property
+    def peak_force(self) -> float:
+        """Largest force at the surface, between the ticks too [N, N·m]."""
+        return self.contact.peak_contact_force_n
+
+    @property
+    def peak_sensor_force(self) -> float:
+        """Largest force at the sensor at the ticks [N, N·m]."""
+        return self.contact.peak_sensor_force_n
+
+    @property
+    def time_of_peak(self) -> float:
+        """When the force at the surface is largest [s after touching]."""
+        return self.contact.time_of_peak_s
+
+    def _headline(self) -> str:
+        units = axis_units(self.axis)
+        return (
+            f"Predicted contact on axis {self.axis}: peak {self.peak_force:.4g} {units.force} at the surface, "
+            f"{1e3 * self.time_of_peak:.3g} ms after touching {self.scenario.environment_stiffness_n_per_m:.4g} "
+            f"{units.stiffness} at {self.contact.contact_speed_m_s:.3g} {units.speed}"
+        )
+
+    def _notes(self) -> Sequence[str]:
+        return () if self.certified else ("the certificate of this design does not speak of this contact",)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return scenario, series and peaks as plain data, with the names and units of the fields."""
+        return {
+            "axis": self.axis,
+            "certified": self.certified,
+            "scenario": plain_tree(self.scenario),
+            "contact": plain_tree(self.contact),
+        }
+
+    def to_pandas(self) -> Any:
+        """Return the forces [N, N·m] over the time after touching [s] as a pandas.DataFrame."""
+        series = {"contact_force": self.contact.contact_force_n, "sensor_force": self.contact.sensor_force_n}
+        return data_frame(series, self.contact.time_s, "time [s]")
+
+    def plot(self, ax: "AxesLike | None" = None) -> "Figure":
+        """Draw the force at the surface and at the sensor over time."""
+        from autotune.figures import contact_chart, show  # noqa: PLC0415 - matplotlib
+
+        return show(contact_chart(self.contact, axis_units(self.axis), "Predicted contact"), ax)
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Design(Shown):
+    """A controller with what it is predicted to do and what its certificate says.
+
+    Attributes
+    ----------
+    controller
+        Everything that `controller.yaml` holds.
+    notes
+        What should not be overlooked, a sentence each.
+    optimized
+        The searches behind it; None for a design that was loaded from a file.
+    path
+        The file that it was loaded from.
+
+    """
+
+    controller: Controller
+    notes: tuple[str, ...] = ()
+    optimized: "Optimized | None" = field(default=None, compare=False)
+    path: Path | None = None
+
+    @cached_property
+    def _axes(self) -> "dict[str, AxisDesign]":
+        from autotune.report.axis_design import axis_designs  # noqa: PLC0415 - compiles nothing until asked
+
+        return {each.name: each for each in axis_designs(self.controller)}
+
+    def _axis(self, axis: str | None) -> "AxisDesign":
+        if axis is None and len(self._axes) == 1:
+            return next(iter(self._axes.values()))
+        if axis is None or axis not in self._axes:
+            held = ", ".join(self._axes)
+            found = "no axis was named" if axis is None else f"it does not hold axis {axis}"
+            raise UsageError(f"The design holds the axes {held}, and {found}; say axis=… with one of them.")
+        return self._axes[axis]
+
+    @property
+    def gains(self) -> dict[str, dict[str, float]]:
+        """The gains by axis: mass [kg, kg·m²], damping [N·s/m, N·m·s/rad], lead [s], feedback_damping [s]."""
+        return {
+            name: {
+                "mass": each.mass,
+                "damping": each.damping,
+                "lead": each.lead_s,
+                "feedback_damping": each.feedback_damping_s,
+            }
+            for name, each in self.controller.axes.items()
+        }
+
+    @property
+    def peak_force(self) -> float:
+        """Largest predicted force at the surface over all axes [N, N·m] of all contacts of the certificate."""
+        return max(each.peak_contact_force_n for p in self.controller.predicted.values() for each in p.scenarios)
+
+    def _headline(self) -> str:
+        told = "; ".join(_gains_text(name, gains) for name, gains in self.gains.items())
+        return f"Design, {self.controller.status.value}: {told}"
+
+    def _tables(self) -> Iterator[ResultTable]:
+        rows = tuple(
+            (name, f"{g['mass']:.4g}", f"{g['damping']:.4g}", f"{g['lead']:.4g}", f"{g['feedback_damping']:.4g}")
+            for name, g in self.gains.items()
+        )
+        columns = ("axis", "M_a [kg, kg·m²]", "B_a [N·s/m, N·m·s/rad]", "K_l [s]", "B_fb [s]")
+        yield ResultTable(title="gains", columns=columns, rows=rows)
+        yield ResultTable(
+            title="smallest margins over the domain",
+            columns=("axis", "modulus", "gain [dB]", "phase [°]", "delay [ms]"),
+            rows=tuple(
+                (name, f"{m.modulus:.3f}", _finite(m.gain_db), _finite(m.phase_deg), _finite(m.delay_s, 1e3))
+                for name, m in self.controller.certificate.margins.items()
+            ),
+        )
+        for name, prediction in self.controller.predicted.items():
+            units = axis_units(name)
+            yield ResultTable(
+                title=f"predicted contacts of axis {name}",
+                columns=(
+                    "plant",
+                    f"peak at the surface [{units.force}]",
+                    f"at the sensor [{units.force}]",
+                    "after [ms]",
+                ),
+                rows=tuple(
+                    (
+                        each.name,
+                        f"{each.peak_contact_force_n:.4g}",
+                        f"{each.peak_sensor_force_n:.4g}",
+                        f"{1e3 * each.time_of_peak_s:.3g}",
+                    )
+                    for each in prediction.scenarios
+                ),
+            )
+        yield ResultTable(
+            title="proved",
+            columns=("claim", "method"),
+            rows=tuple((each.claim, each.method) for each in self.controller.certificate.proved),
+        )
+
+    def _notes(self) -> Sequence[str]:
+        return self.notes
+
+    def summary(self) -> None:
+        """Print gains, margins, predicted contacts, what is proved, and what should not be overlooked."""
+        print(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the tree of `controller.yaml`."""
+        return controller_tree(self.controller)
+
+    def to_pandas(self) -> Any:
+        """Return the predicted contacts of all axes as a pandas.DataFrame; raises UsageError without pandas."""
+        rows = [(name, each) for name, p in self.controller.predicted.items() for each in p.scenarios]
+        columns = {"axis": [name for name, _ in rows]}
+        for field_name in _PREDICTED:
+            columns[field_name] = [getattr(each, field_name) for _, each in rows]
+        return data_frame(columns)
+
+    def save(self, path: Path | str) -> str:
+        """Write `controller.yaml` in one step and return its checksum.
+
+        Raises
+        ------
+        UsageError
+            The file cannot be written.
+
+        """
+        return write_controller(path, self.controller)
+
+    def validate(self, *, samples: int = 256, seed: int = 1, progress: Progress = None) -> Validation:
+        """Verify every claim again, by other code than the search's, as `autotune validate` does.
+
+        Parameters
+        ----------
+        samples
+            How many plants of the certified set are simulated with deadband, noise, clipping and late commands; 0 for
+            none.
+        seed
+            Which plants, and which noise.
+        progress
+            True for a bar, or a callable that takes the share of the work done since its last call.
+
+        Returns
+        -------
+        Validation
+            One check each; nothing is raised for one that fails (`Validation.require` does).
+
+        """
+        from autotune.validation.verify import verify  # noqa: PLC0415 - what validates is not needed before
+
+        with reporting(progress, "validating", 2.0 if samples else 1.0) as report:
+            return Validation(checks=verify(self.controller, samples=samples, seed=seed, progress=report).checks)
+
+    def to_control(
+        self, axis: str | None = None, *, environment_stiffness: float | None = None, payload_mass: float | None = None
+    ) -> Any:
+        """Return the loop of one axis as python-control objects.
+
+        Parameters
+        ----------
+        axis
+            Which one; may be left out where there is one.
+        environment_stiffness
+            K_e [N/m, N·m/rad]; the stiff end of the domain unless it is said.
+        payload_mass
+            M_p [kg, kg·m²]; the light end of the domain unless it is said.
+
+        Returns
+        -------
+        problems.model.python_control.ControlObjects
+            Continuous blocks `robot`, `coupling`, `payload` … and the exact sampled loops `at_force`, `at_command` and
+            `closed_loop` as state spaces with named signals (MODEL.md, "Continuous blocks").
+
+        """
+        from problems.model.python_control import to_control  # noqa: PLC0415 - python-control takes seconds to import
+        from problems.model.sampled import build_sampled_plant  # noqa: PLC0415
+
+        design = self._axis(axis)
+        plant = design.plant(self._scenario(design, environment_stiffness, payload_mass, {}))
+        return to_control(build_sampled_plant(plant, design.sample_time_s), design.law)
+
+    def _scenario(
+        self,
+        design: "AxisDesign",
+        environment_stiffness: float | None,
+        payload_mass: float | None,
+        further: Mapping[str, float],
+    ) -> Scenario:
+        stiffness = design.domain.environment_stiffness_n_per_m[1]
+        mass = design.domain.payload_mass_kg[0]
+        return Scenario(
+            environment_stiffness_n_per_m=stiffness if environment_stiffness is None else environment_stiffness,
+            payload_mass_kg=mass if payload_mass is None else payload_mass,
+            **further,
+        )
+
+    def predict(
+        self,
+        *,
+        environment_stiffness: float,
+        payload_mass: float | None = None,
+        approach_speed: float | None = None,
+        approach_force: float | None = None,
+        axis: str | None = None,
+    ) -> PredictedContact:
+        """Predict one contact; see `autotune.predict`."""
+        from problems.contact.transient import Approach, build_sampled_contact, simulate_contact  # noqa: PLC0415
+        from problems.model.sampled import build_sampled_plant  # noqa: PLC0415 - compiles
+
+        design = self._axis(axis)
+        is_said = approach_speed is not None or approach_force is not None
+        approach = Approach(force_n=approach_force, speed_m_s=approach_speed) if is_said else design.approach
+        scenario = self._scenario(design, environment_stiffness, payload_mass, {})
+        pair = build_sampled_contact(build_sampled_plant(design.plant(scenario), design.sample_time_s))
+        domain = design.domain
+        within = (
+            domain.environment_stiffness_n_per_m[0] <= environment_stiffness <= domain.environment_stiffness_n_per_m[1]
+            and domain.payload_mass_kg[0] <= scenario.payload_mass_kg <= domain.payload_mass_kg[1]
+        )
+        return PredictedContact(
+            axis=design.name,
+            scenario=scenario,
+            contact=simulate_contact(pair, design.law, approach),
+            certified=within and approach == design.approach,
+        )
+
+    def plot_contact(self, axis: str | None = None, *, ax: "AxesLike | None" = None) -> "Figure":
+        """Draw the predicted contacts with the highest peak, from the softest to the stiffest surface.
+
+        On a single `ax` the stiffest alone. Raises UsageError where several axes are there and none is named.
+        """
+        from autotune.figures import show  # noqa: PLC0415 - matplotlib
+        from autotune.report.controller_charts import contact_charts  # noqa: PLC0415
+
+        charts = list(contact_charts(self._axis(axis), None))
+        if not charts:
+            raise UsageError("The design predicts no contact that could be drawn.")
+        return show(charts[-1], ax, panel=len(charts[-1].panels) - 1)
+
+    def plot_nyquist(self, axis: str | None = None, *, ax: "AxesLike | None" = None) -> "Figure":
+        """Draw L, cut at the force and at the command, and the disk that it must not enter; on one `ax` the force."""
+        from autotune.figures import show  # noqa: PLC0415 - matplotlib
+        from autotune.report.controller_charts import nyquist_chart  # noqa: PLC0415
+
+        return show(nyquist_chart(self._axis(axis), None), ax)
+
+    def plot_bode(self, axis: str | None = None, *, ax: "AxesLike | None" = None) -> "Figure":
+        """Draw gain and phase of the open loop, cut at the force, over frequency; on one `ax` the gain."""
+        from autotune.figures import bode_chart, show  # noqa: PLC0415 - matplotlib
+
+        return show(bode_chart(self._axis(axis)), ax)
+
+    def plot_map(
+        self, x: str = "damping", y: str = "lead", axis: str | None = None, *, ax: "AxesLike | None" = None
+    ) -> "Figure":
+        """Draw the smallest modulus margin over two of the gains, with the design in them.
+
+        Parameters
+        ----------
+        x, y
+            Two of `mass`, `damping`, `lead` and `feedback_damping`.
+        axis
+            Which one; may be left out where there is one.
+        ax
+            Axes to draw on; None for a figure of its own.
+
+        """
+        from autotune.figures import show  # noqa: PLC0415 - matplotlib
+        from autotune.report.controller_charts import gain_map_chart  # noqa: PLC0415
+
+        return show(gain_map_chart(self._axis(axis), x, y), ax)
+
+
+_PREDICTED = (
+    "environment_stiffness_n_per_m",
+    "payload_mass_kg",
+    "peak_contact_force_n",
+    "peak_sensor_force_n",
+    "time_of_peak_s",
+)
+
+
+def _gains_text(name: str, gains: Mapping[str, float]) -> str:
+    units: AxisUnits = axis_units(name)
+    return (
+        f"axis {name}: M_a {gains['mass']:.4g} {units.mass}, B_a {gains['damping']:.4g} {units.damping}, "
+        f"K_l {gains['lead']:.4g} s, B_fb {gains['feedback_damping']:.4g} s"
+    )
+
+
+def _finite(value: float | None, scale: float = 1.0) -> str:
+    return "no limit" if value is None else f"{scale * value:.4g}"

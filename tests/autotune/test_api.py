@@ -1,0 +1,191 @@
+"""The public interface: what it holds, what it costs to import, and the chain from a plant to a validated file."""
+
+import ast
+import copy
+import pickle
+import subprocess
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+import autotune as at
+from autotune.runtime.law import Payload
+from autotune.runtime.load import load_controller
+from problems.contact.transient import build_sampled_contact, simulate_contact
+from problems.model.sampled import build_sampled_plant
+
+PUBLIC = (
+    *("AdmittanceTarget", "Approach", "AutotuneError", "CertificateError", "Check", "Design", "Estimate"),
+    *("EstimateError", "Finding", "Identification", "InfeasibleError", "Log", "LogError", "NoiseLimit"),
+    *("ParameterError", "PassivityTarget", "Plant", "PredictedContact", "Problem", "Requirements", "Robot", "Status"),
+    *("Uncertain", "UnstableLoopError", "UsageError", "Validation", "__version__", "from_control", "identify"),
+    *("load", "optimize", "predict", "read_log", "simulate_log"),
+)
+
+
+@pytest.fixture(autouse=True)
+def _no_windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(mpl.rcParams, "backend", "agg")
+
+
+def written_plant(**changes: Any) -> at.Plant:
+    """The plant of the issue, with two ends that are near each other, so that the search is short."""
+    values: dict[str, Any] = {
+        "mass": 16,
+        "coupling_stiffness": 3e5,
+        "drag": 630,
+        "robot": at.Robot(bandwidth=3.2, delay=2.4e-3),
+        "environment_stiffness": (4e4, 8e4),
+        "sample_time": 8e-4,
+    }
+    return at.Plant(**values | changes)
+
+
+@pytest.fixture(scope="module")
+def design() -> at.Design:
+    return at.optimize(written_plant())
+
+
+def test_the_public_names_are_these() -> None:
+    assert tuple(at.__all__) == PUBLIC
+    assert dir(at) == sorted(PUBLIC)
+    for name in PUBLIC:
+        assert getattr(at, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'optimise'"):
+        _ = at.optimise  # type: ignore[attr-defined]
+
+
+def test_what_types_see_is_what_there_is() -> None:
+    """The imports under TYPE_CHECKING, which no interpreter runs, name every public name and no other."""
+    tree = ast.parse(Path(at.__file__).read_text(encoding="utf-8"))
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    seen = [
+        alias.asname or alias.name for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names
+    ]
+    assert sorted(seen) == sorted(PUBLIC)
+
+
+def test_importing_it_imports_nothing_else() -> None:
+    code = "import sys; before = {*sys.modules}; import autotune; print(*({*sys.modules} - before))"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    heavy = {"numpy", "scipy", "numba", "matplotlib", "casadi", "optuna", "control", "click", "rich", "pandas"}
+    assert not heavy & {name.partition(".")[0] for name in found}
+    assert {name for name in found if name.startswith(("autotune", "identification", "problems"))} == {"autotune"}
+
+
+def test_a_plant_becomes_a_design_without_a_disk(design: at.Design) -> None:
+    assert list(design.gains) == ["x"]
+    assert design.controller.certificate.domain["x"].payload_mass_kg == (16.0, 16.0)
+    assert design.controller.certificate.domain["x"].environment_stiffness_n_per_m == (4e4, 8e4)
+    assert design.controller.provenance["identified"]["plant"]["mass"] == 16.0
+    assert any("exact" in note and "robot.delay" in note for note in design.notes)
+
+
+def test_every_result_shows_copies_and_pickles(design: at.Design, capsys: pytest.CaptureFixture[str]) -> None:
+    prediction = at.predict(design, environment_stiffness=6e4)
+    checked = design.validate(samples=0)
+    for result in (design, prediction, checked):
+        assert len(repr(result).splitlines()) == 1
+        assert repr(pickle.loads(pickle.dumps(result))) == repr(result)
+        assert repr(copy.deepcopy(result)) == repr(result)
+        assert result._repr_html_().startswith("<p>")
+        assert isinstance(result.to_dict(), dict)
+    assert asdict(design.controller)["axes"]["x"]["mass"] == design.gains["x"]["mass"]
+    design.summary()
+    assert "smallest margins" in capsys.readouterr().out
+
+
+def test_html_of_a_result_escapes_what_it_shows() -> None:
+    check = at.Check(axis="x", name="<script>", passed=False, message="a & b")
+    html = at.Validation(checks=(check,))._repr_html_()
+    assert "<script>" not in html
+    assert "&lt;script&gt;" in html
+
+
+def test_a_saved_design_is_loaded_and_holds(design: at.Design, tmp_path: Path) -> None:
+    path = tmp_path / "controller.yaml"
+    design.save(path)
+    loaded = at.load(path)
+    assert isinstance(loaded, at.Design)
+    assert loaded.controller == design.controller
+    checked = loaded.validate(samples=4)
+    checked.require()
+    assert checked.passed
+
+
+def test_a_prediction_is_that_of_the_exact_transient(design: at.Design) -> None:
+    found = at.predict(design, environment_stiffness=6e4, approach_speed=0.02)
+    axis = design._axis(None)
+    plant = axis.plant(found.scenario)
+    assert plant.environment.stiffness_n_per_m == 6e4
+    pair = build_sampled_contact(build_sampled_plant(plant, 8e-4))
+    again = simulate_contact(pair, axis.law, at.Approach(speed_m_s=0.02))
+    assert np.array_equal(again.contact_force_n, found.contact.contact_force_n)
+    assert found.peak_force == again.peak_contact_force_n
+    assert not found.certified
+    assert at.predict(design, environment_stiffness=6e4).certified
+    assert not at.predict(design, environment_stiffness=1e6).certified
+
+
+def test_plots_are_figures_and_take_axes(design: at.Design) -> None:
+    from matplotlib import pyplot as plt
+    from matplotlib.figure import Figure
+
+    plots = (design.plot_contact, design.plot_nyquist, design.plot_bode, design.plot_map)
+    for plot in (*plots, at.predict(design, environment_stiffness=6e4).plot):
+        figure, axes = plt.subplots()
+        assert plot(ax=axes) is figure
+        assert axes.has_data()
+        alone = plot()
+        assert isinstance(alone, Figure)
+        assert alone.number in plt.get_fignums()
+        plt.close("all")
+    with pytest.raises(at.UsageError, match="two different gains"):
+        design.plot_map("damping", "stiffness")
+
+
+def test_python_control_takes_the_loop_and_gives_the_robot(design: at.Design) -> None:
+    """The poles of the closed loop lie inside of the unit circle, and r(s) comes back as it went."""
+    loop = design.to_control()
+    assert np.max(np.abs(loop.closed_loop.poles())) < 1.0
+    again = at.from_control(loop.robot, delay=2.4e-3)
+    # Coefficients pass through python-control as they are; its normalisation may round the last digits.
+    assert again.model().denominator == pytest.approx(written_plant().robot.model().denominator, rel=1e-12)
+
+
+def test_the_runtime_refuses_a_payload_that_nobody_knows(design: at.Design, tmp_path: Path) -> None:
+    path = tmp_path / "controller.yaml"
+    design.save(path)
+    with pytest.raises(at.CertificateError, match="give the payload that the cell carries"):
+        load_controller(path, sample_time_s=8e-4, payload_mass_kg=16.0)
+    payload = Payload(
+        mass_kg=16.0, com_S_m=(0.0, 0.0, 0.1), force_bias_S_n=(1.0, 2.0, 3.0), torque_bias_S_n_m=(0.0, 0.0, 0.0)
+    )
+    ready = load_controller(path, sample_time_s=8e-4, payload_mass_kg=16.0, payload=payload)
+    assert ready.payload == payload
+
+
+def test_a_known_payload_is_no_placeholder() -> None:
+    none = (0.0, 0.0, 0.0)
+    whole = written_plant(centre_of_mass=(0.0, 0.0, 0.1), force_bias=none, torque_bias=none)
+    assert [finding.code for finding in whole.file().result.findings] == ["taken-as-exact"]
+    assert "payload-unknown" in [finding.code for finding in written_plant().file().result.findings]
+
+
+def test_pandas_is_optional(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(at.UsageError, match=r"robot-autotune\[pandas\]"):
+        at.Validation(checks=()).to_pandas()
+
+
+def test_what_is_no_plant_or_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(at.UsageError, match="found int"):
+        at.optimize(3)  # type: ignore[arg-type]
+    (tmp_path / "other.yaml").write_text("a: 1\n", encoding="utf-8")
+    with pytest.raises(at.UsageError, match="must be a controller"):
+        at.load(tmp_path / "other.yaml")
