@@ -25,8 +25,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from autotune.export.c_source import render_c
+from autotune.formats.limits import CollisionResponse
 from autotune.runtime import AXES, START, AxisLimits, Command, Fault, Limits, RuntimeController, rearm, step
-from autotune.runtime.law import CollisionResponse
 from autotune.runtime.load import read_law
 from benchmarks.abuse_cases import CASES, Case, Cell, Fed, random_episodes
 from tests.autotune.export.c_twin import Twin, compile_c, numbers

@@ -12,7 +12,7 @@ from ._common import Output
 from ._terminal import echo, painted, print_message, print_table, printable
 
 if TYPE_CHECKING:
-    from autotune.tuning.schedule import ScheduleClass
+    from autotune.formats.schedule import ScheduleClass
 
 Interval = tuple[float, float]
 

@@ -8,6 +8,7 @@ from string import Template
 from typing import Any
 
 from autotune.formats.canonical import short
+from autotune.formats.limits import CollisionResponse
 from autotune.runtime.controller import SAME_SAMPLE_TIME, RuntimeController
 from autotune.runtime.frames import LARGEST_SKEW, LARGEST_WAY, SMALLEST_TRACE
 from autotune.runtime.guard import (
@@ -20,7 +21,7 @@ from autotune.runtime.guard import (
     UNSEEN_WAY,
     WEIGHT_WAY,
 )
-from autotune.runtime.law import AxisLaw, CollisionResponse
+from autotune.runtime.law import AxisLaw
 from autotune.version import __version__
 
 from .c_header import HEADER

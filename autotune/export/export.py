@@ -11,7 +11,7 @@ from autotune.formats.controller import ControllerFile, read_controller
 from autotune.runtime.load import check_digits, check_expected, verify_signature
 from autotune.validation.validate import validate_controller
 
-from .target import ExportRequest, Rendered, Target
+from .target import ExportRequest, ExportTarget, Rendered
 from .targets import TARGETS
 
 
@@ -46,7 +46,7 @@ class Trust:
 class Exported:
     """What was written, for which target, from which file; `replaced` are files of an earlier export by now gone."""
 
-    target: Target
+    target: ExportTarget
     source: ControllerFile
     rendered: Rendered
     replaced: tuple[Path, ...]
@@ -111,14 +111,14 @@ def export_controller(
     return Exported(target=kind, source=source, rendered=rendered, replaced=replaced)
 
 
-def check_files(target: Target, files: tuple[Path, ...], source: Path | str) -> tuple[Path, ...]:
+def check_files(target: ExportTarget, files: tuple[Path, ...], source: Path | str) -> tuple[Path, ...]:
     """Return the files of an earlier export that will be replaced; raises UsageError where another file is."""
     for file in files:
         check_target(file, [source], kind=f"export to {target.name}", is_own=target.is_own)
     return tuple(file for file in files if file.is_file() and file.stat().st_size > 0)
 
 
-def _check_options(target: Target, given: Mapping[str, Any]) -> None:
+def _check_options(target: ExportTarget, given: Mapping[str, Any]) -> None:
     known = {option.name: option.flag for option in target.options}
     unknown = sorted(f"--{name.replace('_', '-')}" for name in given if name not in known)
     if unknown:

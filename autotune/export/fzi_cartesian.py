@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING
 from autotune.errors import UsageError
 
 from .ros_yaml import NAME_OPTIONS, Tree, check_keys, check_names, update_rate_hz
-from .target import ExportRequest, Rendered, Target, TargetOption, begins_with
+from .target import ExportRequest, ExportTarget, Rendered, TargetOption, begins_with
 
 if TYPE_CHECKING:
     from autotune.formats.controller import ControllerFile
     from autotune.formats.controller_record import AxisGains, Controller
     from autotune.validation.law import AxisTask
 
-    from .retune import Structure
+    from .retune import ControllerStructure
     from .third_party import ParameterFile, Translation
 
 Quaternion = tuple[float, float, float, float]
@@ -152,7 +152,9 @@ def translate(
     from .fzi_axis import FziAxis, base_axes, check_kinds, orientation_notes  # noqa: PLC0415
     from .third_party import ParameterFile, translate_controller  # noqa: PLC0415
 
-    def build_axes(tasks: Mapping[str, "AxisTask"], gains: Mapping[str, "AxisGains"]) -> tuple[list["Structure"], bool]:
+    def build_axes(
+        tasks: Mapping[str, "AxisTask"], gains: Mapping[str, "AxisGains"]
+    ) -> tuple[list["ControllerStructure"], bool]:
         check_kinds(tasks, options.orientation)
         return [FziAxis(task, gains[name]) for name, task in tasks.items()], False
 
@@ -173,7 +175,7 @@ def _render(request: ExportRequest) -> Rendered:
     return translate(request.source, FziOptions(**request.options), request.progress).rendered()
 
 
-FZI_CARTESIAN = Target(
+FZI_CARTESIAN = ExportTarget(
     name="fzi_cartesian",
     summary="parameters of FZI's Cartesian force controller.",
     render=_render,

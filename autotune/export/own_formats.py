@@ -6,7 +6,7 @@ from pathlib import Path
 
 from autotune.errors import CertificateError, UsageError
 
-from .target import ExportRequest, Rendered, Target, begins_with
+from .target import ExportRequest, ExportTarget, Rendered, begins_with
 
 _C_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
 CELL_MARK = "# Written by autotune export --target cell.\n"
@@ -68,19 +68,19 @@ def _render_c(request: ExportRequest) -> Rendered:
     return Rendered(texts=(text.header, text.source))
 
 
-CELL = Target(
+CELL = ExportTarget(
     name="cell",
     summary="the YAML that the cell reads.",
     render=render_cell,
     is_own=begins_with(CELL_MARK.encode().replace(b".", rb"\.")),
 )
-JSON = Target(
+JSON = ExportTarget(
     name="json",
     summary="the same content as JSON, with a JSON Schema.",
     render=render_json,
     is_own=_is_json_controller,
 )
-C = Target(
+C = ExportTarget(
     name="c",
     summary="the controller's step as one C99 source NAME.c, and the header NAME.h beside it.",
     render=_render_c,

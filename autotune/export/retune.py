@@ -56,7 +56,7 @@ class Variable:
     ratio: bool = True
 
 
-class Structure(Protocol):
+class ControllerStructure(Protocol):
     """One axis of another controller."""
 
     @property
@@ -189,7 +189,7 @@ def _band(asked: AdmittanceTarget) -> FloatArray:
     return 2.0 * np.pi * np.unique(np.clip(np.geomspace(low, high, _BAND_POINTS), low, high))
 
 
-def retune(task: AxisTask, structure: Structure) -> tuple[Values, LawCertificate]:
+def retune(task: AxisTask, structure: ControllerStructure) -> tuple[Values, LawCertificate]:
     """Return the numbers of least worst peak force whose certificate holds, and that certificate.
 
     Deterministic. Raises InfeasibleError where the structure has nothing that meets the requirements, CertificateError
@@ -238,7 +238,7 @@ def _joined(task: AxisTask, scenarios: tuple[Scenario, ...], found: LawCertifica
     return tuple(dict.fromkeys((*scenarios, *more, *task.others().scenarios)))
 
 
-def _zoom(structure: Structure, judge: QuickJudge) -> tuple[Values, float]:
+def _zoom(structure: ControllerStructure, judge: QuickJudge) -> tuple[Values, float]:
     """Search the box, then ever smaller boxes around the best point so far."""
     box = structure.variables
     free = [each for each in box if each.high > each.low]
@@ -265,7 +265,7 @@ def _zoom(structure: Structure, judge: QuickJudge) -> tuple[Values, float]:
     return _values(structure, unit), value
 
 
-def _values(structure: Structure, unit: tuple[float, ...]) -> Values:
+def _values(structure: ControllerStructure, unit: tuple[float, ...]) -> Values:
     """Return the numbers of a point of the unit cube, which has a side per number that is free."""
     left = iter(unit)
     found = []
@@ -283,7 +283,7 @@ def _values(structure: Structure, unit: tuple[float, ...]) -> Values:
     return tuple(found)
 
 
-def _unit(structure: Structure) -> tuple[float, ...]:
+def _unit(structure: ControllerStructure) -> tuple[float, ...]:
     """Return the translated numbers as a point of the unit cube."""
     found = []
     for each, value in zip(structure.variables, structure.translated, strict=True):
@@ -294,7 +294,7 @@ def _unit(structure: Structure) -> tuple[float, ...]:
     return tuple(found)
 
 
-def _nearest(structure: Structure, judge: QuickJudge, values: Values) -> str:
+def _nearest(structure: ControllerStructure, judge: QuickJudge, values: Values) -> str:
     """Say how near the best that was found came."""
     numbers = ", ".join(f"{name} {value:.4g}" for name, value in structure.written(values).items())
     if judge.cost(structure.law(values)) >= _UNSTABLE:

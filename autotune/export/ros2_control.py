@@ -14,14 +14,14 @@ from autotune.errors import UsageError
 from problems.frozen import FrozenDict
 
 from .ros_yaml import NAME_OPTIONS, Tree, check_keys, check_names, update_rate_hz
-from .target import ExportRequest, Rendered, Target, TargetOption, begins_with
+from .target import ExportRequest, ExportTarget, Rendered, TargetOption, begins_with
 
 if TYPE_CHECKING:
     from autotune.formats.controller import ControllerFile
     from autotune.formats.controller_record import AxisGains, Controller, RuntimePayload
     from autotune.validation.law import AxisTask
 
-    from .retune import Structure
+    from .retune import ControllerStructure
     from .third_party import ParameterFile, Translation
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -263,7 +263,9 @@ def translate(
 
     version = parse_version(options.ros2_version)
 
-    def build_axes(tasks: Mapping[str, "AxisTask"], gains: Mapping[str, "AxisGains"]) -> tuple[list["Structure"], bool]:
+    def build_axes(
+        tasks: Mapping[str, "AxisTask"], gains: Mapping[str, "AxisGains"]
+    ) -> tuple[list["ControllerStructure"], bool]:
         axes = {
             name: Ros2Axis(
                 task=task,
@@ -292,7 +294,7 @@ def _render(request: ExportRequest) -> Rendered:
     return translate(request.source, Ros2Options(**request.options), request.progress).rendered()
 
 
-ROS2_CONTROL = Target(
+ROS2_CONTROL = ExportTarget(
     name="ros2_control",
     summary="parameters of the admittance controller of ros2_controllers.",
     render=_render,

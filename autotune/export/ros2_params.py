@@ -7,7 +7,7 @@ from typing import Any
 from autotune.version import __version__
 
 from .ros_yaml import check_names, dump_parameters
-from .target import ExportRequest, Rendered, Target, TargetOption, begins_with
+from .target import ExportRequest, ExportTarget, Rendered, TargetOption, begins_with
 
 _ANY_NODE = "/**"
 _PARTS = (
@@ -58,7 +58,7 @@ def _parameter(name: str, value: Any) -> Any:
     return value
 
 
-ROS2_PARAMS = Target(
+ROS2_PARAMS = ExportTarget(
     name="ros2_params",
     summary="gains, limits, payload and checksum as ROS 2 parameters of a node of your own.",
     render=render,

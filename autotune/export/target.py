@@ -44,7 +44,7 @@ class ExportRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class Rendered:
-    """The texts of the files, in the order of `Target.files`; `lines` and `tree` are what else is to be printed."""
+    """The texts of the files, in the order of `ExportTarget.files`; `lines` and `tree` are also printed."""
 
     texts: tuple[str, ...]
     lines: tuple[str, ...] = ()
@@ -65,7 +65,7 @@ def begins_with(pattern: bytes) -> Callable[[Path], bool]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Target:
+class ExportTarget:
     """A format that a controller can be exported to.
 
     `summary` is a sentence for `--help`. `render` returns what is to be written, or raises CertificateError,

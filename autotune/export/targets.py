@@ -1,4 +1,4 @@
-"""The table of export targets; a new target is a module with a `Target`, and a line here."""
+"""The table of export targets; a new target is a module with a `ExportTarget`, and a line here."""
 
 from collections.abc import Mapping
 
@@ -8,9 +8,9 @@ from .fzi_cartesian import FZI_CARTESIAN
 from .own_formats import CELL, JSON, C
 from .ros2_control import ROS2_CONTROL
 from .ros2_params import ROS2_PARAMS
-from .target import Target, TargetOption
+from .target import ExportTarget, TargetOption
 
-TARGETS: Mapping[str, Target] = FrozenDict(
+TARGETS: Mapping[str, ExportTarget] = FrozenDict(
     {
         each.name: each
         for each in (

@@ -11,14 +11,15 @@ from typing import Any
 from autotune.certificate.certify import Certificate
 from autotune.errors import CertificateError, InfeasibleError, UsageError
 from autotune.formats.controller import ControllerFile, short
-from autotune.formats.controller_record import AxisGains, CollisionResponse, Controller
+from autotune.formats.controller_record import AxisGains, Controller
+from autotune.formats.limits import CollisionResponse
 from autotune.formats.units import axis_units
 from autotune.validation.bouncing import search_bouncing
 from autotune.validation.law import AxisTask, LawCertificate, certify_law
 from autotune.version import __version__
 from problems.model.third_party_controllers import alternates
 
-from .retune import Structure, Values, retune
+from .retune import ControllerStructure, Values, retune
 from .ros_yaml import Tree, check_joint_count, dump_parameters, joint_notes
 from .target import Rendered
 
@@ -33,7 +34,7 @@ class ParameterFile:
     notes: tuple[str, ...]
 
 
-AxisBuilder = Callable[[Mapping[str, AxisTask], Mapping[str, AxisGains]], tuple[Sequence[Structure], bool]]
+AxisBuilder = Callable[[Mapping[str, AxisTask], Mapping[str, AxisGains]], tuple[Sequence[ControllerStructure], bool]]
 """Returns the axes in the structure of another controller, and whether their masses had to be made the same."""
 FileBuilder = Callable[[Controller, Mapping[str, Mapping[str, float]]], ParameterFile]
 """Returns the parameter file from the controller and the numbers of each axis, as written."""
@@ -159,7 +160,7 @@ def _task(controller: Controller, name: str) -> AxisTask:
 
 
 def _all_certified(
-    axes: Sequence[Structure], joints: tuple[str, ...], common: bool, progress: Callable[[float], None] | None
+    axes: Sequence[ControllerStructure], joints: tuple[str, ...], common: bool, progress: Callable[[float], None] | None
 ) -> tuple[TranslatedAxis, ...]:
     """Certify every axis, so that one error names all that fail; the first of them decides its kind."""
     done, failed = [], list[CertificateError | InfeasibleError]()
@@ -177,7 +178,7 @@ def _all_certified(
     return tuple(done)
 
 
-def _certified(axis: Structure, joints: tuple[str, ...], common: bool) -> TranslatedAxis:
+def _certified(axis: ControllerStructure, joints: tuple[str, ...], common: bool) -> TranslatedAxis:
     """Certify the translated gains of an axis, or tune what the structure can do."""
     task, values = axis.task, axis.translated
     law, reason, found = axis.law(values), None, None
@@ -212,7 +213,7 @@ def _certified(axis: Structure, joints: tuple[str, ...], common: bool) -> Transl
     )
 
 
-def _bound_notes(axis: Structure, values: Values) -> Iterator[str]:
+def _bound_notes(axis: ControllerStructure, values: Values) -> Iterator[str]:
     """Say which numbers of a search sit on a bound."""
     for each, value in zip(axis.variables, values, strict=True):
         if each.high > each.low and value in (each.low, each.high):

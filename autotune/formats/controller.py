@@ -15,7 +15,6 @@ from .controller_record import (
     AxisPrediction,
     Certificate,
     Collision,
-    CollisionResponse,
     ConfidenceSet,
     Controller,
     ControllerStatus,
@@ -28,7 +27,7 @@ from .controller_record import (
     ScenarioPrediction,
     SoftRequirement,
 )
-from .limits import AxisLimits, Limits, ResidualPeaks
+from .limits import AxisLimits, CollisionResponse, Limits, ResidualPeaks
 from .records import EntryError, read_record, record_tree, rename_axis_keys
 from .schema import VERSION, check_document, check_format, check_tree
 from .yaml12 import Document, dump_yaml, load_document, parse_document

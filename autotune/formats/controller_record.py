@@ -17,7 +17,7 @@ from problems.frozen import FrozenDict, freeze
 from problems.model.plant import NO_FILTER, Coupling, Environment, Payload, Plant, WrenchFilter
 from problems.model.robot import RobotModel
 
-from .limits import Limits, ResidualPeaks
+from .limits import CollisionResponse, Limits, ResidualPeaks
 from .records import ROTATIONAL_AXES
 
 Vector = tuple[float, float, float]
@@ -38,14 +38,6 @@ class DeadbandType(StrEnum):
 
     THRESHOLD = "threshold"
     SUBTRACTIVE = "subtractive"
-
-
-class CollisionResponse(StrEnum):
-    """What the runtime does on collision: nothing, the position reset of the paper's Algorithm 1, or a full stop."""
-
-    NONE = "none"
-    RESET = "reset"
-    STOP = "stop"
 
 
 def _check_interval(name: str, interval: Interval) -> None:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 from problems.errors import ParameterError
 from problems.frozen import FrozenDict, freeze
@@ -19,6 +20,14 @@ _POSITIVE = (
     "rest_force_n",
     "rest_torque_n_m",
 )
+
+
+class CollisionResponse(StrEnum):
+    """What the runtime does on collision: nothing, the position reset of the paper's Algorithm 1, or a full stop."""
+
+    NONE = "none"
+    RESET = "reset"
+    STOP = "stop"
 
 
 @dataclass(frozen=True, kw_only=True)

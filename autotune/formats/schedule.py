@@ -1,7 +1,8 @@
 """`schedule.yaml` and the folder around it: controllers by class of payload and surface, and what one for all costs."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,6 @@ from .schema import VERSION, check_document, check_format, check_tree
 from .yaml12 import Document, load_document
 
 if TYPE_CHECKING:
-    from autotune.tuning.schedule import Schedule, ScheduleClass, Tuned
     from problems.design.problem import Objective
 
 FORMAT = "autotune/schedule"
@@ -27,6 +27,52 @@ _RANGES = ("payload_mass_kg", "environment_stiffness_n_per_m")
 _HEAD_BYTES = 256
 
 Interval = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScheduleClass:
+    """One cell of the table: ranges of payload mass (kg) and surface stiffness (N/m), None where nothing is given."""
+
+    payload_mass_kg: Interval | None = None
+    environment_stiffness_n_per_m: Interval | None = None
+
+    @property
+    def name(self) -> str:
+        """The class as a short name that holds its ranges to the last digit, such as `m16.2_k2e4-1e5`."""
+        parts = []
+        if self.payload_mass_kg is not None:
+            parts.append("m" + _range_text(self.payload_mass_kg, _decimal))
+        if self.environment_stiffness_n_per_m is not None:
+            parts.append("k" + _range_text(self.environment_stiffness_n_per_m, _scientific))
+        return "_".join(parts)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tuned:
+    """The controller of one class and, per axis, its worst peak and that of the common controller there (N, N·m).
+
+    `peaks_with_common` is None where there is no common controller.
+    """
+
+    of: ScheduleClass
+    controller: Controller
+    peaks: Mapping[str, float]
+    peaks_with_common: Mapping[str, float] | None = None
+
+    def cost_n(self, axis: str) -> float | None:
+        """Return by how much the common controller's worst peak is higher; None where there is none."""
+        return None if self.peaks_with_common is None else self.peaks_with_common[axis] - self.peaks[axis]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Schedule:
+    """The table, class by class, and the common controller over the hull of all classes, or why there is none."""
+
+    tuned: tuple[Tuned, ...]
+    hull: ScheduleClass
+    common: Controller | None
+    common_refusal: str
+    objective: "Objective"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +89,8 @@ def worst_peaks(controller: Controller, objective: "Objective") -> dict[str, flo
     """Return the largest predicted peak of every axis (N, N·m), at the contact or at the sensor."""
     at_contact = objective == "contact_force"
     return {
-        axis: max(s.peak_contact_force_n if at_contact else s.peak_sensor_force_n for s in told.scenarios)
-        for axis, told in controller.predicted.items()
+        axis: max(s.peak_contact_force_n if at_contact else s.peak_sensor_force_n for s in predicted.scenarios)
+        for axis, predicted in controller.predicted.items()
     }
 
 
@@ -59,7 +105,7 @@ def covered(intervals: Iterable[Interval]) -> tuple[Interval, ...]:
     return tuple(union)
 
 
-def schedule_tree(schedule: "Schedule") -> dict[str, Any]:
+def schedule_tree(schedule: Schedule) -> dict[str, Any]:
     """Return the plain tree of `schedule.yaml`, its checksum last; raises ParameterError as `controller_tree` does."""
     common = schedule.common
     tree: dict[str, Any] = {
@@ -107,7 +153,7 @@ def check_schedule_target(folder: Path) -> None:
         raise UsageError(f"{folder} holds {strange[0]} beside its schedule, which would be lost; {advice}.")
 
 
-def write_schedule(folder: Path, schedule: "Schedule") -> dict[str, Any]:
+def write_schedule(folder: Path, schedule: Schedule) -> dict[str, Any]:
     """Write the controllers and `schedule.yaml` as a folder in one step, and return the tree of `schedule.yaml`.
 
     A former schedule there is replaced. Raises UsageError as `check_schedule_target` and `write_folder_atomic` do.
@@ -123,7 +169,7 @@ def write_schedule(folder: Path, schedule: "Schedule") -> dict[str, Any]:
 
 
 def is_schedule(path: Path | str) -> bool:
-    """Tell whether a file begins as `schedule.yaml` does; False where it cannot be read."""
+    """Return whether a file begins as `schedule.yaml` does; False where it cannot be read."""
     try:
         with Path(path).open("rb") as stream:
             return FORMAT.encode() in stream.read(_HEAD_BYTES)
@@ -135,7 +181,7 @@ def read_schedule(path: Path | str) -> ScheduleFile:
     """Read `schedule.yaml` and every controller that it lists, and refuse them unless they fit to each other.
 
     The checksums must be those of the files; each controller must be certified for the ranges of its class, and
-    predict the peak that the schedule tells of it.
+    predict the peak that the schedule states.
 
     Raises UsageError: the schedule cannot be opened. CertificateError: anything else.
     """
@@ -182,13 +228,13 @@ def _listed(document: Document, place: tuple[str | int, ...], entry: Mapping[str
 
 def _check_peaks(document: Document, index: int, file: ControllerFile) -> None:
     entry = document.tree["classes"][index]
-    told = {axis: rename_axis_keys(axis, tree, reading=True)["peak_force_n"] for axis, tree in entry["axes"].items()}
-    if told != worst_peaks(file.controller, document.tree["objective"]):
+    stated = {axis: rename_axis_keys(axis, tree, reading=True)["peak_force_n"] for axis, tree in entry["axes"].items()}
+    if stated != worst_peaks(file.controller, document.tree["objective"]):
         reason = f"the peaks of {entry['name']} are not those that {entry['file']} predicts."
         document.refuse(("classes", index, "axes"), reason)
 
 
-def _class(tuned: "Tuned") -> dict[str, Any]:
+def _class(tuned: Tuned) -> dict[str, Any]:
     return {
         "name": tuned.of.name,
         **_ranges(tuned.of),
@@ -198,7 +244,7 @@ def _class(tuned: "Tuned") -> dict[str, Any]:
     }
 
 
-def _cost(tuned: "Tuned", axis: str) -> dict[str, float | None]:
+def _cost(tuned: Tuned, axis: str) -> dict[str, float | None]:
     peak, cost = tuned.peaks[axis], tuned.cost_n(axis)
     return {
         "peak_force_n": peak,
@@ -208,11 +254,11 @@ def _cost(tuned: "Tuned", axis: str) -> dict[str, float | None]:
     }
 
 
-def _ranges(of: "ScheduleClass") -> dict[str, list[float]]:
+def _ranges(of: ScheduleClass) -> dict[str, list[float]]:
     return {name: list(getattr(of, name)) for name in _RANGES if getattr(of, name) is not None}
 
 
-def _provenance(schedule: "Schedule") -> dict[str, Any]:
+def _provenance(schedule: Schedule) -> dict[str, Any]:
     """Return what the controllers have in common: tool, identified file, and the options but for the classes."""
     first = schedule.tuned[0].controller.provenance
     kept = {
@@ -221,3 +267,19 @@ def _provenance(schedule: "Schedule") -> dict[str, Any]:
         if name != "compare" and getattr(schedule.hull, name, None) is None
     }
     return {"tool": first["tool"], "identified": first["identified"], "options": plain(kept)}
+
+
+def _range_text(interval: Interval, digits: Callable[[float], str]) -> str:
+    low, high = interval
+    return digits(low) if low == high else f"{digits(low)}-{digits(high)}"
+
+
+def _decimal(value: float) -> str:
+    return f"{Decimal(repr(value)).normalize():f}"
+
+
+def _scientific(value: float) -> str:
+    """Return the value as mantissa and exponent, `2e4`."""
+    number = Decimal(repr(value)).normalize()
+    digits = "".join(map(str, number.as_tuple().digits))
+    return f"{digits[0]}{'.' if len(digits) > 1 else ''}{digits[1:]}e{number.adjusted()}"

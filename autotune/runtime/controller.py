@@ -5,12 +5,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from autotune.errors import CertificateError, UsageError
-from autotune.formats.limits import Limits
+from autotune.formats.limits import CollisionResponse, Limits
 from problems.errors import ParameterError
 from problems.frozen import FrozenDict
 
 from .guard import Guard
-from .law import AXES, TRANSLATIONS, AxisLaw, CollisionResponse, Payload, is_number
+from .law import AXES, TRANSLATIONS, AxisLaw, Payload, is_number
 
 # A sample time is declared, not measured: the same number, or another one.
 SAME_SAMPLE_TIME = 1e-6

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from numbers import Real
 
 from problems.errors import ParameterError
@@ -20,14 +19,6 @@ _THETA = 0.5
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 """With which the mass in the file was identified, so that mass times this is the weight that was measured."""
-
-
-class CollisionResponse(StrEnum):
-    """What follows a collision: nothing, the reset of the paper's Algorithm 1, or a full stop."""
-
-    NONE = "none"
-    RESET = "reset"
-    STOP = "stop"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,13 +10,13 @@ from typing import Any
 from autotune.errors import CertificateError, UsageError
 from autotune.formats.canonical import checksum as checksum_of
 from autotune.formats.canonical import short
-from autotune.formats.limits import AxisLimits, Limits
+from autotune.formats.limits import AxisLimits, CollisionResponse, Limits
 from autotune.formats.schema import check_format, explain, load_schema, refuse_first
 from autotune.formats.yaml12 import Document, load_document
 from problems.errors import ParameterError
 
 from .controller import RuntimeController
-from .law import AXES, STANDARD_GRAVITY_M_S2, AxisLaw, CollisionResponse, Payload
+from .law import AXES, STANDARD_GRAVITY_M_S2, AxisLaw, Payload
 from .loop import corner_plants, is_stable
 from .schema_check import breaches
 

@@ -12,7 +12,7 @@ Schema = Mapping[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Breach:
+class BrokenRule:
     """A rule that an entry breaks, in the form that `autotune.formats.schema.explain` reads."""
 
     absolute_path: Place
@@ -22,7 +22,7 @@ class Breach:
     schema: Schema
 
 
-def breaches(tree: object, schema: Schema) -> Iterator[Breach]:
+def breaches(tree: object, schema: Schema) -> Iterator[BrokenRule]:
     """Yield every rule of `schema` (draft 2020-12) that `tree` breaks.
 
     The keywords are those in `KEYWORDS`; `$ref` leads into the schema's own `$defs` only.
@@ -30,13 +30,13 @@ def breaches(tree: object, schema: Schema) -> Iterator[Breach]:
     yield from _breaches(tree, schema, (), schema)
 
 
-def _breaches(value: Any, schema: Schema, place: Place, root: Schema) -> Iterator[Breach]:
+def _breaches(value: Any, schema: Schema, place: Place, root: Schema) -> Iterator[BrokenRule]:
     if "$ref" in schema:
         yield from _breaches(value, root["$defs"][schema["$ref"].removeprefix("#/$defs/")], place, root)
     for rule, limit in schema.items():
         holds = _RULES.get(rule)
         if holds is not None and not holds(value, limit):
-            yield Breach(absolute_path=place, validator=rule, validator_value=limit, instance=value, schema=schema)
+            yield BrokenRule(absolute_path=place, validator=rule, validator_value=limit, instance=value, schema=schema)
     if isinstance(value, dict):
         yield from _in_mapping(value, schema, place, root)
     if isinstance(value, list) and "items" in schema:
@@ -45,7 +45,7 @@ def _breaches(value: Any, schema: Schema, place: Place, root: Schema) -> Iterato
     yield from _choices(value, schema, place, root)
 
 
-def _in_mapping(value: dict[str, Any], schema: Schema, place: Place, root: Schema) -> Iterator[Breach]:
+def _in_mapping(value: dict[str, Any], schema: Schema, place: Place, root: Schema) -> Iterator[BrokenRule]:
     known = schema.get("properties", {})
     rest = schema.get("additionalProperties", True)
     for key, item in value.items():
@@ -54,15 +54,15 @@ def _in_mapping(value: dict[str, Any], schema: Schema, place: Place, root: Schem
         elif isinstance(rest, dict):
             yield from _breaches(item, rest, (*place, key), root)
     if rest is False and not value.keys() <= known.keys():
-        yield Breach(
+        yield BrokenRule(
             absolute_path=place, validator="additionalProperties", validator_value=rest, instance=value, schema=schema
         )
 
 
-def _choices(value: Any, schema: Schema, place: Place, root: Schema) -> Iterator[Breach]:
+def _choices(value: Any, schema: Schema, place: Place, root: Schema) -> Iterator[BrokenRule]:
     options = schema.get("anyOf")
     if options is not None and all(_is_broken(value, option, root) for option in options):
-        yield Breach(absolute_path=place, validator="anyOf", validator_value=options, instance=value, schema=schema)
+        yield BrokenRule(absolute_path=place, validator="anyOf", validator_value=options, instance=value, schema=schema)
     if "if" in schema:
         branch = "else" if _is_broken(value, schema["if"], root) else "then"
         yield from _breaches(value, schema.get(branch, {}), place, root)

@@ -5,13 +5,14 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
+from autotune.formats.limits import CollisionResponse
 from problems.model.difference import controller_step, measured_motion, opposes_motion, resume, through_deadband
 
 from .arguments import TICKS, check_kind, each_of, place_of, six, tick_of
 from .controller import RuntimeController
 from .frames import Nine, Place, Six, external_wrench, is_rotation, way_between
 from .guard import MOST_HELD, UNFELT_WAY, UNSEEN_WAY, Guard, Watch, rest, see, send, weigh
-from .law import AxisLaw, CollisionResponse
+from .law import AxisLaw
 
 NOTHING: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 

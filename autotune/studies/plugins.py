@@ -15,7 +15,7 @@ Requirement = CustomRequirement
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limit:
+class ObjectiveLimit:
     """An objective held to a limit, in its unit: at most `value` where less is better, else at least."""
 
     objective: Objective
@@ -33,7 +33,7 @@ class Limit:
         return share[0] / share[1] if share[1] > 0.0 else math.inf
 
 
-Demand = Requirement | Limit
+Demand = Requirement | ObjectiveLimit
 
 
 def load_objectives(names: tuple[str, ...]) -> tuple[Objective, ...]:
@@ -66,7 +66,7 @@ def _demand(text: str) -> Demand:
         value = math.nan
     if not 0.0 < value < math.inf:
         raise UsageError(f"The limit of {name} must be a finite number above 0, found {number!r}.")
-    return Limit(objective=objective, value=value)
+    return ObjectiveLimit(objective=objective, value=value)
 
 
 def load_requirement(name: str) -> Requirement:
@@ -80,8 +80,8 @@ __all__ = [
     "REQUIREMENTS",
     "Demand",
     "Direction",
-    "Limit",
     "Objective",
+    "ObjectiveLimit",
     "Requirement",
     "load_demands",
     "load_objective",

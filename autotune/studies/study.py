@@ -26,7 +26,7 @@ from problems.model.controller import AdmittanceController
 from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
 
-from .plugins import Demand, Limit, Objective
+from .plugins import Demand, Objective, ObjectiveLimit
 from .points import (
     STRUCTURES,
     Front,
@@ -145,7 +145,9 @@ def fingerprint(problem: DesignProblem, plan: StudyPlan, start: FloatArray) -> s
         "optuna": optuna.__version__,
         "problem": record_tree(problem),
         "objectives": [each.name for each in plan.objectives],
-        "demands": [each.name + (f"={each.value!r}" if isinstance(each, Limit) else "") for each in plan.demands],
+        "demands": [
+            each.name + (f"={each.value!r}" if isinstance(each, ObjectiveLimit) else "") for each in plan.demands
+        ],
         "choices": list(plan.choices),
         "sampler": plan.sampler,
         "constraints": "logarithms",

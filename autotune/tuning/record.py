@@ -11,7 +11,6 @@ from autotune.formats.controller_record import (
     AxisPrediction,
     Certificate,
     Collision,
-    CollisionResponse,
     ConfidenceSet,
     Controller,
     ControllerStatus,
@@ -25,6 +24,7 @@ from autotune.formats.controller_record import (
     ScenarioPrediction,
     SoftRequirement,
 )
+from autotune.formats.limits import CollisionResponse
 from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import axis_units
 from autotune.validation.validation_samples import sampled_claims

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from decimal import Decimal
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -14,11 +13,10 @@ from autotune.formats.controller_record import Controller
 from autotune.formats.dump import dump_yaml
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import Interval, ProblemSpec
-from autotune.formats.schedule import COMMON_FILE, worst_peaks
+from autotune.formats.schedule import COMMON_FILE, Schedule, ScheduleClass, Tuned, worst_peaks
 from autotune.processes import map_in_processes
 from autotune.validation.validate import admittance_controller
 from identification.errors import EstimateError
-from problems.design.problem import Objective
 from problems.errors import ParameterError
 from problems.progress import no_progress
 from problems.stability.margins import UnstableLoopError
@@ -35,60 +33,6 @@ _Value = TypeVar("_Value")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScheduleClass:
-    """One cell of the table: ranges of payload mass (kg) and surface stiffness (N/m), None where nothing is said."""
-
-    payload_mass_kg: Interval | None = None
-    environment_stiffness_n_per_m: Interval | None = None
-
-    @property
-    def name(self) -> str:
-        """The class as a short name that holds its ranges to the last digit, such as `m16.2_k2e4-1e5`."""
-        parts = []
-        if self.payload_mass_kg is not None:
-            parts.append("m" + _range_text(self.payload_mass_kg, _decimal))
-        if self.environment_stiffness_n_per_m is not None:
-            parts.append("k" + _range_text(self.environment_stiffness_n_per_m, _scientific))
-        return "_".join(parts)
-
-    def options(self, others: DesignOptions) -> DesignOptions:
-        """Return the options of an ordinary call: the ranges of the class, and `others` where it has none."""
-        return DesignOptions(
-            payload_mass_kg=self.payload_mass_kg or others.payload_mass_kg,
-            environment_stiffness_n_per_m=self.environment_stiffness_n_per_m or others.environment_stiffness_n_per_m,
-            with_unit=others.with_unit,
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Tuned:
-    """The controller of one class and, per axis, its worst peak and that of the common controller there (N, N·m).
-
-    `peaks_with_common` is None where there is no common controller.
-    """
-
-    of: ScheduleClass
-    controller: Controller
-    peaks: Mapping[str, float]
-    peaks_with_common: Mapping[str, float] | None = None
-
-    def cost_n(self, axis: str) -> float | None:
-        """Return by how much the common controller's worst peak is higher; None where there is none."""
-        return None if self.peaks_with_common is None else self.peaks_with_common[axis] - self.peaks[axis]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Schedule:
-    """The table, class by class, and the common controller over the hull of all classes, or why there is none."""
-
-    tuned: tuple[Tuned, ...]
-    hull: ScheduleClass
-    common: Controller | None
-    common_refusal: str
-    objective: Objective
-
-
-@dataclass(frozen=True, kw_only=True)
 class _Task:
     """What one process needs to tune one class."""
 
@@ -97,6 +41,15 @@ class _Task:
     options: DesignOptions
     seed: int
     problem_path: Path | None
+
+
+def class_options(of: ScheduleClass, others: DesignOptions) -> DesignOptions:
+    """Return the options of an ordinary call: the ranges of the class, and `others` where it has none."""
+    return DesignOptions(
+        payload_mass_kg=of.payload_mass_kg or others.payload_mass_kg,
+        environment_stiffness_n_per_m=of.environment_stiffness_n_per_m or others.environment_stiffness_n_per_m,
+        with_unit=others.with_unit,
+    )
 
 
 def build_classes(masses: Sequence[Interval], stiffnesses: Sequence[Interval]) -> tuple[ScheduleClass, ...]:
@@ -156,7 +109,9 @@ def tune_schedule(
     whole, spec = hull(classes), within_domain(spec, identified.domain)
 
     def task(of: ScheduleClass) -> _Task:
-        return _Task(identified=identified, spec=spec, options=of.options(others), seed=seed, problem_path=problem_path)
+        return _Task(
+            identified=identified, spec=spec, options=class_options(of, others), seed=seed, problem_path=problem_path
+        )
 
     for each in classes:
         _named(each.name, partial(_check, task(each)))
@@ -284,19 +239,3 @@ def _bare(error: AutotuneError) -> AutotuneError:
 def _span(intervals: Iterable[Interval | None]) -> Interval | None:
     known = [interval for interval in intervals if interval is not None]
     return (min(low for low, _ in known), max(high for _, high in known)) if known else None
-
-
-def _range_text(interval: Interval, digits: Callable[[float], str]) -> str:
-    low, high = interval
-    return digits(low) if low == high else f"{digits(low)}-{digits(high)}"
-
-
-def _decimal(value: float) -> str:
-    return f"{Decimal(repr(value)).normalize():f}"
-
-
-def _scientific(value: float) -> str:
-    """Return the value as mantissa and exponent, `2e4`."""
-    number = Decimal(repr(value)).normalize()
-    digits = "".join(map(str, number.as_tuple().digits))
-    return f"{digits[0]}{'.' if len(digits) > 1 else ''}{digits[1:]}e{number.adjusted()}"

@@ -10,13 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.errors import InfeasibleError, UsageError
-from autotune.formats.controller_record import (
-    AxisPrediction,
-    Collision,
-    CollisionResponse,
-    Controller,
-    ScenarioPrediction,
-)
+from autotune.formats.controller_record import AxisPrediction, Collision, Controller, ScenarioPrediction
+from autotune.formats.limits import CollisionResponse
 from autotune.formats.problem import ProblemSpec
 from autotune.formats.records import ROTATIONAL_AXES
 from identification.result import Identified

@@ -7,7 +7,8 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.formats.controller_record import AxisDomain, CollisionResponse, Controller, ScenarioPrediction
+from autotune.formats.controller_record import AxisDomain, Controller, ScenarioPrediction
+from autotune.formats.limits import CollisionResponse
 from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import AxisUnits, axis_units
 from autotune.runtime.law import STANDARD_GRAVITY_M_S2

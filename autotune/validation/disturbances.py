@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from autotune.formats.controller_record import AxisGains, CollisionResponse, Controller, DeadbandType
+from autotune.formats.controller_record import AxisGains, Controller, DeadbandType
+from autotune.formats.limits import CollisionResponse
 from autotune.formats.records import ROTATIONAL_AXES
 from problems.contact.nonlinearities import Collision, CommandLimits, Deadband, Nonlinearities, Response
 from problems.design.requirements import NoiseLimit

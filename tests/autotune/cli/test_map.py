@@ -10,8 +10,8 @@ import pytest
 
 from autotune.cli.main import main
 from autotune.formats.controller import read_controller, write_controller
-from autotune.formats.controller_record import CollisionResponse
 from autotune.formats.identified import write_identified
+from autotune.formats.limits import CollisionResponse
 from tests.autotune.formats.samples import make_controller, make_identified
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]

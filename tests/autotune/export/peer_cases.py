@@ -17,13 +17,13 @@ from autotune.formats.controller_record import (
     AxisGains,
     AxisPrediction,
     Collision,
-    CollisionResponse,
     Controller,
     DeadbandType,
     FreeSpaceAdmittance,
     Requirement,
     ScenarioPrediction,
 )
+from autotune.formats.limits import CollisionResponse
 from autotune.validation.law import AxisTask
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.design.requirements import AdmittanceTarget

@@ -14,9 +14,16 @@ from autotune.formats import atomic
 from autotune.formats.canonical import checksum
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import Controller
-from autotune.formats.schedule import check_schedule_target, is_schedule, read_schedule, write_schedule
+from autotune.formats.schedule import (
+    Schedule,
+    ScheduleClass,
+    Tuned,
+    check_schedule_target,
+    is_schedule,
+    read_schedule,
+    write_schedule,
+)
 from autotune.formats.yaml12 import dump_yaml, load_yaml
-from autotune.tuning.schedule import Schedule, ScheduleClass, Tuned
 from tests.autotune.formats.samples import make_controller
 
 LIGHT, HEAVY = (14.0, 18.0), (18.0, 18.0)

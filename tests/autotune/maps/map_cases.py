@@ -4,7 +4,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from autotune.formats.controller_record import CollisionResponse, Controller
+from autotune.formats.controller_record import Controller
+from autotune.formats.limits import CollisionResponse
 from autotune.maps.options import MapOptions
 from autotune.maps.setup import MapSetup, build_setup
 from autotune.maps.source import MapSource, read_source

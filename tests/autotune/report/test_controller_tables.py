@@ -2,7 +2,8 @@
 
 from dataclasses import replace
 
-from autotune.formats.controller_record import Collision, CollisionResponse
+from autotune.formats.controller_record import Collision
+from autotune.formats.limits import CollisionResponse
 from autotune.report.axis_design import axis_designs
 from autotune.report.controller_tables import gains_table, response_table
 from tests.autotune.formats.samples import make_controller

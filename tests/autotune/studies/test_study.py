@@ -18,7 +18,7 @@ from optuna.trial import FrozenTrial, TrialState
 from sqlalchemy import create_engine, text
 
 from autotune.errors import InfeasibleError, UsageError
-from autotune.studies.plugins import Limit
+from autotune.studies.plugins import ObjectiveLimit
 from autotune.studies.points import STRUCTURES, Judge, build_controller, check_choices
 from autotune.studies.storage import Storage, close_storage, open_storage, quiet_optuna
 from autotune.studies.study import Sampler, StudyPlan, is_feasible, run_study
@@ -199,11 +199,13 @@ def test_the_front_holds_what_a_judge_finds_again_and_nothing_infeasible(tmp_pat
 
 def test_a_limit_holds_on_every_point_and_one_that_nothing_meets_is_infeasible(tmp_path: Path) -> None:
     storage = open_storage(None, tmp_path / "study.db")
-    plan = StudyPlan(objectives=(PeakForce(),), demands=(Limit(objective=HandForce(), value=1955.0),), trials=30)
+    plan = StudyPlan(
+        objectives=(PeakForce(),), demands=(ObjectiveLimit(objective=HandForce(), value=1955.0),), trials=30
+    )
     front = run_study(small_problem(), plan, storage, start=START, name="held")
     assert all(HandForce.name + "_limit" in point.requirements for point in front.points)
     assert len(front.points) == 1  # one objective has one best
-    hopeless = replace(plan, demands=(Limit(objective=HandForce(), value=1.0),), trials=5)
+    hopeless = replace(plan, demands=(ObjectiveLimit(objective=HandForce(), value=1.0),), trials=5)
     with pytest.raises(InfeasibleError, match=r"None of 5 trials .* hand_force_limit \(0\.0"):
         run_study(small_problem(), hopeless, storage, start=START, name="hopeless")
 

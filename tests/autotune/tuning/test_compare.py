@@ -10,7 +10,8 @@ from autotune.cli._common import json_text
 from autotune.cli._optimized import compare_lines, compare_tree
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller import ControllerFile
-from autotune.formats.controller_record import Collision, CollisionResponse, Controller, ControllerStatus, Filters
+from autotune.formats.controller_record import Collision, Controller, ControllerStatus, Filters
+from autotune.formats.limits import CollisionResponse
 from autotune.tuning import search as search_module
 from autotune.tuning.compare import check_comparable, compare, start_design
 from autotune.tuning.search import solve_design

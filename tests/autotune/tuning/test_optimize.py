@@ -7,8 +7,9 @@ import pytest
 
 from autotune.certificate.claim import METHOD
 from autotune.errors import CertificateError
-from autotune.formats.controller_record import CollisionResponse, ControllerStatus
+from autotune.formats.controller_record import ControllerStatus
 from autotune.formats.identified import IdentifiedFile
+from autotune.formats.limits import CollisionResponse
 from autotune.tuning import optimize as optimize_module
 from autotune.tuning.optimize import check_within_bounds, optimize
 from autotune.tuning.record import build_controller as honest

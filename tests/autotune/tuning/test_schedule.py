@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from autotune.errors import CertificateError, InfeasibleError, UsageError
 from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IdentifiedFile
-from autotune.formats.schedule import covered, read_schedule, write_schedule
+from autotune.formats.schedule import Schedule, ScheduleClass, covered, read_schedule, write_schedule
 from autotune.tuning import schedule as schedule_module
 from autotune.tuning.optimize import optimize
 from autotune.tuning.problems import DesignOptions, build_problems
-from autotune.tuning.schedule import Schedule, ScheduleClass, build_classes, hull, tune_schedule
+from autotune.tuning.schedule import build_classes, class_options, hull, tune_schedule
 from autotune.validation.validate import admittance_controller
 from identification.errors import EstimateError
 from problems.contact.transient import build_sampled_contact, simulate_contact
@@ -40,7 +40,7 @@ def small_schedule() -> Schedule:
 
 def peak_n(controller: Controller, mass_kg: float) -> float:
     """Return the largest peak at the contact over the ends of the surface's range, from the plant alone."""
-    (problem,) = build_problems(PLANT.result, FAST_SPEC, CLASSES[0].options(SURFACE)).values()
+    (problem,) = build_problems(PLANT.result, FAST_SPEC, class_options(CLASSES[0], SURFACE)).values()
     law = admittance_controller(controller, "x")
     peaks = []
     for stiffness in problem.environment_stiffness_n_per_m:

@@ -7,7 +7,8 @@ import pytest
 
 from autotune.cli._optimized import response_lines
 from autotune.errors import InfeasibleError, UsageError
-from autotune.formats.controller_record import Collision, CollisionResponse, Controller
+from autotune.formats.controller_record import Collision, Controller
+from autotune.formats.limits import CollisionResponse
 from autotune.formats.problem import ProblemSpec
 from autotune.tuning.first_contacts import contacts_of, opposing_force
 from autotune.tuning.threshold import (

@@ -8,13 +8,8 @@ from typing import Any
 import pytest
 
 from autotune.errors import UsageError
-from autotune.formats.controller_record import (
-    AxisPrediction,
-    Collision,
-    CollisionResponse,
-    Controller,
-    ScenarioPrediction,
-)
+from autotune.formats.controller_record import AxisPrediction, Collision, Controller, ScenarioPrediction
+from autotune.formats.limits import CollisionResponse
 from autotune.validation.against_log import compare_with_log
 from autotune.validation.contacts import verify_response
 from autotune.validation.disturbances import Disturbances, axis_effects

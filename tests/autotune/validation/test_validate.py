@@ -10,12 +10,12 @@ import pytest
 from autotune.errors import CertificateError
 from autotune.formats.controller_record import (
     Collision,
-    CollisionResponse,
     Controller,
     ControllerStatus,
     FreeSpaceAdmittance,
     ScenarioPrediction,
 )
+from autotune.formats.limits import CollisionResponse
 from autotune.validation.axis_proof import ProofOptions, prove_axis
 from autotune.validation.report import Check, ValidationReport
 from autotune.validation.validate import admittance_controller, validate_controller
