@@ -311,6 +311,21 @@ class Finding:
     advice: str
     axis: str = ""
 
+    @classmethod
+    def info(cls, code: str, message: str, advice: str) -> "Finding":
+        """Return a remark."""
+        return cls(code=code, severity="info", message=message, advice=advice)
+
+    @classmethod
+    def warning(cls, code: str, message: str, advice: str) -> "Finding":
+        """Return something that may spoil a result."""
+        return cls(code=code, severity="warning", message=message, advice=advice)
+
+    @classmethod
+    def error(cls, code: str, message: str, advice: str) -> "Finding":
+        """Return something that a result cannot be trusted with."""
+        return cls(code=code, severity="error", message=message, advice=advice)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Identified:

@@ -145,7 +145,7 @@ def _read_all(logs: OpenedLogs, findings: list[Finding]) -> dict[Channel, Series
         except LogError as error:
             series[channel] = times[channel]
             advice = "Record this topic again with its true type."
-            findings.append(Finding(code="undecodable", severity="error", message=str(error), advice=advice))
+            findings.append(Finding.error("undecodable", str(error), advice))
     return series
 
 
@@ -178,7 +178,7 @@ def _declared_findings(logs: OpenedLogs, choices: Mapping[Role, Choice], cell: C
     try:
         parts = logs.read_roles(declared)
     except LogError as error:
-        return [Finding(code="undecodable", severity="error", message=str(error), advice="Check cell.yaml.")]
+        return [Finding.error("undecodable", str(error), "Check cell.yaml.")]
     for role in dict.fromkeys(role for part in parts for role in part):
         mine = [part[role] for part in parts if role in part]
         stamps = [part.log_ns if part.stamp_ns is None else part.stamp_ns for part in mine]
@@ -195,7 +195,7 @@ def _read_findings(files: Sequence[Path], cell: Cell, known: Sequence[Finding], 
     except LogError as error:
         if any(finding.severity == "error" and finding.message in str(error) for finding in known):
             return []
-        return [Finding(code="unusable", severity="error", message=str(error), advice="")]
+        return [Finding.error("unusable", str(error), "")]
 
 
 def _summary(info: ChannelInfo, series: Series) -> ChannelSummary:
@@ -239,10 +239,9 @@ def _clock_findings(series: Mapping[Channel, Series], choices: Mapping[Role, Cho
     for first, second in pairwise(dict.fromkeys(channel for channel in main if channel in clocks)):
         difference = compare_clocks(clocks[first], clocks[second])
         if not difference.agree:
-            yield Finding(
-                code="clocks-differ",
-                severity="warning",
-                message=f"The header clocks of {difference.first} and {difference.second} are "
+            yield Finding.warning(
+                "clocks-differ",
+                f"The header clocks of {difference.first} and {difference.second} are "
                 f"{difference.offset_s:+.4f} ± {difference.std_s:.4f} s apart by the recording clock.",
-                advice="Stamp all channels on one machine or synchronise the clocks; the delay estimate depends on it.",
+                "Stamp all channels on one machine or synchronise the clocks; the delay estimate depends on it.",
             )

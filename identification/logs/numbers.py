@@ -66,12 +66,11 @@ def number_findings(
     for found in numbers:
         if channels[found.topic] in declared:
             continue
-        yield Finding(
-            code="layout-undeclared",
-            severity="warning",
-            message=f"{found.topic} is {_article(found)} with {_counts(found)}; the log does not say what they mean, "
+        yield Finding.warning(
+            "layout-undeclared",
+            f"{found.topic} is {_article(found)} with {_counts(found)}; the log does not say what they mean, "
             "so a layout has to be declared in cell.yaml before it can serve as pose or wrench.",
-            advice="Declare `fields` (`autotune inspect LOG --write-cell cell.yaml` begins a file), or record the "
+            "Declare `fields` (`autotune inspect LOG --write-cell cell.yaml` begins a file), or record the "
             "wrench as WrenchStamped and the flange pose as PoseStamped.",
         )
         efforts = tuple(path for path in found.paths if path.startswith("effort["))
@@ -144,16 +143,12 @@ def _effort_finding(topic: str, effort: FloatArray) -> Finding:
     shares = ", ".join(f"{100 * share:.1f}" for share in zeros)
     message = f"The 6 effort entries of {topic} may be a wrench; exact zeros in each: {shares} %."
     if not bool((zeros > _DEADBAND_SHARE).any()):
-        return Finding(
-            code="effort-may-be-wrench",
-            severity="info",
-            message=message,
-            advice="Nothing in the values says whether gravity and bias are still in them.",
+        return Finding.info(
+            "effort-may-be-wrench", message, "Nothing in the values says whether gravity and bias are still in them."
         )
-    return Finding(
-        code="effort-deadband",
-        severity="warning",
-        message=f"{message} So many exact zeros are what a deadband applied before "
+    return Finding.warning(
+        "effort-deadband",
+        f"{message} So many exact zeros are what a deadband applied before "
         "recording leaves: samples cut to zero hold nothing of gravity and bias.",
-        advice="Record the sensor's wrench before gravity compensation and deadband.",
+        "Record the sensor's wrench before gravity compensation and deadband.",
     )

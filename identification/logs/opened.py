@@ -20,6 +20,7 @@ from .messages.transforms import list_frames, read_transform
 from .roles.cell import Cell
 from .roles.choose import Choice, RoleSeries
 from .roles.registry import Role
+from .tables.read import TableLog
 
 
 class OpenedLog(Protocol):
@@ -203,8 +204,6 @@ def _times(container: Container, channels: Sequence[Channel]) -> dict[Channel, S
 
 def _opened(path: Path, cell: Cell, *, salvage: bool) -> OpenedLog:
     if not path.is_dir() and is_table(path):
-        from .tables.table_log import TableLog  # noqa: PLC0415 - its library takes 40 MB, which only tables need
-
         return TableLog(path, cell.table)
     return ContainerLog(path, salvage=salvage)
 

@@ -115,12 +115,11 @@ def _appended(
         gap, period = int(following[0] - stamps[-1]), float(np.median(np.diff(stamps)))
         if gap > _GAP_PERIODS * period:
             findings.append(
-                Finding(
-                    code="gap-between-parts",
-                    severity="warning",
-                    message=f"{gap * 1e-9:.4f} s of `{topic}` are missing between two parts of the log (its period is "
+                Finding.warning(
+                    "gap-between-parts",
+                    f"{gap * 1e-9:.4f} s of `{topic}` are missing between two parts of the log (its period is "
                     f"{period * 1e-9:.6f} s).",
-                    advice="Give all parts of the log, and let the recorder split without losing messages.",
+                    "Give all parts of the log, and let the recorder split without losing messages.",
                 )
             )
     return {name: np.concatenate([before[name], after[name]]) for name in before}

@@ -164,21 +164,17 @@ def _about_what_is_left(findings: Sequence[Finding], recording: Recording, logs:
     first, last = (int(recording.wrench.stamp_ns[i]) for i in (0, -1))
     ends = datetime.fromtimestamp(last // 10**9, tz=UTC)
     return (
-        Finding(
-            code="salvaged-span",
-            severity="warning",
-            message=f"What is left of {logs.name} spans {1e-9 * (last - first):.3f} s: the last wrench is stamped "
+        Finding.warning(
+            "salvaged-span",
+            f"What is left of {logs.name} spans {1e-9 * (last - first):.3f} s: the last wrench is stamped "
             f"{ends:%Y-%m-%d %H:%M:%S}.{last // 10**6 % 1000:03d} UTC.",
-            advice="What was recorded after that is not in the result.",
+            "What was recorded after that is not in the result.",
         ),
     )
 
 
 def _chosen(choice: Choice) -> Finding:
     pair = f", {choice.frames[1]} in {choice.frames[0]}" if choice.frames else ""
-    return Finding(
-        code="channel-chosen",
-        severity="info",
-        message=f"The {ROLES[choice.role].label} is read from {choice.info}{pair}: {choice.reason}.",
-        advice="",
+    return Finding.info(
+        "channel-chosen", f"The {ROLES[choice.role].label} is read from {choice.info}{pair}: {choice.reason}.", ""
     )

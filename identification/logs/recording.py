@@ -45,12 +45,11 @@ def chosen_clocks(
     if bare:
         topics = ", ".join(sorted({_topic(series[role]) for role in bare}))
         findings.append(
-            Finding(
-                code="log-clock",
-                severity="warning",
-                message=f"{topics} has no header stamps, so the time of recording is the clock of "
+            Finding.warning(
+                "log-clock",
+                f"{topics} has no header stamps, so the time of recording is the clock of "
                 f"{', '.join(ROLES[role].label for role in by_log)}.",
-                advice="The time of recording jitters and lags; record header stamps for a delay that can be trusted.",
+                "The time of recording jitters and lags; record header stamps for a delay that can be trusted.",
             )
         )
     return clocks, tuple(findings)
@@ -165,9 +164,22 @@ def _wrench(
     is_state = choice.info.channel.type_name == ADMITTANCE_STATE and source.fields is None
     findings = []
     if is_state and (source.expressed_in is None or source.gravity_compensated is None):
-        findings.append(_state_finding(columns.topic))
+        findings.append(
+            Finding.warning(
+                "admittance-state-wrench",
+                f"The wrench of {columns.topic} is what the admittance controller acts on: taken as given in base "
+                "axes, with the configured gravity removed and filtered.",
+                "Record the sensor's own wrench, or declare `expressed_in` and `gravity_compensated`.",
+            )
+        )
     elif source.gravity_compensated is None and is_processed_name(columns.topic):
-        findings.append(_processed_finding(columns.topic))
+        findings.append(
+            Finding.warning(
+                "wrench-may-be-processed",
+                f"The name of {columns.topic} says that its wrench is not as the sensor showed it; it is taken as raw.",
+                "Record the raw wrench, or declare `gravity_compensated` (true or false) and `deadband` in cell.yaml.",
+            )
+        )
     wrench = interpret_wrench(
         columns,
         source,
@@ -177,25 +189,6 @@ def _wrench(
         gravity_compensated=is_state if source.gravity_compensated is None else source.gravity_compensated,
     )
     return wrench, findings
-
-
-def _state_finding(topic: str) -> Finding:
-    return Finding(
-        code="admittance-state-wrench",
-        severity="warning",
-        message=f"The wrench of {topic} is what the admittance controller acts on: taken as given in base axes, with "
-        "the configured gravity removed and filtered.",
-        advice="Record the sensor's own wrench, or declare `expressed_in` and `gravity_compensated`.",
-    )
-
-
-def _processed_finding(topic: str) -> Finding:
-    return Finding(
-        code="wrench-may-be-processed",
-        severity="warning",
-        message=f"The name of {topic} says that its wrench is not as the sensor showed it; it is taken as raw.",
-        advice="Record the raw wrench, or declare `gravity_compensated` (true or false) and `deadband` in cell.yaml.",
-    )
 
 
 def _gains(columns: Mapping[Role, Columns], cell: Cell, wrench: WrenchSignal) -> GainsSignal | None:

@@ -51,26 +51,19 @@ class ClockOffset:
     def finding(self, wrench_topic: str, pose_topic: str) -> Finding:
         """Say it as a finding: info when consistent, a warning otherwise."""
         if self.offset_s is None or self.std_s is None:
-            return Finding(
-                code="clock-offset-untold",
-                severity="warning",
-                message=f"Whether the clocks of {wrench_topic} and {pose_topic} agree is unknown: {self.reason}.",
-                advice=self.advice,
+            return Finding.warning(
+                "clock-offset-untold",
+                f"Whether the clocks of {wrench_topic} and {pose_topic} agree is unknown: {self.reason}.",
+                self.advice,
             )
         estimate = f"({1e3 * self.offset_s:+.3f} ± {1e3 * self.std_s:.3f} ms, from {self.method})"
         if self.verdict is OffsetVerdict.CONSISTENT:
-            return Finding(
-                code="clocks-agree",
-                severity="info",
-                message=f"The clocks of {wrench_topic} and {pose_topic} agree {estimate}.",
-                advice="",
-            )
-        return Finding(
-            code="clock-offset",
-            severity="warning",
-            message=f"The stamps of {wrench_topic} are {'late' if self.offset_s > 0 else 'early'} against those of "
+            return Finding.info("clocks-agree", f"The clocks of {wrench_topic} and {pose_topic} agree {estimate}.", "")
+        return Finding.warning(
+            "clock-offset",
+            f"The stamps of {wrench_topic} are {'late' if self.offset_s > 0 else 'early'} against those of "
             f"{pose_topic} {estimate}; they are shifted onto the pose's clock.",
-            advice=_APPLIED,
+            _APPLIED,
         )
 
 

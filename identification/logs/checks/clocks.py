@@ -166,22 +166,20 @@ def clock_findings(clock: ChannelClock, period_s: float) -> tuple[Finding, ...]:
     found = []
     if abs(clock.offset_s) > _FAR_S:
         found.append(
-            Finding(
-                code="header-clock-off",
-                severity="info",
-                message=f"The header clock of {clock.topic} is {abs(clock.offset_s):.3f} s "
+            Finding.info(
+                "header-clock-off",
+                f"The header clock of {clock.topic} is {abs(clock.offset_s):.3f} s "
                 f"{'behind' if clock.offset_s > 0 else 'ahead of'} the recording clock.",
-                advice="Only the header stamps are used, so this matters only where channels differ in it.",
+                "Only the header stamps are used, so this matters only where channels differ in it.",
             )
         )
     if abs(clock.drift_ppm) > max(_DRIFT_PPM, 5.0 * clock.drift_std_ppm):
         found.append(
-            Finding(
-                code="header-clock-drift",
-                severity="warning",
-                message=f"The header clock of {clock.topic} runs {abs(clock.drift_ppm):.0f} ± "
+            Finding.warning(
+                "header-clock-drift",
+                f"The header clock of {clock.topic} runs {abs(clock.drift_ppm):.0f} ± "
                 f"{clock.drift_std_ppm:.0f} ppm {'slower' if clock.drift_ppm > 0 else 'faster'} than the recorder's.",
-                advice="Stamp with a disciplined clock: sample time and delay are as wrong as this.",
+                "Stamp with a disciplined clock: sample time and delay are as wrong as this.",
             )
         )
     for jump in clock.jumps:
@@ -299,21 +297,19 @@ def compare_clocks(first: ChannelClock, second: ChannelClock) -> ClockDifference
 
 def _offset_finding(recording: Recording, offset: ClockOffset, apart: ClockDifference | None, *, far: bool) -> Finding:
     if far and apart is not None and offset.verdict is OffsetVerdict.UNKNOWN:
-        return Finding(
-            code="clocks-disagree",
-            severity="error",
-            message=f"The header clocks of {apart.first} and {apart.second} are {apart.offset_s:+.3f} ± "
+        return Finding.error(
+            "clocks-disagree",
+            f"The header clocks of {apart.first} and {apart.second} are {apart.offset_s:+.3f} ± "
             f"{apart.std_s:.3f} s apart by the recording clock, and the exact offset is unknown: {offset.reason}.",
-            advice=f"Stamp both with one clock. {offset.advice}",
+            f"Stamp both with one clock. {offset.advice}",
         )
     return offset.finding(recording.wrench.topic, recording.pose.topic)
 
 
 def _disagreement(difference: ClockDifference) -> Finding:
-    return Finding(
-        code="command-clock",
-        severity="warning",
-        message=f"The header clocks of {difference.first} and {difference.second} are {difference.offset_s:+.4f} ± "
+    return Finding.warning(
+        "command-clock",
+        f"The header clocks of {difference.first} and {difference.second} are {difference.offset_s:+.4f} ± "
         f"{difference.std_s:.4f} s apart by the recording clock.",
-        advice="Stamp command and pose with one clock: an offset between them looks like the robot's delay.",
+        "Stamp command and pose with one clock: an offset between them looks like the robot's delay.",
     )

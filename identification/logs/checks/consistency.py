@@ -29,13 +29,12 @@ def turn_findings(pose: PoseSignal) -> Iterator[Finding]:
     jumps = np.flatnonzero(angle > _FASTEST_TURN_RAD)
     if jumps.size:
         seconds = (pose.stamp_ns[jumps[0] + 1] - pose.stamp_ns[0]) * 1e-9
-        yield Finding(
-            code="orientation-jumps",
-            severity="warning",
-            message=f"The orientation of topic {pose.topic} turns by more than "
+        yield Finding.warning(
+            "orientation-jumps",
+            f"The orientation of topic {pose.topic} turns by more than "
             f"{np.degrees(_FASTEST_TURN_RAD):.0f} degrees within one sample {jumps.size} times, "
             f"the first {seconds:.3f} s after its start.",
-            advice="Check `orientation_as` and the angle's unit in cell.yaml: order, Euler sequence, rotation vector.",
+            "Check `orientation_as` and the angle's unit in cell.yaml: order, Euler sequence, rotation vector.",
         )
 
 
@@ -84,10 +83,9 @@ def _compared(
     share = float(np.sum(moved * integrated)) / integrated_power if integrated_power > 0.0 else 0.0
     rest = float(np.sqrt(np.sum((moved - share * integrated) ** 2) / power))
     fits = f"times {share:.3f} it fits within {100 * rest:.0f} %" if rest < _LARGEST_MISMATCH else "no factor mends it"
-    yield Finding(
-        code="twist-disagrees",
-        severity="warning",
-        message=f"The {what} that the twist of {twist.topic} gives differs from that of the pose of {pose.topic} by "
+    yield Finding.warning(
+        "twist-disagrees",
+        f"The {what} that the twist of {twist.topic} gives differs from that of the pose of {pose.topic} by "
         f"{100 * mismatch:.0f} % (root mean square over steps of {_LAG_S:g} s; {fits}).",
-        advice="Check units, frames, `orientation_as` and clocks of both in cell.yaml.",
+        "Check units, frames, `orientation_as` and clocks of both in cell.yaml.",
     )

@@ -59,12 +59,11 @@ class TareJump:
         """Say it."""
         force = ", ".join(f"{value:+.2f}" for value in self.force_n)
         torque = ", ".join(f"{value:+.3f}" for value in self.torque_n_m)
-        return Finding(
-            code="tare-jump",
-            severity="warning",
-            message=f"The wrench of {topic} steps by ({force}) N and ({torque}) N·m at {self.time_s:.3f} s while the "
+        return Finding.warning(
+            "tare-jump",
+            f"The wrench of {topic} steps by ({force}) N and ({torque}) N·m at {self.time_s:.3f} s while the "
             "robot is still and nothing rings: its bias was set there.",
-            advice="Tare before recording, not during it, or cut the log there.",
+            "Tare before recording, not during it, or cut the log there.",
         )
 
 
@@ -243,12 +242,11 @@ def _payload_change(
     apart = abs(second - first)
     if apart < max(_SIGNIFICANT * float(np.hypot(before[1], after[1])), _MASS_SHARE * abs(first), _SMALLEST_KG):
         return None
-    return Finding(
-        code="payload-change",
-        severity="error",
-        message=f"The payload of {topic} weighs {first:.2f} ± {before[1]:.2f} kg in the {len(earlier)} rests before "
+    return Finding.error(
+        "payload-change",
+        f"The payload of {topic} weighs {first:.2f} ± {before[1]:.2f} kg in the {len(earlier)} rests before "
         f"and {second:.2f} ± {after[1]:.2f} kg in the {len(later)} after: it changed {_times(log, earlier, later)}.",
-        advice="Record one log per payload, or cut the log there.",
+        "Record one log per payload, or cut the log there.",
     )
 
 
@@ -265,12 +263,11 @@ def _bias_change(
     if _distinct(later) < 2 and not _returns(log, earlier, later):
         return None
     components = ", ".join(f"{value:+.2f}" for value in step)
-    return Finding(
-        code="bias-change",
-        severity="warning",
-        message=f"The force of {topic} at rest steps by ({components}) N {_times(log, earlier, later)} and stays so: "
+    return Finding.warning(
+        "bias-change",
+        f"The force of {topic} at rest steps by ({components}) N {_times(log, earlier, later)} and stays so: "
         "the sensor was tared, or something was added to or taken off the payload.",
-        advice="Tare before recording and keep the payload as it is, or cut the log there.",
+        "Tare before recording and keep the payload as it is, or cut the log there.",
     )
 
 
@@ -299,17 +296,15 @@ def _unit_findings(topic: str, poses: tuple[StaticPose, ...]) -> Iterator[Findin
     if np.mean(fits) < _FOLLOWED or float(np.max(np.ptp(weight[fits], axis=0))) < 2.0 * _SIGNIFICANT * scatter:
         return
     if mass < 0.0:
-        yield Finding(
-            code="force-sign",
-            severity="warning",
-            message=f"The force of {topic} follows gravity with the opposite sign (it would be {mass:.3g} kg).",
-            advice="Declare `exerted_by` of the wrench or `gravity_direction`; `identify` finds which is true.",
+        yield Finding.warning(
+            "force-sign",
+            f"The force of {topic} follows gravity with the opposite sign (it would be {mass:.3g} kg).",
+            "Declare `exerted_by` of the wrench or `gravity_direction`; `identify` finds which is true.",
         )
     if abs(mass) < _SMALLEST_KG:
-        yield Finding(
-            code="force-unit",
-            severity="error",
-            message=f"The force of {topic} follows gravity, but of {1e3 * abs(mass):.3g} g only; in kilonewtons it "
+        yield Finding.error(
+            "force-unit",
+            f"The force of {topic} follows gravity, but of {1e3 * abs(mass):.3g} g only; in kilonewtons it "
             f"would be {1e3 * abs(mass):.3g} kg.",
-            advice="Declare the unit of the force as kN if it is in kilonewtons.",
+            "Declare the unit of the force as kN if it is in kilonewtons.",
         )

@@ -36,7 +36,7 @@ def frame_faults(topic: str, frame_ids: tuple[str, ...]) -> Iterator[Finding]:
     """Yield a fault when a needed channel changes its frame."""
     if len(frame_ids) > 1:
         names = ", ".join(repr(name) for name in frame_ids[:5])
-        yield _error(
+        yield Finding.error(
             "several-frames",
             f"Topic {topic} has {len(frame_ids)} frames: {names}.",
             "Record each frame on a topic of its own.",
@@ -63,7 +63,7 @@ def wrench_faults(
         resting[1:] &= np.abs(np.diff(column)) <= _RESTING_SHARE * np.ptp(column)
     for axis, column in enumerate(columns):
         if bool(np.all(column == column[0])):
-            yield _error(
+            yield Finding.error(
                 "stuck-axis",
                 f"The {WRENCH_AXES[axis]} axis of topic {topic} is {column[0]:g} in all {len(column)} samples.",
                 _SENSOR_ADVICE,
@@ -85,7 +85,7 @@ def pose_faults(topic: str, values: FloatArray, since_start_s: FloatArray) -> It
         off = np.abs(norm - 1.0) > QUATERNION_NORM_TOLERANCE
     if bool(np.any(off)):
         first = int(np.flatnonzero(off)[0])
-        yield _error(
+        yield Finding.error(
             "quaternion-norm",
             f"{np.count_nonzero(off)} orientations of topic {topic} are no unit quaternions, the first "
             f"{since_start_s[first]:.3f} s after the start of the log (norm {norm[first]:.6g}).",
@@ -97,7 +97,7 @@ def pose_faults(topic: str, values: FloatArray, since_start_s: FloatArray) -> It
     if not bool(np.all(good)):
         values, since_start_s = values[good], since_start_s[good]
     if bool(np.all(values == values[:1])):
-        yield _error(
+        yield Finding.error(
             "stuck-pose",
             f"Topic {topic} holds one and the same pose in all {len(values)} samples.",
             "Check that the topic is the robot's measured pose and that the robot moves, and record again.",
@@ -116,7 +116,7 @@ def turn_faults(topic: str, rotation_vectors: FloatArray, since_start_s: FloatAr
     over = size > _LARGEST_TURN_RAD
     if bool(np.any(over)):
         when = since_start_s[over]
-        yield _error(
+        yield Finding.error(
             "turn-unit",
             f"{when.size} rotation vectors of topic {topic} are longer than one turn (up to {np.nanmax(size):.1f}), "
             f"the first {when[0]:.3f} s after the start of the log.",
@@ -129,7 +129,7 @@ def _saturation(
 ) -> Iterator[Finding]:
     if bool(np.any(saturated)):
         when, level = since_start_s[saturated], float(np.max(np.abs(column[saturated])))
-        yield _error(
+        yield Finding.error(
             "saturation",
             f"The {name} axis of topic {topic} is at the end of its range ({level:g}) in {when.size} samples, the "
             f"first {when[0]:.3f} s and the last {when[-1]:.3f} s after the start of the log.",
@@ -146,12 +146,11 @@ def _axis_faults(topic: str, name: str, column: FloatArray, since_start_s: Float
         yield from _step_faults(topic, name, column)
         return
     width = "an unknown width" if band.width is None else f"a width of roughly {band.width:.2g}"
-    yield Finding(
-        code="deadband",
-        severity="warning",
-        message=f"A {band.kind} deadband of {width} was applied to the {name} axis of topic {topic}: "
+    yield Finding.warning(
+        "deadband",
+        f"A {band.kind} deadband of {width} was applied to the {name} axis of topic {topic}: "
         f"{100.0 * band.zero_share:.1f} % of its samples are exactly 0.",
-        advice="Record the sensor's wrench before gravity compensation and deadband.",
+        "Record the sensor's wrench before gravity compensation and deadband.",
     )
 
 
@@ -160,7 +159,7 @@ def _stuck_faults(topic: str, name: str, column: FloatArray, since_start_s: Floa
     runs = stuck_runs(column, max(period, 1e-9))
     if len(runs.starts):
         longest = float(np.max(since_start_s[runs.stops - 1] - since_start_s[runs.starts]))
-        yield _error(
+        yield Finding.error(
             "stuck-axis",
             f"The {name} axis of topic {topic} stays exactly the same for up to {longest:.3f} s: "
             f"{_spans(runs, since_start_s)}.",
@@ -172,31 +171,29 @@ def _step_faults(topic: str, name: str, column: FloatArray) -> Iterator[Finding]
     step = quantum(column)
     repeats = float(np.mean(column[1:] == column[:-1]))
     if step > 0.0 and repeats > _COARSE_REPEATS:
-        yield Finding(
-            code="coarse-steps",
-            severity="warning",
-            message=f"The {name} axis of topic {topic} comes in steps of {step:.3g}, coarser than its noise: "
+        yield Finding.warning(
+            "coarse-steps",
+            f"The {name} axis of topic {topic} comes in steps of {step:.3g}, coarser than its noise: "
             f"{100.0 * repeats:.0f} % of the samples equal the one before.",
-            advice="Record floating point numbers, or set the sensor to a smaller range.",
+            "Record floating point numbers, or set the sensor to a smaller range.",
         )
 
 
 def _repeat_faults(topic: str, values: FloatArray) -> Iterator[Finding]:
     share = repeated_share(values)
     if share > _REPEATED_SHARE:
-        yield Finding(
-            code="repeated-samples",
-            severity="warning",
-            message=f"{100.0 * share:.0f} % of the messages of topic {topic} repeat the one before in every axis: "
+        yield Finding.warning(
+            "repeated-samples",
+            f"{100.0 * share:.0f} % of the messages of topic {topic} repeat the one before in every axis: "
             "it is published more often than it is measured.",
-            advice="Publish each measurement once, with the time at which it was taken.",
+            "Publish each measurement once, with the time at which it was taken.",
         )
 
 
 def _length_faults(topic: str, position: FloatArray) -> Iterator[Finding]:
     travel = float(np.max(np.ptp(position, axis=0)))
     if travel > _LONGEST_TRAVEL_M:
-        yield _error(
+        yield Finding.error(
             "length-unit",
             f"The pose of topic {topic} travels {travel:.0f} m, which no robot arm does.",
             "Declare the unit of the position as mm if it is in millimetres.",
@@ -204,11 +201,10 @@ def _length_faults(topic: str, position: FloatArray) -> Iterator[Finding]:
         return
     far = float(np.max(np.abs(np.median(position, axis=0))))
     if far > _FARTHEST_M:
-        yield Finding(
-            code="length-unit",
-            severity="warning",
-            message=f"The pose of topic {topic} is {far:.0f} m away from its origin.",
-            advice="Declare the unit of the position as mm if it is in millimetres.",
+        yield Finding.warning(
+            "length-unit",
+            f"The pose of topic {topic} is {far:.0f} m away from its origin.",
+            "Declare the unit of the position as mm if it is in millimetres.",
         )
 
 
@@ -223,7 +219,7 @@ def _not_finite(values: FloatArray) -> NDArray[np.bool_]:
 def _finite_faults(topic: str, bad: NDArray[np.bool_], since_start_s: FloatArray) -> Iterator[Finding]:
     if bool(np.any(bad)):
         when = since_start_s[bad]
-        yield _error(
+        yield Finding.error(
             "not-finite",
             f"Topic {topic} holds {when.size} samples that are not finite numbers (NaN or infinite), "
             f"the first {when[0]:.3f} s and the last {when[-1]:.3f} s after the start of the log.",
@@ -238,10 +234,6 @@ def _spans(runs: Runs, since_start_s: FloatArray) -> str:
     ]
     more = f" and {len(runs.starts) - 3} times more" if len(runs.starts) > 3 else ""
     return ", ".join(spans) + more
-
-
-def _error(code: str, message: str, advice: str) -> Finding:
-    return Finding(code=code, severity="error", message=message, advice=advice)
 
 
 _Number = TypeVar("_Number", np.float64, np.int64)

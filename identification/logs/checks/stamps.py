@@ -73,22 +73,26 @@ def stamp_faults(
     warning: it is kept as a hole.
     """
     if stamp_ns.size < 2:
-        yield _error("too-few-messages", f"Topic {topic} holds {stamp_ns.size} message(s).", "Record the whole run.")
+        yield Finding.error(
+            "too-few-messages", f"Topic {topic} holds {stamp_ns.size} message(s).", "Record the whole run."
+        )
         return
     if bool(np.all(stamp_ns == stamp_ns[0])):
         what = "zero" if stamp_ns[0] == 0 else f"the same ({stamp_ns[0] / 1e9:.9f} s)"
-        yield _error("constant-stamps", f"All {stamp_ns.size} header stamps of topic {topic} are {what}.", _ADVICE)
+        yield Finding.error(
+            "constant-stamps", f"All {stamp_ns.size} header stamps of topic {topic} are {what}.", _ADVICE
+        )
         return
     if bool(np.any(stamp_ns <= 0)):
         when = since_start_s[stamp_ns <= 0]
-        yield _error(
+        yield Finding.error(
             "zero-stamps", f"Topic {topic} has {when.size} header stamps of zero or less, {_at(when)}.", _ADVICE
         )
     steps = np.diff(stamp_ns)
     back = steps < 0
     if bool(np.any(back)):
         when = since_start_s[1:][back]
-        yield _error(
+        yield Finding.error(
             "backwards-stamps",
             f"{when.size} header stamps of topic {topic} go backwards, {_at(when)}, by up to "
             f"{-float(steps.min()) * 1e-9:.6f} s.",
@@ -98,7 +102,7 @@ def stamp_faults(
     folded = np.zeros(len(steps), dtype=np.bool_)
     for start, stop in _find_folds(steps):
         folded[start:stop] = True
-        yield _error(
+        yield Finding.error(
             "backwards-stamps",
             f"The header stamps of topic {topic} go back by about {(stamp_ns[stop] - stamp_ns[start]) * 1e-9:.3f} s: "
             f"the time from {since_start_s[start]:.3f} to {since_start_s[stop]:.3f} s after the start of the log is "
@@ -108,7 +112,7 @@ def stamp_faults(
     repeated = (steps == 0) & ~folded
     if bool(np.any(repeated)):
         when = since_start_s[1:][repeated]
-        yield _error(
+        yield Finding.error(
             "duplicate-stamps",
             f"{when.size} header stamps of topic {topic} repeat the one before, {_at(when)}.",
             _ADVICE,
@@ -161,31 +165,25 @@ def _kept(topic: str, holes: Sequence[tuple[int, float]], since_start_s: FloatAr
         f"{length:.3f} s from {since_start_s[index - 1]:.3f} s" for index, length in holes[:_LISTED_HOLES]
     )
     more = f" and {len(holes) - _LISTED_HOLES} more" if len(holes) > _LISTED_HOLES else ""
-    return Finding(
-        code="hole",
-        severity="warning",
-        message=f"Topic {topic} has {len(holes)} hole(s) in which nothing is known: {places}{more} after the start of "
+    return Finding.warning(
+        "hole",
+        f"Topic {topic} has {len(holes)} hole(s) in which nothing is known: {places}{more} after the start of "
         f"the log, {sum(length for _, length in holes):.3f} s in all. Nothing is interpolated across them.",
-        advice="Check that what a parameter needs (rests, sweep, contacts) lies outside, or record again.",
+        "Check that what a parameter needs (rests, sweep, contacts) lies outside, or record again.",
     )
 
 
 def _jitter(topic: str, report: StampReport) -> Iterator[Finding]:
     if report.jitter_std_s > _JITTER_SHARE * report.period_s:
-        yield Finding(
-            code="stamp-jitter",
-            severity="warning",
-            message=f"The header stamps of topic {topic} jitter: steps of {1e3 * report.period_s:.3f} ms with a "
+        yield Finding.warning(
+            "stamp-jitter",
+            f"The header stamps of topic {topic} jitter: steps of {1e3 * report.period_s:.3f} ms with a "
             f"standard deviation of {1e3 * report.jitter_std_s:.3f} ms, at worst "
             f"{1e3 * report.jitter_worst_s:.3f} ms off.",
-            advice="Stamp where the sample is taken, not where it is published.",
+            "Stamp where the sample is taken, not where it is published.",
         )
 
 
 def _at(when: FloatArray) -> str:
     last = f" and the last {when[-1]:.3f} s" if when.size > 1 else ""
     return f"the first {when[0]:.3f} s{last} after the start of the log"
-
-
-def _error(code: str, message: str, advice: str) -> Finding:
-    return Finding(code=code, severity="error", message=message, advice=advice)

@@ -115,10 +115,9 @@ def salvaged(name: str, lost: Sequence[str]) -> tuple[Finding, ...]:
         return ()
     more = f"; and {len(lost) - _LISTED} more" if len(lost) > _LISTED else ""
     return (
-        Finding(
-            code="salvaged",
-            severity="warning",
-            message=f"{name} is damaged, {len(lost)} part(s) of it are left out: {'; '.join(lost[:_LISTED])}{more}.",
-            advice="Use the result to look at the data; record again before a robot relies on it.",
+        Finding.warning(
+            "salvaged",
+            f"{name} is damaged, {len(lost)} part(s) of it are left out: {'; '.join(lost[:_LISTED])}{more}.",
+            "Use the result to look at the data; record again before a robot relies on it.",
         ),
     )

@@ -32,21 +32,18 @@ def file_findings(layout: Layout) -> tuple[Finding, ...]:
     bare = sum(sum((chunk.counts or {}).values()) for chunk in layout.chunks if not chunk.crc)
     if bare and not layout.data_crc:
         found.append(
-            Finding(
-                code="crc-absent",
-                severity="info",
-                message=f"{bare} of {total} messages carry no checksum (CRC): "
-                "a flipped bit in the file would not be noticed.",
-                advice="Let the recorder write chunk CRCs (rosbag2: storage option `noChunkCRC: false`).",
+            Finding.info(
+                "crc-absent",
+                f"{bare} of {total} messages carry no checksum (CRC): a flipped bit in the file would not be noticed.",
+                "Let the recorder write chunk CRCs (rosbag2: storage option `noChunkCRC: false`).",
             )
         )
     if layout.statistics is None:
         found.append(
-            Finding(
-                code="summary-absent",
-                severity="info",
-                message=f"The file has no summary that would confirm that all its {total} messages are there.",
-                advice="Let the recorder write a summary (rosbag2: storage option `noSummary: false`).",
+            Finding.info(
+                "summary-absent",
+                f"The file has no summary that would confirm that all its {total} messages are there.",
+                "Let the recorder write a summary (rosbag2: storage option `noSummary: false`).",
             )
         )
     return tuple(found)

@@ -86,7 +86,7 @@ class Walker:
     def layout(self, lost: tuple[str, ...] = ()) -> Layout:
         """Return what has been found."""
         return Layout(
-            chunks=tuple(self._with_counts(chunk) for chunk in self.chunks),
+            chunks=tuple(replace(c, counts=self.indexed.get(c.start, c.counts)) for c in self.chunks),
             definitions=self.definitions,
             statistics=self.statistics,
             chunk_indexes=tuple(self.chunk_indexes),
@@ -96,9 +96,6 @@ class Walker:
             has_unknown_kinds=self.has_unknown_kinds,
             lost=lost,
         )
-
-    def _with_counts(self, chunk: Chunk) -> Chunk:
-        return replace(chunk, counts=self.indexed[chunk.start]) if chunk.start in self.indexed else chunk
 
     def peek(self, offset: int, length: int) -> bytes:
         """Return up to `length` bytes from an offset, of which it reads more at once than are asked for."""

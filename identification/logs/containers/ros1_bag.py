@@ -19,20 +19,18 @@ from rosbags.rosbag1.reader import Header, RecordType, read_uint32
 
 from ...errors import LogError
 from ...result import Finding
-from .batches import Gatherer
 from .channel import Batch, Channel, Container, Held, Survey, salvaged
-from .ros1_chunk import ChunkRecord, Damage, Walk, check_index, copy_messages, unpack_chunk, walk_chunk
+from .ros1_chunk import ChunkRecord, Damage, Walk, check_index, unpack_chunk, walk_chunk
 
 T = TypeVar("T")
 MAGIC = b"#ROSBAG V2.0\n"
 _FOREIGN = (ReaderError, AssertionError, struct.error, ValueError, LookupError, OverflowError, MemoryError)
 _INDEX_ENTRY_BYTES = 12
 
-NO_CRC = Finding(
-    code="crc-absent",
-    severity="info",
-    message="A ROS 1 bag carries no checksums (CRC): a flipped bit in the file may go unnoticed.",
-    advice="Record MCAP with chunk CRCs where that is possible.",
+NO_CRC = Finding.info(
+    "crc-absent",
+    "A ROS 1 bag carries no checksums (CRC): a flipped bit in the file may go unnoticed.",
+    "Record MCAP with chunk CRCs where that is possible.",
 )
 
 
@@ -126,15 +124,11 @@ class Ros1BagContainer(Container):
         self._was_read = True
         chosen = set(wanted)
         channels = {number: channel for number, channel in self._connections.items() if channel in chosen}
-        gatherers = {channel: Gatherer(channel) for channel in channels.values()}
         with self._refusing():
             for place in self._chunks:
                 if self._salvage or place.counts.keys() & channels.keys():
-                    for batch in self._batches(place, channels, gatherers):
+                    for batch in self._batches(place, channels):
                         yield batch.channel, handle(batch)
-        for gatherer in gatherers.values():
-            for batch in gatherer.flush():
-                yield batch.channel, handle(batch)
 
     def findings(self) -> tuple[Finding, ...]:
         """Report what the last `read` had to leave out."""
@@ -299,17 +293,20 @@ class Ros1BagContainer(Container):
             yield offset, number, file.exactly(data_at, size)
             offset = data_at + size
 
-    def _batches(
-        self, place: ChunkPlace, channels: dict[int, Channel], gatherers: dict[Channel, Gatherer]
-    ) -> Iterator[Batch]:
+    def _batches(self, place: ChunkPlace, channels: dict[int, Channel]) -> Iterator[Batch]:
         data, walk = self._chunk(place, [])
         is_message = walk.ops == RecordType.MSGDATA
         here = np.unique(walk.connections[is_message]).tolist()
         for channel in {channels[number]: None for number in here if number in channels}:
             numbers = [number for number, each in channels.items() if each == channel]
             rows = is_message & np.isin(walk.connections, numbers)
-            packed = copy_messages(data, walk.starts[rows], walk.sizes[rows])
-            yield from gatherers[channel].add(walk.log_ns[rows], walk.sizes[rows], packed)
+            yield Batch(
+                channel=channel,
+                log_ns=walk.log_ns[rows],
+                data=np.frombuffer(data, dtype=np.uint8),
+                starts=walk.starts[rows],
+                sizes=walk.sizes[rows],
+            )
 
     # Survey
 

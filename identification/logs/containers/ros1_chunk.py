@@ -166,17 +166,6 @@ def walk_chunk(data: bytes, *, resume: bool) -> Walk:
     )
 
 
-def copy_messages(data: bytes, starts: StampArray, sizes: StampArray) -> ByteArray:
-    """Copy pieces of a buffer one behind the other."""
-    packed = np.empty(int(sizes.sum()), dtype=np.uint8)
-    _copy(np.frombuffer(data, dtype=np.uint8), starts, sizes, packed)
-    return packed
-
-
-# The helpers are in this file because the disk cache of a
-# compiled function asks after the age of this file alone.
-
-
 @compiled
 def _uint32(data: ByteArray, at: int) -> int:
     low = np.int64(data[at]) | np.int64(data[at + 1]) << 8
@@ -243,11 +232,3 @@ def _find(data: ByteArray, at: int) -> int:
             return at
         at += 1
     return int(data.size)
-
-
-@compiled
-def _copy(data: ByteArray, starts: StampArray, sizes: StampArray, packed: ByteArray) -> None:
-    at = 0
-    for i in range(starts.size):
-        packed[at : at + sizes[i]] = data[starts[i] : starts[i] + sizes[i]]
-        at += sizes[i]

@@ -107,11 +107,10 @@ class Rosbag2FolderContainer(Container):
         others = [path.name for path in self._log_files() if path not in parts]
         if others:
             self._remarks.append(
-                Finding(
-                    code="unlisted-files",
-                    severity="warning",
-                    message=f"{self._name} holds {_names(others)}, not listed in its {NAME}, which is left out.",
-                    advice="Run `ros2 bag reindex` if the file belongs to the recording, or name it on its own.",
+                Finding.warning(
+                    "unlisted-files",
+                    f"{self._name} holds {_names(others)}, not listed in its {NAME}, which is left out.",
+                    "Run `ros2 bag reindex` if the file belongs to the recording, or name it on its own.",
                 )
             )
         return parts

@@ -33,11 +33,10 @@ _FOREIGN = (sqlite3.Error, ValueError, OverflowError, MemoryError)
 _HOT_JOURNAL = bytes.fromhex("d9d505f920a163d7")
 _WAL_HEADER_BYTES = 32
 
-NO_CRC = Finding(
-    code="crc-absent",
-    severity="info",
-    message="An SQLite log carries no checksums (CRC): a flipped bit in a message would not be noticed.",
-    advice="Record MCAP with chunk CRCs (rosbag2: storage option `noChunkCRC: false`).",
+NO_CRC = Finding.info(
+    "crc-absent",
+    "An SQLite log carries no checksums (CRC): a flipped bit in a message would not be noticed.",
+    "Record MCAP with chunk CRCs (rosbag2: storage option `noChunkCRC: false`).",
 )
 
 

@@ -96,7 +96,7 @@ def open_questions(infos: Infos, cell: Cell, log: str) -> tuple[Finding, ...]:
         candidates = _candidates(role, None, infos, set())
         if source_of(cell, role) is None and len(candidates) > 1:
             sentence = ambiguous_sentence(role, candidates, log)
-            found.append(Finding(code="role-open", severity="info", message=sentence, advice="None is used."))
+            found.append(Finding.info("role-open", sentence, "None is used."))
     return tuple(found)
 
 

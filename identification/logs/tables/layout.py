@@ -1,11 +1,9 @@
 """How the columns of a table are to be read."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 from problems.errors import ParameterError
 
-TimeUnit = Literal["s", "ms", "us", "ns"]
 EXPONENT: dict[str, int] = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 """Power of ten that makes nanoseconds of a unit of time."""
 _LARGEST_COUNT = 10_000

@@ -176,13 +176,6 @@ def test_only_wanted_channels_are_handed_on_and_chunks_without_them_are_not_read
             list(container.read([pose], lambda batch: batch))
 
 
-def test_small_pieces_of_a_channel_are_handed_on_together(tmp_path: Path) -> None:
-    path = write_bag(tmp_path / "run.bag", several(), chunk_bytes=500)
-    with Ros1BagContainer(path) as container:
-        batches = list(container.read([held.channel for held in container.survey().held], lambda batch: batch.count))
-    assert len(batches) == len(TYPES)
-
-
 def test_publishers_of_one_topic_are_one_channel_in_the_order_of_the_file(tmp_path: Path) -> None:
     path = tmp_path / "run.bag"
     with Writer(path) as bag:

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from identification.errors import LogError
 from identification.logs.tables import text
-from identification.logs.tables.read import TableLayout, list_columns, read_table
+from identification.logs.tables.layout import TableLayout
+from identification.logs.tables.read import list_columns, read_table
 from problems.errors import ParameterError
 
 AB = TableLayout(columns=("a", "b"), sample_rate_hz=1000)

@@ -14,7 +14,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from identification.errors import LogError
-from identification.logs.tables.read import TableLayout, list_columns, read_table
+from identification.logs.tables.layout import TableLayout
+from identification.logs.tables.read import list_columns, read_table
 
 NS = 1_700_000_000_123_456_789
 TIMED = TableLayout(columns=("a", "b"), time="t")
