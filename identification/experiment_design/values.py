@@ -219,9 +219,9 @@ def _with_sensor(values: PlanValues, sensor: SensorEstimate) -> PlanValues:
     if stated is not None and stated.value is not None and max(stated.value) > 0.0:
         torque = Known(value=float(max(stated.value)), std=0.0, is_assumed=False)
     residual = _known(sensor.gravity_residual_rms_n, values.pose_force_std_n)
-    told_position = sensor.position_noise_rms_m
+    stated_position = sensor.position_noise_rms_m
     position = (
-        values.position_noise_rms_m if told_position is None else _known(told_position, values.position_noise_rms_m)
+        values.position_noise_rms_m if stated_position is None else _known(told_position, values.position_noise_rms_m)
     )
     # The file shows no residual of the torque: it is taken to exceed its noise as that of the force does.
     share = min(torque.value / noise.value, _LEVER_M)

@@ -153,7 +153,7 @@ def _sensor(merge: Merge, results: Sequence[Identified]) -> SensorEstimate:
         base_tilt_rad=_optional(merge, "tilt of the base [rad]", [s.base_tilt_rad for s in sensors]),
         noise=_noisiest(sensors),
         wrench_filter=_wrench_filter(merge, results),
-        position_noise_rms_m=_largest_told([s.position_noise_rms_m for s in sensors]),
+        position_noise_rms_m=_largest_known([s.position_noise_rms_m for s in sensors]),
     )
 
 
@@ -226,7 +226,7 @@ def _largest(estimates: Sequence[Estimate]) -> Estimate:
     return replace(worst, note=f"{worst.note}; {note}" if worst.note else note)
 
 
-def _largest_told(estimates: Sequence[Estimate | None]) -> Estimate | None:
+def _largest_known(estimates: Sequence[Estimate | None]) -> Estimate | None:
     """Return the worst of those that have a value, None where none has."""
     stated = [estimate for estimate in estimates if estimate is not None and estimate.value is not None]
     return max(stated, key=lambda e: 0.0 if e.value is None else e.value, default=None)

@@ -172,7 +172,7 @@ def _batches(values: FloatArray, period_s: float) -> FloatArray:
 class Pressed:
     """Rests under force: `contacts` with a surface, those that are `unclear`, and those `by_hand`.
 
-    Untold is what the way in or out does not show, or shows as no law of force over depth; by hand is what rests on
+    Unclear is what the way in or out does not show, or shows as no law of force over depth; by hand is what rests on
     something that is softer than any surface or drives the payload. `restless` pressed in motion, without a clear law.
     """
 
