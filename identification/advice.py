@@ -63,7 +63,12 @@ def advise(result: Identified) -> tuple[Finding, ...]:
     so is what is needed and known as an interval only; the rest is information.
     """
     first = _DRIFTING if any(finding.code == _DRIFT for finding in result.findings) else ""
-    findings = list(_findings("", list(_payload_lacks(result)), first))
+    payload: dict[str, Estimate | VectorEstimate] = {
+        "payload mass": result.payload.mass_kg,
+        "centre of mass": result.payload.com_m,
+    }
+    lacks = [_Lack(name=name, estimate=each, advice=_POSES, needed=True) for name, each in payload.items()]
+    findings = list(_findings("", lacks, first))
     for name, axis in result.axes.items():
         findings += _findings(f"Axis {name}: ", list(_axis_lacks(name, axis, _sweep(result, name))), first)
     explained = any(f.severity == "error" for f in result.findings)
@@ -94,11 +99,6 @@ def _text(lack: _Lack) -> str:
     # What is known sharply and weak all the same has its reason in the note.
     why = f"± {share:.0f} %" if share >= _SHARP_PERCENT or not estimate.note else estimate.note
     return f"{lack.name} ({why})"
-
-
-def _payload_lacks(result: Identified) -> Iterator[_Lack]:
-    yield _Lack(name="payload mass", estimate=result.payload.mass_kg, advice=_POSES, needed=True)
-    yield _Lack(name="centre of mass", estimate=result.payload.com_m, advice=_POSES, needed=True)
 
 
 def _axis_lacks(name: str, axis: AxisEstimate, sweep: str) -> Iterator[_Lack]:

@@ -29,7 +29,7 @@ from .signals.aligned import AlignedLog
 from .signals.recording import Recording
 from .signals.segments import MotionSpans, Span
 from .timeline.timeline import AxisContacts
-from .verdicts import judged, missing, unidentifiable, unidentifiable_vector, vector, weak_at_best
+from .verdicts import judged, missing, unidentifiable, unidentifiable_robot, vector, weak_at_best
 
 _OBLIQUE_CONTACT_DEG = 10.0
 # The continuous model is fitted to signals sampled behind a hold: measured on simulated cells, this is what it costs.
@@ -215,13 +215,13 @@ def _robot(cell: CellSignals, view: AxisView, findings: list[Finding]) -> tuple[
                 "--command-topic.",
             )
         )
-        return None, _no_robot("no commanded pose in the log")
+        return None, unidentifiable_robot("no commanded pose in the log")
     try:
         moved = commanded_motion(recording, recording.command, view.log, axis)
         fit = identify_robot(moved.command_m, moved.position_m, moved.period_s)
     except EstimateError as error:
         findings.append(missing("robot", f"Axis {axis.name}: {error}"))
-        return None, _no_robot(str(error))
+        return None, unidentifiable_robot(str(error))
     method = f"output error of r(s) behind a hold, residual {100.0 * fit.fit_error:.2g} % of the motion"
     bandwidth_std = float(np.hypot(fit.bandwidth_std_hz, _MODEL_STD_SHARE * fit.bandwidth_hz))
     delay_std = fit.delay_std_s
@@ -232,15 +232,6 @@ def _robot(cell: CellSignals, view: AxisView, findings: list[Finding]) -> tuple[
             fit.model.delay_s, delay_std, method=method, identified=np.inf if delay_std < 0.2 * moved.period_s else 0.05
         ),
         bandwidth_hz=judged(fit.bandwidth_hz, bandwidth_std, method=method),
-    )
-
-
-def _no_robot(note: str) -> RobotEstimate:
-    return RobotEstimate(
-        numerator=unidentifiable_vector(note),
-        denominator=unidentifiable_vector(note),
-        delay_s=unidentifiable(note=note),
-        bandwidth_hz=unidentifiable(note=note),
     )
 
 

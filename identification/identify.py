@@ -1,6 +1,6 @@
 """Identification of plant parameters from one recording: the driver over all estimators."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -20,8 +20,6 @@ from .payload.gravity import identify_gravity
 from .payload.gravity_verdicts import com_estimate, gravity_findings, mass_estimate
 from .payload.inertia import InertiaFit, identify_inertia
 from .result import (
-    AxisEstimate,
-    EnvironmentEstimate,
     Estimate,
     Finding,
     Identified,
@@ -120,7 +118,10 @@ def _identify(
         payload=PayloadEstimate(
             mass_kg=mass_estimate(gravity), com_m=com_estimate(gravity), inertia_kg_m2=_inertia(inertia)
         ),
-        axes={name: _with_surfaces(axis.estimate, accounted.surfaces[name]) for name, axis in results.items()},
+        axes={
+            name: replace(axis.estimate, environments=(*axis.estimate.environments, *accounted.surfaces[name]))
+            for name, axis in results.items()
+        },
         sensor=replace(sensor, wrench_filter=late),
         findings=(
             *about_spikes,
@@ -202,10 +203,6 @@ def _accounted(cell: CellSignals, results: Mapping[str, AxisResult]) -> Accounte
             )
         )
     return account_for_contacts(phases, axes, period)
-
-
-def _with_surfaces(axis: AxisEstimate, added: Sequence[EnvironmentEstimate]) -> AxisEstimate:
-    return replace(axis, environments=(*axis.environments, *added)) if added else axis
 
 
 def _hands(timeline: Timeline) -> list[Finding]:

@@ -21,9 +21,9 @@ from .result import (
     Status,
 )
 from .robot.admittance_robot import identify_admittance_robots
-from .signals.aligned import check_regular
+from .signals.aligned import check_regular, spans_of
 from .signals.recording import AXES, Recording
-from .verdicts import judged, missing, unidentifiable, unidentifiable_vector
+from .verdicts import judged, missing, unidentifiable, unidentifiable_robot, unidentifiable_vector
 
 _REMOVED = "gravity was removed before recording"
 _SMALLEST_PEAK_N = 3.0
@@ -129,13 +129,7 @@ def _surfaces(recording: Recording, findings: list[Finding]) -> dict[str, Enviro
 
 def _axis(axis: str, robots: Mapping[str, RobotEstimate], surfaces: Mapping[str, EnvironmentEstimate]) -> AxisEstimate:
     none = unidentifiable(note=_REMOVED)
-    unknown = unidentifiable_vector("neither command nor gains identify the robot on this axis")
-    without = RobotEstimate(
-        numerator=unknown,
-        denominator=unknown,
-        delay_s=unidentifiable(note=unknown.note),
-        bandwidth_hz=unidentifiable(note=unknown.note),
-    )
+    without = unidentifiable_robot("neither command nor gains identify the robot on this axis")
     return AxisEstimate(
         coupling=CouplingEstimate(stiffness_n_per_m=none, damping_n_s_per_m=none),
         drag_n_s_per_m=none,
@@ -292,12 +286,10 @@ def _hold_secant(x: FloatArray, force: FloatArray, loaded: BoolArray) -> float |
     counts = np.searchsorted(depths, depths + width, side="right") - np.arange(len(depths))
     low = float(depths[int(np.argmax(counts))])
     there = loaded & (x >= low) & (x <= low + width)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], there, [False]]).astype(np.int8)))
-    start, stop = max(edges.reshape(-1, 2).tolist(), key=lambda run: run[1] - run[0])
-    if stop - start < _HOLD_SHARE * np.count_nonzero(loaded):
+    hold = max(spans_of(there), key=len)
+    if len(hold) < _HOLD_SHARE * np.count_nonzero(loaded):
         return None
-    hold = slice(start, stop)
-    return float(np.mean(force[hold]) / np.mean(x[hold]))
+    return float(np.mean(force[hold.slice]) / np.mean(x[hold.slice]))
 
 
 def _through_origin(x: FloatArray, force: FloatArray) -> tuple[float, float]:

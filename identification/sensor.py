@@ -7,7 +7,7 @@ import numpy as np
 from .conventions.choice import ReadLog
 from .payload.gravity import GravityFit
 from .payload.mounting import identify_mounting
-from .result import Estimate, Finding, SensorEstimate, Status, VectorEstimate
+from .result import Estimate, Finding, SensorEstimate, Status
 from .signals.frames import Frames
 from .signals.recording import PoseSignal
 from .signals.sensor_noise import SensorNoise, identify_sensor_noise
@@ -36,7 +36,9 @@ def describe_sensor(
             method=_METHOD,
         ),
         deadband_n=_deadband(read, noise),
-        torque_noise_rms_n_m=None if noise is None else _torque_noise(noise),
+        torque_noise_rms_n_m=None
+        if noise is None
+        else vector(noise.rms[3:], noise.rms_std[3:], method="spread within rests, drift taken out"),
         noise=None if noise is None else noise.spectrum(),
         mounting_rad=mounting.mounting_S_rad,
         base_tilt_rad=mounting.base_tilt_B_rad,
@@ -59,10 +61,6 @@ def _deadband(read: ReadLog, noise: SensorNoise | None) -> Estimate:
     if widest.width is None:
         return unidentifiable(method=method, note=f"{note}; its width cannot be determined")
     return Estimate(value=widest.width, std=0.2 * widest.width, status=Status.WEAK, method=method, note=note)
-
-
-def _torque_noise(noise: SensorNoise) -> VectorEstimate:
-    return vector(noise.rms[3:], noise.rms_std[3:], method="spread within rests, drift taken out")
 
 
 def position_noise(pose: PoseSignal, rests_ns: Sequence[tuple[int, int]]) -> Estimate | None:

@@ -12,7 +12,7 @@ from .axes.turning import LEVER_M, AxisTurn, Unrolled, rests_after, unroll
 from .axis_estimate import AxisResult, AxisView, CellSignals, axis_priors, fit_axis
 from .errors import EstimateError
 from .joint_fit.model import COUPLING_NAMES
-from .joint_fit.result import JointFit
+from .joint_fit.result import MECHANICAL_NAMES, JointFit
 from .joint_fit.segments import find_holds, hold_threshold_n
 from .payload.inertia import InertiaFit
 from .result import Finding
@@ -91,7 +91,7 @@ def fit_about_axis(fit: JointFit, turn: AxisTurn) -> JointFit:
     turns with the flange. With κ = (the weight's stiffness)/K_s that makes K_s and B_s look smaller by κ, and all that
     lies behind them by 2 κ, to first order. No model holds this, so as much is added to the covariance, in common.
     """
-    scale = np.array([LEVER_M**2 if _is_mechanical(name) else 1.0 for name in fit.names])
+    scale = np.array([LEVER_M**2 if name.endswith(MECHANICAL_NAMES) else 1.0 for name in fit.names])
     values = fit.values * scale
     share = abs(turn.weight_n_m_per_rad) / float(values[fit.names.index("stiffness_n_per_m")])
     common = np.where(scale == 1.0, 0.0, 2.0 * share * values)
@@ -139,7 +139,3 @@ def inertia_findings(fit: JointFit, turn: AxisTurn, inertia: InertiaFit) -> tupl
             advice="Check the torque's unit, the clocks of wrench and pose, and that the payload is the same.",
         ),
     )
-
-
-def _is_mechanical(name: str) -> bool:
-    return name.endswith(("stiffness_n_per_m", "damping_n_s_per_m", "drag_n_s_per_m", "mass_kg"))

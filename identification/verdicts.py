@@ -6,7 +6,7 @@ import numpy as np
 
 from problems.arrays import FloatArray
 
-from .result import Estimate, Finding, Status, VectorEstimate
+from .result import Estimate, Finding, RobotEstimate, Status, VectorEstimate
 
 IDENTIFIED_SHARE = 0.05
 _WEAK_SHARE = 0.2
@@ -70,6 +70,12 @@ def vector(values: FloatArray, stds: FloatArray, *, method: str, status: Status 
     return VectorEstimate(
         value=tuple(float(v) for v in values), std=tuple(float(s) for s in stds), status=status, method=method
     )
+
+
+def unidentifiable_robot(note: str) -> RobotEstimate:
+    """Return a robot about which the log says nothing."""
+    vector_of, number = unidentifiable_vector(note), unidentifiable(note=note)
+    return RobotEstimate(numerator=vector_of, denominator=vector_of, delay_s=number, bandwidth_hz=number)
 
 
 def unidentifiable_vector(note: str) -> VectorEstimate:

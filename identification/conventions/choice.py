@@ -43,7 +43,8 @@ def read_by_weight(recording: Recording, log: AlignedLog, motion: MotionSpans, f
     poses = collect_static_poses(log, motion.still)
     ranking = rank_conventions(poses, frames)
     findings = ranking.findings()
-    if ranking.verdict is ConventionVerdict.ASK and _differ_in_pull_only(ranking):
+    hypotheses = [each.hypothesis for each in ranking.alike]
+    if ranking.verdict is ConventionVerdict.ASK and len(hypotheses) == 2 and hypotheses[0] == hypotheses[1]:
         decided = _decided_by_moves(recording, ranking, frames)
         if decided is not None:
             chosen, sign = decided
@@ -68,10 +69,6 @@ def read_by_weight(recording: Recording, log: AlignedLog, motion: MotionSpans, f
             findings=findings,
         )
     return _read(recording, ranking, chosen_by_weight, frames, findings)
-
-
-def _differ_in_pull_only(ranking: ConventionRanking) -> bool:
-    return len(ranking.alike) == 2 and ranking.alike[0].hypothesis == ranking.alike[1].hypothesis
 
 
 def _read(

@@ -221,7 +221,7 @@ def _with_sensor(values: PlanValues, sensor: SensorEstimate) -> PlanValues:
     residual = _known(sensor.gravity_residual_rms_n, values.pose_force_std_n)
     stated_position = sensor.position_noise_rms_m
     position = (
-        values.position_noise_rms_m if stated_position is None else _known(told_position, values.position_noise_rms_m)
+        values.position_noise_rms_m if stated_position is None else _known(stated_position, values.position_noise_rms_m)
     )
     # The file shows no residual of the torque: it is taken to exceed its noise as that of the force does.
     share = min(torque.value / noise.value, _LEVER_M)

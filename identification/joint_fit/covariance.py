@@ -72,16 +72,12 @@ def other_surfaces(problem: Problem, point: Point, mass: int) -> list[tuple[Poin
         massless = point.values.copy()
         massless[mass] = 0.0
         start = Point(values=massless, nuisances=point.nuisances)
-        found.append(minimise(_fixing(problem, mass), start, _STEPS))
+        found.append(minimise(replace(problem, fixed=(*problem.fixed, mass)), start, _STEPS))
     heavy = point.values.copy()
     heavy[mass] = _OTHER_MASS_SHARE * point.values[3]
     heavy[mass - 1] = min(heavy[mass - 1], 0.05 * float(np.sqrt(heavy[mass - 2] * point.values[3])))
     found.append(minimise(problem, Point(values=heavy, nuisances=point.nuisances), _STEPS))
     return found
-
-
-def _fixing(problem: Problem, index: int) -> Problem:
-    return replace(problem, fixed=(*problem.fixed, index))
 
 
 @dataclass(frozen=True, kw_only=True)

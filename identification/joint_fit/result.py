@@ -21,7 +21,7 @@ _STEPS = 4
 _LARGEST_STEP = 3.0
 # A K_s beyond this share of the stiffest that a sampling rate can show is not identified (0.8 of half that rate).
 _FASTEST_SEEN = 0.64
-_MECHANICAL = ("stiffness_n_per_m", "damping_n_s_per_m", "drag_n_s_per_m", "mass_kg")
+MECHANICAL_NAMES = ("stiffness_n_per_m", "damping_n_s_per_m", "drag_n_s_per_m", "mass_kg")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,7 +281,7 @@ def with_gain_error(fit: JointFit, share: float) -> JointFit:
     """
     if share == 0.0:
         return fit
-    common = np.where([name.endswith(_MECHANICAL) for name in fit.names], share * fit.values, 0.0)
+    common = np.where([name.endswith(MECHANICAL_NAMES) for name in fit.names], share * fit.values, 0.0)
     surfaces = tuple(
         replace(surface, secant_std_n_per_m=float(np.hypot(surface.secant_std_n_per_m, share * surface.secant_n_per_m)))
         for surface in fit.surfaces

@@ -71,7 +71,11 @@ def gravity_findings(fit: GravityFit) -> tuple[Finding, ...]:
                 advice="Tare before recording, not during it.",
             )
         )
-    found += [_term_finding(term) for term in fit.terms if _is_worth_telling(term)]
+    found += [
+        _term_finding(term)
+        for term in fit.terms
+        if term.is_significant and (term.kind is not TermKind.DRIFT or np.max(term.effect_n) > _SMALL_DRIFT_N)
+    ]
     weight = fit.mass_kg * float(np.linalg.norm(GRAVITY_B_M_S2))
     if fit.residual_rms_n > _LARGE_SHARE * weight:
         found.append(
@@ -85,10 +89,6 @@ def gravity_findings(fit: GravityFit) -> tuple[Finding, ...]:
             )
         )
     return tuple(found)
-
-
-def _is_worth_telling(term: ResidualTerm) -> bool:
-    return term.is_significant and (term.kind is not TermKind.DRIFT or float(np.max(term.effect_n)) > _SMALL_DRIFT_N)
 
 
 def _term_finding(term: ResidualTerm) -> Finding:

@@ -7,6 +7,7 @@ import numpy as np
 
 from problems.arrays import BoolArray, IntArray
 
+from .aligned import edges_of
 from .recording import FloatArray
 
 _BLOCK = 100
@@ -52,11 +53,8 @@ class Runs:
 
 def find_runs(mask: BoolArray) -> Runs:
     """Return the stretches in which `mask` (n,) holds."""
-    padded = np.concatenate([[False], mask, [False]])
-    return Runs(
-        starts=np.flatnonzero(~padded[:-1] & padded[1:]).astype(np.int64),
-        stops=np.flatnonzero(padded[:-1] & ~padded[1:]).astype(np.int64),
-    )
+    starts, stops = edges_of(mask)
+    return Runs(starts=starts, stops=stops)
 
 
 def equal_runs(values: FloatArray) -> Runs:
