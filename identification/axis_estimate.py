@@ -197,7 +197,7 @@ def _estimate(axis: AxisMotion, fit: JointFit, robot: RobotEstimate, period_s: f
         robot=result.robot or robot,
         mass_kg=None if fit.is_weighed else result.mass_kg,
         covariance=result.covariance,
-        fits=(result.quality,),
+        fits=(fit.quality,),
     )
 
 

@@ -109,7 +109,7 @@ def latency_findings(axis: str, fit: JointFit) -> list[Finding]:
 
 def misfit_findings(axis: str, fit: JointFit) -> list[Finding]:
     """Return the finding that the residual exceeds the noise."""
-    parts = zip(("free motion", "contacts"), fit.diagnostics.noise_ratio, strict=True)
+    parts = ("free motion", fit.quality.noise_ratio_free), ("contacts", fit.quality.noise_ratio_contact or 0.0)
     result = [f"{ratio:.1f} times in {where}" for where, ratio in parts if ratio > _MORE_THAN_NOISE]
     if not result:
         return []

@@ -7,7 +7,7 @@ import numpy as np
 
 from problems.arrays import FloatArray
 
-from ..result import CouplingEstimate, Covariance, EnvironmentEstimate, Estimate, FitQuality, RobotEstimate, Status
+from ..result import CouplingEstimate, Covariance, EnvironmentEstimate, Estimate, RobotEstimate, Status
 from ..robot.position_loop import find_bandwidth_hz
 from ..verdicts import IDENTIFIED_SHARE, judged, judged_damping, vector, weak_at_best
 from .model import COUPLING_NAMES, SURFACE_NAMES, robot_model
@@ -38,7 +38,7 @@ class JointEstimates:
     @cached_property
     def method(self) -> str:
         """Return how the numbers came about."""
-        free, contacts = self.fit.diagnostics.used
+        free, contacts = self.fit.quality.free_spans, self.fit.quality.contacts
         of = f"free motion ({free})" + (f" and contacts ({contacts})" if contacts else "")
         return f"maximum likelihood of pose and force in {of}"
 
@@ -114,31 +114,6 @@ class JointEstimates:
             names=tuple(names),
             values=tuple(float(v) for v in self.fit.values),
             matrix=tuple(tuple(float(v) for v in row) for row in 0.5 * (self.fit.covariance + self.fit.covariance.T)),
-        )
-
-    @property
-    def quality(self) -> FitQuality:
-        """Return how well it fits."""
-        stated = self.fit.diagnostics
-        contacts = stated.used[1]
-
-        def of_contacts(value: float | None) -> float | None:
-            return value if contacts else None
-
-        return FitQuality(
-            free_spans=stated.used[0],
-            explained_free=stated.fit_share[0],
-            whiteness_free=stated.whiteness[0],
-            noise_ratio_free=stated.noise_ratio[0],
-            left_out_free=stated.left_out_error[0],
-            contacts=contacts,
-            explained_contact=of_contacts(stated.fit_share[1]),
-            whiteness_contact=of_contacts(stated.whiteness[1]),
-            noise_ratio_contact=of_contacts(stated.noise_ratio[1]),
-            left_out_contact=stated.left_out_error[1],
-            widening=stated.widening,
-            wrench_lag_s=self.fit.latency.seconds,
-            wrench_lag_std_s=self.fit.latency.std_s,
         )
 
     def _judged(self, name: str, *, floor: float = 0.0) -> Estimate:

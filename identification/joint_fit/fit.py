@@ -91,8 +91,8 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
     fit = build_joint_fit(
         problem, point, found, competing, command=data.command, latency=latency, rest_rms_n=float(np.std(resting))
     )
-    if not np.all(np.isfinite(fit.covariance)) or fit.diagnostics.fit_share[0] < _LEAST_EXPLAINED:
-        explained = 100.0 * max(fit.diagnostics.fit_share[0], 0.0)
+    if not np.all(np.isfinite(fit.covariance)) or fit.quality.explained_free < _LEAST_EXPLAINED:
+        explained = 100.0 * max(fit.quality.explained_free, 0.0)
         raise EstimateError(
             f"One payload on one spring explains {explained:.0f} % of the force in free motion, "
             f"{100.0 * _LEAST_EXPLAINED:.0f} % are needed; record a commanded sweep of 0.5 to 50 Hz in free space "

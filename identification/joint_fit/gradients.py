@@ -30,7 +30,7 @@ def force_jacobian(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the prediction (n,) and its derivatives (p, n) by the shared parameters `indices`, then its nuisances.
 
-    Nothing is a difference: the matrices of a sample are differentiated by complex steps (`joint_model`), and a slope
+    Nothing is a difference: the matrices of a sample are differentiated by complex steps (`model`), and a slope
     follows x'_(k+1) = phi x'_k + phi' x_k + gamma' w_k + gamma w'_k. The moment of a touch or release moves with the
     parameters, too (`switch_along`). `path_gradients(i)` is the derivative of the flange's path by parameter i, a
     robot's.

@@ -9,6 +9,7 @@ from problems.arrays import FloatArray
 from problems.frozen import freeze
 from problems.model.robot import RobotModel
 
+from ..result import FitQuality
 from .covariance import Spread, bounded_intervals, count_misfits, other_minima, widened, with_competing_minimum
 from .data import HeldCommand
 from .latency import CompetingMinimum, WrenchLatency
@@ -55,26 +56,6 @@ class FittedSpan:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Diagnostics:
-    """How well it fits.
-
-    `fit_share`, of the force's variance that is explained, in free motion and in contact; `whiteness`, Ljung–Box
-    probabilities of the whitened residuals alike; `noise_ratio`, residual RMS over the force's noise at rest;
-    `left_out_error`, residual RMS over force RMS of the last free span and of the last contact, each predicted
-    without itself (only its own start, offset and place are fitted), None where there is no other;
-    `widening`, the largest factor on a standard deviation, see `joint_covariance.widened`; `used`, (free spans,
-    contacts).
-    """
-
-    fit_share: tuple[float, float]
-    whiteness: tuple[float, float]
-    noise_ratio: tuple[float, float]
-    left_out_error: tuple[float | None, float | None]
-    widening: float
-    used: tuple[int, int]
-
-
-@dataclass(frozen=True, kw_only=True)
 class JointFit:
     """All parameters of one axis with one covariance, (p,) and (p, p) in SI, in the order of `names`.
 
@@ -89,7 +70,7 @@ class JointFit:
     ci95: Mapping[str, tuple[float, float]]
     robot: RobotModel | None
     surfaces: tuple[JointSurface, ...]
-    diagnostics: Diagnostics
+    quality: FitQuality
     latency: WrenchLatency
     is_weighed: bool = False
     spans: tuple[FittedSpan, ...] = ()
@@ -144,7 +125,7 @@ def build_joint_fit(
         ci95=bounded_intervals(problem, point, blocks, spread),
         robot=robot_model(values[layout.robot]) if layout.robot_order else None,
         surfaces=surfaces,
-        diagnostics=_diagnostics(problem, point, blocks, spread, share, ratio),
+        quality=_quality(problem, point, blocks, spread, share, ratio, latency),
         latency=latency,
         spans=_spans(problem, point, blocks),
     )
@@ -215,25 +196,30 @@ def _fit(problem: Problem, point: Point, rest_rms_n: float) -> tuple[tuple[float
     return (share[0], share[1]), (ratio[0], ratio[1])
 
 
-def _diagnostics(
+def _quality(
     problem: Problem,
     point: Point,
     blocks: Sequence[Block],
     spread: Spread,
-    fit_share: tuple[float, float],
+    explained: tuple[float, float],
     noise_ratio: tuple[float, float],
-) -> Diagnostics:
-    kinds = [tuple(i for i, s in enumerate(problem.segments) if s.is_contact == kind) for kind in (False, True)]
-    return Diagnostics(
-        fit_share=fit_share,
-        whiteness=(
-            whiteness([blocks[i].residual for i in kinds[0]]),
-            whiteness([blocks[i].residual for i in kinds[1]]),
-        ),
-        noise_ratio=noise_ratio,
-        left_out_error=(_left_out(problem, point, blocks, kinds[0]), _left_out(problem, point, blocks, kinds[1])),
+    latency: WrenchLatency,
+) -> FitQuality:
+    free, contact = ([i for i, s in enumerate(problem.segments) if s.is_contact == kind] for kind in (False, True))
+    return FitQuality(
+        free_spans=len(free),
+        explained_free=explained[0],
+        whiteness_free=whiteness([blocks[i].residual for i in free]),
+        noise_ratio_free=noise_ratio[0],
+        left_out_free=_left_out(problem, point, blocks, free),
+        contacts=len(contact),
+        explained_contact=explained[1] if contact else None,
+        whiteness_contact=whiteness([blocks[i].residual for i in contact]) if contact else None,
+        noise_ratio_contact=noise_ratio[1] if contact else None,
+        left_out_contact=_left_out(problem, point, blocks, contact),
         widening=spread.widening,
-        used=(len(kinds[0]), len(kinds[1])),
+        wrench_lag_s=latency.seconds,
+        wrench_lag_std_s=latency.std_s,
     )
 
 

@@ -16,7 +16,7 @@ from identification.joint_fit.data import build_joint_data
 from identification.joint_fit.fit import identify_joint
 from identification.joint_fit.latency import WrenchLatency
 from identification.joint_fit.model import COUPLING_NAMES, ParameterLayout
-from identification.joint_fit.result import Diagnostics, JointFit, JointSurface
+from identification.joint_fit.result import JointFit, JointSurface
 from identification.joint_fit.segments import find_holds
 from identification.payload.gravity import collect_static_poses, identify_gravity
 from identification.payload.inertia import InertiaFit
@@ -30,6 +30,7 @@ from identification.verdicts import unidentifiable
 from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from problems.model.robot import RobotModel
+from tests.autotune.formats.samples import FIT
 from tests.identification.synthetic import Load, felt_force, sweep
 from tests.identification.turned import H_S, RATE_HZ, recorded, to_and_fro, turns_of
 
@@ -52,14 +53,7 @@ def joint_fit(names: tuple[str, ...], values: FloatArray) -> JointFit:
             ),
         ),
         latency=WrenchLatency(seconds=0.0, std_s=1e-5, applied_s=0.0),
-        diagnostics=Diagnostics(
-            fit_share=(1.0, 1.0),
-            whiteness=(0.5, 0.5),
-            noise_ratio=(1.0, 1.0),
-            left_out_error=(None, None),
-            widening=1.0,
-            used=(1, 1),
-        ),
+        quality=FIT,
     )
 
 
@@ -212,7 +206,7 @@ def test_a_cell_that_turns_is_found_again(found_again: JointFit) -> None:
         assert abs(value - truth) < 4.4 * std, name
         # Deviations that a tuner can use; a wall's damping is the hardest to tell.
         assert std < (0.3 if "environment1_damping" in name else 0.03) * truth, name
-    assert found_again.diagnostics.used == (1, 2)
+    assert (found_again.quality.free_spans, found_again.quality.contacts) == (1, 2)
     (surface,) = found_again.surfaces
     k_s, k_e = spring.stiffness_n_per_m, wall.stiffness_n_per_m
     assert abs(surface.secant_n_per_m - k_s * k_e / (k_s + k_e)) < 4.4 * surface.secant_std_n_per_m

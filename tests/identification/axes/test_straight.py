@@ -224,7 +224,7 @@ def test_taps_tell_the_spring_where_a_slow_sweep_does_not(tapped: CellRun) -> No
     # 4.4 deviations: the quantile of 1e-4 for six values.
     for found in (slow, fit):
         assert np.max(np.abs(scores(found, Cell()))) < 4.4
-    assert fit.diagnostics.used == (1 + TAPPED.tap_count, 0)
+    assert (fit.quality.free_spans, fit.quality.contacts) == (1 + TAPPED.tap_count, 0)
     for name, gain in (("stiffness_n_per_m", 3.0), ("damping_n_s_per_m", 50.0)):
         assert fit.value(name)[1] < slow.value(name)[1] / gain
 

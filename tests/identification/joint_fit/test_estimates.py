@@ -6,7 +6,8 @@ import pytest
 from identification.joint_fit.estimates import JointEstimates
 from identification.joint_fit.latency import WrenchLatency
 from identification.joint_fit.model import ParameterLayout
-from identification.joint_fit.result import Diagnostics, JointFit, JointSurface
+from identification.joint_fit.result import JointFit, JointSurface
+from tests.autotune.formats.samples import FIT
 
 VALUES = np.array([3e5, 50.0, 600.0, 16.0, 1e5, 40.0, 1.5])
 # 1.5 ± 0.2 kg of a moving mass is weak beside a payload of 16 kg, and so stated with its interval.
@@ -25,14 +26,7 @@ def fit_with(interval: tuple[float, float]) -> JointFit:
         ci95={"environment1_mass_kg": interval},
         robot=None,
         surfaces=(surface,),
-        diagnostics=Diagnostics(
-            fit_share=(1.0, 1.0),
-            whiteness=(0.5, 0.5),
-            noise_ratio=(1.0, 1.0),
-            left_out_error=(None, None),
-            widening=1.0,
-            used=(1, 1),
-        ),
+        quality=FIT,
         latency=WrenchLatency(seconds=0.0, std_s=1e-5, applied_s=0.0),
     )
 

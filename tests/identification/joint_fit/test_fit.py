@@ -95,16 +95,18 @@ def test_every_parameter_of_the_demo_cell_is_where_it_is_said_to_be(demo_fit: Jo
     (surface,) = demo_fit.surfaces
     assert abs(surface.secant_n_per_m - k_s * k_e / (k_s + k_e)) < 4.4 * surface.secant_std_n_per_m
     assert surface.sign == 1
-    assert len(surface.onsets) == len(surface.peak_force_n) == demo_fit.diagnostics.used[1] > 1
+    assert len(surface.onsets) == len(surface.peak_force_n) == demo_fit.quality.contacts > 1
 
 
 def test_what_remains_is_the_sensors_noise(demo_fit: JointFit) -> None:
-    told = demo_fit.diagnostics
-    assert told.noise_ratio == pytest.approx((1.0, 1.0), abs=0.1)
-    assert min(told.whiteness) > 1e-3
-    assert min(told.fit_share) > 0.999
+    told = demo_fit.quality
+    assert told.whiteness_contact is not None
+    assert told.explained_contact is not None
+    assert (told.noise_ratio_free, told.noise_ratio_contact) == pytest.approx((1.0, 1.0), abs=0.1)
+    assert min(told.whiteness_free, told.whiteness_contact) > 1e-3
+    assert min(told.explained_free, told.explained_contact) > 0.999
     # A contact that took no part is predicted to its noise: 0.14 N of some 15 N.
-    assert told.left_out_error[1] == pytest.approx(0.01, abs=0.01)
+    assert told.left_out_contact == pytest.approx(0.01, abs=0.01)
 
 
 def test_the_stiffest_spring_that_shows_swings_once_in_two_samples() -> None:
@@ -181,7 +183,7 @@ def test_a_contact_with_a_hand_in_it_is_left_out(demo_data: JointData, demo_fit:
     pushed = slice(hold.start - round(0.4 / demo_data.period_s), hold.stop)
     force[pushed] += 12.0 * np.sin(2.0 * np.pi * 3.0 * time[pushed])
     fit = identify_joint(dataclasses.replace(demo_data, force_n=force))
-    assert fit.diagnostics.used[1] == demo_fit.diagnostics.used[1] - 1
+    assert fit.quality.contacts == demo_fit.quality.contacts - 1
     assert np.max(np.abs(scores(fit, Cell()))) < 4.4
 
 
@@ -204,7 +206,7 @@ def test_nothing_to_fit_is_refused_and_told(demo_data: JointData) -> None:
 def test_a_log_without_contact_still_has_a_coupling(demo_data: JointData) -> None:
     fit = identify_joint(dataclasses.replace(demo_data, holds=()))
     assert fit.surfaces == ()
-    assert fit.diagnostics.used[1] == 0
+    assert fit.quality.contacts == 0
     assert np.max(np.abs(scores(fit, Cell()))) < 4.4
 
 
