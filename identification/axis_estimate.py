@@ -28,7 +28,7 @@ from .robot.position_loop import RobotFit, identify_robot
 from .signals.aligned import AlignedLog
 from .signals.recording import Recording
 from .signals.segments import MotionSpans, Span
-from .timeline.timeline import AxisContacts
+from .timeline.payload import AxisContacts
 from .verdicts import judged, missing, unidentifiable, unidentifiable_robot, vector, weak_at_best
 
 _OBLIQUE_CONTACT_DEG = 10.0

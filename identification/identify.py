@@ -27,6 +27,7 @@ from .result import (
     PayloadEstimate,
     Status,
     Timeline,
+    name_surfaces,
 )
 from .robot.admittance_robot import AdmittanceRobots, identify_admittance_robots, with_compensated_force
 from .sensor import describe_sensor
@@ -38,7 +39,7 @@ from .signals.segments import find_motion
 from .timeline.contacts import find_contacts
 from .timeline.left_contacts import Accounted, ObservedAxis, account_for_contacts
 from .timeline.payload import observe_payload
-from .timeline.timeline import build_timeline, name_surfaces
+from .timeline.timeline import build_timeline
 from .turn_estimate import identify_turn, unidentified_turn
 from .verdicts import missing
 

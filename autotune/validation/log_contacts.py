@@ -13,8 +13,8 @@ from identification.axes.turning import LEVER_M, Unrolled, find_turns, rests_aft
 from identification.conventions.choice import read_by_weight
 from identification.errors import EstimateError, LogError
 from identification.joint_fit.segments import find_holds, hold_threshold_n
-from identification.payload.gravity import GRAVITY_B_M_S2, GravityFit, identify_gravity
-from identification.payload.static_poses import collect_static_poses
+from identification.payload.gravity import GravityFit, identify_gravity
+from identification.payload.static_poses import GRAVITY_B_M_S2, collect_static_poses
 from identification.signals.aligned import AlignedLog, align
 from identification.signals.frames import Frames
 from identification.signals.recording import AXES, Recording

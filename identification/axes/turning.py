@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from problems.arrays import FloatArray
 
 from ..errors import EstimateError
-from ..payload.gravity import GRAVITY_B_M_S2, GravityFit
+from ..payload.gravity import GravityFit
+from ..payload.static_poses import GRAVITY_B_M_S2
 from ..signals.aligned import AlignedLog, align
 from ..signals.recording import PoseSignal, Recording
 from ..signals.segments import MotionSpans, Span, low_pass

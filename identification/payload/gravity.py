@@ -12,18 +12,7 @@ from ..errors import EstimateError
 from ..signals.aligned import AlignedLog
 from ..signals.frames import turned_rad
 from .pose_fit import BiasStep, PoseEquations, ResidualTerm, TermKind, find_bias_step, find_terms, robust_fit
-from .static_poses import GRAVITY_B_M_S2, StaticPose, collect_static_poses, group_by_gravity, group_means
-
-__all__ = [
-    "GRAVITY_B_M_S2",
-    "LOCAL_GRAVITY_STD",
-    "GravityFit",
-    "StaticPose",
-    "collect_static_poses",
-    "identify_gravity",
-    "orientation_spread_rad",
-]
-
+from .static_poses import GRAVITY_B_M_S2, StaticPose, group_by_gravity, group_means
 
 # Gravity on the ground lies between 9.780 and 9.832 m/s²; the log does not say where it was recorded.
 LOCAL_GRAVITY_STD = 0.0015

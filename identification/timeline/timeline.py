@@ -7,16 +7,13 @@ import numpy as np
 
 from problems.arrays import FloatArray, IntArray
 
-from ..result import ContactPhase, LogPhase, PhaseKind, name_surfaces
+from ..result import ContactPhase, LogPhase, PhaseKind
 from ..signals.aligned import AlignedLog, Span, spans_of
 from ..signals.recording import PoseSignal
 from ..signals.segments import MotionSpans
 from .contacts import ContactTimes, Pressed, find_contacts
 from .moves import Scene, judge_move, settle_moves
 from .payload import AxisContacts, observe_payload
-
-__all__ = ["AxisContacts", "ContactPhase", "LogPhase", "PhaseKind", "build_timeline", "name_surfaces"]
-
 
 _OFFSET_FACTOR = 3.0
 _SMALLEST_OFFSET_N = 0.2

@@ -18,8 +18,9 @@ from identification.joint_fit.latency import WrenchLatency
 from identification.joint_fit.model import COUPLING_NAMES, ParameterLayout
 from identification.joint_fit.result import JointFit, JointSurface
 from identification.joint_fit.segments import find_holds
-from identification.payload.gravity import collect_static_poses, identify_gravity
+from identification.payload.gravity import identify_gravity
 from identification.payload.inertia import InertiaFit
+from identification.payload.static_poses import collect_static_poses
 from identification.result import Estimate, Status
 from identification.robot.coupling import CouplingFit, FreeMotion, Noise, identify_coupling
 from identification.robot.position_loop import identify_robot

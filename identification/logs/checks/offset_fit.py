@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
-from ...payload.gravity import GRAVITY_B_M_S2
+from ...payload.static_poses import GRAVITY_B_M_S2
 from ...signals.aligned import AlignedLog
 from ...signals.frames import turn_vectors_rad
 from ...signals.segments import low_pass

@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter1d
 from problems.arrays import BoolArray
 
 from ...errors import EstimateError, LogError
-from ...payload.gravity import StaticPose, collect_static_poses
+from ...payload.static_poses import StaticPose, collect_static_poses
 from ...result import Finding
 from ...signals.aligned import AlignedLog, align
 from ...signals.constant_runs import find_runs

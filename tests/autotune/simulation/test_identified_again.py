@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from autotune.simulation.simulate import CellRun
 from autotune.simulation.truth import Cell
 from identification.identify import identify_cell
-from identification.payload.gravity import GRAVITY_B_M_S2
+from identification.payload.static_poses import GRAVITY_B_M_S2
 from identification.result import AxisEstimate, Estimate, Identified, Status
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 from tests.autotune.simulation.runs import demo_run, heavy_run, silent_demo_run

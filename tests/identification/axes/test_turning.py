@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from identification.axes.straight import commanded_motion
 from identification.axes.turning import LEVER_M, find_turns, rests_after, unroll
 from identification.errors import EstimateError
-from identification.payload.gravity import GRAVITY_B_M_S2
+from identification.payload.static_poses import GRAVITY_B_M_S2
 from identification.signals.aligned import align
 from identification.signals.segments import Span, find_motion
 from problems.arrays import FloatArray

@@ -16,7 +16,8 @@ from identification.joint_fit.fit import identify_joint
 from identification.joint_fit.result import JointFit, with_gain_error, without_aliases
 from identification.joint_fit.segments import find_holds
 from identification.joint_fit.solve import stiffest_seen_n_per_m
-from identification.payload.gravity import collect_static_poses, identify_gravity
+from identification.payload.gravity import identify_gravity
+from identification.payload.static_poses import collect_static_poses
 from identification.result import Status
 from identification.robot.coupling import Noise, identify_coupling
 from identification.robot.position_loop import identify_robot

@@ -11,10 +11,10 @@ from identification.payload.gravity import (
     LOCAL_GRAVITY_STD,
     _joint_covariance,
     _solve,
-    collect_static_poses,
     identify_gravity,
     orientation_spread_rad,
 )
+from identification.payload.static_poses import collect_static_poses
 from identification.signals.aligned import AlignedLog
 from identification.signals.segments import Span
 from problems.arrays import FloatArray
