@@ -1,14 +1,18 @@
 """The whole chain on a simulated cell, beside the truth that only a simulation knows."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 
+from autotune.errors import UsageError
 from autotune.export.export import export_controller
+from autotune.formats.atomic import write_atomic
+from autotune.formats.canonical import dump_yaml, short
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.identified import read_identified, write_identified
-from autotune.formats.made import MadeHere
 from autotune.formats.problem import ProblemSpec
+from autotune.formats.yaml12 import load_yaml
 from autotune.pipeline import identify_log
 from autotune.results import Identification, Topics
 from autotune.simulation.phases import Program
@@ -21,6 +25,53 @@ from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller
 from identification.result import Estimate
 from problems.progress import no_progress
+
+LIST = "demo.yaml"
+FORMAT = "autotune/demo"
+_CHUNK = 2**20
+
+
+class MadeHere:
+    """What a demo made in `folder`, by name and sha256, kept there as `demo.yaml`; `replaced` stood there before.
+
+    Raises UsageError where one of `names` stands for a file that is not on that list, or was changed since.
+    """
+
+    def __init__(self, folder: Path, names: Sequence[str]) -> None:
+        self.path = folder / LIST
+        self._digests = self._former()
+        standing = [folder / name for name in names if (folder / name).exists()]
+        for path in standing:
+            if not path.is_file() or self._digests.get(path.name) != _digest(path):
+                raise UsageError(
+                    f"{path} exists and is not what a demo made there, so it is not replaced; name another folder."
+                )
+        self.replaced = tuple(f"{path} (sha256 {short(self._digests[path.name])})" for path in standing)
+
+    def add(self, path: Path) -> None:
+        """Note a file that was just written; raises as `write_atomic`."""
+        self._digests[path.name] = _digest(path)
+        write_atomic(self.path, dump_yaml({"format": FORMAT, "version": 1, "made": dict(self._digests)}))
+
+    def _former(self) -> dict[str, str]:
+        if not self.path.exists():
+            return {}
+        tree = load_yaml(self.path, error=UsageError)
+        made = tree.get("made")
+        if tree.get("format") != FORMAT or not isinstance(made, dict):
+            raise UsageError(
+                f"{self.path} exists and is no list of a demo, so it is not replaced; name another folder."
+            )
+        return {str(name): str(digest) for name, digest in made.items()}
+
+
+def _digest(path: Path) -> str:
+    found = sha256()
+    with path.open("rb") as stream:
+        while part := stream.read(_CHUNK):
+            found.update(part)
+    return found.hexdigest()
+
 
 STEPS = (
     "simulating a cell",
@@ -97,7 +148,7 @@ def run_demo(
 
     `step` receives the name of each step as it begins, `progress` the share of the work done since the last call.
     Files of an earlier demo in the same folder are replaced. Raises UsageError where one of these names stands for
-    anything else: a file of another origin, or one that was changed since (`autotune.formats.made`).
+    anything else: a file of another origin, or one that was changed since (`autotune.demo`).
     """
     begin, report = step or no_progress, progress or no_progress
     directory.mkdir(parents=True, exist_ok=True)

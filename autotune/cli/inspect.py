@@ -43,8 +43,7 @@ def command(
     Reads MCAP, rosbag2 folders, ROS 1 bags, CSV and Parquet. Shows types, rates, gaps, clocks and the role of each
     channel.
     """
-    from autotune.formats.cell import read_cell
-    from autotune.formats.cell_text import check_new, write_cell_start
+    from autotune.formats.cell import check_new, read_cell, write_cell_start
     from identification.logs import inspect_log
 
     if start_path is not None:

@@ -23,8 +23,8 @@ def render_cell(request: ExportRequest) -> Rendered:
 
 def render_json(request: ExportRequest) -> Rendered:
     """Return the JSON twin of `controller.yaml`: the same tree and checksum, by the schema `controller.schema.json`."""
+    from autotune.formats.canonical import dump_json  # noqa: PLC0415
     from autotune.formats.controller import controller_tree  # noqa: PLC0415
-    from autotune.formats.dump import dump_json  # noqa: PLC0415
 
     return _read_back(request, dump_json(controller_tree(request.source.controller)))
 

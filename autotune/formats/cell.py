@@ -1,12 +1,18 @@
-"""`cell.yaml`: what the logs of a cell cannot say of themselves."""
+"""`cell.yaml`: what the logs of a cell cannot say of themselves; reading one, and writing one to start from."""
 
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 
 from autotune.errors import UsageError
 from identification.logs.roles.cell import Cell
+from identification.logs.roles.registry import Role
+from identification.logs.summary import Candidate, LogSummary, RoleSummary
+from problems.frozen import FrozenDict
 
+from .atomic import write_atomic
 from .records import EntryError, read_record
 from .schema import Violation, check_format, violations
 from .yaml12 import Document, load_document, parse_document
@@ -57,3 +63,128 @@ def _nearest(violation: Violation) -> str:
         return ""
     near = get_close_matches(key, violation.must.removeprefix("one of ").split(", "), n=1, cutoff=0.5)
     return f"; {near[0]} may be meant" if near else ""
+
+
+_THREE, _SIX = '["…", "…", "…"]', '["…", "…", "…", "…", "…", "…"]'
+_FIELDS: Mapping[Role, str] = FrozenDict(
+    {
+        Role.WRENCH: f"fields: {{force: {_THREE}, torque: {_THREE}}}",
+        Role.POSE: f"fields: {{position: {_THREE}, orientation: {_THREE}}}",
+        Role.COMMAND: f"fields: {{position: {_THREE}, orientation: {_THREE}}}",
+        Role.TWIST: f"fields: {{linear: {_THREE}, angular: {_THREE}}}",
+        Role.GAINS: f"fields: {{mass: {_SIX}, damping: {_SIX}}}",
+        Role.DESIRED_FORCE: f"fields: {{force: {_THREE}, torque: {_THREE}}}",
+    }
+)
+_QUESTIONS: Mapping[Role, Sequence[tuple[str, str]]] = FrozenDict(
+    {
+        Role.WRENCH: (
+            ("units: {force: N, torque: N·m}", "or kN, lbf, kgf; N·mm, kN·m, lbf·in, lbf·ft"),
+            ("expressed_in: sensor", "in whose axes: sensor, flange or base"),
+            ("exerted_by: payload", "payload: its weight shows along gravity; sensor: against gravity"),
+            ("signs: [1, 1, 1, 1, 1, 1]", "of force x y z and torque x y z"),
+            ("gravity_compensated: false", "true if the payload's weight was removed before recording"),
+            ("deadband: {type: subtractive, force_n: 2.0, torque_n_m: 0.2}", "or threshold; leave out without one"),
+            ("saturation: {force_n: [500.0, 500.0, 1500.0]}", "the sensor's range; torque_n_m likewise"),
+        ),
+        Role.POSE: (
+            ("units: {position: m, angle: rad}", "or mm, cm, in; deg"),
+            ("orientation_as: quaternion_xyzw", "or quaternion_wxyz, rotation_vector, euler_ZYZ, euler_xyz, …"),
+        ),
+        Role.COMMAND: (
+            ("units: {position: m, angle: rad}", "or mm, cm, in; deg"),
+            ("orientation_as: quaternion_xyzw", "as of the pose"),
+            ("clock_offset_s: 0.0", "added to the stamps to bring them to the wrench's clock, if known"),
+        ),
+        Role.TWIST: (("expressed_in: base", "in whose axes: sensor, flange or base"),),
+        Role.GAINS: (),
+        Role.DESIRED_FORCE: (("units: {force: N, torque: N·m}", "or kN, lbf, kgf; N·mm, kN·m, lbf·in, lbf·ft"),),
+    }
+)
+_TABLE = """
+# CSV or Parquet: the time column and its unit (s, ms, us, ns), or the rate of a table without one.
+# table: {time: t, time_unit: s}
+# table: {sample_rate_hz: 1000.0}
+"""
+_END = """
+# The sensor's orientation on the flange (flange from sensor); no turn if left out.
+# sensor: {orientation: [0.0, 0.0, 0.0, 1.0], orientation_as: quaternion_xyzw}
+
+# Where gravity points in the base frame.
+# gravity_direction: [0.0, 0.0, -1.0]
+"""
+
+
+def check_new(path: Path, *, force: bool) -> None:
+    """Raise UsageError if a file stands where a cell.yaml is to begin, unless `force`."""
+    if path.exists() and not force:
+        raise UsageError(f"{path} exists; name another file, or use --force to replace it.")
+
+
+def write_cell_start(path: Path, summary: LogSummary, *, force: bool = False) -> None:
+    """Write a cell.yaml to start from; raises UsageError if `path` exists (unless `force`) or cannot be written."""
+    check_new(path, force=force)
+    text = cell_text(summary)
+    check_cell_text(text, path)
+    write_atomic(path, text)
+
+
+def cell_text(summary: LogSummary) -> str:
+    """Return the text of a cell.yaml to start from; every line that is not a comment was found in the log."""
+    lines = [
+        f"# Begun by `autotune inspect` from {_plain(summary.path.name)}. Lines without # were found in the log; the",
+        "# others are questions: answer those that matter and take the # away. docs/cell.md tells what they mean.",
+        "format: autotune/cell",
+        "version: 1",
+    ]
+    if summary.numbers:
+        lines += ["", "# Numbers whose meaning the log does not tell:"]
+        lines += [f"#   {_plain(found.topic)}: {_plain(found.short)}" for found in summary.numbers]
+    for role in summary.roles:
+        lines += ["", *_role_lines(role)]
+    has_table = any(channel.encoding == "table" for channel in summary.channels)
+    return "\n".join(lines) + "\n" + (_TABLE if has_table else "") + _END
+
+
+def _role_lines(role: RoleSummary) -> Iterator[str]:
+    if role.topic is not None:
+        yield f"# {_plain(role.reason)}"
+        yield f"{role.entry}:"
+        yield f"  topic: {_quoted(role.topic)}"
+        if role.parent is not None and role.child is not None:
+            yield f"  parent: {_quoted(role.parent)}"
+            yield f"  child: {_quoted(role.child)}"
+        yield from _questions(role, "  # ")
+        return
+    if not role.candidates:
+        yield f"# The log has no channel for `{role.entry}`."
+        return
+    yield f"# Which of these is `{role.entry}`?"
+    yield from (f"#   {_plain(_told(candidate))}" for candidate in role.candidates)
+    yield f"# {role.entry}:"
+    yield f"#   topic: {_quoted(role.candidates[0].topic if len(role.candidates) == 1 else '…')}"
+    if role.needs_fields:
+        yield f"#   {_FIELDS[role.role]}"
+    yield from _questions(role, "#   ")
+
+
+def _questions(role: RoleSummary, start: str) -> Iterator[str]:
+    questions = _QUESTIONS[role.role]
+    width = max((len(entry) for entry, _ in questions), default=0)
+    yield from (f"{start}{entry:{width}}  # {choices}" for entry, choices in questions)
+
+
+def _told(candidate: Candidate) -> str:
+    rate = "" if candidate.rate_hz is None else f", {candidate.rate_hz:.1f} Hz"
+    frame = f", frame {candidate.frame}" if candidate.frame else ""
+    return f"{candidate.topic} ({candidate.type or 'no type'}, {candidate.count} messages{rate}{frame})"
+
+
+def _quoted(text: str) -> str:
+    """Return a text as YAML: double quotes with the escapes of JSON mean the same to both."""
+    return '"…"' if text == "…" else json.dumps(text)
+
+
+def _plain(text: str) -> str:
+    """Return a text for a comment: one line, nothing that a reader of YAML would refuse."""
+    return "".join(character if character.isprintable() else "?" for character in text)

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .atomic import write_atomic
-from .canonical import plain
-from .dump import dump_yaml
+from .canonical import dump_yaml, plain
 from .records import ROTATIONAL_AXES, record_tree, rename_axis_keys
 from .schema import VERSION, check_tree
 

@@ -13,8 +13,7 @@ from identification.experiment_design.sweep import SweepPlan
 from problems.model.robot import RobotModel
 
 from .atomic import write_atomic
-from .canonical import plain
-from .dump import dump_yaml
+from .canonical import dump_yaml, plain
 from .records import record_tree
 from .schema import VERSION, check_tree
 

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 from autotune.errors import AutotuneError, CertificateError, UsageError
 
 from .atomic import check_target, write_folder_atomic
-from .canonical import checksum, plain, short
+from .canonical import checksum, dump_yaml, plain, short
 from .controller import ControllerFile, controller_tree, read_controller
 from .controller_record import Controller
-from .dump import dump_yaml
 from .records import ROTATIONAL_AXES, rename_axis_keys
 from .schema import VERSION, check_document, check_format, check_tree
 from .yaml12 import Document, load_document

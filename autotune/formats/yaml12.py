@@ -29,8 +29,7 @@ from ruamel.yaml.events import (
 
 from autotune.errors import AutotuneError, CertificateError, UsageError
 
-from .canonical import DEEPEST, LARGEST_INTEGER, Place
-from .dump import dump_yaml
+from .canonical import DEEPEST, LARGEST_INTEGER, Place, dump_yaml
 
 LARGEST_FILE_BYTES = 2**20
 _FORMAT = re.compile(rb"""["']?format["']?\s*:\s*["']?autotune/(\w+)""")

@@ -7,7 +7,7 @@ from typing import IO, Any
 
 from mcap_ros2.writer import Writer
 
-from autotune.formats.leftovers import sweep_leftovers, temporary_beside
+from autotune.formats.atomic import sweep_leftovers, temporary_beside
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 
 _HEADER = """std_msgs/Header header

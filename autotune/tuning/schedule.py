@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from autotune.errors import AutotuneError, CertificateError, InfeasibleError, UsageError
+from autotune.formats.canonical import dump_yaml
 from autotune.formats.controller import controller_tree, parse_controller
 from autotune.formats.controller_record import Controller
-from autotune.formats.dump import dump_yaml
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import Interval, ProblemSpec
 from autotune.formats.schedule import COMMON_FILE, Schedule, ScheduleClass, Tuned, worst_peaks

@@ -9,10 +9,9 @@ import pytest
 
 from autotune import demo as demo_module
 from autotune.cli.main import main
-from autotune.demo import STEPS, DemoResult, run_demo
+from autotune.demo import STEPS, DemoResult, MadeHere, run_demo
 from autotune.formats.controller import read_controller
 from autotune.formats.identified import read_identified
-from autotune.formats.made import MadeHere
 from autotune.formats.yaml12 import load_yaml
 from tests.autotune.cli.conftest import SHORT
 from tests.autotune.tuning.cases import FAST_SPEC, FAST_WISHES

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from autotune.errors import UsageError
-from autotune.formats.cell import check_cell_text, read_cell
-from autotune.formats.cell_text import cell_text, write_cell_start
+from autotune.formats.cell import cell_text, check_cell_text, read_cell, write_cell_start
 from identification.logs import inspect_log, read_recording
 from identification.logs.roles.cell import Cell, PoseSource, WrenchSource
 from tests.identification.logs.log_builder import complete, pose_stream, wrench_stream, write_mcap

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 
 from autotune.errors import CertificateError, UsageError
+from autotune.formats.canonical import dump_json
 from autotune.formats.controller import (
     AxisMargins,
     Collision,
@@ -20,7 +21,6 @@ from autotune.formats.controller import (
     short,
     write_controller,
 )
-from autotune.formats.dump import dump_json
 from autotune.formats.yaml12 import dump_yaml, load_yaml
 from problems.errors import ParameterError
 from problems.model.plant import WrenchFilter

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autotune.errors import CertificateError
+from autotune.formats.canonical import dump_json
 from autotune.formats.controller import controller_tree, parse_controller, read_controller, write_controller
-from autotune.formats.dump import dump_json
 from autotune.formats.yaml12 import dump_yaml
 from tests.autotune.formats.samples import make_controller
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 
 from autotune.errors import UsageError
-from autotune.formats.dump import dump_json
+from autotune.formats.canonical import dump_json
 from autotune.formats.identified import identified_tree, read_identified, write_identified
 from autotune.formats.yaml12 import dump_yaml
 from identification.result import Covariance, Estimate, Identified, Status

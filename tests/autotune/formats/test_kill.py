@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from autotune.formats.atomic import write_atomic
+from autotune.formats.canonical import dump_json
 from autotune.formats.controller import controller_tree, read_controller, write_controller
-from autotune.formats.dump import dump_json
 from autotune.formats.yaml12 import dump_yaml
 from tests.autotune.formats.samples import make_controller
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, small_controller, write_plant

@@ -12,9 +12,14 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.formats import atomic
-from autotune.formats.atomic import write_atomic, write_folder_atomic
-from autotune.formats.exchange import exchange
-from autotune.formats.leftovers import _where, sweep_leftovers, temporary_beside
+from autotune.formats.atomic import (
+    _where,
+    exchange,
+    sweep_leftovers,
+    temporary_beside,
+    write_atomic,
+    write_folder_atomic,
+)
 
 DAY_S = 86400.0
 # Writes a file and a folder in turn for ever; prints a line first so that the test knows when it has begun.

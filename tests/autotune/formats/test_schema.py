@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from jsonschema import Draft202012Validator
 
+from autotune.formats.canonical import dump_json
 from autotune.formats.controller import controller_tree
-from autotune.formats.dump import dump_json
 from autotune.formats.identified import identified_tree
 from autotune.formats.records import ROTATIONAL_KEYS
 from autotune.formats.schema import load_schema

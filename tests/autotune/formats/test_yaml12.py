@@ -8,7 +8,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MantissaNoDotYAML1_1Warning
 
 from autotune.errors import AutotuneError, CertificateError, UsageError
-from autotune.formats.dump import dump_json
+from autotune.formats.canonical import dump_json
 from autotune.formats.yaml12 import dump_yaml, load_document, load_yaml, parse_document
 from problems.errors import ParameterError
 from tests.autotune.formats.samples import FLOATS, TREES
