@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.timing import best
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact, transient_from
-from problems.design.batch import Batch, build_batch
+from problems.design.batch_evaluation import Batch, build_batch
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment, Payload, Plant
 from problems.model.robot import RobotModel

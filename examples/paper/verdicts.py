@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from problems.design.batch import are_stable
+from problems.design.batch_evaluation import are_stable
 from problems.model.continuous import continuous_loop
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant

@@ -1,15 +1,26 @@
-"""Compiled loops over designs and plants, for `problems.design.batch`."""
+"""Compiled loops over designs and plants, for `problems.design.batch_evaluation`."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import compiled
 from ..contact.kernel import contact_forces, run_contact, steady_start
-from ..contact.kernel_types import CONTACT_PEAK as LARGEST_CONTACT
-from ..contact.kernel_types import CONTACT_TIME, FOUND, MOVING, POSITION, Contact, Delay, Traces, Wall
-from ..contact.kernel_types import SENSOR_PEAK as LARGEST_SENSOR
+from ..contact.kernel_types import (
+    CONTACT_PEAK,
+    CONTACT_TIME,
+    FOUND,
+    MOVING,
+    POSITION,
+    SENSOR_PEAK,
+    Contact,
+    Delay,
+    Traces,
+    Wall,
+)
 from ..model.controller import blocks_of
-from ..stability.margin_kernel import MARGINS, MODULUS_ALONE, find_loop_margins
+from ..model.response import controller_gains
+from ..stability import margin_kernel
+from ..stability.margin_kernel import MARGINS, MODULUS_ALONE, WITH_CROSSOVERS, find_loop_margins
 from ..stability.polynomials import CONTROLLER_POWERS, STABLE, controller_polynomials, hurwitz, loop_polynomial
 
 FloatArray = NDArray[np.float64]
@@ -27,8 +38,20 @@ Contacts = tuple[
     tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray], IntArray, FloatArray, FloatArray, IntArray
 ]
 
-# Columns of a result.
-STABILITY, MODULUS, MODULUS_RAD_PER_S, PEAK_SENSOR, PEAK_CONTACT, TIME_OF_PEAK, COLUMNS = 0, 1, 2, 3, 4, 5, 6
+# Plants whose loops are judged: polynomials, response polynomials (p, 4, n) and grids.
+Plants = tuple[Loops, FloatArray, Grids]
+# ω, z and x/x^d over the band of the admittance.
+Band = tuple[FloatArray, ComplexArray, ComplexArray]
+
+# Columns of a pair of controller and scenario: the peaks come first, as `simulate_pair` writes them.
+PEAK_SENSOR, PEAK_CONTACT, TIME_OF_PEAK, PEAK_COLUMNS = 0, 1, 2, 3
+STABILITY, PAIR_MODULUS, PAIR_MODULUS_RAD_PER_S, PAIR_COLUMNS = 3, 4, 5, 6
+# Columns of a design, and of each of its plants.
+VERDICT, FAILED, ADMITTANCE, COLUMNS = 0, 1, 2, 3
+MODULUS, GAIN_DB, PHASE_RAD, DELAY_S, PLANT_COLUMNS = 0, 1, 2, 3, 4
+# Where a loop has them; plain numbers, for they belong to what the cache of a kernel is compared by.
+_LOOP_MODULUS, _LOOP_MODULUS_RAD_PER_S = margin_kernel.MODULUS, margin_kernel.MODULUS_RAD_PER_S
+_OF_LOOP = (margin_kernel.MODULUS, margin_kernel.GAIN_DB, margin_kernel.PHASE_RAD, margin_kernel.DELAY_S)
 
 
 @compiled
@@ -42,9 +65,17 @@ def judge_loop(
 
 
 @compiled
-def loop_room(loops: Loops) -> FloatArray:
+def polynomial_workspace(loops: Loops) -> FloatArray:
     """Return an array that any polynomial of these loops fits in; compiled code does not notice where one ends."""
     return np.zeros(loops[0].shape[2] + CONTROLLER_POWERS)
+
+
+@compiled
+def grid_of(grids: Grids, plant: int) -> tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]:
+    """Return the grid of one plant."""
+    omega, tangent, force, position, offsets = grids
+    part = slice(offsets[plant], offsets[plant + 1])
+    return omega[part], tangent[part], force[part], position[part]
 
 
 @compiled
@@ -52,7 +83,7 @@ def judge_stability(loops: Loops, designs: FloatArray, h: float, theta: float, i
     """Return the verdicts (m, p) of designs (m, 7) on plants (p,)."""
     count = len(loops[1])
     out = np.empty((len(designs), count), dtype=np.int64)
-    controller, work = np.zeros((3, CONTROLLER_POWERS)), loop_room(loops)
+    controller, work = np.zeros((3, CONTROLLER_POWERS)), polynomial_workspace(loops)
     for i in range(len(designs)):
         degree = controller_polynomials(designs[i], ideal, controller)
         for j in range(count):
@@ -74,15 +105,14 @@ def evaluate_pairs(
     wanted: tuple[bool, bool],
     out: FloatArray,
 ) -> None:
-    """Fill `out` (m, p, COLUMNS) with stability, modulus margin and peaks of designs (m, 7) in p scenarios.
+    """Fill `out` (m, p, PAIR_COLUMNS) with stability, modulus margin and peaks of designs (m, 7) in p scenarios.
 
     `responses` (p, 4, n) are what `plant_at` takes, `sampling` is (h, θ, ideal), `approach` as `Approach.numbers`,
     `wanted` (margins, peaks). DOUBTFUL verdicts are left to the caller, as are the margins and peaks then.
     """
-    controller, work, found = np.zeros((3, CONTROLLER_POWERS)), loop_room(in_contact), np.zeros(MARGINS)
+    controller, work, found = np.zeros((3, CONTROLLER_POWERS)), polynomial_workspace(in_contact), np.zeros(MARGINS)
     traces = Traces(np.empty(longest), np.empty(longest))
     h, theta, ideal = sampling
-    omega, tangent, force, position, offsets = grids
     for i in range(len(designs)):
         degree = controller_polynomials(designs[i], ideal, controller)
         blocks = blocks_of(designs[i], h, theta, ideal)
@@ -95,10 +125,9 @@ def evaluate_pairs(
             if verdict != STABLE:
                 continue
             if wanted[0]:
-                part = slice(offsets[j], offsets[j + 1])
-                grid = (omega[part], tangent[part], force[part], position[part])
-                find_loop_margins(responses[j], grid, controller, degree, (h, theta), MODULUS_ALONE, found)
-                out[i, j, MODULUS], out[i, j, MODULUS_RAD_PER_S] = found[0], found[1]
+                find_loop_margins(responses[j], grid_of(grids, j), controller, degree, (h, theta), MODULUS_ALONE, found)
+                out[i, j, PAIR_MODULUS] = found[_LOOP_MODULUS]
+                out[i, j, PAIR_MODULUS_RAD_PER_S] = found[_LOOP_MODULUS_RAD_PER_S]
             if wanted[1]:
                 simulate_pair(contacts, j, blocks, designs[i, 1], h, approach, traces, out[i, j])
 
@@ -123,5 +152,83 @@ def simulate_pair(
     start = steady_start(ramps[j], rows[j, POSITION, :n], blocks, delay.chain, h, speed, push, damping * speed)
     found = np.zeros(FOUND)
     run_contact(plant, blocks, start, forces, traces, found, True)
-    out[PEAK_SENSOR], out[PEAK_CONTACT] = found[LARGEST_SENSOR], found[LARGEST_CONTACT]
+    out[PEAK_SENSOR], out[PEAK_CONTACT] = found[SENSOR_PEAK], found[CONTACT_PEAK]
     out[TIME_OF_PEAK] = found[CONTACT_TIME] * h
+
+
+@compiled
+def evaluate_designs(
+    plants: Plants,
+    contacts: Contacts,
+    band: Band,
+    designs: FloatArray,
+    sampling: tuple[float, float, bool],
+    approach: tuple[float, float, bool, float],
+    longest: int,
+    required: tuple[FloatArray, float, bool],
+    peaks_if_missed: bool,
+    out: tuple[FloatArray, FloatArray, FloatArray],
+) -> None:
+    """Fill `out` for designs (m, 7): (m, COLUMNS), by plant (m, p, PLANT_COLUMNS), by scenario (m, s, PEAK_COLUMNS).
+
+    `plants` are those in contact, as many as `contacts` has, then those in free space. `required` has what must hold of
+    each margin and of the admittance, 0 where nothing must, and whether crossovers are wanted. Of a design that misses
+    something no more is judged (margins stay infinite, peaks NaN) unless `peaks_if_missed`; where a verdict is not
+    STABLE, at plant FAILED, the rest is NaN.
+    """
+    loops, responses, grids = plants
+    h, theta, ideal = sampling
+    controller, work, found = np.zeros((3, CONTROLLER_POWERS)), polynomial_workspace(loops), np.zeros(MARGINS)
+    traces = Traces(np.empty(longest), np.empty(longest))
+    margins, admittance, crosses = required
+    shallowest = MODULUS_ALONE if margins[MODULUS] > 0.0 else WITH_CROSSOVERS
+    deepest = WITH_CROSSOVERS if crosses else MODULUS_ALONE
+    whole, by_plant, by_pair = out
+    whole[:], by_plant[:], by_pair[:] = np.nan, np.nan, np.nan
+    for i in range(len(designs)):
+        degree = controller_polynomials(designs[i], ideal, controller)
+        verdict = STABLE
+        for j in range(len(loops[1])):
+            verdict = judge_loop(loops, j, controller, degree, h, theta, work)
+            if verdict != STABLE:
+                whole[i, FAILED] = j
+                break
+        whole[i, VERDICT] = verdict
+        if verdict != STABLE:
+            continue
+        blocks = blocks_of(designs[i], h, theta, ideal)
+        by_plant[i] = np.inf
+        whole[i, ADMITTANCE] = _least_admittance(band, blocks)
+        missed = whole[i, ADMITTANCE] < admittance
+        # The cheap margin of all plants comes first: most designs miss it, and nobody asks for the rest of those.
+        for depth in range(shallowest, deepest + 1):
+            if missed and not peaks_if_missed:
+                break
+            for j in range(len(loops[1])):
+                find_loop_margins(responses[j], grid_of(grids, j), controller, degree, (h, theta), depth, found)
+                missed = _keep_margins(found, margins, by_plant[i, j]) or missed
+        if missed and not peaks_if_missed:
+            continue
+        for j in range(len(contacts[1])):
+            simulate_pair(contacts, j, blocks, designs[i, 1], h, approach, traces, by_pair[i, j])
+
+
+@compiled
+def _keep_margins(found: FloatArray, required: FloatArray, row: FloatArray) -> bool:
+    """Write a loop's margins into a row and tell whether one is missed, as one that is not a number is."""
+    missed = False
+    for column, of_loop in enumerate(_OF_LOOP):
+        row[column] = 0.0 if np.isnan(found[of_loop]) else found[of_loop]
+        missed = missed or row[column] < required[column]
+    return missed
+
+
+@compiled
+def _least_admittance(band: Band, blocks: FloatArray) -> float:
+    """Return min |G| [m/s/N] over the band, see `problems.model.response.rendered_admittance`."""
+    omega, z, position = band
+    least = np.inf
+    for k in range(len(omega)):
+        forward, feedback = controller_gains(blocks, z[k])
+        least = min(least, abs(forward * (1j * omega[k]) * position[k] / (1.0 + feedback * position[k])))
+    return least

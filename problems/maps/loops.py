@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..contact.transient import Approach, build_sampled_contact
-from ..design.batch import build_batch
+from ..design.batch_evaluation import build_batch
 from ..design.batch_kernel import Loops, judge_stability
 from ..errors import ParameterError
 from ..model.controller import SMALLEST_FEEDBACK_DAMPING_S, AdmittanceController

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
-from problems.design.batch import are_stable, build_batch
+from problems.design.batch_evaluation import are_stable, build_batch
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment, Payload

@@ -377,3 +377,28 @@ def test_limits_are_said_by_name_and_by_axis(path: Path) -> None:
 @pytest.mark.parametrize("said", ["{force_n: 0}", "{rest_samples: 0.5}", "{speed: 1}", "{axes: {x: {}}}"])
 def test_a_limit_that_cannot_be_is_refused_with_its_line(path: Path, said: str) -> None:
     assert "line 1: limits." in refusal(path, f"limits: {said}\n")
+
+
+def test_requirements_of_the_registry_and_of_other_packages_are_read(path: Path) -> None:
+    said = "min_damping_ratio: {value: 0.2, soft_n: 3}\n  passive_band: true\n"
+    spec = read(path, f"requirements:\n  {said}rotational: {{requirements: {{min_damping_ratio: 0.3}}}}\n")
+    assert dict(spec.requirements.further) == {"min_damping_ratio": 0.2, "passive_band": 1.0}
+    assert [each.name for each in spec.requirements.plugins] == ["passive_band"]
+    assert dict(spec.requirements.soft_n) == {"min_damping_ratio": 3.0}
+    assert dict(spec.rotational.requirements) == {"min_damping_ratio": 0.3}
+    none = read(path, "requirements: {min_damping_ratio: null, passive_band: false}\n")
+    assert none.requirements == Requirements()
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("{min_damping_ratio: 1.0}", "less than 1"),
+        ("{min_damping_ratio: true}", "a number or null or a mapping"),
+        ("{passive_bands: true}", "one of modulus_margin"),
+    ],
+)
+def test_what_the_registry_does_not_take_is_refused_with_its_line(path: Path, text: str, told: str) -> None:
+    message = refusal(path, f"requirements: {text}\n")
+    assert "line 1" in message
+    assert told in message

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact, simulate_contact
-from problems.design.batch import Batch, BatchResult, are_stable, build_batch
+from problems.design.batch_evaluation import Batch, BatchResult, are_stable, build_batch
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment

@@ -39,6 +39,7 @@ PROBLEMS = [
         design_problem(requirements=replace(COMMANDED, soft_n=dict.fromkeys(COMMANDED.asked(), 2.0))), id="all soft"
     ),
     pytest.param(design_problem(requirements=EASY), id="usual"),
+    pytest.param(design_problem(requirements=replace(EASY, further={"min_damping_ratio": 0.1})), id="not compiled"),
     pytest.param(design_problem(requirements=EVERYTHING), id="everything"),
     pytest.param(design_problem(requirements=replace(EVERYTHING, gain_margin_db=None)), id="no gain margin"),
     pytest.param(

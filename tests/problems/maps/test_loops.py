@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from problems.design.batch import are_stable
+from problems.design.batch_evaluation import are_stable
 from problems.errors import ParameterError
 from problems.maps.loops import build_plant_loops, designs_around
 from problems.model.controller import AdmittanceController

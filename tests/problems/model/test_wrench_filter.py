@@ -11,7 +11,7 @@ import pytest
 from problems.contact.linear_controller_contact import simulate_linear_contact
 from problems.contact.nonlinear_simulation import simulate_nonlinear
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
-from problems.design.batch import are_stable, build_batch
+from problems.design.batch_evaluation import are_stable, build_batch
 from problems.design.gradients import (
     admittance_gradient,
     decay_gradient,

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from problems.design.batch import are_stable
+from problems.design.batch_evaluation import are_stable
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Environment, Payload, Plant
 from problems.model.response import plant_response
