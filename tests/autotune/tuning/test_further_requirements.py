@@ -1,4 +1,4 @@
-"""Requirements beside the fields of `Requirements`: searched, certified, validated and priced like the built-in ones."""
+"""Requirements that are no field of `Requirements`: searched, certified, validated and priced like the built-in."""
 
 from dataclasses import replace
 from functools import cache
