@@ -66,9 +66,10 @@ def number_findings(
     for found in numbers:
         if channels[found.topic] in declared:
             continue
+        kind = found.type.rpartition("/")[2] or "channel of no type"
         yield Finding.warning(
             "layout-undeclared",
-            f"{found.topic} is {_article(found)} with {_counts(found)}; the log does not say what they mean, "
+            f"{found.topic} is a {kind} with {_counts(found)}; the log does not say what they mean, "
             "so a layout has to be declared in cell.yaml before it can serve as pose or wrench.",
             "Declare `fields` (`autotune inspect LOG --write-cell cell.yaml` begins a file), or record the "
             "wrench as WrenchStamped and the flange pose as PoseStamped.",
@@ -78,10 +79,6 @@ def number_findings(
             channel = channels[found.topic]
             values = logs.read({channel: Wanted(fields=efforts)})[channel].values
             yield _effort_finding(found.topic, values)
-
-
-def _article(found: NumberFields) -> str:
-    return f"a {found.type.rpartition('/')[2] or 'channel of no type'}"
 
 
 def _counts(found: NumberFields) -> str:

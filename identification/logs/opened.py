@@ -4,14 +4,13 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from ..errors import LogError
 from ..result import Finding
 from ..signals.recording import StampArray
-from .containers.channel import Channel, Container, Survey
+from .containers.channel import Channel, Container
 from .containers.formats import is_table, open_container, sha256_of
 from .messages.channel_info import ChannelInfo, build_infos
 from .messages.read import read_series
@@ -21,42 +20,6 @@ from .roles.cell import Cell
 from .roles.choose import Choice, RoleSeries
 from .roles.registry import Role
 from .tables.read import TableLog
-
-
-class OpenedLog(Protocol):
-    """One log file or folder."""
-
-    path: Path
-
-    @property
-    def survey(self) -> Survey:
-        """What it holds."""
-        ...
-
-    @property
-    def infos(self) -> tuple[ChannelInfo, ...]:
-        """What is known of its channels."""
-        ...
-
-    def read(self, channels: Mapping[Channel, Wanted]) -> dict[Channel, Series]:
-        """Read channels."""
-        ...
-
-    def frames(self, channel: Channel) -> tuple[tuple[str, str], ...]:
-        """List the pairs (parent, child) of a channel of transforms."""
-        ...
-
-    def transform(self, channel: Channel, pair: tuple[str, str]) -> Series:
-        """Read one transform."""
-        ...
-
-    def findings(self) -> tuple[Finding, ...]:
-        """Report what was seen of the container and what reading left out."""
-        ...
-
-    def close(self) -> None:
-        """Close the files."""
-        ...
 
 
 class ContainerLog:
@@ -106,6 +69,10 @@ class ContainerLog:
 
     def _remember(self) -> None:
         self._lost.update(dict.fromkeys(self._container.findings()))
+
+
+OpenedLog = ContainerLog | TableLog
+"""One log file or folder."""
 
 
 @dataclass(frozen=True, kw_only=True)

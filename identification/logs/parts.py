@@ -56,7 +56,11 @@ def join_recordings(parts: Sequence[Recording]) -> Recording:
     for field in fields(Recording):
         signals = [getattr(part, field.name) for part in ordered]
         if any(hasattr(signal, "stamp_ns") for signal in signals):
-            lacking = [_name(part) for part, signal in zip(ordered, signals, strict=True) if signal is None]
+            lacking = [
+                ", ".join(part.sha256) or "one of them"
+                for part, signal in zip(ordered, signals, strict=True)
+                if signal is None
+            ]
             if lacking:
                 raise LogError(
                     f"All parts of a log must hold the same channels; the {field.name} is missing in "
@@ -123,7 +127,3 @@ def _appended(
                 )
             )
     return {name: np.concatenate([before[name], after[name]]) for name in before}
-
-
-def _name(part: Recording) -> str:
-    return ", ".join(part.sha256) or "one of them"

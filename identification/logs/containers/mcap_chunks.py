@@ -64,7 +64,8 @@ class Opener:
             raise Damage(chunk.start, f"{what} bytes, more than the {CHUNK_LIMIT_BYTES} that are allowed")
         data = self.unpack(chunk)
         if data.size != chunk.declared:
-            raise Damage(chunk.start, f"a chunk unpacks to {_amount(data, chunk)}, it says {chunk.declared}")
+            size = f"{data.size}" if data.size < chunk.declared else f"more than {chunk.declared}"
+            raise Damage(chunk.start, f"a chunk unpacks to {size} bytes, it says {chunk.declared}")
         if chunk.crc and zlib_ng.crc32(data.data) != chunk.crc:
             raise Damage(chunk.start, "the CRC of a chunk does not agree with its content")
         record_counts = self._space.counter.count(data)
@@ -136,10 +137,6 @@ def _check(chunk: Chunk, record_counts: RecordCounts) -> None:
         and not chunk.start_ns <= record_counts.start_ns <= record_counts.end_ns <= chunk.end_ns
     ):
         raise Damage(chunk.start, "a chunk holds messages from before or after the times that it names")
-
-
-def _amount(data: ByteArray, chunk: Chunk) -> str:
-    return f"{data.size} bytes" if data.size < chunk.declared else f"more than {chunk.declared} bytes"
 
 
 def _unlz4(packed: ByteArray, declared: int) -> bytes:

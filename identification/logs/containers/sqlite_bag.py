@@ -5,7 +5,7 @@ import sqlite3
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TypeVar, cast
@@ -56,7 +56,7 @@ class SqliteFile:
             )
         except (sqlite3.Error, OSError) as error:
             raise self.refusal(error) from error
-        self._connection.text_factory = _text
+        self._connection.text_factory = lambda data: data.decode("utf-8", "replace")
         self._connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, CHUNK_LIMIT_BYTES)
         self.all("PRAGMA trusted_schema=OFF")
         if salvage:
@@ -159,10 +159,6 @@ def _check_closed(path: Path) -> None:
             )
 
 
-def _text(data: bytes) -> str:
-    return data.decode("utf-8", "replace")
-
-
 @dataclass
 class _Counted:
     """What was seen of a topic."""
@@ -198,10 +194,8 @@ class SqliteBagContainer(Container):
         """Count the messages; raise LogError where the database is damaged."""
         if self._survey is None:
             self._check()
-            counted = self._count_readable() if self._salvage else self._count()
             held = {channel: _Counted() for channel in self._topics.values()}
-            for topic, seen in counted.items():
-                held[self._topics[topic]].add(seen.count, seen.first_message, *seen.log_ns)
+            (self._count_readable if self._salvage else self._count)(held)
             times = [log_ns for seen in held.values() for log_ns in seen.log_ns]
             self._survey = Survey(
                 container="rosbag2 sqlite3",
@@ -229,7 +223,9 @@ class SqliteBagContainer(Container):
         self._check()
         self._was_read = True
         gatherers = {channel: Gatherer(channel) for channel in topics.values()}
-        for batch in self._all_batches(topics, gatherers):
+        groups = (self._batches(rows, topics, gatherers) for rows in (self._rows(topics) if topics else ()))
+        rest = (gatherer.flush() for gatherer in gatherers.values())
+        for batch in chain.from_iterable(chain(groups, rest)):
             unpacked = self._unpacked(batch)
             if unpacked.count:
                 yield unpacked.channel, handle(unpacked)
@@ -283,8 +279,7 @@ class SqliteBagContainer(Container):
         if fault:
             self._lost.append(f"{fault} (`sqlite3 {self._name} .recover` may find more)")
 
-    def _count(self) -> dict[int, _Counted]:
-        counted: dict[int, _Counted] = {}
+    def _count(self, held: dict[Channel, _Counted]) -> None:
         for row in self._file.all(
             "SELECT topic_id, count(*), min(rowid), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
         ):
@@ -294,20 +289,17 @@ class SqliteBagContainer(Container):
             data = self._file.all("SELECT data FROM messages WHERE rowid = ?", (first,))[0][0]
             if not isinstance(data, bytes):
                 raise self._file.refusal(ValueError(f"message {first} is no bytes"))
-            counted[topic] = _Counted(count=cast(int, count), first_message=data, log_ns=[start_ns, end_ns])
-        return counted
+            held[self._topics[topic]].add(cast(int, count), data, start_ns, end_ns)
 
-    def _count_readable(self) -> dict[int, _Counted]:
-        counted: dict[int, _Counted] = {}
+    def _count_readable(self, held: dict[Channel, _Counted]) -> None:
         wrong = 0
         for _, topic, log_ns, data in self._file.readable_messages(self._lost):
             if isinstance(log_ns, int) and isinstance(data, bytes) and topic in self._topics:
-                counted.setdefault(topic, _Counted()).add(1, data, log_ns)
+                held[self._topics[topic]].add(1, data, log_ns)
             else:
                 wrong += 1
         if wrong:
             self._lost.append(f"{wrong} messages have no defined topic, no time or no bytes")
-        return counted
 
     def _rows(self, topics: Collection[int]) -> Iterator[list[Row]]:
         if not self._salvage:
@@ -320,12 +312,6 @@ class SqliteBagContainer(Container):
         )
         while rows := list(islice(sound, _FETCHED)):
             yield rows
-
-    def _all_batches(self, topics: dict[int, Channel], gatherers: dict[Channel, Gatherer]) -> Iterator[Batch]:
-        for rows in self._rows(topics) if topics else ():
-            yield from self._batches(rows, topics, gatherers)
-        for gatherer in gatherers.values():
-            yield from gatherer.flush()
 
     def _batches(
         self, rows: list[Row], topics: dict[int, Channel], gatherers: dict[Channel, Gatherer]

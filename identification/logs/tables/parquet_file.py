@@ -66,7 +66,8 @@ def _opened(path: Path) -> Iterator[pa.parquet.ParquetFile]:
         ):
             names = file.schema_arrow.names
             if len(set(names)) < len(names):
-                raise LogError(f"{path.name} has several columns of one name: {_twice(names)}; rename them.")
+                twice = ", ".join(sorted({name for name in names if names.count(name) > 1}))
+                raise LogError(f"{path.name} has several columns of one name: {twice}; rename them.")
             _check_footer(file)
             yield file
     except _FOREIGN as error:
@@ -87,10 +88,6 @@ def _check_footer(file: pa.parquet.ParquetFile) -> None:
         one.type != other.type for one, other in zip(read, stored_fields, strict=True) if other.type in _KEPT_TYPES
     ):
         raise ValueError("its footer holds two versions of the names or types of the columns")
-
-
-def _twice(names: Sequence[str]) -> str:
-    return ", ".join(sorted({name for name in names if names.count(name) > 1}))
 
 
 def _check_number(path: Path, name: str, kind: pa.DataType) -> None:
