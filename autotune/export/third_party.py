@@ -241,7 +241,7 @@ def _dropped(controller: Controller) -> Iterator[str]:
     soft = controller.certificate.soft or {}
     if any(soft.values()):
         names = ", ".join(sorted({name for each in soft.values() for name in each}))
-        yield f"what was only wished ({names}): it is not looked at here"
+        yield f"soft requirements ({names}): they are not evaluated here"
 
 
 def _text(

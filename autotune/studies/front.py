@@ -34,7 +34,7 @@ USUAL = ("peak_force", "admittance")
 DEFAULT_TRIALS = 200
 _SEED_POINTS = 5
 _SEED_SHARE = 0.2
-# The largest admittance is the end of a sweep, not a promise: a hundredth of a percent off changes no picture.
+# The largest admittance is the end of a sweep, no certified number: a hundredth of a percent off changes no picture.
 _POPULATION, _GENERATIONS = 8, 25
 _UNSTABLE, _MISSED = 1e6, 1e3
 _FIRST_RESERVE, _RESERVES = 1e-4, 6

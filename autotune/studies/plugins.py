@@ -43,12 +43,12 @@ def load_objectives(names: tuple[str, ...]) -> tuple[Objective, ...]:
     return tuple(load_objective(name) for name in names)
 
 
-def load_demands(told: tuple[str, ...]) -> tuple[Demand, ...]:
+def load_demands(texts: tuple[str, ...]) -> tuple[Demand, ...]:
     """Return the demands that `NAME` (a requirement) and `NAME=LIMIT` (an objective with its limit) stand for.
 
     Raises UsageError for an unknown name, a limit that is no positive number, or the same name twice.
     """
-    demands = tuple(_demand(text) for text in told)
+    demands = tuple(_demand(text) for text in texts)
     names = [demand.name for demand in demands]
     if len(set(names)) != len(names):
         raise UsageError(f"Each requirement may be named once; found {', '.join(names)}.")

@@ -261,11 +261,11 @@ def _without_limit(problem: DesignProblem) -> tuple[float | None, DesignProblem]
 
 def _point_tree(point: CompliancePoint) -> Mapping[str, Any]:
     evaluation = None if point.found is None else point.found.evaluation
-    wished = evaluation is not None and bool(evaluation.soft_cost_n)
+    has_price = evaluation is not None and bool(evaluation.soft_cost_n)
     return {
         "environment_stiffness_n_per_m": point.stiffness_n_per_m,
         "peak_force_n": None if evaluation is None else _digits(evaluation.peak_n, 6),
-        **({"objective_n": _digits(evaluation.objective_n, 6)} if evaluation is not None and wished else {}),
+        **({"objective_n": _digits(evaluation.objective_n, 6)} if evaluation is not None and has_price else {}),
         "meets_all": point.missed == 0.0,
     }
 

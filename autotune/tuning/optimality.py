@@ -35,7 +35,7 @@ _STEP = 1e-5
 _SUM_WEIGHT = 1e3
 _AT_BOUND = 1e-6
 LEAST_RATIO = 1e-100
-# The order of the controller's parameters in a slope.
+# The order of the controller's parameters in a gradient.
 _PARAMETERS = (*VARIABLES, *FURTHER_VARIABLES)
 
 

@@ -37,7 +37,7 @@ from .optimality_report import OptimalityReport, optimality_tree
 from .plausible import left_out_tree
 from .problems import DesignOptions, build_problems, certified_mass_kg, runtime_mass_kg, within_domain
 from .record import build_controller, runtime_payload
-from .relax import find_relaxations, tell_relaxations
+from .relax import find_relaxations, relaxation_message
 from .search import SearchResult, solve_design
 from .settling import Settled, prove_search, settle
 from .threshold import ThresholdSettings, choose_threshold, threshold_settings
@@ -87,7 +87,7 @@ def optimize(
     share of the work done since the last call.
 
     Raises InfeasibleError when nothing meets the requirements (with `relax`, after searching for what would have to be
-    eased: several times the work of a search), CertificateError when a claim cannot be proved or verified,
+    relaxed: several times the work of a search), CertificateError when a claim cannot be proved or verified,
     EstimateError for a missing parameter, UsageError for options or an existing controller that do not fit.
     """
     report = progress or no_progress
@@ -293,9 +293,9 @@ def _search(
         if not relax:
             raise InfeasibleError(f"Axis {name}: {error}") from error
         # In the place of what a controller would still have to pass.
-        eased = find_relaxations(problem, seed=seed, progress=ProgressSlice(report, 1.0 - _SEARCH_SHARE))
-        numbers = tuple((each.name, each.asked, each.possible) for each in eased)
-        why = f"{error.bare}. {tell_relaxations(problem, eased)}" if eased else str(error)
+        relaxed = find_relaxations(problem, seed=seed, progress=ProgressSlice(report, 1.0 - _SEARCH_SHARE))
+        numbers = tuple((each.name, each.asked, each.possible) for each in relaxed)
+        why = f"{error.bare}. {relaxation_message(problem, relaxed)}" if relaxed else str(error)
         raise InfeasibleError(f"Axis {name}: {why}{_without_uncertainty(problem, seed)}", numbers) from error
     portion.finish()
     return found

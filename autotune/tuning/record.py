@@ -145,7 +145,7 @@ def runtime_payload(identified: Identified, mass_kg: float) -> RuntimePayload:
 
 
 def admittance_band_hz(requirements: Requirements) -> tuple[float, float]:
-    """Return the band over which the free-space admittance is told: that of the target, if there is one."""
+    """Return the band over which the free-space admittance is given: that of the target, if there is one."""
     target = requirements.free_space_admittance
     return target.band_hz if target is not None else _DEFAULT_BAND_HZ
 

@@ -1,4 +1,4 @@
-"""What would have to be given up: the smallest relaxation, of each requirement alone, that makes a problem feasible."""
+"""Find the smallest relaxation, of each requirement alone, that makes a problem feasible."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -11,7 +11,7 @@ from autotune.errors import InfeasibleError
 from problems.design.batch_evaluation import EVERY_REQUIREMENT
 from problems.design.problem import DesignProblem
 from problems.design.uncertainty import Scenario
-from problems.progress import no_progress
+from problems.progress import ProgressSlice, no_progress
 from problems.stability.margins import UnstableLoopError
 
 from .scenario_exchange import WholeSet, margin_scenarios
@@ -36,7 +36,7 @@ class Relaxation:
 
     @property
     def share(self) -> float:
-        """By which share of what is asked it would have to be eased."""
+        """By which share of what is asked it would have to be relaxed."""
         return abs(self.possible - self.asked) / self.asked
 
     def __str__(self) -> str:
@@ -51,22 +51,16 @@ def find_relaxations(
     """Return the relaxations of single requirements that would be enough, the smallest share first.
 
     For each requirement in turn, required/achieved is minimised over the bounds while all others are met, over the
-    whole uncertainty as in the search; what is told was reached by a design, exactly evaluated, and is rounded to the
-    easier side. Where no single one is enough, all together by one share (`EVERY_REQUIREMENT`, in per cent of what is
-    asked). Empty where nothing is stable. `progress` is told the share of the work done since the last call.
+    whole uncertainty as in the search; what is returned was reached by a design, exactly evaluated, and is rounded to
+    the easier side. Where no single one is enough, all together by one share (`EVERY_REQUIREMENT`, in per cent of what
+    is asked). Empty where nothing is stable. `progress` gets the share of the work done since the last call.
     """
     asked, report = asked_numbers(problem), progress or no_progress
 
     def least(goal: str) -> float | None:
-        share, told = 1.0 / (len(asked) + 1), 0.0
-
-        def pass_on(done: float) -> None:
-            nonlocal told
-            told += share * done
-            report(share * done)
-
-        ratio = _least_ratio(problem, goal, seed, pass_on)
-        report(max(share - told, 0.0))
+        part = ProgressSlice(report, 1.0 / (len(asked) + 1))
+        ratio = _least_ratio(problem, goal, seed, part)
+        part.finish()
         return ratio
 
     together = least(EVERY_REQUIREMENT)
@@ -78,31 +72,31 @@ def find_relaxations(
                 Relaxation(
                     name=name,
                     asked=number,
-                    possible=_eased(number, ratio, is_upper=problem.requirements.kind(name).is_upper_limit),
+                    possible=_reached(number, ratio, is_upper=problem.requirements.kind(name).is_upper_limit),
                 )
             )
     if together is not None and not found:
-        possible = _eased(100.0, together)
+        possible = _reached(100.0, together)
         return (Relaxation(name=EVERY_REQUIREMENT, asked=100.0, possible=possible),)
     return tuple(sorted(found, key=lambda each: each.share))
 
 
-def tell_relaxations(problem: DesignProblem, found: Sequence[Relaxation]) -> str:
-    """Say in sentences what would be enough, of which requirements no easing was found to be, and what else helps."""
-    told = "; or ".join(map(str, found))
+def relaxation_message(problem: DesignProblem, found: Sequence[Relaxation]) -> str:
+    """Return sentences on what would be enough, for which requirements nothing was found, and what else helps."""
+    enough = "; or ".join(map(str, found))
     names = {each.name for each in found}
     others = [name for name in asked_numbers(problem) if name not in names]
     if EVERY_REQUIREMENT in names:
-        said = f"No single requirement was found that would be enough to ease; enough would be: {told}."
+        said = f"No single requirement was found that would be enough to ease; enough would be: {enough}."
     else:
         listed = " or ".join(filter(None, (", ".join(others[:-1]), *others[-1:])))
         useless = f" No easing of {listed} alone was found to be enough." if others else ""
-        said = f"Enough by itself would be: {told}.{useless}"
+        said = f"Enough by itself would be: {enough}.{useless}"
     return f"{said} Or narrow the ranges of stiffness and payload, or widen the bounds."
 
 
 def asked_numbers(problem: DesignProblem) -> dict[str, float]:
-    """Return what is asked of each requirement as one number, wishes left out."""
+    """Return what is asked of each requirement as one number, soft requirements left out."""
     requirements = problem.requirements
     return {name: requirements.threshold(name) for name in requirements.asked() if name not in requirements.soft_n}
 
@@ -112,7 +106,7 @@ def _least_ratio(
 ) -> float | None:
     """Return the least required/achieved of one requirement over the whole uncertainty; None if others are missed.
 
-    `report` is told the share of the work done since the last call.
+    `report` gets the share of the work done since the last call.
     """
     search, whole = Search(problem, seed, goal=goal, generations=_GENERATIONS), WholeSet(problem, seed)
     active: tuple[Scenario, ...] = problem.scenarios(3, 2)
@@ -123,7 +117,7 @@ def _least_ratio(
             report((1.0 - _EXPLORED) / _ROUNDS)
             unit = search.polish(active, unit)
             controller = problem.controller(presentable(problem, search.box.design(unit)))
-            promised = 1.0 if search.last is None else _of(goal, search.last.requirements)
+            expected = 1.0 if search.last is None else _of(goal, search.last.requirements)
             try:
                 exact = whole.evaluate(controller)
             except UnstableLoopError:
@@ -136,10 +130,10 @@ def _least_ratio(
                 before, reached = best, _of(goal, ratios)
                 best = reached if before is None else min(reached, before)
                 # What more scenarios no longer change is not worth another look at the whole uncertainty.
-                if reached <= promised * (1.0 + _HAIR) or (before is not None and reached >= before * (1.0 - _HAIR)):
+                if reached <= expected * (1.0 + _HAIR) or (before is not None and reached >= before * (1.0 - _HAIR)):
                     break
             worse = margin_scenarios(others, exact.margins)
-            worse = (*worse, *margin_scenarios(sought, exact.margins, limit=promised))
+            worse = (*worse, *margin_scenarios(sought, exact.margins, limit=expected))
             highest = max(exact.evaluation.peaks, key=lambda peak: peak.peak_contact_force_n).scenario
             robots = whole.worst_of(exact.evaluation, ratios, "robot")
             joined = tuple(dict.fromkeys((*active, *worse, highest, *robots)))
@@ -148,7 +142,7 @@ def _least_ratio(
             active = joined
     except InfeasibleError:
         pass
-    # A port that is passive nowhere has no number to be eased to.
+    # A port that is passive nowhere has no number to be relaxed to.
     return best if best is not None and np.isfinite(best) else None
 
 
@@ -156,7 +150,7 @@ def _of(goal: str, ratios: Mapping[str, float]) -> float:
     return max(ratios.values()) if goal == EVERY_REQUIREMENT else ratios[goal]
 
 
-def _eased(asked: float, ratio: float, *, is_upper: bool = False) -> float:
+def _reached(asked: float, ratio: float, *, is_upper: bool = False) -> float:
     """Return what the design reached, with three digits, on the easier side of it."""
     reached = asked * ratio if is_upper else asked / ratio
     unit = 10.0 ** (math.floor(math.log10(reached)) - _DIGITS + 1)

@@ -27,7 +27,7 @@ FloatArray = NDArray[np.float64]
 
 DENSE_STIFFNESS, DENSE_MASS = 33, 3
 SAMPLES = 128
-# A margin this far from its limit on every plant that was looked at does not reach it between them.
+# A margin this far from its limit on every plant that was looked at does not get there between them.
 _NEAR = 0.9
 _STARTS = 2
 _LOOKS = 60

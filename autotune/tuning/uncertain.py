@@ -195,7 +195,7 @@ def _transformed(problem: DesignProblem, covariance: Covariance) -> tuple[list[s
     ]
     places = [covariance.names.index(_SYMBOLS[key]) for key in keys]
     matrix = np.array(covariance.matrix)[np.ix_(places, places)]
-    slopes = np.eye(len(keys))
+    jacobian = np.eye(len(keys))
     if "robot_bandwidth_hz" in keys:
         row = keys.index("robot_bandwidth_hz")
         values = dict(zip(covariance.names, covariance.values, strict=True))
@@ -204,9 +204,9 @@ def _transformed(problem: DesignProblem, covariance: Covariance) -> tuple[list[s
             ratio = values["zeta"]
             share = bandwidth_share(ratio)
             turned = (bandwidth_share(ratio + _STEP) - bandwidth_share(ratio - _STEP)) / (2.0 * _STEP)
-            slopes[row, keys.index("robot_damping_ratio")] = values["omega"] * turned / (2.0 * math.pi)
-        slopes[row, row] = share / (2.0 * math.pi)
-    return keys, slopes @ matrix @ slopes.T
+            jacobian[row, keys.index("robot_damping_ratio")] = values["omega"] * turned / (2.0 * math.pi)
+        jacobian[row, row] = share / (2.0 * math.pi)
+    return keys, jacobian @ matrix @ jacobian.T
 
 
 def _environment_damping(axis: AxisEstimate, name: str) -> Interval:

@@ -12,7 +12,7 @@ from problems.model.plant import WrenchFilter
 
 LAG, LATE = "wrench_time_constant_s", "wrench_delay_s"
 # Standard deviations on either side of a value: 95 % and a little more.
-_REACH = 2.0
+_STDS = 2.0
 _DIGITS = 5
 # What reads the position, which is not late: beside a late wrench it stays 0.
 _READS_POSITION = ("feedback_damping_s", "compensation_mass_kg")
@@ -123,8 +123,8 @@ def _known(estimate: Estimate, where: str) -> tuple[float, Interval]:
     if estimate.value is None:
         low, high = estimate.ci95 or (0.0, 0.0)
         return 0.5 * (low + high), (low, high)
-    reach = _REACH * (estimate.std or 0.0)
-    low, high = estimate.value - reach, estimate.value + reach
+    margin = _STDS * (estimate.std or 0.0)
+    low, high = estimate.value - margin, estimate.value + margin
     if estimate.ci95 is not None:
         low, high = min(low, estimate.ci95[0]), max(high, estimate.ci95[1])
     return estimate.value, (low, high)

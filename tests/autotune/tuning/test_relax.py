@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from autotune.errors import InfeasibleError
-from autotune.tuning.relax import Relaxation, asked_numbers, find_relaxations, tell_relaxations
+from autotune.tuning.relax import Relaxation, asked_numbers, find_relaxations, relaxation_message
 from autotune.tuning.search import solve_design
 from problems.design.batch_evaluation import EVERY_REQUIREMENT
 from problems.design.problem import AdmittanceTarget, DesignProblem, PassivityTarget, Requirements
@@ -81,12 +81,12 @@ def test_what_would_be_enough_and_what_would_not_is_told() -> None:
     problem = design_problem(requirements=replace(FEW, delay_margin_s=1e-3, decay_rate_per_s=3.0))
     enough = Relaxation(name="modulus_margin", asked=0.9, possible=0.641)
     rest = "Or narrow the ranges of stiffness and payload, or widen the bounds."
-    assert tell_relaxations(problem, [enough]) == (
+    assert relaxation_message(problem, [enough]) == (
         "Enough by itself would be: modulus_margin 0.641 instead of 0.9. No easing of delay_margin_s, "
         f"decay_rate_per_s or free_space_admittance alone was found to be enough. {rest}"
     )
     together = Relaxation(name=EVERY_REQUIREMENT, asked=100.0, possible=77.7)
-    assert tell_relaxations(problem, [together]) == (
+    assert relaxation_message(problem, [together]) == (
         "No single requirement was found that would be enough to ease; enough would be: all requirements "
         f"together at 77.7 % of what is asked. {rest}"
     )
