@@ -1,4 +1,4 @@
-"""Arrays of balls in double precision, and the one door to python-flint, whose balls of any precision they enclose.
+"""Arrays of balls in double precision, and of any precision by python-flint, which nothing else imports.
 
 A ball is a midpoint and a radius; every operation returns a ball that holds all results for all members. Rounding is
 bounded per operation (Rump's midpoint-radius arithmetic) and added to the radius.
@@ -98,41 +98,41 @@ def ball(low: float, high: float) -> Any:
 
 
 class Series:
-    """A flint ball that carries its derivative along one direction through arithmetic; `slope` None is none."""
+    """A flint ball that carries its derivative along one direction through arithmetic; None is none."""
 
-    __slots__ = ("slope", "value")
+    __slots__ = ("derivative", "value")
 
-    def __init__(self, value: Any, slope: Any = None) -> None:
-        self.value, self.slope = value, slope
+    def __init__(self, value: Any, derivative: Any = None) -> None:
+        self.value, self.derivative = value, derivative
 
     def __add__(self, other: Any) -> "Series":
         if not isinstance(other, Series):
-            return Series(self.value + other, self.slope)
-        if self.slope is None or other.slope is None:
-            return Series(self.value + other.value, other.slope if self.slope is None else self.slope)
-        return Series(self.value + other.value, self.slope + other.slope)
+            return Series(self.value + other, self.derivative)
+        if self.derivative is None or other.derivative is None:
+            return Series(self.value + other.value, other.derivative if self.derivative is None else self.derivative)
+        return Series(self.value + other.value, self.derivative + other.derivative)
 
     def __mul__(self, other: Any) -> "Series":
         if not isinstance(other, Series):
-            return Series(self.value * other, None if self.slope is None else self.slope * other)
-        slope = None if self.slope is None else self.slope * other.value
-        if other.slope is not None:
-            more = self.value * other.slope
-            slope = more if slope is None else slope + more
-        return Series(self.value * other.value, slope)
+            return Series(self.value * other, None if self.derivative is None else self.derivative * other)
+        derivative = None if self.derivative is None else self.derivative * other.value
+        if other.derivative is not None:
+            more = self.value * other.derivative
+            derivative = more if derivative is None else derivative + more
+        return Series(self.value * other.value, derivative)
 
     def __truediv__(self, other: Any) -> "Series":
         if not isinstance(other, Series):
-            return Series(self.value / other, None if self.slope is None else self.slope / other)
+            return Series(self.value / other, None if self.derivative is None else self.derivative / other)
         ratio = self.value / other.value
-        slope = None if self.slope is None else self.slope / other.value
-        if other.slope is not None:
-            less = ratio * other.slope / other.value
-            slope = -less if slope is None else slope - less
-        return Series(ratio, slope)
+        derivative = None if self.derivative is None else self.derivative / other.value
+        if other.derivative is not None:
+            less = ratio * other.derivative / other.value
+            derivative = -less if derivative is None else derivative - less
+        return Series(ratio, derivative)
 
     def __neg__(self) -> "Series":
-        return Series(-self.value, None if self.slope is None else -self.slope)
+        return Series(-self.value, None if self.derivative is None else -self.derivative)
 
     def __sub__(self, other: Any) -> "Series":
         out: Series = self + (-other)
@@ -149,14 +149,14 @@ class Series:
     def __pow__(self, power: int) -> "Series":
         if power == 0:
             return Series(flint.arb(1))
-        slope = None if self.slope is None else power * self.value ** (power - 1) * self.slope
-        return Series(self.value**power, slope)
+        derivative = None if self.derivative is None else power * self.value ** (power - 1) * self.derivative
+        return Series(self.value**power, derivative)
 
     __radd__, __rmul__ = __add__, __mul__
 
 
 def as_series(value: Any) -> Series:
-    """Return a number as a series without slope, and a series as it is."""
+    """Return a number as a series without derivative, and a series as it is."""
     return value if isinstance(value, Series) else Series(flint.arb(value))
 
 
@@ -185,28 +185,28 @@ def with_bits(bits: int) -> Any:
     return flint.ctx.workprec(bits)
 
 
-def slope_of(value: Any) -> Any:
+def derivative_of(value: Any) -> Any:
     """Return the derivative of a number or series, 0 where it carries none."""
-    return value.slope if isinstance(value, Series) and value.slope is not None else flint.arb(0)
+    return value.derivative if isinstance(value, Series) and value.derivative is not None else flint.arb(0)
 
 
 def exponential(matrix: Any) -> Any:
-    """Return exp of an object array (n, n) of series: exp [[A, E], [0, A]] holds value and slope."""
+    """Return exp of an object array (n, n) of series: exp [[A, E], [0, A]] holds value and derivative."""
     n = len(matrix)
     entries = [[as_series(each) for each in row] for row in matrix]
-    has_slope = any(each.slope is not None for row in entries for each in row)
-    block = flint.arb_mat(2 * n, 2 * n) if has_slope else flint.arb_mat(n, n)
+    has_derivative = any(each.derivative is not None for row in entries for each in row)
+    block = flint.arb_mat(2 * n, 2 * n) if has_derivative else flint.arb_mat(n, n)
     for i, row in enumerate(entries):
         for j, entry in enumerate(row):
             block[i, j] = entry.value
-            if has_slope:
+            if has_derivative:
                 block[n + i, n + j] = entry.value
-                block[i, n + j] = slope_of(entry)
+                block[i, n + j] = derivative_of(entry)
     found = block.exp()
     out = np.empty((n, n), dtype=object)
     for i in range(n):
         for j in range(n):
-            out[i, j] = Series(found[i, j], found[i, n + j] if has_slope else None)
+            out[i, j] = Series(found[i, j], found[i, n + j] if has_derivative else None)
     return out
 
 

@@ -53,7 +53,7 @@ class _Linear:
     def error(self) -> FloatArray:
         return np.asarray(self.curve + np.sum(self.cross, axis=1) + self.rest)
 
-    def reach(self) -> FloatArray:
+    def size(self) -> FloatArray:
         return np.asarray(np.sum(np.abs(self.terms), axis=1))
 
 
@@ -109,10 +109,10 @@ def _compare(closed: _Linear, opened: _Linear, modulus: float) -> tuple[FloatArr
     bowl = np.where(h > 0.0, h, 1.0)
     own = np.where(h > g, -(g**2) / bowl, h - 2.0 * g)
     mixed = np.sum(np.abs(gram[:, 1:, 1:]), axis=2) - np.abs(h)
-    error, reach = closed.error() + modulus * opened.error(), opened.reach()
-    lost = (2.0 * modulus * reach + error) * error + _ROUNDING * (closed.reach() + modulus * reach) ** 2
+    error, size = closed.error() + modulus * opened.error(), opened.size()
+    lost = (2.0 * modulus * size + error) * error + _ROUNDING * (closed.size() + modulus * size) ** 2
     slack = middle + np.sum(own, axis=1) - np.sum(mixed, axis=1) - lost
-    weight = 2.0 * modulus * reach + error
+    weight = 2.0 * modulus * size + error
     blame = 2.0 * g + np.abs(h) + mixed
     for each, share in ((closed, 1.0), (opened, modulus)):
         blame[:, 0] += weight * share * (each.curve + 0.5 * np.sum(each.cross, axis=1))

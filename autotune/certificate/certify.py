@@ -13,7 +13,7 @@ from problems.errors import ParameterError
 from problems.model.sampled import Controller, build_loop, build_sampled_plant, stability_matrix
 
 from . import rational
-from .balls import Balls, FloatArray, Series, as_series, enclose, slope_of
+from .balls import Balls, FloatArray, Series, as_series, derivative_of, enclose
 from .base_plant import fails_at, is_stable
 from .bounds import PlantCell, judge
 from .circle import Circle, IntArray
@@ -234,7 +234,7 @@ class _Search:
         return self._ended(Verdict.REFUTED, point, angle)
 
     def _plant_cell(self, cell: FloatArray) -> PlantCell:
-        """Return the coefficients over a cell: their values at its middle, and slopes that hold all over it."""
+        """Return the coefficients over a cell: their values at its middle, and derivatives that hold all over it."""
         middle = np.mean(cell, axis=1)
         # Rounded up, as the middle is not exactly in the middle.
         half = 0.5 * (cell[:, 1] - cell[:, 0]) * (1.0 + 1e-12) + 2.0 * np.spacing(middle)
@@ -243,11 +243,12 @@ class _Search:
         groups = []
         for kind in range(len(columns[0])):
             value = enclose([each.value for each in columns[0][kind]])
-            slopes = [
-                enclose([slope_of(e) for e in part[kind]]).times(h) for part, h in zip(columns[1:], half, strict=True)
+            derivatives = [
+                enclose([derivative_of(e) for e in part[kind]]).times(h)
+                for part, h in zip(columns[1:], half, strict=True)
             ]
-            rest = value.rad + np.sum([s.rad for s in slopes], axis=0)
-            mid = np.stack([value.mid, *(s.mid for s in slopes)], axis=1)
+            rest = value.rad + np.sum([s.rad for s in derivatives], axis=0)
+            mid = np.stack([value.mid, *(s.mid for s in derivatives)], axis=1)
             rad = np.zeros_like(mid)
             rad[:, 0] = rest * (1.0 + 1e-12)
             groups.append(Balls(mid=mid, rad=rad))

@@ -20,8 +20,8 @@ FloatArray = NDArray[np.float64]
 def plant_polynomials(family: Family, cell: FloatArray, along: int | None = None) -> tuple[list[Any], ...]:
     """Return d, n_F and n_x in w = z − 1 over a cell (d, 2) of coordinates, ascending, as series.
 
-    X = n_x/(z^c d) X^d and F = n_F/(z^c d) X^d with d = det(zI − φ) and c commands in the delay chain. The slope of
-    every number is its derivative along coordinate `along`, over the whole cell.
+    X = n_x/(z^c d) X^d and F = n_F/(z^c d) X^d with d = det(zI − φ) and c commands in the delay chain. Every number
+    carries its derivative along coordinate `along`, over the whole cell.
     """
     values = _values(family, cell, along)
     whole, has_fraction = family.delay()
@@ -91,7 +91,7 @@ def _has_filter(family: Family) -> bool:
 
 
 def _filter_unit(family: Family) -> float:
-    """Return the stiffness [N/m] in which the filter's state is told: a number that does not vary."""
+    """Return the stiffness [N/m] in which the filter's state is written: a number that does not vary."""
     coupling = family.nominal.coupling
     return coupling.stiffness_n_per_m + coupling.damping_n_s_per_m / family.sample_time_s
 
@@ -108,7 +108,7 @@ def _values(family: Family, cell: FloatArray, along: int | None) -> dict[str, An
 def _continuous(family: Family, values: Mapping[str, Any]) -> tuple[Any, Any, Any, Any]:
     """Return the augmented continuous plant by sample, square, the rows of x and F, and F's direct part.
 
-    The equations are those of `write_plant`; the payload's position is told relative to the flange, e = x_p − x, as
+    The equations are those of `write_plant`; the payload's position is relative to the flange, e = x_p − x, as
     otherwise the force of a free payload is a small difference of large balls.
     """
     n = family.nominal.robot.order

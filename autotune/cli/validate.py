@@ -130,7 +130,9 @@ def _validate(output: Output, path: Path, identified_path: Path | None, options:
         identified = None if identified_path is None else read_identified(identified_path)
         settings, samples = _disturbances(options, identified), options["samples"]
         with output.progress(f"validating {path.name}", 2.0 if samples else 1.0) as advance:
-            found = verify(read.controller, samples=samples, seed=options["seed"], told=settings, progress=advance)
+            found = verify(
+                read.controller, samples=samples, seed=options["seed"], disturbances=settings, progress=advance
+            )
         checks = [*found.checks]
         checks += [] if identified is None else check_domain(read.controller, identified.result)
         seen.read, seen.simulated, seen.report = read, found.simulated, ValidationReport(checks=tuple(checks))

@@ -49,7 +49,7 @@ def controller_tree(controller: Controller) -> dict[str, Any]:
     """Return the plain tree of `controller.yaml`, its checksum last.
 
     On rx, ry, rz the keys of `predicted`, `certificate.domain`, `certificate.margins` and
-    `certificate.rotational_requirements` tell the rotational unit (`autotune.formats.records.ROTATIONAL_KEYS`).
+    `certificate.rotational_requirements` name the rotational unit (`autotune.formats.records.ROTATIONAL_KEYS`).
 
     Raises ParameterError: a number is not finite, or an entry is out of its range.
     """

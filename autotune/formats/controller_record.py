@@ -274,7 +274,7 @@ class AxisDomain:
 class AxisMargins:
     """The smallest margins over the domain; None where no finite limit exists (infinity is stored as None).
 
-    `worst` tells for each margin at which plant it was found.
+    `worst` names for each margin the plant at which it was found.
     """
 
     gain_db: float | None

@@ -71,7 +71,7 @@ def record_tree(record: object, name: str = "") -> Any:
 
 
 class EntryError(ParameterError):
-    """An entry of a tree that a record refuses; `place` is where it stands."""
+    """An entry of a tree that a record refuses; `place` is its path."""
 
     def __init__(self, place: Place, refusal: ParameterError) -> None:
         super().__init__(spell(place), refusal.value, refusal.must)
@@ -79,7 +79,7 @@ class EntryError(ParameterError):
 
 
 def read_record(kind: type[_Record], tree: Mapping[str, Any], place: Place = ()) -> _Record:
-    """Return the dataclass `kind` that `tree` tells; the tree must satisfy the schema of `kind`.
+    """Return the dataclass `kind` that `tree` holds; the tree must satisfy the schema of `kind`.
 
     Raises EntryError when the dataclass refuses a value.
     """

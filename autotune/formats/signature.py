@@ -1,6 +1,6 @@
 """Signatures of files, Ed25519, each in a file of its own beside what it signs.
 
-The checksum in a file tells that nothing was changed by accident; a signature tells who vouches for it.
+The checksum in a file shows that nothing was changed by accident; a signature shows who vouches for it.
 """
 
 import os
@@ -23,7 +23,7 @@ _PEM, _OPENSSH_PRIVATE = b"-----BEGIN ", b"-----BEGIN OPENSSH"
 
 
 def signature_path(path: Path) -> Path:
-    """Return where the signature of a file stands: its name with `.sig` behind."""
+    """Return the path of a file's signature: its name with `.sig` behind."""
     return path.with_name(f"{path.name}.sig")
 
 
@@ -77,7 +77,7 @@ def sign_file(path: Path, key: "Ed25519PrivateKey", digest: str) -> str:
 def check_signature_target(path: Path) -> str:
     """Return which signature one of `path` will replace, in words; "" where nothing would be lost.
 
-    Raises UsageError where a symbolic link or a file that is no signature stands, or where nothing can be written.
+    Raises UsageError where a symbolic link or a file that is no signature is there, or where nothing can be written.
     """
     beside = signature_path(path)
     if beside.is_symlink():
@@ -127,7 +127,7 @@ def fingerprint(key: "Ed25519PublicKey") -> str:
 
 
 def unverified_signature(path: Path) -> str:
-    """Say that a signature stands beside `path` and was not verified; "" where there is none."""
+    """Say that a signature lies beside `path` and was not verified; "" where there is none."""
     beside = signature_path(path)
     if not beside.is_file():
         return ""

@@ -48,7 +48,7 @@ _COMMA_LEFT, _COMMA_RIGHT = re.compile(r"[-+]?[0-9]+"), re.compile(r"[0-9]+([eE]
 
 @dataclass(frozen=True, kw_only=True)
 class Document:
-    """A file that was read: its plain tree, where each entry stands, and the sha256 of its bytes."""
+    """A file that was read: its plain tree, the line of each entry, and the sha256 of its bytes."""
 
     path: Path
     tree: dict[str, Any]

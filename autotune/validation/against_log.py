@@ -36,7 +36,7 @@ _COMPARED_S = 0.4
 _EARLIEST_S, _LATEST_S, _SHIFTS_PER_SAMPLE = 0.02, 0.01, 4
 # Of 500 samples of white noise one in 3500 traces leaves the band somewhere.
 _NOISE_STDS = 5.0
-# What a contact alone tells of K_e and the log of M_p.
+# Deviation of K_e from one contact alone and of M_p from the log.
 _OUTSIDE = 0.1
 
 
@@ -60,7 +60,7 @@ class ComparedContact:
     """One contact: what was measured, and what the file's plant predicts at its speed, F^d and K_e.
 
     `band_peaks_n` are the smallest and the largest peak over the certified set at the same speed and F^d, and
-    `share_inside` is the share of the trace between the lowest and the highest of its forces. `outside` tells where
+    `share_inside` is the share of the trace between the lowest and the highest of its forces. `outside` says where
     the contact lies outside of what is certified. `trace` is for pictures.
     """
 
@@ -110,7 +110,7 @@ def compare_with_log(
     frames: Frames | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> LogComparison:
-    """Compare every contact of a log; `progress` is told shares of the work.
+    """Compare every contact of a log; `progress` takes shares of the work.
 
     Raises LogError for a log without a contact along an axis of the file, or whose command no contact explains by this
     law; EstimateError for a log without raw wrench or pose; UsageError for a file with a collision response.
@@ -275,7 +275,7 @@ def _spread(values: FloatArray, choose: Callable[[FloatArray, FloatArray], Float
 
 def _outside(domain: AxisDomain, axis: str, stiffness: float | None, log: ContactLog) -> str:
     is_weighed = log.is_weighed and axis not in ROTATIONAL_AXES
-    told = [
+    text = [
         f"{what} {value:.4g} {unit} outside of {low:g} to {high:g}"
         for what, value, unit, (low, high) in (
             ("K_e", stiffness, axis_units(axis).stiffness, domain.environment_stiffness_n_per_m),
@@ -283,7 +283,7 @@ def _outside(domain: AxisDomain, axis: str, stiffness: float | None, log: Contac
         )
         if value is not None and not low * (1.0 - _OUTSIDE) <= value <= high * (1.0 + _OUTSIDE)
     ]
-    return ", ".join(told)
+    return ", ".join(text)
 
 
 def log_checks(found: LogComparison) -> tuple[Check, ...]:
@@ -293,7 +293,7 @@ def log_checks(found: LogComparison) -> tuple[Check, ...]:
         limit = each.band_peaks_n[1] * (1.0 + SAME_PEAK)
         share, unit = 100.0 * each.peak_error_n / each.measured_peak_n, axis_units(each.axis).force
         digits, (low, high) = 2 if each.axis in ROTATIONAL_AXES else 1, each.band_peaks_n
-        told = (
+        text = (
             f"measured {each.measured_peak_n:.{digits}f} {unit}, predicted {each.predicted_peak_n:.{digits}f} {unit} "
             f"({each.peak_error_n:+.{digits}f} {unit}, {share:+.1f} %), {low:.{digits}f} to {high:.{digits}f} {unit} "
             "over the certified set"
@@ -304,7 +304,7 @@ def log_checks(found: LogComparison) -> tuple[Check, ...]:
                 axis=each.axis,
                 name=f"contact at {each.onset_s:.2f} s",
                 passed=not wrong,
-                message=f"{told}; {wrong}" if wrong else told,
+                message=f"{text}; {wrong}" if wrong else text,
             )
         )
     return tuple(checks)

@@ -134,7 +134,7 @@ def prove_axis(
         found = prover.prove(modulus_claim(domain, law, sample_time_s, over, modulus, budget_s), share)
         false = refuted_inside(domain, found)
         if false is not None:
-            raise _refuted(name, domain, false, told_false(false, axis_units(name)))
+            raise _refuted(name, domain, false, describe_false(false, axis_units(name)))
         low, high = domain.environment_stiffness_n_per_m
         regions.append(
             ProvenRegion(
@@ -153,7 +153,7 @@ def prove_axis(
     claim = stability_claim(domain, law, sample_time_s, regions)
     stable = prover.prove(claim)
     if stable.failed is not None:
-        raise _refuted(name, domain, stable.failed, told_unstable(stable, axis_units(name)))
+        raise _refuted(name, domain, stable.failed, describe_unstable(stable, axis_units(name)))
     proofs = stability_statements(domain, claim, stable, name)
     return AxisProof(proofs=proofs, regions=tuple(regions), answers=prover.answers)
 
@@ -163,7 +163,7 @@ def _passed_on(progress: Callable[[float], None], share: float, done: float) -> 
 
 
 def _refuted(name: str, domain: AxisDomain, failed: Certificate, message: str) -> CertificateError:
-    """Return the error of a claim that fails at a plant; in free space every surface stands for none."""
+    """Return the error of a claim that fails at a plant; free space is reported as the softest surface."""
     plant = failed.plant
     if plant is None:
         return CertificateError(f"Axis {name}: {message}")
@@ -250,7 +250,7 @@ def refuted_inside(domain: AxisDomain, found: CombinedCertificate) -> Certificat
     return false if domain.confidence is None or domain.uncertainty().contains(plant) else None
 
 
-def told_false(false: Certificate, units: AxisUnits) -> str:
+def describe_false(false: Certificate, units: AxisUnits) -> str:
     """Say where a claim is false."""
     plant, frequency = false.plant, false.frequency_rad_per_s
     if plant is None or frequency is None:
@@ -263,7 +263,7 @@ def told_false(false: Certificate, units: AxisUnits) -> str:
     )
 
 
-def told_unstable(found: CombinedCertificate, units: AxisUnits) -> str:
+def describe_unstable(found: CombinedCertificate, units: AxisUnits) -> str:
     """Say where stability is not proved."""
     failed = found.failed
     where = "free space" if failed in found.free_space else "contact"

@@ -1,7 +1,7 @@
 """Search the certified set for contacts that bounce for ever, which stable loops in contact and apart do not exclude.
 
 The linear unilateral contact scales with its forces: only the ratio of the speed at the impact to the steady speed
-under the force that goes on, s = v (B_a + B_p)/F^d, decides how it ends. So one range of s stands for all speeds and
+under the force that goes on, s = v (B_a + B_p)/F^d, decides how it ends. So one range of s covers all speeds and
 forces.
 """
 
@@ -82,13 +82,13 @@ class BounceSearch:
             )
         impact, bounced = self.found, self.bounced
         return (
-            f"the contact bounces for ever at {told_impact(impact, self.axis)}: after {bounced.duration_s:.3g} s it is "
-            f"still left {bounced.leaves_per_s:.3g} times a second, with impacts of {bounced.peak_contact_force_n:.3g} "
-            f"{units.force}"
+            f"the contact bounces for ever at {describe_impact(impact, self.axis)}: after "
+            f"{bounced.duration_s:.3g} s it is still left {bounced.leaves_per_s:.3g} times a second, with impacts of "
+            f"{bounced.peak_contact_force_n:.3g} {units.force}"
         )
 
 
-def told_impact(impact: Impact, axis: str) -> str:
+def describe_impact(impact: Impact, axis: str) -> str:
     """Return an impact in words."""
     units, plant = axis_units(axis), impact.scenario
     return (
@@ -184,7 +184,7 @@ def impacts_of(
 
 
 def bouncing_claim(axis: str, domain: AxisDomain, whole: str) -> Proof:
-    """Return what the search says of one axis once it found nothing; `whole` tells a set of more than K_e and M_p."""
+    """Return what the search says of one axis once it found nothing; `whole` names a set of more than K_e and M_p."""
     units, plants = axis_units(axis), len(drawn_plants(domain))
     (low, high), (light, heavy) = domain.environment_stiffness_n_per_m, domain.payload_mass_kg
     ranges = f"M_p in [{light:g}, {heavy:g}] {units.mass}, K_e in [{low:g}, {high:g}] {units.stiffness}"

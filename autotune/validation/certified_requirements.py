@@ -38,13 +38,13 @@ def certified_problem_requirements(controller: Controller, name: str) -> Require
     return build_requirements(known, prices, without_defaults=True)
 
 
-def soft_told(controller: Controller, name: str) -> str:
-    """Say what is achieved of what was only wished; empty where nothing was."""
+def describe_soft(controller: Controller, name: str) -> str:
+    """Say what is achieved of soft requirements; empty without any."""
     soft = (controller.certificate.soft or {}).get(name, {})
-    told = ", ".join(
+    text = ", ".join(
         f"{key} {'without limit' if claim.achieved is None else f'{claim.achieved:.4g}'}" for key, claim in soft.items()
     )
-    return f"; achieved of what was only wished: {told}" if told else ""
+    return f"; achieved of what was only wished: {text}" if text else ""
 
 
 def limit_n(controller: Controller, name: str) -> float | None:

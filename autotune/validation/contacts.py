@@ -119,7 +119,7 @@ def _compared(scenario: ScenarioPrediction, replays: Replays, units: AxisUnits) 
 
 
 def inside(value: float, interval: tuple[float, float]) -> bool:
-    """Say whether a value lies in an interval as far as a file tells it."""
+    """Say whether a value lies in an interval to the digits of a file."""
     return interval[0] * (1.0 - _SAME_NUMBER) <= value <= interval[1] * (1.0 + _SAME_NUMBER)
 
 
@@ -151,13 +151,13 @@ def verify_response(
     that the peaks are those in the file; of the file's own numbers, that the worst are no higher than without.
     """
     predicted, threshold = controller.predicted[name], controller.collision.threshold_n
-    told = predicted.with_collision_response
+    stated = predicted.with_collision_response
     if not has_response(controller, name) or threshold is None:
         reason = "contacts with a collision response are predicted, and the file has none on this axis"
-        return "", [reason] if told else []
-    if not told:
+        return "", [reason] if stated else []
+    if not stated:
         return "", ["the file has a collision response and predicts no contact with it"]
-    with_response = {each.scenario(): each for each in told}
+    with_response = {each.scenario(): each for each in stated}
     wrong = [
         f"{each.name}: no contact with the collision response is predicted"
         for each in predicted.scenarios
@@ -295,7 +295,7 @@ def _sensor(controller: Controller) -> list[str]:
 def _residual(controller: Controller, name: str) -> list[str]:
     """Say where the peaks with the residual are not what the others make them, or the residual moves by itself."""
     limits, gains, predicted = controller.limits, controller.axes[name], controller.predicted[name]
-    told, units = predicted.with_residual_weight, axis_units(name)
+    stated, units = predicted.with_residual_weight, axis_units(name)
     residual, share = with_residual(controller, name)
     if limits is None:
         return []
@@ -304,11 +304,11 @@ def _residual(controller: Controller, name: str) -> list[str]:
         wrong.append(
             f"at the start {residual:g} {units.force} may be left over, more than the deadband of {gains.deadband:g}"
         )
-    if told is None:
+    if stated is None:
         return [*wrong, "the file predicts no peak with the weight that may be left over (with_residual_weight)"]
     for kind in _PEAKS:
         expected = share * max(float(getattr(each, kind)) for each in predicted.scenarios)
-        if float(getattr(told, kind)) < (1.0 - _SAME_NUMBER) * expected or told.force_n < residual:
+        if float(getattr(stated, kind)) < (1.0 - _SAME_NUMBER) * expected or stated.force_n < residual:
             must = f"at least {expected:.4g} {units.force} with {residual:g} left over"
             wrong.append(f"with_residual_weight.{kind} must be {must}")
     return wrong

@@ -48,7 +48,9 @@ _RULES: tuple[tuple[str, Callable[[float], bool], str], ...] = (
 )
 
 
-def axis_effects(controller: Controller, name: str, told: Disturbances, approach_speed: float) -> Nonlinearities:
+def axis_effects(
+    controller: Controller, name: str, disturbances: Disturbances, approach_speed: float
+) -> Nonlinearities:
     """Return deadband, noise, clipping, limit on the command and late commands of one axis.
 
     The deadband is the file's. The noise is what the caller says, else that of the file's limit on the command's noise,
@@ -56,15 +58,15 @@ def axis_effects(controller: Controller, name: str, told: Disturbances, approach
     unless the approach alone is nearly as fast; 1 % of the commands are late. A collision response is the file's.
     """
     turns = name in ROTATIONAL_AXES
-    speed = told.speed_limit[turns]
+    speed = disturbances.speed_limit[turns]
     if speed is None and not turns:
         speed = max(_REDUCED_SPEED_M_S, _ABOVE_APPROACH * approach_speed)
     return Nonlinearities(
         deadband=file_deadband(controller.axes[name]),
-        force_limit_n=told.sensor_range[turns],
-        force_noise_rms_n=_noise_rms(controller, name, told),
+        force_limit_n=disturbances.sensor_range[turns],
+        force_noise_rms_n=_noise_rms(controller, name, disturbances),
         limits=None if speed is None else CommandLimits(speed_m_s=speed),
-        late_share=_USUAL_LATE_SHARE if told.late_share is None else told.late_share,
+        late_share=_USUAL_LATE_SHARE if disturbances.late_share is None else disturbances.late_share,
         collision=_file_response(controller, name),
     )
 
@@ -85,9 +87,9 @@ def file_deadband(gains: AxisGains) -> Deadband:
     return Deadband(width_n=gains.deadband, kind="threshold")
 
 
-def _noise_rms(controller: Controller, name: str, told: Disturbances) -> float:
+def _noise_rms(controller: Controller, name: str, disturbances: Disturbances) -> float:
     turns = name in ROTATIONAL_AXES
-    said = told.noise_rms[turns]
+    said = disturbances.noise_rms[turns]
     if said is not None:
         return said
     limit = (controller.certificate.requirements_of(name) or {}).get("command_noise")

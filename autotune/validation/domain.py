@@ -22,7 +22,7 @@ def check_domain(controller: Controller, identified: Identified) -> tuple[Check,
     """Compare payload, coupling, drag, delay, environments and the wrench's filter with the certificate's domain.
 
     The payload of a rotational axis is the moment of inertia about it. What the runtime compensates, which is of all
-    axes, is compared with the identified payload and told once, of the first axis.
+    axes, is compared with the identified payload once, with the first axis.
     """
     checks = []
     for name, domain in controller.certificate.domain.items():
@@ -74,10 +74,10 @@ def _same_vector(what: str, estimate: VectorEstimate, said: Sequence[float]) -> 
         for one, value, std in zip(said, estimate.value, stds, strict=True)
     ):
         return []
-    return [f"{what} is {_told(said)}, identified as {_told(estimate.value)} with deviations of {_told(stds)}"]
+    return [f"{what} is {_listed(said)}, identified as {_listed(estimate.value)} with deviations of {_listed(stds)}"]
 
 
-def _told(numbers: Sequence[float]) -> str:
+def _listed(numbers: Sequence[float]) -> str:
     return ", ".join(f"{number:.6g}" for number in numbers)
 
 
@@ -98,8 +98,8 @@ def _wrench(domain: AxisDomain, estimate: WrenchFilterEstimate | None) -> list[s
         return _interval(what, estimate.delay_s, span) if span else _same(what, estimate.delay_s, certified.delay_s)
     corner, lag = estimate.corner_hz or _ABSENT, certified.time_constant_s
     if lag == 0.0:
-        told = "not identified" if corner.value is None else f"filtered at {corner.value:.6g} Hz"
-        return [f"the wrench is {told}, certified for a wrench without a filter"]
+        corner_text = "not identified" if corner.value is None else f"filtered at {corner.value:.6g} Hz"
+        return [f"the wrench is {corner_text}, certified for a wrench without a filter"]
     fast, slow = uncertain.get("wrench_time_constant_s", (lag, lag))
     ends = 1.0 / (2.0 * math.pi * slow), 1.0 / (2.0 * math.pi * fast)
     if "wrench_time_constant_s" in uncertain:
@@ -146,7 +146,7 @@ def _outside(name: str, domain: AxisDomain, axis: AxisEstimate) -> Iterator[str]
 def _interval(
     what: str, estimate: Estimate, interval: tuple[float, float], *, certified: tuple[float, float] | None = None
 ) -> list[str]:
-    """Say what lies outside of an interval; `certified` is what it is told to be, where it was widened."""
+    """Say what lies outside of an interval; `certified` is what is shown where it was widened."""
     if estimate.value is None:
         return [f"{what} is not identified"]
     if not interval[0] <= estimate.value <= interval[1]:

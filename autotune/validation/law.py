@@ -44,7 +44,7 @@ from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import frequency_grid
 from problems.stability.passivity import passive_below_hz
 
-from .axis_proof import STABILITY_WORK, told_unstable
+from .axis_proof import STABILITY_WORK, describe_unstable
 from .margins import SweptMargins, sweep_margins
 from .requirements import worst_of_loops
 from .validate import uncertain_plant
@@ -107,7 +107,7 @@ class LawCertificate:
     """What was found of one law; `missed` says in words what of it is not as was asked, empty when all is.
 
     `spring_share` is the share of its room that a spring takes (None without one). Without stability there are no
-    margins and no peaks. `is_unproved` where a proof ran out and no plant refutes it: finer ranges could tell.
+    margins and no peaks. `is_unproved` where a proof ran out and no plant refutes it: narrower ranges may be proved.
     """
 
     stability: CombinedCertificate
@@ -128,7 +128,7 @@ def certify_law(task: AxisTask, law: LinearController) -> LawCertificate:
     """Prove the law stable over the domain, sweep its margins, simulate its contacts and compare with what is asked."""
     units, plants, others = axis_units(task.axis), task.plants(), task.others()
     stability, share = prove_law(plants, law)
-    missed = [] if stability.holds else [told_unstable(stability, units)]
+    missed = [] if stability.holds else [describe_unstable(stability, units)]
     if share is not None and not share < _SPRING_ROOM:
         missed.append(f"the return spring takes {100.0 * share:.3g} % of the room that it has, more than 10 %")
     if missed:

@@ -44,9 +44,9 @@ def follow_law(
     quiet = np.zeros(len(command))
     answers = [_answer(law, h, quiet + 1.0, quiet, "steady")]
     answers += [_answer(law, h, quiet, quiet, memory) for memory in _memories(law)]
-    told = _answer(law, h, seen, way, "")
+    answered = _answer(law, h, seen, way, "")
     rows = np.column_stack(answers)[2:]
-    wanted = (command - origin - told)[2:]
+    wanted = (command - origin - answered)[2:]
     size = np.maximum(np.max(np.abs(rows), axis=0), 1e-300)
     solution = np.linalg.lstsq(rows / size, wanted, rcond=None)[0] / size
     left = wanted - rows @ solution
@@ -71,7 +71,7 @@ def _memories(law: AdmittanceController) -> tuple[str, ...]:
 def _answer(law: AdmittanceController, h: float, force: FloatArray, position: FloatArray, memory: str) -> FloatArray:
     """Return the commands (n,) to force and position, from rest but for one memory of unit size.
 
-    `steady` has felt the same force before; `force_last` stands for both forces before, which the command tells apart
+    `steady` has felt the same force before; `force_last` is both forces before, which the command shows apart
     in its first sample only.
     """
     equation = DifferenceEquation(law, h)

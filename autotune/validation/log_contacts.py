@@ -37,7 +37,7 @@ class LogContact:
 
     `force_n` (n,) is that of the whole log along the axis, free of weight and bias, `position_m` and `command_m` (n,)
     the flange's; `sign` is +1 where the payload presses towards +axis. `speed_m_s` is that of the approach;
-    `stiffness_n_per_m` K_e as this contact alone tells it, None where it does not.
+    `stiffness_n_per_m` K_e estimated from this contact alone, None where it cannot be.
     """
 
     axis: str
@@ -54,7 +54,7 @@ class LogContact:
 
 @dataclass(frozen=True, kw_only=True)
 class ContactLog:
-    """All contacts of a log; `mass_kg` is the payload's as the log tells it, or as the file does (`is_weighed`)."""
+    """All contacts of a log; `mass_kg` is the payload's, weighed in the log (`is_weighed`) or from the file."""
 
     period_s: float
     mass_kg: float
@@ -65,8 +65,8 @@ class ContactLog:
 def find_log_contacts(recording: Recording, controller: Controller, frames: Frames | None = None) -> ContactLog:
     """Find the contacts along the controller's axes.
 
-    The weight is that of the rests in the log where these tell it, else that of the file's payload. Raises LogError for
-    a log without command, with other gains or another payload, EstimateError for one without raw wrench or pose.
+    The weight is that of the rests in the log where they determine it, else that of the file's payload. Raises LogError
+    for a log without command, with other gains or another payload, EstimateError for one without raw wrench or pose.
     """
     _check_gains(recording, controller)
     if recording.command is None:
@@ -97,20 +97,20 @@ def find_log_contacts(recording: Recording, controller: Controller, frames: Fram
 
 
 def _check_gains(recording: Recording, controller: Controller) -> None:
-    """Raise LogError where the log tells gains, and other ones than the file."""
+    """Raise LogError where the log holds gains, and other ones than the file."""
     if recording.gains is None:
         return
     for name, asked in controller.axes.items():
         column = AXES.index(name)
-        for symbol, logged, told in (
+        for symbol, logged, stated in (
             ("M_a", recording.gains.mass, asked.mass),
             ("B_a", recording.gains.damping, asked.damping),
         ):
-            usual = float(np.nanmedian(logged[:, column])) if np.any(np.isfinite(logged[:, column])) else told
-            if abs(usual / told - 1.0) > _SAME_GAIN:
+            usual = float(np.nanmedian(logged[:, column])) if np.any(np.isfinite(logged[:, column])) else stated
+            if abs(usual / stated - 1.0) > _SAME_GAIN:
                 raise LogError(
                     f"The log was recorded with another controller: topic {recording.gains.topic} says {symbol} = "
-                    f"{usual:.6g} on axis {name}, the file {told:.6g}. Give the file that was running."
+                    f"{usual:.6g} on axis {name}, the file {stated:.6g}. Give the file that was running."
                 )
 
 
@@ -156,7 +156,7 @@ class _Turn:
 def _turns(weighed: _Weighed, controller: Controller) -> list[_Turn]:
     """Return the axes of the file about which the tool turned to and fro.
 
-    Raises LogError where the file turns only and the log does not tell the weight, which makes most of the torque.
+    Raises LogError where the file turns only and the log does not determine the weight, which makes most of the torque.
     """
     names = ROTATIONAL_AXES.intersection(controller.axes)
     if not names:
@@ -206,7 +206,7 @@ def _straight_contacts(
 
 
 def _turned_contacts(turn: _Turn, domain: AxisDomain, weighed: _Weighed) -> Iterator[LogContact]:
-    """Yield the contacts at the end of turns: found on the path, told about the axis."""
+    """Yield the contacts at the end of turns: found on the path, described about the axis."""
     inertia = float(np.mean(domain.payload_mass_kg))
     path = turn.unrolled
     command = _command_along(path.recording, path.log, path.axis, np.zeros(3))

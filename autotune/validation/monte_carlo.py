@@ -46,8 +46,8 @@ class Peaks:
 class SampledPeaks:
     """One force of one axis: `predicted` is the file's worst, `linear` what its own model makes of the sampled plants.
 
-    `observed` is that of the full simulation; `limit` is what it may reach (`axis_monte_carlo`). N, about a turning
-    axis N·m, pressing positive.
+    `observed` is that of the full simulation; `limit` is its largest (`axis_monte_carlo`). N, about a turning axis N·m,
+    pressing positive.
     """
 
     predicted: float
@@ -71,7 +71,7 @@ class ForceBand:
 class AxisMonteCarlo:
     """What came of `count` runs on one axis with `effects`; `unstable` is the first plant whose loop is not stable.
 
-    `refusal` tells what the full simulation cannot do; `is_left_out` where that is so of every plant of the set,
+    `refusal` says what the full simulation cannot do; `is_left_out` where that is so of every plant of the set,
     none of which has a delay. `band` is for pictures.
     """
 
@@ -93,10 +93,10 @@ def run_monte_carlo(
     *,
     count: int = SAMPLES,
     seed: int = SEED,
-    told: Disturbances | None = None,
+    disturbances: Disturbances | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[AxisMonteCarlo, ...]:
-    """Simulate contacts with `count` plants of every axis' certified set; `progress` is told shares of the work.
+    """Simulate contacts with `count` plants of every axis' certified set; `progress` takes shares of the work.
 
     Axes whose certificate names no approach or no contact, or what cannot be simulated, are left out: other checks
     refuse them. Raises ParameterError for a count below 1, and for what the caller says of the cell and cannot be.
@@ -111,7 +111,7 @@ def run_monte_carlo(
                 progress(share / len(controller.axes))
 
         if _is_simulated(controller, name):
-            found.append(_axis_monte_carlo(controller, name, count, seed, told or Disturbances(), advance))
+            found.append(_axis_monte_carlo(controller, name, count, seed, disturbances or Disturbances(), advance))
     return tuple(found)
 
 
@@ -162,7 +162,7 @@ def _axis_monte_carlo(
     name: str,
     count: int,
     seed: int,
-    told: Disturbances,
+    disturbances: Disturbances,
     advance: Callable[[float], None],
 ) -> AxisMonteCarlo:
     """Run one axis.
@@ -180,7 +180,7 @@ def _axis_monte_carlo(
         duration_s=min(max(_SHORTEST_S, _PEAKS_LATER * latest), _LONGEST_S),
     )
     force, speed = contacts.driving()
-    effects = axis_effects(controller, name, told, speed)
+    effects = axis_effects(controller, name, disturbances, speed)
     plants = tuple(_drawn(domain, count, seed))
     result = AxisMonteCarlo(axis=name, count=count, seed=seed, effects=effects, driving_force=force)
     nominal, rows, traces = domain.nominal_plant(), list[tuple[float, ...]](), list[FloatArray]()
@@ -294,13 +294,13 @@ def _linear_check(found: AxisMonteCarlo, both: Sequence[tuple[str, SampledPeaks]
         for what, of in both
         if of.linear.largest > of.predicted + SAME_PEAK * max(of.predicted, found.driving_force)
     ]
-    told = ", ".join(f"{of.linear.largest:.1f} {units.force} at the {what}" for what, of in both)
-    message = "; ".join(above) or f"largest of {found.count} plants {told}, none above the predicted"
+    text = ", ".join(f"{of.linear.largest:.1f} {units.force} at the {what}" for what, of in both)
+    message = "; ".join(above) or f"largest of {found.count} plants {text}, none above the predicted"
     return Check(axis=found.axis, name="sampled peaks", passed=not above, message=message)
 
 
 def _change(of: SampledPeaks) -> float:
-    """Return what the disturbances add, to the digit that is told; adding nothing makes 0 of -0."""
+    """Return what the disturbances add, to the digit that is shown; adding nothing makes 0 of -0."""
     return round(of.observed.largest - of.linear.largest, 1) + 0.0
 
 
@@ -309,22 +309,22 @@ def _full_check(found: AxisMonteCarlo, both: Sequence[tuple[str, SampledPeaks]])
     units = axis_units(found.axis)
     above = [
         f"the peak {what} {units.force_name} is {of.observed.largest:.2f} {units.force} at {of.observed.plant.name}; "
-        f"{of.predicted:.2f} {units.force} is predicted, and {_effects_told(found)} explain {of.limit:.2f} "
+        f"{of.predicted:.2f} {units.force} is predicted, and {_describe_effects(found)} explain {of.limit:.2f} "
         f"{units.force} at most"
         for what, of in both
         if of.observed.largest > of.limit
     ]
-    told = ", ".join(
+    text = ", ".join(
         f"{of.observed.largest:.1f} {units.force} at the {what} ({_change(of):+.1f}; at most {of.limit:.1f})"
         for what, of in both
     )
-    message = "; ".join(above) or f"with {_effects_told(found)} largest {told}"
+    message = "; ".join(above) or f"with {_describe_effects(found)} largest {text}"
     return Check(axis=found.axis, name="full simulation", passed=not above, message=message)
 
 
-def _effects_told(found: AxisMonteCarlo) -> str:
+def _describe_effects(found: AxisMonteCarlo) -> str:
     effects, units = found.effects, axis_units(found.axis)
-    told = [
+    text = [
         f"{effects.deadband.width_n:g} {units.force} deadband" if effects.deadband is not None else "",
         f"{effects.force_noise_rms_n:.3g} {units.force} noise",
         f"clipping at {effects.force_limit_n:g} {units.force}" if effects.force_limit_n is not None else "",
@@ -332,7 +332,7 @@ def _effects_told(found: AxisMonteCarlo) -> str:
         f"{100.0 * effects.late_share:g} % of the commands late",
         f"the collision response at {effects.collision.threshold_n:g} N" if effects.collision is not None else "",
     ]
-    return ", ".join(part for part in told if part)
+    return ", ".join(part for part in text if part)
 
 
 def monte_carlo_tree(found: Sequence[AxisMonteCarlo]) -> dict[str, object]:

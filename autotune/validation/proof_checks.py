@@ -17,12 +17,12 @@ from problems.model.controller import AdmittanceController
 
 from .axis_proof import (
     Prover,
+    describe_false,
+    describe_unstable,
     modulus_claim,
     refuted_inside,
     stability_claim,
     stability_statements,
-    told_false,
-    told_unstable,
 )
 from .report import Check
 from .validation_samples import sampled_claims
@@ -59,7 +59,7 @@ def check_stability(
         passed = all(part.holds for part in parts)
         cells = f"{sum(part.cells for part in parts)} cells{origin}"
         message = f"proved for every M_p in [{light:g}, {heavy:g}] {units.mass}{stiffness}{rest} ({cells})"
-        message = message if passed else told_unstable(found, units)
+        message = message if passed else describe_unstable(found, units)
         checks.append(Check(axis=name, name=f"stability in {where}", passed=passed, message=message))
         if not passed:
             break
@@ -137,19 +137,19 @@ def _says(stated: Proof, found: Proof) -> bool:
 
 def check_continuous(controller: Controller, name: str, law: AdmittanceController, prover: Prover) -> Iterator[Check]:
     """Prove again how far a modulus holds; more than is claimed may be proved, less may not."""
-    for reach in (controller.certificate.continuous or {}).get(name, ()):
+    for region in (controller.certificate.continuous or {}).get(name, ()):
         domain = controller.certificate.domain[name]
-        yield _continuous(name, domain, reach, law, controller.sample_time_s, prover)
+        yield _continuous(name, domain, region, law, controller.sample_time_s, prover)
 
 
 def _continuous(
-    name: str, domain: AxisDomain, reach: ProvenRegion, law: AdmittanceController, sample_time_s: float, prover: Prover
+    name: str, domain: AxisDomain, region: ProvenRegion, law: AdmittanceController, sample_time_s: float, prover: Prover
 ) -> Check:
-    units, (low, high) = axis_units(name), reach.environment_stiffness_n_per_m
-    over = ", ".join(SYMBOLS.get(each, each) for each in reach.over)
-    told = f"|1 + L| > {reach.modulus:.4g} and stable at every frequency, over {over}"
+    units, (low, high) = axis_units(name), region.environment_stiffness_n_per_m
+    over = ", ".join(SYMBOLS.get(each, each) for each in region.over)
+    bound = f"|1 + L| > {region.modulus:.4g} and stable at every frequency, over {over}"
     try:
-        claim = modulus_claim(domain, law, sample_time_s, reach.over, reach.modulus, reach.budget_s)
+        claim = modulus_claim(domain, law, sample_time_s, region.over, region.modulus, region.budget_s)
         origin, found = prover.origin(claim), prover.prove(claim)
     except ParameterError as error:
         return Check(axis=name, name="continuous proof", passed=False, message=str(error))
@@ -158,19 +158,19 @@ def _continuous(
     proved = wide if found.holds else (wide[0], found.up_to(wide[0]))
     share = 0.0 if found.false else found.share
     passed = (
-        false is None and reach.share <= share + _SAME_NUMBER and high <= max(proved[1], low) * (1.0 + _SAME_NUMBER)
+        false is None and region.share <= share + _SAME_NUMBER and high <= max(proved[1], low) * (1.0 + _SAME_NUMBER)
     )
     if false is not None:
-        message = told_false(false, units)
+        message = describe_false(false, units)
     elif not passed:
-        message = f"{told}: claimed for the share {reach.share:.4g}, proved for {share:.4g}"
-    elif reach.share <= 0.0:
-        message = f"not proved: nothing could be shown within the budget of {told}"
-    elif reach.share < 1.0:
+        message = f"{bound}: claimed for the share {region.share:.4g}, proved for {share:.4g}"
+    elif region.share <= 0.0:
+        message = f"not proved: nothing could be shown within the budget of {bound}"
+    elif region.share < 1.0:
         message = (
-            f"{told}: proved up to here, {100.0 * reach.share:.4g} % of the set, K_e up to {high:g} {units.stiffness}"
+            f"{bound}: proved up to here, {100.0 * region.share:.4g} % of the set, K_e up to {high:g} {units.stiffness}"
         )
     else:
         counts = f"{found.cells} cells, {found.arcs} arcs, {found.run_time_s:.1f} s{origin}"
-        message = f"{told}: proved ({counts})"
-    return Check(axis=name, name="continuous proof", passed=passed, message=message, warns=reach.share <= 0.0)
+        message = f"{bound}: proved ({counts})"
+    return Check(axis=name, name="continuous proof", passed=passed, message=message, warns=region.share <= 0.0)

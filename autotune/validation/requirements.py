@@ -28,7 +28,7 @@ from problems.model.plant import FREE_SPACE, Plant
 from problems.model.sampled import Controller as LoopController
 from problems.model.sampled import build_sampled_plant
 
-from .certified_requirements import asked_of, certified_problem_requirements, soft_told
+from .certified_requirements import asked_of, certified_problem_requirements, describe_soft
 from .margins import SweptMargins
 from .report import Check
 from .simulated_responses import passive_band_hz, sampled_admittance, worst_speed_rms
@@ -49,12 +49,12 @@ def check_margins(name: str, claimed: AxisMargins, swept: SweptMargins) -> Check
         said = math.inf if said is None else float(said)
         if said > found * (1.0 + _SAME_MARGIN) and not (math.isinf(said) and math.isinf(found)):
             wrong.append(f"{key} is claimed as {said:.6g}, found {found:.6g}")
-    told = ", ".join(f"{key} {swept.values[key]:.4g}" for key in ("modulus", "gain_db", "phase_deg", "delay_s"))
+    text = ", ".join(f"{key} {swept.values[key]:.4g}" for key in ("modulus", "gain_db", "phase_deg", "delay_s"))
     return Check(
         axis=name,
         name="margins",
         passed=not wrong and swept.largest_radius < 1.0,
-        message="; ".join(wrong) or f"confirmed on {swept.plants} plants: {told}",
+        message="; ".join(wrong) or f"confirmed on {swept.plants} plants: {text}",
     )
 
 
@@ -79,7 +79,7 @@ def check_requirements(controller: Controller, name: str, swept: SweptMargins) -
         axis=name,
         name="requirements",
         passed=not missed,
-        message="; ".join(missed) or f"all {known} margins that were asked are met{soft_told(controller, name)}",
+        message="; ".join(missed) or f"all {known} margins that were asked are met{describe_soft(controller, name)}",
     )
 
 
@@ -99,7 +99,7 @@ def check_admittance(
         wrong.append(f"|G| is claimed as {predicted.min_m_s_per_n:.6g} {units.admittance}, found {found:.6g}")
     for required in asked_of(controller, name).values():
         if isinstance(required, AdmittanceTarget):
-            # G does not hang on the payload; among the robots the slowest and the fastest stand for all.
+            # G does not hang on the payload; among the robots the slowest and the fastest cover all.
             reached = min(
                 sampled_admittance(port, law, controller.sample_time_s, required.band_hz)
                 for port in (plants.port, *others.extreme_ports())

@@ -21,7 +21,7 @@ _REPLAYED = 4
 class ValidationSamples:
     """What is looked at of the whole uncertainty: every plant for its margins, the first few for their peak too.
 
-    `outside` tells recorded worst cases that the domain does not hold.
+    `outside` names recorded worst cases that the domain does not hold.
     """
 
     scenarios: tuple[Scenario, ...]
@@ -72,41 +72,41 @@ def sampled_claims(
     Of every axis that no contact bounces for ever; where more than K_e and M_p is uncertain, of that set too. Where
     `regions` hold a proof over all that is uncertain, stability is none of it.
     """
-    bouncing = bouncing_claim(name, domain, "" if domain.uncertain is None else told_set(domain, name))
+    bouncing = bouncing_claim(name, domain, "" if domain.uncertain is None else describe_set(domain, name))
     if domain.uncertain is None:
         return (bouncing,)
     others = build_validation_samples(domain, margins, predicted)
-    is_proved = any(reach.share == 1.0 and set(domain.uncertain) <= set(reach.over) for reach in regions)
+    is_proved = any(region.share == 1.0 and set(domain.uncertain) <= set(region.over) for region in regions)
     stable = "the margins stated" if is_proved else "stable with the margins stated"
     return (
         Proof(
             claim=f"axis {name}: {stable}, and no peak above the largest predicted",
             method="margins at recorded worst cases, corners and Sobol' samples of the whole set; some replayed",
-            over=told_set(domain, name),
+            over=describe_set(domain, name),
             numbers={"plants": float(len(others.plants)), "replayed": float(len(others.replayed)), "seed": float(SEED)},
         ),
         bouncing,
     )
 
 
-def told_set(domain: AxisDomain, name: str) -> str:
+def describe_set(domain: AxisDomain, name: str) -> str:
     """Return the ranges beyond K_e and M_p in words."""
     units = axis_units(name)
     of = {"K_s": units.stiffness, "B_s": units.damping, "B_p": units.damping, "B_e": units.damping}
     of |= {"T_d": "s", "f_b": "Hz", "ζ_b": "", "τ_w": "s", "T_w": "s"}
     ranges = domain.uncertain or {}
     # In an order of its own: that of the file's entries says nothing, and a file may be written again in another.
-    told = [
+    ranges_text = [
         f"{symbol} in [{ranges[key][0]:g}, {ranges[key][1]:g}] {of[symbol]}".rstrip()
         for key, symbol in SYMBOLS.items()
         if key in ranges
     ]
     cut = "" if domain.confidence is None else f", inside the {100.0 * domain.confidence.level:g} % confidence set"
-    return f"K_e, M_p and {', '.join(told)}{cut}"
+    return f"K_e, M_p and {', '.join(ranges_text)}{cut}"
 
 
 def _scenario(case: Mapping[str, float | str], whole: Uncertainty) -> Scenario:
-    """Return a recorded worst case as a point of the set; free space stands for its softest surface."""
+    """Return a recorded worst case as a point of the set; free space becomes its softest surface."""
     values = {key: float(value) for key, value in case.items()}
     values["environment_stiffness_n_per_m"] = (
         values["environment_stiffness_n_per_m"] or whole.ranges["environment_stiffness_n_per_m"][0]

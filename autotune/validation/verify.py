@@ -24,7 +24,7 @@ def verify(
     *,
     samples: int = SAMPLES,
     seed: int = SEED,
-    told: Disturbances | None = None,
+    disturbances: Disturbances | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Verified:
     """Verify all claims, and if they hold simulate `samples` plants with the disturbances of the cell.
@@ -36,5 +36,5 @@ def verify(
     simulated: tuple[AxisMonteCarlo, ...] = ()
     # Behind a claim that does not hold there is nothing to simulate: an unstable loop has no peaks.
     if samples and report.passed:
-        simulated = run_monte_carlo(controller, count=samples, seed=seed, told=told, progress=progress)
+        simulated = run_monte_carlo(controller, count=samples, seed=seed, disturbances=disturbances, progress=progress)
     return Verified(checks=(*report.checks, *monte_carlo_checks(simulated)), simulated=simulated)

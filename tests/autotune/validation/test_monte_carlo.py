@@ -28,7 +28,7 @@ def gains(controller: Controller, **values: Any) -> Controller:
 def on_x(
     controller: Controller, *, count: int = FEW, seed: int = 1, told: Disturbances | None = None
 ) -> AxisMonteCarlo:
-    (found,) = run_monte_carlo(controller, count=count, seed=seed, told=told)
+    (found,) = run_monte_carlo(controller, count=count, seed=seed, disturbances=told)
     return found
 
 
@@ -125,7 +125,7 @@ def test_disturbances_that_explain_less_than_they_do_fail() -> None:
 
 def test_a_simulation_that_is_not_possible_is_no_verification() -> None:
     fast = domain(approach_speed_m_s=0.5, approach_force_n=None)(small_controller())
-    (check,) = monte_carlo_checks(run_monte_carlo(fast, count=2, told=Disturbances(speed_limit=(0.1, None))))
+    (check,) = monte_carlo_checks(run_monte_carlo(fast, count=2, disturbances=Disturbances(speed_limit=(0.1, None))))
     assert (check.name, check.passed) == ("full simulation", False)
     assert check.message.startswith("not possible: approach.speed_m_s")
 
