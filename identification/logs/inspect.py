@@ -32,9 +32,23 @@ def inspect_log(
     salvage: bool = False,
     reading: Sequence[Finding] | None = None,
 ) -> LogSummary:
-    """Read whole logs and summarise them; raise LogError if one is damaged or no log.
+    """Read whole logs and summarise channels, roles, findings and what `identify` lacks.
 
-    `reading` is what `read_checked_recording` found of the same files, which is read once more where it is not given.
+    Parameters
+    ----------
+    paths
+        Parts of one recording.
+    cell
+        What is declared of the cell.
+    salvage
+        Take what a damaged log still holds and report the loss.
+    reading
+        What `read_checked_recording` found of the same files, which are read once more where it is not given.
+
+    Raises
+    ------
+    LogError
+        A log is damaged or of no known format.
     """
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     declared = cell or Cell()

@@ -21,7 +21,17 @@ _GAP_PERIODS = 1.5
 def separate_runs(paths: Sequence[Path], cell: Cell, *, salvage: bool = False) -> tuple[tuple[Path, ...], ...]:
     """Group logs into recordings: what follows within a second of recording time, or overlaps, is one.
 
-    Tables without absolute time begin at 0 and go with each other. Raises LogError for what is no log.
+    Tables without absolute time begin at 0 and go with each other.
+
+    Returns
+    -------
+    tuple of tuple of Path
+        The files of each recording, in the order in which they were named.
+
+    Raises
+    ------
+    LogError
+        A file is no log.
     """
     if len(paths) == 1:
         return ((paths[0],),)

@@ -42,22 +42,41 @@ def read_recording(
 ) -> Recording:
     """Read wrench, measured pose and, where they are, command, twist, gains and desired force.
 
-    Several paths are parts of one recording: one after the other, or each with other channels. Channels are found by
-    type, name, frame and rate, declared by `cell`, or named, which goes first. Header stamps are the clock unless a
-    channel has none or the cell declares another; the findings of the recording list what was chosen. `salvage` takes
-    what a damaged log still holds and reports the loss.
+    Parameters
+    ----------
+    paths
+        Parts of one recording: one after the other, or each with other channels.
+    cell
+        Declares channels, layouts, units, frames and clocks; the rest is found by type, name, frame and rate. Header
+        stamps are the clock unless a channel has none or the cell declares another.
+    salvage
+        Take what a damaged log still holds and report the loss.
+    wrench_topic, pose_topic, command_topic
+        Topics that go before those of `cell`.
 
-    Raises LogError when a file is damaged, a channel is missing or ambiguous, or its samples cannot be used.
+    Returns
+    -------
+    Recording
+        Signals in SI, in the gravity-aligned base and the sensor frame; its findings list what was chosen.
+
+    Raises
+    ------
+    LogError
+        A file is damaged, a channel is missing or ambiguous, or its samples cannot be used.
     """
     declared = (cell or Cell()).with_topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
     return _read(paths, declared, salvage=salvage).recording
 
 
 def read_checked_recording(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool = False) -> Recording:
-    """Read as `read_recording` does, and ask the motion itself about clocks and payload.
+    """Read as `read_recording` does, and check clocks and payload by the motion itself.
 
-    The offset between the clocks of wrench and pose is taken out where the motion determines it. Raises LogError as
-    `read_recording` does, when the clocks differ and the offset is unknown, and when the payload changed midway.
+    The offset between the clocks of wrench and pose is removed where the motion determines it.
+
+    Raises
+    ------
+    LogError
+        As `read_recording`; the clocks differ by an unknown offset; or the payload changed within the log.
     """
     read = _read(paths, cell, salvage=salvage)
     recording = _on_one_clock(read)
