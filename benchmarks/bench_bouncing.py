@@ -2,7 +2,7 @@
 
 import time
 
-from autotune.formats.controller_record import AxisDomain
+from autotune.formats.certificate_record import AxisDomain
 from autotune.validation.bouncing import search_bouncing
 from problems.model.controller import AdmittanceController
 

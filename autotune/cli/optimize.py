@@ -25,7 +25,8 @@ from ._schedule import check_range, fields_with_unit, said_range, schedule_optio
 from ._terminal import detect_terminal, echo, print_message, print_table
 
 if TYPE_CHECKING:
-    from autotune.formats.controller import ControllerFile, ScenarioPrediction
+    from autotune.formats.controller import ControllerFile
+    from autotune.formats.controller_record import ScenarioPrediction
     from autotune.formats.identified import IdentifiedFile
     from autotune.formats.units import AxisUnits
     from autotune.report.page import Page

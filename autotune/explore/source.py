@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.errors import InfeasibleError, UsageError
+from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller import ControllerFile, read_controller
-from autotune.formats.controller_record import AxisDomain, AxisGains, Controller, RuntimePayload
+from autotune.formats.controller_record import AxisGains, Controller, RuntimePayload
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.plant import read_plant
 from autotune.formats.problem import ProblemSpec, read_problem

@@ -31,7 +31,8 @@ def render_json(request: ExportRequest) -> Rendered:
 
 def _read_back(request: ExportRequest, text: str) -> Rendered:
     """Return the text; raises CertificateError unless it reads back as the same controller with the same checksum."""
-    from autotune.formats.controller import parse_controller, short  # noqa: PLC0415
+    from autotune.formats.canonical import short  # noqa: PLC0415
+    from autotune.formats.controller import parse_controller  # noqa: PLC0415
 
     source, twin = request.source, parse_controller(text, request.out)
     if twin.checksum != source.checksum or twin.controller != source.controller:

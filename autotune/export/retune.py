@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.errors import CertificateError, InfeasibleError
-from autotune.formats.controller_record import AxisGains, Requirement
+from autotune.formats.certificate_record import Requirement
+from autotune.formats.controller_record import AxisGains
 from autotune.plugins import find_requirement
 from autotune.validation.law import AxisTask, LawCertificate, certify_law
 from problems.contact.linear_controller_contact import simulate_linear_contact

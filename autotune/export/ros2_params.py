@@ -19,7 +19,8 @@ _COUNTS = ("rest_samples",)
 
 def render(request: ExportRequest) -> Rendered:
     """Return the parameter file: the numbers that a step needs, under the names and in the units of controller.yaml."""
-    from autotune.formats.controller import controller_tree, short  # noqa: PLC0415
+    from autotune.formats.canonical import short  # noqa: PLC0415
+    from autotune.formats.controller import controller_tree  # noqa: PLC0415
     from autotune.runtime.load import read_law  # noqa: PLC0415
 
     node = request.options.get("node_name", _ANY_NODE)

@@ -10,7 +10,8 @@ from typing import Any
 
 from autotune.certificate.certify import Certificate
 from autotune.errors import CertificateError, InfeasibleError, UsageError
-from autotune.formats.controller import ControllerFile, short
+from autotune.formats.canonical import short
+from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import AxisGains, Controller
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.units import axis_units

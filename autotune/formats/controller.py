@@ -9,25 +9,9 @@ from autotune.errors import CertificateError
 from .atomic import write_atomic
 from .canonical import checksum, short
 from .controller_record import (
-    AxisDomain,
-    AxisGains,
-    AxisMargins,
-    AxisPrediction,
-    Certificate,
-    Collision,
-    ConfidenceSet,
     Controller,
     ControllerStatus,
-    DeadbandType,
-    Filters,
-    FreeSpaceAdmittance,
-    Proof,
-    ProvenRegion,
-    RuntimePayload,
-    ScenarioPrediction,
-    SoftRequirement,
 )
-from .limits import AxisLimits, CollisionResponse, Limits, ResidualPeaks
 from .records import EntryError, read_record, record_tree, rename_axis_keys
 from .schema import VERSION, check_document, check_format, check_tree
 from .yaml12 import Document, dump_yaml, load_document, parse_document
@@ -114,36 +98,3 @@ def _renamed(body: dict[str, Any], *, reading: bool) -> dict[str, Any]:
         if part in certificate:
             renamed[part] = axes(certificate[part])
     return body | {"predicted": axes(body["predicted"]), "certificate": certificate | renamed}
-
-
-__all__ = [
-    "FORMAT",
-    "AxisDomain",
-    "AxisGains",
-    "AxisLimits",
-    "AxisMargins",
-    "AxisPrediction",
-    "Certificate",
-    "Collision",
-    "CollisionResponse",
-    "ConfidenceSet",
-    "Controller",
-    "ControllerFile",
-    "ControllerStatus",
-    "DeadbandType",
-    "Filters",
-    "FreeSpaceAdmittance",
-    "Limits",
-    "Proof",
-    "ProvenRegion",
-    "ResidualPeaks",
-    "RuntimePayload",
-    "ScenarioPrediction",
-    "SoftRequirement",
-    "checksum",
-    "controller_tree",
-    "parse_controller",
-    "read_controller",
-    "short",
-    "write_controller",
-]

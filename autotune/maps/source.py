@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from autotune.errors import UsageError
+from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller import read_controller
-from autotune.formats.controller_record import AxisDomain, Controller
+from autotune.formats.controller_record import Controller
 from autotune.formats.plant import read_plant
 from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.yaml12 import kind_of_file

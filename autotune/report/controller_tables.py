@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from autotune.formats.canonical import short
+from autotune.formats.certificate_record import SoftRequirement
 from autotune.formats.controller import ControllerFile
-from autotune.formats.controller_record import Controller, SoftRequirement
+from autotune.formats.controller_record import Controller
 from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import AxisUnits, axis_units
 from autotune.plugins import find_requirement

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.formats.controller_record import AxisDomain, Controller
+from autotune.formats.certificate_record import AxisDomain
+from autotune.formats.controller_record import Controller
 from autotune.validation.disturbances import file_deadband
 from autotune.validation.monte_carlo import needed_substeps
 from autotune.validation.validate import admittance_controller

@@ -4,25 +4,27 @@ from collections.abc import Mapping
 from operator import attrgetter
 from typing import Any
 
-from autotune.formats.controller_record import (
+from autotune.formats.certificate_record import (
     AxisDomain,
-    AxisGains,
     AxisMargins,
-    AxisPrediction,
     Certificate,
-    Collision,
     ConfidenceSet,
+    Proof,
+    ProvenRegion,
+    Requirement,
+    SoftRequirement,
+)
+from autotune.formats.controller_record import (
+    AxisGains,
+    AxisPrediction,
+    Collision,
     Controller,
     ControllerStatus,
     DeadbandType,
     Filters,
     FreeSpaceAdmittance,
-    Proof,
-    ProvenRegion,
-    Requirement,
     RuntimePayload,
     ScenarioPrediction,
-    SoftRequirement,
 )
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.records import ROTATIONAL_AXES

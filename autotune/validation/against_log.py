@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.errors import UsageError
-from autotune.formats.controller_record import AxisDomain, Controller
+from autotune.formats.certificate_record import AxisDomain
+from autotune.formats.controller_record import Controller
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import axis_units

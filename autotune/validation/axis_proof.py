@@ -9,7 +9,7 @@ from autotune.certificate.certify import Certificate
 from autotune.certificate.claim import METHOD, WORK_PER_SECOND, Claim, CombinedCertificate, prove
 from autotune.certificate.family import MASS, PROVABLE, STIFFNESS, Interval
 from autotune.errors import CertificateError
-from autotune.formats.controller_record import AxisDomain, Proof, ProvenRegion
+from autotune.formats.certificate_record import AxisDomain, Proof, ProvenRegion
 from autotune.formats.units import AxisUnits, axis_units
 from problems.errors import ParameterError
 from problems.model.sampled import Controller

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from autotune.errors import CertificateError
-from autotune.formats.controller_record import AxisDomain, Proof
+from autotune.formats.certificate_record import AxisDomain, Proof
 from autotune.formats.units import axis_units
 from problems.contact.bouncing import ContactOutcome, Ending, follow_contact, settling_window
 from problems.contact.linear_controller_contact import force_per_speed

@@ -2,7 +2,8 @@
 
 import math
 
-from autotune.formats.controller_record import Asked, Controller, Requirement, SoftRequirement
+from autotune.formats.certificate_record import Asked, Requirement, SoftRequirement
+from autotune.formats.controller_record import Controller
 from autotune.plugins import build_requirements, find_requirement
 from problems.design.requirements import Requirements
 

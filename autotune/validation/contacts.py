@@ -7,7 +7,8 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.formats.controller_record import AxisDomain, Controller, ScenarioPrediction
+from autotune.formats.certificate_record import AxisDomain
+from autotune.formats.controller_record import Controller, ScenarioPrediction
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import AxisUnits, axis_units

@@ -3,7 +3,8 @@
 import math
 from collections.abc import Iterator, Sequence
 
-from autotune.formats.controller_record import AxisDomain, Controller, RuntimePayload
+from autotune.formats.certificate_record import AxisDomain
+from autotune.formats.controller_record import Controller, RuntimePayload
 from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import axis_units
 from identification.result import AxisEstimate, Estimate, Identified, Status, VectorEstimate, WrenchFilterEstimate

@@ -13,14 +13,8 @@ import numpy as np
 
 from autotune.certificate.claim import Claim, CombinedCertificate, prove
 from autotune.certificate.family import MASS, STIFFNESS, UncertainPlant
-from autotune.formats.controller_record import (
-    Asked,
-    AxisDomain,
-    AxisMargins,
-    AxisPrediction,
-    FreeSpaceAdmittance,
-    ScenarioPrediction,
-)
+from autotune.formats.certificate_record import Asked, AxisDomain, AxisMargins
+from autotune.formats.controller_record import AxisPrediction, FreeSpaceAdmittance, ScenarioPrediction
 from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import axis_units
 from autotune.plugins import find_requirement

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.formats.controller_record import AxisDomain, Controller
+from autotune.formats.certificate_record import AxisDomain
+from autotune.formats.controller_record import Controller
 from autotune.formats.records import ROTATIONAL_AXES
 from identification.axes.straight import AxisMotion, find_axes
 from identification.axes.turning import LEVER_M, Unrolled, find_turns, rests_after, unroll

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.formats.controller_record import AxisDomain, Controller
+from autotune.formats.certificate_record import AxisDomain
+from autotune.formats.controller_record import Controller
 from autotune.formats.units import axis_units
 from problems.contact.nonlinear_simulation import NonlinearRun, simulate_nonlinear
 from problems.contact.nonlinearities import NO_NONLINEARITIES, Nonlinearities

@@ -9,7 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from autotune.certificate.claim import METHOD
-from autotune.formats.controller_record import AxisDomain, Controller, Proof, ProvenRegion
+from autotune.formats.certificate_record import AxisDomain, Proof, ProvenRegion
+from autotune.formats.controller_record import Controller
 from autotune.formats.units import axis_units
 from problems.design.uncertainty import SYMBOLS
 from problems.errors import ParameterError

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from autotune.certificate.family import UncertainPlant
-from autotune.formats.controller_record import AxisMargins, Controller
+from autotune.formats.certificate_record import AxisMargins
+from autotune.formats.controller_record import Controller
 from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import axis_units
 from autotune.plugins import find_requirement

@@ -5,7 +5,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 from autotune.certificate.family import UncertainPlant
-from autotune.formats.controller_record import AxisDomain, Controller, Proof
+from autotune.formats.certificate_record import AxisDomain, Proof
+from autotune.formats.controller_record import Controller
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import AxisUnits, axis_units

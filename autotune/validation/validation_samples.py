@@ -3,7 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from autotune.formats.controller_record import AxisDomain, AxisMargins, AxisPrediction, Proof, ProvenRegion
+from autotune.formats.certificate_record import AxisDomain, AxisMargins, Proof, ProvenRegion
+from autotune.formats.controller_record import AxisPrediction
 from autotune.formats.units import axis_units
 from problems.design.uncertainty import SYMBOLS, Scenario, Uncertainty
 from problems.model.plant import Plant, WrenchFilter

@@ -8,8 +8,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from autotune.cli.main import main
-from autotune.formats.canonical import checksum
-from autotune.formats.controller import read_controller, short, write_controller
+from autotune.formats.canonical import checksum, short
+from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.signature import fingerprint
 from autotune.formats.yaml12 import dump_yaml, load_yaml
 from tests.autotune.export.peer_cases import PLAIN, peer_controller, requirements

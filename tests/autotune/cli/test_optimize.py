@@ -11,7 +11,9 @@ from typing import cast
 
 import pytest
 
-from autotune.formats.controller import ResidualPeaks, read_controller, short
+from autotune.formats.canonical import short
+from autotune.formats.controller import read_controller
+from autotune.formats.limits import ResidualPeaks
 from autotune.formats.yaml12 import load_yaml
 from autotune.tuning.design_notes import residual_notes
 from autotune.tuning.optimize import Optimized

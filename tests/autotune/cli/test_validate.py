@@ -12,7 +12,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 
 from autotune.cli.main import main
-from autotune.formats.controller import read_controller, short, write_controller
+from autotune.formats.canonical import short
+from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import ControllerStatus
 from autotune.formats.identified import write_identified
 from autotune.formats.signature import fingerprint

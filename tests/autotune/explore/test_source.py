@@ -11,8 +11,9 @@ from autotune.explore import saving as save_module
 from autotune.explore import source as source_module
 from autotune.explore.saving import Target, save_controller
 from autotune.explore.source import problem_of, read_exploration
+from autotune.formats.certificate_record import SoftRequirement
 from autotune.formats.controller import read_controller, write_controller
-from autotune.formats.controller_record import Controller, ControllerStatus, SoftRequirement
+from autotune.formats.controller_record import Controller, ControllerStatus
 from autotune.tuning.record import build_domain
 from autotune.tuning.threshold import ThresholdSettings
 from problems.design.evaluation import build_scenarios

@@ -11,16 +11,15 @@ from autotune.export import fzi_cartesian, ros2_control
 from autotune.export.fzi_cartesian import FziOptions
 from autotune.export.ros2_control import Ros2Options
 from autotune.export.third_party import Translation
+from autotune.formats.certificate_record import AxisDomain, Requirement
 from autotune.formats.controller import ControllerFile, read_controller, write_controller
 from autotune.formats.controller_record import (
-    AxisDomain,
     AxisGains,
     AxisPrediction,
     Collision,
     Controller,
     DeadbandType,
     FreeSpaceAdmittance,
-    Requirement,
     ScenarioPrediction,
 )
 from autotune.formats.limits import CollisionResponse

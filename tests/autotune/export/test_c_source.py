@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from autotune.errors import CertificateError, UsageError
 from autotune.export.c_source import CSource, render_c
 from autotune.export.export import export_controller
-from autotune.formats.controller import ControllerStatus, write_controller
+from autotune.formats.controller import write_controller
+from autotune.formats.controller_record import ControllerStatus
 from autotune.runtime import AXES, CollisionResponse, Command, RuntimeController, rearm, step
 from autotune.runtime.load import read_law
 from tests.autotune.export.c_twin import CPayload, Twin, compile_c, numbers

@@ -11,7 +11,8 @@ from autotune.export.export import check_files, export_controller
 from autotune.export.fzi_cartesian import FziOptions
 from autotune.export.ros2_control import Ros2Options
 from autotune.export.targets import TARGETS
-from autotune.formats.controller import Controller, read_controller, write_controller
+from autotune.formats.controller import read_controller, write_controller
+from autotune.formats.controller_record import Controller
 from tests.autotune.export.peer_cases import PLAIN, peer_controller, requirements, translated
 from tests.autotune.formats.samples import make_controller
 from tests.autotune.tuning.cases import small_controller

@@ -8,7 +8,8 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.export.export import export_controller
-from autotune.formats.controller import Controller, controller_tree, write_controller
+from autotune.formats.controller import controller_tree, write_controller
+from autotune.formats.controller_record import Controller
 from autotune.runtime.load import read_law
 from tests.autotune.export.peer_cases import load_as_ros
 from tests.autotune.formats.samples import make_controller

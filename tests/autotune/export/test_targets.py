@@ -14,7 +14,9 @@ from autotune.export.export import export_controller
 from autotune.export.own_formats import CELL_MARK, JSON, render_cell
 from autotune.export.target import ExportRequest, Rendered
 from autotune.export.targets import TARGETS, target_options
-from autotune.formats.controller import ControllerStatus, checksum, read_controller, write_controller
+from autotune.formats.canonical import checksum
+from autotune.formats.controller import read_controller, write_controller
+from autotune.formats.controller_record import ControllerStatus
 from autotune.formats.schema import load_schema
 from autotune.formats.yaml12 import load_yaml
 from tests.autotune.formats.samples import make_controller

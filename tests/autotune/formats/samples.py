@@ -4,25 +4,20 @@ from dataclasses import replace
 
 from hypothesis import strategies as st
 
-from autotune.formats.controller import (
-    AxisDomain,
+from autotune.formats.certificate_record import AxisDomain, AxisMargins, Certificate, Proof
+from autotune.formats.controller_record import (
     AxisGains,
-    AxisLimits,
-    AxisMargins,
     AxisPrediction,
-    Certificate,
     Collision,
-    CollisionResponse,
     Controller,
     ControllerStatus,
     DeadbandType,
     Filters,
     FreeSpaceAdmittance,
-    Limits,
-    Proof,
     RuntimePayload,
     ScenarioPrediction,
 )
+from autotune.formats.limits import AxisLimits, CollisionResponse, Limits
 from identification.result import (
     AxisEstimate,
     ContactPhase,

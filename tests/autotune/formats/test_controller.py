@@ -7,20 +7,11 @@ import pytest
 from hypothesis import given, settings
 
 from autotune.errors import CertificateError, UsageError
-from autotune.formats.canonical import dump_json
-from autotune.formats.controller import (
-    AxisMargins,
-    Collision,
-    CollisionResponse,
-    Controller,
-    ControllerStatus,
-    checksum,
-    controller_tree,
-    parse_controller,
-    read_controller,
-    short,
-    write_controller,
-)
+from autotune.formats.canonical import checksum, dump_json, short
+from autotune.formats.certificate_record import AxisMargins
+from autotune.formats.controller import controller_tree, parse_controller, read_controller, write_controller
+from autotune.formats.controller_record import Collision, Controller, ControllerStatus
+from autotune.formats.limits import CollisionResponse
 from autotune.formats.yaml12 import dump_yaml, load_yaml
 from problems.errors import ParameterError
 from problems.model.plant import WrenchFilter

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from autotune.charts.chart import Chart, Heat, Line, Points
-from autotune.formats.controller import ControllerFile, controller_tree, short
+from autotune.formats.canonical import short
+from autotune.formats.controller import ControllerFile, controller_tree
 from autotune.formats.schedule import write_schedule
 from autotune.report.axis_design import axis_designs, contact_of, modulus_of, over_stiffness
 from autotune.report.controller_charts import nyquist_chart

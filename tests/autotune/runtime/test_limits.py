@@ -9,8 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from autotune.errors import CertificateError, UsageError
-from autotune.formats.controller import Collision, controller_tree, write_controller
-from autotune.formats.controller import CollisionResponse as FileResponse
+from autotune.formats.controller import controller_tree, write_controller
+from autotune.formats.controller_record import Collision
+from autotune.formats.limits import CollisionResponse as FileResponse
 from autotune.runtime import (
     START,
     AxisLimits,

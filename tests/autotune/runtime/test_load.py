@@ -12,15 +12,9 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from autotune.errors import CertificateError, UsageError
 from autotune.export.export import export_controller
 from autotune.formats.canonical import checksum
-from autotune.formats.controller import (
-    Collision,
-    Controller,
-    ControllerStatus,
-    controller_tree,
-    read_controller,
-    write_controller,
-)
-from autotune.formats.controller import CollisionResponse as FileResponse
+from autotune.formats.controller import controller_tree, read_controller, write_controller
+from autotune.formats.controller_record import Collision, Controller, ControllerStatus
+from autotune.formats.limits import CollisionResponse as FileResponse
 from autotune.formats.signature import signature_path
 from autotune.formats.yaml12 import dump_yaml
 from autotune.runtime import CollisionResponse, Payload, load_controller

@@ -6,7 +6,7 @@ import pytest
 
 from autotune.certificate.claim import METHOD, prove
 from autotune.errors import CertificateError
-from autotune.formats.controller_record import AxisDomain, ConfidenceSet
+from autotune.formats.certificate_record import AxisDomain, ConfidenceSet
 from autotune.validation.axis_proof import (
     ProofOptions,
     Prover,

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from autotune.certificate.claim import METHOD
-from autotune.formats.controller_record import Controller, Proof
+from autotune.formats.certificate_record import Proof
+from autotune.formats.controller_record import Controller
 from autotune.validation.axis_proof import Prover
 from autotune.validation.proof_checks import (
     FORMER_METHOD,

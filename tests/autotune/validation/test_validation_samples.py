@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 
 from autotune.errors import CertificateError
+from autotune.formats.certificate_record import AxisDomain, ConfidenceSet
 from autotune.formats.controller import read_controller, write_controller
-from autotune.formats.controller_record import AxisDomain, ConfidenceSet, Controller
+from autotune.formats.controller_record import Controller
 from autotune.validation.domain import check_domain
 from autotune.validation.validate import validate_controller
 from autotune.validation.validation_samples import build_validation_samples

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from autotune.errors import CertificateError
+from autotune.formats.certificate_record import SoftRequirement
 from autotune.formats.controller import controller_tree, read_controller, write_controller
-from autotune.formats.controller_record import Controller, SoftRequirement
+from autotune.formats.controller_record import Controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.tuning.optimize import optimize
 from autotune.validation.validate import validate_controller
