@@ -54,12 +54,26 @@ def identify_cell(
 ) -> Identified:
     """Estimate payload, sensor, and per axis robot, coupling and environments, each with a verdict.
 
-    `frames` is what the cell declares (all the same where nothing is): the payload's weight is asked whether the
-    declared signs, frames and quaternion order are true, and where only others fit, those are taken and named. `given`
-    is what is known from elsewhere: priors of mass and period, and of the joint fit of every axis; names that are not
-    of this recording are passed over (`given.check_names` refuses them). What the log does not show is `unidentifiable`
-    and named by a finding of severity `error`. Raises EstimateError when not even gravity can be determined (nothing
-    else can be without it), LogError when the channels do not fit together.
+    What the log does not show is `unidentifiable` and named by a finding of severity `error`.
+
+    Parameters
+    ----------
+    recording
+        Wrench, pose and, where there are, command and admittance gains, in SI on their own stamps.
+    frames
+        What the cell declares; None declares nothing. The payload's weight checks the declared signs, frames and
+        quaternion order: where only others fit, those are taken and named.
+    given
+        Prior knowledge of mass, period and parameters of an axis, by name. Names that are not of this recording are
+        passed over (`given.check_names` refuses them).
+
+    Raises
+    ------
+    EstimateError
+        Not even gravity can be determined, without which nothing else can.
+    LogError
+        The channels do not fit together.
+
     """
     return _identify(recording, frames, given or {}, no_progress)[0]
 
@@ -72,7 +86,13 @@ def identify_with_evidence(
 ) -> tuple[Identified, Evidence | None]:
     """Return what `identify_cell` does, and the signals that it rests on; None where gravity was taken off before.
 
-    `progress` receives the share of the work done since the last call.
+    Parameters
+    ----------
+    recording, frames, given
+        As of `identify_cell`.
+    progress
+        Receives the share of the work (0 to 1) that was done since the last call.
+
     """
     found, cell, results = _identify(recording, frames, given or {}, progress if progress is not None else no_progress)
     return found, None if cell is None else _evidence(cell, results)

@@ -58,10 +58,23 @@ def plan_experiment(
 ) -> ExperimentPlan:
     """Plan the next recording on one axis within `limits`.
 
-    What binds is counted in newtons of the peak with `controller`, or with a usual one where none is given or it is not
-    stable on the surface.
+    Parameters
+    ----------
+    axis
+        Name of the axis, x to rz.
+    values
+        The cell as far as it is known, in SI.
+    limits
+        What the cell allows: speed, force, stroke, time, tilt.
+    controller
+        An uncertainty is weighed by the newtons that it moves the peak force with this controller; a usual one is taken
+        for None, or where this one is not stable on the surface.
 
-    Raises EstimateError when poses are needed and no orientations within the limit on the tilt show mass and centre.
+    Raises
+    ------
+    EstimateError
+        Poses are needed, and no orientations within the limit on the tilt determine mass and centre.
+
     """
     allowed = allowed_std(values)
     now = {name: values.known()[name].std for name in _STEP_OF}

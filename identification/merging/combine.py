@@ -49,15 +49,26 @@ class NamedResult:
 
 
 def combine_identified(parts: Sequence[NamedResult], given: Mapping[str, Given] | None = None) -> Identified:
-    """Merge the results of several logs of one cell (`merging`), then enter what is `given` from elsewhere, once.
+    """Merge the results of several logs of one cell, then enter the prior knowledge once.
 
     Each axis is one joint record of its parameters: values, deviations, names of surfaces and covariance of the result
     are all taken from it. Noise averages; what the logs share (local gravity, the sensor's calibration) does not.
     Where the scatter of a parameter is larger than its noise lets expect (χ² test at 1e-3), a finding of severity
     `error` names it with its values, and its deviation is widened by √(χ²/(n − 1)). The bias of the sensor may change
     from log to log: there it is a warning. Surfaces on one axis are one where their K_e agree within three deviations.
-    One log is taken as it is, with what is given already in it. Raises LogError when the logs were recorded at
-    different control periods.
+
+    Parameters
+    ----------
+    parts
+        The result of each log with its name. One log is taken as it is, with what is given already in it.
+    given
+        Prior knowledge by name, as of `identify_cell`.
+
+    Raises
+    ------
+    LogError
+        The logs were recorded at different control periods.
+
     """
     if len(parts) == 1:
         return parts[0].result
