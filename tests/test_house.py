@@ -155,12 +155,6 @@ def _imports(repository: Path) -> dict[str, set[str]]:
     return found
 
 
-# One of types alone, to be removed with its file.
-KNOWN_CIRCLES = {
-    "autotune.cli._progress": "autotune.cli._common",
-}
-
-
 def test_no_import_goes_in_a_circle(repository: Path) -> None:
     left = _imports(repository)
     assert len(left) > 100
