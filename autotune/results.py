@@ -12,8 +12,8 @@ from autotune.errors import UsageError
 from autotune.formats.cell import CellFile
 from autotune.formats.identified import IN_MEMORY, IdentifiedFile, identified_tree, write_identified
 from autotune.formats.yaml12 import dump_yaml
-from autotune.parameter_rows import parameter_rows
 from autotune.shown import ResultTable, Shown, data_frame, plain_tree
+from autotune.text import parameter_rows
 from identification.errors import EstimateError
 from identification.evidence import Evidence
 from identification.logs.roles.cell import Cell

@@ -55,7 +55,7 @@ def register() -> None:
 
 
 class QuantityRange(click.FloatRange):
-    """A number of a kind (`autotune.quantity`) between bounds in SI."""
+    """A number of a kind (`autotune.quantities`) between bounds in SI."""
 
     def __init__(self, kind: str, *, least: float, most: float) -> None:
         super().__init__(min=least, max=most)
@@ -63,7 +63,7 @@ class QuantityRange(click.FloatRange):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the number in SI, inside the bounds."""
-        from autotune.quantity import parse_quantity
+        from autotune.quantities import parse_quantity
 
         if isinstance(value, str):
             try:

@@ -47,7 +47,7 @@ def _interval(text: str, kind: str) -> Interval:
 
 def said_range(parts: list[str], kind: str, field: str) -> Interval:
     """Return the first and the last of numbers with or without units; where a unit is said, that is kept."""
-    from autotune.quantity import parse_quantities
+    from autotune.quantities import parse_quantities
 
     try:
         found = parse_quantities(parts, kind)

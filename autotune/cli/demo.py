@@ -98,7 +98,7 @@ def _tree(found: "DemoResult") -> dict[str, Any]:
 def _print(found: "DemoResult", page: Path | None) -> None:
     from autotune.formats.canonical import short
     from autotune.formats.units import axis_units
-    from autotune.scenario_text import scenario_text
+    from autotune.text import scenario_text
 
     from ._optimized import active_lines
 
@@ -141,7 +141,7 @@ def _heading(text: str) -> None:
 
 
 def _comparison(c: "Comparison") -> tuple[str, ...]:
-    from autotune.numbers import rounded_to, with_deviation
+    from autotune.text import rounded_to, with_deviation
 
     value, std, error = c.estimate.value, c.estimate.std, c.error_share
     return (

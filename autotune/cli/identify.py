@@ -74,9 +74,9 @@ def command(
     from autotune.formats.atomic import check_target
     from autotune.formats.cell import read_cell
     from autotune.formats.identified import identified_tree, write_identified
-    from autotune.given import parse_given
     from autotune.pipeline import identify_log
     from autotune.processes import count_processors
+    from autotune.quantities import parse_given
     from autotune.results import Topics
 
     sources = [*logs, *([] if cell_path is None else [cell_path])]
@@ -142,7 +142,7 @@ class _Seen:
 
 def print_identified(result: "Identified", out: Path) -> None:
     """Print the parameters as a table, the findings below."""
-    from autotune.parameter_rows import parameter_rows
+    from autotune.text import parameter_rows
 
     rows = [
         ("parameter", "value", "± std", "unit", "verdict"),

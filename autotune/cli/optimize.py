@@ -255,7 +255,7 @@ def _print_spark(found: "Optimized", name: str, units: "AxisUnits") -> None:
 
 def _print_peaks(scenarios: "Iterable[ScenarioPrediction]", units: "AxisUnits") -> None:
     """Print the table of predicted contacts; lengths in mm along an axis, digits as its unit needs them."""
-    from autotune.scenario_text import off_nominal
+    from autotune.text import off_nominal
 
     straight = units.force == "N"
     scale, stiffness, digits = (1e-3, "N/mm", 1) if straight else (1.0, units.stiffness, 2)

@@ -196,7 +196,7 @@ def print_plan(plan: "ExperimentPlan", out: Path) -> None:
 
 
 def _row(entry: "Prediction", label: str, shown_in: tuple[str, float], step: str) -> tuple[str, ...]:
-    from autotune.numbers import rounded_to, with_deviation
+    from autotune.text import rounded_to, with_deviation
 
     unit, scale = shown_in
     value, now = with_deviation(entry.value, entry.std_now, scale)

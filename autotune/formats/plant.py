@@ -82,7 +82,7 @@ def as_interval(name: str, given: Any, *, may_vanish: bool) -> Interval:
     except (TypeError, ValueError):
         raise ParameterError(name, given, "a number, a range (low, high) or Uncertain(value, std)") from None
     if not (low <= high < math.inf and (low > 0.0 or (may_vanish and low == 0.0))):
-        raise ParameterError(name, given if low < high else low, f"{least}, a range from low to high")
+        raise ParameterError(name, low if low == high else given, f"{least}, and a range from low to high")
     return low, high
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from autotune.errors import UsageError
-from autotune.quantity import parse_quantities
+from autotune.quantities import parse_quantities
 from problems.errors import ParameterError
 from problems.maps.loops import Where
 from problems.maps.maps import MapAxis, Spacing

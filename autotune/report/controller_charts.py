@@ -11,7 +11,7 @@ from autotune.charts.chart import Chart, Element, Heat, Limit, Line, Panel, Poin
 from autotune.errors import UsageError
 from autotune.formats.controller_record import ScenarioPrediction
 from autotune.formats.units import AxisUnits
-from autotune.scenario_text import off_nominal, stiffness_text
+from autotune.text import off_nominal, stiffness_text
 from problems.contact.transient import ContactTransient
 from problems.design.requirements import AdmittanceTarget
 from problems.maps.maps import MapAxis, MapRequest, compute_map

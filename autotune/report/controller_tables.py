@@ -13,7 +13,7 @@ from autotune.formats.controller_record import Controller
 from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import AxisUnits, axis_units
 from autotune.plugins import find_requirement
-from autotune.scenario_text import scenario_text, stiffness_text, value_text
+from autotune.text import scenario_text, stiffness_text, value_text
 from autotune.validation.validate import admittance_controller
 from problems.design.requirements import BUILT_IN, AdmittanceRequirement, Margin, PeakForceLimit
 from problems.design.uncertainty import SYMBOLS

@@ -8,7 +8,7 @@ from typing import Any
 from autotune.charts.chart import Chart
 from autotune.formats.cell import CellFile
 from autotune.formats.units import axis_units
-from autotune.parameter_rows import ParameterRow, parameter_rows
+from autotune.text import ParameterRow, parameter_rows
 from identification.errors import LogError
 from identification.evidence import AxisEvidence, Evidence
 from identification.logs import LogSummary, inspect_log

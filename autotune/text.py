@@ -1,11 +1,10 @@
-"""What was identified, row by row, as people read it: name, value, deviation, unit, verdict."""
+"""Numbers, parameters and plants as people read them: rounded to their deviation, with symbol and unit."""
 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from autotune.formats.units import axis_units
-from autotune.numbers import with_deviation
+from autotune.formats.units import AxisUnits, axis_units
 from identification.result import (
     AxisEstimate,
     EnvironmentEstimate,
@@ -14,6 +13,47 @@ from identification.result import (
     VectorEstimate,
     WrenchFilterEstimate,
 )
+from problems.design.uncertainty import SYMBOLS, Scenario
+
+_MOST_DECIMALS = 6
+_SMALL = 1e-3
+
+
+def with_deviation(value: float | None, std: float | None, scale: float = 1.0) -> tuple[str, str]:
+    """Return `value` and `std`, both times `scale`, as texts with the same decimals: two digits of the deviation.
+
+    Without a deviation the value has four decimals. Where both are small and would need more than six decimals, they
+    are written with the power of ten of the larger; what is not known is `-`.
+    """
+    if value is None:
+        return "-", "-"
+    told, spread = value * scale, 0.0 if std is None else std * scale
+    if not 0.0 < spread < math.inf:
+        return f"{told:.4f}", "-" if std is None else "0"
+    decimals = _decimals(spread)
+    larger = max(abs(told), spread)
+    if decimals <= _MOST_DECIMALS or larger >= _SMALL:
+        return _plain(told, decimals), _plain(spread, decimals)
+    power = math.floor(math.log10(larger))
+    decimals += power
+    texts = [f"{_plain(each * 10.0**-power, decimals)}e{power:+03d}" for each in (told, spread)]
+    return texts[0], texts[1]
+
+
+def rounded_to(std: float, value: float) -> str:
+    """Return `value` with the decimals that two digits of the deviation `std` have."""
+    return _plain(value, _decimals(std)) if 0.0 < std < math.inf else f"{value:.4f}"
+
+
+def _decimals(std: float) -> int:
+    # Two digits first: 0.0996 is 0.10, not 0.100.
+    return max(1 - math.floor(math.log10(float(f"{std:.1e}"))), 0)
+
+
+def _plain(value: float, decimals: int) -> str:
+    text = f"{value:.{decimals}f}"
+    # Nothing is negative about a zero.
+    return text.lstrip("-") if float(text) == 0.0 else text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,3 +160,36 @@ def _vector_rows(name: str, estimate: VectorEstimate, unit: str, scale: float) -
             method=estimate.method,
             note=estimate.note,
         )
+
+
+def stiffness_text(value: float, units: AxisUnits) -> str:
+    """Return a stiffness (SI of the axis) in the unit in which people read it."""
+    scale, unit = units.shown_stiffness
+    return f"{scale * value:.4g} {unit}"
+
+
+def value_text(name: str, value: float, units: AxisUnits) -> str:
+    """Return the value of a parameter that may be uncertain (`UNCERTAIN` there), with its symbol and unit."""
+    symbol = SYMBOLS[name]
+    if name.endswith("stiffness_n_per_m"):
+        return f"{symbol} {stiffness_text(value, units)}"
+    if name in {"delay_s", "wrench_time_constant_s", "wrench_delay_s"}:
+        return f"{symbol} {1e3 * value:.4g} ms"
+    unit = {"payload_mass_kg": units.mass, "robot_bandwidth_hz": "Hz", "robot_damping_ratio": ""}.get(
+        name, units.damping
+    )
+    return f"{symbol} {value:.4g} {unit}".rstrip()
+
+
+def off_nominal(scenario: Scenario, units: AxisUnits) -> str:
+    """Return what a scenario says beyond K_e and M_p, as `K_s 310.2 N/mm, T_d 2.4 ms`; empty if nothing."""
+    return ", ".join(value_text(name, value, units) for name, value in scenario.further().items())
+
+
+def scenario_text(scenario: Scenario, units: AxisUnits) -> str:
+    """Return a whole scenario, as `K_e 500 N/mm, M_p 16 kg`."""
+    always = (
+        value_text("environment_stiffness_n_per_m", scenario.environment_stiffness_n_per_m, units),
+        value_text("payload_mass_kg", scenario.payload_mass_kg, units),
+    )
+    return ", ".join(part for part in (*always, off_nominal(scenario, units)) if part)
