@@ -2,6 +2,8 @@
 
 import ast
 import copy
+import doctest
+import importlib
 import pickle
 import subprocess
 import sys
@@ -68,6 +70,15 @@ def test_what_types_see_is_what_there_is() -> None:
         alias.asname or alias.name for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names
     ]
     assert sorted(seen) == sorted(PUBLIC)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("module", ["autotune.api", "autotune.formats.plant"])
+def test_the_examples_of_docstrings_run(module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    found = doctest.testmod(importlib.import_module(module))
+    assert found.attempted > 0
+    assert found.failed == 0
 
 
 def test_importing_it_imports_nothing_else() -> None:

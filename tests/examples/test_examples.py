@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+import autotune as at
 from autotune.formats.controller import write_controller
 from tests.autotune.formats.samples import make_controller
 
@@ -31,3 +32,11 @@ def test_the_picture_is_an_svg_with_both_curves(repository: Path, tmp_path: Path
     texts = [node.text for node in ET.parse(picture).iter() if node.tag.endswith("text")]
     assert any(text and text.startswith("present controller: peak") for text in texts)
     assert any(text and text.startswith("chosen by autotune: peak") for text in texts)
+
+
+def test_uncertainty_costs_peak_force_in_the_example_from_python(repository: Path, tmp_path: Path) -> None:
+    lines = _run(repository, "design_from_python.py", str(tmp_path / "controller.yaml")).splitlines()
+    peaks = [float(line.partition("largest peak ")[2].split()[0]) for line in lines]
+    # The larger set holds the smaller one, and the search is within a share of 1e-3 of the best.
+    assert peaks[1] > peaks[0] * (1.0 - 1e-3)
+    assert isinstance(at.load(tmp_path / "controller.yaml"), at.Design)
