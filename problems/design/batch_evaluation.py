@@ -259,8 +259,8 @@ class BatchEvaluation:
     """Designs (m,): `radius` of the first plant found unstable, 0 where all are stable.
 
     `rows` maps each requirement to required/achieved (m, k), plant by plant or scenario by scenario as it depends on
-    them: each column is smooth in the design, their maximum is not. NaN where unstable, 0 where nobody looked because
-    something is missed. `peaks_n` (m, s) of the objective's force, infinite where not looked at. `soft_rows` are those
+    them: each column is smooth in the design, their maximum is not. NaN where unstable, 0 where not evaluated because
+    something is missed. `peaks_n` (m, s) of the objective's force, infinite where not evaluated. `soft_rows` are those
     of `asked` that need not be met.
     """
 
@@ -271,7 +271,7 @@ class BatchEvaluation:
     asked: Requirements
 
     def towards(self, goal: str) -> "BatchEvaluation":
-        """Return the same with one requirement, or with `EVERY_REQUIREMENT`, in the place of peaks and wishes."""
+        """Return the same with one requirement, or with `EVERY_REQUIREMENT`, in place of peaks and soft ones."""
         rows = dict(self.rows)
         if goal == EVERY_REQUIREMENT:
             sought, rows = np.hstack([np.zeros((len(self.radius), 1)), *rows.values()]), {}

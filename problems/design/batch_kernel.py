@@ -200,7 +200,7 @@ def evaluate_designs(
         by_plant[i] = np.inf
         whole[i, ADMITTANCE] = _least_admittance(band, blocks)
         missed = whole[i, ADMITTANCE] < admittance
-        # The cheap margin of all plants comes first: most designs miss it, and nobody asks for the rest of those.
+        # The cheap margin of all plants comes first: most designs miss it, and the rest of those is not needed.
         for depth in range(shallowest, deepest + 1):
             if missed and not peaks_if_missed:
                 break
@@ -215,7 +215,7 @@ def evaluate_designs(
 
 @compiled
 def _keep_margins(found: FloatArray, required: FloatArray, row: FloatArray) -> bool:
-    """Write a loop's margins into a row and tell whether one is missed, as one that is not a number is."""
+    """Write a loop's margins into a row and return whether one is missed, as one that is not a number is."""
     missed = False
     for column, of_loop in enumerate(_OF_LOOP):
         row[column] = 0.0 if np.isnan(found[of_loop]) else found[of_loop]

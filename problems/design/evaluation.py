@@ -72,7 +72,7 @@ class Evaluation:
 class PlantMargins:
     """The margins of one plant of the uncertainty: that of `scenario`, or with `free_space` before it touches.
 
-    `ratios` is required/achieved of everything that is asked of a loop.
+    `ratios` is required/achieved of every requirement of a loop.
     """
 
     scenario: Scenario
@@ -220,7 +220,7 @@ def build_scenarios(problem: DesignProblem, scenarios: Sequence[Scenario]) -> Pr
     h = problem.sample_time_s
     nominal = problem.nominal_plant()
     pairs = tuple(build_sampled_contact(build_sampled_plant(s.plant(nominal), h)) for s in scenarios)
-    # The first scenario of every different plant in free space stands for it.
+    # Every different plant in free space is evaluated once, with its first scenario.
     different: dict[Plant, tuple[SampledPlant, Scenario]] = {}
     for scenario, pair in zip(scenarios, pairs, strict=True):
         different.setdefault(pair.free.plant, (pair.free, scenario))
@@ -238,7 +238,7 @@ def build_scenarios(problem: DesignProblem, scenarios: Sequence[Scenario]) -> Pr
 class CustomRequirement(Requirement[float], ABC):
     """A requirement as one function of a whole evaluation: required/achieved, ≤ 1 is met, worst over its scenarios.
 
-    What is asked of it is the largest such number, 1 unless somebody eases it.
+    Its threshold is the largest such number, 1 unless it is relaxed.
     """
 
     depends_on: ClassVar[Literal["loop", "robot", "contact"]] = "contact"

@@ -213,8 +213,8 @@ class DesignProblem:
         asked = self.requirements
         lines = [("minimise", f"the peak {self.objective.replace('_', ' ')}, worst over the whole uncertainty")]
         approach = self.approach
-        told = f"{approach.speed_m_s:g} m/s" if approach.force_n is None else f"{approach.force_n:g} N"
-        lines.append(("approach", told))
+        words = f"{approach.speed_m_s:g} m/s" if approach.force_n is None else f"{approach.force_n:g} N"
+        lines.append(("approach", words))
         lines += [(f"free: {name}", f"{low:g} to {high:g}") for name, (low, high) in self.bounds.items()]
         lines += [
             (f"uncertain: {SYMBOLS[name]}", f"{low:g} to {high:g}  ({name})")

@@ -130,7 +130,7 @@ class PreparedPlants(ABC):
 
 
 class StableDesign:
-    """A controller whose loops are stable on all prepared plants; what is asked of it is computed once."""
+    """A controller that is stable on all prepared plants; loops, margins and peaks are computed once, on demand."""
 
     def __init__(
         self,

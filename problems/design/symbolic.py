@@ -36,7 +36,7 @@ class Structure:
     """What fixes the shape of the equations; everything else is a symbol.
 
     T_d = (`whole_delay` + fraction)·h; the fraction is a symbol in [0, 1] if `has_fraction`. Derivatives by it are
-    those inside the sample: at a whole delay they are one-sided. A state missing in `controller_states` stands for a
+    those inside the sample: at a whole delay they are one-sided. A state missing in `controller_states` belongs to a
     parameter that is zero: 2 for B_fb, 3 for P̂ (with the ideal compensation for K_l). `squarings` is how often the
     arguments of the matrix exponentials are halved, see `covers`. With `has_filter` the wrench has passed a filter, τ
     being the last of the plant's parameters.
@@ -344,7 +344,7 @@ def build_contact_forces(structure: Structure, approach: Approach, samples: int)
     Takes what `SymbolicForm.loop` takes; returns `sensor_force` (−F) and `contact_force` (F_e), both (samples,), and
     the speed `speed` of the impact. The approach is steady (see `problems.contact.transient`) and follows the
     parameters: more damping is a slower impact where the approach is driven by a force. Neither stability nor what
-    happens between the ticks is looked at.
+    happens between the ticks is computed.
     """
     symbols, h = _symbols(structure), structure.sample_time_s
     blocks = _blocks(structure, symbols.controller)

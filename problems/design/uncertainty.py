@@ -1,4 +1,4 @@
-"""What is not known of a plant as one set: a box, cut down to a confidence ellipsoid where an identification tells one.
+"""The set of plants that must be safe: a box of parameters, cut down to a confidence ellipsoid where there is one.
 
 Names and units are those of the files. On rotational axes read rad, N·m and kg·m² for m, N and kg.
 """
@@ -84,7 +84,7 @@ class Scenario:
     def plant(self, nominal: Plant) -> Plant:
         """Return the nominal plant with the values of this point, in contact."""
 
-        def told(name: str, otherwise: float) -> float:
+        def value_of(name: str, otherwise: float) -> float:
             value = getattr(self, name)
             return otherwise if value is None else float(value)
 
@@ -96,21 +96,21 @@ class Scenario:
                 delay_s=self.delay_s,
             ),
             coupling=Coupling(
-                stiffness_n_per_m=told("coupling_stiffness_n_per_m", nominal.coupling.stiffness_n_per_m),
-                damping_n_s_per_m=told("coupling_damping_n_s_per_m", nominal.coupling.damping_n_s_per_m),
+                stiffness_n_per_m=value_of("coupling_stiffness_n_per_m", nominal.coupling.stiffness_n_per_m),
+                damping_n_s_per_m=value_of("coupling_damping_n_s_per_m", nominal.coupling.damping_n_s_per_m),
             ),
             payload=Payload(
                 mass_kg=self.payload_mass_kg,
-                drag_n_s_per_m=told("drag_n_s_per_m", nominal.payload.drag_n_s_per_m),
+                drag_n_s_per_m=value_of("drag_n_s_per_m", nominal.payload.drag_n_s_per_m),
             ),
             environment=Environment(
                 stiffness_n_per_m=self.environment_stiffness_n_per_m,
-                damping_n_s_per_m=told("environment_damping_n_s_per_m", nominal.environment.damping_n_s_per_m),
+                damping_n_s_per_m=value_of("environment_damping_n_s_per_m", nominal.environment.damping_n_s_per_m),
                 mass_kg=nominal.environment.mass_kg,
             ),
             wrench_filter=WrenchFilter(
-                time_constant_s=told("wrench_time_constant_s", nominal.wrench_filter.time_constant_s),
-                delay_s=told("wrench_delay_s", nominal.wrench_filter.delay_s),
+                time_constant_s=value_of("wrench_time_constant_s", nominal.wrench_filter.time_constant_s),
+                delay_s=value_of("wrench_delay_s", nominal.wrench_filter.delay_s),
             ),
         )
 
@@ -164,7 +164,7 @@ class Ellipsoid:
 
     @property
     def quantile(self) -> float:
-        """Return the χ² that the quadratic form may reach."""
+        """Return the χ² that bounds the quadratic form."""
         return float(chdtri(len(self.names), 1.0 - self.level))
 
     def size(self, point: FloatArray) -> float:
@@ -176,8 +176,8 @@ class Ellipsoid:
         """Return the smallest box around the ellipsoid, without its negative part."""
         half = math.sqrt(self.quantile) * self._deviations
         return {
-            name: (max(0.0, middle - reach), middle + reach)
-            for name, middle, reach in zip(self.names, self.centre, half.tolist(), strict=True)
+            name: (max(0.0, middle - extent), middle + extent)
+            for name, middle, extent in zip(self.names, self.centre, half.tolist(), strict=True)
         }
 
 
@@ -245,8 +245,8 @@ class Uncertainty:
         for name, (low, high) in self.ranges.items():
             value = getattr(scenario, name)
             values[name] = min(max(value, low), high) if value is not None else None
-        told = {name: value for name, value in values.items() if value is not None}
-        return self._inside(told) if len(told) == len(values) else Scenario(**told)
+        varied = {name: value for name, value in values.items() if value is not None}
+        return self._inside(varied) if len(varied) == len(values) else Scenario(**varied)
 
     def contains(self, scenario: Scenario) -> bool:
         """Whether a scenario lies in the set; what keeps its nominal value does."""

@@ -57,7 +57,7 @@ class Requirement(ABC, Generic[Value]):
         return value  # type: ignore[no-any-return]
 
     def check_sampling(self, asked: Value, sample_time_s: float) -> None:
-        """Raise ParameterError for what cannot be asked of a loop with this period."""
+        """Raise ParameterError for a threshold that no loop with this period can have."""
 
     def threshold(self, asked: Value) -> float:
         """Return the number that is asked for more or less of."""

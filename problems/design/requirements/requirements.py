@@ -19,7 +19,7 @@ LARGEST_SHARE = 1e3
 LARGEST_PRICE_N = 1e6
 
 RequirementValue = float | AdmittanceTarget | NoiseLimit | PassivityTarget
-"""What may be asked of a requirement."""
+"""The threshold of a requirement, with what belongs to it."""
 
 
 @dataclass(frozen=True, kw_only=True)
