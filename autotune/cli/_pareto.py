@@ -184,8 +184,8 @@ def print_fronts(fronts: Mapping[str, "Front"], path: Path) -> None:
         study = front.study
         by = "" if study is None else _share(study)
         print_message(f"axis {axis}: front of {names}, every point in {front.scenario_count} scenarios{by}")
-        units = [(each.name, objective_unit(axis, each)) for each in front.objectives]
-        heads = [f"{name} [{unit}]" if unit else name for name, unit in units]
+        named = [(each.name, objective_unit(axis, each)) for each in front.objectives]
+        heads = [f"{name} [{unit}]" if unit else name for name, unit in named]
         gains = [
             f"M_a [{units.mass}]",
             f"B_a [{units.damping}]",
