@@ -24,7 +24,7 @@ from autotune.tuning.problems import DesignOptions
 from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller
 from identification.result import Estimate
-from problems.progress import no_progress
+from problems.progress import Progress, no_progress
 
 LIST = "demo.yaml"
 FORMAT = "autotune/demo"
@@ -142,7 +142,7 @@ def run_demo(
     *,
     seed: int = 0,
     step: Callable[[str], None] | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> DemoResult:
     """Simulate the default cell, then identify, optimize, validate and export, through the files of a real run.
 

@@ -22,6 +22,7 @@ from autotune.tuning.compare import judge_design
 from autotune.tuning.optimize import certify
 from autotune.tuning.search import SearchResult
 from autotune.validation.axis_proof import ProofOptions
+from problems.progress import Progress
 
 from .figures import Sender
 from .source import Exploration, keep_deadband
@@ -69,7 +70,7 @@ class Target:
             return "a file that is no whole controller"
         return f"the controller of checksum {short(found.checksum)}"
 
-    def save(self, make: Callable[[Callable[[float], None]], Controller], expected: str | None = None) -> Written:
+    def save(self, make: Callable[[Progress], Controller], expected: str | None = None) -> Written:
         """Write the controller that `make` returns, which is given a `progress` that stops it once the server ends.
 
         Raises SaveInterruptedError after `end`; UsageError where the file cannot be written, or where other than
@@ -132,7 +133,7 @@ def save_controller(
     searches: dict[str, SearchResult] = {}
     checks = 0
 
-    def make(progress: Callable[[float], None]) -> Controller:
+    def make(progress: Progress) -> Controller:
         nonlocal checks
         for name, start in exploration.axes.items():
             try:

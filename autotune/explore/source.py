@@ -1,6 +1,6 @@
 """What a file gives to explore: a design problem per axis, a design to start from, and what a saved file must carry."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -33,10 +33,9 @@ from problems.design.problem import DEFAULT_BOUNDS, FURTHER_VARIABLES, VARIABLES
 from problems.design.uncertainty import Scenario
 from problems.frozen import freeze
 from problems.model.controller import AdmittanceController
-from problems.progress import no_progress
+from problems.progress import Progress, no_progress
 
 FloatArray = NDArray[np.float64]
-Progress = Callable[[float], None]
 
 _GRID = (3, 2)
 _MOST_TIGHT, _MOST_HARD = 3, 1

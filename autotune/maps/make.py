@@ -1,7 +1,6 @@
 """One call from the request to the picture and its data on disk."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,6 +10,7 @@ from autotune.formats.atomic import check_target, write_atomic
 from autotune.formats.replaceable import PICTURE_MARK, check_kind
 from problems.maps.maps import MapAxis, MapPoint, MapRequest, MapResult, compute_map, evaluate_point
 from problems.maps.search import IntervalRequest, IntervalResult, find_stable_intervals
+from problems.progress import Progress
 
 from .charts import interval_chart, map_chart
 from .options import MapOptions, check_targets
@@ -33,7 +33,7 @@ class MadeMap:
     replaced: tuple[str, ...] = ()
 
 
-def make_map(options: MapOptions, progress: Callable[[float], None] | None = None) -> MadeMap:
+def make_map(options: MapOptions, progress: Progress | None = None) -> MadeMap:
     """Read, compute, draw and write; `progress` receives the share of the computing done since the last call.
 
     Both files are made before either is written. Raises as `read_source`, `build_setup` and `write_atomic` do.
@@ -77,7 +77,7 @@ def summary_tree(made: MadeMap) -> dict[str, Any]:
     return {**tree, **found, "picture": str(made.options.picture), "data": str(made.options.table)}
 
 
-def _made(options: MapOptions, setup: MapSetup, progress: Callable[[float], None] | None) -> MadeMap:
+def _made(options: MapOptions, setup: MapSetup, progress: Progress | None) -> MadeMap:
     request = setup.request
     if isinstance(request, IntervalRequest):
         return MadeMap(

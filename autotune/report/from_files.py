@@ -1,7 +1,6 @@
 """Reports from files that are already written: what each is, which belong together, and a page for all."""
 
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from autotune.formats.controller import ControllerFile, read_controller
 from autotune.formats.identified import IdentifiedFile, read_identified
 from autotune.formats.schedule import read_schedule
 from autotune.formats.schema import check_document, check_format
-from autotune.formats.yaml12 import load_document
+from autotune.formats.yaml12 import kind_of_file, load_document
 from autotune.pipeline import identify_log
 from autotune.processes import count_processors
 from autotune.results import Topics
@@ -23,7 +22,7 @@ from identification.evidence import Evidence
 from identification.given import Given
 from identification.logs import LogSummary
 from identification.logs.opened import digests
-from problems.progress import no_progress
+from problems.progress import Progress, no_progress
 
 from .identify_page import build_identify_page, summaries_of
 from .optimize_page import build_front_page, build_optimize_page
@@ -32,12 +31,8 @@ from .refused_page import refused_controller_page
 from .schedule_page import build_schedule_page
 from .validate_page import Validated, lead, simulated_section, verdict_section
 
-_HEAD_BYTES = 4096
-_FORMAT = re.compile(rb"""["']?format["']?\s*:\s*["']?autotune/(\w+)""")
 _SHOWN = ("identified", "controller", "pareto", "schedule")
 _LOG = "log"
-
-Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,14 +60,7 @@ def file_kind(path: Path) -> str:
 
     Raises UsageError: the file cannot be read.
     """
-    if path.is_dir():
-        return _LOG
-    try:
-        with path.open("rb") as stream:
-            found = _FORMAT.search(stream.read(_HEAD_BYTES))
-    except OSError as reason:
-        raise UsageError(f"{path} cannot be read: {reason.strerror or reason}.") from reason
-    return found[1].decode() if found else _LOG
+    return _LOG if path.is_dir() else kind_of_file(path) or _LOG
 
 
 def report_files(

@@ -3,7 +3,7 @@
 import base64
 import gzip
 import json
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from importlib.resources import files
@@ -15,6 +15,7 @@ from markupsafe import Markup
 from autotune.charts.chart import MOST_POINTS, Band, Bars, Chart, Element, Heat, Limit, Line, Panel, Points, Region
 from autotune.charts.palette import colour_variables, dark_colours
 from autotune.processes import map_in_processes
+from problems.progress import Progress
 
 Tone = Literal["", "good", "warn", "bad", "quiet"]
 _GRAVITY: tuple[Tone, ...] = ("", "quiet", "good", "warn", "bad")
@@ -149,7 +150,7 @@ def _renamed(section: Section, mark: str) -> Section:
     return replace(section, key=f"{mark}-{section.key}", blocks=blocks)
 
 
-def render_page(page: Page, progress: Callable[[float], None] | None = None, *, processes: int = 1) -> str:
+def render_page(page: Page, progress: Progress | None = None, *, processes: int = 1) -> str:
     """Return the page as one HTML text that refers to nothing outside of itself.
 
     Every figure is a picture that needs no script, with its text alternative; those that can be zoomed carry what the

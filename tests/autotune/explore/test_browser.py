@@ -77,7 +77,7 @@ def test_every_figure_is_drawn_and_nothing_overflows(
     # A frame is a whole number of pixels wide.
     assert across == pytest.approx(up, rel=0.02)
     ink = "getComputedStyle(document.documentElement).getPropertyValue('--ink').trim()"
-    assert visit.page.evaluate(f"{ink} === Bokeh.documents[0].get_model_by_name('told').text_color.value")
+    assert visit.page.evaluate(f"{ink} === Bokeh.documents[0].get_model_by_name('ratios').text_color.value")
     visit.check()
     visit.page.close()
 
