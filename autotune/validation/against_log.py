@@ -21,8 +21,7 @@ from problems.contact.transient import Approach
 from problems.design.uncertainty import Scenario
 
 from .disturbances import file_deadband
-from .law_in_log import ContactOutcome, follow_law
-from .log_contacts import ContactLog, LogContact, find_log_contacts
+from .log_contacts import ContactLog, ContactOutcome, LogContact, find_log_contacts, follow_law
 from .monte_carlo import SAME_PEAK, needed_substeps
 from .report import Check
 from .validate import admittance_controller

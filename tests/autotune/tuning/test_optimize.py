@@ -93,6 +93,12 @@ def test_the_requirements_and_proofs_are_written_down() -> None:
     assert sum(each["cells"] for each in numbers) == reach.cells
 
 
+def test_what_was_proved_for_the_certificate_is_not_proved_again_and_named_so() -> None:
+    messages = {check.name: check.message for check in fast_optimized().report.checks}
+    for name in ("stability in free space", "stability in contact", "continuous proof"):
+        assert messages[name].endswith(", proved when this certificate was made)")
+
+
 def test_a_design_outside_of_its_bounds_is_never_written() -> None:
     search = fast_optimized().searches["x"]
     check_within_bounds(search, "x")

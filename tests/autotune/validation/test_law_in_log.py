@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from autotune.formats.controller_record import AxisGains, DeadbandType
-from autotune.validation.law_in_log import felt, follow_law
+from autotune.validation.log_contacts import felt, follow_law
 from problems.model.controller import AdmittanceController, controller_blocks, controller_step
 
 FloatArray = NDArray[np.float64]
