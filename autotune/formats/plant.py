@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from hashlib import sha256
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +78,9 @@ def as_interval(name: str, given: Any, *, may_vanish: bool) -> Interval:
         if may_vanish:
             given = (max(given[0], 0.0), given[1])
     try:
-        low, high = (given, given) if isinstance(given, int | float) else given
+        if isinstance(given, str | bool):
+            raise TypeError(name)
+        low, high = (given, given) if isinstance(given, Real) else given
         low, high = float(low), float(high)
     except (TypeError, ValueError):
         raise ParameterError(name, given, "a number, a range (low, high) or Uncertain(value, std)") from None

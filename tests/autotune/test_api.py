@@ -9,6 +9,7 @@ import subprocess
 import sys
 from dataclasses import asdict
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import matplotlib as mpl
@@ -192,6 +193,26 @@ def test_pandas_is_optional(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(at.UsageError, match=r"robot-autotune\[pandas\]"):
         at.Validation(checks=()).to_pandas()
+
+
+def test_tables_go_to_pandas(design: at.Design, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stand-in takes the columns: pandas is no dependency of the tests."""
+    frame = SimpleNamespace(index=SimpleNamespace(name=None))
+    taken: dict[str, Any] = {}
+
+    def build(columns: dict[str, Any], index: Any = None) -> SimpleNamespace:
+        taken.update(columns=columns, index=index)
+        return frame
+
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=build))
+    assert design.to_pandas() is frame
+    peaks = taken["columns"]["peak_contact_force_n"]
+    assert max(peaks) == design.peak_force
+    assert taken["columns"]["axis"] == ["x"] * len(peaks)
+    contact = at.predict(design, environment_stiffness=6e4)
+    contact.to_pandas()
+    assert frame.index.name == "time [s]"
+    assert len(taken["index"]) == len(taken["columns"]["contact_force"])
 
 
 def test_what_is_no_plant_or_file_is_refused(tmp_path: Path) -> None:

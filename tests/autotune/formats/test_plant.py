@@ -1,0 +1,164 @@
+"""A plant that a person writes: what it is certified for, its file, and what is refused with line and key."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from autotune.errors import UsageError
+from autotune.explore.source import read_exploration
+from autotune.formats.plant import Plant, Robot, Uncertain, parse_plant, read_plant
+from autotune.formats.problem import ProblemSpec
+from autotune.formats.yaml12 import load_document
+from autotune.maps.source import read_source
+from autotune.tuning.problems import DesignOptions, build_problems, within_domain
+from identification.result import Status
+from problems.errors import ParameterError
+from problems.model.robot import bandwidth_hz
+
+TEXT = """format: autotune/plant
+version: 1
+mass: 16
+coupling_stiffness: [2.8e+5, 3.2e+5]
+drag: 630
+robot:
+  bandwidth: 3.2
+  delay: {value: 0.0024, std: 0.0001}
+environment_stiffness: [2.0e+4, 5.0e+5]
+sample_time: 0.0008
+"""
+
+
+def plant(**changes: Any) -> Plant:
+    values: dict[str, Any] = {
+        "mass": 16,
+        "coupling_stiffness": (2.8e5, 3.2e5),
+        "drag": 630,
+        "robot": Robot(bandwidth=3.2, delay=Uncertain(0.0024, 0.0001)),
+        "environment_stiffness": (2e4, 5e5),
+        "sample_time": 8e-4,
+    }
+    return Plant(**values | changes)
+
+
+def written(tmp_path: Path, text: str = TEXT) -> Path:
+    path = tmp_path / "plant.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_file_is_the_plant_that_it_says(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    assert parse_plant(load_document(path, error=UsageError)) == plant()
+    again = tmp_path / "again.yaml"
+    plant().save(again)
+    assert parse_plant(load_document(again, error=UsageError)) == plant()
+
+
+def test_a_plain_number_is_exact_and_a_range_is_the_domain() -> None:
+    assert plant().exact() == ("mass", "coupling_damping", "drag", "robot.bandwidth")
+    assert plant().domain() == {
+        "payload_mass_kg": (16.0, 16.0),
+        "environment_stiffness_n_per_m": (2e4, 5e5),
+        "coupling_stiffness_n_per_m": (2.8e5, 3.2e5),
+        # Three deviations to each side.
+        "delay_s": pytest.approx((0.0021, 0.0027), rel=1e-12),
+    }
+    (message,) = (each.message for each in plant().file().result.findings if each.code == "taken-as-exact")
+    assert message.endswith("mass, coupling_damping, drag, robot.bandwidth.")
+
+
+def test_the_design_problem_holds_that_domain() -> None:
+    source = plant().file()
+    problems = build_problems(source.result, within_domain(ProblemSpec(), source.domain), DesignOptions())
+    (problem,) = problems.values()
+    assert problem.payload_mass_kg == (16.0, 16.0)
+    assert problem.environment_stiffness_n_per_m == (2e4, 5e5)
+    assert set(problem.uncertain) == {"coupling_stiffness_n_per_m", "delay_s"}
+    assert problem.ellipsoid is None
+    assert problem.robot.delay_s == pytest.approx(0.0024, rel=1e-12)
+
+
+def test_what_is_asked_wins_over_the_plant() -> None:
+    asked = ProblemSpec(payload_mass_kg=(10.0, 22.0), uncertain={"delay_s": (0.002, 0.003)})
+    within = within_domain(asked, plant().domain())
+    assert within.payload_mass_kg == (10.0, 22.0)
+    assert within.uncertain["delay_s"] == (0.002, 0.003)
+    assert within.environment_stiffness_n_per_m == (2e4, 5e5)
+
+
+@given(bandwidth=st.floats(0.5, 50.0), ratio=st.one_of(st.none(), st.floats(0.2, 2.0)))
+def test_the_robot_has_the_bandwidth_that_was_said(bandwidth: float, ratio: float | None) -> None:
+    found = Robot(bandwidth=bandwidth, damping_ratio=ratio).model()
+    # Bisection over the whole range of doubles between 1e-2 and 1e4 Hz: as close as rounding of |r| lets it come.
+    assert bandwidth_hz(found) == pytest.approx(bandwidth, rel=1e-9)
+
+
+def test_every_parameter_is_given_and_the_payload_is_left_to_the_cell() -> None:
+    result = plant().file().result
+    assert result.payload.mass_kg.status is Status.GIVEN
+    assert result.payload.com_m.value is None
+    assert result.axes["x"].robot.delay_s.value == pytest.approx(0.0024, rel=1e-12)
+    # The middle of a range that covers more than a factor of three is the geometric one.
+    assert result.axes["x"].environments[0].stiffness_n_per_m.value == pytest.approx(math.sqrt(2e4 * 5e5), rel=1e-12)
+
+
+def test_map_and_explore_take_the_file(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    source = read_source(path, axis=None, controller=None)
+    assert source.axis == "x"
+    assert source.known["payload_mass"] == 16.0
+    assert source.missing == {}
+    with pytest.raises(UsageError, match="neither a plant nor a controller"):
+        read_exploration(written(tmp_path, "a: 1\n"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "what"),
+    [
+        ("mass: 16", "mass: -1", 3, "mass must be a number"),
+        ("drag: 630", "drag: '630'", 5, "drag must be a number"),
+        ("drag: 630", "drag: 630\ndrga: 1", 6, "drga must be one of"),
+        ("std: 0.0001", "std: 0", 8, "robot.delay must be"),
+        ("bandwidth: 3.2", "bandwidth: [3.4, 3.0]", 7, "range from low to high"),
+        ("bandwidth: 3.2", "damping_ratio: 0.7", 6, "bandwidth must be given"),
+        ("sample_time: 0.0008", "", 1, "sample_time must be present"),
+        ("format: autotune/plant", "format: autotune/plan", 1, "autotune/identified or autotune/plant"),
+    ],
+)
+def test_what_is_wrong_is_refused_with_file_line_and_key(
+    tmp_path: Path, old: str, new: str, line: int, what: str
+) -> None:
+    path = written(tmp_path, TEXT.replace(old, new))
+    with pytest.raises(UsageError) as refused:
+        read_plant(path)
+    assert str(refused.value).startswith(f"{path}, line {line}: ")
+    assert what in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"mass": 0.0}, "mass"),
+        ({"mass": (22.0, 10.0)}, "mass"),
+        ({"mass": "16"}, "mass"),
+        ({"mass": Uncertain(16.0, 6.0)}, "mass"),
+        ({"drag": -1.0}, "drag"),
+        ({"sample_time": 0.0}, "sample_time"),
+        ({"axis": "rz"}, "axis"),
+        ({"force_bias": (1.0, 2.0)}, "force_bias"),
+        ({"wrench_corner": 50.0, "wrench_delay": 0.001}, "wrench_delay"),
+    ],
+)
+def test_a_number_out_of_range_is_refused_by_name(changes: dict[str, Any], name: str) -> None:
+    with pytest.raises(ParameterError) as refused:
+        plant(**changes)
+    assert refused.value.name == name
+
+
+def test_a_deviation_of_nothing_is_no_deviation() -> None:
+    with pytest.raises(ParameterError, match="exact"):
+        Uncertain(16.0, 0.0)
