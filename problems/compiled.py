@@ -11,12 +11,39 @@ from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import config as numba_config
+from numba.core import event as numba_event
 from numba.extending import register_jitable
+
+from .compiling import many_compilations
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 # Its settings are made when it is imported, and no type checker sees them.
 _config: Any = numba_config
+_event: Any = numba_event
+# One or two more go unnoticed, a cold start has dozens.
+_NOTICED = 3
+
+
+class _Compilations(numba_event.Listener):  # type: ignore[misc] # numba has no types
+    """Counts what is compiled (not what is read from the cache) and says so when it is noticed."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def on_start(self, event: Any) -> None:
+        """Count a compilation that begins."""
+        del event
+        self.count += 1
+        if self.count == _NOTICED:
+            many_compilations()
+
+    def on_end(self, event: Any) -> None:
+        """Leave it at the beginning."""
+
+
+compilations = _Compilations()
+_event.register("numba:compile", compilations)
 
 
 class _Stamp:

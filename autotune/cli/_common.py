@@ -13,10 +13,17 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Protocol, TypeVar
 
 import click
 
+from problems.compiling import on_compilation
+
 from ._terminal import detect_terminal, printable
 
 if TYPE_CHECKING:
     from rich.progress import ProgressColumn
+
+COMPILING = (
+    "Compiling once: kernels are not in the cache yet, so this takes up to some minutes more than the next time "
+    "(`autotune warm` compiles all of them)."
+)
 
 _Parameters = ParamSpec("_Parameters")
 _Result = TypeVar("_Result")
@@ -117,7 +124,9 @@ def output_options(
     def command(*args: Any, as_json: bool, quiet: bool, debug: bool, **kwargs: Any) -> _Result:
         del debug
         delivery = click.get_current_context().find_object(Delivery) or Delivery()
-        return function(Output(as_json=as_json, quiet=quiet, delivery=delivery), *args, **kwargs)
+        output = Output(as_json=as_json, quiet=quiet, delivery=delivery)
+        on_compilation(lambda: output.note(COMPILING))
+        return function(output, *args, **kwargs)
 
     return command
 

@@ -14,18 +14,24 @@ ComplexArray = NDArray[np.complex128]
 # Increasing frequencies ω up to just short of the Nyquist frequency, tan(ωh/2), and the plant's F/x^d and x/x^d there.
 Grid = tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]
 
+# Rows of the polynomials that `plant_at` takes, and of those of a controller (`controller_polynomials`).
+DENOMINATOR, FORCE, POSITION, DELAY = 0, 1, 2, 3
+OWN, SENSED, FED = 0, 1, 2
 # What `find_loop_margins` returns, the smaller of both break points.
 MODULUS, MODULUS_RAD_PER_S, DISK, GAIN_DB, PHASE_RAD, DELAY_S, MARGINS = 0, 1, 2, 3, 4, 5, 6
+# The two break points.
+AT_FORCE, AT_COMMAND = 0, 1
 # How much is asked: the modulus margin, also the crossovers' margins, also the disk margin.
 MODULUS_ALONE, WITH_CROSSOVERS, EVERY_MARGIN = 0, 1, 2
 
 _SECTIONS = 30
 _BISECTIONS = 60
 _CLOSE = 1.5
-# The tangent of the angle between neighbours from which a turn is followed.
-_TURN = 0.7
+# The tangent of the largest angle between neighbours, seen from the point that they must stay away from: 35°. The
+# straight line between them comes no nearer than cos 17.5° = 0.954 of the nearer one.
+MAX_TURN = 0.7
 _SMALL_LOOP = 0.03
-# How finely a turn is followed, and with how many points in all.
+# How finely a segment is refined, and with how many points in all.
 _NARROWEST = 1e-8
 _DEEPEST = 40
 _ADDED_POINTS = 2000
@@ -49,11 +55,11 @@ def plant_at(plant: FloatArray, w: complex) -> tuple[complex, complex]:
     step = _quotient(1.0 + 0.0j, w) if large else w
     for k in range(count):
         i = k if large else count - 1 - k
-        denominator = denominator * step + plant[0, i]
-        force = force * step + plant[1, i]
-        position = position * step + plant[2, i]
+        denominator = denominator * step + plant[DENOMINATOR, i]
+        force = force * step + plant[FORCE, i]
+        position = position * step + plant[POSITION, i]
     late, sample = 1.0 + 0.0j, _quotient(1.0 - w, 1.0 + w)
-    for _ in range(int(plant[3, 0])):
+    for _ in range(int(plant[DELAY, 0])):
         late *= sample
     late = _quotient(late, denominator)
     return late * force, late * position
@@ -68,22 +74,26 @@ def differences(
     if s.real == 0.0 and degree <= 3:
         # On the imaginary axis, as Tustin's rule has it, the most frequent case in real numbers.
         y, square = s.imag, -s.imag * s.imag
-        own = complex(controller[0, 0] + square * controller[0, 2], y * (controller[0, 1] + square * controller[0, 3]))
-        sensed = complex(
-            controller[1, 0] + square * controller[1, 2], y * (controller[1, 1] + square * controller[1, 3])
-        )
+        own, sensed = _on_axis(controller[OWN], y, square), _on_axis(controller[SENSED], y, square)
     else:
         for i in range(degree, -1, -1):
-            own = own * s + controller[0, i]
-            sensed = sensed * s + controller[1, i]
-    if controller[2, 2] == 0.0:
+            own = own * s + controller[OWN, i]
+            sensed = sensed * s + controller[SENSED, i]
+    if controller[FED, 2] == 0.0:
         both = _quotient(own - sensed * force, own)
         return both, both
     for i in range(degree, -1, -1):
-        fed = fed * s + controller[2, i]
+        fed = fed * s + controller[FED, i]
     damped = own + fed * position
     whole = damped - sensed * force
     return _quotient(whole, damped), _quotient(whole, own)
+
+
+@compiled
+def _on_axis(row: FloatArray, y: float, square: float) -> complex:
+    """Return a polynomial of degree 3 at s = jy, with s² = `square`."""
+    c_0, c_1, c_2, c_3 = row[0], row[1], row[2], row[3]
+    return complex(c_0 + square * c_2, y * (c_1 + square * c_3))
 
 
 @compiled
@@ -131,7 +141,7 @@ def find_loop_margins(
     `sampling` is (h, θ). A response that is not a number makes all of them NaN: it must not pass for a large margin.
     """
     found[:] = np.inf
-    omega, points = _traced(plant, grid, controller, degree, sampling)
+    omega, points = _refined_response(plant, grid, controller, degree, sampling)
     for signal in range(len(points)):
         for disk in range(2 if depth == EVERY_MARGIN else 1):
             value, where = _smallest(plant, controller, degree, sampling, omega, points[signal], signal, disk == 1)
@@ -147,7 +157,7 @@ def find_loop_margins(
 
 
 @compiled
-def _traced(
+def _refined_response(
     plant: FloatArray,
     grid: Grid,
     controller: FloatArray,
@@ -159,29 +169,31 @@ def _traced(
     1 + L turns where a lightly damped mode of the loop is, and may dip between two points; L turns where an inner loop
     has one, and with a long delay everywhere. Without feedback of the position both break points see one loop.
     """
-    (omega, tangent, force, position), (h, theta), count = grid, sampling, len(grid[0])
-    signals = 1 if np.all(controller[2] == 0.0) else 2
+    (omega, tangent, force, position), (h, theta) = grid, sampling
+    count = len(omega)
+    signals = 1 if np.all(controller[FED] == 0.0) else 2
     room = count + _ADDED_POINTS
     moments, points = np.empty(room), np.empty((signals, room), dtype=np.complex128)
-    used, last = 0, (1.0 + 0.0j, 1.0 + 0.0j)
+    used, last_force, last_command = 0, 1.0 + 0.0j, 1.0 + 0.0j
     for k in range(count):
         s = complex(0.0, (2.0 / h) * tangent[k])
         if theta != 0.5:
             s = s / (1.0 + (2.0 * theta - 1.0) * 1j * tangent[k])
-        here = differences(controller, degree, s, force[k], position[k])
-        turns = _turns_between(last[0], here[0]) or (signals == 2 and _turns_between(last[1], here[1]))
+        at_force, at_command = differences(controller, degree, s, force[k], position[k])
+        turns = _turns_between(last_force, at_force) or (signals == 2 and _turns_between(last_command, at_command))
         if turns and used > 0:
             most = room - (count - k) - _DEEPEST
-            used = _follow(plant, controller, degree, sampling, (omega[k], here), (moments, points), used, most)
-        moments[used], points[0, used] = omega[k], here[0]
+            target = (omega[k], (at_force, at_command))
+            used = _refine_segment(plant, controller, degree, sampling, target, (moments, points), used, most)
+        moments[used], points[AT_FORCE, used] = omega[k], at_force
         if signals == 2:
-            points[1, used] = here[1]
-        used, last = used + 1, here
+            points[AT_COMMAND, used] = at_command
+        used, last_force, last_command = used + 1, at_force, at_command
     return moments[:used], points[:, :used].copy()
 
 
 @compiled
-def _follow(
+def _refine_segment(
     plant: FloatArray,
     controller: FloatArray,
     degree: int,
@@ -195,9 +207,11 @@ def _follow(
 
     Halves are taken from the left; what is to the right of the one at hand waits.
     """
-    (moments, points), (h, theta), signals = trace, sampling, len(trace[1])
+    (moments, points), (h, theta) = trace, sampling
+    signals = len(points)
     waiting, stack, depth = np.empty(_DEEPEST), np.empty((2, _DEEPEST), dtype=np.complex128), 1
-    waiting[0], (stack[0, 0], stack[1, 0]) = target
+    bottom = 0
+    waiting[bottom], (stack[AT_FORCE, bottom], stack[AT_COMMAND, bottom]) = target
     while depth > 0:
         width, fast = waiting[depth - 1] - moments[used - 1], False
         if depth < _DEEPEST and used < most and width > _NARROWEST * waiting[depth - 1]:
@@ -205,7 +219,9 @@ def _follow(
                 fast = fast or _turns_between(points[i, used - 1], stack[i, depth - 1])
         if fast:
             waiting[depth] = 0.5 * (moments[used - 1] + waiting[depth - 1])
-            stack[0, depth], stack[1, depth] = differences_at(plant, controller, degree, h, theta, waiting[depth])
+            stack[AT_FORCE, depth], stack[AT_COMMAND, depth] = differences_at(
+                plant, controller, degree, h, theta, waiting[depth]
+            )
             depth += 1
         else:
             depth -= 1
@@ -265,7 +281,7 @@ def _turns(one: complex, two: complex) -> bool:
     """Tell whether the angle between two points is large."""
     along = one.real * two.real + one.imag * two.imag
     across = one.real * two.imag - one.imag * two.real
-    return bool(along <= 0.0 or abs(across) > _TURN * along)
+    return bool(along <= 0.0 or abs(across) > MAX_TURN * along)
 
 
 @compiled
@@ -320,7 +336,7 @@ def _crossovers(
     found: FloatArray,
 ) -> None:
     """Update gain, phase and delay margin with every crossover between neighbouring points."""
-    end = points[-1] - 1.0
+    end = points[len(points) - 1] - 1.0
     # At the Nyquist frequency the loop is real, unless an ideal derivative makes it infinite.
     if end.real < 0.0 and abs(end.imag) < _REAL * abs(end.real):
         found[GAIN_DB] = min(found[GAIN_DB], abs(20.0 * np.log10(-end.real)))
@@ -354,12 +370,13 @@ def _level(difference: complex, of_phase: bool) -> float:
 @compiled
 def _vertex(at: tuple[float, float, float], values: tuple[float, float, float]) -> float:
     """Return where the parabola through three points turns, inside them."""
-    left, right = (at[1] - at[0]) * (values[1] - values[2]), (at[1] - at[2]) * (values[1] - values[0])
+    (low, middle, high), (at_low, at_middle, at_high) = at, values
+    left, right = (middle - low) * (at_middle - at_high), (middle - high) * (at_middle - at_low)
     bottom = 2.0 * (left - right)
     if bottom == 0.0:
-        return at[1]
-    vertex = at[1] - ((at[1] - at[0]) * left - (at[1] - at[2]) * right) / bottom
-    return min(max(vertex, at[0]), at[2])
+        return middle
+    vertex = middle - ((middle - low) * left - (middle - high) * right) / bottom
+    return min(max(vertex, low), high)
 
 
 @compiled
