@@ -196,3 +196,65 @@ def test_a_public_class_name_has_one_meaning(repository: Path) -> None:
     assert len(places) > 100
     shared = {name: found for name, found in places.items() if len(found) > 1}
     assert {name: found for name, found in shared.items() if name not in NAMES_WITH_TWO_MEANINGS} == {}
+
+
+KERNELS = ("compiled", "equation", "inlined", "unlocked")
+# Where a position is what it says: a power of a polynomial or a place in Routh's array; the only entry there is; the
+# first of a series.
+POSITIONS = {
+    "problems/stability/polynomials.py": None,
+    "problems/stability/margin_kernel.py": {"controller[FED, 2]", "plant[DELAY, 0]"},
+    "problems/contact/kernel.py": {"force[0]"},
+    "problems/contact/event_free_steps.py": {"force[0]"},
+    "identification/logs/messages/kernel_bytes.py": {"bits[0]", "floats[0]"},
+    "identification/robot/admittance_motion.py": {"out[0]", "force[0]", "damping[0]"},
+}
+
+
+def _places(of: ast.Subscript) -> list[int]:
+    """Return the constant positions of an access."""
+    parts = of.slice.elts if isinstance(of.slice, ast.Tuple) else [of.slice]
+    numbers = [part.operand if isinstance(part, ast.UnaryOp) else part for part in parts]
+    return [each.value for each in numbers if isinstance(each, ast.Constant) and isinstance(each.value, int)]
+
+
+def _in_rows(function: ast.FunctionDef) -> set[ast.Subscript]:
+    """Return the accesses that only take a row apart or put it together: `a, b, c = row[0], row[1], row[2]`."""
+    out: set[ast.Subscript] = set()
+    for node in ast.walk(function):
+        elements = node.elts if isinstance(node, ast.Tuple) else node.args if isinstance(node, ast.Call) else []
+        rows: dict[str, list[ast.Subscript]] = {}
+        for each in elements:
+            if isinstance(each, ast.Subscript) and len(_places(each)) == 1:
+                rows.setdefault(re.sub(r"\b\d+\b", "", ast.unparse(each)), []).append(each)
+        for accesses in rows.values():
+            places = [_places(each)[0] for each in accesses]
+            if len(places) > 1 and places == list(range(places[0], places[0] + len(places))):
+                out.update(accesses)
+    return out
+
+
+def _unnamed(function: ast.FunctionDef, allowed: set[str]) -> list[str]:
+    rows, out = _in_rows(function), []
+    for node in (each for statement in function.body for each in ast.walk(statement)):
+        if isinstance(node, ast.Subscript) and _places(node) and node not in rows:
+            is_shape = isinstance(node.value, ast.Attribute) and node.value.attr == "shape"
+            if not is_shape and ast.unparse(node) not in allowed:
+                out.append(f"{function.name}: {ast.unparse(node)}")
+    return out
+
+
+def test_kernels_name_what_they_take(repository: Path) -> None:
+    """`found[CONTACT_PEAK]` and `wall.stiffness` can be read and debugged; `found[2]` and `wall[0]` cannot."""
+    unnamed, count = {}, 0
+    for path in _modules(repository, PACKAGES):
+        name = path.relative_to(repository).as_posix()
+        for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(function, ast.FunctionDef):
+                continue
+            allowed, marks = POSITIONS.get(name, set()), {getattr(each, "id", "") for each in function.decorator_list}
+            if allowed is not None and marks & set(KERNELS):
+                count += 1
+                unnamed[f"{name} {function.name}"] = _unnamed(function, allowed)
+    assert count > 100
+    assert {name: found for name, found in unnamed.items() if found} == {}

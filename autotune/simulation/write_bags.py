@@ -17,8 +17,9 @@ _COLUMNS = "t,fx,fy,fz,tx,ty,tz,x,y,z,qx,qy,qz,qw"
 def write_ros1_bag(recording: Recording, path: Path, *, rows: int) -> None:
     """Write the first `rows` messages of wrench and pose as a ROS 1 bag."""
     store = get_typestore(Stores.ROS1_NOETIC)
-    with BagWriter(path) as writer:
-        writer.set_compression(BagWriter.CompressionFormat.LZ4)
+    writer = BagWriter(path)
+    writer.set_compression(BagWriter.CompressionFormat.LZ4)
+    with writer:
         for signal in (recording.wrench, recording.pose):
             name = _type_of(signal)
             link = writer.add_connection(signal.topic, name, typestore=store)

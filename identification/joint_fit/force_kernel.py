@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 from problems.arrays import FloatArray
 from problems.compiled import compiled
 
-from .kernel import MOST_TAKEN, TINY, pressing, switch, switch_along
+from .kernel import FACE, FACE_SPEED, MOST_TAKEN, PAYLOAD, SPEED, TINY, Body, pressing, switch, switch_along
 
 ModeArray = NDArray[np.int8]
-# K_s, B_s/h, B_p/h, M_p/h², K_e, B_e/h, M_e/h²
-RealBody = tuple[float, float, float, float, float, float, float]
+# Columns of the flange's path after a tick and before the next, and rows of what a step moves: position and speed.
+X, V, X_END, V_END = 0, 1, 2, 3
+# Entries of a body as an array.
+K_S, B_S = 0, 1
 
 # What a sample begins with, and TURNS more where the payload touches or leaves in it.
 OFF, ON, TURNS = 0, 1, 2
@@ -26,15 +28,17 @@ def _driven(gamma: FloatArray, drive: FloatArray, sign: float, wall: float) -> t
     place = len(drive) - 4
     for j in range(len(drive)):
         w = sign * drive[j] - (wall if j == place else 0.0)
-        first += gamma[0, j] * w
-        second += gamma[1, j] * w
+        first += gamma[X, j] * w
+        second += gamma[V, j] * w
     return first, second
 
 
 @compiled
-def _felt(state: tuple[float, float], path: FloatArray, body: RealBody, sign: float, wall: float) -> float:
+def _felt(state: tuple[float, float], path: FloatArray, body: Body, sign: float, wall: float) -> float:
     """Return F = K_s (x_p − x) + B_s (v_p − v) right after a tick."""
-    return float(body[0] * (state[0] - (sign * path[0] - wall)) + body[1] * (state[1] - sign * path[1]))
+    x, v = state
+    felt = body.k_s * (x - (sign * path[X] - wall)) + body.b_s * (v - sign * path[V])
+    return float(felt.real)
 
 
 @compiled
@@ -43,7 +47,7 @@ def run_free(
     gamma: FloatArray,
     drive: FloatArray,
     path: FloatArray,
-    body: RealBody,
+    body: Body,
     place: tuple[float, float],
     start: tuple[float, float],
     states: FloatArray,
@@ -61,7 +65,7 @@ def run_free(
         states[k, 0], states[k, 1] = x, v
         out[k] = _felt((x, v), path[k], body, sign, wall)
         first, second = _driven(gamma, drive[k], sign, wall)
-        x, v = phi[0, 0] * x + phi[0, 1] * v + first, phi[1, 0] * x + phi[1, 1] * v + second
+        x, v = phi[X, X] * x + phi[X, V] * v + first, phi[V, X] * x + phi[V, V] * v + second
     return out
 
 
@@ -72,7 +76,7 @@ def run_contact(
     swing: FloatArray,
     drive: FloatArray,
     path: FloatArray,
-    body: RealBody,
+    body: Body,
     place: tuple[float, float],
     start: tuple[float, float],
     states: FloatArray,
@@ -86,21 +90,22 @@ def run_contact(
     out = np.empty(len(drive))
     sign, wall = place
     # Payload, then environment.
-    state = np.array([start[0], start[1], 0.0, 0.0])
+    x, v = start
+    state = np.array([x, v, 0.0, 0.0])
     following, taken = state.copy(), np.empty((MOST_TAKEN, 2))
     touching = bool(OFF)  # a literal False would be compiled once more
     for k in range(len(drive)):
         states[k] = state
-        out[k] = _felt((state[0], state[1]), path[k], body, sign, wall)
+        out[k] = _felt((state[PAYLOAD], state[SPEED]), path[k], body, sign, wall)
         mode = ON if touching else OFF
         modes[k] = mode
         driven = _driven(gamma[mode], drive[k], sign, wall)
         for i in range(2):
-            following[i] = phi[mode, i, 0] * state[0] + phi[mode, i, 1] * state[1] + driven[i]
-            following[2 + i] = swing[i, 0] * state[2] + swing[i, 1] * state[3]
+            following[i] = phi[mode, i, X] * state[PAYLOAD] + phi[mode, i, V] * state[SPEED] + driven[i]
+            following[FACE + i] = swing[i, X] * state[FACE] + swing[i, V] * state[FACE_SPEED]
         if touching:
-            following[2], following[3] = following[0], following[1]
-        ends = sign * path[k, 0] - wall, sign * path[k, 1], sign * path[k, 2] - wall, sign * path[k, 3]
+            following[FACE], following[FACE_SPEED] = following[PAYLOAD], following[SPEED]
+        ends = sign * path[k, X] - wall, sign * path[k, V], sign * path[k, X_END] - wall, sign * path[k, V_END]
         if pressing(following, ends, 1.0, body, touching) == touching:
             state[:] = following
         else:
@@ -117,13 +122,13 @@ def carry_free(phi: FloatArray, pushed: FloatArray, start: FloatArray, stiffness
     """
     count = start.shape[1]
     out, moved = np.empty((len(pushed), count)), start.copy()
-    p00, p01, p10, p11 = phi[0, 0], phi[0, 1], phi[1, 0], phi[1, 1]
+    x_x, x_v, v_x, v_v = phi[X, X], phi[X, V], phi[V, X], phi[V, V]
     for k in range(len(pushed)):
         for i in range(count):
             x, v = moved[0, i], moved[1, i]
             out[k, i] = stiffness * x + damping * v
-            moved[0, i] = p00 * x + p01 * v + pushed[k, 0, i]
-            moved[1, i] = p10 * x + p11 * v + pushed[k, 1, i]
+            moved[X, i] = x_x * x + x_v * v + pushed[k, X, i]
+            moved[V, i] = v_x * x + v_v * v + pushed[k, V, i]
     return out
 
 
@@ -143,26 +148,28 @@ def carry_contact(
     `swing`, `body` (7,) and `ends`, the flange from the wall on in the samples that turn, in order, (turns, 4), come
     with their slopes, parameters last. There the moment's own motion is taken along (`switch_along`).
     """
-    count, turns = start.shape[1], 0
-    out = np.empty((len(pushed), count))
+    count, turns, (of, of_slopes), (crossed, crossed_slopes) = start.shape[1], 0, body, ends
+    (swung, swung_slopes), out = swing, np.empty((len(pushed), count))
     moved, moving = np.zeros((4, count)), np.zeros((4, count))
     moved[:2] = start
     for k in range(len(pushed)):
         mode = modes[k] % TURNS
         for i in range(count):
-            out[k, i] = body[0][0] * moved[0, i] + body[0][1] * moved[1, i]
+            out[k, i] = of[K_S] * moved[PAYLOAD, i] + of[B_S] * moved[SPEED, i]
         if modes[k] >= TURNS:
-            _turn(states[k], moved, ends[0][turns], ends[1][turns], body, mode == ON)
+            _turn(states[k], moved, (crossed[turns], crossed_slopes[turns]), (of, of_slopes), mode == ON)
             turns += 1
             continue
         for row in range(2):
             for i in range(count):
-                moving[row, i] = phi[mode, row, 0] * moved[0, i] + phi[mode, row, 1] * moved[1, i] + pushed[k, row, i]
+                moving[row, i] = phi[mode, row, X] * moved[PAYLOAD, i] + phi[mode, row, V] * moved[SPEED, i]
+                moving[row, i] += pushed[k, row, i]
                 if mode == ON:
-                    moving[2 + row, i] = moving[row, i]
+                    moving[FACE + row, i] = moving[row, i]
                 else:
-                    swung = swing[1][row, 0, i] * states[k, 2] + swing[1][row, 1, i] * states[k, 3]
-                    moving[2 + row, i] = swing[0][row, 0] * moved[2, i] + swing[0][row, 1] * moved[3, i] + swung
+                    own = swung_slopes[row, X, i] * states[k, FACE] + swung_slopes[row, V, i] * states[k, FACE_SPEED]
+                    carried = swung[row, X] * moved[FACE, i] + swung[row, V] * moved[FACE_SPEED, i]
+                    moving[FACE + row, i] = carried + own
         moved[:] = moving
     return out
 
@@ -171,23 +178,22 @@ def carry_contact(
 def _turn(
     state: FloatArray,
     moved: FloatArray,
-    ends: FloatArray,
-    end_slopes: FloatArray,
+    ends: tuple[FloatArray, FloatArray],
     body: tuple[FloatArray, FloatArray],
     touching: bool,
 ) -> None:
     """Change the slopes `moved` (4, p) through a sample in which the payload touches or leaves."""
+    (at, at_slopes), (of, of_slopes) = ends, body
     count, taken = moved.shape[1], np.zeros((MOST_TAKEN, 2))
-    of = body[0]
-    real = of[0], of[1], of[2], of[3], of[4], of[5], of[6]
-    _, steps = switch(state.copy(), (ends[0], ends[1], ends[2], ends[3]), real, touching, taken)
+    real = Body(of[0], of[1], of[2], of[3], of[4], of[5], of[6])
+    _, steps = switch(state.copy(), (at[0], at[1], at[2], at[3]), real, touching, taken)
     along = np.empty((count, 15), dtype=np.complex128)
     for i in range(count):
         for j in range(4):
             along[i, j] = state[j] + TINY * 1j * moved[j, i]
-            along[i, 4 + j] = ends[j] + TINY * 1j * end_slopes[j, i]
+            along[i, 4 + j] = at[j] + TINY * 1j * at_slopes[j, i]
         for j in range(7):
-            along[i, 8 + j] = of[j] + TINY * 1j * body[1][j, i]
+            along[i, 8 + j] = of[j] + TINY * 1j * of_slopes[j, i]
     switch_along(along, touching, taken[:steps])
     for i in range(count):
         for j in range(4):

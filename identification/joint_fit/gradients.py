@@ -122,7 +122,7 @@ def _places(
     law: SegmentModel, nuisance: FloatArray, moved: list[PathSegment], segment: Segment, shared: int
 ) -> FloatArray:
     """Return the derivatives of the wall and of the payload's place and velocity at first, (3, p)."""
-    out, sign, k_s = np.zeros((3, shared + segment.nuisance_count - 1)), segment.sign, law.body[0].real
+    out, sign, k_s = np.zeros((3, shared + segment.nuisance_count - 1)), segment.sign, law.body.k_s.real
     out[1:, 0] = -nuisance[:2] / k_s**2
     out[1, shared] = out[2, shared + 1] = 1.0 / k_s
     for i, each in enumerate(moved, _COUPLING):

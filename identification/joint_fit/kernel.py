@@ -4,7 +4,7 @@ Time is counted in samples: velocities are m per sample, B/h and M/h² stand for
 answers with a slope as well: its imaginary part is the slope times that of what came in, if that is tiny.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,24 @@ from problems.compiled import compiled
 
 # Of floats, or of complex numbers.
 Array = NDArray[Any]
-# (K_s, B_s/h, B_p/h, M_p/h², K_e, B_e/h, M_e/h²)
-Body = tuple[complex, complex, complex, complex, complex, complex, complex]
 # The flange's position and velocity at both ends of a sample.
 Ends = tuple[complex, complex, complex, complex]
+# The state: payload and the environment's face, each with its speed; then columns of `taken`.
+PAYLOAD, SPEED, FACE, FACE_SPEED = 0, 1, 2, 3
+LENGTH, EVENT = 0, 1
+
+
+class Body(NamedTuple):
+    """Payload, coupling and environment in units of one sample: K_s, B_s/h, B_p/h, M_p/h², K_e, B_e/h, M_e/h²."""
+
+    k_s: complex
+    b_s: complex
+    b_p: complex
+    m_p: complex
+    k_e: complex
+    b_e: complex
+    m_e: complex
+
 
 # So small that its square is nothing beside 1, and so is what rounding leaves of it.
 TINY = 1e-30
@@ -64,7 +78,7 @@ def mark_robot(
     for k in range(len(command)):
         if k % every == 0:
             marks[k // every] = now
-        total += position[k] - now[0]
+        total += position[k] - now[PAYLOAD]
         _follow(step, command, older, k, now, following)
     return marks, total / len(command)
 
@@ -96,19 +110,19 @@ def accelerations(state: Array, ends: Ends, at: complex, body: Body, touching: b
     """Return the accelerations of payload and environment in m per sample²."""
     k_s, b_s, b_p, m_p, k_e, b_e, m_e = body
     x, v = flange(ends, at)
-    pull = k_s * (x - state[0]) + b_s * (v - state[1]) - b_p * state[1]
+    pull = k_s * (x - state[PAYLOAD]) + b_s * (v - state[SPEED]) - b_p * state[SPEED]
     if touching:
-        shared = (pull - k_e * state[0] - b_e * state[1]) / (m_p + m_e)
+        shared = (pull - k_e * state[PAYLOAD] - b_e * state[SPEED]) / (m_p + m_e)
         return shared, shared
     if returns_at_once(body):
         return pull / m_p, 0.0 * pull
-    return pull / m_p, -(k_e * state[2] + b_e * state[3]) / m_e
+    return pull / m_p, -(k_e * state[FACE] + b_e * state[FACE_SPEED]) / m_e
 
 
 @compiled
 def returns_at_once(body: Body) -> bool:
     """Whether a freed environment is at its rest position before the payload can meet it again."""
-    return bool(body[6].real * _BACK_AT_ONCE**2 <= body[4].real)
+    return bool(body.m_e.real * _BACK_AT_ONCE**2 <= body.k_e.real)
 
 
 @compiled
@@ -119,15 +133,16 @@ def pressure(state: Array, ends: Ends, at: complex, body: Body, touching: bool) 
     is back at once, the smaller one of the spring's force and the whole force [N].
     """
     if touching:
-        force: complex = body[4] * state[0] + body[5] * state[1]
+        force: complex = body.k_e * state[PAYLOAD] + body.b_e * state[SPEED]
         # Without a mass the slope by it counts as well.
-        if body[6] != 0.0:
-            force += body[6] * accelerations(state, ends, at, body, touching)[0]
+        if body.m_e != 0.0:
+            shared, _ = accelerations(state, ends, at, body, touching)
+            force += body.m_e * shared
         return force
     if returns_at_once(body):
-        spring: complex = body[4] * state[0]
-        return spring + body[5] * state[1] if state[1].real < 0.0 else spring
-    behind: complex = state[0] - state[2]
+        spring: complex = body.k_e * state[PAYLOAD]
+        return spring + body.b_e * state[SPEED] if state[SPEED].real < 0.0 else spring
+    behind: complex = state[PAYLOAD] - state[FACE]
     return behind
 
 
@@ -144,14 +159,14 @@ def advance(state: Array, ends: Ends, at: complex, dt: complex, body: Body, touc
     for stage in range(4):
         share = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
         payload, environment = accelerations(probe, ends, at + share * dt, body, touching)
-        slope[0], slope[1], slope[2], slope[3] = probe[1], payload, probe[3], environment
+        slope[0], slope[1], slope[2], slope[3] = probe[SPEED], payload, probe[FACE_SPEED], environment
         weight = 1.0 if stage in (0, 3) else 2.0
         total += weight * slope
         following = 1.0 if stage == 2 else 0.5
         probe = state + following * dt * slope
     end = state + dt / 6.0 * total
     if returns_at_once(body) and not touching:
-        end[2], end[3] = 0.0, 0.0
+        end[FACE], end[FACE_SPEED] = 0.0, 0.0
     return end
 
 
@@ -159,11 +174,11 @@ def advance(state: Array, ends: Ends, at: complex, dt: complex, body: Body, touc
 def meet(state: Array, body: Body, touching: bool) -> None:
     """Change the state where the payload touches, taking the environment's mass along without rebound, or leaves."""
     if touching:
-        state[1] = (body[3] * state[1] + body[6] * state[3]) / (body[3] + body[6])
+        state[SPEED] = (body.m_p * state[SPEED] + body.m_e * state[FACE_SPEED]) / (body.m_p + body.m_e)
     elif returns_at_once(body):
-        state[2], state[3] = 0.0, 0.0
+        state[FACE], state[FACE_SPEED] = 0.0, 0.0
     else:
-        state[2], state[3] = state[0], state[1]
+        state[FACE], state[FACE_SPEED] = state[PAYLOAD], state[SPEED]
 
 
 @compiled
@@ -192,12 +207,12 @@ def switch(state: FloatArray, ends: Ends, body: Body, touching: bool, taken: Flo
             switches += 1
             touching = not touching
             meet(state, body, touching)
-            taken[count, 1] = _AT_ONCE if dt < size * _AN_INSTANT else _AT_ZERO
-        taken[count, 0] = dt
+            taken[count, EVENT] = _AT_ONCE if dt < size * _AN_INSTANT else _AT_ZERO
+        taken[count, LENGTH] = dt
         at += dt
         count += 1
     if touching:
-        state[2], state[3] = state[0], state[1]
+        state[FACE], state[FACE_SPEED] = state[PAYLOAD], state[SPEED]
     return touching, count
 
 
@@ -223,11 +238,12 @@ def switch_along(along: ComplexArray, touching: bool, taken: FloatArray) -> None
     times slopes. Where `pressure` is 0 at a touch or release, that moves so that it stays 0; the last step ends at the
     tick.
     """
-    passed = np.zeros(len(along), dtype=np.complex128)
+    # All rows have the same real parts.
+    first, passed = 0, np.zeros(len(along), dtype=np.complex128)
     for step in range(len(taken)):
-        dt, turns = taken[step, 0], taken[step, 1] > 0.0
-        at_zero = taken[step, 1] == _AT_ZERO
-        growing = _growth(along[0].real, passed[0].real, dt, touching) if at_zero else 1.0
+        dt, turns = taken[step, LENGTH], taken[step, EVENT] > 0.0
+        at_zero = taken[step, EVENT] == _AT_ZERO
+        growing = _growth(along[first].real, passed[first].real, dt, touching) if at_zero else 1.0
         for i in range(len(along)):
             state, ends, body = _parts(along[i])
             length = dt + 0j
@@ -259,4 +275,5 @@ def _growth(of: FloatArray, at: float, dt: float, touching: bool) -> float:
 
 @compiled
 def _parts(of: Array) -> tuple[Array, Ends, Body]:
-    return of[:4], (of[4], of[5], of[6], of[7]), (of[8], of[9], of[10], of[11], of[12], of[13], of[14])
+    body = Body(of[8], of[9], of[10], of[11], of[12], of[13], of[14])
+    return of[:4], (of[4], of[5], of[6], of[7]), body

@@ -116,7 +116,7 @@ def body(coupling: Sequence[complex] | FloatArray, surface: Sequence[complex] | 
     k_s, b_s, b_p, m_p = (_number(v) for v in coupling)
     k_e, b_e, m_e = (_number(v) for v in surface)
     h = period_s
-    return k_s, b_s / h, b_p / h, m_p / h**2, k_e, b_e / h, m_e / h**2
+    return Body(k_s, b_s / h, b_p / h, m_p / h**2, k_e, b_e / h, m_e / h**2)
 
 
 def _number(value: complex) -> complex:

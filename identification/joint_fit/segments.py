@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from problems.arrays import FloatArray
 
 from ..signals.segments import Span, low_pass
-from .force_kernel import ModeArray, RealBody, run_contact, run_free
+from .force_kernel import ModeArray, run_contact, run_free
 from .kernel import Body, returns_at_once
 from .model import Array, ParameterLayout, body, payload_step, swing_step
 from .path import FlangePath, PathSegment
@@ -128,10 +128,10 @@ def steps_of(of: Body, robot: Array | None, fraction: complex, *, touches: bool)
     return np.stack([free[0], touched[0]]), np.stack([free[1], touched[1]]), swing
 
 
-def plain(of: Body) -> RealBody:
+def plain(of: Body) -> Body:
     """Return the real parts."""
     k_s, b_s, b_p, m_p, k_e, b_e, m_e = (value.real for value in of)
-    return k_s, b_s, b_p, m_p, k_e, b_e, m_e
+    return Body(k_s, b_s, b_p, m_p, k_e, b_e, m_e)
 
 
 class Run(NamedTuple):

@@ -18,6 +18,7 @@ from ..contact.kernel_types import (
     Wall,
 )
 from ..model.controller import blocks_of
+from ..model.difference import DAMPING
 from ..model.response import controller_gains
 from ..stability import margin_kernel
 from ..stability.margin_kernel import MARGINS, MODULUS_ALONE, WITH_CROSSOVERS, find_loop_margins
@@ -67,7 +68,8 @@ def judge_loop(
 @compiled
 def polynomial_workspace(loops: Loops) -> FloatArray:
     """Return an array that any polynomial of these loops fits in; compiled code does not notice where one ends."""
-    return np.zeros(loops[0].shape[2] + CONTROLLER_POWERS)
+    polynomials, _, _ = loops
+    return np.zeros(polynomials.shape[2] + CONTROLLER_POWERS)
 
 
 @compiled
@@ -81,7 +83,8 @@ def grid_of(grids: Grids, plant: int) -> tuple[FloatArray, FloatArray, ComplexAr
 @compiled
 def judge_stability(loops: Loops, designs: FloatArray, h: float, theta: float, ideal: bool) -> IntArray:
     """Return the verdicts (m, p) of designs (m, 7) on plants (p,)."""
-    count = len(loops[1])
+    _, sizes, _ = loops
+    count = len(sizes)
     out = np.empty((len(designs), count), dtype=np.int64)
     controller, work = np.zeros((3, CONTROLLER_POWERS)), polynomial_workspace(loops)
     for i in range(len(designs)):
@@ -112,11 +115,11 @@ def evaluate_pairs(
     """
     controller, work, found = np.zeros((3, CONTROLLER_POWERS)), polynomial_workspace(in_contact), np.zeros(MARGINS)
     traces = Traces(np.empty(longest), np.empty(longest))
-    h, theta, ideal = sampling
+    (h, theta, ideal), (margins, peaks) = sampling, wanted
     for i in range(len(designs)):
         degree = controller_polynomials(designs[i], ideal, controller)
         blocks = blocks_of(designs[i], h, theta, ideal)
-        for j in range(len(in_contact[1])):
+        for j in range(len(responses)):
             out[i, j, :] = np.nan
             verdict = judge_loop(in_contact, j, controller, degree, h, theta, work)
             if verdict == STABLE:
@@ -124,12 +127,12 @@ def evaluate_pairs(
             out[i, j, STABILITY] = verdict
             if verdict != STABLE:
                 continue
-            if wanted[0]:
+            if margins:
                 find_loop_margins(responses[j], grid_of(grids, j), controller, degree, (h, theta), MODULUS_ALONE, found)
                 out[i, j, PAIR_MODULUS] = found[_LOOP_MODULUS]
                 out[i, j, PAIR_MODULUS_RAD_PER_S] = found[_LOOP_MODULUS_RAD_PER_S]
-            if wanted[1]:
-                simulate_pair(contacts, j, blocks, designs[i, 1], h, approach, traces, out[i, j])
+            if peaks:
+                simulate_pair(contacts, j, blocks, designs[i, DAMPING], h, approach, traces, out[i, j])
 
 
 @compiled
@@ -145,10 +148,11 @@ def simulate_pair(
 ) -> None:
     """Simulate the impact of one scenario and write its peaks into one row of a result."""
     (step, flow, rows, walls, ramps), delays, fractions, inside, offsets = contacts
-    delay, n = Delay(delays[j, 0], delays[j, 1], fractions[j]), step.shape[2]
+    (whole, chain), n = (delays[j, 0], delays[j, 1]), step.shape[2]
+    delay = Delay(whole, chain, fractions[j])
     wall = Wall(walls[j, 0], walls[j, 1], walls[j, 2], walls[j, 3])
     plant = Contact(step[j], flow[j], rows[j], inside[offsets[j] : offsets[j + 1]], delay, wall)
-    speed, push, forces = contact_forces(approach, damping - ramps[j, MOVING, -1] * h)
+    speed, push, forces = contact_forces(approach, damping - ramps[j, MOVING, n + 1] * h)
     start = steady_start(ramps[j], rows[j, POSITION, :n], blocks, delay.chain, h, speed, push, damping * speed)
     found = np.zeros(FOUND)
     run_contact(plant, blocks, start, forces, traces, found, True)
@@ -188,7 +192,7 @@ def evaluate_designs(
     for i in range(len(designs)):
         degree = controller_polynomials(designs[i], ideal, controller)
         verdict = STABLE
-        for j in range(len(loops[1])):
+        for j in range(len(responses)):
             verdict = judge_loop(loops, j, controller, degree, h, theta, work)
             if verdict != STABLE:
                 whole[i, FAILED] = j
@@ -204,13 +208,13 @@ def evaluate_designs(
         for depth in range(shallowest, deepest + 1):
             if missed and not peaks_if_missed:
                 break
-            for j in range(len(loops[1])):
+            for j in range(len(responses)):
                 find_loop_margins(responses[j], grid_of(grids, j), controller, degree, (h, theta), depth, found)
                 missed = _keep_margins(found, margins, by_plant[i, j]) or missed
         if missed and not peaks_if_missed:
             continue
-        for j in range(len(contacts[1])):
-            simulate_pair(contacts, j, blocks, designs[i, 1], h, approach, traces, by_pair[i, j])
+        for j in range(by_pair.shape[1]):
+            simulate_pair(contacts, j, blocks, designs[i, DAMPING], h, approach, traces, by_pair[i, j])
 
 
 @compiled

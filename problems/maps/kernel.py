@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import compiled
-from ..model.plant import PLANT_PARAMETERS, write_plant
+from ..contact.kernel_types import POSITION, SENSED
+from ..model.plant import ENVIRONMENT_STIFFNESS, OF_FORCE, PLANT_PARAMETERS, write_plant
 from ..model.sampled import hold_columns
 from ..stability.margin_kernel import EVERY_MARGIN, MODULUS_ALONE, Grid, find_loop_margins
 from ..stability.polynomials import CONTROLLER_POWERS, controller_polynomials, plant_polynomials
@@ -27,17 +28,17 @@ def polynomials_of_plants(
     (p, 7), or (p, 8) of a filtered wrench, as `Plant.parameters`, `delays` whole samples (p,) and fractions (p,). The
     same steps as in `build_sampled_plant`, without what stability does not need. NaN where the motion overflows.
     """
-    numerators, denominators = robots
+    (numerators, denominators), (wholes, fractions) = robots, delays
     n = denominators.shape[1] + 1 + parameters.shape[1] - PLANT_PARAMETERS
     for k in range(len(parameters)):
-        whole, fraction = delays[0][k], delays[1][k]
+        whole, fraction = wholes[k], fractions[k]
         a, b, outputs = np.zeros((n, n)), np.zeros(n), np.zeros((2, n + 2))
         push, c_contact, direct = np.zeros(n), np.zeros(n), np.zeros(3)
-        c_position, c_force = outputs[0, :n], outputs[1, :n]
+        c_position, c_force = outputs[POSITION, :n], outputs[SENSED, :n]
         write_plant(
             a, b, push, c_position, c_force, c_contact, direct, numerators[k], denominators[k], parameters[k], h
         )
-        outputs[1, n] = direct[0]
+        outputs[SENSED, n] = direct[OF_FORCE]
         whole_step = hold_columns(a, b.reshape(n, 1), 1.0)
         phi, gamma = np.ascontiguousarray(whole_step[:n, :n]), np.ascontiguousarray(whole_step[:n, n])
         if not np.all(np.isfinite(phi)):
@@ -49,7 +50,8 @@ def polynomials_of_plants(
             gamma_old[:] = gamma - newer
             gamma = newer
         chain = whole + (1 if fraction > 0.0 else 0)
-        found = plant_polynomials(phi, gamma, gamma_old, outputs, (whole, chain, fraction), parameters[k, 4] == 0.0)
+        delay, free = (whole, chain, fraction), parameters[k, ENVIRONMENT_STIFFNESS] == 0.0
+        found = plant_polynomials(phi, gamma, gamma_old, outputs, delay, free)
         out[k, :, : found.shape[1]] = found
 
 

@@ -68,6 +68,10 @@ class Environment:
 
 # Of the plant without a filter of the wrench, in the order of `Plant.parameters`.
 PLANT_PARAMETERS = 7
+# Place of K_e among them, and of the constant term in ascending powers.
+ENVIRONMENT_STIFFNESS, CONSTANT = 4, 0
+# What acts at once, `direct` of `write_plant`: d_F, d_e and p_e.
+OF_FORCE, OF_CONTACT, OF_PUSH = 0, 1, 2
 FREE_SPACE = Environment(stiffness_n_per_m=0.0)
 
 
@@ -177,7 +181,7 @@ def _write_contact(a: Any, b: Any, c_contact: Any, direct: Any, k_e: Any, b_e: A
         c_contact[i] = m_e * a[n - 1, i]
     c_contact[n - 2] = c_contact[n - 2] + k_e
     c_contact[n - 1] = c_contact[n - 1] + b_e
-    direct[1] = m_e * b[n - 1]
+    direct[OF_CONTACT] = m_e * b[n - 1]
 
 
 @equation
@@ -187,9 +191,9 @@ def _write_filter(a: Any, b: Any, c_force: Any, direct: Any, n: int, rate: Any, 
         a[n, i] = rate * c_force[i] / answer
         c_force[i] = 0.0
     a[n, n] = -rate
-    b[n] = rate * direct[0] / answer
+    b[n] = rate * direct[OF_FORCE] / answer
     c_force[n] = answer
-    direct[0] = 0.0
+    direct[OF_FORCE] = 0.0
 
 
 @equation
@@ -215,15 +219,23 @@ def write_plant(
     """
     n, filtered = denominator.shape[0] - 1, parameters.shape[0] > PLANT_PARAMETERS
     p = n + 1 if filtered else n
-    k_s, b_s, m_p, b_p = parameters[0], parameters[1] / t, parameters[2], parameters[3] / t
-    k_e, b_e, m_e = parameters[4], parameters[5] / t, parameters[6] / (t * t)
+    k_s, coupling_damping, m_p, drag, k_e, damping, mass = (
+        parameters[0],
+        parameters[1],
+        parameters[2],
+        parameters[3],
+        parameters[4],
+        parameters[5],
+        parameters[6],
+    )
+    b_s, b_p, b_e, m_e = coupling_damping / t, drag / t, damping / t, mass / (t * t)
     # Controllable form of r(s) in p = s t: state i is t^i times the i-th derivative of one position-like signal.
     for i in range(n - 1):
         a[i, i + 1] = 1.0
     for i in range(n):
         a[n - 1, i] = -denominator[i] * t ** (n - i)
-        c_position[i] = numerator[i] / denominator[0] / t**i
-    b[n - 1] = denominator[0] * t**n
+        c_position[i] = numerator[i] / denominator[CONSTANT] / t**i
+    b[n - 1] = denominator[CONSTANT] * t**n
 
     # Velocity of the flange, times t, is c_position shifted along the chain.
     last = c_position[n - 1]
@@ -234,19 +246,19 @@ def write_plant(
         c_force[i] = -k_s * c_position[i] - b_s * velocity
     c_force[p] = k_s
     c_force[p + 1] = b_s
-    direct[0] = -b_s * last * b[n - 1]
+    direct[OF_FORCE] = -b_s * last * b[n - 1]
 
-    scale = t * t / (m_p + parameters[6])
+    scale = t * t / (m_p + mass)
     a[p, p + 1] = 1.0
     for i in range(p + 2):
         a[p + 1, i] = -scale * c_force[i]
     a[p + 1, p] = a[p + 1, p] - scale * k_e
     a[p + 1, p + 1] = a[p + 1, p + 1] - scale * (b_p + b_e)
-    b[p + 1] = -scale * direct[0]
+    b[p + 1] = -scale * direct[OF_FORCE]
     push[p + 1] = scale
 
     _write_contact(a, b, c_contact, direct, k_e, b_e, m_e)
-    direct[2] = m_e * scale
+    direct[OF_PUSH] = m_e * scale
     if filtered:
         _write_filter(a, b, c_force, direct, n, t / parameters[PLANT_PARAMETERS], k_s + b_s)
 
@@ -266,9 +278,9 @@ def build_plant_matrices(plant: Plant, time_scale_s: float) -> PlantMatrices:
         push=push,
         c_position=c_position,
         c_force=c_force,
-        d_force=float(direct[0]),
+        d_force=float(direct[OF_FORCE]),
         c_contact=c_contact,
-        d_contact=float(direct[1]),
-        push_contact=float(direct[2]),
+        d_contact=float(direct[OF_CONTACT]),
+        push_contact=float(direct[OF_PUSH]),
         time_scale_s=t,
     )

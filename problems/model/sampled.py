@@ -277,11 +277,12 @@ def controller_matrices(blocks: FloatArray, kept: NDArray[np.int64]) -> FloatArr
     """
     r = len(kept)
     m = np.zeros((r + 1, r + 2))
-    unit = np.zeros(CONTROLLER_STATES + 2)
+    # The states, then e and x.
+    e, unit = CONTROLLER_STATES, np.zeros(CONTROLLER_STATES + 2)
     for j in range(r + 2):
         place = kept[j] if j < r else CONTROLLER_STATES + j - r
         unit[place] = 1.0
-        m[r, j], following = controller_step(blocks, (unit[0], unit[1], unit[2], unit[3]), unit[4], unit[5])
+        m[r, j], following = controller_step(blocks, (unit[0], unit[1], unit[2], unit[3]), unit[e], unit[e + 1])
         for i in range(r):
             m[i, j] = np.array(following)[kept[i]]
         unit[place] = 0.0
@@ -295,7 +296,8 @@ def _cut_loop(
     chain: int,
     controller: FloatArray,
 ) -> FloatArray:
-    size = len(plant[1]) + chain + len(controller) - 1
+    _, gamma, _, _, _, _, _ = plant
+    size = len(gamma) + chain + len(controller) - 1
     m = np.zeros((size + 2, size + 3))
     write_open_loop(m, plant, whole, chain, controller)
     return m

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import compiled
+from .polynomials import DELAY, DENOMINATOR, FED, FORCE, OWN, POSITION, SENSED
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -14,9 +15,6 @@ ComplexArray = NDArray[np.complex128]
 # Increasing frequencies ω up to just short of the Nyquist frequency, tan(ωh/2), and the plant's F/x^d and x/x^d there.
 Grid = tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]
 
-# Rows of the polynomials that `plant_at` takes, and of those of a controller (`controller_polynomials`).
-DENOMINATOR, FORCE, POSITION, DELAY = 0, 1, 2, 3
-OWN, SENSED, FED = 0, 1, 2
 # What `find_loop_margins` returns, the smaller of both break points.
 MODULUS, MODULUS_RAD_PER_S, DISK, GAIN_DB, PHASE_RAD, DELAY_S, MARGINS = 0, 1, 2, 3, 4, 5, 6
 # The two break points.

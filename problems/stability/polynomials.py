@@ -14,6 +14,9 @@ from ..compiled import compiled
 FloatArray = NDArray[np.float64]
 
 STABLE, UNSTABLE, DOUBTFUL = 1, 0, -1
+# Rows of the plant's polynomials and, without whole delays, of what `plant_at` takes; rows of a controller's.
+DENOMINATOR, FORCE, POSITION, DELAY = 0, 1, 2, 3
+OWN, SENSED, FED = 0, 1, 2
 # An entry of the Routh array that is this small against its terms decides nothing.
 _CANCELLED = 1e-6
 # The delay chain is a power of 1 + w, whose coefficients hold its roots ever less well: from degree 100 or so the
@@ -54,17 +57,18 @@ def plant_polynomials(
         product = matrix @ adjugate
         base[k] = -np.trace(product) / (n - k)
         adjugate = product + base[k] * np.eye(n)
+    newer, older = 0, 1
     falling, rising = np.array([1.0, -1.0]), np.array([1.0, 1.0])
     out = np.zeros((3, size))
-    out[0] = _times_power(base, rising, chain, size)
+    out[DENOMINATOR] = _times_power(base, rising, chain, size)
     for i in range(2):
-        one = _times_power(numerators[i, 0], falling, 1, size)
+        one = _times_power(numerators[i, newer], falling, 1, size)
         if chain > whole:
-            one = _times_power(one, rising, 1, size) + _times_power(numerators[i, 1], falling, 2, size)
+            one = _times_power(one, rising, 1, size) + _times_power(numerators[i, older], falling, 2, size)
         direct = _times_power(base, falling if chain > whole else rising, 1 if chain > whole else 0, size)
-        out[1 + i] = _times_power(one + outputs[1 - i, n] * direct, falling, whole, size)
+        out[FORCE + i] = _times_power(one + outputs[1 - i, n] * direct, falling, whole, size)
     if free:
-        out[1, 0] = 0.0
+        out[FORCE, 0] = 0.0
     return out
 
 
@@ -74,10 +78,11 @@ def _times_power(polynomial: FloatArray, factor: FloatArray, power: int, size: i
     out = np.zeros(size)
     count = min(len(polynomial), size)
     out[:count] = polynomial[:count]
+    c_0, c_1 = factor[0], factor[1]
     for _ in range(power):
         for i in range(size - 1, 0, -1):
-            out[i] = factor[0] * out[i] + factor[1] * out[i - 1]
-        out[0] = factor[0] * out[0]
+            out[i] = c_0 * out[i] + c_1 * out[i - 1]
+        out[0] = c_0 * out[0]
     return out
 
 
@@ -92,12 +97,12 @@ def controller_polynomials(parameters: FloatArray, ideal: bool, out: FloatArray)
     corner, acceleration, compensation = parameters[4], parameters[5], parameters[6]
     filtered = compensation > 0.0 and not ideal
     out[:] = 0.0
-    out[0, 1], out[0, 2] = damping, mass
-    out[1, 0], out[1, 1] = 1.0, lead
+    out[OWN, 1], out[OWN, 2] = damping, mass
+    out[SENSED, 0], out[SENSED, 1] = 1.0, lead
     degree = 2
     if compensation > 0.0:
         gain = compensation * corner * acceleration if filtered else compensation
-        out[2, 2], out[2, 3] = -gain, -gain * lead
+        out[FED, 2], out[FED, 3] = -gain, -gain * lead
         if ideal and lead > 0.0:
             degree = 3
     if feedback > 0.0 or filtered:
@@ -107,9 +112,9 @@ def controller_polynomials(parameters: FloatArray, ideal: bool, out: FloatArray)
     if feedback > 0.0:
         gain, share = feedback * corner, 1.0 if filtered else 0.0
         # s (M_a s + B_a) B_fb ω_v s, times s + ω_a when that filter is there.
-        out[2, 2] += gain * damping * (acceleration if filtered else 1.0)
-        out[2, 3] += gain * (mass * (acceleration if filtered else 1.0) + share * damping)
-        out[2, 4] += gain * share * mass
+        out[FED, 2] += gain * damping * (acceleration if filtered else 1.0)
+        out[FED, 3] += gain * (mass * (acceleration if filtered else 1.0) + share * damping)
+        out[FED, 4] += gain * share * mass
     if filtered:
         for row in range(2):
             _times_filter(out, row, acceleration)
@@ -146,7 +151,11 @@ def loop_polynomial(
     out[: order + degree + 1] = 0.0
     for i in range(degree + 1):
         for j in range(order + 1):
-            out[i + j] += in_w[0, i] * plant[0, j] - in_w[1, i] * plant[1, j] + in_w[2, i] * plant[2, j]
+            out[i + j] += (
+                in_w[OWN, i] * plant[DENOMINATOR, j]
+                - in_w[SENSED, i] * plant[FORCE, j]
+                + in_w[FED, i] * plant[POSITION, j]
+            )
     return order + degree
 
 

@@ -20,6 +20,8 @@ _LAST_KIND = 15
 _CHAIN = 4
 _IDS = 2**16
 _NEVER_NS = 2**63 - 1
+# Entries of the span of stamps.
+FIRST, LAST = 0, 1
 
 
 @inlined
@@ -77,8 +79,8 @@ def count_records(
             log_ns = _u64(data, position + 15)
             if log_ns < 0:
                 return BAD_TIME, position, other_count, id_count
-            span_ns[0] = min(span_ns[0], log_ns)
-            span_ns[1] = max(span_ns[1], log_ns)
+            span_ns[FIRST] = min(span_ns[FIRST], log_ns)
+            span_ns[LAST] = max(span_ns[LAST], log_ns)
         else:
             if other_count == others.size:
                 return FULL, position, other_count, id_count

@@ -37,6 +37,14 @@ to the third; what is between REPEAT and END is done once per entry of a sequenc
 (second number; the first is the step behind END).
 """
 MAX_DEPTH = 16
+# Columns of a program by what its steps do: of numbers, of the entries of a sequence, of loops.
+OP, SIZE, COUNT, KIND, COLUMN = 0, 1, 2, 3, 4
+FIRST_PICK, LAST_PICK, ENTRY_KIND = 2, 3, 4
+BEHIND, TURNS = 1, 2
+# Columns of picks, frames and open loops.
+ENTRY, TARGET = 0, 1
+PLACE, LENGTH, FRAMES = 0, 1, 0
+STEP, LEFT = 0, 1
 Out = tuple[FloatArray, NDArray[np.uint64], NDArray[np.uint32], NDArray[np.float32]]
 """Where numbers go: the values, the same memory as bits, and one place to turn 32 bits into a float."""
 _PADDING_BYTES = 3
@@ -44,10 +52,11 @@ _PADDING_BYTES = 3
 
 @inlined
 def _store(data: ByteArray, at: int, kind: int, is_big: bool, row: int, column: int, out: Out) -> None:
+    values, bits, word, short = out
     if kind == FLOAT64:
-        out[1][row, column] = bits64(data, at, is_big)
+        bits[row, column] = bits64(data, at, is_big)
     else:
-        out[0][row, column] = number(data, at, kind, is_big, out[2], out[3])
+        values[row, column] = number(data, at, kind, is_big, word, short)
 
 
 @inlined
@@ -61,10 +70,11 @@ def _numbers(
     row: int,
     out: Out,
 ) -> tuple[int, int]:
-    size, count, kind, column = program[index, 1], program[index, 2], program[index, 3], program[index, 4]
+    size, count = program[index, SIZE], program[index, COUNT]
+    kind, column = program[index, KIND], program[index, COLUMN]
     if size * count > end - at:
         return TOO_SHORT, at
-    if program[index, 0] == RUN:
+    if program[index, OP] == RUN:
         for entry in range(count):
             _store(data, at + size * entry, kind, is_big, row, column + entry, out)
     return FINE, at + size * count
@@ -84,15 +94,15 @@ def _entries(
     row: int,
     out: Out,
 ) -> tuple[int, int]:
-    size, kind = program[index, 1], program[index, 4]
+    size, kind = program[index, SIZE], program[index, ENTRY_KIND]
     code, at, count = _count(data, at, end, size, origin, is_cdr, is_big)
     if code != FINE:
         return code, at
-    if program[index, 0] == PICK:
-        for pick in range(program[index, 2], program[index, 3]):
-            if picks[pick, 0] >= count:
+    if program[index, OP] == PICK:
+        for pick in range(program[index, FIRST_PICK], program[index, LAST_PICK]):
+            if picks[pick, ENTRY] >= count:
                 return TOO_FEW, at
-            _store(data, at + size * picks[pick, 0], kind, is_big, row, picks[pick, 1], out)
+            _store(data, at + size * picks[pick, ENTRY], kind, is_big, row, picks[pick, TARGET], out)
     return FINE, at + count * size
 
 
@@ -116,14 +126,14 @@ def _count(
 @inlined
 def _note_frame(data: ByteArray, at: int, length: int, frames: StampArray, found: StampArray) -> int:
     """Add a frame name to `frames` unless it is there; the one added last is looked at first."""
-    for index in range(found[0] - 1, -1, -1):
-        if frames[index, 1] == length and same(data, frames[index, 0], at, length):
+    for index in range(found[FRAMES] - 1, -1, -1):
+        if frames[index, LENGTH] == length and same(data, frames[index, PLACE], at, length):
             return FINE
-    if found[0] == frames.shape[0]:
+    if found[FRAMES] == frames.shape[0]:
         return FRAMES_FULL
-    frames[found[0], 0] = at
-    frames[found[0], 1] = length
-    found[0] += 1
+    frames[found[FRAMES], PLACE] = at
+    frames[found[FRAMES], LENGTH] = length
+    found[FRAMES] += 1
     return FINE
 
 
@@ -133,12 +143,12 @@ def _turn(op: int, index: int, depth: int, turns: int, behind: int, loops: Stamp
     if op != END:
         if turns == 0:
             return behind - 1, depth
-        loops[depth, 0] = index
-        loops[depth, 1] = turns
+        loops[depth, STEP] = index
+        loops[depth, LEFT] = turns
         return index, depth + 1
-    loops[depth - 1, 1] -= 1
-    if loops[depth - 1, 1] > 0:
-        return loops[depth - 1, 0], depth
+    loops[depth - 1, LEFT] -= 1
+    if loops[depth - 1, LEFT] > 0:
+        return loops[depth - 1, STEP], depth
     return index, depth - 1
 
 
@@ -161,9 +171,9 @@ def _message(
     code, at, is_big = opened(data, begin, end, is_cdr)
     origin, index, depth = at, 0, 0
     while code == FINE and index < program.shape[0]:
-        op = program[index, 0]
+        op = program[index, OP]
         if op <= RUN:
-            at = aligned(at, program[index, 1], origin, is_cdr)
+            at = aligned(at, program[index, SIZE], origin, is_cdr)
             code, at = _numbers(data, at, end, program, index, is_big, row, out)
         elif op == STAMP:
             code, at, stamps[row] = stamp(data, at, end, origin, is_cdr, is_big)
@@ -174,10 +184,10 @@ def _message(
         elif op <= PICK:
             code, at = _entries(data, at, end, origin, is_cdr, program, index, picks, is_big, row, out)
         else:
-            turns = program[index, 2]
+            turns = program[index, TURNS]
             if op == REPEAT:
                 code, at, turns = _count(data, at, end, 1, origin, is_cdr, is_big)
-            index, depth = _turn(op, index, depth, turns, program[index, 1], loops)
+            index, depth = _turn(op, index, depth, turns, program[index, BEHIND], loops)
         index += 1
     if code == FINE and end - at > (_PADDING_BYTES if is_cdr else 0):
         code = LEFT_OVER
@@ -203,7 +213,7 @@ def run_program(
     Returns a code, the message it belongs to and the position inside that message; `found` (1,) counts how many frame
     names there are; `loops` (MAX_DEPTH, 2) is room for the loops that are open.
     """
-    found[0] = 0
+    found[FRAMES] = 0
     for row in range(starts.size):
         begin = starts[row]
         code, at = _message(

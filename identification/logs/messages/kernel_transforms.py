@@ -13,6 +13,9 @@ from ...signals.recording import StampArray
 from ..containers.channel import ByteArray
 from .kernel_bytes import FINE, FRAMES_FULL, LEFT_OVER, TOO_SHORT, aligned, bits64, opened, same, stamp, text, u32
 
+# Columns of pairs, and entries of `found`.
+PARENT, PARENT_BYTES, CHILD, CHILD_BYTES = 0, 1, 2, 3
+PAIRS, TRANSFORMS = 0, 1
 NUMBERS = 7
 SMALLEST_BYTES = 72
 """A transform takes at least this: stamp, two names of no characters, seven doubles."""
@@ -24,22 +27,22 @@ def _note_pair(
     data: ByteArray, parent: int, parent_bytes: int, child: int, child_bytes: int, pairs: StampArray, found: StampArray
 ) -> int:
     """Return the number of a pair of frame names, added to `pairs` unless it is there, or -1 where there is no room."""
-    for index in range(found[0]):
+    for index in range(found[PAIRS]):
         if (
-            pairs[index, 1] == parent_bytes
-            and pairs[index, 3] == child_bytes
-            and same(data, pairs[index, 0], parent, parent_bytes)
-            and same(data, pairs[index, 2], child, child_bytes)
+            pairs[index, PARENT_BYTES] == parent_bytes
+            and pairs[index, CHILD_BYTES] == child_bytes
+            and same(data, pairs[index, PARENT], parent, parent_bytes)
+            and same(data, pairs[index, CHILD], child, child_bytes)
         ):
             return index
-    if found[0] == pairs.shape[0]:
+    if found[PAIRS] == pairs.shape[0]:
         return -1
-    index = found[0]
-    pairs[index, 0] = parent
-    pairs[index, 1] = parent_bytes
-    pairs[index, 2] = child
-    pairs[index, 3] = child_bytes
-    found[0] += 1
+    index = found[PAIRS]
+    pairs[index, PARENT] = parent
+    pairs[index, PARENT_BYTES] = parent_bytes
+    pairs[index, CHILD] = child
+    pairs[index, CHILD_BYTES] = child_bytes
+    found[PAIRS] += 1
     return int(index)
 
 
@@ -58,7 +61,7 @@ def _transform(
     found: StampArray,
 ) -> tuple[int, int]:
     """Take the transform at `at`; return a code and where it ends."""
-    row = found[1]
+    row = found[TRANSFORMS]
     if not is_cdr:
         at += 4  # the sequence number of a ROS 1 header
     code, at, stamp_ns = stamp(data, at, end, origin, is_cdr, is_big)
@@ -77,7 +80,7 @@ def _transform(
         bits[row, index] = bits64(data, at + 8 * index, is_big)
     stamps[row] = stamp_ns
     pair_of[row] = _note_pair(data, parent, parent_bytes, child, child_bytes, pairs, found)
-    found[1] = row + 1
+    found[TRANSFORMS] = row + 1
     return FRAMES_FULL if pair_of[row] < 0 else FINE, at + 8 * NUMBERS
 
 
@@ -99,8 +102,8 @@ def take_transforms(
 
     `found` (2,) counts pairs and transforms. Returns a code, the message it belongs to and the position inside it.
     """
-    found[0] = 0
-    found[1] = 0
+    found[PAIRS] = 0
+    found[TRANSFORMS] = 0
     for row in range(starts.size):
         begin = starts[row]
         end = begin + sizes[row]
@@ -115,7 +118,7 @@ def take_transforms(
                 return TOO_SHORT, row, at - begin
         while code == FINE and count > 0:
             at = aligned(at, 4, origin, is_cdr)
-            message_of[found[1]] = row
+            message_of[found[TRANSFORMS]] = row
             code, at = _transform(data, at, end, origin, is_cdr, is_big, bits, stamps, pair_of, pairs, found)
             count -= 1
         if code == FINE and end - at > (_PADDING_BYTES if is_cdr else 0):
