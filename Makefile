@@ -13,11 +13,12 @@ DEV := $(VENV)/.installed-dev
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test check lint types imports wheel coverage fuzz benchmarks clean
+.PHONY: help demo test test-python-kernels check lint types imports wheel coverage fuzz benchmarks clean
 
 help:
 	@echo "make demo        run the whole chain on the log of a simulated cell (DIR=$(DIR))"
 	@echo "make test        run the tests in JOBS=$(JOBS) processes (ARGS=... goes to pytest; HYPOTHESIS_PROFILE=random tries new cases)"
+	@echo "make test-python-kernels  run a few of them with the kernels as plain Python (NUMBA_DISABLE_JIT=1)"
 	@echo "make check       format, lint, types, import contracts, tests and wheel content: what CI runs"
 	@echo "make coverage    run the tests and tell which lines they miss"
 	@echo "make fuzz        alter messages at random for a minute (FUZZ_SECONDS=$(FUZZ_SECONDS)) and compare the reader with rosbags"
@@ -29,6 +30,13 @@ demo: $(RUNTIME)
 
 test: $(DEV)
 	@$(BIN)/python -m pytest --numprocesses $(JOBS) --dist worksteal $(ARGS)
+
+# Kernels as plain Python, as for a debugger.
+PLAIN := tests/problems/contact/test_events.py tests/autotune/simulation/test_write_bags.py \
+	tests/problems/stability/test_margin_kernel.py::test_neighbours_of_the_refined_response_are_within_35_degrees
+test-python-kernels: $(DEV)
+	@echo "== kernels as plain Python"
+	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q $(PLAIN)
 
 check: lint types imports test wheel
 

@@ -7,7 +7,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from types import CodeType, FunctionType
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, cast, get_args
 
 import numba
 from numba.core import config as numba_config
@@ -77,13 +77,27 @@ def _parts(function: FunctionType, seen: set[FunctionType]) -> Iterator[str]:
     code = function.__code__
     yield code.co_code.hex()
     yield repr([each for each in code.co_consts if not isinstance(each, CodeType)])
+    for annotation in function.__annotations__.values():
+        yield from _fields(annotation)
     for name in code.co_names:
         value = function.__globals__.get(name)
         called = getattr(value, "py_func", value)
+        if isinstance(value, type):
+            yield from _fields(value)
         if not isinstance(called, FunctionType):
             yield f"{name} {value!r}" if isinstance(value, int | float | tuple) else name
         elif called not in seen and _floor(called) in (__package__, _floor(function)):
             yield from _parts(called, seen)
+
+
+def _fields(annotation: Any) -> Iterator[str]:
+    """Yield the fields of the named tuples in an annotation: numba's stamp knows their types, not their order."""
+    if isinstance(annotation, type) and hasattr(annotation, "_fields"):
+        yield f"{annotation.__name__} {annotation._fields}"
+        for field in annotation.__annotations__.values():
+            yield from _fields(field)
+    for part in get_args(annotation):
+        yield from _fields(part)
 
 
 def _floor(function: FunctionType) -> str:

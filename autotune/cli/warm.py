@@ -8,6 +8,8 @@ from pathlib import Path
 
 import click
 
+from problems.errors import AutotuneError
+
 from ._common import Advance, Output, output_options
 from ._options import GroupedCommand
 
@@ -25,7 +27,7 @@ def command(output: Output) -> None:
     """Compile every kernel into the cache, so that no later command compiles anything.
 
     Runs the commands on the log of a simulated cell in a temporary folder, which is removed at the end. Takes about
-    5 minutes on one core, once for each version and machine; when everything is compiled already, less than one.
+    3 minutes on one core, once for each version and machine; less than one where everything is compiled already.
     NUMBA_CACHE_DIR says where the cache is.
     """
     from problems.compiled import compilations
@@ -50,7 +52,7 @@ def _warm(folder: Path, advance: Advance) -> None:
             (f"inspect {path.name}", 0.03, lambda path=path: _run("inspect", str(path)))  # type: ignore[misc]
             for path in (log, bag, rosbag2, table)
         ),
-        ("plan", 0.05, lambda: _run("plan", identified)),
+        ("plan", 0.05, lambda: _run("plan", identified, "-o", str(folder / "plan.yaml"))),
         ("validate", 0.05, lambda: _run("validate", controller, "--identified", identified, "--log", str(log))),
         ("map", 0.06, lambda: _map(controller, folder, axes)),
         ("explore", 0.1, lambda: _explore(Path(identified), Path(controller))),
@@ -66,7 +68,7 @@ def _run(*arguments: str) -> None:
     from .main import COMMANDS, LazyGroup
 
     group = LazyGroup(entries=COMMANDS, name="autotune")
-    with _silence(), contextlib.suppress(SystemExit):
+    with _silence(), contextlib.suppress(AutotuneError):
         group.main([*arguments, "--quiet"], standalone_mode=False)
 
 
@@ -91,13 +93,14 @@ def _map(controller: str, folder: Path, axes: tuple[str, ...]) -> None:
 
 def _explore(identified: Path, controller: Path) -> None:
     """Build the page from both kinds of file, as it is when it is opened."""
-    from bokeh.document import Document
+    # Where the extra "reports" is not installed there is no page, and nothing to compile for it.
+    with _silence(), contextlib.suppress(ImportError, AutotuneError):
+        from bokeh.document import Document
 
-    from autotune.explore.page import build_page
-    from autotune.explore.source import read_exploration
-    from autotune.explore.target import Target
+        from autotune.explore.page import build_page
+        from autotune.explore.source import read_exploration
+        from autotune.explore.target import Target
 
-    with _silence():
         for source in (identified, controller):
             build_page(read_exploration(source), Target(source.with_name("tried.yaml")), Document())
 

@@ -219,15 +219,8 @@ def write_plant(
     """
     n, filtered = denominator.shape[0] - 1, parameters.shape[0] > PLANT_PARAMETERS
     p = n + 1 if filtered else n
-    k_s, coupling_damping, m_p, drag, k_e, damping, mass = (
-        parameters[0],
-        parameters[1],
-        parameters[2],
-        parameters[3],
-        parameters[4],
-        parameters[5],
-        parameters[6],
-    )
+    k_s, coupling_damping, m_p, drag = parameters[0], parameters[1], parameters[2], parameters[3]
+    k_e, damping, mass = parameters[4], parameters[5], parameters[6]
     b_s, b_p, b_e, m_e = coupling_damping / t, drag / t, damping / t, mass / (t * t)
     # Controllable form of r(s) in p = s t: state i is t^i times the i-th derivative of one position-like signal.
     for i in range(n - 1):

@@ -1,0 +1,81 @@
+"""`autotune warm`: which commands it runs, and what it and a cold command say of compiling."""
+
+import json
+from pathlib import Path
+
+import click
+import pytest
+
+from autotune.cli import _common, warm
+from autotune.cli.main import main
+from problems.compiled import _Compilations
+from problems.compiling import many_compilations, on_compilation
+
+
+@pytest.fixture
+def runs(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, ...]]:
+    """The command lines that `warm` runs, in place of running them."""
+    found: list[tuple[str, ...]] = []
+    monkeypatch.setattr(warm, "_run", lambda *arguments: found.append(arguments))
+    monkeypatch.setattr(warm, "_write_logs", lambda *paths: found.append(("logs", *(path.suffix for path in paths))))
+    monkeypatch.setattr(warm, "_explore", lambda *paths: found.append(("explore", *(path.name for path in paths))))
+    return found
+
+
+def test_every_command_and_every_kind_of_log_is_run(runs: list[tuple[str, ...]], tmp_path: Path) -> None:
+    shares: list[float] = []
+
+    def advance(share: float, doing: str | None = None, /) -> None:
+        assert doing is None or doing.startswith("compiling: ")
+        shares.append(share)
+
+    warm._warm(tmp_path, advance)
+    assert {name for name, *_ in runs} == {"demo", "logs", "inspect", "plan", "validate", "map", "explore"}
+    assert {Path(words[1]).suffix for words in runs if words[0] == "inspect"} == {".mcap", ".bag", "", ".csv"}
+    # Nothing is written beside the folder that is removed.
+    assert all(
+        str(tmp_path) in word
+        for words in runs
+        for word in words
+        if word.endswith((".yaml", ".svg")) and words[0] != "explore"
+    )
+    assert sum(shares) == pytest.approx(1.0)
+
+
+def test_it_says_how_many_kernels_were_compiled(
+    runs: list[tuple[str, ...]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["warm", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"compiled": 0}
+    assert main(["warm"]) == 0
+    assert capsys.readouterr().out == "Everything was compiled already.\n"
+    assert runs
+
+
+def test_several_compilations_are_announced_once() -> None:
+    said: list[str] = []
+    on_compilation(lambda: said.append("an earlier command"))
+    on_compilation(lambda: said.append("compiling"))
+    counter = _Compilations()
+    for expected in ([], [], ["compiling"], ["compiling"]):
+        counter.on_start(None)
+        counter.on_end(None)
+        assert said == expected
+    assert counter.count == 4
+    many_compilations()
+    assert said == ["compiling"]
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_a_cold_command_says_once_that_it_compiles(quiet: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    @click.command()
+    @_common.output_options
+    def command(output: _common.Output) -> None:
+        many_compilations()
+        many_compilations()
+        output.result({"done": True}, lambda: None)
+
+    command.main(["--json", *(["--quiet"] if quiet else [])], standalone_mode=False)
+    told = capsys.readouterr()
+    assert json.loads(told.out) == {"done": True}
+    assert told.err.count("Compiling once") == (0 if quiet else 1)
