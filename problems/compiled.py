@@ -25,7 +25,7 @@ _event: Any = numba_event
 _NOTICED = 3
 
 
-class _Compilations(numba_event.Listener):  # type: ignore[misc] # numba has no types
+class _Compilations(numba_event.Listener):
     """Counts what is compiled (not what is read from the cache) and says so when it is noticed."""
 
     def __init__(self) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..compiled import compiled, equation
 from ..model import difference
 from ..model.controller import controller_step, write_blocks
+from ..model.difference import DAMPING as PLACE_OF_DAMPING
 from ..model.difference import Entry
 from .events import spring_force
 from .kernel_types import CONTACT_PEAK, CONTACT_TIME, NEWEST, SENSOR_PEAK, SENSOR_TICK, Wall
@@ -87,7 +88,7 @@ def seen_force(law: NonlinearController, force: float) -> tuple[float, int]:
 def damping_at(law: NonlinearController, speed: float) -> float:
     """Return B_a(|v|) = max(scale·exp(−decay·|v|), floor), or the constant B_a."""
     if np.isinf(law.period):
-        return float(law.parameters[difference.DAMPING])
+        return float(law.parameters[PLACE_OF_DAMPING])
     return float(max(law.scale * np.exp(-law.decay * abs(speed)), law.floor))
 
 
@@ -95,7 +96,7 @@ def damping_at(law: NonlinearController, speed: float) -> float:
 def blocks_at(law: NonlinearController, damping: float) -> FloatArray:
     """Return the controller's blocks (6, 3) at this B_a."""
     blocks, parameters = np.zeros((6, 3)), law.parameters.copy()
-    parameters[difference.DAMPING] = damping
+    parameters[PLACE_OF_DAMPING] = damping
     write_blocks(blocks, parameters, law.h, law.theta, law.ideal)
     return blocks
 
@@ -186,7 +187,7 @@ def steady_speed(law: NonlinearController, force: float, drag: float, by_hand: b
     """
     if _surplus(law, force, drag, by_hand, 0.0) <= 0.0:
         return 0.0
-    top = force / (law.parameters[difference.DAMPING] if np.isinf(law.period) else law.floor)
+    top = force / (law.parameters[PLACE_OF_DAMPING] if np.isinf(law.period) else law.floor)
     low = 0.0
     for i in range(1, _SCAN + 1):
         high = top * i / _SCAN

@@ -17,6 +17,7 @@ import pytest
 
 import problems
 from problems import compiled as compiled_module
+from problems import compiling
 from problems.design.batch_kernel import judge_stability
 from problems.model.controller import blocks_of, controller_blocks, needed_states
 from problems.model.sampled import controller_matrices, squarings_for
@@ -44,15 +45,21 @@ PACKAGE = "stand_in"
 BASE = {
     "__init__.py": "",
     "deep.py": """
+        from typing import NamedTuple
+
         from .compiled import equation
 
         FACTOR = 2.0
         WEIGHTS = (1.0, 3.0)
         UNUSED = 5.0
 
+        class Two(NamedTuple):
+            first: float
+            second: float
+
         @equation
         def deepest(x):
-            return FACTOR * x + WEIGHTS[1]
+            return FACTOR * x + WEIGHTS[1] + Two(x, 0.0).second
 
         @equation
         def never_called(x):
@@ -87,7 +94,8 @@ class Package:
     def __init__(self, root: Path) -> None:
         self.folder = root / PACKAGE
         self.folder.mkdir()
-        shutil.copy(compiled_module.__file__, self.folder / "compiled.py")
+        for module in (compiled_module, compiling):
+            shutil.copy(str(module.__file__), self.folder)
         for name, text in BASE.items():
             self.write(name, text)
 
@@ -130,6 +138,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Package
         pytest.param("middle.py", "+ 1.0", "+ 1.5", id="an equation one module down"),
         pytest.param("middle.py", "deepest(x) + 1.0", "x + 1.0", id="what an equation calls"),
         pytest.param("middle.py", "x * 10.0", "x * 11.0", id="another kernel"),
+        pytest.param("deep.py", "first: float\n    second", "second: float\n    first", id="fields of a named tuple"),
     ],
 )
 def test_the_stamp_changes_with_what_is_compiled_into_a_kernel(package: Package, name: str, old: str, new: str) -> None:
@@ -231,7 +240,8 @@ def test_recursion_and_mutual_calls_end(package: Package) -> None:
 
 
 def modules() -> list[ModuleType]:
-    return [importlib.import_module(f"problems.{found.name}") for found in pkgutil.iter_modules(problems.__path__)]
+    found = pkgutil.walk_packages(problems.__path__, "problems.")
+    return [importlib.import_module(each.name) for each in found if not each.ispkg]
 
 
 def reachable() -> dict[str, FunctionType]:
