@@ -1,6 +1,7 @@
 """`autotune warm`: compile every kernel into the cache, so that no later command has to."""
 
 import contextlib
+import importlib.util
 import io
 import tempfile
 from collections.abc import Callable, Iterator
@@ -93,14 +94,15 @@ def _map(controller: str, folder: Path, axes: tuple[str, ...]) -> None:
 
 def _explore(identified: Path, controller: Path) -> None:
     """Build the page from both kinds of file, as it is when it is opened."""
-    # Where the extra "reports" is not installed there is no page, and nothing to compile for it.
-    with _silence(), contextlib.suppress(ImportError, AutotuneError):
-        from bokeh.document import Document
+    if importlib.util.find_spec("bokeh") is None:
+        return  # without the extra "reports" there is no page, and nothing to compile for it
+    from bokeh.document import Document
 
-        from autotune.explore.page import build_page
-        from autotune.explore.source import read_exploration
-        from autotune.explore.target import Target
+    from autotune.explore.page import build_page
+    from autotune.explore.saving import Target
+    from autotune.explore.source import read_exploration
 
+    with _silence(), contextlib.suppress(AutotuneError):
         for source in (identified, controller):
             build_page(read_exploration(source), Target(source.with_name("tried.yaml")), Document())
 
