@@ -50,7 +50,7 @@ def _warm(folder: Path, advance: Advance) -> None:
         ("demo", 0.6, lambda: _run("demo", str(folder))),
         ("log formats", 0.02, lambda: _write_logs(bag, rosbag2, table)),
         *(
-            (f"inspect {path.name}", 0.03, lambda path=path: _run("inspect", str(path)))  # type: ignore[misc]
+            (f"inspect {path.name}", 0.03, lambda path=path: _run("inspect", str(path)))
             for path in (log, bag, rosbag2, table)
         ),
         ("plan", 0.05, lambda: _run("plan", identified, "-o", str(folder / "plan.yaml"))),
