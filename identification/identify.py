@@ -139,10 +139,7 @@ def _identify(
         payload=PayloadEstimate(
             mass_kg=mass_estimate(gravity), com_m=com_estimate(gravity), inertia_kg_m2=_inertia(inertia)
         ),
-        axes={
-            name: replace(axis.estimate, environments=(*axis.estimate.environments, *accounted.surfaces[name]))
-            for name, axis in results.items()
-        },
+        axes={name: _with_surfaces(axis.estimate, accounted.surfaces[name]) for name, axis in results.items()},
         sensor=replace(sensor, wrench_filter=late),
         findings=(
             *about_spikes,
@@ -224,6 +221,10 @@ def _accounted(cell: CellSignals, results: Mapping[str, AxisResult]) -> Accounte
             )
         )
     return account_for_contacts(phases, axes, period)
+
+
+def _with_surfaces(axis: AxisEstimate, added: Sequence[EnvironmentEstimate]) -> AxisEstimate:
+    return replace(axis, environments=(*axis.environments, *added))
 
 
 def _hands(timeline: Timeline) -> list[Finding]:
