@@ -146,8 +146,8 @@ class _Search:
         self.work, self.cells, self.arcs, self.share, self.is_stuck = 0, 0, 0, 0.0, False
 
     def _corners(self) -> list[FloatArray]:
-        """Return the corners of the box; none where there are too many."""
-        if len(self.box) > _MOST_CORNERS:
+        """Return the corners of the box; none where there are too many, or where one plant is all of it."""
+        if not 0 < len(self.box) <= _MOST_CORNERS:
             return []
         corners = itertools.product((0, 1), repeat=len(self.box))
         return [self.box[np.arange(len(self.box)), list(corner)] for corner in corners]
