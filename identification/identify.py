@@ -1,6 +1,6 @@
 """Identification of plant parameters from one recording: the driver over all estimators."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +20,8 @@ from .payload.gravity import identify_gravity
 from .payload.gravity_verdicts import com_estimate, gravity_findings, mass_estimate
 from .payload.inertia import InertiaFit, identify_inertia
 from .result import (
+    AxisEstimate,
+    EnvironmentEstimate,
     Estimate,
     Finding,
     Identified,
