@@ -182,6 +182,24 @@ def test_the_runtime_refuses_a_payload_that_nobody_knows(design: at.Design, tmp_
     assert ready.payload == payload
 
 
+@pytest.mark.parametrize(
+    ("target", "code", "told"),
+    [("c", 6, "give the payload"), ("ros2_control", 2, "no centre of mass"), ("json", 0, "checksum")],
+)
+def test_an_export_that_needs_the_payload_is_refused(
+    design: at.Design, tmp_path: Path, target: str, code: int, told: str
+) -> None:
+    design.save(tmp_path / "controller.yaml")
+    out = tmp_path / {"c": "cell.c", "json": "cell.json"}.get(target, "cell.yaml")
+    arguments = ["export", "controller.yaml", "--target", target, "-o", str(out)]
+    done = subprocess.run(
+        [sys.executable, "-m", "autotune", *arguments], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == code
+    assert told in done.stdout + done.stderr
+    assert out.exists() == (code == 0)
+
+
 def test_a_known_payload_is_no_placeholder() -> None:
     none = (0.0, 0.0, 0.0)
     whole = written_plant(centre_of_mass=(0.0, 0.0, 0.1), force_bias=none, torque_bias=none)
