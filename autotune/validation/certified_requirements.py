@@ -34,7 +34,7 @@ def certified_problem_requirements(controller: Controller, name: str) -> Require
     """
     soft = (controller.certificate.soft or {}).get(name, {})
     asked = {**(controller.certificate.requirements_of(name) or {}), **{key: each.asked for key, each in soft.items()}}
-    known = {key: value for key, value in asked.items() if find_requirement(key) is not None}
+    known = {k: v for k, v in asked.items() if find_requirement(k) is not None and not isinstance(v, bool)}
     prices = {key: each.soft_n for key, each in soft.items() if key in known}
     return build_requirements(known, prices, without_defaults=True)
 

@@ -67,6 +67,9 @@ def check_requirements(controller: Controller, name: str, swept: SweptMargins) -
         if requirement is None:
             missed.append(f"{key} cannot be verified: no requirement of that name is installed")
             continue
+        if isinstance(required, bool):
+            missed.append(f"{key} cannot be verified by this release, which asks for its number, found {required}")
+            continue
         if isinstance(requirement, Margin):
             reached = swept.values[requirement.margin]
         elif isinstance(requirement, DecayRate):
@@ -125,6 +128,8 @@ def check_further(
     h = controller.sample_time_s
     for key, required in asked_of(controller, name).items():
         requirement = find_requirement(key)
+        if isinstance(required, bool):
+            continue  # refused by `check_requirements`
         if isinstance(requirement, Margin | DecayRate | PeakForceLimit | AdmittanceRequirement | None):
             continue  # margins are swept, peaks and the admittance have checks of their own
         if isinstance(required, NoiseLimit):
