@@ -164,6 +164,28 @@ def test_no_import_goes_in_a_circle(repository: Path) -> None:
     assert sorted(left) == []
 
 
+def test_the_picture_of_the_rooms_is_true(repository: Path) -> None:
+    """Every room is drawn once, and none imports a room of its floor that is drawn beside or above it."""
+    picture = (repository / "docs" / "design.md").read_text(encoding="utf-8").split("```")[1]
+    drawn: dict[str, int] = {}
+    floor = ""
+    for number, line in enumerate(picture.splitlines()):
+        floor = next((name for name in PACKAGES if f"  {name}/" in line), floor)
+        for room in line[20:69].split():
+            if not room.startswith("─"):
+                assert drawn.setdefault(f"{floor}.{room}", number) == number
+    rooms = {
+        path.relative_to(repository).parent for floor in PACKAGES for path in (repository / floor).glob("*/__init__.py")
+    }
+    assert drawn.keys() == {".".join(room.parts) for room in rooms}
+    for name, imported in _imports(repository).items():
+        above = ".".join(name.split(".")[:2])
+        for other in imported:
+            below = ".".join(other.split(".")[:2])
+            if above != below and above in drawn and below in drawn and above.split(".")[0] == below.split(".")[0]:
+                assert drawn[above] < drawn[below], f"{name} imports {other}"
+
+
 # `Plant` is a name of the public interface; the second meaning of the others is to be renamed, and they leave the list.
 NAMES_WITH_TWO_MEANINGS = {
     "Batch",

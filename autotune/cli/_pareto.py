@@ -156,7 +156,7 @@ class FrontWriter:
     def write(self, found: "Optimized") -> None:
         """Write the front."""
         if self._prepared is not None:
-            from autotune.formats.pareto import pareto_tree, write_pareto
+            from autotune.studies.pareto_file import pareto_tree, write_pareto
 
             provenance = {**found.controller.provenance, "front": self._prepared.request.options()}
             self.tree = pareto_tree(self._fronts, provenance)
@@ -175,8 +175,8 @@ def _beside(out: Path, suffix: str) -> Path:
 
 def print_fronts(fronts: Mapping[str, "Front"], path: Path) -> None:
     """Print the fronts as tables, a line per controller, and where they were written."""
-    from autotune.formats.pareto import objective_unit
     from autotune.formats.units import axis_units
+    from autotune.studies.pareto_file import objective_unit
 
     for axis, front in fronts.items():
         units = axis_units(axis)

@@ -4,8 +4,8 @@ from pathlib import Path
 import pytest
 
 from autotune.errors import UsageError
-from autotune.formats.pareto import pareto_tree, write_pareto
 from autotune.formats.yaml12 import load_document
+from autotune.studies.pareto_file import pareto_tree, write_pareto
 from autotune.studies.points import Front, Judge, StudyRecord
 from problems.design.objectives import Admittance, CommandNoise, PeakForce
 from problems.errors import ParameterError

@@ -2,21 +2,20 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from .atomic import write_atomic
-from .canonical import dump_yaml, plain
-from .records import ROTATIONAL_AXES, record_tree, rename_axis_keys
-from .schema import VERSION, check_tree
+from autotune.formats.atomic import write_atomic
+from autotune.formats.canonical import dump_yaml, plain
+from autotune.formats.records import ROTATIONAL_AXES, record_tree, rename_axis_keys
+from autotune.formats.schema import VERSION, check_tree
+from problems.design.objectives import Objective
 
-if TYPE_CHECKING:
-    from autotune.studies.plugins import Objective
-    from autotune.studies.points import Front, Judgement
+from .points import Front, Judgement
 
 FORMAT = "autotune/pareto"
 
 
-def pareto_tree(fronts: Mapping[str, "Front"], provenance: Mapping[str, object]) -> dict[str, Any]:
+def pareto_tree(fronts: Mapping[str, Front], provenance: Mapping[str, object]) -> dict[str, Any]:
     """Return the plain tree of `pareto.yaml`; raises ParameterError when a number is not finite."""
     tree = {
         "format": FORMAT,
@@ -33,12 +32,12 @@ def write_pareto(path: Path | str, tree: Mapping[str, Any]) -> None:
     write_atomic(path, dump_yaml(tree))
 
 
-def objective_unit(axis: str, objective: "Objective") -> str:
+def objective_unit(axis: str, objective: Objective) -> str:
     """Return the unit of an objective on an axis."""
     return objective.rotational_unit or objective.unit if axis in ROTATIONAL_AXES else objective.unit
 
 
-def _front(axis: str, front: "Front") -> dict[str, Any]:
+def _front(axis: str, front: Front) -> dict[str, Any]:
     return {
         "objectives": [
             {"name": each.name, "unit": objective_unit(axis, each), "direction": each.direction}
@@ -51,7 +50,7 @@ def _front(axis: str, front: "Front") -> dict[str, Any]:
     }
 
 
-def _point(point: "Judgement") -> dict[str, Any]:
+def _point(point: Judgement) -> dict[str, Any]:
     law = point.controller
     return {
         "mass": law.mass_kg,
