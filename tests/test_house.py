@@ -225,7 +225,7 @@ KERNELS = ("compiled", "equation", "inlined", "unlocked")
 # first of a series.
 POSITIONS = {
     "problems/stability/polynomials.py": None,
-    "problems/stability/margin_kernel.py": {"controller[FED, 2]", "plant[DELAY, 0]"},
+    "problems/stability/margin_kernel.py": None,
     "problems/contact/kernel.py": {"force[0]"},
     "problems/contact/event_free_steps.py": {"force[0]"},
     "identification/logs/messages/kernel_bytes.py": {"bits[0]", "floats[0]"},

@@ -72,7 +72,10 @@ def differences(
     if s.real == 0.0 and degree <= 3:
         # On the imaginary axis, as Tustin's rule has it, the most frequent case in real numbers.
         y, square = s.imag, -s.imag * s.imag
-        own, sensed = _on_axis(controller[OWN], y, square), _on_axis(controller[SENSED], y, square)
+        even, odd = controller[OWN, 0] + square * controller[OWN, 2], controller[OWN, 1] + square * controller[OWN, 3]
+        own = complex(even, y * odd)
+        even = controller[SENSED, 0] + square * controller[SENSED, 2]
+        sensed = complex(even, y * (controller[SENSED, 1] + square * controller[SENSED, 3]))
     else:
         for i in range(degree, -1, -1):
             own = own * s + controller[OWN, i]
@@ -85,13 +88,6 @@ def differences(
     damped = own + fed * position
     whole = damped - sensed * force
     return _quotient(whole, damped), _quotient(whole, own)
-
-
-@compiled
-def _on_axis(row: FloatArray, y: float, square: float) -> complex:
-    """Return a polynomial of degree 3 at s = jy, with s² = `square`."""
-    c_0, c_1, c_2, c_3 = row[0], row[1], row[2], row[3]
-    return complex(c_0 + square * c_2, y * (c_1 + square * c_3))
 
 
 @compiled
