@@ -408,10 +408,10 @@ def simulate_log(path: str | Path, *, seed: int = 0, progress: Callable[[float],
     """
     from autotune.simulation.phases import Program  # noqa: PLC0415 - compiles
     from autotune.simulation.simulate import simulate_cell  # noqa: PLC0415
-    from autotune.simulation.truth import Cell  # noqa: PLC0415
+    from autotune.simulation.truth import SimulatedCell  # noqa: PLC0415
     from autotune.simulation.write import write_mcap  # noqa: PLC0415
 
-    run = simulate_cell(Cell(), Program(), seed=seed)
+    run = simulate_cell(SimulatedCell(), Program(), seed=seed)
     signals = (run.recording.wrench, run.recording.pose, run.recording.command)
     share = 1.0 / sum(len(signal.stamp_ns) for signal in signals if signal is not None)
     write_mcap(run.recording, Path(path), progress=None if progress is None else lambda n: progress(share * n))

@@ -17,7 +17,7 @@ from autotune.pipeline import identify_log
 from autotune.results import Identification, Topics
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from autotune.simulation.write import write_mcap
 from autotune.tuning.optimize import Optimized, optimize
 from autotune.tuning.problems import DesignOptions
@@ -155,7 +155,7 @@ def run_demo(
     files = DemoFiles.inside(directory)
     made = MadeHere(directory, [each.name for each in (*vars(files).values(), directory / PAGE)])
     begin(STEPS[0])
-    cell = Cell()
+    cell = SimulatedCell()
     run = simulate_cell(cell, Program(), seed=seed)
     report(_SHARES[0])
     begin(STEPS[1])
@@ -195,7 +195,7 @@ def run_demo(
     )
 
 
-def compare(cell: Cell, found: Identification) -> tuple[Comparison, ...]:
+def compare(cell: SimulatedCell, found: Identification) -> tuple[Comparison, ...]:
     """Put the identified parameters of the approach axis beside the truth."""
     axis = found.result.axes[cell.approach_axis]
     rows = [

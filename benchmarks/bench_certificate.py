@@ -7,7 +7,7 @@ from autotune.certificate.claim import WORK_PER_SECOND
 from autotune.certificate.family import MASS, STIFFNESS, Family, UncertainPlant
 from autotune.validation.margins import sweep_margins
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Coupling, Environment, Payload, Plant
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
 
 PERIOD_S = 8e-4
@@ -17,7 +17,7 @@ LAW = AdmittanceController(mass_kg=10.0, damping_n_s_per_m=1600.0, lead_s=0.02, 
 PLANT = Plant(
     robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=2.4e-3),
     coupling=Coupling(stiffness_n_per_m=3e5, damping_n_s_per_m=0.0),
-    payload=Payload(mass_kg=16.0, drag_n_s_per_m=630.0),
+    payload=PayloadDynamics(mass_kg=16.0, drag_n_s_per_m=630.0),
     environment=Environment(stiffness_n_per_m=STIFFNESSES[0]),
 )
 

@@ -24,9 +24,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.timing import best
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact, transient_from
-from problems.design.batch_evaluation import Batch, build_batch
+from problems.design.batch_evaluation import ScenarioBatch, build_batch
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Coupling, Environment, Payload, Plant
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_sampled_plant
 
@@ -129,12 +129,12 @@ def _plant(stiffness: float, mass: float = 16.0) -> Plant:
     return Plant(
         robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=2.4e-3),
         coupling=Coupling(stiffness_n_per_m=3e5, damping_n_s_per_m=0.0),
-        payload=Payload(mass_kg=mass, drag_n_s_per_m=630.0),
+        payload=PayloadDynamics(mass_kg=mass, drag_n_s_per_m=630.0),
         environment=Environment(stiffness_n_per_m=stiffness),
     )
 
 
-def _batch(scenarios: int) -> Batch:
+def _batch(scenarios: int) -> ScenarioBatch:
     side = round(scenarios**0.5)
     return build_batch(
         [

@@ -35,7 +35,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import made_later, simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 
 _TARGETS_S = {75.0: 5.0, 600.0: 20.0}
@@ -63,7 +63,7 @@ def main() -> int:
 
 def measure(folder: Path, seconds: float, bare_mib: float) -> bool:
     """Measure one log and tell whether the targets are met."""
-    recording = simulate_cell(Cell(), program_of(seconds), seed=1).recording
+    recording = simulate_cell(SimulatedCell(), program_of(seconds), seed=1).recording
     path = write_log(folder / f"log{seconds:.0f}.mcap", recording)
     signals = signals_of(recording)
     count = sum(len(s.stamp_ns) for s in signals)
@@ -95,7 +95,7 @@ def measure_together(folder: Path, count: int) -> None:
     """Measure several logs of the same cell, one after the other and side by side."""
     logs = []
     for hour in range(count):
-        recording = simulate_cell(Cell(), program_of(_TOGETHER_S), seed=hour).recording
+        recording = simulate_cell(SimulatedCell(), program_of(_TOGETHER_S), seed=hour).recording
         logs.append(str(write_log(folder / f"hour{hour}.mcap", made_later(recording, hour))))
     # Logs of different seeds may disagree on a parameter; that is no matter here.
     command = [sys.executable, "-m", "autotune", "identify", *logs, "--quiet", "--allow-partial"]

@@ -29,7 +29,7 @@ from problems.maps.loops import Where
 from problems.maps.maps import MapAxis, MapRequest, MapResult, compute_map
 from problems.maps.search import IntervalCase, IntervalRequest, find_stable_intervals
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Coupling, Environment, Payload, Plant, build_plant_matrices
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant, build_plant_matrices
 from problems.model.robot import RobotModel
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -92,7 +92,7 @@ def plant(stiffness: float) -> Plant:
     return Plant(
         robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=DELAY_SAMPLES * H),
         coupling=Coupling(stiffness_n_per_m=3e5, damping_n_s_per_m=0.0),
-        payload=Payload(mass_kg=16.0, drag_n_s_per_m=630.0),
+        payload=PayloadDynamics(mass_kg=16.0, drag_n_s_per_m=630.0),
         environment=Environment(stiffness_n_per_m=stiffness),
     )
 

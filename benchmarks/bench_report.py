@@ -20,7 +20,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from autotune.simulation.simulate import simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from benchmarks.bench_identify_speed import program_of, run_alone, write_log
 
 _TARGETS_S = {75.0: 3.0, 600.0: 6.0}
@@ -40,7 +40,9 @@ def main() -> int:
 
 def measure(folder: Path, seconds: float) -> bool:
     """Measure one log and tell whether the targets are met."""
-    log = write_log(folder / f"log{seconds:.0f}.mcap", simulate_cell(Cell(), program_of(seconds), seed=1).recording)
+    log = write_log(
+        folder / f"log{seconds:.0f}.mcap", simulate_cell(SimulatedCell(), program_of(seconds), seed=1).recording
+    )
     page = folder / f"log{seconds:.0f}.html"
     bare = [sys.executable, "-m", "autotune", "identify", str(log), "--quiet", "-o", str(folder / "identified.yaml")]
     full = [*bare, "--report", str(page)]

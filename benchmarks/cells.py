@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import WORKING_ORIENTATION, simulate_cell
-from autotune.simulation.truth import AXES, Cell
+from autotune.simulation.truth import AXES, SimulatedCell
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Coupling, Environment
@@ -52,7 +52,7 @@ class DrawnCell:
     """A cell, the surfaces that it touches one after the other, what it does, and how that is logged."""
 
     seed: int
-    cell: Cell
+    cell: SimulatedCell
     surfaces: tuple[Environment, ...]
     program: Program
     writing: Writing
@@ -78,7 +78,7 @@ def _log_uniform(rng: Draw, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def _plant(rng: Draw) -> tuple[Cell, tuple[Environment, ...]]:
+def _plant(rng: Draw) -> tuple[SimulatedCell, tuple[Environment, ...]]:
     mass, stiffness = _log_uniform(rng, 2.0, 60.0), _log_uniform(rng, 5e4, 1e6)
     critical = 2.0 * np.sqrt(stiffness * mass)
     period = _log_uniform(rng, 8e-4, 4e-3)
@@ -86,7 +86,7 @@ def _plant(rng: Draw) -> tuple[Cell, tuple[Environment, ...]]:
     com = (*rng.uniform(-reach, reach, 2).tolist(), float(rng.uniform(0.03, 0.25)))
     radius = _log_uniform(rng, 0.08, 0.2)
     noise, surfaces = _log_uniform(rng, 0.05, 0.5), _surfaces(rng)
-    cell = Cell(
+    cell = SimulatedCell(
         payload_mass_kg=mass,
         com_S_m=com,
         inertia_S_kg_m2=tuple(_inertia_about_sensor(mass, radius, com)),
@@ -138,7 +138,7 @@ def _robot(rng: Draw, period_s: float) -> RobotModel:
     )
 
 
-def _controller(cell: Cell, surfaces: tuple[Environment, ...]) -> AdmittanceController | None:
+def _controller(cell: SimulatedCell, surfaces: tuple[Environment, ...]) -> AdmittanceController | None:
     """Return the fastest controller that touches every surface, and moves freely, with a margin."""
     plants = [
         build_sampled_plant(cell.contact_plant().in_contact_with(each), cell.sample_time_s)
@@ -154,7 +154,7 @@ def _controller(cell: Cell, surfaces: tuple[Environment, ...]) -> AdmittanceCont
     return None
 
 
-def _resistance(cell: Cell) -> float:
+def _resistance(cell: SimulatedCell) -> float:
     return cell.controller.damping_n_s_per_m + cell.drag_n_s_per_m
 
 
@@ -171,7 +171,9 @@ def _program(rng: Draw) -> Program:
     )
 
 
-def _spaced(cell: Cell, surfaces: tuple[Environment, ...], program: Program, force_n: float) -> tuple[Cell, Program]:
+def _spaced(
+    cell: SimulatedCell, surfaces: tuple[Environment, ...], program: Program, force_n: float
+) -> tuple[SimulatedCell, Program]:
     """Put the wall beyond sweep and jogging; give contacts, retreats and rests the time that this loop needs."""
     distance, resistance = max(0.010, 42.0 / _resistance(cell)), _resistance(cell)
     slowest_hz = float(np.min(np.abs(np.roots(cell.robot.denominator)))) / (2.0 * np.pi)
@@ -225,7 +227,7 @@ def simulate(drawn: DrawnCell) -> Recording:
     return whole
 
 
-def _followed(first: Recording, second: Recording, cell: Cell) -> Recording:
+def _followed(first: Recording, second: Recording, cell: SimulatedCell) -> Recording:
     """Join two runs that begin and end at rest in the working orientation; the second begins where the first ended."""
     assert first.command is not None
     assert second.command is not None

@@ -10,7 +10,7 @@ import matplotlib as mpl
 from matplotlib import pyplot as plt
 
 from autotune.formats.controller import read_controller
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from autotune.validation.validate import admittance_controller
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.model.sampled import build_sampled_plant
@@ -19,7 +19,7 @@ from problems.stability.margins import find_margins
 
 def main(arguments: list[str]) -> int:
     source, picture = Path(arguments[0]), Path(arguments[1])
-    cell = Cell()
+    cell = SimulatedCell()
     sampled = build_sampled_plant(cell.contact_plant(), cell.sample_time_s)
     pair = build_sampled_contact(sampled)
     chosen = admittance_controller(read_controller(source).controller, cell.approach_axis)

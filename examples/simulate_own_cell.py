@@ -8,7 +8,7 @@ from pathlib import Path
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from autotune.simulation.write import write_mcap
 from identification.identify import identify_cell
 from problems.model.controller import AdmittanceController
@@ -17,7 +17,7 @@ from problems.model.robot import RobotModel
 
 
 def main(arguments: list[str]) -> int:
-    cell = Cell(
+    cell = SimulatedCell(
         payload_mass_kg=24.0,
         com_S_m=(0.0, 0.02, 0.18),
         coupling=Coupling(stiffness_n_per_m=1.8e5, damping_n_s_per_m=250.0),

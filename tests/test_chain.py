@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from autotune.formats.controller import read_controller
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from identification.logs.roles.registry import POSE_STAMPED as POSE
 from identification.logs.roles.registry import WRENCH_STAMPED as WRENCH
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
@@ -80,7 +80,7 @@ def streams(recording: Recording, topics: Topics) -> list[Stream]:
 @pytest.fixture(scope="module")
 def recording() -> Recording:
     """Wrench at 1000 Hz, pose at 500 Hz, command at the control rate; noise is added after the interpolation."""
-    run = simulate_cell(silent(Cell()), PROGRAM, seed=5)
+    run = simulate_cell(silent(SimulatedCell()), PROGRAM, seed=5)
     return at_other_rates(run, wrench_hz=1000.0, pose_hz=500.0)
 
 
@@ -110,7 +110,7 @@ def json_of(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
 
 
 def check_identified(tree: dict[str, Any]) -> None:
-    cell, axis = Cell(), tree["axes"]["x"]
+    cell, axis = SimulatedCell(), tree["axes"]["x"]
     for found, truth in (
         (tree["payload"]["mass_kg"], cell.payload_mass_kg),
         (axis["coupling"]["stiffness_n_per_m"], cell.coupling.stiffness_n_per_m),
@@ -160,8 +160,8 @@ def test_from_a_log_to_an_exported_controller(run_cli: RunCli, tmp_path: Path, p
     (tmp_path / "problem.yaml").write_text(PROBLEM, encoding="utf-8")
     optimized = json_of(run_cli("optimize", "identified.yaml", "--problem", "problem.yaml", "--json"))
     domain = optimized["certificate"]["domain"]["x"]
-    assert domain["environment_stiffness_n_per_m"][0] < Cell().environment.stiffness_n_per_m
-    assert domain["environment_stiffness_n_per_m"][1] > Cell().environment.stiffness_n_per_m
+    assert domain["environment_stiffness_n_per_m"][0] < SimulatedCell().environment.stiffness_n_per_m
+    assert domain["environment_stiffness_n_per_m"][1] > SimulatedCell().environment.stiffness_n_per_m
     validated = json_of(run_cli("validate", "controller.yaml", "--identified", "identified.yaml", "--json"))
     assert validated["passed"]
     exported = json_of(run_cli("export", "controller.yaml", "--target", "json", "-o", "cell.json", "--json"))

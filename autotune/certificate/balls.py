@@ -97,7 +97,7 @@ def ball(low: float, high: float) -> Any:
     return flint.arb(low).union(flint.arb(high))
 
 
-class Series:
+class DualBall:
     """A flint ball that carries its derivative along one direction through arithmetic; None is none."""
 
     __slots__ = ("derivative", "value")
@@ -105,59 +105,59 @@ class Series:
     def __init__(self, value: Any, derivative: Any = None) -> None:
         self.value, self.derivative = value, derivative
 
-    def __add__(self, other: Any) -> "Series":
-        if not isinstance(other, Series):
-            return Series(self.value + other, self.derivative)
+    def __add__(self, other: Any) -> "DualBall":
+        if not isinstance(other, DualBall):
+            return DualBall(self.value + other, self.derivative)
         if self.derivative is None or other.derivative is None:
-            return Series(self.value + other.value, other.derivative if self.derivative is None else self.derivative)
-        return Series(self.value + other.value, self.derivative + other.derivative)
+            return DualBall(self.value + other.value, other.derivative if self.derivative is None else self.derivative)
+        return DualBall(self.value + other.value, self.derivative + other.derivative)
 
-    def __mul__(self, other: Any) -> "Series":
-        if not isinstance(other, Series):
-            return Series(self.value * other, None if self.derivative is None else self.derivative * other)
+    def __mul__(self, other: Any) -> "DualBall":
+        if not isinstance(other, DualBall):
+            return DualBall(self.value * other, None if self.derivative is None else self.derivative * other)
         derivative = None if self.derivative is None else self.derivative * other.value
         if other.derivative is not None:
             more = self.value * other.derivative
             derivative = more if derivative is None else derivative + more
-        return Series(self.value * other.value, derivative)
+        return DualBall(self.value * other.value, derivative)
 
-    def __truediv__(self, other: Any) -> "Series":
-        if not isinstance(other, Series):
-            return Series(self.value / other, None if self.derivative is None else self.derivative / other)
+    def __truediv__(self, other: Any) -> "DualBall":
+        if not isinstance(other, DualBall):
+            return DualBall(self.value / other, None if self.derivative is None else self.derivative / other)
         ratio = self.value / other.value
         derivative = None if self.derivative is None else self.derivative / other.value
         if other.derivative is not None:
             less = ratio * other.derivative / other.value
             derivative = -less if derivative is None else derivative - less
-        return Series(ratio, derivative)
+        return DualBall(ratio, derivative)
 
-    def __neg__(self) -> "Series":
-        return Series(-self.value, None if self.derivative is None else -self.derivative)
+    def __neg__(self) -> "DualBall":
+        return DualBall(-self.value, None if self.derivative is None else -self.derivative)
 
-    def __sub__(self, other: Any) -> "Series":
-        out: Series = self + (-other)
+    def __sub__(self, other: Any) -> "DualBall":
+        out: DualBall = self + (-other)
         return out
 
-    def __rsub__(self, other: Any) -> "Series":
-        out: Series = -self + other
+    def __rsub__(self, other: Any) -> "DualBall":
+        out: DualBall = -self + other
         return out
 
-    def __rtruediv__(self, other: Any) -> "Series":
-        out: Series = as_series(other) / self
+    def __rtruediv__(self, other: Any) -> "DualBall":
+        out: DualBall = as_series(other) / self
         return out
 
-    def __pow__(self, power: int) -> "Series":
+    def __pow__(self, power: int) -> "DualBall":
         if power == 0:
-            return Series(flint.arb(1))
+            return DualBall(flint.arb(1))
         derivative = None if self.derivative is None else power * self.value ** (power - 1) * self.derivative
-        return Series(self.value**power, derivative)
+        return DualBall(self.value**power, derivative)
 
     __radd__, __rmul__ = __add__, __mul__
 
 
-def as_series(value: Any) -> Series:
+def as_series(value: Any) -> DualBall:
     """Return a number as a series without derivative, and a series as it is."""
-    return value if isinstance(value, Series) else Series(flint.arb(value))
+    return value if isinstance(value, DualBall) else DualBall(flint.arb(value))
 
 
 def number(value: Any) -> Any:
@@ -187,7 +187,7 @@ def with_bits(bits: int) -> Any:
 
 def derivative_of(value: Any) -> Any:
     """Return the derivative of a number or series, 0 where it carries none."""
-    return value.derivative if isinstance(value, Series) and value.derivative is not None else flint.arb(0)
+    return value.derivative if isinstance(value, DualBall) and value.derivative is not None else flint.arb(0)
 
 
 def exponential(matrix: Any) -> Any:
@@ -206,7 +206,7 @@ def exponential(matrix: Any) -> Any:
     out = np.empty((n, n), dtype=object)
     for i in range(n):
         for j in range(n):
-            out[i, j] = Series(found[i, j], found[i, n + j] if has_derivative else None)
+            out[i, j] = DualBall(found[i, j], found[i, n + j] if has_derivative else None)
     return out
 
 

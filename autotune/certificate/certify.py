@@ -13,7 +13,7 @@ from problems.errors import ParameterError
 from problems.model.sampled import Controller, build_loop, build_sampled_plant, stability_matrix
 
 from . import rational
-from .balls import Balls, FloatArray, Series, as_series, derivative_of, enclose
+from .balls import Balls, DualBall, FloatArray, as_series, derivative_of, enclose
 from .base_plant import fails_at, is_stable
 from .bounds import PlantCell, judge
 from .circle import Circle, IntArray
@@ -38,7 +38,7 @@ class Verdict(Enum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Certificate:
+class ProofOutcome:
     """The outcome: `cells` of plants and `arcs` that were proved, the `work` spent, the `share` of the set proved.
 
     `modulus` is 0 where the claim was stability alone. Where it is false, `plant` and `frequency_rad_per_s` name the
@@ -78,7 +78,7 @@ def certify(
     *,
     work: int,
     progress: Callable[[float], None] | None = None,
-) -> Certificate:
+) -> ProofOutcome:
     """Prove that the exact sampled loop is stable with |1 + L| > `modulus` at both break points, for all plants.
 
     No cell of plants × arc of the unit circle holds a zero of the closed loop; as poles depend continuously on the
@@ -99,7 +99,7 @@ def certify(
 
     Returns
     -------
-    Certificate
+    ProofOutcome
         Proved, refuted with plant and frequency, or how far the proof got.
 
     Raises
@@ -152,7 +152,7 @@ class _Search:
         corners = itertools.product((0, 1), repeat=len(self.box))
         return [self.box[np.arange(len(self.box)), list(corner)] for corner in corners]
 
-    def unstable_base(self) -> Certificate | None:
+    def unstable_base(self) -> ProofOutcome | None:
         """Return the refutation, or the lack of proof, by the plant in the middle; None if it is stable.
 
         A zero on the circle says little where stability alone is claimed, so the corners are looked at too.
@@ -172,7 +172,7 @@ class _Search:
         worst = complex(poles[int(np.argmax(np.abs(poles)))])
         return abs(worst), abs(math.atan2(worst.imag, worst.real))
 
-    def step(self) -> Certificate | None:
+    def step(self) -> ProofOutcome | None:
         """Judge a cell, cut it where its plants are to blame; return the point where the claim is false.
 
         Of stability alone the widest cells come first: their middles find what is unstable.
@@ -216,7 +216,7 @@ class _Search:
         upper[side], lower[side] = (middle, high), (low, middle)
         self.waiting += [_Part(cell=each, arcs=arcs, share=0.5 * part.share) for each in (upper, lower)]
 
-    def _refuted_on(self, part: _Part, arcs: IntArray, middles: FloatArray) -> Certificate | None:
+    def _refuted_on(self, part: _Part, arcs: IntArray, middles: FloatArray) -> ProofOutcome | None:
         """Return the refutation of a modulus by the plant in the middle of a cell, on the worst of these arcs."""
         worst = int(np.argmin(middles))
         if middles[worst] >= 0.0 or self.modulus == 0.0:
@@ -226,7 +226,7 @@ class _Search:
             return None
         return self._ended(Verdict.REFUTED, point, angle)
 
-    def _refuted_by_poles(self, point: FloatArray) -> Certificate | None:
+    def _refuted_by_poles(self, point: FloatArray) -> ProofOutcome | None:
         """Return the refutation by a plant that is unstable: eigenvalues find it, exact arithmetic decides."""
         radius, angle = self._worst_pole(point)
         if radius < 1.0 or is_stable(self.family, self.controller, point) is not False:
@@ -254,7 +254,7 @@ class _Search:
             groups.append(Balls(mid=mid, rad=rad))
         return PlantCell(groups=tuple(groups))
 
-    def _polynomials(self, cell: FloatArray, along: int | None) -> tuple[list[Series], ...]:
+    def _polynomials(self, cell: FloatArray, along: int | None) -> tuple[list[DualBall], ...]:
         """Return the groups of coefficients that the circle has factors for."""
         d, force, position = plant_polynomials(self.family, cell, along)
         if self.family.is_free_space:
@@ -268,8 +268,8 @@ class _Search:
             groups.append(position)
         return tuple([as_series(each) for each in part] for part in groups)
 
-    def _ended(self, verdict: Verdict, point: FloatArray, angle: float | None) -> Certificate:
-        return Certificate(
+    def _ended(self, verdict: Verdict, point: FloatArray, angle: float | None) -> ProofOutcome:
+        return ProofOutcome(
             verdict=verdict,
             modulus=self.modulus,
             cells=self.cells,
@@ -280,7 +280,7 @@ class _Search:
             frequency_rad_per_s=None if angle is None else angle / self.family.sample_time_s,
         )
 
-    def outcome(self) -> Certificate:
+    def outcome(self) -> ProofOutcome:
         """Return what is proved now that nothing waits or the work is spent."""
         if self.waiting:
             middle = np.mean(self.waiting[-1].cell, axis=1)
@@ -289,7 +289,7 @@ class _Search:
                 return out
             place = self.family.varying.index(STIFFNESS)
             up_to = min(float(part.cell[place, 0]) for part in self.waiting)
-            return Certificate(**{**vars(out), "stiffness_up_to_n_per_m": up_to})
-        return Certificate(
+            return ProofOutcome(**{**vars(out), "stiffness_up_to_n_per_m": up_to})
+        return ProofOutcome(
             verdict=Verdict.PROVED, modulus=self.modulus, cells=self.cells, arcs=self.arcs, work=self.work, share=1.0
         )

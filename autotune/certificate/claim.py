@@ -8,7 +8,7 @@ from functools import cached_property
 from problems.model.plant import Plant
 from problems.model.sampled import Controller
 
-from .certify import Certificate, Verdict, certify
+from .certify import ProofOutcome, Verdict, certify
 from .family import Interval, build_families
 
 METHOD = "zero exclusion on the unit circle in ball arithmetic"
@@ -39,11 +39,11 @@ class CombinedCertificate:
     `free_space` and `contact` hold the same parts by where they hold.
     """
 
-    free_space: tuple[Certificate, ...]
-    contact: tuple[Certificate, ...]
+    free_space: tuple[ProofOutcome, ...]
+    contact: tuple[ProofOutcome, ...]
 
     @cached_property
-    def parts(self) -> tuple[Certificate, ...]:
+    def parts(self) -> tuple[ProofOutcome, ...]:
         """All parts, those of free space first."""
         return (*self.free_space, *self.contact)
 
@@ -53,12 +53,12 @@ class CombinedCertificate:
         return all(part.holds for part in self.parts)
 
     @property
-    def false(self) -> Certificate | None:
+    def false(self) -> ProofOutcome | None:
         """Return the part whose claim is false."""
         return next((part for part in self.parts if part.verdict is Verdict.REFUTED), None)
 
     @property
-    def failed(self) -> Certificate | None:
+    def failed(self) -> ProofOutcome | None:
         """Return the part that is false, or else one that is not proved; None where all is."""
         return self.false or next((part for part in self.parts if not part.holds), None)
 
@@ -116,7 +116,7 @@ def prove(claim: Claim, progress: Callable[[float], None] | None = None) -> Comb
         if progress is not None:
             progress(done / len(every))
 
-    parts: list[Certificate] = []
+    parts: list[ProofOutcome] = []
     for family in every:
         left = max(claim.work - sum(part.work for part in parts), 0)
         parts.append(certify(family, claim.law, claim.modulus, work=left, progress=part_done))

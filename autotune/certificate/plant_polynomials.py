@@ -10,7 +10,7 @@ from problems.model.plant import write_plant
 from problems.model.robot import bandwidth_hz
 
 from . import rational
-from .balls import Series, as_series, ball, exponential, number, precise
+from .balls import DualBall, as_series, ball, exponential, number, precise
 from .family import LAG, MASS, PROVABLE, STIFFNESS, Family
 
 FloatArray = NDArray[np.float64]
@@ -101,7 +101,7 @@ def _values(family: Family, cell: FloatArray, along: int | None) -> dict[str, An
     found = {name: as_series(family.range_of(name)[0]) for name in PROVABLE}
     found[MASS] = 1 / found[MASS]
     for i, name in enumerate(family.varying):
-        found[name] = Series(ball(float(cell[i, 0]), float(cell[i, 1])), number(1) if i == along else None)
+        found[name] = DualBall(ball(float(cell[i, 0]), float(cell[i, 1])), number(1) if i == along else None)
     return found
 
 

@@ -76,11 +76,11 @@ def _run(*arguments: str) -> None:
 def _write_logs(bag: Path, rosbag2: Path, table: Path) -> None:
     from autotune.simulation.phases import Program
     from autotune.simulation.simulate import simulate_cell
-    from autotune.simulation.truth import Cell
+    from autotune.simulation.truth import SimulatedCell
     from autotune.simulation.write_bags import write_csv, write_ros1_bag, write_rosbag2
 
     program = Program(pose_count=1, sweep_s=0.0, jogging_s=0.0, contact_count=1)
-    recording = simulate_cell(Cell(), program, seed=0).recording
+    recording = simulate_cell(SimulatedCell(), program, seed=0).recording
     for path, write in ((bag, write_ros1_bag), (rosbag2, write_rosbag2), (table, write_csv)):
         write(recording, path, rows=_ROWS)
 

@@ -49,7 +49,7 @@ select.bk-input { color: var(--ink); background-color: var(--pale); border-color
 """
 
 
-class Page:
+class ExplorePage:
     """One visitor's page: the designs of all axes, and the axis that is shown.
 
     The designs live as long as the page. `target` is the one file that it can write.
@@ -250,9 +250,9 @@ class Page:
         self.update()
 
 
-def build_page(exploration: Exploration, target: Target, document: Document) -> Page:
+def build_page(exploration: Exploration, target: Target, document: Document) -> ExplorePage:
     """Fill a document with the page of an exploration; `target` is the file that it may write."""
-    page = Page(exploration, target, document)
+    page = ExplorePage(exploration, target, document)
     for root in page.roots():
         document.add_root(root)
     gains = [name for name in page.sliders if name not in page.plants[page.axis]]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from autotune.certificate.certify import Certificate
+from autotune.certificate.certify import ProofOutcome
 from autotune.errors import CertificateError, InfeasibleError, UsageError
 from autotune.formats.canonical import short
 from autotune.formats.controller import ControllerFile
@@ -294,6 +294,6 @@ def _certificate(each: TranslatedAxis) -> Iterator[str]:
     )
 
 
-def _cells(parts: tuple[Certificate, ...]) -> str:
+def _cells(parts: tuple[ProofOutcome, ...]) -> str:
     cells = sum(part.cells for part in parts)
     return f"proved in {cells} cell{'s' * (cells != 1)}"

@@ -13,7 +13,7 @@ from problems.design.requirements import AdmittanceTarget, NoiseLimit, Passivity
 from problems.design.uncertainty import Ellipsoid, Uncertainty
 from problems.errors import ParameterError
 from problems.frozen import FrozenDict, freeze
-from problems.model.plant import NO_FILTER, Coupling, Environment, Payload, Plant, WrenchFilter
+from problems.model.plant import NO_FILTER, Coupling, Environment, PayloadDynamics, Plant, WrenchFilter
 from problems.model.robot import RobotModel
 
 from .records import ROTATIONAL_AXES
@@ -127,7 +127,7 @@ class AxisDomain:
             coupling=Coupling(
                 stiffness_n_per_m=self.coupling_stiffness_n_per_m, damping_n_s_per_m=self.coupling_damping_n_s_per_m
             ),
-            payload=Payload(mass_kg=self.payload_mass_kg[0], drag_n_s_per_m=self.drag_n_s_per_m),
+            payload=PayloadDynamics(mass_kg=self.payload_mass_kg[0], drag_n_s_per_m=self.drag_n_s_per_m),
             environment=Environment(
                 stiffness_n_per_m=self.environment_stiffness_n_per_m[0],
                 damping_n_s_per_m=self.environment_damping_n_s_per_m,

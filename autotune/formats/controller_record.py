@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from problems.contact.nonlinearities import DeadbandType
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
 from problems.frozen import freeze
@@ -23,13 +24,6 @@ class ControllerStatus(StrEnum):
 
     VALIDATED = "validated"
     UNVALIDATED = "unvalidated"
-
-
-class DeadbandType(StrEnum):
-    """What happens to a force beyond the deadband: it passes whole, or less the deadband."""
-
-    THRESHOLD = "threshold"
-    SUBTRACTIVE = "subtractive"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +62,7 @@ class Filters:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Collision:
+class CollisionSettings:
     """The collision response and its force threshold (N); None exactly when there is no response."""
 
     response: CollisionResponse
@@ -165,7 +159,7 @@ class Controller:
     axes: Mapping[str, AxisGains]
     filters: Filters
     compensation_mass_kg: float
-    collision: Collision
+    collision: CollisionSettings
     payload: RuntimePayload
     predicted: Mapping[str, AxisPrediction]
     certificate: Certificate

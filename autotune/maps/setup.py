@@ -21,7 +21,7 @@ from problems.maps.parameters import (
 )
 from problems.maps.search import IntervalCase, IntervalRequest
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Coupling, Environment, Payload, Plant
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 
 from .options import STABLE_DAMPING, STABLE_LEAD, MapOptions, parse_range, parse_search, parse_settings
 from .source import MapSource
@@ -125,7 +125,7 @@ def build_base(source: MapSource, settings: Mapping[str, float], varied: Collect
     plant = Plant(
         robot=source.robot,
         coupling=Coupling(stiffness_n_per_m=values["coupling_stiffness"], damping_n_s_per_m=values["coupling_damping"]),
-        payload=Payload(mass_kg=values["payload_mass"], drag_n_s_per_m=values["drag"]),
+        payload=PayloadDynamics(mass_kg=values["payload_mass"], drag_n_s_per_m=values["drag"]),
         environment=Environment(
             stiffness_n_per_m=values["environment_stiffness"],
             damping_n_s_per_m=known.get("environment_damping", 0.0),

@@ -24,7 +24,7 @@ from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import UnstableLoopError, find_margins
 
 from .axis_design import AxisDesign, contact_of
-from .page import Block, Cell, Fact, Facts, Note, Table, Tone, build_table
+from .page import Block, Fact, Facts, Note, Table, TableCell, Tone, build_table
 
 _MARGINS = tuple(each for each in BUILT_IN.values() if isinstance(each, Margin))
 _NEARLY_USED = 0.99
@@ -140,7 +140,7 @@ def compliance_tables(controller: Controller) -> Iterator[Table]:
 
 def _compliance_row(
     chosen: Mapping[str, Any], entry: Mapping[str, Any], keys: tuple[str, ...]
-) -> tuple[str | Cell, ...]:
+) -> tuple[str | TableCell, ...]:
     stiffness, peak, bound = entry["environment_stiffness_n_per_m"], entry["peak_force_n"], chosen["active_bound"]
     remarks = []
     if stiffness == chosen["chosen_n_per_m"]:
@@ -153,7 +153,7 @@ def _compliance_row(
         remarks.append("no controller meets the requirements" if peak is None else "above max_peak_force_n")
     values = ("-" if entry.get(key) is None else f"{entry[key]:.2f}" for key in keys)
     tone: Tone = "" if entry["meets_all"] else "bad"
-    return (f"{stiffness * 1e-3:.6g}", *values, Cell(text=", ".join(remarks), tone=tone))
+    return (f"{stiffness * 1e-3:.6g}", *values, TableCell(text=", ".join(remarks), tone=tone))
 
 
 def prices_of(optimality: Mapping[str, Any] | None) -> dict[str, float] | None:
@@ -170,11 +170,11 @@ def requirement_table(design: AxisDesign, active: Mapping[str, float] | None) ->
     """Return what was required beside what is reached, with the price of the active ones, if it is known."""
     soft = {name: claim.asked for name, claim in design.soft.items()}
     prices = dict(active or {})
-    rows: list[tuple[str | Cell, ...]] = []
+    rows: list[tuple[str | TableCell, ...]] = []
     for name, required in {**design.asked, **soft}.items():
         title, want, got, share = _achievement(design, name, required)
         tone: Tone = "warn" if share is not None and share > _NEARLY_USED else ""
-        used = Cell(text="" if share is None else f"{100.0 * share:.1f} %", tone=tone)
+        used = TableCell(text="" if share is None else f"{100.0 * share:.1f} %", tone=tone)
         price = _price(prices.pop(name, None), design.units)
         rows.append((f"{title} (wished)" if name in soft else title, want, got, used, price))
     rows += [(name.replace("_", " "), "", "", "", _price(price, design.units)) for name, price in prices.items()]
@@ -259,7 +259,7 @@ def _compared_table(design: AxisDesign, law: AdmittanceController, old: Controll
         f"{len(plants)} plants of the domain, its ends and its worst cases; before is {old.path.name}",
         ("", "before", "after"),
         (
-            (title, *(Cell(text=text, tone="bad" if text == _UNSTABLE else "") for text in (before, after)))
+            (title, *(TableCell(text=text, tone="bad" if text == _UNSTABLE else "") for text in (before, after)))
             for title, before, after in rows
         ),
         numbers=(1, 2),
@@ -367,7 +367,7 @@ def reach_table(design: AxisDesign) -> Table | None:
     """Return how far the modulus is proved at all frequencies, None where the file does not say it."""
     if not design.reach:
         return None
-    rows: list[tuple[str | Cell, ...]] = []
+    rows: list[tuple[str | TableCell, ...]] = []
     for reach in design.reach:
         low, high = reach.environment_stiffness_n_per_m
         rows.append(
@@ -375,11 +375,11 @@ def reach_table(design: AxisDesign) -> Table | None:
                 ", ".join(SYMBOLS.get(name, name) for name in reach.over),
                 f"{reach.modulus:.4g}",
                 f"{100.0 * reach.slack:.3g} %",
-                Cell(text=f"{100.0 * reach.share:.4g} %", tone="good" if reach.share == 1.0 else "warn"),
+                TableCell(text=f"{100.0 * reach.share:.4g} %", tone="good" if reach.share == 1.0 else "warn"),
                 f"{stiffness_text(low, design.units)} to {stiffness_text(high, design.units)}",
                 f"{reach.cells:.0f}, {reach.arcs:.0f}",
                 f"{reach.run_time_s:.2f} s",
-                Cell(text=reach.method, tone="quiet"),
+                TableCell(text=reach.method, tone="quiet"),
             )
         )
     return build_table(
@@ -393,7 +393,7 @@ def reach_table(design: AxisDesign) -> Table | None:
 def proof_table(controller: Controller) -> Table:
     """Return what is proved, and what is only sampled."""
     certificate = controller.certificate
-    rows: list[tuple[str | Cell, ...]] = []
+    rows: list[tuple[str | TableCell, ...]] = []
     kinds: tuple[tuple[Any, str, Tone], ...] = (
         (certificate.proved, "proved", "good"),
         (certificate.sampled, "sampled", "quiet"),
@@ -402,8 +402,8 @@ def proof_table(controller: Controller) -> Table:
         for proof in proofs:
             over = proof.over if isinstance(proof.over, str) else ", ".join(f"{k} {v}" for k, v in proof.over.items())
             numbers = (f"{name.replace('_', ' ')} {value:.4g}" for name, value in (proof.numbers or {}).items())
-            method = Cell(text=proof.method, tone="quiet")
-            rows.append((proof.claim, Cell(text=word, tone=tone), over, method, ", ".join(numbers)))
+            method = TableCell(text=proof.method, tone="quiet")
+            rows.append((proof.claim, TableCell(text=word, tone=tone), over, method, ", ".join(numbers)))
     return build_table(
         "What the certificate says: proved for every plant that is named, or looked for on many and not found",
         ("claim", "", "over", "by", "numbers"),

@@ -12,7 +12,7 @@ from autotune.text import ParameterRow, parameter_rows
 from identification.errors import LogError
 from identification.evidence import AxisEvidence, Evidence
 from identification.logs import LogSummary, inspect_log
-from identification.logs.roles.cell import Cell as LogSettings
+from identification.logs.roles.cell import Cell
 from identification.result import AxisEstimate, Finding, FitQuality, Identified
 
 from .identify_charts import (
@@ -23,7 +23,7 @@ from .identify_charts import (
     residual_charts,
     response_charts,
 )
-from .page import Block, Cell, Fact, Facts, Note, Page, Section, Table, Tone, build_table
+from .page import Block, Fact, Facts, Note, Page, Section, Table, TableCell, Tone, build_table
 from .sensor_charts import noise_chart, wrench_charts
 
 _TONES: Mapping[str, Tone] = {
@@ -125,8 +125,8 @@ def _parameter_table(rows: Sequence[ParameterRow]) -> Table:
         (
             (
                 *(row.name, row.value, row.std, row.unit),
-                Cell(text=row.verdict, tone=_TONES.get(row.verdict, "")),
-                Cell(text="; ".join(_plain(part) for part in (row.method, row.note) if part), tone="quiet"),
+                TableCell(text=row.verdict, tone=_TONES.get(row.verdict, "")),
+                TableCell(text="; ".join(_plain(part) for part in (row.method, row.note) if part), tone="quiet"),
             )
             for row in rows
         ),
@@ -162,7 +162,7 @@ def summaries_of(
 
     `evidence` is what identification kept of these logs: those that it read by themselves are not read once more.
     """
-    settings, found = LogSettings() if cell is None else cell.cell, []
+    settings, found = Cell() if cell is None else cell.cell, []
     names = [log.name for log in logs]
     known = {each.log: each.reading for each in evidence if names.count(each.log) == 1}
     for log in logs:
@@ -185,7 +185,7 @@ def _log_section(result: Identified, evidence: Sequence[Evidence], summaries: Se
 
 
 def _health_table(summary: LogSummary) -> Table:
-    rows: list[tuple[str | Cell, ...]] = []
+    rows: list[tuple[str | TableCell, ...]] = []
     for channel in summary.channels:
         faults = channel.backwards_steps + channel.duplicates
         rows.append(
@@ -194,7 +194,7 @@ def _health_table(summary: LogSummary) -> Table:
                 str(channel.count),
                 _number(channel.rate_hz, 1.0, 2),
                 _number(channel.max_gap_s, 1e3, 2),
-                Cell(text=f"{channel.backwards_steps} / {channel.duplicates}", tone="bad" if faults else ""),
+                TableCell(text=f"{channel.backwards_steps} / {channel.duplicates}", tone="bad" if faults else ""),
                 _number(channel.header_minus_log_s, 1e3, 2),
                 ", ".join(role.entry for role in summary.roles if role.topic == channel.topic),
             )

@@ -28,7 +28,7 @@ from .controller_tables import (
     response_table,
     worst_table,
 )
-from .page import Block, Cell, Fact, Facts, Note, Page, Section, Table, Tone, build_table
+from .page import Block, Fact, Facts, Note, Page, Section, Table, TableCell, Tone, build_table
 
 if TYPE_CHECKING:
     from autotune.tuning.search import SearchStep
@@ -176,11 +176,11 @@ def front_section(fronts: Mapping[str, Any]) -> Section:
 def _front_table(axis: str, tree: Mapping[str, Any]) -> Table:
     objectives = tree["objectives"]
     heads = tuple(_side(each).label for each in objectives)
-    rows: list[tuple[str | Cell, ...]] = []
+    rows: list[tuple[str | TableCell, ...]] = []
     for index, point in enumerate(tree["points"]):
         values = [point["values"][each["name"]] for each in objectives]
         values += [point[key] for key in ("mass", "damping", "lead_s", "feedback_damping_s")]
-        mark = Cell(text="the controller written" if index == tree["chosen"] else "", tone="good")
+        mark = TableCell(text="the controller written" if index == tree["chosen"] else "", tone="good")
         rows.append((str(index + 1), *(f"{value:.5g}" for value in values), mark))
     columns = ("", *heads, "M_a", "B_a", "K_l [s]", "B_fb [s]", "")
     return build_table(f"Controllers of axis {axis}", columns, rows, numbers=range(1, len(columns) - 1))

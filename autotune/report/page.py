@@ -22,7 +22,7 @@ _GRAVITY: tuple[Tone, ...] = ("", "quiet", "good", "warn", "bad")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
+class TableCell:
     """One entry of a table; `tone` colours it, and `is_number` sets it to the right."""
 
     text: str
@@ -36,30 +36,30 @@ class Table:
 
     caption: str
     columns: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
+    rows: tuple[tuple[TableCell, ...], ...]
 
     def __post_init__(self) -> None:
         if any(len(row) != len(self.columns) for row in self.rows):
             raise ValueError(f"a table of {len(self.columns)} columns needs as many cells in every row")
 
-    def heads(self) -> tuple[Cell, ...]:
+    def heads(self) -> tuple[TableCell, ...]:
         """Return the columns' names, each to the side to which its entries are set."""
         entries = [[row[i] for row in self.rows if row[i].text] for i in range(len(self.columns))]
         return tuple(
-            Cell(text=name, is_number=bool(cells) and all(cell.is_number for cell in cells))
+            TableCell(text=name, is_number=bool(cells) and all(cell.is_number for cell in cells))
             for name, cells in zip(self.columns, entries, strict=True)
         )
 
 
 def build_table(
-    caption: str, columns: Iterable[str], rows: Iterable[Iterable[str | Cell]], *, numbers: Collection[int] = ()
+    caption: str, columns: Iterable[str], rows: Iterable[Iterable[str | TableCell]], *, numbers: Collection[int] = ()
 ) -> Table:
     """Return a table of texts and cells; those in the columns `numbers` are set to the right."""
     cells = (
         tuple(
             replace(each, is_number=each.is_number or i in numbers)
-            if isinstance(each, Cell)
-            else Cell(text=each, is_number=i in numbers)
+            if isinstance(each, TableCell)
+            else TableCell(text=each, is_number=i in numbers)
             for i, each in enumerate(row)
         )
         for row in rows

@@ -17,7 +17,7 @@ from .axis_design import axis_designs
 from .controller_charts import contact_charts, stiffness_chart
 from .controller_tables import checksum_fact, design_facts
 from .optimize_page import certificate_section, footer
-from .page import Block, Cell, Fact, Facts, Page, Section, Table, Tone, build_table
+from .page import Block, Fact, Facts, Page, Section, Table, TableCell, Tone, build_table
 
 _PANELS = 3
 # What is beyond is in the table.
@@ -83,10 +83,10 @@ def verdict_section(checksum: str, validated: Validated) -> Section:
 
 def checks_table(report: ValidationReport) -> Table:
     """Return every check with its verdict."""
-    rows: list[tuple[str | Cell, ...]] = []
+    rows: list[tuple[str | TableCell, ...]] = []
     for check in report.checks:
         tone: Tone = ("warn" if check.warns else "good") if check.passed else "bad"
-        rows.append((check.name, check.axis, Cell(text=check.verdict, tone=tone), check.message))
+        rows.append((check.name, check.axis, TableCell(text=check.verdict, tone=tone), check.message))
     return build_table("Checks", ("check", "axis", "", "found"), rows)
 
 

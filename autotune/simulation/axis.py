@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from problems.compiled import compiled
 from problems.contact.events import advance_surface, contact_force, is_in_contact, switch_within
-from problems.contact.kernel_types import APART, IN_CONTACT, NEWEST, POSITION, SENSED, Contact, Held, Inputs
+from problems.contact.kernel_types import APART, IN_CONTACT, NEWEST, POSITION, SENSED, Contact, HeldInputs, Inputs
 from problems.contact.transient import build_sampled_contact
 from problems.model.controller import controller_blocks, controller_step
 from problems.model.sampled import build_sampled_plant, controller_rest
 
 from .phases import Script
-from .truth import Cell
+from .truth import SimulatedCell
 
 FloatArray = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ class AxisRun:
     hand_force_n: FloatArray
 
 
-def run_axis(cell: Cell, script: Script, measured_noise_n: FloatArray) -> AxisRun:
+def run_axis(cell: SimulatedCell, script: Script, measured_noise_n: FloatArray) -> AxisRun:
     """Step controller, robot, payload and wall through the script; the controller sees the noisy force."""
     h = cell.sample_time_s
     pair = build_sampled_contact(build_sampled_plant(cell.contact_plant(), h))
@@ -80,7 +80,7 @@ def _advance(
     if not touching:
         # An environment with mass swings back on its own.
         advance_surface(swung, wall, 1.0)
-    if is_in_contact(following, swung, wall, rows, Held(newer, push), touching) != touching:
+    if is_in_contact(following, swung, wall, rows, HeldInputs(newer, push), touching) != touching:
         return switch_within(flow, state, surface_state, wall, rows, inputs, delay.fraction, touching, 1).touching
     state[:], surface_state[:] = following, swung
     return touching
@@ -125,7 +125,7 @@ def _step_axis(
         out[FLANGE, k], out[COMMAND, k] = position, command
         out[PAYLOAD, k], out[VELOCITY, k] = state[n - 2], state[n - 1]
         out[FORCE, k], out[HAND, k] = sensed, push
-        out[CONTACT, k] = max(0.0, contact_force(state, rows, Held(held, push))) if touching else 0.0
+        out[CONTACT, k] = max(0.0, contact_force(state, rows, HeldInputs(held, push))) if touching else 0.0
         newer = command if whole == 0 else past[whole - 1]
         older = held if chain > whole else newer
         touching = _advance(plant, state, surface_state, Inputs(older, newer, push), touching)

@@ -10,7 +10,7 @@ from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 
 from .axis import AxisRun, run_axis
 from .phases import Program, Script, build_script
-from .truth import Cell
+from .truth import SimulatedCell
 
 FloatArray = NDArray[np.float64]
 
@@ -24,13 +24,13 @@ WORKING_ORIENTATION = Rotation.from_euler("xz", [np.pi, 0.4])
 class CellRun:
     """A simulated log: what a logger would have seen, and the signals behind it."""
 
-    cell: Cell
+    cell: SimulatedCell
     script: Script
     axis: AxisRun
     recording: Recording
 
 
-def simulate_cell(cell: Cell, program: Program, *, seed: int = 0) -> CellRun:
+def simulate_cell(cell: SimulatedCell, program: Program, *, seed: int = 0) -> CellRun:
     """Run `program` on `cell`; the same seed gives the same run.
 
     The wrench is what the payload puts on the flange, expressed in S, with gravity, inertia, bias and noise; the
@@ -77,7 +77,7 @@ def made_later(recording: Recording, hours: int) -> Recording:
     )
 
 
-def _placed(cell: Cell, script: Script, along: FloatArray) -> tuple[FloatArray, Rotation]:
+def _placed(cell: SimulatedCell, script: Script, along: FloatArray) -> tuple[FloatArray, Rotation]:
     """Return where the flange is from the start (n, 3) in the base, and how it is turned, `along` (n,) its axis."""
     direction_S = np.eye(3)[cell.axis_index]
     posed = WORKING_ORIENTATION * Rotation.from_rotvec(script.rotation_rad)
@@ -96,7 +96,7 @@ def _pose(topic: str, stamps: NDArray[np.int64], position: FloatArray, orientati
     )
 
 
-def _add_pushing(cell: Cell, axis: AxisRun, force: FloatArray, torque: FloatArray) -> None:
+def _add_pushing(cell: SimulatedCell, axis: AxisRun, force: FloatArray, torque: FloatArray) -> None:
     """Add to force and torque (n, 3) in S what moving along the approach axis and pressing on the wall does."""
     direction_S = np.eye(3)[cell.axis_index]
     com, point = np.array(cell.com_S_m), np.array(cell.contact_point_S_m)
@@ -106,7 +106,7 @@ def _add_pushing(cell: Cell, axis: AxisRun, force: FloatArray, torque: FloatArra
     torque -= axis.contact_force_n[:, None] * np.cross(point, direction_S)
 
 
-def _add_turning(cell: Cell, axis: AxisRun, force: FloatArray, torque: FloatArray) -> None:
+def _add_turning(cell: SimulatedCell, axis: AxisRun, force: FloatArray, torque: FloatArray) -> None:
     """Add to force and torque (n, 3) in S what turning about the approach axis and pressing on the wall does.
 
     Hand and drag are torques about the axis. The wall pushes at the contact point, square to the axis and the lever;
@@ -124,7 +124,7 @@ def _add_turning(cell: Cell, axis: AxisRun, force: FloatArray, torque: FloatArra
     torque += axis.force_n[:, None] * direction_S + aside - (aside @ direction_S)[:, None] * direction_S
 
 
-def _rigid_wrench(cell: Cell, script: Script, orientation: Rotation) -> tuple[FloatArray, FloatArray]:
+def _rigid_wrench(cell: SimulatedCell, script: Script, orientation: Rotation) -> tuple[FloatArray, FloatArray]:
     """Return gravity and the inertia of turning about the sensor origin, (n, 3) each, in S.
 
     Every move turns about one fixed axis, so the rotation vector's derivatives are the body's rates.

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Coupling, Environment, Payload, Plant
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
 
 FloatArray = NDArray[np.float64]
@@ -17,7 +17,7 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
+class SimulatedCell:
     """A robot with a six-axis sensor, a compliant gripper and a payload, in front of a wall.
 
     Vectors are in the sensor frame S, which is the flange's. `approach_axis` is the axis of S along which the robot
@@ -68,7 +68,7 @@ class Cell:
             raise ParameterError("wall_distance_m", self.wall_distance_m, "above 0")
 
     @classmethod
-    def turning(cls, axis: Literal["rx", "ry", "rz"], **changes: Any) -> "Cell":
+    def turning(cls, axis: Literal["rx", "ry", "rz"], **changes: Any) -> "SimulatedCell":
         """Return a cell that turns about an axis of S and presses 0.2 to 0.3 m off it; `changes` are fields."""
         usual: dict[str, Any] = {
             "approach_axis": axis,
@@ -102,6 +102,6 @@ class Cell:
         return Plant(
             robot=self.robot,
             coupling=self.coupling,
-            payload=Payload(mass_kg=self.moved_mass_kg, drag_n_s_per_m=self.drag_n_s_per_m),
+            payload=PayloadDynamics(mass_kg=self.moved_mass_kg, drag_n_s_per_m=self.drag_n_s_per_m),
             environment=self.environment,
         )

@@ -17,10 +17,9 @@ from autotune.formats.certificate_record import (
 from autotune.formats.controller_record import (
     AxisGains,
     AxisPrediction,
-    Collision,
+    CollisionSettings,
     Controller,
     ControllerStatus,
-    DeadbandType,
     Filters,
     FreeSpaceAdmittance,
     RuntimePayload,
@@ -33,6 +32,7 @@ from autotune.validation.validation_samples import sampled_claims
 from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError
 from identification.result import Identified, Status
+from problems.contact.nonlinearities import DeadbandType
 from problems.design.evaluation import PlantMargins, build_scenarios
 from problems.design.problem import DesignProblem, Requirements
 from problems.design.requirements import smallest_admittance
@@ -78,7 +78,7 @@ def build_controller(
             acceleration_rad_per_s=law.acceleration_filter_rad_per_s,
         ),
         compensation_mass_kg=law.compensation_mass_kg,
-        collision=Collision(response=CollisionResponse.NONE, threshold_n=None),
+        collision=CollisionSettings(response=CollisionResponse.NONE, threshold_n=None),
         payload=payload,
         predicted=predicted,
         certificate=Certificate(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.errors import InfeasibleError, UsageError
-from autotune.formats.controller_record import AxisPrediction, Collision, Controller, ScenarioPrediction
+from autotune.formats.controller_record import AxisPrediction, CollisionSettings, Controller, ScenarioPrediction
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.problem import ProblemSpec
 from autotune.formats.records import ROTATIONAL_AXES
@@ -132,7 +132,7 @@ def choose_threshold(
         else controller.predicted[name]
         for name in controller.axes
     }
-    collision = Collision(response=CollisionResponse.RESET, threshold_n=choice.threshold_n)
+    collision = CollisionSettings(response=CollisionResponse.RESET, threshold_n=choice.threshold_n)
     return replace(controller, collision=collision, predicted=predicted, provenance=provenance), choice
 
 
@@ -140,7 +140,7 @@ def without_response(controller: Controller) -> Controller:
     """Return the same gains and certificate without a collision response."""
     return replace(
         controller,
-        collision=Collision(response=CollisionResponse.NONE, threshold_n=None),
+        collision=CollisionSettings(response=CollisionResponse.NONE, threshold_n=None),
         predicted={name: replace(each, with_collision_response=()) for name, each in controller.predicted.items()},
     )
 

@@ -21,7 +21,7 @@ from problems.contact.transient import Approach
 from problems.design.uncertainty import Scenario
 
 from .disturbances import file_deadband
-from .log_contacts import ContactLog, ContactOutcome, LogContact, find_log_contacts, follow_law
+from .log_contacts import ContactLog, LawFit, LogContact, find_log_contacts, follow_law
 from .monte_carlo import SAME_PEAK, needed_substeps
 from .report import Check
 from .validate import admittance_controller
@@ -145,7 +145,7 @@ def compare_with_log(
     )
 
 
-def _refusal(followed: Sequence[ContactOutcome]) -> str:
+def _refusal(followed: Sequence[LawFit]) -> str:
     best = min(each.left_share for each in followed)
     return (
         "The log was recorded with another controller: the law of the file must explain the command by the measured "
@@ -154,7 +154,7 @@ def _refusal(followed: Sequence[ContactOutcome]) -> str:
     )
 
 
-def _followed(controller: Controller, contact: LogContact, period_s: float) -> ContactOutcome:
+def _followed(controller: Controller, contact: LogContact, period_s: float) -> LawFit:
     """Replay the law around the touch, on the controller's own clock."""
     h = controller.sample_time_s
     start = max((contact.onset * period_s) - _LAW_BEFORE_S, 0.0)
@@ -166,14 +166,12 @@ def _followed(controller: Controller, contact: LogContact, period_s: float) -> C
         for values in (contact.command_m, contact.position_m, contact.force_n)
     )
     if not np.all(np.isfinite([command, position, force])):
-        return ContactOutcome(desired_force=np.nan, left_share=np.inf)
+        return LawFit(desired_force=np.nan, left_share=np.inf)
     law = admittance_controller(controller, contact.axis)
     return follow_law(law, controller.axes[contact.axis], h, command, position, force)
 
 
-def _compared(
-    controller: Controller, log: ContactLog, contact: LogContact, followed: ContactOutcome
-) -> ComparedContact:
+def _compared(controller: Controller, log: ContactLog, contact: LogContact, followed: LawFit) -> ComparedContact:
     domain = controller.certificate.domain[contact.axis]
     simulate = _Simulator(controller, contact, followed)
     stiffness = contact.stiffness_n_per_m
@@ -215,7 +213,7 @@ def _compared(
 class _Simulator:
     """The full simulation of one contact of the log, with the deadband of the file and without noise."""
 
-    def __init__(self, controller: Controller, contact: LogContact, followed: ContactOutcome) -> None:
+    def __init__(self, controller: Controller, contact: LogContact, followed: LawFit) -> None:
         gains = controller.axes[contact.axis]
         self.h = controller.sample_time_s
         self.law = admittance_controller(controller, contact.axis)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
-from autotune.certificate.certify import Certificate
+from autotune.certificate.certify import ProofOutcome
 from autotune.certificate.claim import METHOD, WORK_PER_SECOND, Claim, CombinedCertificate, prove
 from autotune.certificate.family import MASS, PROVABLE, STIFFNESS, Interval
 from autotune.errors import CertificateError
@@ -162,7 +162,7 @@ def _passed_on(progress: Callable[[float], None], share: float, done: float) -> 
     progress(share * done)
 
 
-def _refuted(name: str, domain: AxisDomain, failed: Certificate, message: str) -> CertificateError:
+def _refuted(name: str, domain: AxisDomain, failed: ProofOutcome, message: str) -> CertificateError:
     """Return the error of a claim that fails at a plant; free space is reported as the softest surface."""
     plant = failed.plant
     if plant is None:
@@ -239,7 +239,7 @@ def stability_statements(domain: AxisDomain, claim: Claim, found: CombinedCertif
     )
 
 
-def refuted_inside(domain: AxisDomain, found: CombinedCertificate) -> Certificate | None:
+def refuted_inside(domain: AxisDomain, found: CombinedCertificate) -> ProofOutcome | None:
     """Return what is false at a plant of the domain: the box around a confidence set holds others too."""
     false = found.false
     if false is None or false.plant is None:
@@ -250,7 +250,7 @@ def refuted_inside(domain: AxisDomain, found: CombinedCertificate) -> Certificat
     return false if domain.confidence is None or domain.uncertainty().contains(plant) else None
 
 
-def describe_false(false: Certificate, units: AxisUnits) -> str:
+def describe_false(false: ProofOutcome, units: AxisUnits) -> str:
     """Say where a claim is false."""
     plant, frequency = false.plant, false.frequency_rad_per_s
     if plant is None or frequency is None:

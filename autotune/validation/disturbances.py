@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from autotune.formats.controller_record import AxisGains, Controller, DeadbandType
+from autotune.formats.controller_record import AxisGains, Controller
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.records import ROTATIONAL_AXES
 from problems.contact.nonlinearities import Collision, CommandLimits, Deadband, Nonlinearities, Response
@@ -82,9 +82,7 @@ def _file_response(controller: Controller, name: str) -> Collision | None:
 
 def file_deadband(gains: AxisGains) -> Deadband:
     """Return the deadband of an axis."""
-    if gains.deadband_type is DeadbandType.SUBTRACTIVE:
-        return Deadband(width_n=gains.deadband, kind="subtractive")
-    return Deadband(width_n=gains.deadband, kind="threshold")
+    return Deadband(width_n=gains.deadband, kind=gains.deadband_type)
 
 
 def _noise_rms(controller: Controller, name: str, disturbances: Disturbances) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.formats.certificate_record import AxisDomain
-from autotune.formats.controller_record import AxisGains, Controller, DeadbandType
+from autotune.formats.controller_record import AxisGains, Controller
 from autotune.formats.records import ROTATIONAL_AXES
 from identification.axes.straight import AxisMotion, find_axes
 from identification.axes.turning import LEVER_M, Unrolled, find_turns, rests_after, unroll
@@ -22,6 +22,7 @@ from identification.signals.recording import AXES, Recording
 from identification.signals.segments import MotionSpans, Span, find_motion
 from identification.timeline.contacts import ContactTimes, find_contacts, learn_law
 from identification.timeline.payload import AxisContacts, observe_payload, press_sign
+from problems.contact.nonlinearities import DeadbandType
 from problems.model.controller import AdmittanceController
 
 from .replay import DifferenceEquation
@@ -282,7 +283,7 @@ def _at_rest_before(force: FloatArray, free: list[Span], contact: Span, period_s
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContactOutcome:
+class LawFit:
     """How a stretch of command follows the law: the constant F^d that explains it best, and what is left unexplained.
 
     `left_share` is the RMS of what is left over that of the command's way off a straight line.
@@ -301,7 +302,7 @@ def felt(gains: AxisGains, force: FloatArray) -> FloatArray:
 
 def follow_law(
     law: AdmittanceController, gains: AxisGains, h: float, command: FloatArray, position: FloatArray, force: FloatArray
-) -> ContactOutcome:
+) -> LawFit:
     """Hold a stretch of command (n,) against the law, with force and position (n,) at the controller's ticks.
 
     The law is linear behind the deadband, so that F^d and what it remembered at the beginning are found by least
@@ -321,7 +322,7 @@ def follow_law(
     time = np.arange(len(command))
     bend = command - np.polyval(np.polyfit(time, command, 1), time)
     share = float(np.sqrt(np.mean(left**2)) / max(float(np.sqrt(np.mean(bend**2))), 1e-12))
-    return ContactOutcome(desired_force=float(solution[0]), left_share=share)
+    return LawFit(desired_force=float(solution[0]), left_share=share)
 
 
 def _memories(law: AdmittanceController) -> tuple[str, ...]:

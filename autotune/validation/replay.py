@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from problems.model.controller import AdmittanceController
-from problems.model.plant import FREE_SPACE, Coupling, Payload, Plant, build_plant_matrices
+from problems.model.plant import FREE_SPACE, Coupling, PayloadDynamics, Plant, build_plant_matrices
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, check_wrench_delay, hold, spectral_radius
 
@@ -204,7 +204,7 @@ def robot_stepper(robot: RobotModel, sample_time_s: float) -> Callable[[float], 
     alone = Plant(
         robot=robot,
         coupling=Coupling(stiffness_n_per_m=1.0, damping_n_s_per_m=0.0),
-        payload=Payload(mass_kg=1.0, drag_n_s_per_m=0.0),
+        payload=PayloadDynamics(mass_kg=1.0, drag_n_s_per_m=0.0),
     )
     matrices, order = build_plant_matrices(alone, sample_time_s), robot.order
     rate, drive, output = matrices.a[:order, :order], matrices.b[:order], matrices.c_position[:order]

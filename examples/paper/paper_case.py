@@ -13,7 +13,7 @@ from problems.model.controller import (
     feedback_damping_from_paper_mm,
     feedback_damping_from_paper_per_sample,
 )
-from problems.model.plant import FREE_SPACE, Coupling, Environment, Payload, Plant
+from problems.model.plant import FREE_SPACE, Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
 
 FloatArray = NDArray[np.float64]
@@ -70,7 +70,7 @@ def example_plant(
     return Plant(
         robot=robot or printed_robot(),
         coupling=Coupling(stiffness_n_per_m=coupling_n_per_m, damping_n_s_per_m=coupling_n_s_per_m),
-        payload=Payload(mass_kg=mass_kg, drag_n_s_per_m=drag_n_s_per_m),
+        payload=PayloadDynamics(mass_kg=mass_kg, drag_n_s_per_m=drag_n_s_per_m),
         environment=Environment(stiffness_n_per_m=contact_n_per_m) if contact_n_per_m > 0.0 else FREE_SPACE,
     )
 

@@ -9,7 +9,7 @@ from problems.arrays import ComplexArray, FloatArray
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact, simulate_contact
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Coupling, Environment, Payload, Plant
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 
 from ..joint_fit.segments import hold_threshold_n
@@ -109,7 +109,7 @@ def plant_of(values: PlanValues) -> Plant:
         coupling=Coupling(
             stiffness_n_per_m=values.stiffness_n_per_m.value, damping_n_s_per_m=values.damping_n_s_per_m.value
         ),
-        payload=Payload(mass_kg=values.mass_kg.value, drag_n_s_per_m=values.drag_n_s_per_m.value),
+        payload=PayloadDynamics(mass_kg=values.mass_kg.value, drag_n_s_per_m=values.drag_n_s_per_m.value),
         environment=Environment(
             stiffness_n_per_m=values.environment_stiffness_n_per_m.value,
             damping_n_s_per_m=values.environment_damping_n_s_per_m.value,

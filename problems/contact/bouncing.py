@@ -17,7 +17,7 @@ from ..model.linear_controllers import LinearController
 from ..model.sampled import build_loop, spectral_radius
 from ..stability.margins import UnstableLoopError
 from .kernel import first_moment, walk
-from .kernel_types import CONTACT_PEAK, FOUND, SWITCHES, TOUCHING, Contact, Forces, Span, Start, Traces
+from .kernel_types import CONTACT_PEAK, FOUND, SWITCHES, TOUCHING, Contact, Forces, Start, TickRange, Traces
 from .linear_controller_contact import begin_linear_contact, run_linear_contact
 from .transient import Approach, SampledContact, begin_contact, longest_run
 
@@ -146,7 +146,7 @@ def follow_bounces(
     found, crest, length = np.zeros(FOUND), np.full((2, len(now.state) + 3), -1.0), len(work.sensed)
     for w in range(len(peaks)):
         found[:], before = 0.0, flags[SWITCHES]
-        walk(plant, blocks, now, flags, forces, Span(0, length, length), work, found, crest)
+        walk(plant, blocks, now, flags, forces, TickRange(0, length, length), work, found, crest)
         peaks[w], switches[w] = found[CONTACT_PEAK], flags[SWITCHES] - before
         verdict = _judge_window(peaks, switches, w, flags[TOUCHING] == 1, forces.desired + forces.push)
         if verdict >= 0:

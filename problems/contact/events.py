@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import compiled, inlined
-from .kernel_types import APART, IN_CONTACT, PLACE, PRESSED, SPEED, Crossing, Held, Inputs, Wall
+from .kernel_types import APART, IN_CONTACT, PLACE, PRESSED, SPEED, Crossing, HeldInputs, Inputs, Wall
 
 FloatArray = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ def spring_force(wall: Wall, position: float, velocity: float) -> float:
 
 @compiled
 def is_in_contact(
-    state: FloatArray, surface_state: FloatArray, wall: Wall, outputs: FloatArray, inputs: Held, touching: bool
+    state: FloatArray, surface_state: FloatArray, wall: Wall, outputs: FloatArray, inputs: HeldInputs, touching: bool
 ) -> bool:
     """Tell whether the payload is on the environment, given whether it was: the one rule of every contact.
 
@@ -72,7 +72,7 @@ def is_in_contact(
 
 
 @compiled
-def contact_force(state: FloatArray, outputs: FloatArray, inputs: Held) -> float:
+def contact_force(state: FloatArray, outputs: FloatArray, inputs: HeldInputs) -> float:
     """Return F_e of a payload that stays on the environment."""
     n = len(state)
     force = outputs[PRESSED, n] * inputs.command + outputs[PRESSED, n + 1] * inputs.push
@@ -135,7 +135,7 @@ def _moved(
     state: FloatArray,
     surface_state: FloatArray,
     wall: Wall,
-    held: Held,
+    held: HeldInputs,
     touching: bool,
     duration: float,
 ) -> tuple[FloatArray, FloatArray]:
@@ -155,7 +155,7 @@ def _switch_moment(
     surface_state: FloatArray,
     wall: Wall,
     outputs: FloatArray,
-    held: Held,
+    held: HeldInputs,
     touching: bool,
     duration: float,
 ) -> float:
@@ -191,7 +191,7 @@ def switch_within(
     impulse, best, moment, switches = 0.0, 0.0, 0.0, 0
     for part in range(2):
         at, stop = (0.0, fraction) if part == 0 else (fraction, 1.0)
-        held = Held(inputs.older if part == 0 else inputs.newer, inputs.push)
+        held = HeldInputs(inputs.older if part == 0 else inputs.newer, inputs.push)
         while at < stop:
             torn = touching and wall.mass > 0.0 and contact_force(state, outputs, held) < 0.0
             if torn and switches < _SWITCHES_PER_SAMPLE:
@@ -230,16 +230,16 @@ def largest_in_sample(
     """Return the largest F_e with its moment over a sample without switch."""
     n = len(state)
     if fraction == 0.0:
-        return largest_force(flow, outputs, Held(inputs.newer, inputs.push), state, 1.0)
-    best, moment = largest_force(flow, outputs, Held(inputs.older, inputs.push), state, fraction)
+        return largest_force(flow, outputs, HeldInputs(inputs.newer, inputs.push), state, 1.0)
+    best, moment = largest_force(flow, outputs, HeldInputs(inputs.older, inputs.push), state, fraction)
     drive = flow[:, n] * inputs.older + flow[:, n + 1] * inputs.push
     middle = advance(flow[:, :n].copy(), drive, state, fraction)
-    value, where = largest_force(flow, outputs, Held(inputs.newer, inputs.push), middle, 1.0 - fraction)
+    value, where = largest_force(flow, outputs, HeldInputs(inputs.newer, inputs.push), middle, 1.0 - fraction)
     return (value, fraction + where) if value > best else (best, moment)
 
 
 @compiled
-def contact_force_rate(flow: FloatArray, outputs: FloatArray, inputs: Held, state: FloatArray) -> float:
+def contact_force_rate(flow: FloatArray, outputs: FloatArray, inputs: HeldInputs, state: FloatArray) -> float:
     """Return dF_e/dτ of a payload that stays on the environment."""
     n, total = len(state), 0.0
     for i in range(n):
@@ -254,7 +254,7 @@ def contact_force_rate(flow: FloatArray, outputs: FloatArray, inputs: Held, stat
 def largest_force(
     flow: FloatArray,
     outputs: FloatArray,
-    inputs: Held,
+    inputs: HeldInputs,
     state: FloatArray,
     duration: float,
 ) -> tuple[float, float]:

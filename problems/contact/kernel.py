@@ -38,11 +38,11 @@ from .kernel_types import (
     Contact,
     Delay,
     Forces,
-    Held,
+    HeldInputs,
     Inputs,
     Moment,
-    Span,
     Start,
+    TickRange,
     Traces,
 )
 
@@ -73,7 +73,7 @@ def run_contact(
     total, crest = len(traces.sensed), np.full((2, len(now.state) + 3), -1.0)
     done, look = 0, min(_FIRST_LOOK, total) if until_settled else total
     while True:
-        done = walk(plant, blocks, now, flags, forces, Span(done, look, total), traces, found, crest)
+        done = walk(plant, blocks, now, flags, forces, TickRange(done, look, total), traces, found, crest)
         touching, anchored = flags[TOUCHING] == 1, plant.wall.stiffness > 0.0
         if done == total or _settled(traces.sensed, done, forces, touching, anchored, found[SENSOR_PEAK]):
             break
@@ -107,7 +107,7 @@ def walk(
     now: Moment,
     flags: NDArray[np.int64],
     forces: Forces,
-    span: Span,
+    span: TickRange,
     traces: Traces,
     found: FloatArray,
     crest: FloatArray,
@@ -119,7 +119,7 @@ def walk(
     (done, aim, end), plain, rows = span, _is_plain(plant), plant.rows
     while done < aim:
         if plain:
-            step, part = plant.step[IN_CONTACT if flags[TOUCHING] == 1 else APART], Span(done, aim, end)
+            step, part = plant.step[IN_CONTACT if flags[TOUCHING] == 1 else APART], TickRange(done, aim, end)
             if len(now.state) == 3:
                 done, aim = step_three_states(
                     step, rows, plant.delay, plant.wall, blocks, now, flags, forces, part, traces, found, crest
@@ -169,7 +169,7 @@ def _step(
     if not touching:
         advance_surface(swung, wall, 1.0)
     # At the end of the sample the newer command is held.
-    after = Held(newer, forces.push)
+    after = HeldInputs(newer, forces.push)
     stays = is_in_contact(following, swung, wall, rows, after, touching)
     low, high = _between(inside, state, inputs)
     apart = substeps_apart(wall)
@@ -303,10 +303,10 @@ def _refine_peak(
             if at >= tick:
                 ignored, at = np.zeros(FOUND), 0
                 now, flags = first_moment(start, plant, ignored)
-            walk(plant, blocks, now, flags, forces, Span(at, tick - 1, tick - 1), traces, ignored, crest)
+            walk(plant, blocks, now, flags, forces, TickRange(at, tick - 1, tick - 1), traces, ignored, crest)
             # With nothing before them to be compared with, both ticks are kept.
             ignored[CONTACT_PEAK], at = -1.0, tick + 1
-            walk(plant, blocks, now, flags, forces, Span(tick - 1, at, at), traces, ignored, crest)
+            walk(plant, blocks, now, flags, forces, TickRange(tick - 1, at, at), traces, ignored, crest)
         _search_around(plant, tick, forces.push, crest, found)
 
 
@@ -321,11 +321,13 @@ def _search_around(plant: Contact, tick: int, push: float, crest: FloatArray, fo
     behind, before = crest[tick & 1], crest[1 - tick & 1]
     whole, state = fraction == 0.0, behind[:n]
     if before[n + 2] == tick - 1:
-        falls = contact_force_rate(flow, rows, Held(before[n], push), state) < 0.0
+        falls = contact_force_rate(flow, rows, HeldInputs(before[n], push), state) < 0.0
         if not whole or behind[n + 2] != tick or falls:
             inputs = Inputs(before[n + 1], before[n], push)
             _note(found, tick - 1, largest_in_sample(flow, rows, inputs, before[:n], fraction))
-    if behind[n + 2] == tick and not (whole and contact_force_rate(flow, rows, Held(behind[n], push), state) <= 0.0):
+    if behind[n + 2] == tick and not (
+        whole and contact_force_rate(flow, rows, HeldInputs(behind[n], push), state) <= 0.0
+    ):
         inputs = Inputs(behind[n + 1], behind[n], push)
         _note(found, tick, largest_in_sample(flow, rows, inputs, state, fraction))
 

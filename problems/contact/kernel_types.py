@@ -59,7 +59,7 @@ class Contact(NamedTuple):
     wall: Wall
 
 
-class Held(NamedTuple):
+class HeldInputs(NamedTuple):
     """What acts on the plant and stays: the command and the outside force on the payload."""
 
     command: float
@@ -105,7 +105,7 @@ class Traces(NamedTuple):
     pressed: FloatArray
 
 
-class Span(NamedTuple):
+class TickRange(NamedTuple):
     """The first tick of a walk, the tick that it aims at, and the last one that the aim may be moved to."""
 
     first: int

@@ -210,10 +210,10 @@ def _surplus(law: NonlinearController, force: float, drag: float, by_hand: bool,
     return float(driving - damping_at(law, speed) * speed)
 
 
-# Rows of `Recording.traces`: F, F as the controller sees it, F_e, x, v, x_p, v_p, x^d, B_a.
+# Rows of `KernelOutputs.traces`: F, F as the controller sees it, F_e, x, v, x_p, v_p, x^d, B_a.
 FORCE, SEEN, CONTACT, FLANGE, FLANGE_SPEED, PAYLOAD, PAYLOAD_SPEED, COMMAND, DAMPING = 0, 1, 2, 3, 4, 5, 6, 7, 8
 TRACES = 9
-# Entries of `Recording.found` behind the peaks (see `kernel_types`): time of the impact, v_p h then, tick of the
+# Entries of `KernelOutputs.found` behind the peaks (see `kernel_types`): time of the impact, v_p h then, tick of the
 # collision (times in samples, not a number when it did not happen).
 IMPACT_TIME, IMPACT_SPEED, COLLISION_TICK, FOUND = 4, 5, 6, 7
 # Rows of `Motion.rows`.
@@ -243,7 +243,7 @@ class Motion(NamedTuple):
     steps: tuple[int, int]
 
 
-class Recording(NamedTuple):
+class KernelOutputs(NamedTuple):
     """Outputs: `traces` (TRACES, samples), `flags` (samples,) and `found` (FOUND,)."""
 
     traces: FloatArray
@@ -311,7 +311,7 @@ def run_nonlinear(
     pushes: BeforeAfter,
     noise: FloatArray,
     late: NDArray[np.bool_],
-    recording: Recording,
+    recording: KernelOutputs,
 ) -> None:
     """Step over all samples of the recording.
 

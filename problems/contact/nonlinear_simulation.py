@@ -34,10 +34,10 @@ from .nonlinear_kernel import (
     TRACES,
     WATCHING,
     BeforeAfter,
+    KernelOutputs,
     Memory,
     Motion,
     NonlinearController,
-    Recording,
     blocks_at,
     damping_at,
     resume,
@@ -141,7 +141,7 @@ def simulate_nonlinear(
     drive = _drive(pair, law, approach, effects)
     start = _steady(pair, law, drive, effects) if start_distance_m is None else _rest(pair.free, law, start_distance_m)
     count = math.ceil(positive("duration_s", duration_s) / h - _WHOLE)
-    recording = Recording(np.empty((TRACES, count)), np.empty(count, dtype=np.int64), np.zeros(FOUND))
+    recording = KernelOutputs(np.empty((TRACES, count)), np.empty(count, dtype=np.int64), np.zeros(FOUND))
     recording.found[IMPACT_TIME:] = math.nan
     if start_distance_m is None:
         recording.found[IMPACT_TIME], recording.found[IMPACT_SPEED] = 0.0, drive.speed_m_s * h
@@ -324,7 +324,7 @@ def _late(effects: Nonlinearities, noise: np.random.Generator | None, count: int
     return np.asarray(noise.random(count) < effects.late_share)
 
 
-def _run(recording: Recording, h: float, drive: _Drive, *, is_stable: bool) -> NonlinearRun:
+def _run(recording: KernelOutputs, h: float, drive: _Drive, *, is_stable: bool) -> NonlinearRun:
     traces, flags, found = recording.traces, recording.flags, recording.found
     traces[:CONTACT] *= -1.0
     time = np.asarray(np.arange(len(flags)) * h, dtype=np.float64)

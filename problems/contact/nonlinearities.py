@@ -1,6 +1,7 @@
 """What the linear loop leaves out: sensor, limits on the command, collision response, variable damping (MODEL.md)."""
 
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Literal
 
 from .._checks import non_negative, positive
@@ -9,20 +10,28 @@ from ..errors import ParameterError
 Response = Literal["none", "reset", "stop"]
 
 
+class DeadbandType(StrEnum):
+    """What happens to a force beyond the deadband: it passes whole, or less the deadband."""
+
+    THRESHOLD = "threshold"
+    SUBTRACTIVE = "subtractive"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Deadband:
     """A force of at most `width_n` counts as none.
 
-    "threshold" lets a larger force through as it is (the paper's); "subtractive" takes the width off it.
+    The paper's deadband is of the type `threshold`.
     """
 
     width_n: float
-    kind: Literal["threshold", "subtractive"] = "threshold"
+    kind: DeadbandType = DeadbandType.THRESHOLD
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "width_n", non_negative("deadband.width_n", self.width_n))
-        if self.kind not in {"threshold", "subtractive"}:
+        if self.kind not in set(DeadbandType):
             raise ParameterError("deadband.kind", self.kind, "threshold or subtractive")
+        object.__setattr__(self, "kind", DeadbandType(self.kind))
 
 
 @dataclass(frozen=True, kw_only=True)

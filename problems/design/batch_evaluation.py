@@ -84,7 +84,7 @@ class BatchResult:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Batch:
+class ScenarioBatch:
     """Contact scenarios with everything that does not depend on the controller already computed."""
 
     pairs: tuple[SampledContact, ...]
@@ -132,11 +132,11 @@ class Batch:
         )
 
 
-def build_batch(pairs: Sequence[SampledContact]) -> Batch:
+def build_batch(pairs: Sequence[SampledContact]) -> ScenarioBatch:
     """Prepare scenarios of one robot order and one sample time."""
     check_alike([pair.contact for pair in pairs])
     plants = [prepare_margins(pair.contact) for pair in pairs]
-    return Batch(
+    return ScenarioBatch(
         pairs=tuple(pairs),
         in_contact=stack_loops([pair.contact for pair in pairs]),
         in_free_space=stack_loops([pair.free for pair in pairs]),

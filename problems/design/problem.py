@@ -17,7 +17,7 @@ from ..model.controller import (
     AdmittanceController,
     check_feedback_damping,
 )
-from ..model.plant import NO_FILTER, Coupling, Environment, Payload, Plant, WrenchFilter
+from ..model.plant import NO_FILTER, Coupling, Environment, PayloadDynamics, Plant, WrenchFilter
 from ..model.robot import RobotModel, bandwidth_hz, damping_ratio, has_damping_ratio
 from .requirements import AdmittanceTarget, NoiseLimit, PassivityTarget, Requirements
 from .uncertainty import ALWAYS_UNCERTAIN, FURTHER_UNCERTAIN, SYMBOLS, Ellipsoid, Scenario, Uncertainty, check_robot
@@ -162,7 +162,7 @@ class DesignProblem:
         return Plant(
             robot=self.robot,
             coupling=self.coupling,
-            payload=Payload(mass_kg=self.payload_mass_kg[0], drag_n_s_per_m=self.drag_n_s_per_m),
+            payload=PayloadDynamics(mass_kg=self.payload_mass_kg[0], drag_n_s_per_m=self.drag_n_s_per_m),
             environment=Environment(
                 stiffness_n_per_m=self.environment_stiffness_n_per_m[0],
                 damping_n_s_per_m=self.environment_damping_n_s_per_m,

@@ -17,7 +17,7 @@ from scipy.stats import qmc
 from .._checks import interval, positive
 from ..errors import ParameterError
 from ..frozen import FrozenDict
-from ..model.plant import Coupling, Environment, Payload, Plant, WrenchFilter
+from ..model.plant import Coupling, Environment, PayloadDynamics, Plant, WrenchFilter
 from ..model.robot import RobotModel, has_damping_ratio, vary_robot
 
 FloatArray = NDArray[np.float64]
@@ -99,7 +99,7 @@ class Scenario:
                 stiffness_n_per_m=value_of("coupling_stiffness_n_per_m", nominal.coupling.stiffness_n_per_m),
                 damping_n_s_per_m=value_of("coupling_damping_n_s_per_m", nominal.coupling.damping_n_s_per_m),
             ),
-            payload=Payload(
+            payload=PayloadDynamics(
                 mass_kg=self.payload_mass_kg,
                 drag_n_s_per_m=value_of("drag_n_s_per_m", nominal.payload.drag_n_s_per_m),
             ),

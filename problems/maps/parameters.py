@@ -9,7 +9,7 @@ from typing import Any, Literal
 from ..errors import ParameterError
 from ..frozen import FrozenDict
 from ..model.controller import SMALLEST_FEEDBACK_DAMPING_S, AdmittanceController
-from ..model.plant import Coupling, Environment, Payload, Plant
+from ..model.plant import Coupling, Environment, PayloadDynamics, Plant
 from ..model.robot import RobotModel
 
 Part = Literal["controller", "plant"]
@@ -183,7 +183,7 @@ def plant_at(plant: Plant, values: Mapping[str, float]) -> Plant:
             stiffness_n_per_m=stiffness,
             damping_n_s_per_m=values.get("coupling_damping", coupling.damping_n_s_per_m),
         ),
-        payload=Payload(mass_kg=mass, drag_n_s_per_m=drag),
+        payload=PayloadDynamics(mass_kg=mass, drag_n_s_per_m=drag),
         environment=Environment(
             stiffness_n_per_m=values.get("environment_stiffness", environment.stiffness_n_per_m),
             damping_n_s_per_m=values.get("environment_damping", environment.damping_n_s_per_m),

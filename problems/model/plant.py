@@ -19,7 +19,7 @@ ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Payload:
+class PayloadDynamics:
     """P = 1/(M_p s + B_p): `mass_kg` M_p, and `drag_n_s_per_m` B_p, damping to ground."""
 
     mass_kg: float
@@ -116,7 +116,7 @@ class Plant:
 
     robot: RobotModel
     coupling: Coupling
-    payload: Payload
+    payload: PayloadDynamics
     environment: Environment = FREE_SPACE
     wrench_filter: WrenchFilter = field(default=NO_FILTER)
 

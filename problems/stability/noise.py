@@ -18,7 +18,7 @@ _NOTHING = 1e-30
 
 
 @dataclass(frozen=True, kw_only=True)
-class CommandNoise:
+class CommandNoiseRms:
     """RMS of what white noise on the force signal does to the command, from tick to tick.
 
     `speed_rms_m_s` is that of (x^d_k − x^d_{k−1})/h, `acceleration_rms_m_s2` of its difference over h.
@@ -30,7 +30,7 @@ class CommandNoise:
     acceleration_rms_m_s2: float
 
 
-def predict_command_noise(sampled: SampledPlant, controller: Controller, force_noise_rms_n: float) -> CommandNoise:
+def predict_command_noise(sampled: SampledPlant, controller: Controller, force_noise_rms_n: float) -> CommandNoiseRms:
     """Predict the command's noise from the sampled loop's stationary covariance (no deadband).
 
     The noise enters the controller as F^d does. Without an environment that holds a position, the loop is looked at
@@ -47,7 +47,7 @@ def predict_command_noise(sampled: SampledPlant, controller: Controller, force_n
         _variance(loop, *_difference(loop, order)) if order > 0 or loop.is_anchored else math.inf for order in range(3)
     ]
     position, speed, acceleration = (noise * math.sqrt(variance) if noise > 0.0 else 0.0 for variance in variances)
-    return CommandNoise(position_rms_m=position, speed_rms_m_s=speed / h, acceleration_rms_m_s2=acceleration / h**2)
+    return CommandNoiseRms(position_rms_m=position, speed_rms_m_s=speed / h, acceleration_rms_m_s2=acceleration / h**2)
 
 
 def command_speed_gain(sampled: SampledPlant, controller: Controller) -> float:

@@ -10,7 +10,7 @@ from autotune.pipeline import identify_log
 from autotune.results import Identification, Topics
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import made_later, simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from autotune.simulation.write import write_mcap
 from identification.errors import EstimateError
 from identification.given import Given
@@ -19,7 +19,7 @@ from tests.identification.merging.test_axis import check_one_record
 
 
 def written(path: Path, program: Program, seed: int) -> Path:
-    write_mcap(made_later(simulate_cell(Cell(), program, seed=seed).recording, seed), path)
+    write_mcap(made_later(simulate_cell(SimulatedCell(), program, seed=seed).recording, seed), path)
     return path
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from identification.errors import EstimateError, LogError
 from identification.identify import identify_cell
 from identification.result import Estimate, Finding, Identified, Status, VectorEstimate
@@ -18,7 +18,7 @@ from problems.arrays import BoolArray
 
 
 def simulated(program: Program) -> Recording:
-    return simulate_cell(Cell(), program, seed=5).recording
+    return simulate_cell(SimulatedCell(), program, seed=5).recording
 
 
 def finding(found: Identified, code: str) -> Finding:
@@ -92,7 +92,7 @@ def test_a_log_without_contact_says_so_and_has_no_environment() -> None:
     assert found.axes["x"].environments == ()
     # The rest of the log is as good as ever.
     assert found.axes["x"].coupling.stiffness_n_per_m.value == pytest.approx(
-        Cell().coupling.stiffness_n_per_m, rel=0.05
+        SimulatedCell().coupling.stiffness_n_per_m, rel=0.05
     )
 
 
@@ -228,7 +228,7 @@ def test_the_same_recording_gives_the_same_numbers(demo_recording: Recording, co
 
 
 def test_an_axis_of_rotation_is_told_in_its_own_units_beside_the_tensor() -> None:
-    cell = Cell.turning("ry")
+    cell = SimulatedCell.turning("ry")
     found = identify_cell(simulate_cell(cell, Program.turning(jogging_s=0.0, contact_count=2), seed=3).recording)
     check_honesty(found)
     assert [f for f in found.findings if f.severity == "error"] == []

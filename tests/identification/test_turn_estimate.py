@@ -9,7 +9,7 @@ from scipy.signal import StateSpace, lsim
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from identification.axes.straight import commanded_motion, find_axes, free_motions, unguided_spans
 from identification.axes.turning import LEVER_M, AxisTurn, find_turns, rests_after, unroll
 from identification.joint_fit.data import build_joint_data
@@ -156,7 +156,7 @@ def test_the_weight_of_the_payload_costs_as_much_as_is_added_for_it() -> None:
 
 
 # One tick is 4 ms, and the delay no whole number of them; so slow a loop needs more damping to press without bouncing.
-TURNING = Cell.turning(
+TURNING = SimulatedCell.turning(
     "ry",
     sample_time_s=4e-3,
     controller=AdmittanceController(mass_kg=0.35, damping_n_s_per_m=110.0),

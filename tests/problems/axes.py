@@ -7,7 +7,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from problems.model.controller import AdmittanceController, Compensation, Discretization
-from problems.model.plant import Coupling, Environment, Payload, Plant
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
 
 PERIOD_S = 8e-4
@@ -36,7 +36,7 @@ def paper_plant(
     return Plant(
         robot=robot if robot is not None else one_pole(),
         coupling=Coupling(stiffness_n_per_m=coupling, damping_n_s_per_m=coupling_damping),
-        payload=Payload(mass_kg=mass, drag_n_s_per_m=drag),
+        payload=PayloadDynamics(mass_kg=mass, drag_n_s_per_m=drag),
         environment=Environment(
             stiffness_n_per_m=stiffness, damping_n_s_per_m=environment_damping, mass_kg=environment_mass
         ),

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from problems.contact.nonlinear_simulation import NonlinearRun, simulate_nonlinear
-from problems.contact.nonlinearities import Deadband, Nonlinearities
+from problems.contact.nonlinearities import Deadband, DeadbandType, Nonlinearities
 from problems.contact.transient import Approach, ContactTransient, build_sampled_contact, simulate_contact
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
@@ -18,7 +18,7 @@ COMPENSATING = replace(FIRM, feedback_damping_s=5e-3, compensation_mass_kg=8.0)
 # The robot with the 6.3 kg payload; its drag is not printed, and below 243 N·s/m it stays under the threshold.
 LIGHT_DRAG = 150.0
 PRINTED = admittance(damping=800.0, lead=0.013, feedback=7.5e-3)
-THRESHOLD, SUBTRACTIVE = Deadband(width_n=5.0), Deadband(width_n=5.0, kind="subtractive")
+THRESHOLD, SUBTRACTIVE = Deadband(width_n=5.0), Deadband(width_n=5.0, kind=DeadbandType.SUBTRACTIVE)
 
 
 def light_plant(stiffness: float) -> Plant:

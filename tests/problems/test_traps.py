@@ -14,7 +14,7 @@ from problems.contact.transient import Approach, build_sampled_contact, simulate
 from problems.design.batch_evaluation import are_stable, build_batch
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Coupling, Environment, Payload
+from problems.model.plant import Coupling, Environment, PayloadDynamics
 from problems.model.response import loop_response
 from problems.model.robot import RobotModel
 from problems.model.sampled import SampledPlant, build_loop, spectral_radius, stability_matrix
@@ -86,8 +86,8 @@ def test_a_grid_errs_on_the_unsafe_side_and_the_refined_margin_does_not() -> Non
 @pytest.mark.parametrize(
     "build",
     [
-        pytest.param(lambda v: Payload(mass_kg=v, drag_n_s_per_m=1.0), id="M_p"),
-        pytest.param(lambda v: Payload(mass_kg=1.0, drag_n_s_per_m=v), id="B_p"),
+        pytest.param(lambda v: PayloadDynamics(mass_kg=v, drag_n_s_per_m=1.0), id="M_p"),
+        pytest.param(lambda v: PayloadDynamics(mass_kg=1.0, drag_n_s_per_m=v), id="B_p"),
         pytest.param(lambda v: Coupling(stiffness_n_per_m=v, damping_n_s_per_m=0.0), id="K_s"),
         pytest.param(lambda v: Coupling(stiffness_n_per_m=1.0, damping_n_s_per_m=v), id="B_s"),
         pytest.param(lambda v: Environment(stiffness_n_per_m=v), id="K_e"),

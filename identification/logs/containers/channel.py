@@ -36,6 +36,14 @@ class Channel:
     schema: bytes
 
 
+class Damage(Exception):  # noqa: N818 - it is what is found, and becomes a LogError or a finding
+    """Something at a byte of the file is not as the format says: `offset` is where."""
+
+    def __init__(self, offset: int, reason: str) -> None:
+        super().__init__(reason)
+        self.offset, self.reason = offset, reason
+
+
 @dataclass(frozen=True, kw_only=True)
 class Held:
     """What a log holds of a channel: the number of messages and the first of them, empty where there is none."""

@@ -12,11 +12,11 @@ import numpy as np
 import zstandard
 from zlib_ng import zlib_ng
 
-from .channel import CHUNK_LIMIT_BYTES, ByteArray
+from .channel import CHUNK_LIMIT_BYTES, ByteArray, Damage
 from .file_bytes import FileBytes
 from .mcap_kernel import RecordCounter, RecordCounts
 from .mcap_layout import Layout
-from .mcap_records import FRAME, FRAME_BYTES, KNOWN, Chunk, Damage, Definition, Definitions, Kind
+from .mcap_records import FRAME, FRAME_BYTES, KNOWN, Chunk, Definition, Definitions, Kind
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -50,7 +50,7 @@ class _Space(threading.local):
         self.zstd = zstandard.ZstdDecompressor()
 
 
-class Opener:
+class ChunkReader:
     """Open chunks of one file, in any thread."""
 
     def __init__(self, file: FileBytes, definitions: Definitions) -> None:
@@ -181,7 +181,7 @@ def total_counts(chunks: Iterable[Chunk]) -> Counter[int]:
     return +total
 
 
-def complete(layout: Layout, file: FileBytes, opener: Opener) -> Layout:
+def complete(layout: Layout, file: FileBytes, opener: ChunkReader) -> Layout:
     """Return the layout with the counts of all chunks known and all their channels defined.
 
     Raises Damage where the summary, the indexes and the messages contradict each other.
@@ -233,7 +233,7 @@ def _has_times(chunk: Chunk, layout: Layout) -> bool:
     return not chunk.is_chunk or not chunk.counts or (chunk.has_span and bool(layout.chunk_indexes))
 
 
-def _count(layout: Layout, opener: Opener) -> Layout:
+def _count(layout: Layout, opener: ChunkReader) -> Layout:
     chunks: list[Chunk] = []
     has_unknown_kinds = layout.has_unknown_kinds
     for opened in map_in_order(lambda chunk: without_data(opener.open(chunk)), layout.chunks):

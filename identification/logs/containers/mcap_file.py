@@ -14,12 +14,12 @@ import numpy as np
 from ...errors import LogError
 from ...result import Finding
 from ...signals.recording import StampArray
-from .channel import Batch, Channel, Container, Held, Survey, T, salvaged
+from .channel import Batch, Channel, Container, Damage, Held, Survey, T, salvaged
 from .file_bytes import FileBytes
-from .mcap_chunks import Opened, Opener, complete, map_in_order, total_counts
+from .mcap_chunks import ChunkReader, Opened, complete, map_in_order, total_counts
 from .mcap_kernel import gather
 from .mcap_layout import Layout, Walker
-from .mcap_records import Chunk, Damage, Definition
+from .mcap_records import Chunk, Definition
 from .mcap_salvage import salvage_layout
 
 _IDS = 2**16
@@ -85,11 +85,11 @@ class McapContainer(Container):
             ) from damage
 
     @cached_property
-    def _known(self) -> tuple[Layout, Opener]:
+    def _known(self) -> tuple[Layout, ChunkReader]:
         if self._salvage:
             return salvage_layout(self._file)
         layout = Walker(self._file).walk()
-        opener = Opener(self._file, layout.definitions)
+        opener = ChunkReader(self._file, layout.definitions)
         return complete(layout, self._file, opener), opener
 
     @cached_property

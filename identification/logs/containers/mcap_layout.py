@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from mcap import records
 
-from .channel import CHUNK_LIMIT_BYTES, ByteArray
+from .channel import CHUNK_LIMIT_BYTES, ByteArray, Damage
 from .file_bytes import FileBytes
 from .mcap_kernel import MESSAGE_HEAD_BYTES, RecordCounter, RecordCounts, skim
 from .mcap_records import (
@@ -21,7 +21,6 @@ from .mcap_records import (
     KNOWN,
     MAGIC,
     Chunk,
-    Damage,
     Definitions,
     Kind,
     parse,

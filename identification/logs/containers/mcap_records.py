@@ -12,7 +12,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from rosbags.typesys.msg import normalize_msgtype
 
-from .channel import Channel
+from .channel import Channel, Damage
 
 MAGIC = b"\x89MCAP0\r\n"
 FRAME = struct.Struct("<BQ")
@@ -65,14 +65,6 @@ IN_SUMMARY = frozenset(
     }
 )
 KNOWN = frozenset(Kind)
-
-
-class Damage(Exception):  # noqa: N818 - it is what is found, and becomes a LogError or a finding
-    """Something at a byte of the file is not as the format says."""
-
-    def __init__(self, offset: int, reason: str) -> None:
-        super().__init__(reason)
-        self.offset, self.reason = offset, reason
 
 
 @dataclass(frozen=True, kw_only=True)

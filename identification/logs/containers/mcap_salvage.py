@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from .channel import CHUNK_LIMIT_BYTES, ByteArray
+from .channel import CHUNK_LIMIT_BYTES, ByteArray, Damage
 from .file_bytes import FileBytes
-from .mcap_chunks import Opened, Opener, counted, is_protected, map_in_order, total_counts, without_data
+from .mcap_chunks import ChunkReader, Opened, counted, is_protected, map_in_order, total_counts, without_data
 from .mcap_kernel import RecordCounter, find_chunk, find_messages
 from .mcap_layout import Layout, Walker, message_chunk
 from .mcap_records import (
@@ -23,7 +23,6 @@ from .mcap_records import (
     KNOWN,
     MAGIC,
     Chunk,
-    Damage,
     Kind,
     parse_chunk,
 )
@@ -37,7 +36,7 @@ _START_BYTES = FRAME_BYTES + 2
 _LONGEST = 2**32
 
 
-def next_chunk(file: FileBytes, opener: Opener, begin: int, stop: int) -> int | None:
+def next_chunk(file: FileBytes, opener: ChunkReader, begin: int, stop: int) -> int | None:
     """Return where the first chunk record starts at or after `begin` that unpacks and agrees with its CRC, if any."""
     while True:
         found = _search(file, find_chunk, begin, stop)
@@ -46,7 +45,7 @@ def next_chunk(file: FileBytes, opener: Opener, begin: int, stop: int) -> int | 
         begin = found + 1
 
 
-def _is_sound(file: FileBytes, opener: Opener, start: int) -> bool:
+def _is_sound(file: FileBytes, opener: ChunkReader, start: int) -> bool:
     try:
         opener.open(_chunk_at(file, start))
     except Damage:
@@ -112,7 +111,7 @@ def start_of_last(file: FileBytes, chunk: Chunk) -> tuple[int, ByteArray]:
     return chunk.start + last, data[:last]
 
 
-def salvage_layout(file: FileBytes) -> tuple[Layout, Opener]:
+def salvage_layout(file: FileBytes) -> tuple[Layout, ChunkReader]:
     """Return the layout of what is left, with the counts of its chunks, and what opens them."""
     walker = _Salvager(file)
     layout = walker.salvage()
@@ -135,7 +134,7 @@ class _Salvager(Walker):
         self._lost: list[tuple[int, str]] = []
         self._stop = file.size
         self._take_summary()
-        self.opener = Opener(file, self.definitions)
+        self.opener = ChunkReader(file, self.definitions)
 
     def salvage(self) -> Layout:
         """Return the layout of what can be found."""

@@ -19,8 +19,8 @@ from rosbags.rosbag1.reader import Header, RecordType, read_uint32
 
 from ...errors import LogError
 from ...result import Finding
-from .channel import Batch, Channel, Container, Held, Survey, salvaged
-from .ros1_chunk import ChunkRecord, Damage, Walk, check_index, unpack_chunk, walk_chunk
+from .channel import Batch, Channel, Container, Damage, Held, Survey, salvaged
+from .ros1_chunk import ChunkRecord, Walk, check_index, unpack_chunk, walk_chunk
 
 T = TypeVar("T")
 MAGIC = b"#ROSBAG V2.0\n"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from problems.compiled import compiled
 
 from ...signals.recording import StampArray
-from .channel import CHUNK_LIMIT_BYTES, ByteArray
+from .channel import CHUNK_LIMIT_BYTES, ByteArray, Damage
 
 _FEED_BYTES = 2**16
 _INDEX_ENTRY = np.dtype([("s", "<u4"), ("ns", "<u4"), ("offset", "<u4")])
@@ -25,14 +25,6 @@ _HEADER_LIMIT = 2**20
 _OP, _CONN, _TIME_S, _TIME_NS, _AT, _START, _SIZE, _NEXT = range(8)
 _COLUMNS = 8
 _MESSAGE = 2
-
-
-class Damage(Exception):  # noqa: N818 - a place in the file, which the container refuses or works around
-    """A place that cannot be read, and why."""
-
-    def __init__(self, offset: int, reason: str) -> None:
-        super().__init__(reason)
-        self.offset, self.reason = offset, reason
 
 
 @dataclass(frozen=True, kw_only=True)

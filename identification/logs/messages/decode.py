@@ -8,7 +8,7 @@ from ...signals.recording import FloatArray, StampArray
 from ..containers.channel import Batch, Channel
 from .kernel import MAX_DEPTH, run_program
 from .kernel_bytes import ENCAPSULATION, FINE, FRAMES_FULL, LEFT_OVER, NANOSECONDS, TERMINATOR, TOO_FEW, TOO_SHORT
-from .layout import Program
+from .layout import DecoderProgram
 
 _REASONS = {
     TOO_SHORT: "a field at byte {at} does not fit into its {size} bytes",
@@ -41,7 +41,7 @@ class Part:
 class CompiledDecoder:
     """Decode batches of one channel; may be called in several threads."""
 
-    def __init__(self, channel: Channel, program: Program, width: int) -> None:
+    def __init__(self, channel: Channel, program: DecoderProgram, width: int) -> None:
         self._program, self._width = program, width
         self._is_cdr = channel.encoding == "cdr"
 

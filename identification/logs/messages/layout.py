@@ -52,7 +52,7 @@ def parse_path(path: str) -> tuple[Token, ...]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Program:
+class DecoderProgram:
     """Steps (s, 5) and picks (p, 2) as the kernel takes them."""
 
     steps: StampArray
@@ -216,7 +216,7 @@ class _Compiler:
         self._step(RUN, SIZES[kind], 1, kind, column)
 
 
-def build_program(channel: Channel, wanted: Wanted) -> Program | None:
+def build_program(channel: Channel, wanted: Wanted) -> DecoderProgram | None:
     """Compile what is wanted of a ROS type, None where the kernel cannot do it; raise LogError where nothing could."""
     if channel.encoding not in ROS_ENCODINGS:
         return None
@@ -237,7 +237,7 @@ def build_program(channel: Channel, wanted: Wanted) -> Program | None:
         compiler.add_struct(channel.type_name, root, 0)
     except _NotKnownError:
         return None
-    return Program(
+    return DecoderProgram(
         steps=np.array(compiler.steps, dtype=np.int64).reshape(-1, 5),
         picks=np.array(compiler.picks, dtype=np.int64).reshape(-1, 2),
         has_header=bool(wanted.header),

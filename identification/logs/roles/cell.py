@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TypeVar
 
+from problems.contact.nonlinearities import DeadbandType
 from problems.errors import ParameterError
 
 from ..tables.layout import TableLayout
@@ -74,13 +75,6 @@ class ExertedBy(StrEnum):
 
     PAYLOAD = "payload"
     SENSOR = "sensor"
-
-
-class DeadbandType(StrEnum):
-    """Whether a deadband takes its width off what exceeds it, or leaves that as it is."""
-
-    SUBTRACTIVE = "subtractive"
-    THRESHOLD = "threshold"
 
 
 @dataclass(frozen=True, kw_only=True)

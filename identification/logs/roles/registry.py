@@ -38,7 +38,7 @@ class Role(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Layout:
+class FieldPaths:
     """Paths of a role's numbers, in the order that the role has them, and of the header, empty without one."""
 
     fields: tuple[str, ...]
@@ -50,17 +50,19 @@ def _vectors(prefix: str, parts: tuple[str, str]) -> tuple[str, ...]:
 
 
 _WRENCHES = {
-    WRENCH_STAMPED: Layout(fields=_vectors("wrench.", ("force", "torque")), header="header"),
-    WRENCH: Layout(fields=_vectors("", ("force", "torque")), header=""),
+    WRENCH_STAMPED: FieldPaths(fields=_vectors("wrench.", ("force", "torque")), header="header"),
+    WRENCH: FieldPaths(fields=_vectors("", ("force", "torque")), header=""),
 }
 _POSES = {
-    POSE_STAMPED: Layout(fields=_POSE_FIELDS, header="header"),
-    TRANSFORM_STAMPED: Layout(fields=TRANSFORM_FIELDS, header="header"),
-    TF_MESSAGE: Layout(fields=TRANSFORM_FIELDS, header="header"),
-    OLD_TF_MESSAGE: Layout(fields=TRANSFORM_FIELDS, header="header"),
+    POSE_STAMPED: FieldPaths(fields=_POSE_FIELDS, header="header"),
+    TRANSFORM_STAMPED: FieldPaths(fields=TRANSFORM_FIELDS, header="header"),
+    TF_MESSAGE: FieldPaths(fields=TRANSFORM_FIELDS, header="header"),
+    OLD_TF_MESSAGE: FieldPaths(fields=TRANSFORM_FIELDS, header="header"),
 }
-_STATE_WRENCH = Layout(fields=_vectors("wrench_base.wrench.", ("force", "torque")), header="")
-_STATE_GAINS = Layout(fields=tuple(f"{name}.data[{i}]" for name in ("mass", "damping") for i in range(6)), header="")
+_STATE_WRENCH = FieldPaths(fields=_vectors("wrench_base.wrench.", ("force", "torque")), header="")
+_STATE_GAINS = FieldPaths(
+    fields=tuple(f"{name}.data[{i}]" for name in ("mass", "damping") for i in range(6)), header=""
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +78,7 @@ class RoleKind:
 
     entry: str
     label: str
-    layouts: Mapping[str, Layout]
+    layouts: Mapping[str, FieldPaths]
     tiers: tuple[tuple[str, ...], ...]
     is_command: bool = False
     option: str = ""
@@ -122,7 +124,7 @@ ROLES: dict[Role, RoleKind] = {
     Role.TWIST: RoleKind(
         entry="twist",
         label="twist",
-        layouts={TWIST_STAMPED: Layout(fields=_vectors("twist.", ("linear", "angular")), header="header")},
+        layouts={TWIST_STAMPED: FieldPaths(fields=_vectors("twist.", ("linear", "angular")), header="header")},
         tiers=((TWIST_STAMPED,),),
     ),
     Role.GAINS: RoleKind(

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from autotune.certificate.family import UncertainPlant
-from problems.model.plant import NO_FILTER, Coupling, Environment, Payload, Plant, WrenchFilter
+from problems.model.plant import NO_FILTER, Coupling, Environment, PayloadDynamics, Plant, WrenchFilter
 from problems.model.robot import RobotModel
 from problems.model.sampled import Controller, build_loop, build_sampled_plant, spectral_radius
 from tests.problems.axes import ANY_DELAYS, PERIOD_S, between, one_pole, or_zero, robots
@@ -28,7 +28,7 @@ def uncertain(
     nominal = Plant(
         robot=robot if robot is not None else one_pole(),
         coupling=Coupling(stiffness_n_per_m=coupling, damping_n_s_per_m=coupling_damping),
-        payload=Payload(mass_kg=mass[0], drag_n_s_per_m=drag),
+        payload=PayloadDynamics(mass_kg=mass[0], drag_n_s_per_m=drag),
         environment=Environment(stiffness_n_per_m=stiffness[0], damping_n_s_per_m=environment_damping),
         wrench_filter=wrench_filter,
     )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from autotune.certificate.base_plant import is_stable
-from autotune.certificate.certify import CELL_WORK, Certificate, Verdict, certify
+from autotune.certificate.certify import CELL_WORK, ProofOutcome, Verdict, certify
 from autotune.certificate.family import MASS, STIFFNESS, Family, UncertainPlant, build_families
 from autotune.validation.margins import sweep_margins
 from problems.errors import ParameterError
@@ -32,7 +32,7 @@ def uncertain(of: Family) -> UncertainPlant:
     )
 
 
-def check_refuted(found: Certificate, of: Family, law: AdmittanceController) -> None:
+def check_refuted(found: ProofOutcome, of: Family, law: AdmittanceController) -> None:
     """Look at the plant and the frequency by determinants and eigenvalues."""
     assert found.verdict is Verdict.REFUTED
     assert found.plant is not None

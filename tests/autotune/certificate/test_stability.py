@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autotune.certificate import certify as certify_module
-from autotune.certificate.certify import CELL_WORK, Certificate, Verdict, certify
+from autotune.certificate.certify import CELL_WORK, ProofOutcome, Verdict, certify
 from autotune.certificate.claim import Claim, CombinedCertificate, prove
 from autotune.certificate.family import MASS, STIFFNESS, UncertainPlant, build_families
 from problems.errors import ParameterError
@@ -237,7 +237,7 @@ def test_a_proof_that_runs_out_names_a_plant_of_the_set_and_refutes_nothing() ->
     plants = uncertain(mass=(10.0, 20.0), stiffness=(2e4, 5e5))
     found = proved(plants, CALM, work=3 * CELL_WORK)
     assert (found.holds, found.false) == (False, None)
-    assert isinstance(found.failed, Certificate)
+    assert isinstance(found.failed, ProofOutcome)
     assert found.failed.verdict is Verdict.RAN_OUT
     assert 0.0 <= found.share < 1.0
     assert found.failed.plant is not None

@@ -8,7 +8,7 @@ import pytest
 from autotune.certificate import certify as certify_module
 from autotune.certificate.base_plant import fails_at
 from autotune.certificate.bounds import judge
-from autotune.certificate.certify import Certificate, Verdict, certify
+from autotune.certificate.certify import ProofOutcome, Verdict, certify
 from autotune.certificate.family import LAG, LATE, MASS, STIFFNESS, Family, UncertainPlant, build_families
 from autotune.validation.margins import SweptMargins, sweep_margins
 from problems.errors import ParameterError
@@ -89,7 +89,7 @@ def test_cells_and_arcs_hold_their_filtered_plants() -> None:
         assert np.any(judge(search.circle.at(arcs), cell, 0.1).holds)
 
 
-def check_refuted(found: Certificate, of: Family, law: AdmittanceController) -> None:
+def check_refuted(found: ProofOutcome, of: Family, law: AdmittanceController) -> None:
     """Look at the plant and the frequency by determinants and eigenvalues."""
     assert found.plant is not None
     assert found.frequency_rad_per_s is not None

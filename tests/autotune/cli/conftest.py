@@ -8,7 +8,7 @@ import pytest
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from autotune.simulation.write import write_mcap
 from identification.signals.recording import Recording
 
@@ -18,7 +18,7 @@ ONE_POSE = replace(SHORT, pose_count=1, contact_count=1)
 
 
 def recorded(program: Program) -> Recording:
-    return simulate_cell(Cell(), program, seed=2).recording
+    return simulate_cell(SimulatedCell(), program, seed=2).recording
 
 
 def _with_nan(recording: Recording) -> Recording:

@@ -9,7 +9,7 @@ import pytest
 
 from autotune.formats.identified import read_identified
 from autotune.formats.yaml12 import load_yaml
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -33,7 +33,7 @@ def first_run(tmp_path_factory: pytest.TempPathFactory, good_log: Path, reposito
 
 
 def test_the_file_holds_the_cell(first_run: tuple[Path, str, str]) -> None:
-    found, cell = read_identified(first_run[0] / "identified.yaml").result, Cell()
+    found, cell = read_identified(first_run[0] / "identified.yaml").result, SimulatedCell()
     axis = found.axes["x"]
     assert found.payload.mass_kg.value == pytest.approx(cell.payload_mass_kg, rel=0.05)
     assert axis.coupling.stiffness_n_per_m.value == pytest.approx(cell.coupling.stiffness_n_per_m, rel=0.05)

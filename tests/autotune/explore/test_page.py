@@ -9,27 +9,27 @@ from bokeh.document import Document
 from bokeh.document.events import ModelChangedEvent
 from bokeh.events import DocumentReady
 
-from autotune.explore.page import Page, build_page
+from autotune.explore.page import ExplorePage, build_page
 from autotune.explore.saving import Target, refused_line
 from tests.autotune.explore.start import small_exploration
 
 
 @pytest.fixture
-def page(tmp_path: Path) -> Page:
+def page(tmp_path: Path) -> ExplorePage:
     return build_page(small_exploration(), Target(tmp_path / "controller.yaml"), Document())
 
 
-def turn(page: Page, name: str, value: float) -> None:
+def turn(page: ExplorePage, name: str, value: float) -> None:
     page.sliders[name].value = page.ranges[name].position(value)
     page._answer()
 
 
-def data(page: Page, name: str) -> np.ndarray:
+def data(page: ExplorePage, name: str) -> np.ndarray:
     return np.array(page.figures.sources[name].data["y"], dtype=np.float64)
 
 
 @pytest.mark.parametrize(("name", "value"), [("damping", 1400.0), ("mass", 7.0), ("payload_mass_kg", 20.0)])
-def test_turning_changes_the_transient_and_the_loops(page: Page, name: str, value: float) -> None:
+def test_turning_changes_the_transient_and_the_loops(page: ExplorePage, name: str, value: float) -> None:
     before = {key: data(page, key) for key in ("contact", "force", "begun")}
     turn(page, name, value)
     assert not np.array_equal(data(page, "contact"), before["contact"])
@@ -37,7 +37,7 @@ def test_turning_changes_the_transient_and_the_loops(page: Page, name: str, valu
     assert np.array_equal(data(page, "begun"), before["begun"])
 
 
-def test_the_map_is_computed_again_only_where_it_is_another_one(page: Page) -> None:
+def test_the_map_is_computed_again_only_where_it_is_another_one(page: ExplorePage) -> None:
     def cells() -> np.ndarray:
         return np.asarray(np.nan_to_num(page.figures.sources["map"].data["peak"][0]))
 
@@ -50,13 +50,13 @@ def test_the_map_is_computed_again_only_where_it_is_another_one(page: Page) -> N
     assert not np.array_equal(cells(), first)
 
 
-def test_a_finer_map_follows_when_the_hand_rests(page: Page) -> None:
+def test_a_finer_map_follows_when_the_hand_rests(page: ExplorePage) -> None:
     rows, columns = page.figures.sources["map"].data["peak"][0].shape
     page._rest()
     assert page.figures.sources["map"].data["peak"][0].shape == (2 * rows, 2 * columns)
 
 
-def test_a_page_that_is_shown_gets_one_message_for_all_that_a_turn_changes(page: Page) -> None:
+def test_a_page_that_is_shown_gets_one_message_for_all_that_a_turn_changes(page: ExplorePage) -> None:
     page.document.callbacks.trigger_event(DocumentReady())
     seen: list[ModelChangedEvent] = []
     page.document.on_change(lambda event: seen.append(event) if isinstance(event, ModelChangedEvent) else None)
@@ -69,7 +69,7 @@ def test_a_page_that_is_shown_gets_one_message_for_all_that_a_turn_changes(page:
     assert np.array_equal(data(page, "contact"), before)
 
 
-def test_an_unstable_design_shows_no_peak_and_says_so(page: Page) -> None:
+def test_an_unstable_design_shows_no_peak_and_says_so(page: ExplorePage) -> None:
     turn(page, "drag_n_s_per_m", 0.0)
     turn(page, "coupling_damping_n_s_per_m", 0.0)
     turn(page, "damping", 900.0)
@@ -82,14 +82,14 @@ def test_an_unstable_design_shows_no_peak_and_says_so(page: Page) -> None:
     assert page.designs["x"].tolist() == small_exploration().axes["x"].design.tolist()
 
 
-def test_what_is_turned_between_two_pictures_is_computed_once(page: Page) -> None:
+def test_what_is_turned_between_two_pictures_is_computed_once(page: ExplorePage) -> None:
     before = len(page.document.session_callbacks)
     for value in (1310.0, 1320.0, 1330.0):
         page.sliders["damping"].value = page.ranges["damping"].position(value)
     assert len(page.document.session_callbacks) == before + 1
 
 
-def test_the_cell_of_the_star_says_what_the_page_says(page: Page) -> None:
+def test_the_cell_of_the_star_says_what_the_page_says(page: ExplorePage) -> None:
     start = small_exploration().axes["x"].design
     seen = set()
     for damping, lead in ((1250.0, 0.018), (1180.0, 0.0185), (1400.0, 0.018), (1300.0, 0.013), (1100.0, 0.012)):
@@ -112,14 +112,14 @@ def test_the_cell_of_the_star_says_what_the_page_says(page: Page) -> None:
     assert seen == {True, False}
 
 
-def test_a_map_without_a_feasible_design_has_no_scale(page: Page) -> None:
+def test_a_map_without_a_feasible_design_has_no_scale(page: ExplorePage) -> None:
     assert page.figures.bar.visible
     turn(page, "delay_s", page.ranges["delay_s"].high)
     assert not np.isfinite(page.figures.sources["map"].data["peak"][0]).any()
     assert not page.figures.bar.visible
 
 
-def test_words_about_an_earlier_design_say_so(page: Page) -> None:
+def test_words_about_an_earlier_design_say_so(page: ExplorePage) -> None:
     page.saver.show("<p>Validated.</p>", {name: np.array(design) for name, design in page.designs.items()})
     page.update()
     assert page.saver.status.text == "<p>Validated.</p>"
@@ -135,7 +135,7 @@ def test_words_about_an_earlier_design_say_so(page: Page) -> None:
     assert page.saver.status.text == "<p>Validated.</p>"
 
 
-def test_each_axis_keeps_its_own_design(page: Page) -> None:
+def test_each_axis_keeps_its_own_design(page: ExplorePage) -> None:
     turn(page, "damping", 1400.0)
     page.choice.value = "y"
     assert page.ranges["damping"].value(page.sliders["damping"].value) == 1250.0
@@ -144,7 +144,7 @@ def test_each_axis_keeps_its_own_design(page: Page) -> None:
     assert page.designs["x"].tolist() == [6.0, 1400.0, 0.018, 0.005]
 
 
-def test_two_visitors_share_nothing(page: Page, tmp_path: Path) -> None:
+def test_two_visitors_share_nothing(page: ExplorePage, tmp_path: Path) -> None:
     other = build_page(small_exploration(), Target(tmp_path / "controller.yaml"), Document())
     turn(page, "damping", 1400.0)
     assert other.designs["x"][1] == 1250.0

@@ -16,14 +16,14 @@ from autotune.formats.controller import ControllerFile, read_controller, write_c
 from autotune.formats.controller_record import (
     AxisGains,
     AxisPrediction,
-    Collision,
+    CollisionSettings,
     Controller,
-    DeadbandType,
     FreeSpaceAdmittance,
     ScenarioPrediction,
 )
 from autotune.formats.limits import CollisionResponse
 from autotune.validation.law import AxisTask
+from problems.contact.nonlinearities import DeadbandType
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.design.requirements import AdmittanceTarget
 from problems.design.uncertainty import Scenario
@@ -73,7 +73,7 @@ def peer_controller(
         whole,
         axes=axes,
         predicted={name: predicted(gains, domain) for name, gains in axes.items()},
-        collision=Collision(response=CollisionResponse.NONE, threshold_n=None),
+        collision=CollisionSettings(response=CollisionResponse.NONE, threshold_n=None),
         certificate=replace(
             whole.certificate,
             domain=dict.fromkeys(axes, domain),

@@ -8,10 +8,9 @@ from autotune.formats.certificate_record import AxisDomain, AxisMargins, Certifi
 from autotune.formats.controller_record import (
     AxisGains,
     AxisPrediction,
-    Collision,
+    CollisionSettings,
     Controller,
     ControllerStatus,
-    DeadbandType,
     Filters,
     FreeSpaceAdmittance,
     RuntimePayload,
@@ -38,6 +37,7 @@ from identification.result import (
     VectorEstimate,
     WrenchFilterEstimate,
 )
+from problems.contact.nonlinearities import DeadbandType
 from problems.design.requirements import AdmittanceTarget
 
 GAINS = AxisGains(
@@ -102,7 +102,7 @@ def make_controller(axes: tuple[str, ...] = ("x", "rz")) -> Controller:
         axes=dict.fromkeys(axes, GAINS),
         filters=Filters(velocity_rad_per_s=120.0, acceleration_rad_per_s=200.0),
         compensation_mass_kg=0.0,
-        collision=Collision(response=CollisionResponse.RESET, threshold_n=150.0),
+        collision=CollisionSettings(response=CollisionResponse.RESET, threshold_n=150.0),
         payload=RuntimePayload(
             mass_kg=16.0,
             com_m=(0.01, -0.02, 0.1),

@@ -7,7 +7,8 @@ import pytest
 
 from autotune.errors import UsageError
 from autotune.formats.cell import check_cell_text, read_cell
-from identification.logs.roles.cell import Cell, Clock, DeadbandType, ExertedBy, Frame, PoseSource
+from identification.logs.roles.cell import Cell, Clock, ExertedBy, Frame, PoseSource
+from problems.contact.nonlinearities import DeadbandType
 
 HEAD = "format: autotune/cell\nversion: 1\n"
 

@@ -10,7 +10,7 @@ from autotune.errors import CertificateError, UsageError
 from autotune.formats.canonical import checksum, dump_json, short
 from autotune.formats.certificate_record import AxisMargins
 from autotune.formats.controller import controller_tree, parse_controller, read_controller, write_controller
-from autotune.formats.controller_record import Collision, Controller, ControllerStatus
+from autotune.formats.controller_record import CollisionSettings, Controller, ControllerStatus
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.yaml12 import dump_yaml, load_yaml
 from problems.errors import ParameterError
@@ -199,7 +199,7 @@ def test_gains_are_checked_where_they_are_made(name: str, value: float) -> None:
 
 def test_a_collision_response_needs_a_threshold() -> None:
     with pytest.raises(ParameterError, match="threshold_n"):
-        Collision(response=CollisionResponse.STOP, threshold_n=None)
+        CollisionSettings(response=CollisionResponse.STOP, threshold_n=None)
 
 
 def test_a_number_that_is_not_finite_is_not_written(tmp_path: Path) -> None:

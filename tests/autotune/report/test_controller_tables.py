@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from autotune.formats.controller_record import Collision
+from autotune.formats.controller_record import CollisionSettings
 from autotune.formats.limits import CollisionResponse
 from autotune.report.axis_design import axis_designs
 from autotune.report.controller_tables import gains_table, response_table
@@ -29,5 +29,5 @@ def test_without_a_response_nothing_is_told_of_one() -> None:
     plain = make_controller(("x",))
     (design,) = axis_designs(plain)
     assert response_table(design) is None
-    none = replace(plain, collision=Collision(response=CollisionResponse.NONE, threshold_n=None))
+    none = replace(plain, collision=CollisionSettings(response=CollisionResponse.NONE, threshold_n=None))
     assert "collision" not in gains_table(none).caption

@@ -10,10 +10,9 @@ from scipy.spatial.transform import Rotation
 from autotune.runtime import AXES, START, AxisLaw, AxisLimits, CollisionResponse, Limits, Payload, RuntimeController
 from autotune.simulation.axis import _advance
 from problems.contact.events import contact_force
-from problems.contact.kernel_types import Held, Inputs
+from problems.contact.kernel_types import HeldInputs, Inputs
 from problems.contact.transient import build_sampled_contact
-from problems.model.plant import Coupling, Environment, Plant
-from problems.model.plant import Payload as PlantPayload
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_sampled_plant
 
@@ -26,7 +25,7 @@ PAYLOAD = Payload(
 WALL = Plant(
     robot=RobotModel(numerator=np.array([20.0]), denominator=np.array([1.0, 20.0]), delay_s=2.4e-3),
     coupling=Coupling(stiffness_n_per_m=3e5, damping_n_s_per_m=120.0),
-    payload=PlantPayload(mass_kg=16.0, drag_n_s_per_m=630.0),
+    payload=PayloadDynamics(mass_kg=16.0, drag_n_s_per_m=630.0),
     environment=Environment(stiffness_n_per_m=1e5),
 )
 
@@ -196,7 +195,7 @@ def run_contact(
         wrench[axis], desired[axis] = sensed, force_n
         reading = along(axis, rotation, position, payload, wrench)
         command += float(increment(Reading(**{**vars(reading), "desired_S": desired}))[axis])
-        pressed = max(0.0, contact_force(state, rows, Held(held, 0.0))) if touching else 0.0
+        pressed = max(0.0, contact_force(state, rows, HeldInputs(held, 0.0))) if touching else 0.0
         out[:, k] = -sensed, pressed, command
         newer = command if whole == 0 else past[whole - 1]
         inputs = Inputs(held if chain > whole else newer, newer, 0.0)

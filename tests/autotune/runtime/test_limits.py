@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from autotune.errors import CertificateError, UsageError
 from autotune.formats.controller import controller_tree, write_controller
-from autotune.formats.controller_record import Collision
+from autotune.formats.controller_record import CollisionSettings
 from autotune.formats.limits import CollisionResponse as FileResponse
 from autotune.runtime import (
     START,
@@ -368,7 +368,7 @@ def test_the_defaults_leave_room_for_certified_contacts() -> None:
     calm = replace(
         whole,
         limits=None,
-        collision=Collision(response=FileResponse.NONE, threshold_n=None),
+        collision=CollisionSettings(response=FileResponse.NONE, threshold_n=None),
         predicted={name: replace(each, with_collision_response=()) for name, each in whole.predicted.items()},
     )
     from autotune.tuning.limits import largest_motion

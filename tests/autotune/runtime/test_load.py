@@ -13,7 +13,7 @@ from autotune.errors import CertificateError, UsageError
 from autotune.export.export import export_controller
 from autotune.formats.canonical import checksum
 from autotune.formats.controller import controller_tree, read_controller, write_controller
-from autotune.formats.controller_record import Collision, Controller, ControllerStatus
+from autotune.formats.controller_record import CollisionSettings, Controller, ControllerStatus
 from autotune.formats.limits import CollisionResponse as FileResponse
 from autotune.formats.signature import signature_path
 from autotune.formats.yaml12 import dump_yaml
@@ -214,7 +214,9 @@ def new_key(public: Path) -> Ed25519PrivateKey:
 
 
 def test_no_response_has_no_threshold(tmp_path: Path) -> None:
-    calm = dataclasses.replace(make_controller(), collision=Collision(response=FileResponse.NONE, threshold_n=None))
+    calm = dataclasses.replace(
+        make_controller(), collision=CollisionSettings(response=FileResponse.NONE, threshold_n=None)
+    )
     law = load_controller(written(tmp_path, calm), **CELL)
     assert (law.response, law.threshold_n) == (CollisionResponse.NONE, float("inf"))
 

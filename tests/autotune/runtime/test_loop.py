@@ -9,7 +9,7 @@ import pytest
 from autotune.runtime import AxisLaw
 from autotune.runtime.loop import MOST_STATES, LoopPlant, corner_plants, is_stable
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Coupling, Environment, Payload, Plant
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from tests.autotune.runtime.cases import PERIOD_S, make_axis
@@ -36,7 +36,7 @@ def radius(axis: AxisLaw, plant: LoopPlant) -> float:
             numerator=np.array(plant.numerator), denominator=np.array(plant.denominator), delay_s=plant.delay_s
         ),
         coupling=Coupling(stiffness_n_per_m=plant.coupling_stiffness, damping_n_s_per_m=plant.coupling_damping),
-        payload=Payload(mass_kg=plant.mass, drag_n_s_per_m=plant.drag),
+        payload=PayloadDynamics(mass_kg=plant.mass, drag_n_s_per_m=plant.drag),
         environment=Environment(stiffness_n_per_m=plant.stiffness, damping_n_s_per_m=plant.damping),
     )
     law = AdmittanceController(

@@ -6,7 +6,7 @@ import numpy as np
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import CellRun, simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment
 from problems.model.robot import RobotModel
@@ -15,9 +15,9 @@ SHORT = Program(pose_count=3, pose_hold_s=0.4, jogging_s=6.0, sweep_s=3.0, conta
 TWO_POLES = RobotModel(numerator=np.array([900.0]), denominator=np.array([1.0, 42.0, 900.0]), delay_s=2.0e-3)
 
 
-def silent(cell: Cell) -> Cell:
+def silent(cell: SimulatedCell) -> SimulatedCell:
     """The same cell with perfect sensors."""
-    return Cell(
+    return SimulatedCell(
         **{
             **cell.__dict__,
             "force_noise_rms_n": 0.0,
@@ -28,9 +28,9 @@ def silent(cell: Cell) -> Cell:
     )
 
 
-def heavy_cell() -> Cell:
+def heavy_cell() -> SimulatedCell:
     """Another axis, a heavier payload, a softer gripper and wall, a robot of two poles."""
-    return Cell(
+    return SimulatedCell(
         payload_mass_kg=25.0,
         com_S_m=(-0.03, 0.015, 0.19),
         coupling=Coupling(stiffness_n_per_m=2.2e5, damping_n_s_per_m=260.0),
@@ -47,13 +47,13 @@ def heavy_cell() -> Cell:
 @cache
 def demo_run() -> CellRun:
     """The default cell through the default program."""
-    return simulate_cell(Cell(), Program(), seed=1)
+    return simulate_cell(SimulatedCell(), Program(), seed=1)
 
 
 @cache
 def silent_demo_run() -> CellRun:
     """The default cell with perfect sensors."""
-    return simulate_cell(silent(Cell()), Program(), seed=1)
+    return simulate_cell(silent(SimulatedCell()), Program(), seed=1)
 
 
 @cache
@@ -65,4 +65,4 @@ def heavy_run() -> CellRun:
 @cache
 def silent_short_run(axis: str) -> CellRun:
     """The default cell with perfect sensors on `axis`, through a short program."""
-    return simulate_cell(silent(Cell(**{**Cell().__dict__, "approach_axis": axis})), SHORT, seed=3)
+    return simulate_cell(silent(SimulatedCell(**{**SimulatedCell().__dict__, "approach_axis": axis})), SHORT, seed=3)

@@ -9,7 +9,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation, Slerp
 
 from autotune.simulation.simulate import CellRun
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from identification.identify import identify_cell
 from identification.payload.static_poses import GRAVITY_B_M_S2
 from identification.result import AxisEstimate, Estimate, Identified, Status
@@ -30,7 +30,7 @@ def close(estimate: Estimate, truth: float, *, within: float = PROMISED) -> None
     assert abs(estimate.value - truth) < DEVIATIONS * estimate.std
 
 
-def check_payload(found: Identified, cell: Cell) -> None:
+def check_payload(found: Identified, cell: SimulatedCell) -> None:
     # The simulated lab has 9.81 m/s², the estimate assumes the standard 9.80665: the stated deviation covers it.
     assert abs(GRAVITY_B_M_S2[2]) != 9.81
     close(found.payload.mass_kg, cell.payload_mass_kg)
@@ -44,7 +44,7 @@ def check_payload(found: Identified, cell: Cell) -> None:
     np.testing.assert_allclose(found.sensor.torque_bias_n_m.value, cell.torque_bias_S_n_m, rtol=0.0, atol=2e-3)
 
 
-def check_axis(axis: AxisEstimate, cell: Cell) -> None:
+def check_axis(axis: AxisEstimate, cell: SimulatedCell) -> None:
     coupling, wall = cell.coupling.stiffness_n_per_m, cell.environment.stiffness_n_per_m
     close(axis.coupling.stiffness_n_per_m, coupling)
     close(axis.coupling.damping_n_s_per_m, cell.coupling.damping_n_s_per_m)
@@ -54,7 +54,7 @@ def check_axis(axis: AxisEstimate, cell: Cell) -> None:
     close(axis.environments[0].secant_stiffness_n_per_m, coupling * wall / (coupling + wall))
 
 
-def check_robot(axis: AxisEstimate, cell: Cell) -> None:
+def check_robot(axis: AxisEstimate, cell: SimulatedCell) -> None:
     robot = axis.robot
     assert robot.denominator.value is not None
     assert robot.numerator.value is not None
@@ -135,7 +135,7 @@ def at_other_rates(run: CellRun, *, wrench_hz: float, pose_hz: float) -> Recordi
     old, new = ((s - first) * 1e-9 for s in (recording.wrench.stamp_ns, wrench_stamps))
     both = np.hstack([recording.wrench.force_n, recording.wrench.torque_n_m])
     values = make_interp_spline(old, both, k=3)(new) + noise
-    position_noise = Cell().position_noise_rms_m * rng.standard_normal((len(pose_stamps), 3))
+    position_noise = SimulatedCell().position_noise_rms_m * rng.standard_normal((len(pose_stamps), 3))
     assert cell.force_noise_rms_n == 0.0
     wrench = WrenchSignal(
         topic="/wrist", frame_id="wrist", stamp_ns=wrench_stamps, force_n=values[:, :3], torque_n_m=values[:, 3:]

@@ -10,7 +10,7 @@ from scipy.signal import cont2discrete, lfilter
 from autotune.simulation.axis import AxisRun, run_axis
 from autotune.simulation.phases import Program, Script, build_script
 from autotune.simulation.simulate import CellRun, simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from problems.errors import ParameterError
 from problems.model.plant import FREE_SPACE
 from problems.model.robot import RobotModel
@@ -69,12 +69,12 @@ def without_turning(run: CellRun) -> NDArray[np.bool_]:
 
 
 def test_the_same_seed_gives_the_same_run_byte_for_byte() -> None:
-    first, second = (simulate_cell(Cell(), TINY, seed=5) for _ in range(2))
+    first, second = (simulate_cell(SimulatedCell(), TINY, seed=5) for _ in range(2))
     assert signal_bytes(first) == signal_bytes(second)
 
 
 def test_another_seed_gives_other_noise_on_every_measured_channel() -> None:
-    first, second = (simulate_cell(Cell(), TINY, seed=seed) for seed in (5, 6))
+    first, second = (simulate_cell(SimulatedCell(), TINY, seed=seed) for seed in (5, 6))
     resting = slice(0, 200)
     for one, other in (
         (first.recording.wrench.force_n, second.recording.wrench.force_n),
@@ -85,7 +85,9 @@ def test_another_seed_gives_other_noise_on_every_measured_channel() -> None:
 
 
 def test_static_poses_show_weight_and_bias_and_their_moment() -> None:
-    run = simulate_cell(silent(Cell()), Program(pose_count=6, jogging_s=0.0, sweep_s=0.0, contact_count=0), seed=2)
+    run = simulate_cell(
+        silent(SimulatedCell()), Program(pose_count=6, jogging_s=0.0, sweep_s=0.0, contact_count=0), seed=2
+    )
     wrench, weight = run.recording.wrench, weight_S_n(run)
     spans = holds(run)
     assert len(spans) == 6
@@ -159,14 +161,14 @@ def robot_by_scipy(robot: RobotModel, command_m: FloatArray, h: float, parts: in
 @pytest.mark.parametrize(
     ("robot", "parts"),
     [
-        (Cell().robot, 1),
+        (SimulatedCell().robot, 1),
         (RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=2.5 * 8e-4), 2),
         (RobotModel(numerator=TWO_POLES.numerator, denominator=TWO_POLES.denominator, delay_s=1.75 * 8e-4), 4),
     ],
     ids=["whole delay", "half a sample", "two poles"],
 )
 def test_the_flange_follows_the_command_through_robot_and_delay(robot: RobotModel, parts: int) -> None:
-    cell = silent(Cell(robot=robot))
+    cell = silent(SimulatedCell(robot=robot))
     script = build_script(SHORT, cell.sample_time_s, np.random.default_rng(0))
     # Free motion only: what the payload touches does not reach a position-controlled robot, so the length is enough.
     samples = round(12.0 / cell.sample_time_s)
@@ -211,7 +213,7 @@ def test_pressing_twists_the_sensor_about_the_contact_point(axis: str) -> None:
 
 def test_turning_adds_the_inertia_of_the_payload() -> None:
     """τ = ∫ r × (g − a) dm for point masses whose inertia is the cell's, their accelerations by differences."""
-    cell = silent(Cell(com_S_m=(0.0, 0.0, 0.0), inertia_S_kg_m2=(0.5, 0.4, 0.3), payload_mass_kg=20.0))
+    cell = silent(SimulatedCell(com_S_m=(0.0, 0.0, 0.0), inertia_S_kg_m2=(0.5, 0.4, 0.3), payload_mass_kg=20.0))
     run = simulate_cell(cell, Program(pose_count=2, jogging_s=0.0, sweep_s=0.0, contact_count=0), seed=4)
     assert run.recording.command is not None
     turned = rotation_matrices(run.recording.command.quaternion_xyzw)
@@ -232,7 +234,9 @@ def test_turning_adds_the_inertia_of_the_payload() -> None:
 
 def test_turning_adds_the_force_that_swings_the_centre_of_mass() -> None:
     """F = m (g − a) of the centre of mass, its acceleration by differences of its path."""
-    run = simulate_cell(silent(Cell()), Program(pose_count=2, jogging_s=0.0, sweep_s=0.0, contact_count=0), seed=4)
+    run = simulate_cell(
+        silent(SimulatedCell()), Program(pose_count=2, jogging_s=0.0, sweep_s=0.0, contact_count=0), seed=4
+    )
     assert run.recording.command is not None
     h, turned = run.cell.sample_time_s, rotation_matrices(run.recording.command.quaternion_xyzw)
     path = turned @ np.array(run.cell.com_S_m)
@@ -247,7 +251,7 @@ def test_turning_adds_the_force_that_swings_the_centre_of_mass() -> None:
 @pytest.mark.parametrize("delay_samples", [3.0, 2.4])
 def test_a_hand_pushes_on_while_the_contact_begins(delay_samples: float) -> None:
     robot = RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=delay_samples * 8e-4)
-    cell, n = silent(Cell(robot=robot, wall_distance_m=1e-4)), 1000
+    cell, n = silent(SimulatedCell(robot=robot, wall_distance_m=1e-4)), 1000
     zeros, hand = np.zeros(n), np.full(n, 60.0)
     script = Script(
         rotation_rad=np.zeros((n, 3)),
@@ -269,7 +273,7 @@ def test_a_hand_pushes_on_while_the_contact_begins(delay_samples: float) -> None
 
 
 def test_the_controller_ignores_forces_inside_its_deadband() -> None:
-    cell = silent(Cell())
+    cell = silent(SimulatedCell())
     n = 2000
     zeros = np.zeros(n)
     still = {"rotation_rad": np.zeros((n, 3)), "command_m": zeros, "desired_force_n": zeros, "homing_n_per_m": zeros}
@@ -295,7 +299,7 @@ def test_the_controller_ignores_forces_inside_its_deadband() -> None:
 )
 def test_a_cell_that_cannot_be_is_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ParameterError, match=next(iter(wrong))):
-        Cell(**{**Cell().__dict__, **wrong})
+        SimulatedCell(**{**SimulatedCell().__dict__, **wrong})
 
 
 @pytest.mark.parametrize(
@@ -307,7 +311,7 @@ def test_a_program_that_cannot_be_is_refused(wrong: dict[str, object]) -> None:
 
 
 def test_the_program_decides_what_the_log_holds() -> None:
-    run = simulate_cell(Cell(), TINY, seed=0)
+    run = simulate_cell(SimulatedCell(), TINY, seed=0)
     assert np.all(run.axis.contact_force_n == 0.0)
     assert len(run.recording.wrench.stamp_ns) == len(run.script)
     np.testing.assert_array_equal(np.diff(run.recording.wrench.stamp_ns), 800_000)
@@ -315,7 +319,7 @@ def test_the_program_decides_what_the_log_holds() -> None:
 
 def test_a_wall_with_mass_is_at_rest_again_before_the_next_contact() -> None:
     """Each contact shares the payload's momentum with a wall that stands still: v falls to M_p/(M_p + M_e) of it."""
-    cell = silent(Cell())
+    cell = silent(SimulatedCell())
     cell = replace(cell, environment=replace(cell.environment, mass_kg=3.0, damping_n_s_per_m=60.0))
     program = Program(pose_count=1, pose_hold_s=0.2, pose_move_s=0.2, jogging_s=0.0, sweep_s=0.0, contact_count=3)
     run = simulate_cell(cell, program, seed=1)

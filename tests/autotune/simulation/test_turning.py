@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from autotune.simulation.axis import AxisRun, run_axis
 from autotune.simulation.phases import Program, build_script
 from autotune.simulation.simulate import GRAVITY_B_M_S2, WORKING_ORIENTATION, CellRun, simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from tests.autotune.simulation.runs import silent
 
 FloatArray = NDArray[np.float64]
@@ -23,7 +23,7 @@ EVERY: tuple[Axis, ...] = ("rx", "ry", "rz")
 
 @cache
 def run_about(axis: Axis) -> CellRun:
-    return simulate_cell(silent(Cell.turning(axis)), SHORT, seed=3)
+    return simulate_cell(silent(SimulatedCell.turning(axis)), SHORT, seed=3)
 
 
 def after_the_poses(run: CellRun) -> slice:
@@ -68,8 +68,8 @@ def test_the_torque_about_the_axis_is_that_of_the_coupling(axis: Axis) -> None:
 
 
 def test_a_turning_axis_obeys_the_equations_of_a_straight_one() -> None:
-    turning = silent(Cell.turning("ry"))
-    straight = Cell(
+    turning = silent(SimulatedCell.turning("ry"))
+    straight = SimulatedCell(
         **{**turning.__dict__, "approach_axis": "z", "payload_mass_kg": turning.inertia_S_kg_m2[1]},
     )
     script = build_script(SHORT, turning.sample_time_s, np.random.default_rng(2))
@@ -120,9 +120,9 @@ def test_pressing_pushes_at_the_contact_point_square_to_its_lever(axis: Axis) ->
 
 
 def test_what_is_changed_of_a_turning_cell_or_program_is_taken() -> None:
-    assert Cell.turning("rz", drag_n_s_per_m=7.0).contact_plant().payload.drag_n_s_per_m == 7.0
-    assert Cell.turning("rz").contact_plant().payload.mass_kg == 0.21
+    assert SimulatedCell.turning("rz", drag_n_s_per_m=7.0).contact_plant().payload.drag_n_s_per_m == 7.0
+    assert SimulatedCell.turning("rz").contact_plant().payload.mass_kg == 0.21
     assert Program.turning(contact_force_n=2.0).contact_force_n == 2.0
-    assert not Cell().is_turning
+    assert not SimulatedCell().is_turning
     with pytest.raises(TypeError, match="unheard_of"):
-        Cell.turning("rx", unheard_of=1.0)
+        SimulatedCell.turning("rx", unheard_of=1.0)

@@ -10,7 +10,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from autotune.simulation.write import write_mcap
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 
@@ -19,7 +19,7 @@ BRIEF = Program(pose_count=1, pose_hold_s=0.3, pose_move_s=0.2, jogging_s=1.5, s
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    return simulate_cell(Cell(), BRIEF, seed=11).recording
+    return simulate_cell(SimulatedCell(), BRIEF, seed=11).recording
 
 
 @pytest.fixture(scope="module")

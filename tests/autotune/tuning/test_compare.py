@@ -10,7 +10,7 @@ from autotune.cli._common import json_text
 from autotune.cli._optimized import compare_lines, compare_tree
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller import ControllerFile
-from autotune.formats.controller_record import Collision, Controller, ControllerStatus, Filters
+from autotune.formats.controller_record import CollisionSettings, Controller, ControllerStatus, Filters
 from autotune.formats.limits import CollisionResponse
 from autotune.tuning import search as search_module
 from autotune.tuning.compare import check_comparable, compare, start_design
@@ -102,7 +102,7 @@ def bare(**changes: object) -> Controller:
             "old.yaml holds z, and x is tuned here",
         ),
         ({"sample_time_s": 1e-3}, "runs every 1 ms and this cell every 0.8 ms"),
-        ({"collision": Collision(response=CollisionResponse.STOP, threshold_n=50.0)}, "responds to collisions"),
+        ({"collision": CollisionSettings(response=CollisionResponse.STOP, threshold_n=50.0)}, "responds to collisions"),
     ],
 )
 def test_a_controller_that_is_another_thing_is_refused(changes: dict[str, object], told: str) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from autotune.cli._optimized import response_lines
 from autotune.errors import InfeasibleError, UsageError
-from autotune.formats.controller_record import Collision, Controller
+from autotune.formats.controller_record import CollisionSettings, Controller
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.problem import ProblemSpec
 from autotune.tuning.first_contacts import contacts_of, opposing_force
@@ -19,8 +19,7 @@ from autotune.tuning.threshold import (
     without_response,
 )
 from problems.contact.nonlinear_simulation import NonlinearRun, simulate_nonlinear
-from problems.contact.nonlinearities import Collision as Detection
-from problems.contact.nonlinearities import Deadband, Nonlinearities
+from problems.contact.nonlinearities import Collision, Deadband, Nonlinearities
 from problems.design.uncertainty import Scenario
 from tests.autotune.tuning.cases import fast_optimized, identified_plant
 from tests.autotune.tuning.responding import SPEC, responding
@@ -92,7 +91,7 @@ def from_rest(controller: Controller, threshold: float, seed: int) -> NonlinearR
         sample_time_s=contacts.sample_time_s,
         duration_s=1.2,
         effects=Nonlinearities(
-            deadband=Deadband(width_n=5.0), force_noise_rms_n=0.14, collision=Detection(threshold_n=threshold)
+            deadband=Deadband(width_n=5.0), force_noise_rms_n=0.14, collision=Collision(threshold_n=threshold)
         ),
         start_distance_m=0.02,
         noise=np.random.default_rng(seed),
@@ -142,7 +141,7 @@ def test_where_nothing_is_saved_there_is_no_response_and_the_file_says_so() -> N
     found = fast_optimized()
     controller, choice = choose_threshold(found.controller, found.searches, WIDE)
     assert not choice.is_used
-    assert controller.collision == Collision(response=CollisionResponse.NONE, threshold_n=None)
+    assert controller.collision == CollisionSettings(response=CollisionResponse.NONE, threshold_n=None)
     assert controller.predicted == found.controller.predicted
     told = controller.provenance["collision"]
     assert told["response"] == "none"

@@ -13,7 +13,7 @@ from autotune.report.page import Table
 from autotune.report.validate_page import Validated, measured_section
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from autotune.validation.against_log import LogComparison, compare_with_log, log_checks
 from autotune.validation.report import ValidationReport
 from autotune.validation.validate import admittance_controller
@@ -27,7 +27,7 @@ from tests.autotune.tuning.turning import SQUARE, both_optimized
 PROGRAM = Program(pose_count=5, pose_hold_s=0.6, pose_move_s=0.6, jogging_s=0.0, sweep_s=0.0, contact_count=2)
 
 
-def certified_cell(**changes: Any) -> Cell:
+def certified_cell(**changes: Any) -> SimulatedCell:
     """Return a cell inside the domain of the small controller, which runs there."""
     usual: dict[str, Any] = {
         "payload_mass_kg": 16.0,
@@ -36,7 +36,7 @@ def certified_cell(**changes: Any) -> Cell:
         "robot": RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=2.4e-3),
         "controller": admittance_controller(small_controller(), "x"),
     }
-    return Cell(**{**usual, **changes})
+    return SimulatedCell(**{**usual, **changes})
 
 
 @cache
@@ -137,7 +137,7 @@ def turned(**changes: Any) -> LogComparison:
     program = Program.turning(
         pose_count=5, pose_hold_s=0.6, pose_move_s=0.6, jogging_s=0.0, sweep_s=0.0, contact_count=3
     )
-    cell = Cell.turning("ry", **{**usual, **changes})
+    cell = SimulatedCell.turning("ry", **{**usual, **changes})
     return compare_with_log(controller, simulate_cell(cell, program, seed=6).recording)
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from autotune.formats.controller_record import AxisGains, DeadbandType
+from autotune.formats.controller_record import AxisGains
 from autotune.validation.log_contacts import felt, follow_law
+from problems.contact.nonlinearities import DeadbandType
 from problems.model.controller import AdmittanceController, controller_blocks, controller_step
 
 FloatArray = NDArray[np.float64]

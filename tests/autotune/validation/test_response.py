@@ -8,14 +8,14 @@ from typing import Any
 import pytest
 
 from autotune.errors import UsageError
-from autotune.formats.controller_record import AxisPrediction, Collision, Controller, ScenarioPrediction
+from autotune.formats.controller_record import AxisPrediction, CollisionSettings, Controller, ScenarioPrediction
 from autotune.formats.limits import CollisionResponse
 from autotune.validation.against_log import compare_with_log
 from autotune.validation.contacts import verify_response
 from autotune.validation.disturbances import Disturbances, axis_effects
 from autotune.validation.monte_carlo import monte_carlo_checks, monte_carlo_tree, run_monte_carlo
 from autotune.validation.validate import admittance_controller
-from problems.contact.nonlinearities import Collision as Detection
+from problems.contact.nonlinearities import Collision
 from tests.autotune.tuning.responding import responding
 
 
@@ -60,7 +60,7 @@ def scaled(share: float) -> Callable[[ScenarioPrediction], ScenarioPrediction]:
     )
 
 
-NONE = Collision(response=CollisionResponse.NONE, threshold_n=None)
+NONE = CollisionSettings(response=CollisionResponse.NONE, threshold_n=None)
 FALSE_CLAIMS: dict[str, tuple[Callable[[Controller], Controller], str]] = {
     "a threshold that is passed in free motion": (threshold(8.0), "free motion passes the threshold of 8 N before"),
     "a threshold that detects later": (
@@ -109,9 +109,9 @@ def test_the_certified_set_is_simulated_with_the_response_too() -> None:
     controller = two_contacts()
     chosen = controller.collision.threshold_n
     assert chosen is not None
-    assert axis_effects(controller, "x", Disturbances(), 0.03).collision == Detection(threshold_n=chosen)
+    assert axis_effects(controller, "x", Disturbances(), 0.03).collision == Collision(threshold_n=chosen)
     stopped = replace(controller, collision=replace(controller.collision, response=CollisionResponse.STOP))
-    assert axis_effects(stopped, "x", Disturbances(), 0.03).collision == Detection(response="stop", threshold_n=chosen)
+    assert axis_effects(stopped, "x", Disturbances(), 0.03).collision == Collision(response="stop", threshold_n=chosen)
     found = run_monte_carlo(controller, count=8)
     plain = run_monte_carlo(replace(controller, collision=NONE), count=8)
     assert found[0].sensor is not None

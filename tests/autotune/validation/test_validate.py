@@ -9,7 +9,7 @@ import pytest
 
 from autotune.errors import CertificateError
 from autotune.formats.controller_record import (
-    Collision,
+    CollisionSettings,
     Controller,
     ControllerStatus,
     FreeSpaceAdmittance,
@@ -210,12 +210,12 @@ FALSE_CLAIMS: dict[str, tuple[Change, str, str]] = {
         r"modulus_margin must be at least 0\.5, found 0\.3",
     ),
     "collision response": (
-        lambda c: replace(c, collision=Collision(response=CollisionResponse.RESET, threshold_n=100.0)),
+        lambda c: replace(c, collision=CollisionSettings(response=CollisionResponse.RESET, threshold_n=100.0)),
         "collision response",
         "the file has a collision response and predicts no contact with it",
     ),
     "full stop": (
-        lambda c: replace(c, collision=Collision(response=CollisionResponse.STOP, threshold_n=100.0)),
+        lambda c: replace(c, collision=CollisionSettings(response=CollisionResponse.STOP, threshold_n=100.0)),
         "controller",
         r"a full stop on collision cannot be verified .* collision\.response must be none or reset",
     ),

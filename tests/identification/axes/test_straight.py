@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import CellRun, simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from identification.axes.straight import (
     AxisMotion,
     commanded_motion,
@@ -215,15 +215,15 @@ def test_after_a_hold_the_payload_is_free_where_the_force_changes_its_sign() -> 
 
 @pytest.fixture(scope="module")
 def tapped() -> CellRun:
-    return simulate_cell(Cell(), TAPPED, seed=5)
+    return simulate_cell(SimulatedCell(), TAPPED, seed=5)
 
 
 def test_taps_tell_the_spring_where_a_slow_sweep_does_not(tapped: CellRun) -> None:
-    slow = identify_joint(gathered(simulate_cell(Cell(), SLOW_SWEEP, seed=5).recording))
+    slow = identify_joint(gathered(simulate_cell(SimulatedCell(), SLOW_SWEEP, seed=5).recording))
     fit = identify_joint(gathered(tapped.recording))
     # 4.4 deviations: the quantile of 1e-4 for six values.
     for found in (slow, fit):
-        assert np.max(np.abs(scores(found, Cell()))) < 4.4
+        assert np.max(np.abs(scores(found, SimulatedCell()))) < 4.4
     assert (fit.quality.free_spans, fit.quality.contacts) == (1 + TAPPED.tap_count, 0)
     for name, gain in (("stiffness_n_per_m", 3.0), ("damping_n_s_per_m", 50.0)):
         assert fit.value(name)[1] < slow.value(name)[1] / gain
@@ -240,7 +240,7 @@ def test_a_delay_of_whole_samples_is_not_surer_than_its_two_readings_allow(tappe
 
 def test_taps_alone_tell_the_spring_with_the_mass_from_gravity() -> None:
     """Taps and contacts, and no free motion that shows the payload's mass: the weight stands in for it."""
-    cell = Cell()
+    cell = SimulatedCell()
     data = gathered(simulate_cell(cell, dataclasses.replace(TAPPED, contact_count=3), seed=5).recording)
     data = dataclasses.replace(data, free=(), weighed=(cell.payload_mass_kg, 2e-3 * cell.payload_mass_kg))
     fit = joint_fit._identify(data, fit_ringing, ProgressSlice())
@@ -252,7 +252,7 @@ def test_taps_alone_tell_the_spring_with_the_mass_from_gravity() -> None:
 
 
 def test_where_free_motion_tells_nothing_taps_are_asked() -> None:
-    cell = Cell()
+    cell = SimulatedCell()
     data = gathered(simulate_cell(cell, dataclasses.replace(TAPPED, contact_count=3), seed=5).recording)
     deaf = dataclasses.replace(data, free=(), coupling=np.array([5e6, 0.0, 0.0, 1.0]))
     with pytest.raises(EstimateError):

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from identification.errors import EstimateError
 from identification.experiment_design.contacts import ContactPlan, plan_contacts, plan_taps, through_coupling
 from identification.experiment_design.experiment import allowed_std, coupling_binds, plan_experiment
@@ -26,7 +26,7 @@ from problems.model.robot import RobotModel
 from tests.autotune.formats.samples import make_identified
 from tests.identification.synthetic import Load, felt_force, tapered
 
-CELL = Cell()
+CELL = SimulatedCell()
 
 
 def exact_cell() -> PlanValues:

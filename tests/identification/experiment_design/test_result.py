@@ -8,7 +8,7 @@ from identification.experiment_design.experiment import allowed_std, plan_experi
 from identification.experiment_design.result import ExperimentLimits, StepKind, peak_effect
 from identification.experiment_design.values import PlanValues, usual_values
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
-from problems.model.plant import Coupling, Environment, Payload, Plant
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.sampled import build_sampled_plant
 from tests.identification.experiment_design.test_experiment import CELL, exact_cell, known, with_known
 
@@ -21,7 +21,7 @@ def peak_n(values: PlanValues, damping: float, **changed: float) -> float:
     plant = Plant(
         robot=values.robot,
         coupling=Coupling(stiffness_n_per_m=told["stiffness_n_per_m"], damping_n_s_per_m=told["damping_n_s_per_m"]),
-        payload=Payload(mass_kg=told["mass_kg"], drag_n_s_per_m=told["drag_n_s_per_m"]),
+        payload=PayloadDynamics(mass_kg=told["mass_kg"], drag_n_s_per_m=told["drag_n_s_per_m"]),
         environment=Environment(
             stiffness_n_per_m=told["environment_stiffness_n_per_m"],
             damping_n_s_per_m=told["environment_damping_n_s_per_m"],

@@ -7,7 +7,7 @@ import pytest
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from identification.axes.straight import commanded_motion, find_axes, free_motions, unguided_spans
 from identification.errors import EstimateError
 from identification.joint_fit.data import JointData, build_joint_data, hold_command, uncovered
@@ -29,7 +29,7 @@ from problems.model.plant import Environment
 from problems.model.robot import RobotModel
 
 SHORT = Program(pose_count=5, jogging_s=0.0, sweep_s=7.0, contact_count=2)
-SLOW = Cell(
+SLOW = SimulatedCell(
     sample_time_s=4e-3,
     payload_mass_kg=9.0,
     robot=RobotModel(numerator=np.array([900.0]), denominator=np.array([1.0, 48.0, 900.0]), delay_s=6.3e-3),
@@ -53,7 +53,7 @@ def gathered(recording: Recording, *, with_command: bool = True) -> JointData:
     return build_joint_data(log, motion, axis, holds, coupling, robot, command, gravity.mass_kg)
 
 
-def truth(cell: Cell, names: tuple[str, ...]) -> FloatArray:
+def truth(cell: SimulatedCell, names: tuple[str, ...]) -> FloatArray:
     k, e = cell.coupling, cell.environment
     known = {
         "stiffness_n_per_m": k.stiffness_n_per_m,
@@ -70,7 +70,7 @@ def truth(cell: Cell, names: tuple[str, ...]) -> FloatArray:
     return np.array([known[name] for name in names])
 
 
-def scores(fit: JointFit, cell: Cell) -> FloatArray:
+def scores(fit: JointFit, cell: SimulatedCell) -> FloatArray:
     return np.asarray((fit.values - truth(cell, fit.names)) / fit.std)
 
 
@@ -85,7 +85,7 @@ def demo_fit(demo_data: JointData) -> JointFit:
 
 
 def test_every_parameter_of_the_demo_cell_is_where_it_is_said_to_be(demo_fit: JointFit) -> None:
-    cell = Cell()
+    cell = SimulatedCell()
     # Nine values, none beyond the quantile of 1e-4 in all of them: 4.4 deviations.
     assert np.max(np.abs(scores(demo_fit, cell))) < 4.4
     # Half a percent is what a tuner can use without thinking of it.
@@ -144,7 +144,7 @@ def test_without_a_command_there_is_no_robot_and_less_certainty(demo_recording: 
     fit = identify_joint(gathered(demo_recording, with_command=False))
     assert fit.robot is None
     assert "delay_s" not in fit.names
-    assert np.max(np.abs(scores(fit, Cell()))) < 4.4
+    assert np.max(np.abs(scores(fit, SimulatedCell()))) < 4.4
     for name in ("stiffness_n_per_m", "mass_kg"):
         assert fit.value(name)[1] > demo_fit.value(name)[1]
 
@@ -185,7 +185,7 @@ def test_a_contact_with_a_hand_in_it_is_left_out(demo_data: JointData, demo_fit:
     force[pushed] += 12.0 * np.sin(2.0 * np.pi * 3.0 * time[pushed])
     fit = identify_joint(dataclasses.replace(demo_data, force_n=force))
     assert fit.quality.contacts == demo_fit.quality.contacts - 1
-    assert np.max(np.abs(scores(fit, Cell()))) < 4.4
+    assert np.max(np.abs(scores(fit, SimulatedCell()))) < 4.4
 
 
 def test_a_start_far_off_leads_to_the_same_place(demo_data: JointData, demo_fit: JointFit) -> None:
@@ -208,7 +208,7 @@ def test_a_log_without_contact_still_has_a_coupling(demo_data: JointData) -> Non
     fit = identify_joint(dataclasses.replace(demo_data, holds=()))
     assert fit.surfaces == ()
     assert fit.quality.contacts == 0
-    assert np.max(np.abs(scores(fit, Cell()))) < 4.4
+    assert np.max(np.abs(scores(fit, SimulatedCell()))) < 4.4
 
 
 @pytest.mark.parametrize("shift_s", [0.0, 3e-4])
@@ -246,7 +246,7 @@ def test_a_command_at_no_steady_phase_is_taken_by_its_mean_over_every_sample(dem
 
 @pytest.mark.parametrize("control_period_s", [7e-4, 1.1e-3])
 def test_a_command_at_another_rate_than_the_log_costs_little(control_period_s: float) -> None:
-    cell = dataclasses.replace(Cell(), sample_time_s=control_period_s)
+    cell = dataclasses.replace(SimulatedCell(), sample_time_s=control_period_s)
     program = dataclasses.replace(SHORT, sweep_s=10.0)
     recording = resampled_wrench(simulate_cell(cell, program, seed=4).recording, 1e-3)
     fit = identify_joint(gathered(recording))

@@ -16,7 +16,7 @@ from identification.joint_fit.solve import sizes_of
 from problems.arrays import FloatArray
 from problems.design.symbolic import Structure, build_symbolic_form
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Coupling, Environment, Payload, Plant
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_sampled_plant
 from tests.identification.synthetic import ramp, sweep
@@ -172,7 +172,7 @@ def symbolic(robot: list[float], surface: list[float]) -> tuple[ca.Function, Flo
     plant = Plant(
         robot=model,
         coupling=Coupling(stiffness_n_per_m=LOAD[0], damping_n_s_per_m=LOAD[1]),
-        payload=Payload(mass_kg=LOAD[3], drag_n_s_per_m=LOAD[2]),
+        payload=PayloadDynamics(mass_kg=LOAD[3], drag_n_s_per_m=LOAD[2]),
         environment=Environment(stiffness_n_per_m=surface[0], damping_n_s_per_m=surface[1], mass_kg=surface[2]),
     )
     sampled = build_sampled_plant(plant, H_S)

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 from autotune.simulation.simulate import simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from identification.joint_fit.data import HeldCommand, JointData
 from identification.joint_fit.fit import identify_joint
 from identification.joint_fit.latency import WrenchLatency, advance_in_time, find_wrench_filter, is_significant_latency
@@ -23,7 +23,7 @@ from tests.identification.synthetic import Load, sweep
 
 from .test_fit import SHORT, gathered, scores
 
-H_S = Cell().sample_time_s
+H_S = SimulatedCell().sample_time_s
 LOAD = Load()
 OMEGA, DELAY_SAMPLES = 25.0, 3
 NOISE_N, JITTER_M = 0.14, 2e-6
@@ -39,7 +39,7 @@ TRUTH = {
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    return simulate_cell(Cell(), SHORT, seed=7).recording
+    return simulate_cell(SimulatedCell(), SHORT, seed=7).recording
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def test_a_late_wrench_is_told_and_taken_out(recording: Recording, whole: JointF
     assert abs(fit.latency.seconds - samples * H_S) < 4.4 * fit.latency.std_s
     assert fit.latency.std_s < 0.05 * H_S
     # 4.4 deviations: the quantile of 1e-4 for nine values. A latency that is left in costs tens.
-    assert np.max(np.abs(scores(fit, Cell()))) < 4.4
+    assert np.max(np.abs(scores(fit, SimulatedCell()))) < 4.4
     assert whole.latency.applied_s == 0.0
 
 
@@ -129,7 +129,7 @@ def test_lost_commands_do_not_make_the_robot_slower(recording: Recording) -> Non
     command = recording.command
     assert command is not None
     fit = identify_joint(gathered(dataclasses.replace(recording, command=restore_commands(lossy(command, 0.01)))))
-    assert np.max(np.abs(scores(fit, Cell()))) < 4.4
+    assert np.max(np.abs(scores(fit, SimulatedCell()))) < 4.4
 
 
 def moved(corner_hz: float | None = None, late_samples: int = 0, shifted_s: float = 0.0) -> JointData:

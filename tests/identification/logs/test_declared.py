@@ -14,7 +14,6 @@ from identification.logs import inspect_log, read_recording
 from identification.logs.roles.cell import (
     Cell,
     Clock,
-    DeadbandType,
     DeclaredDeadband,
     Frame,
     GainsFields,
@@ -29,6 +28,7 @@ from identification.logs.roles.cell import (
 )
 from identification.logs.tables.layout import TableLayout
 from identification.signals.recording import Recording
+from problems.contact.nonlinearities import DeadbandType
 from tests.identification.logs.message_builder import (
     ADMITTANCE_STATE,
     DELAY_NS,

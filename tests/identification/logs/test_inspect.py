@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from identification.logs import Role, inspect_log, read_recording
-from identification.logs.roles.registry import ROLES, Layout, RoleKind
+from identification.logs.roles.registry import ROLES, FieldPaths, RoleKind
 from tests.identification.logs.log_builder import START_NS, complete, pose_stream, wrench_stream, write_mcap
 
 
@@ -90,7 +90,7 @@ def test_a_role_is_added_by_one_entry(tmp_path: Path, monkeypatch: pytest.Monkey
     path = write_mcap(tmp_path / "run.mcap", complete())
     role, image = cast(Role, "image size"), "sensor_msgs/msg/Image"
     assert role not in {each.role for each in inspect_log(path).roles}
-    layout = Layout(fields=("height", "width"), header="header")
+    layout = FieldPaths(fields=("height", "width"), header="header")
     kind = RoleKind(entry="camera", label="image size", layouts={image: layout}, tiers=((image,),))
     monkeypatch.setitem(ROLES, role, kind)
     (found,) = (each for each in inspect_log(path).roles if each.role == role)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from autotune.simulation import simulate
 from autotune.simulation.phases import Program, Script, build_script
 from autotune.simulation.simulate import CellRun, simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from identification.axes.straight import find_axes
 from identification.joint_fit.segments import find_holds
 from identification.payload.gravity import identify_gravity
@@ -77,12 +77,12 @@ def tell(run: CellRun, *, with_command: bool = True) -> Told:
     return Told(run=run, log=log, timeline=build_timeline(log, motion, force, axes, command, gravity.mass_kg))
 
 
-def draw(seed: int) -> tuple[Cell, Program]:
+def draw(seed: int) -> tuple[SimulatedCell, Program]:
     """A varied cell whose payload comes to rest on its wall."""
     rng = np.random.default_rng(seed)
     mass, period = between(rng, 4.0, 30.0), float(rng.choice([8e-4, 1e-3, 2e-3]))
     corner = between(rng, 8.0, 50.0)
-    cell = Cell(
+    cell = SimulatedCell(
         payload_mass_kg=mass,
         coupling=Coupling(stiffness_n_per_m=between(rng, 1e5, 8e5), damping_n_s_per_m=between(rng, 150.0, 400.0)),
         drag_n_s_per_m=between(rng, 200.0, 700.0),

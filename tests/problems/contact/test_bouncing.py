@@ -13,7 +13,7 @@ from scipy.signal import bilinear
 from problems.contact.bouncing import Ending, follow_contact, settling_window
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Coupling, Environment, Payload, Plant
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, linear_controller, spectral_radius
 from problems.stability.margins import UnstableLoopError
@@ -31,7 +31,7 @@ def pair() -> SampledContact:
     plant = Plant(
         robot=RobotModel(numerator=np.array([POLE]), denominator=np.array([1.0, POLE]), delay_s=DELAY_S),
         coupling=Coupling(stiffness_n_per_m=K_S, damping_n_s_per_m=B_S),
-        payload=Payload(mass_kg=M_P, drag_n_s_per_m=B_P),
+        payload=PayloadDynamics(mass_kg=M_P, drag_n_s_per_m=B_P),
         environment=Environment(stiffness_n_per_m=K_E),
     )
     return build_sampled_contact(build_sampled_plant(plant, PERIOD_S))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import problems.contact.transient
 from problems.contact.event_free_steps import step_three_states, step_without_events
 from problems.contact.kernel import run_contact, steady_start
-from problems.contact.kernel_types import FLAGS, FOUND, Contact, Forces, Moment, Span, Start, Traces
+from problems.contact.kernel_types import FLAGS, FOUND, Contact, Forces, Moment, Start, TickRange, Traces
 from problems.contact.transient import build_sampled_contact
 from problems.model.controller import AdmittanceController, controller_blocks, needed_states
 from problems.model.plant import Environment, Plant
@@ -69,7 +69,7 @@ def walk(
     assert len(flags) == FLAGS
     mode = step[0 if touching else 1]
     both, forces = Traces(traces[0], traces[1]), Forces(30.0, 3.0)
-    crest, ends = np.full((2, len(now.state) + 3), -1.0), Span(*span, span[1])
+    crest, ends = np.full((2, len(now.state) + 3), -1.0), TickRange(*span, span[1])
     tick, aim = function(  # type: ignore[operator]
         mode, rows, delay, wall, blocks, now, flags, forces, ends, both, found, crest
     )
@@ -175,7 +175,7 @@ def test_a_stretch_can_be_cut_anywhere(parts: tuple[int, ...]) -> None:
         crest, forces = np.full((2, len(now.state) + 3), -1.0), Forces(30.0, 3.0)
         for span in itertools.pairwise(parts):
             both = Traces(pieces[0], pieces[1])
-            ends = Span(*span, span[1])
+            ends = TickRange(*span, span[1])
             reached = function(step[0], rows, delay, wall, blocks, now, flags, forces, ends, both, peak, crest)
             assert reached == (span[1], span[1])
         np.testing.assert_array_equal(pieces, traces)

@@ -21,7 +21,7 @@ from problems.contact.events import (
     substeps_apart,
     switch_within,
 )
-from problems.contact.kernel_types import Held, Inputs, Wall
+from problems.contact.kernel_types import HeldInputs, Inputs, Wall
 from problems.contact.transient import SampledContact, build_sampled_contact
 from problems.model.plant import Plant, build_plant_matrices
 from problems.model.sampled import build_sampled_plant
@@ -104,20 +104,20 @@ def test_a_massless_wall_pushes_behind_its_surface_and_pulls_nowhere(
     position: float, velocity: float, expected: bool, touching: bool
 ) -> None:
     state, wall = np.array([position, velocity]), Wall(100.0, 7.0, 0.0, 1.0)
-    assert is_in_contact(state, np.zeros(2), wall, ROWS, Held(0.0, 0.0), touching) is expected
+    assert is_in_contact(state, np.zeros(2), wall, ROWS, HeldInputs(0.0, 0.0), touching) is expected
 
 
 @pytest.mark.parametrize(("gap", "expected"), [(0.1, False), (0.0, False), (-1e-9, True)])
 def test_a_mass_is_met_where_it_is(gap: float, expected: bool) -> None:
     state, wall = np.array([0.3, 1.0]), Wall(100.0, 7.0, 2.0, 1.0 / 3.0)
-    assert is_in_contact(state, np.array([0.3 + gap, -5.0]), wall, ROWS, Held(0.0, 0.0), False) is expected
+    assert is_in_contact(state, np.array([0.3 + gap, -5.0]), wall, ROWS, HeldInputs(0.0, 0.0), False) is expected
 
 
 @LAW
 @given(st.integers(0, 2**32 - 1))
 def test_the_contact_force_is_a_row_times_state_and_inputs(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    rows, state, inputs = rng.standard_normal((3, 6)), rng.standard_normal(4), Held(*rng.standard_normal(2))
+    rows, state, inputs = rng.standard_normal((3, 6)), rng.standard_normal(4), HeldInputs(*rng.standard_normal(2))
     # The same six products in another order.
     assert contact_force(state, rows, inputs) == pytest.approx(rows[2] @ [*state, *inputs], abs=1e-14)
 
@@ -371,7 +371,7 @@ def test_the_largest_force_is_found_at_any_stiffness(stiffness: float, mass: flo
     _, flow, rows, _, _, wall = pair_of(plant).arguments
     state = np.array([0.0, 0.0, 1e-3])
     omega = math.sqrt((stiffness + 1e3) / mass) * PERIOD_S
-    value, moment = largest_force(flow[0], rows, Held(0.0, 0.0), state, 1.0)
+    value, moment = largest_force(flow[0], rows, HeldInputs(0.0, 0.0), state, 1.0)
     phase = min(omega, 0.5 * math.pi)
     assert value == pytest.approx(wall.stiffness * 1e-3 / omega * math.sin(phase), rel=1e-9)
     # One of the equal crests, each as flat as its value is exact to 1e-10.

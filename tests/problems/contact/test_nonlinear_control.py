@@ -8,7 +8,14 @@ from numpy.typing import NDArray
 
 from problems.contact.nonlinear_kernel import seen_force
 from problems.contact.nonlinear_simulation import NonlinearRun, _law, simulate_nonlinear
-from problems.contact.nonlinearities import Collision, CommandLimits, Deadband, Nonlinearities, VariableDamping
+from problems.contact.nonlinearities import (
+    Collision,
+    CommandLimits,
+    Deadband,
+    DeadbandType,
+    Nonlinearities,
+    VariableDamping,
+)
 from problems.contact.transient import Approach
 from problems.model.controller import AdmittanceController
 from tests.problems.axes import LAW, PERIOD_S, admittance, one_pole, paper_plant
@@ -41,9 +48,9 @@ def test_clipping_and_then_the_deadband_shape_the_force(effects: Nonlinearities,
     assert [seen_force(law, force)[0] for force in (-40.0, -5.0, -4.0, 0.0, 5.0, 5.5, 40.0)] == expected
 
 
-@pytest.mark.parametrize("kind", ["threshold", "subtractive"])
-def test_the_controller_sees_what_clipping_and_deadband_leave(kind: str) -> None:
-    deadband = Deadband(width_n=8.0, kind=kind)  # type: ignore[arg-type]
+@pytest.mark.parametrize("kind", DeadbandType)
+def test_the_controller_sees_what_clipping_and_deadband_leave(kind: DeadbandType) -> None:
+    deadband = Deadband(width_n=8.0, kind=kind)
     plant, effects = paper_plant(stiffness=3e4), Nonlinearities(deadband=deadband, force_limit_n=28.0)
     approach = Approach(force_n=27.0 if kind == "threshold" else 19.0, after_impact_n=None)
     run = simulate(plant, admittance(damping=1000.0), approach, effects=effects, distance=0.002, duration=2.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Coupling, Environment, Payload, Plant
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.response import plant_response
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
@@ -20,7 +20,7 @@ def plant(stiffness: float, mass: float, damping: float = 0.0) -> Plant:
     return Plant(
         robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=103.97276323280894, delay_s=0.0),
         coupling=Coupling(stiffness_n_per_m=904178.9383898769, damping_n_s_per_m=damping),
-        payload=Payload(mass_kg=mass, drag_n_s_per_m=0.0),
+        payload=PayloadDynamics(mass_kg=mass, drag_n_s_per_m=0.0),
         environment=Environment(stiffness_n_per_m=stiffness),
     )
 

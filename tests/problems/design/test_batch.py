@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact, simulate_contact
-from problems.design.batch_evaluation import Batch, BatchResult, are_stable, build_batch
+from problems.design.batch_evaluation import BatchResult, ScenarioBatch, are_stable, build_batch
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment
@@ -222,7 +222,7 @@ def test_the_batch_refuses_what_stability_refuses() -> None:
         build_batch([pair_of(3.0, 3e4), slower])
     with pytest.raises(ParameterError, match="at least one"):
         build_batch([])
-    batch: Batch = build_batch([pair_of(3.0, 3e4)])
+    batch: ScenarioBatch = build_batch([pair_of(3.0, 3e4)])
     with pytest.raises(ParameterError, match="at least one"):
         batch.evaluate([], Approach(force_n=30.0))
     with pytest.raises(ParameterError, match="one discretisation"):

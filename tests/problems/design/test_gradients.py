@@ -20,7 +20,7 @@ from problems.design.gradients import (
 from problems.design.requirements import smallest_admittance
 from problems.design.stable_design import Gradient
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Coupling, Environment, Payload, Plant
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
 from problems.model.sampled import SampledPlant, build_sampled_plant
 from problems.stability.margins import Margins, find_margins
@@ -46,7 +46,7 @@ def sampled(stiffness: float, delay_s: float = 2.7e-3, order: int = 1) -> Sample
     plant = Plant(
         robot=robot,
         coupling=Coupling(stiffness_n_per_m=3.1e5, damping_n_s_per_m=150.0),
-        payload=Payload(mass_kg=16.2, drag_n_s_per_m=330.0),
+        payload=PayloadDynamics(mass_kg=16.2, drag_n_s_per_m=330.0),
         environment=Environment(stiffness_n_per_m=stiffness, damping_n_s_per_m=40.0),
     )
     return build_sampled_plant(plant, H)

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from problems.design.uncertainty import ALWAYS_UNCERTAIN, MOST_CORNERS, UNCERTAIN, Ellipsoid, Scenario, Uncertainty
 from problems.errors import ParameterError
-from problems.model.plant import Coupling, Environment, Payload, Plant
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel, bandwidth_hz, bandwidth_share, damping_ratio, vary_robot
 from tests.problems.axes import LAW, between, one_pole
 
@@ -24,7 +24,7 @@ CUT = Ellipsoid(names=(K_S, T_D), centre=(3e5, 2.4e-3), covariance=((9e6, 0.048)
 NOMINAL = Plant(
     robot=one_pole(),
     coupling=Coupling(stiffness_n_per_m=3e5, damping_n_s_per_m=100.0),
-    payload=Payload(mass_kg=10.0, drag_n_s_per_m=400.0),
+    payload=PayloadDynamics(mass_kg=10.0, drag_n_s_per_m=400.0),
     environment=Environment(stiffness_n_per_m=1e5),
 )
 BOTH = Uncertainty(ranges=BOX, ellipsoid=CUT)

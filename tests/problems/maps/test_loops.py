@@ -12,7 +12,7 @@ from problems.design.batch_evaluation import are_stable
 from problems.errors import ParameterError
 from problems.maps.loops import build_plant_loops, designs_around
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Payload, Plant
+from problems.model.plant import PayloadDynamics, Plant
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import loop_polynomials
 from tests.problems.axes import LAW, PERIOD_S, admittance, controllers, one_pole, paper_plant, plants
@@ -37,7 +37,7 @@ def test_the_polynomials_are_those_of_the_sampled_plant(plant: Plant) -> None:
 @LAW
 @given(st.lists(plants(), min_size=1, max_size=1), st.lists(controllers(), min_size=1, max_size=4))
 def test_verdicts_are_those_of_the_batch(some: list[Plant], laws: list[AdmittanceController]) -> None:
-    more = [replace(some[0], payload=Payload(mass_kg=mass, drag_n_s_per_m=200.0)) for mass in (3.0, 30.0)]
+    more = [replace(some[0], payload=PayloadDynamics(mass_kg=mass, drag_n_s_per_m=200.0)) for mass in (3.0, 30.0)]
     loops = build_plant_loops([*some, *more], PERIOD_S)
     expected = are_stable([build_sampled_plant(each, PERIOD_S) for each in (*some, *more)], laws)
     for i, law in enumerate(laws):

@@ -8,7 +8,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from problems.errors import ParameterError
-from problems.model.plant import FREE_SPACE, Coupling, Environment, Payload, Plant, PlantMatrices, build_plant_matrices
+from problems.model.plant import (
+    FREE_SPACE,
+    Coupling,
+    Environment,
+    PayloadDynamics,
+    Plant,
+    PlantMatrices,
+    build_plant_matrices,
+)
 from tests.problems.axes import LAW, PERIOD_S, any_plants, between, environments, paper_plant, plants
 from tests.problems.reference import (
     continuous_motion,
@@ -167,7 +175,7 @@ def test_only_stiffness_anchors_and_only_nothing_is_free_space(
 def test_a_mass_in_front_is_a_heavier_payload_and_a_damper_more_drag(plant: Plant) -> None:
     """While they touch, M_e and B_e add to M_p and B_p."""
     wall, payload = plant.environment, plant.payload
-    heavier = Payload(
+    heavier = PayloadDynamics(
         mass_kg=payload.mass_kg + wall.mass_kg, drag_n_s_per_m=payload.drag_n_s_per_m + wall.damping_n_s_per_m
     )
     spring = Environment(stiffness_n_per_m=wall.stiffness_n_per_m)
@@ -191,7 +199,7 @@ def test_values_that_cannot_be_are_refused(value: float, name: str) -> None:
 
 def test_mass_and_coupling_must_be_there() -> None:
     with pytest.raises(ParameterError, match="mass_kg"):
-        Payload(mass_kg=0.0, drag_n_s_per_m=0.0)
+        PayloadDynamics(mass_kg=0.0, drag_n_s_per_m=0.0)
     with pytest.raises(ParameterError, match="stiffness_n_per_m"):
         Coupling(stiffness_n_per_m=0.0, damping_n_s_per_m=0.0)
     assert replace(FREE_SPACE, stiffness_n_per_m=1.0).stiffness_n_per_m == 1.0

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from problems.errors import ParameterError
 from problems.model.controller import CONTROLLER_STATES, AdmittanceController, controller_blocks, needed_states
-from problems.model.plant import FREE_SPACE, Coupling, Environment, Payload, Plant, build_plant_matrices
+from problems.model.plant import FREE_SPACE, Coupling, Environment, PayloadDynamics, Plant, build_plant_matrices
 from problems.model.response import loop_response
 from problems.model.sampled import (
     CutLoop,
@@ -244,7 +244,9 @@ def in_other_units(plant: Plant, controller: AdmittanceController, factor: float
             stiffness_n_per_m=plant.coupling.stiffness_n_per_m / factor,
             damping_n_s_per_m=plant.coupling.damping_n_s_per_m / factor,
         ),
-        payload=Payload(mass_kg=plant.payload.mass_kg / factor, drag_n_s_per_m=plant.payload.drag_n_s_per_m / factor),
+        payload=PayloadDynamics(
+            mass_kg=plant.payload.mass_kg / factor, drag_n_s_per_m=plant.payload.drag_n_s_per_m / factor
+        ),
         environment=Environment(
             stiffness_n_per_m=wall.stiffness_n_per_m / factor,
             damping_n_s_per_m=wall.damping_n_s_per_m / factor,

@@ -13,7 +13,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Coupling, Environment, Payload, Plant
+from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.response import loop_response
 from problems.model.robot import RobotModel
 from problems.model.sampled import SampledPlant, build_cut_loop, build_sampled_plant
@@ -345,7 +345,7 @@ def scaled(
             stiffness_n_per_m=plant.coupling.stiffness_n_per_m * force,
             damping_n_s_per_m=plant.coupling.damping_n_s_per_m * per_speed,
         ),
-        payload=Payload(
+        payload=PayloadDynamics(
             mass_kg=plant.payload.mass_kg * per_acceleration, drag_n_s_per_m=plant.payload.drag_n_s_per_m * per_speed
         ),
         environment=Environment(

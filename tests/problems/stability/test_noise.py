@@ -11,12 +11,12 @@ from scipy.integrate import quad
 
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Environment, Payload, Plant
+from problems.model.plant import Environment, PayloadDynamics, Plant
 from problems.model.response import controller_response, loop_response
 from problems.model.robot import RobotModel
 from problems.model.sampled import SampledPlant, build_loop
 from problems.stability.margins import UnstableLoopError
-from problems.stability.noise import CommandNoise, predict_command_noise
+from problems.stability.noise import CommandNoiseRms, predict_command_noise
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 from tests.problems.random_loops import sampled_of, stable_loops
 
@@ -66,7 +66,7 @@ def test_a_rigid_contact_has_the_closed_form_of_a_first_order_loop() -> None:
     """x^d_k: x_{k+1} = x^d_k at once, F = −K x, Tustin integrator: poles of 2 B_a z (z − 1) + K h (z + 1)."""
     robot = one_pole(0.0, 40.0 / PERIOD_S)  # settles to e^−40 within a sample
     plant = replace(
-        paper_plant(stiffness=2e4, coupling=1e6, robot=robot), payload=Payload(mass_kg=1e-6, drag_n_s_per_m=1.0)
+        paper_plant(stiffness=2e4, coupling=1e6, robot=robot), payload=PayloadDynamics(mass_kg=1e-6, drag_n_s_per_m=1.0)
     )
     damping, noise = 200.0, 1.5
     found = predict_command_noise(sampled_of(plant), admittance(0.01 * damping, damping, 0.01), noise)
@@ -149,7 +149,7 @@ def test_noise_is_linear_and_none_is_none() -> None:
         one, three, none = (predict_command_noise(sampled, controller, noise) for noise in (1.0, 3.0, 0.0))
         for name in ("position_rms_m", "speed_rms_m_s", "acceleration_rms_m_s2"):
             assert getattr(three, name) == pytest.approx(3.0 * getattr(one, name), rel=1e-14)
-        assert none == CommandNoise(position_rms_m=0.0, speed_rms_m_s=0.0, acceleration_rms_m_s2=0.0)
+        assert none == CommandNoiseRms(position_rms_m=0.0, speed_rms_m_s=0.0, acceleration_rms_m_s2=0.0)
 
 
 @pytest.mark.parametrize(

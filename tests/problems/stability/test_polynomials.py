@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from problems.design.batch_evaluation import are_stable
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Environment, Payload, Plant
+from problems.model.plant import Environment, PayloadDynamics, Plant
 from problems.model.response import plant_response
 from problems.model.sampled import SampledPlant, build_loop, build_sampled_plant, stability_matrix
 from problems.stability.margin_kernel import plant_at
@@ -212,7 +212,7 @@ def test_a_rigid_payload_on_a_spring_has_its_closed_form() -> None:
     """
     robot = one_pole(0.0, 40.0 / PERIOD_S)  # settles to e^−40 within a sample
     plant = replace(
-        paper_plant(stiffness=2e4, coupling=1e6, robot=robot), payload=Payload(mass_kg=1e-6, drag_n_s_per_m=1.0)
+        paper_plant(stiffness=2e4, coupling=1e6, robot=robot), payload=PayloadDynamics(mass_kg=1e-6, drag_n_s_per_m=1.0)
     )
     series = 1.0 / (1.0 / 2e4 + 1.0 / 1e6)
     limit = 0.5 * series * PERIOD_S

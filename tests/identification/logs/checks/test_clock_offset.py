@@ -10,7 +10,7 @@ from scipy.signal import butter, lfilter, sosfilt
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import CellRun, simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from identification.logs.checks.clock_offset import ClockOffset, OffsetVerdict, apply_offset, estimate_clock_offset
 from identification.signals.recording import Recording
 
@@ -20,7 +20,9 @@ POSES = Program(jogging_s=0.0, sweep_s=0.0, contact_count=0)
 
 @cache
 def poses_run(mass_kg: float, h_s: float, seed: int) -> CellRun:
-    cell = replace(Cell(), payload_mass_kg=mass_kg, sample_time_s=h_s, force_noise_rms_n=0.05 + 0.1 * (seed % 3))
+    cell = replace(
+        SimulatedCell(), payload_mass_kg=mass_kg, sample_time_s=h_s, force_noise_rms_n=0.05 + 0.1 * (seed % 3)
+    )
     return simulate_cell(cell, POSES, seed=seed)
 
 
@@ -178,7 +180,7 @@ def test_a_contact_at_some_turns_is_left_out() -> None:
     [(Program(pose_count=1, sweep_s=4.0, jogging_s=0.0, contact_count=1), "the tool turns fewer than 3 times")],
 )
 def test_without_turns_it_cannot_be_told(program: Program, reason: str) -> None:
-    found = estimated(simulate_cell(Cell(), program, seed=1).recording)
+    found = estimated(simulate_cell(SimulatedCell(), program, seed=1).recording)
     assert found.verdict is OffsetVerdict.UNKNOWN
     assert found.offset_s is None
     assert reason in found.reason

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from identification.logs.checks.payload import check_payload, find_tare_jumps
 from identification.signals.aligned import align
 from identification.signals.recording import Recording
@@ -38,7 +38,7 @@ def gravity_S(recording: Recording) -> FloatArray:
 @pytest.mark.parametrize("noisy", [True, False])
 def test_a_sound_cell_has_nothing_to_tell(mass_kg: float, noisy: bool) -> None:
     slow = AdmittanceController(mass_kg=max(10.0, mass_kg), damping_n_s_per_m=3500.0)
-    cell = replace(Cell(), payload_mass_kg=mass_kg, controller=slow, sample_time_s=2e-3)
+    cell = replace(SimulatedCell(), payload_mass_kg=mass_kg, controller=slow, sample_time_s=2e-3)
     recording = simulate_cell(cell if noisy else silent(cell), Program(sweep_s=4.0), seed=int(mass_kg)).recording
     assert check_payload(recording) == ()
 

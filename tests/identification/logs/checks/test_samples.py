@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
-from autotune.simulation.truth import Cell
+from autotune.simulation.truth import SimulatedCell
 from identification.logs.checks.clocks import measure_clock
 from identification.logs.checks.samples import frame_faults, pose_faults, turn_faults, wrench_faults
 from identification.logs.checks.stamps import stamp_faults
@@ -49,7 +49,7 @@ def changed(recording: Recording, change: Callable[[FloatArray, FloatArray], Non
 @pytest.mark.parametrize("noisy", [True, False])
 def test_a_sound_cell_has_no_fault(h_s: float, mass_kg: float, noisy: bool) -> None:
     slow = AdmittanceController(mass_kg=max(10.0, mass_kg), damping_n_s_per_m=3500.0)
-    cell = replace(Cell(), payload_mass_kg=mass_kg, sample_time_s=h_s, controller=slow)
+    cell = replace(SimulatedCell(), payload_mass_kg=mass_kg, sample_time_s=h_s, controller=slow)
     recording = simulate_cell(cell if noisy else silent(cell), SHORT, seed=int(mass_kg)).recording
     assert list(wrench_faults("/ft", *wrench(recording))) == []
     assert list(pose_faults("/tcp", *pose(recording))) == []
@@ -206,7 +206,7 @@ def test_a_frame_that_changes_is_told() -> None:
 
 def test_programs_without_motion_raise_no_alarm() -> None:
     quiet = Program(pose_count=1, jogging_s=0.0, sweep_s=0.0, contact_count=0)
-    recording = simulate_cell(Cell(), quiet, seed=2).recording
+    recording = simulate_cell(SimulatedCell(), quiet, seed=2).recording
     assert list(wrench_faults("/ft", *wrench(recording))) == []
 
 

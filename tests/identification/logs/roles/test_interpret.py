@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from identification.errors import LogError
 from identification.logs.roles.cell import (
     Cell,
-    DeadbandType,
     DeclaredDeadband,
     ExertedBy,
     Frame,
@@ -36,6 +35,7 @@ from identification.logs.roles.interpret import (
     orientation_quaternion,
 )
 from identification.signals.recording import AXES, PoseSignal, WrenchSignal
+from problems.contact.nonlinearities import DeadbandType
 from problems.errors import ParameterError
 
 Array = NDArray[np.float64]
