@@ -4,15 +4,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from autotune.runtime import AXES, Fault, Payload, RuntimeController
 from autotune.validation.replay import robot_stepper
+from problems.arrays import FloatArray
 from problems.model.robot import RobotModel
 from tests.autotune.runtime.cases import Reading
-
-FloatArray = NDArray[np.float64]
 
 NOISE = np.array([0.14] * 3 + [0.012] * 3)
 POSE_NOISE_M = 2e-6

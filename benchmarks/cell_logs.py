@@ -15,8 +15,6 @@ from scipy.spatial.transform import Rotation
 from benchmarks.cells import Writing
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 
-FloatArray = NDArray[np.float64]
-
 # Flange from sensor, where the sensor is turned.
 TURN = Rotation.from_euler("z", np.pi / 2.0)
 _TURNED = "sensor: {orientation: [0.0, 0.0, 90.0], orientation_as: euler_xyz, angle: deg}\n"

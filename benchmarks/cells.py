@@ -4,19 +4,18 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import WORKING_ORIENTATION, simulate_cell
 from autotune.simulation.truth import AXES, SimulatedCell
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
+from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Coupling, Environment
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import UnstableLoopError, find_margins
 
-FloatArray = NDArray[np.float64]
 Draw = np.random.Generator
 
 _ADMITTANCE_MASS_KG = 10.0

@@ -10,18 +10,16 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from autotune.tuning.bounds import Box
 from benchmarks.optimizer_judge import DIMENSION, SEEN, Trace, solution_noter
+from problems.arrays import FloatArray
 from problems.design.evaluation import PreparedScenarios, build_scenarios
 from problems.design.problem import VARIABLES, DesignProblem
 from problems.design.symbolic import Structure, arguments_of, build_contact_forces, build_symbolic_form
 from problems.model.controller import PAPER_ACCELERATION_FILTER_RAD_PER_S
 from problems.model.sampled import SampledPlant
-
-FloatArray = NDArray[np.float64]
 
 _TICKS = 700
 _MARGIN_HZ = np.geomspace(0.3, 60.0, 60)

@@ -5,14 +5,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.tuning.bounds import Box
+from problems.arrays import FloatArray
 from problems.design.batch_evaluation import BatchEvaluator, build_batch_evaluator
 from problems.design.evaluation import build_scenarios
 from problems.design.problem import VARIABLES, DesignProblem
-
-FloatArray = NDArray[np.float64]
 
 # What a peer sees of the ranges (stiffnesses, masses), and what it is judged over in the end.
 SEEN, JUDGED = (9, 3), (33, 3)

@@ -11,16 +11,14 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.tuning.bounds import Box
 from autotune.tuning.descent import LocalProblem, descend, polish_exactly
 from autotune.tuning.optimality import check_optimality
 from autotune.tuning.search import solve_design
+from problems.arrays import FloatArray
 from problems.design.batch_evaluation import BatchEvaluator, build_batch_evaluator
 from problems.design.problem import DesignProblem
-
-FloatArray = NDArray[np.float64]
 
 RESERVE = 5e-6
 _REPEATS = 3

@@ -4,20 +4,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
 from autotune.tuning.bounds import Box
 from autotune.tuning.scenario_exchange import DENSE_MASS, DENSE_STIFFNESS
 from benchmarks.optimizer_judge import DIMENSION, is_peak, ranked_costs
+from problems.arrays import FloatArray
 from problems.design.batch_evaluation import build_batch_evaluator
 from problems.design.evaluation import PreparedScenarios, build_scenarios
 from problems.design.problem import DesignProblem
 from problems.design.uncertainty import Scenario
 from problems.model.response import free_space_admittance
 from problems.stability.margins import UnstableLoopError
-
-FloatArray = NDArray[np.float64]
 
 DENSER = 20
 _BAND_POINTS = 800

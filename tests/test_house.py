@@ -261,3 +261,13 @@ def test_kernels_name_what_they_take(repository: Path) -> None:
                 unnamed[f"{name} {function.name}"] = _unnamed(function, allowed)
     assert count > 100
     assert {name: found for name, found in unnamed.items() if found} == {}
+
+
+def test_an_array_type_is_defined_once(repository: Path) -> None:
+    """A second definition of `FloatArray` may mean another width; that of `problems.arrays` is the one."""
+    home = repository / "problems" / "arrays.py"
+    definition = re.compile(r"^(\w+Array) = NDArray\[", flags=re.MULTILINE)
+    names = set(definition.findall(home.read_text(encoding="utf-8")))
+    assert "FloatArray" in names
+    found = {path: set(definition.findall(path.read_text(encoding="utf-8"))) & names for path in _modules(repository)}
+    assert [path for path, again in found.items() if again] == [home]

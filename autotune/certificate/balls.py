@@ -13,7 +13,8 @@ import flint
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from problems.arrays import FloatArray
+
 P = ParamSpec("P")
 R = TypeVar("R")
 

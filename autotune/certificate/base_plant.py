@@ -3,16 +3,14 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.model.sampled import Controller
 
 from .balls import as_series, at, on_circle, polynomial, with_bits
 from .family import Family
 from .law import law_polynomials, without_constant
 from .plant_polynomials import plant_polynomials
-
-FloatArray = NDArray[np.float64]
 
 _PRECISIONS = (512, 2048)
 

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .balls import Balls, FloatArray
+from problems.arrays import FloatArray
+
+from .balls import Balls
 from .circle import Arcs
 
 # The last steps are some hundred operations on doubles; this share of their size is far more than they can lose.

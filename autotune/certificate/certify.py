@@ -8,15 +8,16 @@ from enum import Enum
 
 import numpy as np
 
+from problems.arrays import FloatArray, IntArray
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
 from problems.model.sampled import Controller, build_loop, build_sampled_plant, stability_matrix
 
 from . import rational
-from .balls import Balls, DualBall, FloatArray, as_series, derivative_of, enclose
+from .balls import Balls, DualBall, as_series, derivative_of, enclose
 from .base_plant import fails_at, is_stable
 from .bounds import PlantCell, judge
-from .circle import Circle, IntArray
+from .circle import Circle
 from .family import LATE, STIFFNESS, Family
 from .law import LawPolynomials, law_polynomials, without_constant
 from .plant_polynomials import plant_polynomials

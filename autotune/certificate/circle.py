@@ -12,12 +12,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .balls import Balls, FloatArray, enclose, exact, turn
+from problems.arrays import FloatArray, IntArray
+
+from .balls import Balls, enclose, exact, turn
 from .law import LawPolynomials
 
-IntArray = NDArray[np.int64]
 Jet = tuple[Balls, Balls, Balls]
 
 # Frequencies [rad/sample] spread over decades: the first arcs halve towards 0, where loops have their poles.

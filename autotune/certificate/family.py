@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.design.uncertainty import FURTHER_UNCERTAIN, Scenario
 from problems.errors import ParameterError
 from problems.frozen import freeze
@@ -15,7 +15,6 @@ from problems.model.plant import FREE_SPACE, Plant, WrenchFilter
 from problems.model.robot import RobotModel, bandwidth_hz, vary_robot
 from problems.model.sampled import split_delay
 
-FloatArray = NDArray[np.float64]
 Interval = tuple[float, float]
 
 MASS, STIFFNESS = "payload_mass_kg", "environment_stiffness_n_per_m"

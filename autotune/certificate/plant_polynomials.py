@@ -4,16 +4,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.model.plant import write_plant
 from problems.model.robot import bandwidth_hz
 
 from . import rational
 from .balls import DualBall, as_series, ball, exponential, number, precise
 from .family import LAG, MASS, PROVABLE, STIFFNESS, Family
-
-FloatArray = NDArray[np.float64]
 
 
 @precise

@@ -3,12 +3,13 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-FloatArray = NDArray[np.floating[Any]]
+from problems.arrays import RealArray
+
 Role = Literal[
     "measured", "model", "before", "after", "target", "residual", "quiet", "bad", "good", "other", "stable", "edge"
 ]
@@ -33,8 +34,8 @@ class Line:
     A `wide` one is seen on both sides of a curve that lies on it, as what was before always is.
     """
 
-    x: FloatArray
-    y: FloatArray
+    x: RealArray
+    y: RealArray
     label: str = ""
     role: Role = "measured"
     dashed: bool = False
@@ -47,7 +48,7 @@ class Line:
         if len(self.x) != len(self.y):
             raise ValueError(f"a curve needs as many y as x, found {len(self.y)} and {len(self.x)}")
 
-    def thinned(self, most: int) -> tuple[FloatArray, FloatArray]:
+    def thinned(self, most: int) -> tuple[RealArray, RealArray]:
         """Return at most `most` points (x, y) of the curve, its peaks among them."""
         return decimate(self.x, self.y, most)
 
@@ -61,9 +62,9 @@ class Line:
 class Band:
     """What lies between two curves over x, each (n,)."""
 
-    x: FloatArray
-    low: FloatArray
-    high: FloatArray
+    x: RealArray
+    low: RealArray
+    high: RealArray
     label: str = ""
     role: Role = "model"
 
@@ -78,8 +79,8 @@ class Band:
 class Points:
     """Single points (n,), with `names` (n,) that are shown under the pointer, or none."""
 
-    x: FloatArray
-    y: FloatArray
+    x: RealArray
+    y: RealArray
     label: str = ""
     role: Role = "measured"
     names: tuple[str, ...] = ()
@@ -96,8 +97,8 @@ class Points:
 class Bars:
     """Bars between `edges` (n + 1,) of height `heights` (n,)."""
 
-    edges: FloatArray
-    heights: FloatArray
+    edges: RealArray
+    heights: RealArray
     label: str = ""
     role: Role = "quiet"
 
@@ -138,9 +139,9 @@ class Heat:
     cells, and lines of equal value are drawn.
     """
 
-    x: FloatArray
-    y: FloatArray
-    values: FloatArray
+    x: RealArray
+    y: RealArray
+    values: RealArray
     label: str
     limits: tuple[float, float] | None = None
     names: tuple[tuple[str, ...], tuple[str, ...]] | None = None
@@ -187,9 +188,9 @@ class Region:
     It is hatched; its edge has a line and, with `edge_label`, a name of its own.
     """
 
-    x: FloatArray
-    y: FloatArray
-    values: FloatArray
+    x: RealArray
+    y: RealArray
+    values: RealArray
     label: str
     edge_label: str = ""
 
@@ -207,7 +208,7 @@ class Region:
 class Area:
     """Filled polygons, each (n, 2)."""
 
-    polygons: tuple[FloatArray, ...]
+    polygons: tuple[RealArray, ...]
     label: str = ""
     role: Role = "quiet"
 
@@ -288,7 +289,7 @@ def _heights(panel: Panel) -> Iterator[np.ndarray]:
             yield np.array([element.value])
 
 
-def decimate(x: FloatArray, y: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
+def decimate(x: RealArray, y: RealArray, most: int) -> tuple[RealArray, RealArray]:
     """Return at most `most` points of a curve over rising x (n,), with the smallest and largest y of every stretch.
 
     Of each of most/2 stretches of as many points, the point where y is smallest and the one where it is largest are

@@ -26,18 +26,16 @@ from bokeh.models.annotations import ColorBar, Span
 from bokeh.palettes import Viridis256
 from bokeh.plotting import figure
 from bokeh.transform import transform
-from numpy.typing import NDArray
 
 from autotune.charts.chart import decimate
 from autotune.charts.palette import COLOURS
 from autotune.formats.units import axis_units
+from problems.arrays import RealArray
 from problems.design.problem import DesignProblem
 
 from .sliders import SliderRange
 from .view import DesignMap, MapWindow, View
 from .words import requirement_title
-
-FloatArray = NDArray[np.floating[Any]]
 
 KEYS = ("contact", "admittance", "nyquist", "requirements", "map")
 _MOST_POINTS = 900
@@ -335,12 +333,12 @@ def _plot(key: str, x: str, y: str, **more: Any) -> Any:
     return plot
 
 
-def _over_time(time_s: FloatArray, force_n: FloatArray) -> dict[str, Any]:
+def _over_time(time_s: RealArray, force_n: RealArray) -> dict[str, Any]:
     x, y = decimate(1e3 * time_s, force_n, _MOST_POINTS)
     return {"x": x, "y": y}
 
 
-def _edges(middles: FloatArray, by_ratios: bool) -> tuple[float, float]:
+def _edges(middles: RealArray, by_ratios: bool) -> tuple[float, float]:
     """Return where the first cell begins and the last one ends."""
     on = np.log(middles) if by_ratios else middles
     half = 0.5 * _step(on)
@@ -348,5 +346,5 @@ def _edges(middles: FloatArray, by_ratios: bool) -> tuple[float, float]:
     return (float(np.exp(ends[0])), float(np.exp(ends[1]))) if by_ratios else (float(ends[0]), float(ends[1]))
 
 
-def _step(middles: FloatArray) -> float:
+def _step(middles: RealArray) -> float:
     return float(middles[1] - middles[0])

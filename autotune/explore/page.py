@@ -10,7 +10,6 @@ from bokeh.events import ConnectionLost, DocumentReady
 from bokeh.models import CustomJS, CustomJSTickFormatter, InlineStyleSheet
 from bokeh.models.widgets import Button, Div, Select, Slider
 from jinja2 import Environment, StrictUndefined, Template
-from numpy.typing import NDArray
 
 from autotune.formats.units import axis_units
 from problems.errors import AutotuneError
@@ -21,8 +20,6 @@ from .saving import Saver, Target, refused_line
 from .sliders import STEPS, SliderRange, build_gain_sliders, build_plant_sliders, nominal_values, scenario_at
 from .source import AxisStart, Exploration
 from .view import MapWindow, PreparedView, View, build_window, compute_map, compute_view, map_pairs, prepare_view
-
-FloatArray = NDArray[np.float64]
 
 _COLUMNS, _ROWS, _FINER = 20, 15, 2
 # How long a hand rests before the map is drawn more finely.

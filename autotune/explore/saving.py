@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 import numpy as np
 from bokeh.document import Document
 from bokeh.models.widgets import Button, Div
-from numpy.typing import NDArray
 
 from autotune.errors import AutotuneError, CertificateError, InfeasibleError, UsageError
 from autotune.formats.canonical import short
@@ -22,13 +21,13 @@ from autotune.tuning.compare import judge_design
 from autotune.tuning.optimize import certify
 from autotune.tuning.search import SearchResult
 from autotune.validation.axis_proof import ProofOptions
+from problems.arrays import FloatArray
 from problems.progress import Progress
 
 from .figures import Sender
 from .source import Exploration, keep_deadband
 from .words import line, plain_line
 
-FloatArray = NDArray[np.float64]
 Designs = Mapping[str, FloatArray]
 _Result = TypeVar("_Result")
 

@@ -4,15 +4,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from autotune.formats.units import AxisUnits, axis_units
 from autotune.tuning.bounds import bounds_of, linear_variables
 from problems.design.problem import DesignProblem
 from problems.design.uncertainty import ALWAYS_UNCERTAIN, SYMBOLS, Scenario
-
-FloatArray = NDArray[np.float64]
 
 STEPS = 1000
 _SURFACES, _PAYLOADS, _FACTOR, _SPEEDS = 4.0, 2.0, 3.0, 2.0

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.certificate_record import AxisDomain
@@ -28,14 +27,13 @@ from autotune.validation.axis_proof import ProofOptions
 from autotune.validation.certified_requirements import certified_problem_requirements
 from autotune.validation.validate import admittance_controller
 from autotune.version import __version__
+from problems.arrays import FloatArray
 from problems.design.evaluation import build_scenarios
 from problems.design.problem import DEFAULT_BOUNDS, FURTHER_VARIABLES, VARIABLES, DesignProblem
 from problems.design.uncertainty import Scenario
 from problems.frozen import freeze
 from problems.model.controller import AdmittanceController
 from problems.progress import Progress, no_progress
-
-FloatArray = NDArray[np.float64]
 
 _GRID = (3, 2)
 _MOST_TIGHT, _MOST_HARD = 3, 1

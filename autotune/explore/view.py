@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from problems.arrays import BoolArray, ComplexArray, FloatArray
 from problems.contact.transient import ContactTransient, SampledContact, transient_from
 from problems.design.batch_evaluation import BatchEvaluator, build_batch_evaluator
 from problems.design.evaluation import Evaluation, build_scenarios
@@ -15,10 +15,6 @@ from problems.frozen import FrozenDict
 from problems.model.response import PlantResponse, loop_at, plant_response, rendered_admittance
 from problems.model.sampled import build_loop, spectral_radius
 from problems.stability.margins import Margins, PreparedMargins, frequency_grid
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
 
 _POINTS = 300
 _LOWEST_HZ, _HIGHEST_HZ = 0.02, 100.0

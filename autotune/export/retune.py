@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.errors import CertificateError, InfeasibleError
 from autotune.formats.certificate_record import Requirement
 from autotune.formats.controller_record import AxisGains
 from autotune.plugins import find_requirement
 from autotune.validation.law import AxisTask, LawCertificate, certify_law
+from problems.arrays import FloatArray
 from problems.contact.linear_controller_contact import simulate_linear_contact
 from problems.contact.transient import SampledContact, build_sampled_contact
 from problems.design.requirements import AdmittanceTarget, DecayRate, LoopRequirement, Margin, PassivityTarget
@@ -31,8 +31,6 @@ from problems.model.sampled import SampledPlant, build_loop, build_sampled_plant
 from problems.model.third_party_controllers import alternates
 from problems.stability.margins import frequency_grid, margins_on_grid
 from problems.stability.passivity import passive_below_hz
-
-FloatArray = NDArray[np.float64]
 
 Values = tuple[float, ...]
 

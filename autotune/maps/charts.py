@@ -6,7 +6,6 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.charts.chart import Area, Chart, Element, Heat, Line, Panel, Points, Region, Role, Scale
 from problems.contact.transient import Approach
@@ -17,7 +16,6 @@ from problems.maps.search import IntervalRequest, IntervalResult, StableInterval
 from .setup import MapSetup
 from .text import WHERE, approach_text, number, with_unit
 
-FloatArray = NDArray[np.float64]
 Column = Sequence[StableInterval]
 Point = tuple[float, float]
 

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.formats.certificate_record import Asked, AxisDomain, AxisMargins, ProvenRegion, SoftRequirement
 from autotune.formats.controller_record import AxisPrediction, Controller, ScenarioPrediction
 from autotune.formats.units import AxisUnits, axis_units
 from autotune.validation.validate import admittance_controller
+from problems.arrays import FloatArray
 from problems.contact.transient import Approach, ContactTransient, build_sampled_contact, simulate_contact
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
@@ -19,8 +19,6 @@ from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Plant
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import UnstableLoopError, find_margins
-
-FloatArray = NDArray[np.float64]
 
 _STIFFNESS = "environment_stiffness_n_per_m"
 

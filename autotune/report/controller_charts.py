@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 from contourpy import contour_generator
-from numpy.typing import NDArray
 
 from autotune.charts.chart import Chart, Element, Heat, Limit, Line, Panel, Points, Role, Scale, Stretch
 from autotune.errors import UsageError
 from autotune.formats.controller_record import ScenarioPrediction
 from autotune.formats.units import AxisUnits
 from autotune.text import off_nominal, stiffness_text
+from problems.arrays import ComplexArray, FloatArray
 from problems.contact.transient import ContactTransient
 from problems.design.requirements import AdmittanceTarget
 from problems.maps.maps import MapAxis, MapRequest, compute_map
@@ -23,9 +23,6 @@ from problems.model.sampled import build_loop, build_sampled_plant, spectral_rad
 from problems.stability.margins import frequency_grid
 
 from .axis_design import AxisDesign, OverStiffness, contact_of, over_stiffness
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _PANELS = 3
 _WORST = "the worst where everything uncertain varies"

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import csd, welch
 from scipy.stats import norm
 
@@ -26,11 +25,9 @@ from autotune.formats.units import AxisUnits
 from identification.evidence import AxisEvidence
 from identification.joint_fit.result import FittedSpan
 from identification.result import AxisEstimate, Covariance
+from problems.arrays import ComplexArray, FloatArray
 
 from .page import Table, build_table
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _TIME = "time [s]"
 _WINDOW_S = 2.0

@@ -3,14 +3,12 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.charts.chart import Chart, Element, Line, Panel, Role, Scale, Stretch
 from identification.evidence import Evidence
 from identification.result import NoiseSpectrum, PhaseKind, Timeline
 from identification.signals.recording import Recording
-
-FloatArray = NDArray[np.float64]
+from problems.arrays import FloatArray
 
 _TIME = "time [s]"
 _ROLES: dict[PhaseKind, Role] = {

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.compiled import compiled
 from problems.contact.events import advance_surface, contact_force, is_in_contact, switch_within
 from problems.contact.kernel_types import APART, IN_CONTACT, NEWEST, POSITION, SENSED, Contact, HeldInputs, Inputs
@@ -14,8 +15,6 @@ from problems.model.sampled import build_sampled_plant, controller_rest
 
 from .phases import Script
 from .truth import SimulatedCell
-
-FloatArray = NDArray[np.float64]
 
 # Rows of the signals, and the first state of the robot's chain.
 FLANGE, COMMAND, PAYLOAD, VELOCITY, FORCE, CONTACT, HAND, SIGNALS = 0, 1, 2, 3, 4, 5, 6, 7

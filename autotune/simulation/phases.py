@@ -4,13 +4,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt
 
+from problems.arrays import BoolArray, FloatArray
 from problems.errors import ParameterError
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _GUIDED_BAND_HZ = 1.5
 _HOMING_S = 2.5

@@ -7,12 +7,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
+from problems.arrays import FloatArray
 
 from .axis import AxisRun, run_axis
 from .phases import Program, Script, build_script
 from .truth import SimulatedCell
-
-FloatArray = NDArray[np.float64]
 
 GRAVITY_B_M_S2 = np.array([0.0, 0.0, -9.81])
 FIRST_STAMP_NS = 1_700_000_000_000_000_000

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import differential_evolution, minimize
 
 from autotune.errors import InfeasibleError, UsageError
 from autotune.tuning.bounds import Box
 from autotune.tuning.search import SearchResult, presentable, solve_design
+from problems.arrays import FloatArray
 from problems.design.evaluation import Evaluation, PreparedScenarios, build_scenarios
 from problems.design.objectives import Admittance, PeakForce
 from problems.design.problem import AdmittanceTarget, DesignProblem
@@ -28,7 +28,6 @@ from .points import Front, Judge, check_choices, design_of, index_of, undominate
 if TYPE_CHECKING:
     from .storage import Storage
 
-FloatArray = NDArray[np.float64]
 
 USUAL = ("peak_force", "admittance")
 DEFAULT_TRIALS = 200

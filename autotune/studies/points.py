@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.errors import AutotuneError, UsageError
 from autotune.tuning.scenario_exchange import WholeSet
+from problems.arrays import FloatArray
 from problems.design.evaluation import Evaluation
 from problems.design.problem import DesignProblem
 from problems.errors import ParameterError
@@ -16,8 +16,6 @@ from problems.frozen import FrozenDict
 from problems.model.controller import AdmittanceController, Discretization
 
 from .plugins import Demand, Objective
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

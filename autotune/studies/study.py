@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 import numpy as np
 import optuna
-from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.samplers import BaseSampler, NSGAIISampler, TPESampler
 from optuna.search_space import intersection_search_space
@@ -21,6 +20,7 @@ from autotune.formats.records import record_tree
 from autotune.tuning.bounds import LINEAR_VARIABLES
 from autotune.tuning.search import presentable
 from autotune.version import __version__
+from problems.arrays import FloatArray
 from problems.design.problem import DesignProblem
 from problems.model.controller import AdmittanceController
 from problems.progress import no_progress
@@ -40,7 +40,6 @@ from .points import (
 )
 from .storage import Storage, named_failures, quiet_optuna
 
-FloatArray = NDArray[np.float64]
 Sampler = Literal["tpe", "nsga2"]
 
 _FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)

@@ -5,9 +5,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.design.problem import DesignProblem
-
-FloatArray = NDArray[np.float64]
 
 LINEAR_VARIABLES = frozenset({"lead_s", "feedback_damping_s", "compensation_mass_kg"})
 """Variables that may be zero: counted by the width of their bounds, the others by their logarithm."""

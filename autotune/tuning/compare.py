@@ -4,13 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import Controller
 from autotune.formats.limits import CollisionResponse
 from autotune.validation.validate import admittance_controller
+from problems.arrays import FloatArray
 from problems.design.evaluation import PreparedScenarios, build_scenarios
 from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
 from problems.design.requirements import smallest_admittance
@@ -21,8 +21,6 @@ from .bounds import bounds_of
 from .record import admittance_band_hz
 from .scenario_exchange import WholeSet
 from .search import SearchResult, presentable
-
-FloatArray = NDArray[np.float64]
 
 _SAME_PERIOD = 1e-6
 _MARGINS = ("modulus", "gain_db", "phase_deg", "delay_s")

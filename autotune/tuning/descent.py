@@ -8,17 +8,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from problems.arrays import FloatArray
 from problems.design.batch_evaluation import BatchEvaluator
 from problems.design.requirements import LARGEST_SHARE
 from problems.frozen import FrozenDict
 
 from .bounds import Box, bounds_of, linear_variables
 from .optimality import LEAST_RATIO, PEAK, near_keys, row_at, unit_widths
-
-FloatArray = NDArray[np.float64]
 
 BACKOFF = 2e-5
 """The share of every requirement that is kept in hand, for what a step along a curved limit misses."""

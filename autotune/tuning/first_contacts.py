@@ -11,13 +11,13 @@ from autotune.formats.controller_record import Controller
 from autotune.validation.disturbances import file_deadband
 from autotune.validation.monte_carlo import needed_substeps
 from autotune.validation.validate import admittance_controller
+from problems.arrays import FloatArray
 from problems.contact.nonlinear_simulation import NonlinearRun, simulate_nonlinear
 from problems.contact.nonlinearities import NO_NONLINEARITIES, Collision, Deadband, Nonlinearities
 from problems.contact.transient import Approach
 from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
 
-FloatArray = NDArray[np.float64]
 # Peaks at the contact and at the sensor, N.
 Pair = tuple[float, float]
 

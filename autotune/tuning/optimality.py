@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from problems.arrays import FloatArray
 from problems.design.evaluation import PreparedScenarios
 from problems.design.gradients import contact_peak_gradient
 from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
@@ -25,7 +25,6 @@ from problems.model.controller import AdmittanceController
 
 from .bounds import bounds_of, linear_variables
 
-FloatArray = NDArray[np.float64]
 Key = tuple[str, int]
 
 PEAK = "peak"

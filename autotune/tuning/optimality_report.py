@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from problems.arrays import FloatArray
 from problems.design.batch_evaluation import BatchEvaluation, build_batch_evaluator
 from problems.design.problem import DesignProblem
 
@@ -32,8 +32,6 @@ _HAIR = 1e-4
 _SAME = 1e-3
 _MISSED, _UNSTABLE = 1e12, 1e15
 _PERCENT = 0.01
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,9 +6,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from autotune.errors import CertificateError, InfeasibleError
 from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import Controller, RuntimePayload
@@ -20,6 +17,7 @@ from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller
 from autotune.version import __version__
 from identification.result import Identified
+from problems.arrays import FloatArray
 from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem
 from problems.progress import ProgressSlice, no_progress
 
@@ -47,8 +45,6 @@ from .threshold import ThresholdSettings, choose_threshold, threshold_settings
 _SEARCH_SHARE, _PROOF_SHARE = 0.4, 0.1
 _COMPLIANCE_SHARE = 0.6
 _ROUNDING = 1e-9
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

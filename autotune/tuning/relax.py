@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.errors import InfeasibleError
 from problems.design.batch_evaluation import EVERY_REQUIREMENT
@@ -16,8 +15,6 @@ from problems.stability.margins import UnstableLoopError
 
 from .scenario_exchange import WholeSet, margin_scenarios
 from .search import Search, presentable
-
-FloatArray = NDArray[np.float64]
 
 _ROUNDS = 6
 # Which requirements can be met without one needs fewer generations than the last newton of a peak.

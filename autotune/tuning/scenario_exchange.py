@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from operator import attrgetter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.validation.bouncing import LEAST_FORCE, SPEEDS, RefutedError
+from problems.arrays import FloatArray
 from problems.contact.bouncing import Ending, follow_contact, settling_window
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact
 from problems.design.evaluation import Evaluation, ExactEvaluation, PlantMargins, build_scenarios
@@ -22,8 +22,6 @@ from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import UnstableLoopError
-
-FloatArray = NDArray[np.float64]
 
 DENSE_STIFFNESS, DENSE_MASS = 33, 3
 SAMPLES = 128

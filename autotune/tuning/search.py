@@ -4,10 +4,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, differential_evolution
 
 from autotune.errors import InfeasibleError
+from problems.arrays import FloatArray
 from problems.design.batch_evaluation import BatchEvaluation, BatchEvaluator, build_batch_evaluator
 from problems.design.evaluation import Evaluation, PlantMargins, PreparedScenarios, build_scenarios
 from problems.design.problem import DesignProblem
@@ -29,8 +29,6 @@ from .scenario_exchange import (
     softly_missed_scenarios,
     worst_scenarios,
 )
-
-FloatArray = NDArray[np.float64]
 
 _POPULATION = 10
 _GENERATIONS, _NEARBY_GENERATIONS = 60, 10

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller_record import AxisPrediction, CollisionSettings, Controller, ScenarioPrediction
@@ -15,6 +14,7 @@ from autotune.formats.limits import CollisionResponse
 from autotune.formats.problem import ProblemSpec
 from autotune.formats.records import ROTATIONAL_AXES
 from identification.result import Identified
+from problems.arrays import FloatArray
 from problems.design.problem import Objective
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
@@ -23,7 +23,6 @@ from .first_contacts import RespondingContact, build_contact, contacts_of, peaks
 from .record import scenario_name
 from .search import SearchResult
 
-FloatArray = NDArray[np.float64]
 Interval = tuple[float, float]
 
 SAME_PEAK = 1e-3

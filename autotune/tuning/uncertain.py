@@ -9,18 +9,16 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.formats.problem import Interval, Uncertain
 from autotune.formats.records import ROTATIONAL_AXES, ROTATIONAL_KEYS
 from identification.errors import EstimateError
 from identification.result import AxisEstimate, Covariance, Estimate, Status
+from problems.arrays import FloatArray
 from problems.design.problem import DesignProblem
 from problems.design.uncertainty import Ellipsoid
 from problems.model.plant import Coupling
 from problems.model.robot import bandwidth_share, has_damping_ratio, vary_robot
-
-FloatArray = NDArray[np.float64]
 
 LEVEL = 0.95
 _BY_DEFAULT = (

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.errors import UsageError
 from autotune.formats.certificate_record import AxisDomain
@@ -15,6 +14,7 @@ from autotune.formats.units import axis_units
 from identification.errors import LogError
 from identification.signals.frames import Frames
 from identification.signals.recording import Recording
+from problems.arrays import FloatArray
 from problems.contact.nonlinear_simulation import simulate_nonlinear
 from problems.contact.nonlinearities import Nonlinearities
 from problems.contact.transient import Approach
@@ -25,8 +25,6 @@ from .log_contacts import ContactLog, LawFit, LogContact, find_log_contacts, fol
 from .monte_carlo import SAME_PEAK, needed_substeps
 from .report import Check
 from .validate import admittance_controller
-
-FloatArray = NDArray[np.float64]
 
 _BAND_PLANTS, _SEED = 32, 3
 _LAW_BEFORE_S, _LAW_AFTER_S = 0.15, 0.6

@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from operator import attrgetter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import Controller, ScenarioPrediction
@@ -13,6 +12,7 @@ from autotune.formats.limits import CollisionResponse
 from autotune.formats.records import ROTATIONAL_AXES
 from autotune.formats.units import AxisUnits, axis_units
 from autotune.runtime.law import STANDARD_GRAVITY_M_S2
+from problems.arrays import FloatArray
 from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
@@ -211,8 +211,6 @@ def _differences(said: ScenarioPrediction, seen: Mapping[str, float], replays: R
                 f"replayed {found:.2f} {unit}"
             )
 
-
-FloatArray = NDArray[np.float64]
 
 # As of a replayed contact: the peaks are products of those in the file.
 _PEAKS = ("peak_sensor_force_n", "peak_contact_force_n")

@@ -4,7 +4,6 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import AxisGains, Controller
@@ -22,12 +21,11 @@ from identification.signals.recording import AXES, Recording
 from identification.signals.segments import MotionSpans, Span, find_motion
 from identification.timeline.contacts import ContactTimes, find_contacts, learn_law
 from identification.timeline.payload import AxisContacts, observe_payload, press_sign
+from problems.arrays import FloatArray
 from problems.contact.nonlinearities import DeadbandType
 from problems.model.controller import AdmittanceController
 
 from .replay import DifferenceEquation
-
-FloatArray = NDArray[np.float64]
 
 _RESIDUAL_N = 1.0
 _UNEXPLAINED_N, _UNEXPLAINED_SHARE = 5.0, 0.05

@@ -4,15 +4,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.certificate.family import UncertainPlant
+from problems.arrays import ComplexArray, FloatArray
 from problems.model.plant import FREE_SPACE, Plant
 from problems.model.sampled import Controller, SampledPlant, build_cut_loop, build_sampled_plant
 from problems.stability.margins import LARGEST_GAIN_DB, frequency_grid, margins_on_grid
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _GRID_POINTS = 6000
 # In half-widths of a mode, finer towards its middle.

@@ -5,11 +5,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import axis_units
+from problems.arrays import FloatArray
 from problems.contact.nonlinear_simulation import NonlinearRun, simulate_nonlinear
 from problems.contact.nonlinearities import NO_NONLINEARITIES, Nonlinearities
 from problems.contact.transient import Approach
@@ -22,8 +22,6 @@ from problems.stability.margins import UnstableLoopError
 from .disturbances import Disturbances, axis_effects
 from .report import Check
 from .validate import admittance_controller
-
-FloatArray = NDArray[np.float64]
 
 SAMPLES, SEED = 256, 1
 QUANTILES = (0.5, 0.95, 0.99)

@@ -5,14 +5,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Coupling, PayloadDynamics, Plant, build_plant_matrices
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, check_wrench_delay, hold, spectral_radius
-
-FloatArray = NDArray[np.float64]
 
 _SUBSTEPS = 20
 _SHORTEST_APPROACH_S = 0.8

@@ -6,8 +6,8 @@ from copy import copy
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Plant, WrenchFilter, build_plant_matrices
 from problems.model.robot import RobotModel
@@ -57,8 +57,6 @@ def _gain(robot: RobotModel, controller: AdmittanceController, h: float, frequen
     sine, cosine, _, _ = np.linalg.lstsq(columns, position[used], rcond=None)[0]
     return float(omega * np.hypot(sine, cosine))
 
-
-FloatArray = NDArray[np.float64]
 
 _SHORTEST_S = 0.8
 _PORT_S = 10.0

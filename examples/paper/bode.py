@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -26,6 +25,7 @@ from examples.paper.paper_case import (
     printed_robot,
 )
 from examples.paper.verdicts import continuous_is_stable, slowest_mode
+from problems.arrays import FloatArray
 from problems.model.continuous import continuous_loop
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
@@ -33,8 +33,6 @@ from problems.model.response import free_space_admittance, loop_response
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import find_margins
 from problems.stability.modes import Mode
-
-FloatArray = NDArray[np.float64]
 
 DRAWN_HZ = np.geomspace(0.3, 100.0, 240)
 DENSE_HZ = np.geomspace(0.1, 100.0, 6000)

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -27,12 +26,11 @@ from examples.paper.paper_case import (
     in_series,
 )
 from examples.paper.verdicts import last_interval, least_damped, stable_intervals
+from problems.arrays import FloatArray
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.model.controller import AdmittanceController, Discretization
 from problems.model.sampled import SampledPlant, build_sampled_plant
 from problems.stability.margins import UnstableLoopError, find_margins
-
-FloatArray = NDArray[np.float64]
 
 FORMS: dict[Discretization, str] = {
     "tustin": "Tustin",

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy.optimize import brentq, root
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -27,13 +26,12 @@ from examples.paper.paper_case import (
     printed_robot,
 )
 from examples.paper.verdicts import Interval, slowest_mode, stable_intervals
+from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant
 from problems.stability.modes import Mode, analyse_modes
-
-FloatArray = NDArray[np.float64]
 
 SCAN_LEAD_S = np.linspace(0.0, 0.12, 121)
 MASSES_KG = (10.0, 13.0)

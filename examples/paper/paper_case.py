@@ -6,7 +6,6 @@ Values and units: MODEL.md, "Symbols" and "Errata".
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from problems.model.controller import (
     AdmittanceController,
@@ -15,8 +14,6 @@ from problems.model.controller import (
 )
 from problems.model.plant import FREE_SPACE, Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
-
-FloatArray = NDArray[np.float64]
 
 SAMPLE_TIME_S = 8e-4
 DELAY_S = 2.4e-3

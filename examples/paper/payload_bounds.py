@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -29,8 +28,6 @@ from examples.paper.paper_case import (
 )
 from examples.paper.verdicts import Interval, last_interval, stable_intervals
 from problems.model.sampled import SampledPlant, build_sampled_plant
-
-FloatArray = NDArray[np.float64]
 
 FREQUENCY_HZ = np.geomspace(5.0, 40.0, 37)
 RATIOS = (0.05, 0.1, 0.2, 0.4)

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -28,8 +27,6 @@ from problems.model.controller import AdmittanceController
 from problems.model.sampled import build_loop, build_sampled_plant
 from problems.stability.modes import analyse_modes
 from problems.stability.passivity import check_passivity
-
-FloatArray = NDArray[np.float64]
 
 READ_LEAD_S = (0.0, 0.005, 0.008, 0.009, 0.02, 0.04, 0.046, 0.047, 0.06)
 DRAWN_LEAD_S = np.linspace(0.0, 0.07, 71)

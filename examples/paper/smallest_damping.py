@@ -9,18 +9,16 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from examples.paper.page import Study, Table, new_figure, number, run
 from examples.paper.paper_case import COLOURS, LEAD_IDEAL, SAMPLE_TIME_S, example_controllers, example_plant
 from examples.paper.verdicts import continuous_is_stable, last_interval, stable_intervals
+from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.sampled import SampledPlant, build_sampled_plant
-
-FloatArray = NDArray[np.float64]
 
 STIFFNESS_N_PER_M = np.geomspace(1e4, 2e6, 41)
 READ_N_PER_M = (2e4, 5e4, 1e5, 2e5, 5e5, 1e6)

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -28,14 +27,13 @@ from examples.paper.paper_case import (
     in_series,
     printed_robot,
 )
+from problems.arrays import FloatArray
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.model.controller import AdmittanceController
 from problems.model.robot import RobotModel
 from problems.model.sampled import SampledPlant, build_loop, build_sampled_plant
 from problems.stability.margins import UnstableLoopError
 from problems.stability.modes import ModalAnalysis, analyse_modes
-
-FloatArray = NDArray[np.float64]
 
 APPROACH = Approach(force_n=30.0)
 FITTED, PREDICTED = (0, 1, 5, 6), (2, 3, 4)

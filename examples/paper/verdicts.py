@@ -4,17 +4,14 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from problems.arrays import BoolArray, FloatArray
 from problems.design.batch_evaluation import are_stable
 from problems.model.continuous import continuous_loop
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.sampled import SampledPlant, build_loop
 from problems.stability.modes import Mode, analyse_modes
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _LOWEST_RAD_PER_S, _HIGHEST_RAD_PER_S = 1e-3, 3e4
 _POINTS = 12_000

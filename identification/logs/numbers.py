@@ -5,9 +5,10 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
+from problems.arrays import FloatArray
+
 from ..errors import LogError, listed
 from ..result import Finding
-from ..signals.recording import FloatArray
 from .containers.channel import Channel, Held
 from .messages.channel_info import FirstMessage
 from .messages.objects import build_object_parser

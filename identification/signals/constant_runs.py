@@ -5,10 +5,9 @@ from typing import Literal
 
 import numpy as np
 
-from problems.arrays import BoolArray, IntArray
+from problems.arrays import BoolArray, FloatArray, IntArray
 
 from .aligned import edges_of
-from .recording import FloatArray
 
 _BLOCK = 100
 _NOISY_RATIO = 0.5

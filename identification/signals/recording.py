@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.frozen import freeze
 
 from ..errors import EstimateError, LogError
 from ..result import Finding
 
-FloatArray = NDArray[np.float64]
 StampArray = NDArray[np.int64]
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")

@@ -11,6 +11,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..compiled import compiled
 from ..model.controller import AdmittanceController
 from ..model.linear_controllers import LinearController
@@ -20,8 +21,6 @@ from .kernel import first_moment, walk
 from .kernel_types import CONTACT_PEAK, FOUND, SWITCHES, TOUCHING, Contact, Forces, Start, TickRange, Traces
 from .linear_controller_contact import begin_linear_contact, run_linear_contact
 from .transient import Approach, SampledContact, begin_contact, longest_run
-
-FloatArray = NDArray[np.float64]
 
 # Verdicts: the contact is made for good; it is left again and again and its impacts do not get weaker; it is still
 # left at the end, but its impacts do get weaker.

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..compiled import compiled
 from ..model.controller import controller_step
 from ..model.difference import (
@@ -40,8 +41,6 @@ from .kernel_types import (
     Traces,
     Wall,
 )
-
-FloatArray = NDArray[np.float64]
 
 # A force has come to rest when it has stayed within this share of the largest force for a quarter of the run.
 SETTLED = 1e-3

@@ -1,12 +1,10 @@
 """Inside a sample: exact integration, and the moments at which the contact begins and ends."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..compiled import compiled, inlined
 from .kernel_types import APART, IN_CONTACT, PLACE, PRESSED, SPEED, Crossing, HeldInputs, Inputs, Wall
-
-FloatArray = NDArray[np.float64]
 
 # Substeps between the ticks per radian of the fastest oscillation of a contact.
 SUBSTEPS_PER_RADIAN = 2.0

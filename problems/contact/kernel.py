@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..compiled import compiled
 from ..model.controller import controller_step, steady_states
 from ..model.difference import INTEGRATOR_DIRECT, LAG_DIRECT
@@ -45,8 +46,6 @@ from .kernel_types import (
     TickRange,
     Traces,
 )
-
-FloatArray = NDArray[np.float64]
 
 _FIRST_LOOK = 96
 # Looks are half a radian of the fastest oscillation apart: they miss at most 3 % of its amplitude (which the force may

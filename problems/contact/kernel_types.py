@@ -2,10 +2,7 @@
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-FloatArray = NDArray[np.float64]
+from ..arrays import FloatArray
 
 # Rows of the outputs, and halves of the plant's matrices.
 POSITION, SENSED, PRESSED = 0, 1, 2

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..compiled import compiled
 from ..errors import ParameterError
 from ..model.linear_controllers import LinearController
@@ -32,8 +32,6 @@ from .kernel_types import (
     Wall,
 )
 from .transient import Approach, SampledContact
-
-FloatArray = NDArray[np.float64]
 
 _PARTS = 20
 _DECAY_EXPONENTS = 7.0

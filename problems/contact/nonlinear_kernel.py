@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..compiled import compiled, equation
 from ..model import difference
 from ..model.controller import controller_step, write_blocks
@@ -15,8 +16,6 @@ from ..model.difference import DAMPING as PLACE_OF_DAMPING
 from ..model.difference import Entry
 from .events import spring_force
 from .kernel_types import CONTACT_PEAK, CONTACT_TIME, NEWEST, SENSOR_PEAK, SENSOR_TICK, Wall
-
-FloatArray = NDArray[np.float64]
 
 # What the collision response does; `Memory.phase` starts at WATCHING.
 REPORTING, RESETTING, STOPPING = 0, 1, 2

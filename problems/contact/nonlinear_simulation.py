@@ -7,9 +7,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._checks import non_negative, positive
+from ..arrays import BoolArray, FloatArray
 from ..errors import ParameterError
 from ..model.controller import AdmittanceController
 from ..model.difference import DERIVATIVE_GAIN, FEEDBACK_DAMPING, IS_IDEAL, rest_states
@@ -47,9 +47,6 @@ from .nonlinear_kernel import (
 )
 from .nonlinearities import NO_NONLINEARITIES, CommandLimits, Deadband, Nonlinearities, Response, VariableDamping
 from .transient import Approach, SampledContact, build_sampled_contact, contact_wall
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _RESPONSES: dict[Response, int] = {"none": REPORTING, "reset": RESETTING, "stop": STOPPING}
 # Far inside the stability of the method (2.78 rad), where its error falls with the fourth power of the step.

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._checks import finite, positive
+from ..arrays import FloatArray
 from ..errors import ParameterError
 from ..model.controller import AdmittanceController, controller_blocks
 from ..model.plant import FREE_SPACE
@@ -30,8 +30,6 @@ from .kernel_types import (
     Traces,
     Wall,
 )
-
-FloatArray = NDArray[np.float64]
 
 LONGEST_TRANSIENT_S = 10.0
 # Faster contacts, in radians and e-foldings per sample, would take seconds to follow and tell nothing about a robot.

@@ -12,6 +12,7 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import BoolArray, FloatArray
 from ..contact.transient import Approach, SampledContact, longest_run, simulate_contact
 from ..errors import ParameterError
 from ..model.controller import THETA, AdmittanceController
@@ -49,9 +50,6 @@ from .batch_kernel import (
 from .evaluation import Evaluation, PreparedScenarios
 from .requirements import Requirements, target_response
 from .stable_design import StableDesign
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _MARGINS = {
     "modulus_margin": MODULUS,

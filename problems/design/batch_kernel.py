@@ -1,8 +1,8 @@
 """Compiled loops over designs and plants, for `problems.design.batch_evaluation`."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import ComplexArray, FloatArray, IntArray
 from ..compiled import compiled
 from ..contact.kernel import contact_forces, run_contact, steady_start
 from ..contact.kernel_types import (
@@ -23,10 +23,6 @@ from ..model.response import controller_gains
 from ..stability import margin_kernel
 from ..stability.margin_kernel import MARGINS, MODULUS_ALONE, WITH_CROSSOVERS, find_loop_margins
 from ..stability.polynomials import CONTROLLER_POWERS, STABLE, controller_polynomials, hurwitz, loop_polynomial
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-ComplexArray = NDArray[np.complex128]
 
 # Polynomials (p, 3, L), their degrees (p,), and the power of w that is divided out (1 for the integrator of a loop
 # without anchor).

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..contact.transient import Approach, build_sampled_contact
 from ..model.controller import AdmittanceController
 from ..model.plant import Plant
@@ -18,8 +18,6 @@ from .problem import DesignProblem
 from .requirements import Requirement
 from .stable_design import Peak, PreparedPlants, StableDesign
 from .uncertainty import Scenario
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
+from ..arrays import ComplexArray, FloatArray
 from ..contact.transient import Approach, transient_from
 from ..model.controller import AdmittanceController
 from ..model.response import free_space_admittance, loop_response
@@ -22,9 +23,6 @@ from ..model.sampled import SampledPlant
 from ..stability.margins import frequency_grid
 from .stable_design import Gradient, StableDesign
 from .symbolic import Structure, arguments_of, build_contact_forces, build_symbolic_form
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _GRID_POINTS = 2000
 _BAND_POINTS = 60

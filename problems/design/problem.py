@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._checks import interval, non_negative, positive
+from ..arrays import FloatArray
 from ..contact.transient import Approach
 from ..errors import ParameterError
 from ..frozen import FrozenDict
@@ -34,7 +34,6 @@ __all__ = [
     "Requirements",
 ]
 
-FloatArray = NDArray[np.float64]
 Objective = Literal["contact_force", "sensor_force"]
 
 # The variables that are always free, in the order of the design vector. The bounds hold the paper's cells (10..20 kg,

@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..contact.transient import Approach, SampledContact, transient_from
 from ..model.controller import AdmittanceController
 from ..model.plant import WrenchFilter
@@ -17,7 +17,6 @@ from ..model.sampled import Controller, SampledLoop, SampledPlant, build_loop, s
 from ..stability.margins import Margins, PreparedMargins
 from .uncertainty import Scenario
 
-FloatArray = NDArray[np.float64]
 Made = TypeVar("Made")
 
 

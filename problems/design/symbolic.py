@@ -11,9 +11,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from .._checks import positive
+from ..arrays import FloatArray
 from ..contact.transient import Approach
 from ..errors import ParameterError
 from ..model.controller import CONTROLLER_STATES, AdmittanceController, controller_step, write_blocks
@@ -22,7 +22,6 @@ from ..model.response import controller_gains
 from ..model.sampled import SampledPlant, close_loop, exponential, squarings_for, write_open_loop
 from .complex_pairs import Pair, pair, solve_resolvent
 
-FloatArray = NDArray[np.float64]
 Arguments = tuple[FloatArray, FloatArray, FloatArray, float, FloatArray]
 
 # Two squarings more than a nominal plant needs: its rates may then grow fourfold at full precision.

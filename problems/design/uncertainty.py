@@ -10,17 +10,16 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 from scipy.stats import qmc
 
 from .._checks import interval, positive
+from ..arrays import FloatArray
 from ..errors import ParameterError
 from ..frozen import FrozenDict
 from ..model.plant import Coupling, Environment, PayloadDynamics, Plant, WrenchFilter
 from ..model.robot import RobotModel, has_damping_ratio, vary_robot
 
-FloatArray = NDArray[np.float64]
 Interval = tuple[float, float]
 
 ALWAYS_UNCERTAIN = ("environment_stiffness_n_per_m", "payload_mass_kg")

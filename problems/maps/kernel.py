@@ -3,15 +3,13 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import FloatArray, IntArray
 from ..compiled import compiled
 from ..contact.kernel_types import POSITION, SENSED
 from ..model.plant import ENVIRONMENT_STIFFNESS, OF_FORCE, PLANT_PARAMETERS, write_plant
 from ..model.sampled import hold_columns
 from ..stability.margin_kernel import EVERY_MARGIN, MODULUS_ALONE, Grid, find_loop_margins
 from ..stability.polynomials import CONTROLLER_POWERS, controller_polynomials, plant_polynomials
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @compiled

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import BoolArray, FloatArray
 from ..contact.transient import Approach, build_sampled_contact
 from ..design.batch_evaluation import build_batch
 from ..design.batch_kernel import Loops, judge_stability
@@ -19,9 +20,6 @@ from ..stability.margins import LARGEST_GAIN_DB, prepare_margins
 from ..stability.polynomials import DOUBTFUL, STABLE, UNSTABLE
 from .kernel import margins_of_plant, polynomials_of_plants
 from .parameters import CONTROLLER_FIELDS, MapQuantity
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)

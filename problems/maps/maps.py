@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import finite, positive
+from ..arrays import BoolArray, FloatArray
 from ..contact.transient import Approach
 from ..errors import ParameterError
 from ..frozen import freeze
 from ..model.controller import AdmittanceController, check_feedback_damping
 from ..model.plant import Plant
-from .loops import BoolArray, Designs, FloatArray, Where, build_chunk, check_delay, designs_around, peaks_of
+from .loops import Designs, Where, build_chunk, check_delay, designs_around, peaks_of
 from .parameters import MapParameter, MapQuantity, Part, check_together, controller_at, find_parameter, plant_at
 
 _Kind = TypeVar("_Kind", np.bool_, np.float64)

@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import positive
+from ..arrays import BoolArray, FloatArray
 from ..errors import ParameterError
 from ..frozen import FrozenDict, freeze
 from ..model.controller import AdmittanceController
 from ..model.plant import Plant
-from .loops import BoolArray, Designs, FloatArray, PlantChunk, Where, build_chunk, check_delay, designs_around
+from .loops import Designs, PlantChunk, Where, build_chunk, check_delay, designs_around
 from .maps import PLANTS_PER_CHUNK, MapAxis, Progress, check_varied
 from .parameters import controller_at, plant_at
 

@@ -7,15 +7,12 @@ are reported come from the exact sampled loop (`problems.model.sampled`, `proble
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._checks import positive
+from ..arrays import ComplexArray, FloatArray
 from ..errors import ParameterError
 from .controller import AdmittanceController
 from .plant import Plant
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import non_negative, positive
+from ..arrays import FloatArray
 from ..compiled import compiled, equation
 from ..errors import ParameterError
 from . import difference
@@ -20,7 +21,6 @@ from .difference import (
     POSITION_TO_LAG,
 )
 
-FloatArray = NDArray[np.float64]
 Compensation = Literal["filtered", "ideal"]
 Discretization = Literal["tustin", "forward_euler", "backward_euler"]
 

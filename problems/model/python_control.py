@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import matrix_balance
 
+from ..arrays import FloatArray
 from ..errors import ParameterError
 from .controller import AdmittanceController
 from .plant import Environment
 from .sampled import CutLoop, SampledPlant, build_cut_loop, translation_state
 
-FloatArray = NDArray[np.float64]
 Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 

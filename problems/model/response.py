@@ -4,17 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import ComplexArray, FloatArray
 from ..compiled import equation
 from . import difference
 from .controller import AdmittanceController, controller_blocks
 from .linear_controllers import LinearController
 from .plant import Plant, WrenchFilter
 from .sampled import Controller, SampledPlant, build_loop, check_wrench_delay
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Written once in plain arithmetic, and compiled into whatever kernel calls it.
 controller_gains = equation(difference.controller_gains)

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import frozen_vector, non_negative, positive
+from ..arrays import FloatArray
 from ..errors import ParameterError
-
-FloatArray = NDArray[np.float64]
 
 # Two roots closer than this share of their size are one factor: printed coefficients carry about four digits.
 _SAME_ROOT = 1e-6

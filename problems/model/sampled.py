@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from .._checks import positive
+from ..arrays import FloatArray
 from ..compiled import compiled, equation
 from ..errors import ParameterError
 from .controller import CONTROLLER_STATES, AdmittanceController, controller_blocks, controller_step, needed_states
@@ -16,7 +17,6 @@ from .difference import rest_states
 from .linear_controllers import LinearController
 from .plant import Plant, build_plant_matrices
 
-FloatArray = NDArray[np.float64]
 Controller = AdmittanceController | LinearController
 
 # A delay this close to a whole number of samples (in samples) is that number; it is far below any clock's resolution.

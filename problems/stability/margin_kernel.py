@@ -4,13 +4,10 @@ A grid finds where to look; every minimum of |1 + L| and every crossover near it
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import ComplexArray, FloatArray
 from ..compiled import compiled
 from .polynomials import DELAY, DENOMINATOR, FED, FORCE, OWN, POSITION, SENSED
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Increasing frequencies ω up to just short of the Nyquist frequency, tan(ωh/2), and the plant's F/x^d and x/x^d there.
 Grid = tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import ComplexArray, FloatArray
 from ..errors import AutotuneError, ParameterError
 from ..model.controller import AdmittanceController
 from ..model.response import plant_response
@@ -24,9 +24,6 @@ from .margin_kernel import (
     find_loop_margins,
 )
 from .polynomials import CONTROLLER_POWERS, controller_polynomials, plant_polynomials
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _LOWEST_HZ = 0.02
 _SLOW_HZ = 1.0

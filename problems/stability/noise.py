@@ -4,13 +4,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._checks import non_negative
+from ..arrays import FloatArray
 from ..model.sampled import Controller, SampledLoop, SampledPlant, build_loop, spectral_radius
 from .margins import UnstableLoopError
-
-FloatArray = NDArray[np.float64]
 
 # 2^60 ticks: no stable loop in double precision is slower.
 _DOUBLINGS = 60

@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import ComplexArray, FloatArray
 from ..model.linear_controllers import LinearController
 from ..model.response import PlantResponse, free_space_admittance, plant_response, rendered_admittance
 from ..model.sampled import (
@@ -17,9 +17,6 @@ from ..model.sampled import (
     spectral_radius,
     stability_matrix,
 )
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _LOWEST_HZ = 0.01
 _POINTS = 2000

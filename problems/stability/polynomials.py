@@ -7,11 +7,9 @@ test says so and eigenvalues decide. The exact loop of `problems.model.sampled` 
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..compiled import compiled
-
-FloatArray = NDArray[np.float64]
 
 STABLE, UNSTABLE, DOUBTFUL = 1, 0, -1
 # Rows of the plant's polynomials and, without whole delays, of what `plant_at` takes; rows of a controller's.

@@ -4,14 +4,12 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Plant
 from tests.problems.reference import SampledLaw, SteadyApproach, continuous_motion
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(kw_only=True)

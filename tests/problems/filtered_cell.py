@@ -3,14 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from tests.problems.reference import SampledLaw
-
-FloatArray = NDArray[np.float64]
 
 SUBSTEPS = 100
 

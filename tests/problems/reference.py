@@ -5,15 +5,12 @@ from typing import Any
 
 import control
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 
+from problems.arrays import ComplexArray, FloatArray
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.sampled import SampledLoop, SampledPlant
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 def rendered_impedance(plant: Plant, s: ComplexArray) -> ComplexArray:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.design.batch_evaluation import are_stable, build_batch
 from problems.errors import ParameterError
@@ -24,7 +24,6 @@ from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 from tests.problems.random_loops import radius_of, random_controller, random_plant, sampled_of, stable_loops
 from tests.problems.reference import closed_loop
 
-FloatArray = NDArray[np.float64]
 BAD = (math.nan, math.inf, -math.inf)
 FORCE = Approach(force_n=30.0)
 

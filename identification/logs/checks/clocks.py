@@ -7,9 +7,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
+
 from ...result import Finding
 from ...signals.aligned import longest_whole
-from ...signals.recording import FloatArray, Recording, StampArray
+from ...signals.recording import Recording, StampArray
 from .clock_offset import ClockOffset, OffsetVerdict, apply_offset, estimate_clock_offset
 
 _WINDOWS = 80

@@ -6,8 +6,10 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
+from problems.arrays import FloatArray
+
 from ...result import Finding
-from ...signals.recording import AXES, FloatArray, PoseSignal, TwistSignal
+from ...signals.recording import AXES, PoseSignal, TwistSignal
 
 _LAG_S = 0.2
 """Motion is compared over steps this long: rounding and delays of a few milliseconds do not matter then."""

@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
+from problems.arrays import FloatArray, IntArray
+
 from ...payload.static_poses import GRAVITY_B_M_S2
 from ...signals.aligned import AlignedLog
 from ...signals.frames import turn_vectors_rad
 from ...signals.segments import low_pass
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 _BAND_HZ = 8.0
 _GRID_HZ = 240.0
 _SMOOTH_HZ = 40.0

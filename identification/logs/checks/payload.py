@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from problems.arrays import BoolArray
+from problems.arrays import BoolArray, FloatArray
 
 from ...errors import EstimateError, LogError
 from ...payload.static_poses import StaticPose, collect_static_poses
@@ -16,7 +16,7 @@ from ...result import Finding
 from ...signals.aligned import AlignedLog, align
 from ...signals.constant_runs import find_runs
 from ...signals.frames import turned_rad
-from ...signals.recording import AXES, FloatArray, Recording
+from ...signals.recording import AXES, Recording
 from ...signals.segments import find_motion, low_pass
 
 _STILL_M_S = 1.5e-3

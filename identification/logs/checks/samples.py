@@ -7,9 +7,11 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
+
 from ...result import Finding
 from ...signals.constant_runs import Runs, find_deadband, quantum, repeated_share, saturated_samples, stuck_runs
-from ...signals.recording import FloatArray, StampArray
+from ...signals.recording import StampArray
 from ..roles.cell import ANGLE_RAD, FORCE_N, LENGTH_M, TORQUE_N_M, PoseSource, Source, WrenchSource
 from ..roles.choose import RoleSeries
 from ..roles.interpret import orientation_quaternion

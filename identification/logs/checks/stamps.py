@@ -5,8 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from problems.arrays import FloatArray
+
 from ...result import Finding
-from ...signals.recording import FloatArray, StampArray
+from ...signals.recording import StampArray
 
 LARGEST_GAP_PERIODS = 12.0
 """A hole longer than this is refused: nothing can be said of the motion in it."""

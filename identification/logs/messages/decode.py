@@ -4,7 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...signals.recording import FloatArray, StampArray
+from problems.arrays import FloatArray
+
+from ...signals.recording import StampArray
 from ..containers.channel import Batch, Channel
 from .kernel import MAX_DEPTH, run_program
 from .kernel_bytes import ENCAPSULATION, FINE, FRAMES_FULL, LEFT_OVER, NANOSECONDS, TERMINATOR, TOO_FEW, TOO_SHORT

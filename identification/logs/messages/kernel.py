@@ -7,9 +7,10 @@ values, what is header. Every access is checked against the end of the message.
 import numpy as np
 from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.compiled import inlined, unlocked
 
-from ...signals.recording import FloatArray, StampArray
+from ...signals.recording import StampArray
 from ..containers.channel import ByteArray
 from .kernel_bytes import (
     FINE,

@@ -6,8 +6,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
+
 from ...errors import LogError
-from ...signals.recording import FloatArray, StampArray
+from ...signals.recording import StampArray
 from ..containers.channel import Batch, Channel, Container
 from .decode import CompiledDecoder, MessageError, Part
 from .layout import build_program

@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass
 
-from ...signals.recording import FloatArray, StampArray
+from problems.arrays import FloatArray
+
+from ...signals.recording import StampArray
 from ..containers.channel import Channel
 
 

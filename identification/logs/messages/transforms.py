@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 from rosbags.interfaces import Nodetype
 
+from problems.arrays import FloatArray
+
 from ...errors import LogError
-from ...signals.recording import FloatArray, StampArray
+from ...signals.recording import StampArray
 from ..containers.channel import Batch, Channel, Container
 from .decode import MessageError, Part, fault, name_at
 from .definitions import ROS_ENCODINGS, TRANSFORM, TRANSFORMS, is_standard, needed_types

@@ -3,9 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from problems.arrays import FloatArray
+
 from ...errors import LogError, listed
 from ...result import Finding
-from ...signals.recording import FloatArray, StampArray
+from ...signals.recording import StampArray
 from ..messages.channel_info import ChannelInfo, Infos
 from .candidates import (
     ambiguous_sentence,

@@ -6,18 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from problems.arrays import FloatArray
+
 from ...errors import LogError
 from ...signals.frames import Frames
-from ...signals.recording import (
-    AXES,
-    AppliedDeadband,
-    FloatArray,
-    GainsSignal,
-    PoseSignal,
-    StampArray,
-    TwistSignal,
-    WrenchSignal,
-)
+from ...signals.recording import AXES, AppliedDeadband, GainsSignal, PoseSignal, StampArray, TwistSignal, WrenchSignal
 from .cell import (
     ANGLE_RAD,
     FORCE_N,

@@ -10,8 +10,10 @@ import pyarrow as pa  # type: ignore[import-untyped]  # the package carries no a
 import pyarrow.compute as pc  # type: ignore[import-untyped]  # the package carries no annotations
 import pyarrow.csv  # type: ignore[import-untyped]  # the package carries no annotations
 
+from problems.arrays import FloatArray
+
 from ...errors import LogError
-from ...signals.recording import FloatArray, StampArray
+from ...signals.recording import StampArray
 from .layout import EXPONENT, NO_ROW
 from .text import CutOffError, Rows, Text, split, unreadable
 from .times import from_texts

@@ -9,8 +9,10 @@ import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]  # the package carries no annotations
 import pyarrow.parquet  # type: ignore[import-untyped]  # the package carries no annotations
 
+from problems.arrays import FloatArray
+
 from ...errors import LogError
-from ...signals.recording import FloatArray, StampArray
+from ...signals.recording import StampArray
 from .times import from_decimals, from_floats, from_integers
 
 _FOREIGN = (pa.ArrowException, OSError, ValueError, KeyError, IndexError, TypeError, OverflowError, MemoryError)

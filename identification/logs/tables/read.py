@@ -5,11 +5,12 @@ from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
+from problems.arrays import FloatArray
 from problems.errors import require_extra
 
 from ...errors import LogError, listed
 from ...result import Finding
-from ...signals.recording import FloatArray, StampArray
+from ...signals.recording import StampArray
 from ..containers.channel import Channel, Held, Survey
 from ..containers.formats import head_of
 from ..messages.channel_info import ChannelInfo

@@ -4,9 +4,10 @@ import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]  # the package carries no annotations
 from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.compiled import compiled
 
-from ...signals.recording import FloatArray, StampArray
+from ...signals.recording import StampArray
 from .layout import EXPONENT
 
 Bytes = NDArray[np.uint8]

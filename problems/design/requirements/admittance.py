@@ -5,9 +5,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import interval, positive
+from ...arrays import FloatArray
 from ...errors import ParameterError
 from ...model.controller import AdmittanceController
 from ...model.response import PlantResponse, free_space_admittance, join_wrench, plant_response, rendered_admittance
@@ -16,8 +16,6 @@ from ...model.sampled import SampledPlant
 from ..stable_design import Gradient, PreparedPlants, StableDesign
 from ..uncertainty import Scenario
 from .base import Requirement
-
-FloatArray = NDArray[np.float64]
 
 _BAND_POINTS = 40
 _AROUND_A_DIP = np.linspace(-2.0, 2.0, 17)

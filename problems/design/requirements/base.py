@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import positive
+from ...arrays import FloatArray
 from ...errors import ParameterError
 from ...model.sampled import Controller, SampledPlant
 from ..stable_design import Gradient, PreparedPlants, StableDesign, StableLoop
 from ..uncertainty import Scenario
 
-FloatArray = NDArray[np.float64]
 Value = TypeVar("Value")
 """What is asked: a number, or a frozen value that holds one (`Requirement.threshold`) and what else must be said."""
 

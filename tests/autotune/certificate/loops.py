@@ -4,12 +4,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.certificate.family import MASS, STIFFNESS, Family
+from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.sampled import build_cut_loop, build_sampled_plant
 from tests.problems.axes import PERIOD_S, paper_plant
-
-FloatArray = NDArray[np.float64]
 
 
 def smallest_return_difference(plant: Plant, law: AdmittanceController, angles: FloatArray) -> FloatArray:

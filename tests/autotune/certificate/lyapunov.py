@@ -12,13 +12,11 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from autotune.certificate.family import UncertainPlant
+from problems.arrays import FloatArray
 from problems.model.plant import build_plant_matrices
 from problems.model.sampled import Controller, SampledPlant, build_loop, build_sampled_plant, stability_matrix
-
-FloatArray = NDArray[np.float64]
 
 _SMALLEST_SHARE = 1e-7
 _MOST_CELLS = 800

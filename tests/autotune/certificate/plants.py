@@ -2,15 +2,13 @@
 
 import numpy as np
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from autotune.certificate.family import UncertainPlant
+from problems.arrays import FloatArray
 from problems.model.plant import NO_FILTER, Coupling, Environment, PayloadDynamics, Plant, WrenchFilter
 from problems.model.robot import RobotModel
 from problems.model.sampled import Controller, build_loop, build_sampled_plant, spectral_radius
 from tests.problems.axes import ANY_DELAYS, PERIOD_S, between, one_pole, or_zero, robots
-
-FloatArray = NDArray[np.float64]
 
 
 def uncertain(

@@ -10,9 +10,10 @@ from autotune.certificate.balls import Balls, exact
 from autotune.certificate.base_plant import fails_at
 from autotune.certificate.bounds import judge
 from autotune.certificate.family import Family
+from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from problems.model.robot import RobotModel
-from tests.autotune.certificate.loops import FloatArray, family, smallest_return_difference
+from tests.autotune.certificate.loops import family, smallest_return_difference
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 
 TWO_POLES = RobotModel(numerator=np.array([900.0]), denominator=np.array([1.0, 42.0, 900.0]), delay_s=2.0e-3)

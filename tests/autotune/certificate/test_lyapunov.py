@@ -7,10 +7,11 @@ import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
 from autotune.certificate.family import UncertainPlant
+from problems.arrays import FloatArray
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, stability_matrix
 from tests.autotune.certificate.lyapunov import build_cell_loop, lyapunov
-from tests.autotune.certificate.plants import FloatArray, random_points, uncertain
+from tests.autotune.certificate.plants import random_points, uncertain
 from tests.autotune.certificate.test_stability import CALM, EVERY_KIND
 from tests.problems.axes import PERIOD_S
 

@@ -11,6 +11,7 @@ from autotune.certificate import certify as certify_module
 from autotune.certificate.certify import CELL_WORK, ProofOutcome, Verdict, certify
 from autotune.certificate.claim import Claim, CombinedCertificate, prove
 from autotune.certificate.family import MASS, STIFFNESS, UncertainPlant, build_families
+from problems.arrays import FloatArray
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.model.linear_controllers import LinearController
@@ -19,7 +20,7 @@ from problems.model.robot import RobotModel
 from problems.model.sampled import Controller, linear_controller
 from problems.model.third_party_controllers import ForwardDynamics, SpringAdmittance
 from tests.autotune.certificate.lyapunov import lyapunov_stability
-from tests.autotune.certificate.plants import FloatArray, radii, radius_at, random_points, uncertain, uncertain_plants
+from tests.autotune.certificate.plants import radii, radius_at, random_points, uncertain, uncertain_plants
 from tests.problems.axes import PERIOD_S, admittance, between, controllers, one_pole, or_zero
 
 TWO_POLES = RobotModel(numerator=np.array([900.0]), denominator=np.array([1.0, 42.0, 900.0]), delay_s=2.0e-3)

@@ -6,13 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.signal import StateSpace, lsim
 
 from autotune.cli.main import main
 from autotune.formats.yaml12 import load_yaml
-
-FloatArray = NDArray[np.float64]
+from problems.arrays import FloatArray
 
 LIMIT_N = 100.0
 MASS_KG = 16.2

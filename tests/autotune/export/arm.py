@@ -7,11 +7,9 @@ turning makes sideways speed, and every link has its mass.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.compiled import compiled
-
-FloatArray = NDArray[np.float64]
 
 UR10E = np.array(
     [

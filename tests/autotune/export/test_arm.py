@@ -11,18 +11,10 @@ from scipy.spatial.transform import Rotation
 from autotune.export.fzi_cartesian import KEYS_OF, FziOptions
 from autotune.export.ros2_control import Ros2Options
 from autotune.formats.controller import read_controller, write_controller
+from problems.arrays import FloatArray
 from problems.model.linear_controllers import LinearController
 from problems.model.third_party_controllers import ForwardDynamics, SpringAdmittance
-from tests.autotune.export.arm import (
-    POSES,
-    UPRIGHT,
-    UR10E,
-    AdmittanceFile,
-    FloatArray,
-    chain,
-    jacobian,
-    play_forward_dynamics,
-)
+from tests.autotune.export.arm import POSES, UPRIGHT, UR10E, AdmittanceFile, chain, jacobian, play_forward_dynamics
 from tests.autotune.export.peer_cases import PERIOD_S, PLAIN, load_as_ros, peer_controller, requirements, translated
 
 PUSH_N, PUSH_S, WATCHED_S = 120.0, 4.0, 60.0

@@ -4,11 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from autotune.runtime import AXES, START, AxisLaw, AxisLimits, CollisionResponse, Limits, Payload, RuntimeController
 from autotune.simulation.axis import _advance
+from problems.arrays import FloatArray
 from problems.contact.events import contact_force
 from problems.contact.kernel_types import HeldInputs, Inputs
 from problems.contact.transient import build_sampled_contact
@@ -16,7 +16,6 @@ from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_sampled_plant
 
-FloatArray = NDArray[np.float64]
 PERIOD_S = 8e-4
 
 PAYLOAD = Payload(

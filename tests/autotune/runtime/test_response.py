@@ -9,7 +9,8 @@ import pytest
 from autotune.formats.controller import write_controller
 from autotune.runtime import RuntimeController, load_controller, step
 from autotune.runtime.step import Phase
-from tests.autotune.runtime.cases import STARTED, FloatArray, Reading, run_contact
+from problems.arrays import FloatArray
+from tests.autotune.runtime.cases import STARTED, Reading, run_contact
 from tests.autotune.tuning.responding import responding
 
 # As between a predicted contact and its replay: from rest, the touch falls between two ticks.

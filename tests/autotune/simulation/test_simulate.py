@@ -11,12 +11,11 @@ from autotune.simulation.axis import AxisRun, run_axis
 from autotune.simulation.phases import Program, Script, build_script
 from autotune.simulation.simulate import CellRun, simulate_cell
 from autotune.simulation.truth import SimulatedCell
+from problems.arrays import FloatArray
 from problems.errors import ParameterError
 from problems.model.plant import FREE_SPACE
 from problems.model.robot import RobotModel
 from tests.autotune.simulation.runs import SHORT, TWO_POLES, demo_run, silent, silent_short_run
-
-FloatArray = NDArray[np.float64]
 
 G_M_S2 = 9.81
 AXES = ("x", "y", "z")

@@ -5,16 +5,15 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from autotune.simulation.axis import AxisRun, run_axis
 from autotune.simulation.phases import Program, build_script
 from autotune.simulation.simulate import GRAVITY_B_M_S2, WORKING_ORIENTATION, CellRun, simulate_cell
 from autotune.simulation.truth import SimulatedCell
+from problems.arrays import FloatArray
 from tests.autotune.simulation.runs import silent
 
-FloatArray = NDArray[np.float64]
 Axis = Literal["rx", "ry", "rz"]
 
 SHORT = Program.turning(pose_count=3, pose_hold_s=0.4, jogging_s=4.0, sweep_s=3.0, contact_count=2)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from autotune.errors import InfeasibleError
@@ -16,6 +15,7 @@ from autotune.tuning import search as search_module
 from autotune.tuning.bounds import Box
 from autotune.tuning.search import Search, presentable, solve_design
 from benchmarks.tuning_problems import paper_cell
+from problems.arrays import FloatArray
 from problems.contact.transient import Approach
 from problems.design.evaluation import PreparedScenarios, build_scenarios
 from problems.design.problem import VARIABLES, AdmittanceTarget, Requirements
@@ -23,7 +23,6 @@ from problems.design.uncertainty import Scenario
 from tests.autotune.tuning.cases import MASS, ROOM, STIFFNESS, design_problem, solved
 from tests.problems.axes import LAW
 
-FloatArray = NDArray[np.float64]
 # Two free variables and an admittance with room: found even by a small population.
 NARROW = {**ROOM, "mass": (6.0, 6.0), "feedback_damping_s": (0.005, 0.005)}
 EASY = Requirements(free_space_admittance=AdmittanceTarget(min_m_s_per_n=5.5e-4))

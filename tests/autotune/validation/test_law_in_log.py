@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from autotune.formats.controller_record import AxisGains
 from autotune.validation.log_contacts import felt, follow_law
+from problems.arrays import FloatArray
 from problems.contact.nonlinearities import DeadbandType
 from problems.model.controller import AdmittanceController, controller_blocks, controller_step
 
-FloatArray = NDArray[np.float64]
 H = 8e-4
 PLAIN = AdmittanceController(mass_kg=10.0, damping_n_s_per_m=1200.0, lead_s=0.015)
 FULL = replace(PLAIN, feedback_damping_s=0.01, compensation_mass_kg=12.0)

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import brentq
 from scipy.signal import bilinear
 
+from problems.arrays import FloatArray
 from problems.contact.bouncing import Ending, follow_contact, settling_window
 from problems.contact.transient import Approach, SampledContact, build_sampled_contact
 from problems.model.controller import AdmittanceController
@@ -18,7 +18,6 @@ from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, linear_controller, spectral_radius
 from problems.stability.margins import UnstableLoopError
 
-FloatArray = NDArray[np.float64]
 PERIOD_S = 8e-4
 # The shared case `bounce`: stable in contact and in free space, with a modulus margin of a third and more.
 BOUNCY = AdmittanceController(mass_kg=6.6788, damping_n_s_per_m=3582.1, lead_s=0.042425, feedback_damping_s=0.024376)

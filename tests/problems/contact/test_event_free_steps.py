@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 import problems.contact.transient
+from problems.arrays import FloatArray
 from problems.contact.event_free_steps import step_three_states, step_without_events
 from problems.contact.kernel import run_contact, steady_start
 from problems.contact.kernel_types import FLAGS, FOUND, Contact, Forces, Moment, Start, TickRange, Traces
@@ -30,7 +30,6 @@ from tests.problems.axes import (
     plants,
 )
 
-FloatArray = NDArray[np.float64]
 SAMPLES = 250
 # A light payload on a soft coupling against a hard wall leaves it several times.
 

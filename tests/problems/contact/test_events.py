@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from problems.arrays import FloatArray
 from problems.contact.events import (
     MOST_SUBSTEPS,
     advance,
@@ -26,8 +26,6 @@ from problems.contact.transient import SampledContact, build_sampled_contact
 from problems.model.plant import Plant, build_plant_matrices
 from problems.model.sampled import build_sampled_plant
 from tests.problems.axes import LAW, PERIOD_S, any_plants, between, environments, one_pole, or_zero, paper_plant, plants
-
-FloatArray = NDArray[np.float64]
 
 
 @LAW

@@ -5,17 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import signal
 
+from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.response import hand_admittance, hand_force_per_speed
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 from tests.problems.random_loops import radius_of, random_controller, random_environment, random_plant, sampled_of
 from tests.problems.reference import SampledLaw, continuous_motion, payload_admittance, robot_gain
-
-FloatArray = NDArray[np.float64]
 
 COMPENSATED = AdmittanceController(mass_kg=20.0, damping_n_s_per_m=1500.0, lead_s=0.01, compensation_mass_kg=8.0)
 LAWS = [

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.contact.event_free_steps import SETTLED
 from problems.contact.kernel import _settled, contact_forces, run_contact, steady_start
 from problems.contact.kernel_types import FOUND, Forces, Start, Traces
@@ -24,7 +24,6 @@ from tests.problems.axes import (
     paper_plant,
 )
 
-FloatArray = NDArray[np.float64]
 PRESS = Approach(force_n=30.0)
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.contact.nonlinear_kernel import seen_force
 from problems.contact.nonlinear_simulation import NonlinearRun, _law, simulate_nonlinear
 from problems.contact.nonlinearities import (
@@ -29,8 +29,6 @@ from tests.problems.nonlinear_runs import (
     light_plant,
     simulate,
 )
-
-FloatArray = NDArray[np.float64]
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from problems.contact.kernel import contact_forces, steady_start
@@ -35,7 +34,6 @@ from tests.problems.axes import (
 from tests.problems.model.test_sampled import in_other_units
 from tests.problems.reference import SteadyApproach, steady_approach
 
-FloatArray = NDArray[np.float64]
 PRESS = Approach(force_n=30.0)
 
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.contact.transient import Approach
 from problems.design.batch_evaluation import build_batch_evaluator
 from problems.design.evaluation import build_scenarios
@@ -13,7 +13,6 @@ from problems.design.problem import AdmittanceTarget, DesignProblem, NoiseLimit,
 from problems.stability.margins import margin_grid
 from tests.autotune.tuning.cases import design_problem
 
-FloatArray = NDArray[np.float64]
 EVERYTHING = Requirements(
     modulus_margin=0.3,
     gain_margin_db=4.0,

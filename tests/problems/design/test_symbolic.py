@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.contact.transient import Approach, build_sampled_contact, transient_from
 from problems.design.symbolic import Structure, arguments_of, build_contact_forces, build_symbolic_form
 from problems.errors import ParameterError
@@ -20,8 +20,6 @@ from problems.model.robot import RobotModel
 from problems.model.sampled import SampledPlant, build_loop, build_sampled_plant
 from tests.problems.axes import LAW, PERIOD_S, admittance, between, one_pole, paper_plant
 from tests.problems.whole_model import controller_of, plant_of, whole_controllers, whole_plants
-
-FloatArray = NDArray[np.float64]
 
 SAMPLES = 40
 FREQUENCIES = between(1.0, 0.99 * math.pi / PERIOD_S)

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.errors import ParameterError
 from problems.model.continuous import ContinuousLoop, continuous_loop, controller_blocks, plant_blocks
 from problems.model.controller import AdmittanceController
@@ -16,7 +17,6 @@ from problems.model.sampled import build_sampled_plant
 from tests.problems.axes import DELAY_S, LAW, PERIOD_S, admittance, between, one_pole, paper_plant
 from tests.problems.whole_model import whole_controllers, whole_plants
 
-FloatArray = NDArray[np.float64]
 FREQUENCIES = between(0.1, 4000.0)
 
 

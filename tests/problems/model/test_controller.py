@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.errors import ParameterError
 from problems.model.controller import (
     CONTROLLER_STATES,
@@ -26,9 +26,6 @@ from problems.model.response import controller_response
 from problems.model.sampled import controller_matrices
 from tests.problems.axes import LAW, PERIOD_S, STRUCTURES, admittance, any_controllers, between, controllers
 from tests.problems.reference import DifferenceEquation, SampledLaw, sampled_controller, transfer
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 PERIODS = between(2e-4, 8e-3)
 EVERY_STRUCTURE = pytest.mark.parametrize("name", STRUCTURES)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from problems.arrays import ComplexArray
 from problems.errors import ParameterError
 from problems.model.plant import (
     FREE_SPACE,
@@ -25,8 +25,6 @@ from tests.problems.reference import (
     rendered_impedance,
     robot_gain,
 )
-
-ComplexArray = NDArray[np.complex128]
 
 # Entries and solutions are exact to rounding; near a resonance the solve loses up to the resonance's sharpness squared.
 TOLERANCE = 1e-9

@@ -8,7 +8,6 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from hypothesis import given
-from numpy.typing import NDArray
 
 from problems.model.continuous import continuous_loop
 from problems.model.controller import AdmittanceController
@@ -23,7 +22,6 @@ from tests.problems.whole_model import whole_controllers, whole_plants
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-FloatArray = NDArray[np.float64]
 FREQUENCIES = between(1.0, 0.99 * math.pi / PERIOD_S)
 
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy import signal
 from scipy.linalg import expm
 
+from problems.arrays import FloatArray
 from problems.errors import ParameterError
 from problems.model.controller import CONTROLLER_STATES, AdmittanceController, controller_blocks, needed_states
 from problems.model.plant import FREE_SPACE, Coupling, Environment, PayloadDynamics, Plant, build_plant_matrices
@@ -46,8 +46,6 @@ from tests.problems.reference import (
     step_response,
     surplus_poles,
 )
-
-FloatArray = NDArray[np.float64]
 
 SAMPLES = 300
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import control
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
+from problems.arrays import ComplexArray, FloatArray
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
@@ -22,9 +22,6 @@ from problems.stability.margins import Margins, find_margins, prepare_margins
 from problems.stability.polynomials import CONTROLLER_POWERS, controller_polynomials
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 from tests.problems.random_loops import even, radius_of, random_controller, random_plant, sampled_of, stable_loops
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 BREAK_POINTS = ("at_force", "at_command")
 # Distances from a pole in units of its own distance to the circle: steps of 5 %.

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from problems.arrays import ComplexArray, FloatArray
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.response import loop_response
@@ -27,8 +27,6 @@ from tests.problems.axes import (
 )
 from tests.problems.reference import closed_loop
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 NYQUIST = math.pi / PERIOD_S
 BRUTE_FORCE_POINTS = 200_000
 

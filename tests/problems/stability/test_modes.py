@@ -5,14 +5,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.model.sampled import SampledLoop, build_loop, build_sampled_plant, spectral_radius, stability_matrix
 from problems.stability.modes import Mode, analyse_modes
 from tests.problems.axes import LAW, PERIOD_S, admittance, between, paper_plant
 from tests.problems.random_loops import radius_of, random_controller, random_plant, sampled_of
-
-FloatArray = NDArray[np.float64]
 
 
 def constructed(blocks: list[FloatArray], *, anchored: bool, seed: int = 0) -> SampledLoop:

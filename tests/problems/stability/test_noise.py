@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import quad
 
 from problems.errors import ParameterError
@@ -19,8 +18,6 @@ from problems.stability.margins import UnstableLoopError
 from problems.stability.noise import CommandNoiseRms, predict_command_noise
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 from tests.problems.random_loops import sampled_of, stable_loops
-
-FloatArray = NDArray[np.float64]
 
 
 def open_plant(delay_samples: float = 3.0) -> SampledPlant:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from problems.model.response import free_space_admittance, loop_response
 from problems.model.robot import RobotModel
@@ -13,8 +14,6 @@ from problems.stability.passivity import check_passivity
 from tests.problems.axes import PERIOD_S, admittance, one_pole, paper_plant
 from tests.problems.random_loops import even, radius_of, random_controller, random_environment, random_plant, sampled_of
 from tests.problems.reference import rendered_impedance
-
-FloatArray = NDArray[np.float64]
 
 
 def real_part(sampled: SampledPlant, controller: AdmittanceController, omega: FloatArray | float) -> FloatArray:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from problems.arrays import FloatArray
 from problems.design.batch_evaluation import are_stable
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Environment, PayloadDynamics, Plant
@@ -27,8 +27,6 @@ from problems.stability.polynomials import (
 from tests.problems.axes import LAW, PERIOD_S, WHOLE_DELAYS, admittance, one_pole, paper_plant
 from tests.problems.random_loops import FORMS, radius_of, random_controller, random_plant, sampled_of
 from tests.problems.whole_model import whole_controllers, whole_plants
-
-FloatArray = NDArray[np.float64]
 
 
 def closed_polynomial(sampled: SampledPlant, controller: AdmittanceController) -> tuple[FloatArray, int]:

@@ -5,7 +5,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.signal import butter, lfilter, sosfilt
 
 from autotune.simulation.phases import Program
@@ -13,8 +12,8 @@ from autotune.simulation.simulate import CellRun, simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from identification.logs.checks.clock_offset import ClockOffset, OffsetVerdict, apply_offset, estimate_clock_offset
 from identification.signals.recording import Recording
+from problems.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 POSES = Program(jogging_s=0.0, sweep_s=0.0, contact_count=0)
 
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from autotune.simulation.phases import Program
@@ -13,10 +12,10 @@ from autotune.simulation.truth import SimulatedCell
 from identification.logs.checks.payload import check_payload, find_tare_jumps
 from identification.signals.aligned import align
 from identification.signals.recording import Recording
+from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from tests.autotune.simulation.runs import silent
 
-FloatArray = NDArray[np.float64]
 IN_REST_S = 13.3
 IN_MOTION_S = 14.2
 STEP_N = np.array([1.5, -2.5, 3.0])

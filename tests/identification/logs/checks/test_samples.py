@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from rosbags.rosbag1 import Reader
 from rosbags.typesys import Stores, get_typestore
 
@@ -19,10 +18,9 @@ from identification.logs.checks.samples import frame_faults, pose_faults, turn_f
 from identification.logs.checks.stamps import stamp_faults
 from identification.result import Finding
 from identification.signals.recording import Recording
+from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from tests.autotune.simulation.runs import SHORT, silent
-
-FloatArray = NDArray[np.float64]
 
 
 def wrench(recording: Recording) -> tuple[FloatArray, FloatArray]:

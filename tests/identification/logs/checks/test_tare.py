@@ -4,13 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from identification.logs.checks.payload import check_payload, find_tare_jumps
 from identification.signals.aligned import align
 from identification.signals.recording import Recording
+from problems.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 AFTER_ALL_POSES_S = 26.0
 BETWEEN_POSES_S = 13.3
 STEP_N = np.array([0.0, 0.0, -60.0])

@@ -11,7 +11,7 @@ from identification.logs.containers.channel import Channel
 from identification.logs.messages.read import read_series
 from identification.logs.messages.series import Wanted
 from identification.logs.messages.transforms import read_transform
-from identification.signals.recording import FloatArray
+from problems.arrays import FloatArray
 from tests.identification.logs.messages.message_builder import (
     ADMITTANCE,
     ENCODINGS,
