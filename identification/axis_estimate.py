@@ -20,12 +20,13 @@ from .joint_fit.estimates import JointEstimates
 from .joint_fit.fit import identify_joint
 from .joint_fit.model import COUPLING_NAMES
 from .joint_fit.result import JointFit, with_gain_error
-from .joint_fit.segments import find_holds, hold_threshold_n
+from .joint_fit.segments import find_holds
 from .payload.gravity import GravityFit
 from .result import AxisEstimate, CouplingEstimate, Finding, RobotEstimate
 from .robot.coupling import CouplingFit, Noise, identify_coupling
 from .robot.position_loop import RobotFit, identify_robot
 from .signals.aligned import AlignedLog
+from .signals.contact_rule import CONTACT
 from .signals.recording import Recording
 from .signals.segments import MotionSpans, Span
 from .timeline.payload import AxisContacts
@@ -268,7 +269,7 @@ def _holds(cell: CellSignals, axis: AxisMotion) -> tuple[tuple[Span, ...], list[
     What is touched at the end of a turn is pressed sideways, and belongs to the turn.
     """
     findings: list[Finding] = []
-    holds = find_holds(cell.motion.still, axis.force_n, hold_threshold_n(cell.gravity.residual_rms_n))
+    holds = find_holds(cell.motion.still, axis.force_n, CONTACT.hold_threshold_n(cell.gravity.residual_rms_n))
     turned = {hold for turn in cell.turns for hold in rests_after(turn.motion.spans, holds)}
     mine = tuple(h for h in holds if h not in turned and _is_along(h, cell.force_S_n, axis, findings))
     return mine, findings

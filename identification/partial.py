@@ -22,16 +22,15 @@ from .result import (
 )
 from .robot.admittance_robot import identify_admittance_robots
 from .signals.aligned import check_regular, spans_of
+from .signals.contact_rule import CONTACT
 from .signals.recording import AXES, Recording
 from .verdicts import judged, missing, unidentifiable, unidentifiable_robot, unidentifiable_vector
 
 _REMOVED = "gravity was removed before recording"
-_SMALLEST_PEAK_N = 3.0
 _SMALLEST_TRAVEL_M = 2e-4
 _FEWEST = 50
 # Below a fifth of the peak a payload that rebounds is off the surface, and a deadband weighs most.
 _LOADED_SHARE = 0.2
-_TOUCH_SHARE = 0.05
 # A hold is where the trace stays longest at one depth, to this share of the deepest, for this share of the load.
 _SAME_DEPTH_SHARE = 0.05
 _HOLD_SHARE = 0.2
@@ -195,14 +194,14 @@ def identify_trace(displacement_m: FloatArray, pressing_n: FloatArray, period_s:
     x, force = displacement_m, pressing_n
     peak, depth = float(np.max(force, initial=0.0)), float(np.max(x, initial=0.0))
     loaded = (force > _LOADED_SHARE * peak) & (x > 0.0)
-    if peak < _SMALLEST_PEAK_N or depth < _SMALLEST_TRAVEL_M or np.count_nonzero(loaded) < _FEWEST:
+    if peak < CONTACT.smallest_trace_peak_n or depth < _SMALLEST_TRAVEL_M or np.count_nonzero(loaded) < _FEWEST:
         raise EstimateError(
             f"A force of {peak:.2f} N at most, over {1e3 * depth:.2f} mm into the surface, is no contact from which a "
             "stiffness can be determined; press with 20 N or more, and check `exerted_by` if the trace does press."
         )
     stiffness, scatter = _through_origin(x[loaded], force[loaded])
     first = int(np.argmax(loaded))
-    before = np.flatnonzero(force[:first] < _TOUCH_SHARE * peak)
+    before = np.flatnonzero(force[:first] < CONTACT.trace_share * peak)
     touch = int(before[-1]) if before.size else 0
     farther = x[touch]
     beyond = loaded & (x > farther)

@@ -13,9 +13,10 @@ from .axis_estimate import AxisResult, AxisView, CellSignals, axis_priors, fit_a
 from .errors import EstimateError
 from .joint_fit.model import COUPLING_NAMES
 from .joint_fit.result import MECHANICAL_NAMES, JointFit
-from .joint_fit.segments import find_holds, hold_threshold_n
+from .joint_fit.segments import find_holds
 from .payload.inertia import InertiaFit
 from .result import Finding
+from .signals.contact_rule import CONTACT
 
 _DISAGREEMENT_STDS = 3.0
 _DISAGREEMENT_SHARE = 0.03
@@ -37,7 +38,7 @@ def identify_turn(
     holds = find_holds(
         cell.motion.still,
         unrolled.axis.force_n,
-        hold_threshold_n(cell.gravity.torque_residual_rms_n_m / LEVER_M),
+        CONTACT.hold_threshold_n(cell.gravity.torque_residual_rms_n_m / LEVER_M),
     )
     tensor = inertia.components[turn.index]
     result = fit_axis(

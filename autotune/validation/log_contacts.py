@@ -12,10 +12,11 @@ from identification.axes.straight import AxisMotion, find_axes
 from identification.axes.turning import LEVER_M, Unrolled, find_turns, rests_after, unroll
 from identification.conventions.choice import read_by_weight
 from identification.errors import EstimateError, LogError
-from identification.joint_fit.segments import find_holds, hold_threshold_n
+from identification.joint_fit.segments import find_holds
 from identification.payload.gravity import GravityFit, identify_gravity
 from identification.payload.static_poses import GRAVITY_B_M_S2, collect_static_poses
 from identification.signals.aligned import AlignedLog, align
+from identification.signals.contact_rule import CONTACT
 from identification.signals.frames import Frames
 from identification.signals.recording import AXES, Recording
 from identification.signals.segments import MotionSpans, Span, find_motion
@@ -27,7 +28,6 @@ from problems.model.controller import AdmittanceController
 
 from .replay import DifferenceEquation
 
-_RESIDUAL_N = 1.0
 _UNEXPLAINED_N, _UNEXPLAINED_SHARE = 5.0, 0.05
 _BEFORE_S, _SPEED_S = 0.06, 0.01
 _TARE_S = 0.5
@@ -172,7 +172,7 @@ def _turns(weighed: _Weighed, controller: Controller) -> list[_Turn]:
             )
         return []
     found = []
-    least = hold_threshold_n(weighed.gravity.torque_residual_rms_n_m / LEVER_M)
+    least = CONTACT.hold_threshold_n(weighed.gravity.torque_residual_rms_n_m / LEVER_M)
     for turn in find_turns(weighed.recording, weighed.log, weighed.motion, weighed.gravity):
         if turn.name in names:
             unrolled = unroll(turn, weighed.recording, weighed.log)
@@ -202,7 +202,7 @@ def _straight_contacts(
     axis: AxisMotion, domain: AxisDomain, mass_kg: float, weighed: _Weighed, turned: Collection[Span]
 ) -> Iterator[LogContact]:
     """Yield the contacts along an axis; a rest that a turn ended in is pressed sideways, and belongs to the turn."""
-    holds = find_holds(weighed.motion.still, axis.force_n, hold_threshold_n(_RESIDUAL_N))
+    holds = find_holds(weighed.motion.still, axis.force_n, CONTACT.hold_threshold_n(CONTACT.unweighed_residual_n))
     mine = tuple(hold for hold in holds if hold not in turned)
     command = _command_along(weighed.recording, weighed.log, axis, weighed.log.position_B_m[0])
     yield from _axis_contacts(axis, mine, _coupling(domain, mass_kg), command, weighed)
@@ -275,7 +275,7 @@ def _at_rest_before(force: FloatArray, free: list[Span], contact: Span, period_s
     before = [span for span in free if span.stop <= contact.start]
     if not before:
         rests = [float(np.std(force[span.slice])) for span in free]
-        return 0.0, min(rests, default=_RESIDUAL_N)
+        return 0.0, min(rests, default=CONTACT.unweighed_residual_n)
     last = force[before[-1].slice][-max(2, round(_TARE_S / period_s)) :]
     return float(np.mean(last)), float(np.std(last))
 

@@ -12,8 +12,8 @@ from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 
-from ..joint_fit.segments import hold_threshold_n
 from ..merging.values import noise_stds
+from ..signals.contact_rule import CONTACT
 from ..signals.segments import low_pass
 from .sweep import standard_deviations
 from .values import Known, PlanValues
@@ -75,7 +75,7 @@ def plan_contacts(values: PlanValues, *, max_force_n: float, allowed: dict[str, 
         return None
     pair, controller = found
     touches = []
-    least = 2.0 * hold_threshold_n(values.pose_force_std_n.value)
+    least = 2.0 * CONTACT.hold_threshold_n(values.pose_force_std_n.value)
     for speed, hold in product(_SPEEDS_M_S, [hold for hold in _HOLDS_N if hold >= least]):
         touch = _touch(values, pair, controller, speed, hold)
         if touch is not None and max(touch.peak_contact_n, touch.peak_sensor_n) <= max_force_n:

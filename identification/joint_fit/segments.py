@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from problems.arrays import FloatArray
 
+from ..signals.contact_rule import CONTACT
 from ..signals.segments import Span, low_pass
 from .force_kernel import ModeArray, run_contact, run_free
 from .kernel import Body, returns_at_once
@@ -19,13 +20,7 @@ _NO_SURFACE = np.zeros(3)
 OFFSET = 2
 FREE = -1
 _SLOW_HZ = 20.0
-_SMALLEST_CONTACT_N = 2.0
-_SMALLEST_HOLD_N, _HOLD_RESIDUALS = 4.0, 6.0
-_TOUCHED_SHARE = 0.1
-_FURTHEST_BEFORE_S = 3.0
-_LONGEST_BOUNCE_S = 0.3
 _BEFORE_ONSET_S = 0.25
-_SMALLEST_LEAD_S = 0.05
 _HOLD_USED_S = 0.4
 _LONGEST_S = 3.0
 _LARGEST_MISFIT = 0.35
@@ -195,11 +190,6 @@ class FoundContact:
         return self.misfit_share < _LARGEST_MISFIT and self.secant_std_n_per_m < _LARGEST_STD * self.secant_n_per_m
 
 
-def hold_threshold_n(residual_rms_n: float) -> float:
-    """Return the least force of a hold: 4 N, or six times what the weight leaves of the force at rest."""
-    return max(_SMALLEST_HOLD_N, _HOLD_RESIDUALS * residual_rms_n)
-
-
 def find_holds(still: Sequence[Span], force_n: FloatArray, threshold_n: float) -> tuple[Span, ...]:
     """Return the rests during which the payload presses on something: a force that gravity does not explain."""
     return tuple(span for span in still if abs(float(np.median(force_n[span.slice]))) > threshold_n)
@@ -211,18 +201,18 @@ def find_onset(hold: Span, path: FlangePath, force_n: FloatArray, coupling: Floa
     F_e = −F − B_p v − M_p a of the flange, below 20 Hz: good to a few hundredths of a second.
     """
     sign = -1.0 if float(np.median(force_n[hold.slice])) > 0.0 else 1.0
-    before = max(0, hold.start - round(_FURTHEST_BEFORE_S / period_s))
+    before = max(0, hold.start - round(CONTACT.furthest_s / period_s))
     window = slice(before, min(hold.stop, hold.start + round(_HOLD_USED_S / period_s)))
     speed = low_pass(sign * path.cut(window).velocity / period_s, period_s, _SLOW_HZ)
     pressing = low_pass(-sign * force_n[window], period_s, _SLOW_HZ)
     touching = pressing - coupling[2] * speed - coupling[3] * np.gradient(speed, period_s)
     at_hold = float(np.median(touching[hold.start - before :]))
-    apart = touching < max(_SMALLEST_CONTACT_N, _TOUCHED_SHARE * at_hold)
+    apart = touching < CONTACT.touch_threshold_n(at_hold)
     apart[hold.start - before :] = False
     touches = np.flatnonzero(~apart)
-    pauses = np.flatnonzero(np.diff(touches) > _LONGEST_BOUNCE_S / period_s)
+    pauses = np.flatnonzero(np.diff(touches) > CONTACT.longest_bounce_s / period_s)
     first = int(touches[pauses[-1] + 1] if pauses.size else touches[0])
-    return before + first if first > _SMALLEST_LEAD_S / period_s else None
+    return before + first if first > CONTACT.smallest_lead_of_fit_s / period_s else None
 
 
 def contact_segment(

@@ -10,6 +10,7 @@ from scipy.special import fdtri
 from problems.arrays import BoolArray, FloatArray
 
 from ..signals.aligned import spans_of
+from ..signals.contact_rule import CONTACT
 from ..signals.segments import MotionSpans, Span, low_pass, without_pauses, without_short
 from .moves import is_hand_led
 from .payload import AxisContacts, PayloadMotion, least_touch, press_sign, span_median
@@ -28,14 +29,7 @@ _LAW_SHARE = 0.1
 _POOR_LAW = 0.5
 _BROKEN_LAW = 0.2
 _DRIVING_SHARE = 0.1
-_TOUCHED_NOISES = 6.0
-_FURTHEST_S = 3.0
-_LONGEST_BOUNCE_S = 0.3
-_SHORTEST_BOUNCE_S = 4e-3
-_SMALLEST_LEAD_S = 0.02
 _CLEAR_LAW = 0.2
-_RESTLESS_FACTOR = 2.0
-_SHORTEST_RESTLESS_S = 0.1
 _SLOW_HZ = 8.0
 
 
@@ -204,7 +198,7 @@ def find_contacts(of: AxisContacts, payload: PayloadMotion, motion: MotionSpans,
             continue
         sign = press_sign(of, hold)
         window = _window(hold, barriers, len(payload.touch_n), period_s, found)
-        level = max(least_touch(of, payload, hold), _TOUCHED_NOISES * noise)
+        level = max(least_touch(of, payload, hold), CONTACT.touched_noises * noise)
         touches = np.asarray(sign * payload.touch_n[window.slice] > level)
         found.append(_contact(of, sign, hold, window, touches, period_s))
     laws = [learn_law(contact, of, payload, period_s) for contact in found]
@@ -238,7 +232,7 @@ def _restless(
 ) -> tuple[list[ContactTimes], list[ContactTimes]]:
     """Return contacts in motion, without a hold (vibration on the surface, a bump), and those without a clear law."""
     slow = low_pass(payload.touch_n, period_s, _SLOW_HZ)
-    level = max(_RESTLESS_FACTOR * of.smallest_n, _TOUCHED_NOISES * noise)
+    level = max(CONTACT.restless_factor * of.smallest_n, CONTACT.touched_noises * noise)
     taken = np.ones(len(slow), dtype=np.bool_)
     for span in of.axis.spans:
         shown = of.axis.position_m[span.slice], of.axis.force_n[span.slice]
@@ -250,8 +244,8 @@ def _restless(
     found: list[ContactTimes] = []
     unclear: list[ContactTimes] = []
     for sign in (-1.0, 1.0):
-        joined = without_pauses(np.asarray((sign * slow > level) & ~taken), round(_LONGEST_BOUNCE_S / period_s))
-        for core in spans_of(without_short(np.asarray(joined & ~taken), round(_SHORTEST_RESTLESS_S / period_s))):
+        joined = without_pauses(np.asarray((sign * slow > level) & ~taken), round(CONTACT.longest_bounce_s / period_s))
+        for core in spans_of(without_short(np.asarray(joined & ~taken), round(CONTACT.shortest_restless_s / period_s))):
             window = _window(core, barriers, len(slow), period_s, [*contacts, *found])
             touches = np.asarray(sign * payload.touch_n[window.slice] > level)
             contact = _peaked(_contact(of, sign, core, window, touches, period_s), of, sign)
@@ -283,7 +277,7 @@ def _scatter(values: FloatArray, spans: Sequence[Span]) -> float:
 
 def _window(hold: Span, free: Sequence[Span], count: int, period_s: float, found: Sequence[ContactTimes]) -> Span:
     """Return where the touches of a hold are looked for: to the rests without force, other contacts, or 3 s away."""
-    furthest = round(_FURTHEST_S / period_s)
+    furthest = round(CONTACT.furthest_s / period_s)
     others = [*free, *(contact.span for contact in found)]
     before = [s.stop for s in others if s.stop <= hold.start]
     after = [s.start for s in others if s.start >= hold.stop]
@@ -296,13 +290,13 @@ def _contact(
     """Put the instants together; `touches` shows over the window where the payload touches."""
     held = slice(hold.start - window.start, hold.stop - window.start)
     touches[held] = True
-    joined = without_pauses(touches, round(_LONGEST_BOUNCE_S / period_s))
+    joined = without_pauses(touches, round(CONTACT.longest_bounce_s / period_s))
     run = next(s for s in spans_of(joined) if s.start <= held.start < s.stop)
-    lead = max(1, round(_SMALLEST_LEAD_S / period_s))
+    lead = max(1, round(CONTACT.smallest_lead_s / period_s))
     is_entered, is_left = run.start > lead, run.stop < len(touches) - lead
     span = Span(start=window.start + run.start, stop=window.start + run.stop)
     onset = span.start if is_entered else None
-    shortest = round(_SHORTEST_BOUNCE_S / period_s)
+    shortest = round(CONTACT.shortest_bounce_s / period_s)
     before = ~touches[run.start : held.start]
     apart = [s for s in spans_of(before) if len(s) >= shortest] if is_entered else []
     pressing = -sign * of.axis.force_n[span.start : hold.stop]

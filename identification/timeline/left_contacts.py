@@ -8,11 +8,11 @@ import numpy as np
 from problems.frozen import freeze
 
 from ..result import CONTACT_UNEXPLAINED, EnvironmentEstimate, Estimate, Finding, LogPhase, Status
+from ..signals.contact_rule import CONTACT
 from ..verdicts import unidentifiable
 from .contacts import ContactTimes, Pressed
 from .payload import AxisContacts, PayloadMotion, press_sign
 
-_TOUCHED_SHARE = 0.1
 _FEWEST_SAMPLES = 12
 _CLEAR_SHARE = 0.9
 # What a slope leaves out: dry friction, a payload seen up to two of its resonances, a surface that is no spring.
@@ -56,7 +56,7 @@ def learn_slope(
     force, way = sign * payload.touch_n[contact.span.slice], sign * payload.position_m[contact.span.slice]
     known = np.isfinite(force) & np.isfinite(way)
     highest = float(np.max(force, initial=0.0, where=known))
-    touches = known & (force > max(of.smallest_n, _TOUCHED_SHARE * highest))
+    touches = known & (force > CONTACT.touch_threshold_n(highest))
     if np.count_nonzero(touches) < _FEWEST_SAMPLES or coupling.value is None or coupling.std is None:
         return None
     spread = np.cov(way[touches], force[touches])

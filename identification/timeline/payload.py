@@ -7,12 +7,12 @@ import numpy as np
 from problems.arrays import FloatArray
 
 from ..axes.straight import AxisMotion
+from ..signals.contact_rule import CONTACT
 from ..signals.segments import Span, low_pass, rate_of
 
 _HIGHEST_HZ = 60.0
 _LOWEST_HZ = 20.0
 _RESONANCES = 2.0
-_TOUCHED_SHARE = 0.1
 _SLOW_HZ = 8.0
 _MARGIN_S = 0.2
 _FEWEST_FILTERED = 30
@@ -22,15 +22,15 @@ _FEWEST_FILTERED = 30
 class AxisContacts:
     """An axis with its rests under force, and K_s, B_s, B_p, M_p (4,) as far as they are known.
 
-    `smallest_n` is the least contact force and `softest_n_per_m` the least stiffness of a surface: an arm that holds
-    the payload is a spring too, of up to 2 or 3 N/mm. On a rotational axis both are those of torque and angle.
+    `smallest_n` is the least contact force and `softest_n_per_m` the least stiffness of a surface, see
+    `ContactRule`; on a rotational axis both are those of torque and angle.
     """
 
     axis: AxisMotion
     holds: tuple[Span, ...]
     coupling: FloatArray
-    smallest_n: float = 2.0
-    softest_n_per_m: float = 4e3
+    smallest_n: float = CONTACT.smallest_n
+    softest_n_per_m: float = CONTACT.softest_n_per_m
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +81,7 @@ def press_sign(of: AxisContacts, hold: Span) -> float:
 
 def least_touch(of: AxisContacts, payload: PayloadMotion, hold: Span) -> float:
     """Return the force above which the payload touches what a hold presses on: a tenth of the hold's, or the least."""
-    return max(of.smallest_n, _TOUCHED_SHARE * press_sign(of, hold) * span_median(payload.touch_n, hold))
+    return CONTACT.touch_threshold_n(press_sign(of, hold) * span_median(payload.touch_n, hold))
 
 
 def span_median(values: FloatArray, span: Span) -> float:
