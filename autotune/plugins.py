@@ -64,7 +64,7 @@ def load_objective(name: str) -> Objective:
 
 def load_plugin(group: str, name: str, kind: type) -> Any:
     """Import and make what an entry point registers; raises UsageError, see `load_requirement`."""
-    known, what = registered(group), kind.__name__.lower()
+    known, what = registered(group), "requirement" if group == REQUIREMENTS else "objective"
     if name not in known:
         listed = ", ".join(sorted({*known, *(BUILT_IN if group == REQUIREMENTS else BUILT_IN_OBJECTIVES)})) or "none"
         raise UsageError(f"There is no {what} {name!r} installed; there are: {listed}.")

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from autotune.errors import UsageError
-from autotune.formats.records import AXES
+from autotune.formats.units import AXES
 from identification.given import Given, axis_keys
 
 _PER_TURN = 180.0 / math.pi

@@ -197,7 +197,7 @@ def test_recorded_bags_are_described_truly_and_refused_with_a_reason(
         "/robot_state is a JointState with 6 position, ",
         "a layout has to be declared in cell.yaml before it can serve as pose or wrench",
         "So many exact zeros are what a deadband applied before recording leaves",
-        "tell nothing about gravity and bias",
+        "samples cut to zero hold nothing of gravity and bias",
         "has no channel for the wrench",
         "has no channel for the commanded pose",
     ):

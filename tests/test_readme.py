@@ -65,7 +65,18 @@ def test_every_command_in_the_readme_exists(repository: Path) -> None:
     from autotune.cli.main import COMMANDS
 
     named = set(re.findall(r"^autotune (\w+)", (repository / "README.md").read_text(encoding="utf-8"), re.MULTILINE))
-    assert named == {"inspect", "identify", "plan", "optimize", "validate", "export", "map", "report", "explore"}
+    assert named == {
+        "inspect",
+        "identify",
+        "plan",
+        "optimize",
+        "validate",
+        "export",
+        "map",
+        "report",
+        "explore",
+        "warm",
+    }
     assert named <= set(COMMANDS)
 
 

@@ -125,7 +125,8 @@ def output_options(
         del debug
         delivery = click.get_current_context().find_object(Delivery) or Delivery()
         output = Output(as_json=as_json, quiet=quiet, delivery=delivery)
-        on_compilation(lambda: output.note(COMPILING))
+        if detect_terminal(sys.stderr).is_terminal:
+            on_compilation(lambda: output.note(COMPILING))
         return function(output, *args, **kwargs)
 
     return command

@@ -24,7 +24,7 @@ _DECIMALS = {"N": 2, "N·m": 4}
 
 def active_tree(found: "Optimized") -> dict[str, Any]:
     """Return, per axis, the active requirements and bounds with the price of one percent in N, or in N·m."""
-    from autotune.formats.records import ROTATIONAL_AXES
+    from autotune.formats.units import ROTATIONAL_AXES
 
     return {
         name: [

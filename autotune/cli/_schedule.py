@@ -173,7 +173,8 @@ def _print(tree: Mapping[str, Any], classes: "Sequence[ScheduleClass]", folder: 
 def print_schedule(tree: Mapping[str, Any]) -> None:
     """Print the table of a schedule, what one controller for all costs, and what the classes cover."""
     from autotune.formats.canonical import short
-    from autotune.formats.records import ROTATIONAL_AXES, rename_axis_keys
+    from autotune.formats.records import rename_axis_keys
+    from autotune.formats.units import ROTATIONAL_AXES
 
     scheduled = [name for name in _SHORT if name in tree["covered"]]
     place = "contact" if tree["objective"] == "contact_force" else "sensor"

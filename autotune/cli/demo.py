@@ -37,14 +37,15 @@ def command(output: Output, directory: Path, seed: int) -> None:
 
     from ._report import write_report
 
-    page: Path | None = directory / PAGE
+    has_page = True
     try:
         require_extra("The page of the demo", "bokeh", "reports")
     except MissingExtraError as error:
         output.note(f"{error} The demo goes on without it.")
-        page = None
+        has_page = False
     with output.progress("demo", 1.0) as advance:
         found = run_demo(directory, seed=seed, step=lambda name: output.note(f"{name} ..."), progress=advance)
+    page = found.files.log.parent / PAGE if has_page else None
     written = write_report(output, page, lambda: _page(found))
     if page is not None:
         found.made.add(page)

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from autotune.formats.records import ROTATIONAL_AXES
-from autotune.formats.units import axis_units
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
 
 from ._common import Output, output_options
 from ._optimized import limit_lines

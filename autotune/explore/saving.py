@@ -16,7 +16,7 @@ from autotune.errors import AutotuneError, CertificateError, InfeasibleError, Us
 from autotune.formats.canonical import short
 from autotune.formats.controller import read_controller, write_controller
 from autotune.formats.controller_record import Controller
-from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.units import ROTATIONAL_AXES
 from autotune.tuning.compare import judge_design
 from autotune.tuning.optimize import certify
 from autotune.tuning.search import SearchResult

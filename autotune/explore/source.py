@@ -14,7 +14,7 @@ from autotune.formats.controller_record import AxisGains, Controller, RuntimePay
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.plant import read_plant
 from autotune.formats.problem import ProblemSpec, read_problem
-from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.units import ROTATIONAL_AXES
 from autotune.formats.yaml12 import kind_of_file
 from autotune.tuning.bounds import Box
 from autotune.tuning.compare import start_design

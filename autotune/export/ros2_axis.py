@@ -8,8 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from autotune.formats.controller_record import AxisGains
-from autotune.formats.records import AXES, ROTATIONAL_AXES
-from autotune.formats.units import axis_units
+from autotune.formats.units import AXES, ROTATIONAL_AXES, axis_units
 from autotune.validation.law import AxisTask
 from problems.model.linear_controllers import LinearController
 from problems.model.third_party_controllers import SpringAdmittance

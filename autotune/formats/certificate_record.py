@@ -16,7 +16,7 @@ from problems.frozen import FrozenDict, freeze
 from problems.model.plant import NO_FILTER, Coupling, Environment, PayloadDynamics, Plant, WrenchFilter
 from problems.model.robot import RobotModel
 
-from .records import ROTATIONAL_AXES
+from .units import ROTATIONAL_AXES
 
 Interval = tuple[float, float]
 

@@ -10,11 +10,9 @@ from problems.errors import ParameterError
 from problems.frozen import FrozenDict
 
 from .canonical import Place, plain, spell
+from .units import ROTATIONAL_AXES
 
 _Record = TypeVar("_Record")
-
-AXES = ("x", "y", "z", "rx", "ry", "rz")
-ROTATIONAL_AXES = frozenset({"rx", "ry", "rz"})
 
 ROTATIONAL_KEYS: Mapping[str, str] = FrozenDict(
     {

@@ -12,8 +12,9 @@ from .atomic import check_target, write_folder_atomic
 from .canonical import checksum, dump_yaml, plain, short
 from .controller import ControllerFile, controller_tree, read_controller
 from .controller_record import Controller
-from .records import ROTATIONAL_AXES, rename_axis_keys
+from .records import rename_axis_keys
 from .schema import VERSION, check_document, check_format, check_tree
+from .units import ROTATIONAL_AXES
 from .yaml12 import Document, load_document
 
 if TYPE_CHECKING:

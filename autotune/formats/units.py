@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass
 
-from .records import ROTATIONAL_AXES
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+ROTATIONAL_AXES = frozenset({"rx", "ry", "rz"})
 
 
 @dataclass(frozen=True, kw_only=True)

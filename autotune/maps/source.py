@@ -12,7 +12,7 @@ from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller import read_controller
 from autotune.formats.controller_record import Controller
 from autotune.formats.plant import read_plant
-from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.units import ROTATIONAL_AXES
 from autotune.formats.yaml12 import kind_of_file
 from autotune.tuning.wrench import build_wrench
 from autotune.validation.validate import admittance_controller

@@ -10,8 +10,7 @@ from autotune.formats.canonical import short
 from autotune.formats.certificate_record import SoftRequirement
 from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import Controller
-from autotune.formats.records import ROTATIONAL_AXES
-from autotune.formats.units import AxisUnits, axis_units
+from autotune.formats.units import ROTATIONAL_AXES, AxisUnits, axis_units
 from autotune.plugins import find_requirement
 from autotune.text import scenario_text, stiffness_text, value_text
 from autotune.validation.validate import admittance_controller

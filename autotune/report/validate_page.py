@@ -7,8 +7,7 @@ import numpy as np
 
 from autotune.charts.chart import Band, Chart, Limit, Line, Panel, Scale, level_panels
 from autotune.formats.controller_record import Controller
-from autotune.formats.records import ROTATIONAL_AXES
-from autotune.formats.units import axis_units
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.validation.against_log import ComparedContact, LogComparison
 from autotune.validation.monte_carlo import BAND, QUANTILES, AxisMonteCarlo
 from autotune.validation.report import ValidationReport

@@ -6,8 +6,9 @@ from typing import Any
 
 from autotune.formats.atomic import write_atomic
 from autotune.formats.canonical import dump_yaml, plain
-from autotune.formats.records import ROTATIONAL_AXES, record_tree, rename_axis_keys
+from autotune.formats.records import record_tree, rename_axis_keys
 from autotune.formats.schema import VERSION, check_tree
+from autotune.formats.units import ROTATIONAL_AXES
 from problems.design.objectives import Objective
 
 from .points import Front, Judgement

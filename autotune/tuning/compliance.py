@@ -14,7 +14,7 @@ import numpy as np
 
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.problem import ComplianceSpec, Interval, ProblemSpec, Uncertain
-from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.units import ROTATIONAL_AXES
 from identification.result import Identified
 from problems.design.problem import DesignProblem
 from problems.progress import no_progress

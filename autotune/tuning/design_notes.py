@@ -3,8 +3,7 @@
 from collections.abc import Iterator
 
 from autotune.formats.identified import IdentifiedFile
-from autotune.formats.records import ROTATIONAL_AXES
-from autotune.formats.units import axis_units
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
 
 from .optimize import Optimized
 from .plausible import doubtful_ranges, left_out_contacts

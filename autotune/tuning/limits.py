@@ -11,8 +11,7 @@ from autotune.errors import UsageError
 from autotune.formats.controller_record import AxisPrediction, Controller
 from autotune.formats.limits import AxisLimits, Limits, LimitsSpec, ResidualPeaks
 from autotune.formats.problem import ProblemSpec
-from autotune.formats.records import ROTATIONAL_AXES
-from autotune.formats.units import axis_units
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.runtime.law import STANDARD_GRAVITY_M_S2
 from autotune.runtime.load import LEVER_M, REDUCED_SPEED_M_S
 from autotune.validation.contacts import commanded_motion, with_residual

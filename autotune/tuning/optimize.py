@@ -11,7 +11,7 @@ from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import Controller, RuntimePayload
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import ComplianceSpec, ProblemSpec
-from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.units import ROTATIONAL_AXES
 from autotune.validation.axis_proof import AxisProof, ProofOptions
 from autotune.validation.report import ValidationReport
 from autotune.validation.validate import validate_controller

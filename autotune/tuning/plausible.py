@@ -5,8 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from autotune.errors import UsageError
 from autotune.formats.problem import ProblemSpec
-from autotune.formats.records import ROTATIONAL_AXES
-from autotune.formats.units import axis_units
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from identification.result import CONTACT_UNEXPLAINED, AxisEstimate, Finding, Identified
 from problems.design.problem import DesignProblem
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from autotune.errors import UsageError
 from autotune.formats.problem import Interval, ProblemSpec, RotationalSpec
-from autotune.formats.records import ROTATIONAL_AXES, ROTATIONAL_KEYS
+from autotune.formats.records import ROTATIONAL_KEYS
+from autotune.formats.units import ROTATIONAL_AXES
 from autotune.plugins import build_requirements
 from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError

@@ -26,8 +26,7 @@ from autotune.formats.controller_record import (
     ScenarioPrediction,
 )
 from autotune.formats.limits import CollisionResponse
-from autotune.formats.records import ROTATIONAL_AXES
-from autotune.formats.units import axis_units
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.validation.validation_samples import sampled_claims
 from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError

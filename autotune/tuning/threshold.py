@@ -12,7 +12,7 @@ from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller_record import AxisPrediction, CollisionSettings, Controller, ScenarioPrediction
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.problem import ProblemSpec
-from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.units import ROTATIONAL_AXES
 from identification.result import Identified
 from problems.arrays import FloatArray
 from problems.design.problem import Objective

@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from autotune.formats.problem import Interval, Uncertain
-from autotune.formats.records import ROTATIONAL_AXES, ROTATIONAL_KEYS
+from autotune.formats.records import ROTATIONAL_KEYS
+from autotune.formats.units import ROTATIONAL_AXES
 from identification.errors import EstimateError
 from identification.result import AxisEstimate, Covariance, Estimate, Status
 from problems.arrays import FloatArray

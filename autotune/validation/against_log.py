@@ -9,8 +9,7 @@ from autotune.errors import UsageError
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import Controller
 from autotune.formats.limits import CollisionResponse
-from autotune.formats.records import ROTATIONAL_AXES
-from autotune.formats.units import axis_units
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from identification.errors import LogError
 from identification.signals.frames import Frames
 from identification.signals.recording import Recording

@@ -9,8 +9,7 @@ import numpy as np
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import Controller, ScenarioPrediction
 from autotune.formats.limits import CollisionResponse
-from autotune.formats.records import ROTATIONAL_AXES
-from autotune.formats.units import AxisUnits, axis_units
+from autotune.formats.units import ROTATIONAL_AXES, AxisUnits, axis_units
 from autotune.runtime.law import STANDARD_GRAVITY_M_S2
 from problems.arrays import FloatArray
 from problems.design.uncertainty import Scenario

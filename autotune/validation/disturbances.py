@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from autotune.formats.controller_record import AxisGains, Controller
 from autotune.formats.limits import CollisionResponse
-from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.units import ROTATIONAL_AXES
 from problems.contact.nonlinearities import Collision, CommandLimits, Deadband, Nonlinearities, Response
 from problems.design.requirements import NoiseLimit
 from problems.errors import ParameterError

@@ -5,8 +5,7 @@ from collections.abc import Iterator, Sequence
 
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import Controller, RuntimePayload
-from autotune.formats.records import ROTATIONAL_AXES
-from autotune.formats.units import axis_units
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from identification.result import AxisEstimate, Estimate, Identified, Status, VectorEstimate, WrenchFilterEstimate
 from problems.model.plant import NO_FILTER
 

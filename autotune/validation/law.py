@@ -15,8 +15,7 @@ from autotune.certificate.claim import Claim, CombinedCertificate, prove
 from autotune.certificate.family import MASS, STIFFNESS, UncertainPlant
 from autotune.formats.certificate_record import Asked, AxisDomain, AxisMargins
 from autotune.formats.controller_record import AxisPrediction, FreeSpaceAdmittance, ScenarioPrediction
-from autotune.formats.records import ROTATIONAL_AXES
-from autotune.formats.units import axis_units
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.plugins import find_requirement
 from problems.contact.linear_controller_contact import force_per_speed, simulate_linear_contact
 from problems.contact.transient import Approach, build_sampled_contact

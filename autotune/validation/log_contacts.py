@@ -7,7 +7,7 @@ import numpy as np
 
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import AxisGains, Controller
-from autotune.formats.records import ROTATIONAL_AXES
+from autotune.formats.units import ROTATIONAL_AXES
 from identification.axes.straight import AxisMotion, find_axes
 from identification.axes.turning import LEVER_M, Unrolled, find_turns, rests_after, unroll
 from identification.conventions.choice import read_by_weight

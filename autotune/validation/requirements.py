@@ -9,8 +9,7 @@ import numpy as np
 from autotune.certificate.family import UncertainPlant
 from autotune.formats.certificate_record import AxisMargins
 from autotune.formats.controller_record import Controller
-from autotune.formats.records import ROTATIONAL_AXES
-from autotune.formats.units import axis_units
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.plugins import find_requirement
 from problems.design.evaluation import build_scenarios
 from problems.design.requirements import (

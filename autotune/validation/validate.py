@@ -8,8 +8,7 @@ from autotune.certificate.family import UncertainPlant
 from autotune.formats.certificate_record import AxisDomain, Proof
 from autotune.formats.controller_record import Controller
 from autotune.formats.limits import CollisionResponse
-from autotune.formats.records import ROTATIONAL_AXES
-from autotune.formats.units import AxisUnits, axis_units
+from autotune.formats.units import ROTATIONAL_AXES, AxisUnits, axis_units
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 

@@ -229,6 +229,6 @@ def test_a_page_of_several_files_tells_how_far_it_is(controller_file: Path, monk
             progress(0.25)
         return fast_optimized().report
 
-    monkeypatch.setattr(from_files, "validate_controller", passed)
+    monkeypatch.setattr("autotune.validation.verify.validate_controller", passed)
     from_files.report_files([plant.path, controller_file], progress=shares.append)
     assert shares == pytest.approx([0.5, 0.125, 0.125, 0.125, 0.125])

@@ -66,8 +66,12 @@ def test_several_compilations_are_announced_once() -> None:
     assert said == ["compiling"]
 
 
-@pytest.mark.parametrize("quiet", [False, True])
-def test_a_cold_command_says_once_that_it_compiles(quiet: bool, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(("options", "times"), [([], 1), (["--quiet"], 0)])
+def test_a_cold_command_says_once_at_a_terminal_that_it_compiles(
+    options: list[str], times: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("autotune.cli._terminal._is_terminal", lambda _: True)
+
     @click.command()
     @_common.output_options
     def command(output: _common.Output) -> None:
@@ -75,7 +79,7 @@ def test_a_cold_command_says_once_that_it_compiles(quiet: bool, capsys: pytest.C
         many_compilations()
         output.result({"done": True}, lambda: None)
 
-    command.main(["--json", *(["--quiet"] if quiet else [])], standalone_mode=False)
+    command.main(["--json", *options], standalone_mode=False)
     told = capsys.readouterr()
     assert json.loads(told.out) == {"done": True}
-    assert told.err.count("Compiling once") == (0 if quiet else 1)
+    assert told.err.count("Compiling once") == times

@@ -95,7 +95,7 @@ def test_a_collision_response_is_not_kept_and_the_page_says_so(tmp_path: Path) -
 def test_a_problem_beside_a_controller_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "old.yaml"
     write_controller(path, fast_optimized().controller)
-    with pytest.raises(UsageError, match="--problem goes with an identified plant"):
+    with pytest.raises(UsageError, match="use --problem with an identified plant"):
         read_exploration(path, tmp_path / "problem.yaml")
     path.write_text("neither", encoding="utf-8")
     with pytest.raises(UsageError, match="neither a plant nor a controller"):
