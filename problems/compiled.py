@@ -72,9 +72,13 @@ class _Stamp:
 
 
 def _parts(function: FunctionType, seen: set[FunctionType]) -> Iterator[str]:
-    """Yield code and constants of a function and of every function of this project that it calls."""
+    """Yield name, code and constants of a function and of every function of this project that it calls.
+
+    The name because what is compiled finds a function that it calls by the module in which it was.
+    """
     seen.add(function)
     code = function.__code__
+    yield f"{function.__module__}.{function.__qualname__}"
     yield code.co_code.hex()
     yield repr([each for each in code.co_consts if not isinstance(each, CodeType)])
     for annotation in function.__annotations__.values():

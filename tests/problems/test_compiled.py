@@ -147,6 +147,13 @@ def test_the_stamp_changes_with_what_is_compiled_into_a_kernel(package: Package,
     assert package.stamp() != before
 
 
+def test_the_stamp_changes_when_a_function_that_is_called_moves(package: Package) -> None:
+    before = package.stamp()
+    package.write("elsewhere.py", inspect.cleandoc(BASE["deep.py"]))
+    package.change("middle.py", "from .deep import", "from .elsewhere import")
+    assert package.stamp() != before
+
+
 @pytest.mark.parametrize(
     ("name", "old", "new"),
     [
