@@ -92,9 +92,9 @@ def bode_chart(design: "AxisDesign") -> Chart:
 
 
 def _phase_deg(loop: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Return the continuous phase, the branch that begins between −360° and 0°."""
+    """Return the continuous phase, the branch that begins between −315° and 45°: a gain begins at 0°, also with lead."""
     phase = np.degrees(np.unwrap(np.angle(loop)))
-    return np.asarray(phase - 360.0 * np.ceil(phase[0] / 360.0))
+    return np.asarray(phase - 360.0 * np.ceil((phase[0] - 45.0) / 360.0))
 
 
 def contact_chart(contact: ContactTransient, units: "AxisUnits", title: str) -> Chart:

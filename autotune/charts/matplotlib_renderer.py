@@ -76,7 +76,7 @@ def draw(
         draw_panel(each, panel)
         add_colour_bar(figure, panel, each)
         if panel.equal:
-            each.set_aspect("equal", adjustable="datalim")
+            each.set_aspect("equal", adjustable="box")
         handles = _legend_handles(each, panel)
         if legend and axes is not None and handles:
             each.legend(handles=handles, fontsize="small")
