@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     )
     from autotune.design import Design, PredictedContact, Validation
     from autotune.errors import AutotuneError, CertificateError, InfeasibleError, UsageError
-    from autotune.formats.plant import Plant, Robot, Uncertain
+    from autotune.formats.plant import Plant, Robot
     from autotune.formats.problem import ProblemSpec as Problem
+    from autotune.formats.quantity import Uncertain
     from autotune.results import Identification, Log
     from autotune.validation.report import Check
     from autotune.version import __version__
@@ -38,7 +39,8 @@ _HOMES: dict[str, tuple[str, ...]] = {
     "autotune.api": ("from_control", "identify", "load", "optimize", "predict", "read_log", "simulate_log"),
     "autotune.design": ("Design", "PredictedContact", "Validation"),
     "autotune.errors": ("AutotuneError", "CertificateError", "InfeasibleError", "UsageError"),
-    "autotune.formats.plant": ("Plant", "Robot", "Uncertain"),
+    "autotune.formats.plant": ("Plant", "Robot"),
+    "autotune.formats.quantity": ("Uncertain",),
     "autotune.formats.problem": ("Problem",),
     "autotune.results": ("Identification", "Log"),
     "autotune.validation.report": ("Check",),

@@ -1,13 +1,16 @@
 """The functions of the Python interface: read, identify, optimize, predict, load."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from autotune.design import Design, PredictedContact
 from autotune.errors import UsageError
-from autotune.formats.plant import Plant, Quantity, Robot, Uncertain, as_interval
+from autotune.formats.atomic import check_target
+from autotune.formats.plant import Plant, Robot
+from autotune.formats.quantity import Quantity, Uncertain, as_interval
 from autotune.pipeline import identify_log
 from autotune.results import Identification, Log, Topics
 from autotune.shown import Progress, reporting
@@ -71,12 +74,9 @@ def read_log(
     topics = Topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
     told = topics.applied(declared)
     recording, findings = None, None
-    try:
+    with suppress(LogError, EstimateError):  # What is wrong is said by the summary, or raised by it.
         recording = read_checked_recording(files, told, salvage=salvage)
         findings = recording.findings
-    except (LogError, EstimateError):
-        # What is wrong is said by the summary, or raised by it.
-        recording = None
     summary = inspect_log(files, told, salvage=salvage, reading=findings)
     return Log(paths=files, summary=summary, recording=recording, cell=declared, topics=topics, salvage=salvage)
 
@@ -129,7 +129,7 @@ def identify(
     Examples
     --------
     >>> import autotune as at
-    >>> plant = at.identify(at.read_log(at.simulate_log("run7.mcap")))
+    >>> plant = at.identify(at.read_log(at.simulate_log("run8.mcap")))
     >>> plant.result.payload.mass_kg.status.value
     'identified'
 
@@ -403,9 +403,10 @@ def simulate_log(path: str | Path, *, seed: int = 0, progress: Callable[[float],
     Raises
     ------
     UsageError
-        The file cannot be written.
+        The file cannot be written, or the name is taken: no log is replaced.
 
     """
+    check_target(path, kind="simulated log", option="path")
     from autotune.simulation.phases import Program  # noqa: PLC0415 - compiles
     from autotune.simulation.simulate import simulate_cell  # noqa: PLC0415
     from autotune.simulation.truth import SimulatedCell  # noqa: PLC0415
@@ -437,13 +438,12 @@ def _prior(value: float | Uncertain) -> Given:
 def _plant_file(plant: "Plant | Identification | str | Path") -> "IdentifiedFile":
     from autotune.formats.plant import read_plant  # noqa: PLC0415 - a file only
 
-    if isinstance(plant, str | Path):
-        return read_plant(plant)
     if isinstance(plant, Identification | Plant):
         return plant.file()
-    raise UsageError(
-        f"plant must be what identify returns, a Plant or the path of a file, found {type(plant).__name__}."
-    )
+    if isinstance(plant, str | Path):
+        return read_plant(plant)
+    kind = type(plant).__name__
+    raise UsageError(f"plant must be what identify returns, a Plant or the path of a file, found {kind}.")
 
 
 def _range(name: str, value: Quantity | None) -> tuple[float, float] | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from autotune.errors import UsageError
+from autotune.formats.atomic import check_target
 from autotune.formats.controller import controller_tree, write_controller
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import AxisUnits, axis_units
@@ -259,9 +260,10 @@ class Design(Shown):
         Raises
         ------
         UsageError
-            The file cannot be written.
+            The file cannot be written, or a file of another kind would be lost.
 
         """
+        check_target(path, kind="controller", option="path")
         return write_controller(path, self.controller)
 
     def validate(self, *, samples: int = 256, seed: int = 1, progress: Progress = None) -> Validation:

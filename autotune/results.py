@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from autotune.errors import UsageError
+from autotune.formats.atomic import check_target
 from autotune.formats.cell import CellFile
 from autotune.formats.identified import IN_MEMORY, IdentifiedFile, identified_tree, write_identified
 from autotune.formats.yaml12 import dump_yaml
@@ -225,7 +226,11 @@ class Identification(Shown):
         return data_frame({name: [getattr(row, name) for row in rows] for name in names}, [r.name for r in rows])
 
     def save(self, path: Path | str) -> None:
-        """Write `identified.yaml` in one step; raises UsageError where it cannot be written."""
+        """Write `identified.yaml` in one step.
+
+        Raises UsageError where it cannot be written, or a file of another kind would be lost.
+        """
+        check_target(path, kind="identified", option="path")
         write_identified(path, self.result, self.provenance)
 
     def file(self) -> IdentifiedFile:

@@ -2,9 +2,8 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from hashlib import sha256
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -26,73 +25,15 @@ from identification.result import (
 from problems.errors import ParameterError
 from problems.model.robot import RobotModel, bandwidth_hz, bandwidth_share
 
-from .atomic import write_atomic
+from .atomic import check_target, write_atomic
 from .identified import IN_MEMORY, IdentifiedFile, read_identified
+from .quantity import Interval, Quantity, Uncertain, as_interval, nominal_value
 from .schema import VERSION, check_document, check_format
 from .yaml12 import Document, dump_yaml, kind_of_file, load_document
 
 FORMAT = "autotune/plant"
-DEVIATIONS = 3.0
-"""A value with a deviation is taken over so many of them to each side."""
-
-Interval = tuple[float, float]
 Vector = tuple[float, float, float]
 _UNKNOWN = "not known: the plant was written by hand"
-
-
-@dataclass(frozen=True)
-class Uncertain:
-    """A value with one standard deviation; what is designed for it must hold over three of them to each side.
-
-    Parameters
-    ----------
-    value
-        The expected value, in the unit of what it describes.
-    std
-        One standard deviation, in the same unit, above 0.
-
-    Raises
-    ------
-    ParameterError
-        The deviation is not positive, or not finite.
-
-    """
-
-    value: float
-    std: float
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.std < math.inf:
-            raise ParameterError("std", self.std, "greater than 0 (a number without a deviation is exact)")
-
-
-Quantity = float | Interval | Uncertain
-"""A plain number (exact), a range (low, high) that must all be safe, or a value with its deviation."""
-
-
-def as_interval(name: str, given: Any, *, may_vanish: bool) -> Interval:
-    """Return the lowest and the highest value of a quantity; raises ParameterError for one that is none."""
-    least = "at least 0" if may_vanish else "greater than 0"
-    if isinstance(given, Uncertain):
-        given = (given.value - DEVIATIONS * given.std, given.value + DEVIATIONS * given.std)
-        if may_vanish:
-            given = (max(given[0], 0.0), given[1])
-    try:
-        if isinstance(given, str | bool):
-            raise TypeError(name)
-        low, high = (given, given) if isinstance(given, Real) else given
-        low, high = float(low), float(high)
-    except (TypeError, ValueError):
-        raise ParameterError(name, given, "a number, a range (low, high) or Uncertain(value, std)") from None
-    if not (low <= high < math.inf and (low > 0.0 or (may_vanish and low == 0.0))):
-        raise ParameterError(name, low if low == high else given, f"{least}, and a range from low to high")
-    return low, high
-
-
-def _nominal(interval: Interval) -> float:
-    """Return the middle of a range, the geometric one where it covers a factor of three or more."""
-    low, high = interval
-    return math.sqrt(low * high) if low > 0.0 and high > 3.0 * low else 0.5 * (low + high)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,7 +89,7 @@ class Robot:
 
     def model(self) -> RobotModel:
         """Return the nominal robot."""
-        nominal = {name: _nominal(each) for name, each in self.ranges().items()}
+        nominal = {name: nominal_value(getattr(self, name), each) for name, each in self.ranges().items()}
         if self.numerator is not None and self.denominator is not None:
             numerator, denominator = list(self.numerator), list(self.denominator)
         elif self.damping_ratio is None:
@@ -205,8 +146,8 @@ class Plant:
 
     Notes
     -----
-    Without centre of mass and bias the runtime cannot compensate gravity: the controller file then says that the
-    payload is set in the cell, and the runtime does not start without it.
+    Without centre of mass and bias, or with a range of mass, the runtime cannot compensate gravity: the controller file
+    then says that the payload is set in the cell, and the runtime does not start without it.
 
     Examples
     --------
@@ -263,6 +204,11 @@ class Plant:
         """Return the names of what is taken as exact, because it was given as a plain number."""
         return tuple(name for name, (low, high) in self._intervals().items() if low == high)
 
+    def knows_mass(self) -> bool:
+        """Return whether one mass is known to compensate: a number or the value of an `Uncertain`, not a range."""
+        low, high = self._intervals()["mass"]
+        return isinstance(self.mass, Uncertain) or low == high
+
     def domain(self) -> dict[str, Interval]:
         """Return the set that a controller must be safe for, by the names of `problem.yaml`."""
         names = {
@@ -284,7 +230,8 @@ class Plant:
         return {"format": FORMAT, "version": VERSION, **_tree(self)}
 
     def save(self, path: Path | str) -> None:
-        """Write `plant.yaml` in one step."""
+        """Write `plant.yaml` in one step; raises UsageError where it cannot, or another kind of file would be lost."""
+        check_target(path, kind="plant", option="path")
         write_atomic(path, dump_yaml(self.to_dict()))
 
     def file(self, path: Path = IN_MEMORY, digest: str | None = None) -> IdentifiedFile:
@@ -331,9 +278,16 @@ def _vector(value: tuple[float, ...] | None) -> VectorEstimate:
 
 
 def _identified(plant: Plant) -> Identified:
-    nominal = {name: _nominal(each) for name, each in plant._intervals().items()}  # noqa: SLF001 - of this module
+    robot = plant.robot
+    nominal = {
+        name: nominal_value(getattr(robot if name.startswith("robot.") else plant, name.removeprefix("robot.")), each)
+        for name, each in plant._intervals().items()  # noqa: SLF001 - of this module
+    }
     stiffness, coupling = nominal["environment_stiffness"], nominal["coupling_stiffness"]
-    model = plant.robot.model()
+    model, mass = robot.model(), _given(nominal["mass"])
+    if not plant.knows_mass():
+        # No deviation: the middle of the range, which is not the mass to compensate.
+        mass = replace(mass, std=None, note="any mass of the range; the one to compensate is not known")
     surface = EnvironmentEstimate(
         name="surface",
         stiffness_n_per_m=_given(stiffness),
@@ -358,7 +312,7 @@ def _identified(plant: Plant) -> Identified:
     )
     return Identified(
         sample_time_s=_given(plant.sample_time),
-        payload=PayloadEstimate(mass_kg=_given(nominal["mass"]), com_m=_vector(plant.centre_of_mass)),
+        payload=PayloadEstimate(mass_kg=mass, com_m=_vector(plant.centre_of_mass)),
         axes={plant.axis: axis},
         sensor=SensorEstimate(
             force_bias_n=_vector(plant.force_bias),
@@ -390,14 +344,20 @@ def _findings(plant: Plant) -> list[Finding]:
                 advice="Give a range (low, high), or a value with its deviation, for what is not known exactly.",
             )
         )
-    if None in (plant.centre_of_mass, plant.force_bias, plant.torque_bias):
+    names = ("centre_of_mass", "force_bias", "torque_bias")
+    missing = [name for name in names if getattr(plant, name) is None]
+    given = [name for name in names if name not in missing]
+    unknown = missing if plant.knows_mass() else ["the one mass to compensate (mass is a range)", *missing]
+    if unknown:
+        ignored = f" What was given of the payload ({', '.join(given)}) is ignored there." if given else ""
         found.append(
             Finding(
                 code="payload-unknown",
                 severity="warning",
-                message="The centre of mass or the sensor's bias is not known, so the runtime cannot compensate "
-                "gravity with this controller: it does not start until the payload is given there.",
-                advice="Give centre_of_mass, force_bias and torque_bias, or identify the payload from a log.",
+                message=f"Not known: {', '.join(unknown)}. So the runtime cannot compensate gravity with this "
+                f"controller (set_in_cell): it does not start until the whole payload is given there.{ignored}",
+                advice="Give mass (a number or Uncertain), centre_of_mass, force_bias and torque_bias, or identify the "
+                "payload from a log.",
             )
         )
     return found

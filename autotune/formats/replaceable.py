@@ -29,6 +29,7 @@ _NOUNS: Mapping[str, str] = FrozenDict(
         "pareto": "front",
         "picture": "picture of a map",
         "plan": "plan",
+        "plant": "plant",
         "report": "report",
         "schedule": "schedule",
     }

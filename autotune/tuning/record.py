@@ -121,15 +121,15 @@ def _gains(name: str, controller: AdmittanceController) -> AxisGains:
 def runtime_payload(identified: Identified, mass_kg: float) -> RuntimePayload:
     """Return what gravity compensation needs; raises EstimateError for a log that showed no centre of mass or bias.
 
-    Where a person wrote the plant and left them out, the payload must be set in the cell.
+    Where a person wrote the plant and left them out, or gave a range of mass (a given mass without deviation) of which
+    none was chosen, the payload must be set in the cell.
     """
+    weighed = identified.payload.mass_kg
+    is_range = weighed.status is Status.GIVEN and weighed.std is None and weighed.value == mass_kg
     estimates = (identified.payload.com_m, identified.sensor.force_bias_n, identified.sensor.torque_bias_n_m)
     com, force, torque = (each.value for each in estimates)
-    if all(each.value is not None or each.status is Status.GIVEN for each in estimates) and None in (
-        com,
-        force,
-        torque,
-    ):
+    is_written = all(each.value is not None or each.status is Status.GIVEN for each in estimates)
+    if is_written and (is_range or None in (com, force, torque)):
         none = (0.0, 0.0, 0.0)
         return RuntimePayload(mass_kg=mass_kg, com_m=none, force_bias_n=none, torque_bias_n_m=none, set_in_cell=True)
     if com is None or force is None or torque is None:

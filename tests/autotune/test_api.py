@@ -239,3 +239,31 @@ def test_what_is_no_plant_or_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "other.yaml").write_text("a: 1\n", encoding="utf-8")
     with pytest.raises(at.UsageError, match="must be a controller"):
         at.load(tmp_path / "other.yaml")
+
+
+@pytest.mark.parametrize("kind", ["log", "plant", "controller"])
+def test_save_replaces_no_file_of_another_kind(design: at.Design, tmp_path: Path, kind: str) -> None:
+    """The rule of the command line (docs/files.md, "What is replaced"), and again of the same kind it replaces."""
+    path = tmp_path / "run7.mcap"
+    if kind == "log":
+        path.write_bytes(b"\x89MCAP0\r\n" + bytes(100))
+    else:
+        (written_plant() if kind == "plant" else design).save(path)
+    before = path.read_bytes()
+    plant = at.Identification(result=written_plant().file().result, provenance={}, names=("a",))
+    results: dict[str, Any] = {"controller": design, "plant": written_plant(), "identified": plant}
+    for own, result in results.items():
+        if own == kind:
+            result.save(path)
+            continue
+        with pytest.raises(at.UsageError, match="not replaced"):
+            result.save(path)
+        assert path.read_bytes() == before
+    with pytest.raises(at.UsageError, match="not replaced"):
+        at.simulate_log(path)
+    assert path.read_bytes() == before
+
+
+def test_a_log_is_not_simulated_into_a_folder_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(at.UsageError, match="does not exist"):
+        at.simulate_log(tmp_path / "none" / "run.mcap")

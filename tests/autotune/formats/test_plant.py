@@ -10,11 +10,15 @@ from hypothesis import strategies as st
 
 from autotune.errors import UsageError
 from autotune.explore.source import read_exploration
-from autotune.formats.plant import Plant, Robot, Uncertain, parse_plant, read_plant
+from autotune.formats.controller_record import RuntimePayload
+from autotune.formats.plant import Plant, Robot, parse_plant, read_plant
 from autotune.formats.problem import ProblemSpec
+from autotune.formats.quantity import Uncertain
 from autotune.formats.yaml12 import load_document
 from autotune.maps.source import read_source
+from autotune.tuning.optimize import carried_mass_kg
 from autotune.tuning.problems import DesignOptions, build_problems, within_domain
+from autotune.tuning.record import runtime_payload
 from identification.result import Status
 from problems.errors import ParameterError
 from problems.model.robot import bandwidth_hz
@@ -162,3 +166,46 @@ def test_a_number_out_of_range_is_refused_by_name(changes: dict[str, Any], name:
 def test_a_deviation_of_nothing_is_no_deviation() -> None:
     with pytest.raises(ParameterError, match="exact"):
         Uncertain(16.0, 0.0)
+
+
+WHOLE: dict[str, Any] = {
+    "centre_of_mass": (0.0, 0.0, 0.1),
+    "force_bias": (1.0, 2.0, 3.0),
+    "torque_bias": (0.1, 0.2, 0.3),
+}
+
+
+def carried(source: Plant, **options: Any) -> RuntimePayload:
+    identified = source.file()
+    asked = DesignOptions(**options)
+    spec = within_domain(ProblemSpec(), identified.domain)
+    problems = build_problems(identified.result, spec, asked)
+    return runtime_payload(identified.result, carried_mass_kg(identified.result, problems, spec, asked))
+
+
+def test_the_value_of_an_uncertain_mass_is_what_is_compensated() -> None:
+    """Three deviations reach from 4 to 28 kg, a factor of 7, and the value stays 16 kg."""
+    source = plant(mass=Uncertain(16.0, 4.0), drag=Uncertain(630.0, 200.0), **WHOLE)
+    payload = carried(source)
+    assert payload.mass_kg == 16.0
+    assert not payload.set_in_cell
+    assert source.file().result.axes["x"].drag_n_s_per_m.value == 630.0
+
+
+def test_of_a_range_of_mass_no_mass_is_compensated_until_the_cell_says_which() -> None:
+    source = plant(mass=(5.0, 22.0), **WHOLE)
+    assert carried(source).set_in_cell
+    (finding,) = (each for each in source.file().result.findings if each.code == "payload-unknown")
+    assert "mass is a range" in finding.message
+    assert "set_in_cell" in finding.message
+    assert "centre_of_mass, force_bias, torque_bias) is ignored" in finding.message
+    chosen = carried(source, payload_mass_kg=(12.0, 12.0))
+    assert (chosen.mass_kg, chosen.set_in_cell) == (12.0, False)
+
+
+def test_half_a_payload_is_said_to_be_ignored() -> None:
+    source = plant(centre_of_mass=(0.0, 0.0, 0.1))
+    assert carried(source).set_in_cell
+    (finding,) = (each for each in source.file().result.findings if each.code == "payload-unknown")
+    assert "force_bias, torque_bias" in finding.message
+    assert "(centre_of_mass) is ignored" in finding.message
