@@ -442,8 +442,7 @@ def _plant_file(plant: "Plant | Identification | str | Path") -> "IdentifiedFile
         return plant.file()
     if isinstance(plant, str | Path):
         return read_plant(plant)
-    kind = type(plant).__name__
-    raise UsageError(f"plant must be what identify returns, a Plant or the path of a file, found {kind}.")
+    raise UsageError(f"plant must be what identify returns, a Plant or a path, found {type(plant).__name__}.")
 
 
 def _range(name: str, value: Quantity | None) -> tuple[float, float] | None:
