@@ -264,7 +264,7 @@ def predict(
     environment_stiffness
         Of the surface, K_e [N/m, N·m/rad].
     payload_mass
-        M_p [kg, kg·m²]; the light end of the certified range unless it is said.
+        M_p [kg, kg·m²]; that with the largest peak of both ends and the nominal one of the domain unless it is said.
     approach_speed
         Speed at the impact [m/s, rad/s], sustained by the force that it needs in free space.
     approach_force

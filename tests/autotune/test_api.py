@@ -7,7 +7,7 @@ import importlib
 import pickle
 import subprocess
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -267,3 +267,27 @@ def test_save_replaces_no_file_of_another_kind(design: at.Design, tmp_path: Path
 def test_a_log_is_not_simulated_into_a_folder_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(at.UsageError, match="does not exist"):
         at.simulate_log(tmp_path / "none" / "run.mcap")
+
+
+def test_a_prediction_names_the_payload_and_the_worst_of_the_certificate() -> None:
+    """With a light and a heavy end, the default is the larger of the peaks, and never certified above the worst."""
+    design = at.optimize(written_plant(mass=(14.0, 18.0)))
+    found = at.predict(design, environment_stiffness=8e4)
+    ends = [at.predict(design, environment_stiffness=8e4, payload_mass=mass).peak_force for mass in (14.0, 18.0)]
+    assert found.peak_force >= max(ends)
+    assert f"payload of {found.scenario.payload_mass_kg:.4g} kg" in repr(found)
+    assert found.certified_peak == design.peak_force
+    assert found.certified == (found.peak_force <= design.peak_force * (1.0 + 1e-9))
+    assert f"certified: at most {design.peak_force:.4g} N over the whole domain" in str(found)
+    refused: tuple[dict[str, Any], ...] = ({"approach_speed": 5.1}, {"approach_force": 1.1e4}, {"payload_mass": 1001.0})
+    for wrong in refused:
+        with pytest.raises(at.ParameterError):
+            at.predict(design, environment_stiffness=8e4, **wrong)
+
+
+def test_a_design_whose_gains_were_changed_is_not_saved(design: at.Design, tmp_path: Path) -> None:
+    axes = {"x": replace(design.controller.axes["x"], mass=2.0 * design.gains["x"]["mass"])}
+    changed = replace(design, controller=replace(design.controller, axes=axes))
+    with pytest.raises(at.CertificateError, match="changed after its certificate"):
+        changed.save(tmp_path / "controller.yaml")
+    assert not (tmp_path / "controller.yaml").exists()
