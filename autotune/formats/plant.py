@@ -190,7 +190,18 @@ class Plant:
                 if len(given) != 3:
                     raise ParameterError(name, given, "three numbers")
                 object.__setattr__(self, name, tuple(float(each) for each in given))
+                if not all(math.isfinite(each) for each in getattr(self, name)):
+                    raise ParameterError(name, given, "three finite numbers")
+        self._check_bounds()
         self._intervals()
+
+    def _check_bounds(self) -> None:
+        if self.centre_of_mass is not None and math.hypot(*self.centre_of_mass) > 2.0:
+            raise ParameterError("centre_of_mass", self.centre_of_mass, "within 2 m of the sensor")
+        if not isinstance(self.robot, Robot):
+            raise ParameterError("robot", self.robot, "a Robot")
+        if isinstance(self.sample_time, tuple | list | Uncertain) or self.sample_time > 0.1:
+            raise ParameterError("sample_time", self.sample_time, "one number, at most 0.1 s")
 
     def _intervals(self) -> dict[str, Interval]:
         """Return the lowest and highest value by name as written, `robot.` before those of the robot."""
@@ -202,7 +213,12 @@ class Plant:
 
     def exact(self) -> tuple[str, ...]:
         """Return the names of what is taken as exact, because it was given as a plain number."""
-        return tuple(name for name, (low, high) in self._intervals().items() if low == high)
+        numbers = [name for name, (low, high) in self._intervals().items() if low == high]
+        polynomials = [
+            f"robot.{name}" for name in ("numerator", "denominator") if getattr(self.robot, name) is not None
+        ]
+        wrench = [name for name in ("wrench_corner", "wrench_delay") if getattr(self, name) is not None]
+        return (*numbers, *polynomials, *wrench)
 
     def knows_mass(self) -> bool:
         """Return whether one mass is known to compensate: a number or the value of an `Uncertain`, not a range."""

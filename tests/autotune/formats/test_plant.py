@@ -153,6 +153,11 @@ def test_what_is_wrong_is_refused_with_file_line_and_key(
         ({"drag": -1.0}, "drag"),
         ({"sample_time": 0.0}, "sample_time"),
         ({"axis": "rz"}, "axis"),
+        ({"sample_time": (8e-4, 1e-3)}, "sample_time"),
+        ({"sample_time": 0.8}, "sample_time"),
+        ({"robot": 3.2}, "robot"),
+        ({"centre_of_mass": (0.0, 0.0, 100.0)}, "centre_of_mass"),
+        ({"force_bias": (0.0, math.nan, 0.0)}, "force_bias"),
         ({"force_bias": (1.0, 2.0)}, "force_bias"),
         ({"wrench_corner": 50.0, "wrench_delay": 0.001}, "wrench_delay"),
     ],
@@ -209,3 +214,8 @@ def test_half_a_payload_is_said_to_be_ignored() -> None:
     (finding,) = (each for each in source.file().result.findings if each.code == "payload-unknown")
     assert "force_bias, torque_bias" in finding.message
     assert "(centre_of_mass) is ignored" in finding.message
+
+
+def test_coefficients_and_the_filter_of_the_wrench_are_exact_too() -> None:
+    source = plant(robot=Robot(numerator=(20.0,), denominator=(1.0, 20.0)), wrench_corner=50.0)
+    assert {"robot.numerator", "robot.denominator", "wrench_corner"} <= {*source.exact()}
