@@ -92,7 +92,7 @@ def bode_chart(design: "AxisDesign") -> Chart:
 
 
 def _phase_deg(loop: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Return the continuous phase, the branch that begins between −315° and 45°: a gain begins at 0°, also with lead."""
+    """Return the continuous phase on the branch that begins between −315° and 45°, so that a gain begins at 0°."""
     phase = np.degrees(np.unwrap(np.angle(loop)))
     return np.asarray(phase - 360.0 * np.ceil((phase[0] - 45.0) / 360.0))
 
