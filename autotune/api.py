@@ -337,7 +337,7 @@ def load(path: str | Path) -> "Design | Identification | Plant":
     kind, path = kind_of_file(Path(path)), Path(path)
     if kind == "controller":
         read = read_controller(path)
-        return Design(controller=read.controller, path=path)
+        return Design(controller=read.controller, file=read)
     if kind == "identified":
         plant = read_identified(path)
         return Identification(

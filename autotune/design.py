@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from autotune.errors import CertificateError, UsageError
 from autotune.formats.atomic import check_target
-from autotune.formats.controller import controller_tree, write_controller
+from autotune.formats.controller import ControllerFile, controller_tree, write_controller
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import AxisUnits, axis_units
 from autotune.shown import Progress, ResultTable, Shown, data_frame, plain_tree, reporting
@@ -157,15 +157,15 @@ class Design(Shown):
         What should not be overlooked, a sentence each.
     optimized
         The searches behind it; None for a design that was loaded from a file.
-    path
-        The file that it was loaded from.
+    file
+        The file that it was loaded from; None for a design that was optimized.
 
     """
 
     controller: Controller
     notes: tuple[str, ...] = ()
     optimized: "Optimized | None" = field(default=None, compare=False)
-    path: Path | None = None
+    file: ControllerFile | None = field(default=None, compare=False)
 
     @cached_property
     def _axes(self) -> "dict[str, AxisDesign]":
@@ -273,7 +273,8 @@ class Design(Shown):
             The file cannot be written, or a file of another kind would be lost.
 
         """
-        if self.optimized is not None and self.optimized.controller != self.controller:
+        source = self.optimized or self.file
+        if source is not None and source.controller != self.controller:
             raise CertificateError("The controller was changed after its certificate was made; optimize it again.")
         check_target(path, kind="controller", option="path")
         return write_controller(path, self.controller)
@@ -284,8 +285,7 @@ class Design(Shown):
         Parameters
         ----------
         samples
-            How many plants of the certified set are simulated with deadband, noise, clipping and late commands; 0 for
-            none.
+            How many plants of the certified set are simulated with deadband, noise, clipping and late commands, or 0.
         seed
             Which plants, and which noise.
         progress

@@ -286,8 +286,12 @@ def test_a_prediction_names_the_payload_and_the_worst_of_the_certificate() -> No
 
 
 def test_a_design_whose_gains_were_changed_is_not_saved(design: at.Design, tmp_path: Path) -> None:
+    design.save(tmp_path / "first.yaml")
+    loaded = at.load(tmp_path / "first.yaml")
+    assert isinstance(loaded, at.Design)
     axes = {"x": replace(design.controller.axes["x"], mass=2.0 * design.gains["x"]["mass"])}
-    changed = replace(design, controller=replace(design.controller, axes=axes))
-    with pytest.raises(at.CertificateError, match="changed after its certificate"):
-        changed.save(tmp_path / "controller.yaml")
-    assert not (tmp_path / "controller.yaml").exists()
+    for whole in (design, loaded):
+        changed = replace(whole, controller=replace(whole.controller, axes=axes))
+        with pytest.raises(at.CertificateError, match="changed after its certificate"):
+            changed.save(tmp_path / "controller.yaml")
+        assert not (tmp_path / "controller.yaml").exists()
