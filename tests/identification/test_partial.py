@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from autotune.formats.cell import read_cell
 from identification.errors import EstimateError
 from identification.logs import read_recording
-from identification.partial import describe_trace, identify_partial, identify_trace
+from identification.partial import identify_partial
 from identification.result import Estimate, Identified, Status
 from identification.robot.admittance_robot import (
     AdmittanceRobotFit,
@@ -21,6 +21,7 @@ from identification.robot.admittance_robot import (
 )
 from identification.signals.aligned import align
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
+from identification.touches.trace import describe_trace, identify_trace
 from problems.arrays import FloatArray
 from problems.model.robot import RobotModel
 
