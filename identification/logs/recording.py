@@ -1,6 +1,7 @@
 """The chosen channels as one recording: which clock stamps them, whether they can be used, what they mean."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,9 +12,17 @@ from ..signals.recording import GainsSignal, PoseSignal, Recording, StampArray, 
 from .checks.consistency import turn_findings, twist_findings
 from .checks.samples import role_faults
 from .roles.candidates import is_processed_name
-from .roles.cell import Cell, Clock, Frame, GainsSource, PoseSource, TwistSource, WrenchSource
+from .roles.cell import Cell, Clock, DesiredForceSource, Frame, GainsSource, PoseSource, TwistSource, WrenchSource
 from .roles.choose import Choice, RoleSeries, source_of
-from .roles.interpret import Columns, build_frames, interpret_gains, interpret_pose, interpret_twist, interpret_wrench
+from .roles.interpret import (
+    Columns,
+    applied_deadband,
+    build_frames,
+    interpret_gains,
+    interpret_pose,
+    interpret_twist,
+    interpret_wrench,
+)
 from .roles.registry import ADMITTANCE_STATE, ROLES, Role
 
 _MAIN = (Role.WRENCH, Role.POSE, Role.COMMAND)
@@ -95,12 +104,11 @@ def build_recording(series: dict[Role, RoleSeries], clocks: Mapping[Role, Clock]
     if Role.TWIST in columns:
         twist = interpret_twist(columns[Role.TWIST], cell.twist or TwistSource(), frames, pose)
         findings += twist_findings(pose, twist)
-    if Role.DESIRED_FORCE in columns:
-        desired = cell.desired_force or WrenchSource()
+    desired = cell.desired_force or DesiredForceSource()
+    asked = _constant(desired, wrench) if desired.is_known else columns.get(Role.DESIRED_FORCE)
+    if asked is not None:
         axes = desired.expressed_in or Frame.SENSOR
-        desired_force = interpret_wrench(
-            columns[Role.DESIRED_FORCE], desired, frames, pose, expressed_in=axes, gravity_compensated=True
-        )
+        desired_force = interpret_wrench(asked, desired, frames, pose, expressed_in=axes, gravity_compensated=True)
     return Recording(
         wrench=wrench,
         pose=pose,
@@ -191,13 +199,24 @@ def _wrench(
     return wrench, findings
 
 
+def _constant(source: DesiredForceSource, wrench: WrenchSignal) -> Columns:
+    """Return a declared force at the wrench's stamps, of which one will do where it does not turn with the tool."""
+    stamps = wrench.stamp_ns if source.expressed_in is Frame.BASE else wrench.stamp_ns[:1]
+    values = np.tile([*(source.force or ()), *source.torque], (len(stamps), 1))
+    return Columns(topic="", frame_id="", stamp_ns=stamps, values=values, has=(True,) * 6)
+
+
 def _gains(columns: Mapping[Role, Columns], cell: Cell, wrench: WrenchSignal) -> GainsSignal | None:
     source = cell.gains or GainsSource()
     if source.mass is not None and source.damping is not None:
-        return GainsSignal(
+        gains = GainsSignal(
             topic="",
             stamp_ns=wrench.stamp_ns[:1],
             mass=np.array([source.mass]),
             damping=np.array([source.damping]),
         )
-    return interpret_gains(columns[Role.GAINS]) if Role.GAINS in columns else None
+    elif Role.GAINS in columns:
+        gains = interpret_gains(columns[Role.GAINS])
+    else:
+        return None
+    return replace(gains, lead_s=source.lead, deadband=applied_deadband(source.deadband))

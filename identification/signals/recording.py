@@ -117,12 +117,15 @@ class GainsSignal:
     """The controller's gains per axis of the control frame, in SI of the axis.
 
     `mass` (n, 6) is M_a (kg, kg·m²), `damping` (n, 6) is B_a (N·s/m, N·m·s/rad); one row where they are constant.
+    `lead_s` is K_l of each axis, None where it is not known, and `deadband` what the controller takes off the force.
     """
 
     topic: str
     stamp_ns: StampArray
     mass: FloatArray
     damping: FloatArray
+    lead_s: tuple[float, ...] | None = None
+    deadband: AppliedDeadband | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, mass=6, damping=6)

@@ -147,6 +147,23 @@ class WrenchSource(Source):
 
 
 @dataclass(frozen=True, kw_only=True)
+class DesiredForceSource(WrenchSource):
+    """F^d: where it is logged, or its constant value in `units`, a torque too where there is one."""
+
+    force: tuple[float, float, float] | None = None
+    torque: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the value is declared, and no channel is looked for."""
+        return self.force is not None
+
+    def __post_init__(self) -> None:
+        if self.is_known and (self.topic is not None or self.fields is not None):
+            raise ParameterError("force", "a known force", "left out where topic or fields say where it is logged")
+
+
+@dataclass(frozen=True, kw_only=True)
 class PoseFields:
     """Paths of position (three) and orientation (three or four)."""
 
@@ -232,11 +249,22 @@ class GainsFields:
 
 @dataclass(frozen=True, kw_only=True)
 class GainsSource(Source):
-    """The controller's gains: where they are logged, or their constant values in SI of each axis."""
+    """The controller's gains: where they are logged, or their constant values in SI of each axis.
+
+    `lead` is K_l [s] of each axis, None where it is not known; `deadband` what the controller takes off the logged
+    force before it acts on it.
+    """
 
     fields: GainsFields | None = None
     mass: tuple[float, ...] | None = None
     damping: tuple[float, ...] | None = None
+    lead: tuple[float, ...] | None = None
+    deadband: DeclaredDeadband | None = None
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the values are declared, and no channel is looked for."""
+        return self.mass is not None
 
     def __post_init__(self) -> None:
         if (self.mass is None) != (self.damping is None):
@@ -282,7 +310,7 @@ class Cell:
     command: PoseSource | None = None
     twist: TwistSource | None = None
     gains: GainsSource | None = None
-    desired_force: WrenchSource | None = None
+    desired_force: DesiredForceSource | None = None
     table: TableLayout | None = None
 
     def __post_init__(self) -> None:

@@ -16,7 +16,7 @@ from .candidates import (
     missing_sentence,
     roles_of,
 )
-from .cell import Cell, PoseSource, Source
+from .cell import Cell, DesiredForceSource, GainsSource, PoseSource, Source
 from .registry import ROLES, TRANSFORMS, Role
 
 FramesOf = Callable[[ChannelInfo], tuple[tuple[str, str], ...]]
@@ -65,7 +65,7 @@ def choose_all(infos: Infos, cell: Cell, log: str, frames_of: FramesOf) -> dict[
 def choose(role: Role, infos: Infos, cell: Cell, log: str, frames_of: FramesOf) -> Choice | None:
     """Return the channel of one role, None where an optional one is not there; see `choose_all`."""
     source = source_of(cell, role)
-    if source is not None and getattr(source, "mass", None) is not None:
+    if isinstance(source, DesiredForceSource | GainsSource) and source.is_known:
         return None
     fields = declared_fields(source)
     if source is not None and fields is not None:

@@ -17,6 +17,7 @@ from .cell import (
     LENGTH_M,
     TORQUE_N_M,
     Cell,
+    DeclaredDeadband,
     ExertedBy,
     Frame,
     Mounting,
@@ -128,7 +129,6 @@ def interpret_wrench(
         inside, orientation = _orientation_at(pose, stamps, columns.topic)
         stamps = stamps[inside]
         values = _both_turned(columns, orientation.inv() * frames.R_WB, values[inside])
-    deadband = source.deadband
     return WrenchSignal(
         topic=columns.topic,
         frame_id=columns.frame_id,
@@ -136,11 +136,16 @@ def interpret_wrench(
         force_n=values[:, :3],
         torque_n_m=values[:, 3:],
         gravity_compensated=gravity_compensated,
-        deadband=None
-        if deadband is None
-        else AppliedDeadband(type=deadband.type.value, force_n=deadband.force_n, torque_n_m=deadband.torque_n_m),
+        deadband=applied_deadband(source.deadband),
         measured_axes=_measured(has),
     )
+
+
+def applied_deadband(declared: DeclaredDeadband | None) -> AppliedDeadband | None:
+    """Return a declared deadband as signals have it."""
+    if declared is None:
+        return None
+    return AppliedDeadband(type=declared.type.value, force_n=declared.force_n, torque_n_m=declared.torque_n_m)
 
 
 def interpret_twist(columns: Columns, source: TwistSource, frames: Frames, pose: PoseSignal) -> TwistSignal:

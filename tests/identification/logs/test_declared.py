@@ -15,6 +15,7 @@ from identification.logs.roles.cell import (
     Cell,
     Clock,
     DeclaredDeadband,
+    DesiredForceSource,
     Frame,
     GainsFields,
     GainsSource,
@@ -25,10 +26,12 @@ from identification.logs.roles.cell import (
     TwistSource,
     WrenchFields,
     WrenchSource,
+    WrenchUnits,
 )
 from identification.logs.tables.layout import TableLayout
 from identification.signals.recording import Recording
 from problems.contact.nonlinearities import DeadbandType
+from problems.errors import ParameterError
 from tests.identification.logs.message_builder import (
     ADMITTANCE_STATE,
     DELAY_NS,
@@ -224,7 +227,7 @@ def test_twist_gains_and_desired_force_of_joint_states(tmp_path: Path) -> None:
         gains=GainsSource(
             topic="/state", fields=GainsFields(mass=paths("effort", 6, 12), damping=paths("velocity", 0, 6))
         ),
-        desired_force=WrenchSource(topic="/state", fields=WrenchFields(force=paths("effort", 9, 12))),
+        desired_force=DesiredForceSource(topic="/state", fields=WrenchFields(force=paths("effort", 9, 12))),
     )
     recording = read_recording(write_log(tmp_path / "run.mcap", [JOINTS]), cell)
     assert_same_motion(recording)
@@ -239,11 +242,39 @@ def test_twist_gains_and_desired_force_of_joint_states(tmp_path: Path) -> None:
 
 
 def test_known_gains_are_constants(tmp_path: Path) -> None:
-    cell = Cell(gains=GainsSource(mass=(1, 2, 3, 4, 5, 6), damping=(7, 8, 9, 10, 11, 12)))
+    deadband = DeclaredDeadband(type=DeadbandType.SUBTRACTIVE, force_n=5.0)
+    lead = (0.02, 0.02, 0.02, 0.0, 0.0, 0.0)
+    cell = Cell(gains=GainsSource(mass=(1, 2, 3, 4, 5, 6), damping=(7, 8, 9, 10, 11, 12), lead=lead, deadband=deadband))
     recording = read_recording(write_log(tmp_path / "run.mcap", [FT, POSE]), cell)
     assert recording.gains is not None
     assert recording.gains.mass.tolist() == [[1, 2, 3, 4, 5, 6]]
     assert recording.gains.damping.tolist() == [[7, 8, 9, 10, 11, 12]]
+    assert recording.gains.lead_s == lead
+    assert recording.gains.deadband is not None
+    assert recording.gains.deadband.force_n == 5.0
+
+
+@pytest.mark.parametrize("axes", [None, Frame.BASE])
+def test_a_known_desired_force_turns_with_the_tool_only_if_it_is_declared_in_base_axes(
+    tmp_path: Path, axes: Frame | None
+) -> None:
+    cell = Cell(
+        desired_force=DesiredForceSource(force=(0.0, 0.0, 0.03), units=WrenchUnits(force="kN"), expressed_in=axes)
+    )
+    recording = read_recording(write_log(tmp_path / "run.mcap", [FT, POSE]), cell)
+    assert recording.desired_force is not None
+    force = recording.desired_force.force_n
+    if axes is None:
+        assert force == pytest.approx(np.array([[0.0, 0.0, 30.0]]))
+    else:
+        turned = Rotation.from_quat(recording.pose.quaternion_xyzw[10]).apply(np.array(force[10]))
+        assert turned == pytest.approx([0.0, 0.0, 30.0], abs=1e-9)
+        assert float(np.max(np.abs(force[0] - force[-1]))) > 1.0
+
+
+def test_a_desired_force_is_logged_or_known() -> None:
+    with pytest.raises(ParameterError, match="left out where topic or fields"):
+        DesiredForceSource(force=(0.0, 0.0, 30.0), topic="/setpoint")
 
 
 def test_clocks_are_as_declared(tmp_path: Path) -> None:
