@@ -7,10 +7,12 @@ import io
 import os
 import sys
 import traceback
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from pathlib import Path
+from typing import Any, TextIO
 
 import click
 from click.shell_completion import CompletionItem
@@ -160,7 +162,8 @@ def main(argv: Sequence[str] | None = None, *, entries: Mapping[str, CommandEntr
     _one_thread()
     delivery = Delivery()
     try:
-        code = _run(build_cli(entries), arguments, delivery)
+        with _warnings_in_plain_words(arguments):
+            code = _run(build_cli(entries), arguments, delivery)
         sys.stdout.flush()
     except BrokenPipeError:
         discard_output()
@@ -169,6 +172,37 @@ def main(argv: Sequence[str] | None = None, *, entries: Mapping[str, CommandEntr
         code = _report(error, arguments, delivery)
     _settle_output()
     return int(code)
+
+
+@contextlib.contextmanager
+def _warnings_in_plain_words(arguments: Sequence[str]) -> Iterator[None]:
+    """Count what Python warns of while a command runs, and say so in one line at its end; `--debug` shows each."""
+    if _has_option("--debug", arguments):
+        yield
+        return
+    seen: list[str] = []
+
+    def remember(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        del file, line
+        seen.append(f"{category.__name__}: {message} ({Path(filename).name}:{lineno})")
+
+    with warnings.catch_warnings():
+        warnings.showwarning = remember
+        try:
+            yield
+        finally:
+            if seen:
+                say(
+                    f"{PROGRAM}: {len(seen)} warning(s) of the numerical libraries inside, the first {seen[0]}. What "
+                    "is not finite is never written, but please report this; --debug shows where it comes from."
+                )
 
 
 def exit_code_of(error: BaseException) -> ExitCode:

@@ -101,7 +101,7 @@ def _read(hint: Any, value: Any, place: Place) -> Any:
         return {key: _read(arguments[1], part, (*place, key)) for key, part in value.items()}
     if is_dataclass(hint) and isinstance(hint, type):
         return read_record(hint, value, place)
-    return hint(value) if isinstance(hint, type) and issubclass(hint, float | Enum) else value
+    return hint(value) if isinstance(hint, type) and issubclass(hint, int | float | Enum) else value
 
 
 def _option(options: tuple[Any, ...], value: Any) -> Any:
@@ -109,7 +109,7 @@ def _option(options: tuple[Any, ...], value: Any) -> Any:
     if isinstance(value, bool):
         return bool
     if isinstance(value, int | float):
-        return float
+        return int if int in options and value == int(value) else float
     if isinstance(value, str):
         return next((option for option in options if isinstance(option, type) and issubclass(option, Enum)), str)
     records = [option for option in options if is_dataclass(option) or get_origin(option) is not None]

@@ -8,6 +8,7 @@ from pathlib import Path
 from ..errors import LogError
 from ..result import Finding
 from ..signals.recording import Recording
+from ..signals.repairs import without_pose_spikes
 from .checks.clocks import ChannelTimes, check_clocks
 from .checks.payload import check_payload
 from .checks.samples import joined
@@ -137,12 +138,15 @@ def _parts(read: Sequence[dict[Role, RoleSeries]], choices: Mapping[Role, Choice
 
 
 def _continuous(recording: Recording) -> Recording:
-    """Return the recording with orientations whose quaternions do not jump to their negatives, across files too."""
+    """Return the recording with orientations whose quaternions do not jump to their negatives, across files too.
+
+    Single poses that no robot could take are replaced.
+    """
     pose, command = recording.pose, recording.command
-    pose = replace(pose, quaternion_xyzw=make_continuous(pose.quaternion_xyzw))
+    pose, found = without_pose_spikes(replace(pose, quaternion_xyzw=make_continuous(pose.quaternion_xyzw)))
     if command is not None:
         command = replace(command, quaternion_xyzw=make_continuous(command.quaternion_xyzw))
-    return replace(recording, pose=pose, command=command)
+    return replace(recording, pose=pose, command=command, findings=(*recording.findings, *found))
 
 
 def _on_one_clock(read: _Read) -> Recording:

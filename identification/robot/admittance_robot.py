@@ -21,6 +21,7 @@ from .position_loop import find_bandwidth_hz
 
 _SMALLEST_TRAVEL = 5e-3  # m or rad
 _FEWEST_STEPS = 100
+_CONSTANT_SHARE = 1e-9  # rounding of a constant
 _SMALLEST_TURN_RAD_S = 2e-4
 _LONGEST_DELAY_S = 0.3
 _DELAY_UNIT_S = 0.01
@@ -72,7 +73,7 @@ def identify_admittance_robot(motion: AdmittanceMotion) -> AdmittanceRobotFit:
     One pole or two, with or without a lever, by the Bayesian information criterion. Deviations are those of coloured
     residuals (scores summed over seconds); where the other number of poles fits within a quarter as well, its answer
     with its deviation lies inside them too, since a slow hand shows the sum of the lags better than their kind.
-    Raises EstimateError when the axis hardly moves or no such robot explains the motion.
+    Raises EstimateError when the axis hardly moves, the wrench asks for nothing, or no such robot explains the motion.
     """
     moved = motion.moved_m_s[motion.used]
     travel = float(np.sum(np.abs(moved) * np.diff(motion.edge_s)[motion.used]))
@@ -80,6 +81,11 @@ def identify_admittance_robot(motion: AdmittanceMotion) -> AdmittanceRobotFit:
         raise EstimateError(
             f"The tool travels {1e3 * travel:.1f} mm (mrad) in {len(moved)} samples under the admittance with known "
             "gains, too little to identify the robot's response; lead it by hand for 10 s, in quick pushes."
+        )
+    if float(np.ptp(motion.asked_m_s)) <= _CONSTANT_SHARE * float(np.max(np.abs(motion.asked_m_s))):
+        raise EstimateError(
+            "The wrench asks for no change of speed on this axis (it is constant, or within its deadband), so its "
+            "motion shows no response; lead the tool by hand along it, in quick pushes."
         )
     turns = bool(np.any(np.sqrt(np.mean(motion.turning_rad_s[motion.used] ** 2, axis=0)) > _SMALLEST_TURN_RAD_S))
     levers = (False, True) if turns else (False,)

@@ -14,6 +14,7 @@ from .frames import slerp
 from .recording import PoseSignal, Recording, StampArray, WrenchSignal
 
 _SHORTEST_OVERLAP_S = 2.0
+_FEWEST_SAMPLES = 30
 _LARGEST_GAP_PERIODS = 12.0
 _FEWEST_BETWEEN_HOLES = 4
 _REGULAR_SHARE = 0.05
@@ -83,8 +84,8 @@ def align(recording: Recording) -> AlignedLog:
 
     The clock starts at a wrench stamp, so that a regular wrench keeps its samples: between them its noise would be
     averaged. Position by cubic spline, orientation by slerp, neither across a hole. Raises LogError when the channels
-    do not overlap, or have holes that the recording does not keep; EstimateError when wrench or pose are not as sensor
-    and robot show them (`Recording.require_raw`).
+    do not overlap by 30 samples, or have holes that the recording does not keep; EstimateError when wrench or pose are
+    not as sensor and robot show them (`Recording.require_raw`).
     """
     recording.require_raw()
     wrench, pose = recording.wrench, recording.pose
@@ -100,6 +101,12 @@ def align(recording: Recording) -> AlignedLog:
     pose_period = check_regular(pose.topic, pose.stamp_ns, keeps_holes=recording.keeps_holes)
     start = wrench.stamp_ns[np.searchsorted(wrench.stamp_ns, start)]
     count = int((stop - start) * 1e-9 / period + 1e-6) + 1
+    if count < _FEWEST_SAMPLES:
+        raise LogError(
+            f"Wrench and pose must have {_FEWEST_SAMPLES} samples in common to show rest and motion, found {count} "
+            f"({wrench.topic}); record at the control rate, or, where each row of a table is the mean of a rest, "
+            "declare `table: {rows: poses}` in cell.yaml."
+        )
     time = np.asarray(np.arange(count) * period, dtype=np.float64)
     forces = _Pieces.of(wrench.stamp_ns, start, time)
     poses = _Pieces.of(pose.stamp_ns, start, time)

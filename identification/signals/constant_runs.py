@@ -201,7 +201,7 @@ def find_deadband(values: FloatArray) -> FoundDeadband | None:
 
 def _is_a_level(others: FloatArray, zeros: int, spacing: float) -> bool:
     """Return whether 0 is one of the levels of a sensor: a coarse one repeats others too, a fine one has neighbours."""
-    if float(np.mean(others[1:] == others[:-1])) > _COARSE_REPEATS:
+    if len(others) > 1 and float(np.mean(others[1:] == others[:-1])) > _COARSE_REPEATS:
         return True
     beside = max(int(np.count_nonzero(np.abs(others - k * spacing) < 0.1 * spacing)) for k in (-2, -1, 1, 2))
     return spacing > 0.0 and zeros < _LEVEL_FACTOR * beside

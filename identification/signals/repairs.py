@@ -1,4 +1,4 @@
-"""Repairs of a recording: spikes of the wrench, commands that the logger lost."""
+"""Repairs of a recording: spikes of the wrench and of the pose, commands that the logger lost."""
 
 import math
 from dataclasses import replace
@@ -7,7 +7,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation, Slerp
 
-from problems.arrays import FloatArray
+from problems.arrays import BoolArray, FloatArray
 
 from ..result import Finding
 from .aligned import find_gaps
@@ -18,6 +18,8 @@ _AROUND, _FEWEST, _LONGEST_PERIOD_S = 8, 20, 2.5e-3
 _TO_STD = 1.4826  # of a normal distribution, over its median absolute deviation
 _ADVICE = "Check the sensor's cable, shield and driver; they were replaced by the mean of their neighbours."
 _LOST = 1.5
+# No arm accelerates like this; half an angular acceleration, as a quaternion's components change by half an angle.
+_FASTEST_M_S2, _FASTEST_HALF_RAD_S2 = 100.0, 500.0
 
 
 def without_spikes(recording: Recording) -> tuple[Recording, tuple[Finding, ...]]:
@@ -30,12 +32,13 @@ def without_spikes(recording: Recording) -> tuple[Recording, tuple[Finding, ...]
     wrench = recording.wrench
     if len(wrench.stamp_ns) < _FEWEST or float(np.median(np.diff(wrench.stamp_ns))) * 1e-9 > _LONGEST_PERIOD_S:
         return recording, ()
-    forces, force_count = _replaced(wrench.force_n)
-    torques, torque_count = _replaced(wrench.torque_n_m)
-    count = force_count + torque_count
+    forces, torques = _spikes(wrench.force_n), _spikes(wrench.torque_n_m)
+    count = int(np.count_nonzero(forces) + np.count_nonzero(torques))
     if not count:
         return recording, ()
-    clean: WrenchSignal = replace(wrench, force_n=forces, torque_n_m=torques)
+    clean: WrenchSignal = replace(
+        wrench, force_n=_bridged(wrench.force_n, forces), torque_n_m=_bridged(wrench.torque_n_m, torques)
+    )
     finding = Finding(
         code="spikes",
         severity="warning",
@@ -45,22 +48,64 @@ def without_spikes(recording: Recording) -> tuple[Recording, tuple[Finding, ...]
     return replace(recording, wrench=clean), (finding,)
 
 
-def _replaced(values: FloatArray) -> tuple[FloatArray, int]:
-    """Return values (n, 3) without spikes, and how many there were."""
-    before, after = values[1:-1] - values[:-2], values[1:-1] - values[2:]
-    second = before + after
-    noise = _TO_STD * np.nanmedian(np.abs(second), axis=0)
-    limit = np.where(noise > 0.0, _NOISES * noise, np.inf)
+def without_pose_spikes(pose: PoseSignal) -> tuple[PoseSignal, tuple[Finding, ...]]:
+    """Return the pose with single samples replaced that leave both neighbours as no arm could, and come back.
+
+    As in the wrench they must stand out from noise and from all samples around them; beyond that, what takes a robot
+    there and back within two periods must exceed 100 m/s² (1000 rad/s²). Quaternions have neighbouring signs already.
+    """
+    if len(pose.stamp_ns) < _FEWEST:
+        return pose, ()
+    period = float(np.median(np.diff(pose.stamp_ns))) * 1e-9
+    places = _spikes(pose.position_m, 0.5 * _FASTEST_M_S2 * period**2)
+    turns = _spikes(pose.quaternion_xyzw, 0.5 * _FASTEST_HALF_RAD_S2 * period**2)
+    rows = np.flatnonzero(np.any(places, axis=1) | np.any(turns, axis=1))
+    if not rows.size:
+        return pose, ()
+    position = _bridged(pose.position_m, places)
+    quaternion = _bridged(pose.quaternion_xyzw, np.broadcast_to(np.any(turns, axis=1)[:, None], turns.shape))
+    first_s = float(pose.stamp_ns[rows[0]] - pose.stamp_ns[0]) * 1e-9
+    off = 1e3 * float(np.nanmax(np.linalg.norm(np.nan_to_num(position - pose.position_m), axis=1)))
+    finding = Finding(
+        code="pose-spikes",
+        severity="warning",
+        message=f"Topic {pose.topic} has {rows.size} sample(s) that jump away from both neighbours as no robot moves "
+        f"(by up to {off:.3g} mm), the first {first_s:.3f} s after its start.",
+        advice="Check the driver and the logger; they were replaced by the mean of their neighbours.",
+    )
+    quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    return replace(pose, position_m=position, quaternion_xyzw=quaternion), (finding,)
+
+
+def _spikes(values: FloatArray, least: float | None = None) -> BoolArray:
+    """Return which values (n, k) are spikes, none of an axis that is not known.
+
+    They are away from both neighbours by `least` too; without it an axis without noise has none.
+    """
+    found = np.zeros(values.shape, dtype=np.bool_)
+    known = np.flatnonzero(np.any(np.isfinite(values), axis=0))
+    if not known.size:
+        return found
+    before, after = (values[1:-1, known] - values[shifted, known] for shifted in (slice(None, -2), slice(2, None)))
+    noise = _TO_STD * np.nanmedian(np.abs(before + after), axis=0)
+    limit = np.where(noise > 0.0, _NOISES * noise, np.inf) if least is None else np.maximum(_NOISES * noise, least)
     # Away and back: both steps are large, of one sign, and alike.
     smaller = np.minimum(np.abs(before), np.abs(after))
-    spikes = (before * after > 0.0) & (smaller > limit) & (np.abs(before - after) < smaller)
-    for k, axis in np.argwhere(spikes).tolist():
-        spikes[k, axis] = _stands_out(values[max(k + 1 - _AROUND, 0) : k + 2 + _AROUND, axis], min(k + 1, _AROUND))
+    suspects = (before * after > 0.0) & (smaller > limit) & (np.abs(before - after) < smaller)
+    for row, index in np.argwhere(suspects).tolist():
+        axis, k = known[index], row + 1
+        found[k, axis] = _stands_out(values[max(k - _AROUND, 0) : k + 1 + _AROUND, axis], min(k, _AROUND))
+    return found
+
+
+def _bridged(values: FloatArray, spikes: BoolArray) -> FloatArray:
+    """Return values (n, k) with the mean of both neighbours where a spike is."""
     if not np.any(spikes):
-        return values, 0
+        return values
     clean = values.copy()
-    clean[1:-1][spikes] = (0.5 * (values[:-2] + values[2:]))[spikes]
-    return clean, int(np.count_nonzero(spikes))
+    inside = spikes[1:-1]
+    clean[1:-1][inside] = (0.5 * (values[:-2] + values[2:]))[inside]
+    return clean
 
 
 def _stands_out(values: FloatArray, at: int) -> bool:

@@ -8,6 +8,7 @@ import resource
 import signal
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
@@ -372,3 +373,20 @@ def test_an_interrupt_inside_of_code_from_text_ends_with_our_code() -> None:
         [sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=False, timeout=60
     )
     assert (done.returncode, done.stderr) == (130, "autotune: Interrupted.\n")
+
+
+def test_a_warning_of_a_library_is_one_line_and_no_code(run_tiny: RunTiny, capsys: pytest.CaptureFixture[str]) -> None:
+    """A library divides by zero: two lines of Python would mean nothing to a user, silence would hide it."""
+
+    def body(output: Output) -> None:
+        with np.errstate(divide="warn"), warnings.catch_warnings():
+            warnings.simplefilter("always")
+            np.log(np.zeros(1))
+            np.ones(1) / np.zeros(1)
+        output.result({}, lambda: print("done"))
+
+    assert run_tiny(body) == 0
+    told = capsys.readouterr()
+    assert told.out == "done\n"
+    (line,) = told.err.splitlines()
+    assert line.startswith("autotune: 2 warning(s) of the numerical libraries inside, the first RuntimeWarning: divide")

@@ -1,6 +1,7 @@
 """`cell.yaml` is read as it stands or refused with its line."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from autotune.errors import UsageError
 from autotune.formats.cell import check_cell_text, read_cell
 from identification.logs.roles.cell import Cell, Clock, ExertedBy, Frame, PoseSource
+from identification.logs.tables.read import list_columns, read_table
 from problems.contact.nonlinearities import DeadbandType
 
 HEAD = "format: autotune/cell\nversion: 1\n"
@@ -141,3 +143,16 @@ def test_the_file_in_the_manual_is_valid_and_says_what_its_remarks_say(repositor
     # What is shown as the default is the default.
     assert cell.gravity_direction == Cell().gravity_direction
     assert cell.pose.units == PoseSource().units
+
+
+@pytest.mark.parametrize(
+    ("entries", "rows"),
+    [("header_rows: 0", 3), ("header_rows: 1", 2), ("header_rows: 1.0", 2), ("skip_rows: 1", 2), ("skip_rows: 1.0", 2)],
+)
+def test_whole_numbers_of_a_table_arrive_as_such(tmp_path: Path, entries: str, rows: int) -> None:
+    """YAML's numbers are doubles to a schema; rows are counted."""
+    path = tmp_path / "trace.csv"
+    path.write_text("0.0,1.0\n0.5,2.0\n1.0,3.0\n", encoding="utf-8")
+    layout = check_cell_text(HEAD + f"table: {{sample_rate_hz: 10, {entries}}}\n", tmp_path / "cell.yaml").table
+    assert layout is not None
+    assert len(read_table(path, replace(layout, columns=list_columns(path, layout))).values) == rows

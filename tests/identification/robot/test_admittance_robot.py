@@ -1,5 +1,7 @@
 """The robot seen through a known admittance, against scipy on a clock fifty times finer."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -118,3 +120,11 @@ def test_a_slow_hand_tells_the_lag_but_not_its_parts() -> None:
     assert fit.delay_std_s > 0.25 * fit.model.delay_s
     assert abs(fit.lag_s - DELAY_S - 0.04) < 3.0 * fit.lag_std_s
     assert fit.lag_std_s < 0.35 * fit.lag_s
+
+
+@pytest.mark.parametrize("force", [0.0, 7.3], ids=["within the deadband", "constant"])
+def test_a_wrench_that_never_changes_is_refused_for_what_it_is(force: float) -> None:
+    """A robot that someone moved by another way than the force: its response to a constant is not to be had."""
+    moved = led(ONE_POLE, DELAY_S, lively())
+    with pytest.raises(EstimateError, match="no change of speed on this axis"):
+        fitted(recorded(replace(moved, force_n=np.full(len(moved.force_n), force))))

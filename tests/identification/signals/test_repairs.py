@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identification.signals.recording import Recording
-from identification.signals.repairs import without_spikes
+from identification.signals.repairs import without_pose_spikes, without_spikes
 
 
 def test_spikes_are_replaced_and_counted(demo_recording: Recording) -> None:
@@ -53,3 +53,34 @@ def test_a_deadband_that_is_zero_most_of_the_time_has_no_spikes(demo_recording: 
     # Noise at the deadband's edge comes and goes by single samples.
     clean, _ = without_spikes(quiet)
     assert clean is quiet
+
+
+def test_a_pose_that_is_off_for_one_sample_is_replaced_and_named(demo_recording: Recording) -> None:
+    """A tenth of a metre in one of tens of thousands of samples, and half a turn in another."""
+    pose = demo_recording.pose
+    position, quaternion = pose.position_m.copy(), pose.quaternion_xyzw.copy()
+    position[4321, 0] += 0.1
+    quaternion[9876] = quaternion[9876][[3, 2, 1, 0]] * [1.0, -1.0, 1.0, -1.0]
+    spoilt = dataclasses.replace(pose, position_m=position, quaternion_xyzw=quaternion)
+    clean, (finding,) = without_pose_spikes(spoilt)
+    assert (finding.code, finding.severity) == ("pose-spikes", "warning")
+    when = (pose.stamp_ns[4321] - pose.stamp_ns[0]) * 1e-9
+    assert "2 sample(s) that jump away" in finding.message
+    assert f"{when:.3f} s" in finding.message
+    # An arm that accelerates by 10 m/s² is this far from the mean of its neighbours.
+    period = float(np.median(np.diff(pose.stamp_ns))) * 1e-9
+    assert np.max(np.abs(clean.position_m - pose.position_m)) < 5.0 * period**2 + 1e-5
+    assert np.max(np.abs(clean.quaternion_xyzw - pose.quaternion_xyzw)) < 1e-3
+
+
+def test_a_pose_as_the_robot_moves_stays_as_it_is(demo_recording: Recording) -> None:
+    """Impacts, a sweep, and the same logged at 50 Hz, where every sample is far from its neighbours."""
+    pose = demo_recording.pose
+    assert without_pose_spikes(pose) == (pose, ())
+    coarse = dataclasses.replace(
+        pose,
+        stamp_ns=pose.stamp_ns[::25],
+        position_m=pose.position_m[::25],
+        quaternion_xyzw=pose.quaternion_xyzw[::25],
+    )
+    assert without_pose_spikes(coarse)[0] is coarse

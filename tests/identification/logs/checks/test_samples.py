@@ -17,6 +17,7 @@ from identification.logs.checks.clocks import measure_clock
 from identification.logs.checks.samples import frame_faults, pose_faults, turn_faults, wrench_faults
 from identification.logs.checks.stamps import stamp_faults
 from identification.result import Finding
+from identification.signals.constant_runs import find_deadband
 from identification.signals.recording import Recording
 from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
@@ -232,3 +233,10 @@ def test_a_real_log_has_its_deadband_and_nothing_else(shared_data: Path, bag: st
     assert clock is not None
     assert clock.offset_s == pytest.approx(offset_s, abs=0.1)
     assert clock.jumps == ()
+
+
+def test_an_axis_with_a_single_value_beside_zero_has_a_deadband() -> None:
+    """One blow in a log whose force stays within the band otherwise: between a single value there is no step."""
+    found = find_deadband(np.eye(1, 400, 200)[0])
+    assert found is not None
+    assert (found.kind, found.width, found.zero_share) == ("subtractive", None, 399 / 400)
