@@ -17,15 +17,14 @@ if TYPE_CHECKING:
         load,
         optimize,
         predict,
-        read_log,
-        simulate_log,
     )
     from autotune.design import Design, PredictedContact, Validation
     from autotune.errors import AutotuneError, CertificateError, InfeasibleError, UsageError
     from autotune.formats.plant import Plant, Robot
     from autotune.formats.problem import ProblemSpec as Problem
     from autotune.formats.quantity import Uncertain
-    from autotune.results import Identification, Log
+    from autotune.log import Log, read_log, simulate_log
+    from autotune.results import Identification
     from autotune.validation.report import Check
     from autotune.version import __version__
     from identification.errors import EstimateError, LogError
@@ -36,13 +35,14 @@ if TYPE_CHECKING:
     from problems.stability.margins import UnstableLoopError
 
 _HOMES: dict[str, tuple[str, ...]] = {
-    "autotune.api": ("from_control", "identify", "load", "optimize", "predict", "read_log", "simulate_log"),
+    "autotune.api": ("from_control", "identify", "load", "optimize", "predict"),
     "autotune.design": ("Design", "PredictedContact", "Validation"),
     "autotune.errors": ("AutotuneError", "CertificateError", "InfeasibleError", "UsageError"),
     "autotune.formats.plant": ("Plant", "Robot"),
     "autotune.formats.quantity": ("Uncertain",),
     "autotune.formats.problem": ("Problem",),
-    "autotune.results": ("Identification", "Log"),
+    "autotune.log": ("Log", "read_log", "simulate_log"),
+    "autotune.results": ("Identification",),
     "autotune.validation.report": ("Check",),
     "autotune.version": ("__version__",),
     "identification.errors": ("EstimateError", "LogError"),

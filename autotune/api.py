@@ -1,84 +1,24 @@
-"""The functions of the Python interface: read, identify, optimize, predict, load."""
+"""The functions of the Python interface: identify, optimize, predict, load."""
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from autotune.design import Design, PredictedContact
 from autotune.errors import UsageError
-from autotune.formats.atomic import check_target
 from autotune.formats.plant import Plant, Robot
 from autotune.formats.quantity import Quantity, Uncertain, as_interval
-from autotune.pipeline import identify_log
-from autotune.results import Identification, Log, Topics
+from autotune.log import Log, Paths, log_paths
+from autotune.pipeline import IdentifyOptions, identify_log
+from autotune.results import Identification
 from autotune.shown import Progress, reporting
-from identification.errors import EstimateError, LogError
 from identification.given import Given
 
 if TYPE_CHECKING:
     from autotune.formats.cell import CellFile
     from autotune.formats.identified import IdentifiedFile
     from autotune.formats.problem import ProblemSpec
-
-Paths = str | Path | Sequence[str | Path]
-
-
-def read_log(
-    paths: Paths,
-    *,
-    cell: "str | Path | CellFile | None" = None,
-    wrench_topic: str | None = None,
-    pose_topic: str | None = None,
-    command_topic: str | None = None,
-    salvage: bool = False,
-) -> Log:
-    """Read a log: what its channels are used for, their health, and the signals.
-
-    Parameters
-    ----------
-    paths
-        An MCAP, a rosbag2 folder, a ROS 1 bag, a CSV or Parquet table, or the parts of one recording.
-    cell
-        What the log cannot say of itself: a `cell.yaml`.
-    wrench_topic, pose_topic, command_topic
-        Channels of wrench, measured and commanded flange pose; found by type and name unless they are said.
-    salvage
-        Read what a damaged log still holds.
-
-    Returns
-    -------
-    Log
-        With `missing` where it lacks what `identify` needs.
-
-    Raises
-    ------
-    LogError
-        A file is damaged or no log.
-    UsageError
-        `cell.yaml` cannot be used.
-
-    Examples
-    --------
-    >>> import autotune as at
-    >>> path = at.simulate_log("run7.mcap")
-    >>> log = at.read_log(path)
-    >>> log.roles["wrench"]
-    '/ft_sensor/wrench'
-
-    """
-    from identification.logs import inspect_log, read_checked_recording  # noqa: PLC0415 - compiles
-
-    files, declared = _files(paths), _cell_file(cell)
-    topics = Topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
-    told = topics.applied(declared)
-    recording, findings = None, None
-    with suppress(LogError, EstimateError):  # What is wrong is said by the summary, or raised by it.
-        recording = read_checked_recording(files, told, salvage=salvage)
-        findings = recording.findings
-    summary = inspect_log(files, told, salvage=salvage, reading=findings)
-    return Log(paths=files, summary=summary, recording=recording, cell=declared, topics=topics, salvage=salvage)
 
 
 def identify(
@@ -137,16 +77,16 @@ def identify(
     source = log if isinstance(log, Log) else None
     if source is not None and cell is not None:
         raise UsageError("A log that was read brings its own cell; give cell to read_log.")
-    files = source.paths if source is not None else _files(log)  # type: ignore[arg-type]
+    files = log_paths(log) if not isinstance(log, Log) else log.paths
+    read = IdentifyOptions(cell=_cell_file(cell)) if source is None else source.options
+    options = replace(
+        read, allow_partial=allow_partial, given={name: _prior(value) for name, value in (given or {}).items()}
+    )
     with reporting(progress, f"identifying {', '.join(path.name for path in files)}") as report:
         return identify_log(
             files,
-            Topics() if source is None else source.topics,
-            cell=_cell_file(cell) if source is None else source.cell,
-            salvage=False if source is None else source.salvage,
+            options,
             recording=None if source is None else source.recording,
-            allow_partial=allow_partial,
-            given={name: _prior(value) for name, value in (given or {}).items()},
             with_evidence=keep_signals,
             progress=report,
         )
@@ -381,46 +321,6 @@ def from_control(system: Any, *, delay: float | tuple[float, float] | Uncertain 
 
     numerator, denominator = polynomials_of(system)
     return Robot(numerator=numerator, denominator=denominator, delay=delay)
-
-
-def simulate_log(path: str | Path, *, seed: int = 0, progress: Callable[[float], None] | None = None) -> Path:
-    """Simulate a cell and write its log, to try everything else on.
-
-    Parameters
-    ----------
-    path
-        The MCAP file to write.
-    seed
-        The same seed gives the same log.
-    progress
-        A callable that takes the share of the work done since its last call.
-
-    Returns
-    -------
-    pathlib.Path
-        The file: 44 s of poses at rest, a commanded sweep and four contacts along x, with 16.2 kg.
-
-    Raises
-    ------
-    UsageError
-        The file cannot be written, or the name is taken: no log is replaced.
-
-    """
-    check_target(path, kind="simulated log", option="path")
-    from autotune.simulation.phases import Program  # noqa: PLC0415 - compiles
-    from autotune.simulation.simulate import simulate_cell  # noqa: PLC0415
-    from autotune.simulation.truth import SimulatedCell  # noqa: PLC0415
-    from autotune.simulation.write import write_mcap  # noqa: PLC0415
-
-    run = simulate_cell(SimulatedCell(), Program(), seed=seed)
-    signals = (run.recording.wrench, run.recording.pose, run.recording.command)
-    share = 1.0 / sum(len(signal.stamp_ns) for signal in signals if signal is not None)
-    write_mcap(run.recording, Path(path), progress=None if progress is None else lambda n: progress(share * n))
-    return Path(path)
-
-
-def _files(paths: Paths) -> tuple[Path, ...]:
-    return (Path(paths),) if isinstance(paths, str | Path) else tuple(Path(path) for path in paths)
 
 
 def _cell_file(cell: "str | Path | CellFile | None") -> "CellFile | None":

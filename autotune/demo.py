@@ -14,7 +14,7 @@ from autotune.formats.identified import read_identified, write_identified
 from autotune.formats.problem import ProblemSpec
 from autotune.formats.yaml12 import load_yaml
 from autotune.pipeline import identify_log
-from autotune.results import Identification, Topics
+from autotune.results import Identification
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import SimulatedCell
@@ -164,7 +164,7 @@ def run_demo(
     write_mcap(run.recording, files.log, progress=lambda count: report(each * count))
     made.add(files.log)
     begin(STEPS[2])
-    found = identify_log(files.log, Topics(), progress=lambda share: report(_SHARES[2] * share), with_evidence=True)
+    found = identify_log(files.log, progress=lambda share: report(_SHARES[2] * share), with_evidence=True)
     write_identified(files.identified, found.result, found.provenance)
     made.add(files.identified)
     begin(STEPS[3])

@@ -1,14 +1,14 @@
 """From log files to an identified plant with its provenance."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from autotune.formats.cell import CellFile
 from autotune.processes import map_in_processes
-from autotune.results import Identification, Topics
+from autotune.results import Identification
 from autotune.version import __version__
 from identification.advice import advise
 from identification.errors import EstimateError, LogError
@@ -21,47 +21,114 @@ from identification.logs.roles.cell import Cell
 from identification.logs.roles.interpret import build_frames
 from identification.merging.combine import NamedResult, combine_identified
 from identification.signals.recording import Recording
+from problems.frozen import freeze
 from problems.progress import no_progress
 
 _READING_SHARE = 0.25
 
 
+@dataclass(frozen=True, kw_only=True)
+class IdentifyOptions:
+    """How logs are read and what is made of them: what the provenance keeps of how `identify` was called.
+
+    An option that is added here is in the provenance, and is used again where a report is made from a file.
+
+    Parameters
+    ----------
+    cell
+        The `cell.yaml`, of which the provenance keeps path and digest instead.
+    wrench_topic, pose_topic, command_topic
+        Channels named by the user; None where they are to be found by type and name.
+    allow_partial
+        Keep a missing parameter as unidentifiable, and a widened mean of what logs disagree on.
+    salvage
+        Read what a damaged log still holds.
+    given
+        What is known from elsewhere, by name as in `mass_kg` or `x.delay_s` [SI].
+
+    """
+
+    cell: CellFile | None = None
+    wrench_topic: str | None = None
+    pose_topic: str | None = None
+    command_topic: str | None = None
+    allow_partial: bool = False
+    salvage: bool = False
+    given: Mapping[str, Given] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        freeze(self, "given")
+
+    def declared(self) -> Cell:
+        """Return what is declared of the cell, with the channels that were named."""
+        cell = Cell() if self.cell is None else self.cell.cell
+        return cell.with_topics(wrench=self.wrench_topic, pose=self.pose_topic, command=self.command_topic)
+
+    def tree(self) -> dict[str, Any]:
+        """Return the `options` of the provenance: plain data, without the cell and what was not given."""
+        given = {name: [prior.value, prior.std] for name, prior in self.given.items()}
+        own = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in ("cell", "given")}
+        return {**own, **({"given": given} if given else {})}
+
+    @classmethod
+    def from_tree(cls, tree: Mapping[str, Any], cell: CellFile | None) -> "IdentifyOptions":
+        """Return the options that a provenance holds; what an older file does not have is left at its default."""
+        own = {each.name: tree[each.name] for each in fields(cls) if each.name in tree}
+        given = {name: Given(value=value, std=std) for name, (value, std) in tree.get("given", {}).items()}
+        return cls(**{**own, "given": given, "cell": cell})
+
+
 def identify_log(
     paths: Path | Sequence[Path],
-    topics: Topics,
+    options: IdentifyOptions | None = None,
     *,
-    cell: CellFile | None = None,
-    salvage: bool = False,
     recording: Recording | None = None,
-    allow_partial: bool = False,
     defers_refusal: bool = False,
-    given: Mapping[str, Given] | None = None,
     processes: int = 1,
     with_evidence: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Identification:
     """Read logs and identify the cell.
 
-    Logs that follow each other within a second are one recording; each recording is identified on its own, `processes`
-    of them at a time (`map_in_processes` tells what a script must do for more than one). What they tell is combined
-    with each other and with what is `given` from elsewhere. Raises LogError for a log that cannot be used,
-    EstimateError when a parameter that a controller needs is missing from all of them or they disagree on one (unless
-    `allow_partial`, which keeps the former as unidentifiable and the latter as a widened mean). `defers_refusal` leaves
-    that last refusal to whoever asks the result to `require`. `recording` is what the logs hold, where they were read
-    as one already. `with_evidence` keeps the signals, for pictures.
-    `progress` is told the share of the work done since the last call: stage by stage of one recording, else recording
-    by recording.
+    Logs that follow each other within a second are one recording; each recording is identified on its own, and the
+    results are combined with each other and with what is given from elsewhere.
+
+    Parameters
+    ----------
+    paths
+        Log files.
+    options
+        How they are read and what is made of them.
+    recording
+        What the logs hold, where they were read as one already.
+    defers_refusal
+        Leave it to the caller to `require` the result, where a parameter is missing or logs disagree.
+    processes
+        How many recordings at a time (see `map_in_processes` for what a script must do for more than one).
+    with_evidence
+        Keep the signals, for pictures.
+    progress
+        Receives the share of the work done since the last call.
+
+    Raises
+    ------
+    LogError
+        A log cannot be used.
+    EstimateError
+        A parameter that a controller needs is missing from all logs or they disagree on one, and partial results are
+        not allowed.
     """
+    options = options or IdentifyOptions()
     report = progress or no_progress
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
-    told = topics.applied(cell)
-    runs = separate_runs(files, told, salvage=salvage)
+    cell, given = options.declared(), options.given
+    runs = separate_runs(files, cell, salvage=options.salvage)
     work = partial(
         _identify_run,
-        cell=told,
-        salvage=salvage,
+        cell=cell,
+        salvage=options.salvage,
         # Of several recordings each is identified without: what is known from elsewhere counts once.
-        given=dict(given or {}) if len(runs) == 1 else {},
+        given=given if len(runs) == 1 else {},
         is_one_of_many=len(runs) > 1,
         with_evidence=with_evidence,
     )
@@ -69,31 +136,18 @@ def identify_log(
         done = [work(runs[0], recording=recording, report=report)]
     else:
         done = map_in_processes(work, runs, processes, each=lambda: report(1.0 / len(runs)))
-    check_names(given or {}, [axis for run in done for axis in run.told.result.axes])
-    result = combine_identified([run.told for run in done], given)
+    check_names(given, [axis for run in done for axis in run.named.result.axes])
+    result = combine_identified([run.named for run in done], given)
     result = replace(result, findings=(*result.findings, *advise(result)))
-    options = _options(topics, allow_partial=allow_partial, salvage=salvage, given=given or {})
     found = Identification(
         result=result,
-        provenance=_provenance([run.source for run in done], cell, options),
+        provenance=_provenance([run.source for run in done], options),
         evidence=tuple(run.evidence for run in done if run.evidence is not None),
         names=tuple(path.name for path in files),
     )
-    if not (allow_partial or defers_refusal):
+    if not (options.allow_partial or defers_refusal):
         found.require()
     return found
-
-
-def _options(topics: Topics, *, allow_partial: bool, salvage: bool, given: Mapping[str, Given]) -> dict[str, object]:
-    """Return what the provenance keeps of how it was asked."""
-    return {
-        "wrench_topic": topics.wrench,
-        "pose_topic": topics.pose,
-        "command_topic": topics.command,
-        "allow_partial": allow_partial,
-        "salvage": salvage,
-        **({"given": {name: [prior.value, prior.std] for name, prior in given.items()}} if given else {}),
-    }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,9 +162,9 @@ class _Source:
 
 @dataclass(frozen=True, kw_only=True)
 class _Run:
-    """What one recording told, and where it comes from; small, so that it passes from process to process."""
+    """The result of one recording, and where it comes from; small, so that it passes from process to process."""
 
-    told: NamedResult
+    named: NamedResult
     source: _Source
     evidence: Evidence | None
 
@@ -142,8 +196,9 @@ def _identify_run(
         raise type(error)(f"{name}: {error}") from error
     found = replace(found, findings=(*recording.findings, *found.findings))
     kept = None if evidence is None or not with_evidence else replace(evidence, log=name, reading=recording.findings)
-    told = NamedResult(name=name, result=found, gain_error_share=0.0 if evidence is None else evidence.gain_error_share)
-    return _Run(told=told, source=_source(recording), evidence=kept)
+    share = 0.0 if evidence is None else evidence.gain_error_share
+    named = NamedResult(name=name, result=found, gain_error_share=share)
+    return _Run(named=named, source=_source(recording), evidence=kept)
 
 
 def _source(recording: Recording) -> _Source:
@@ -162,9 +217,10 @@ def _source(recording: Recording) -> _Source:
     )
 
 
-def _provenance(sources: Sequence[_Source], cell: CellFile | None, options: Mapping[str, Any]) -> dict[str, Any]:
+def _provenance(sources: Sequence[_Source], options: IdentifyOptions) -> dict[str, Any]:
     """Return where the numbers come from; channels and clocks are those of the first recording."""
     first, spans = sources[0], [list(source.span_s) for source in sources]
+    cell = options.cell
     logs = [(path, digest) for source in sources for path, digest in source.sha256.items()]
     return {
         "tool": f"autotune {__version__}",
@@ -174,5 +230,5 @@ def _provenance(sources: Sequence[_Source], cell: CellFile | None, options: Mapp
         "clocks": dict(first.clocks),
         "time_span_s": spans[0],
         **({"recordings": spans} if len(spans) > 1 else {}),
-        "options": dict(options),
+        "options": options.tree(),
     }

@@ -1,168 +1,32 @@
-"""What the Python interface returns of a log: its signals and health, and the plant identified from it."""
+"""What `identify` returns: the plant that was identified from logs."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from autotune.errors import UsageError
 from autotune.formats.atomic import check_target
-from autotune.formats.cell import CellFile
 from autotune.formats.identified import IN_MEMORY, IdentifiedFile, identified_tree, write_identified
 from autotune.formats.yaml12 import dump_yaml
-from autotune.shown import ResultTable, Shown, data_frame, plain_tree
+from autotune.shown import ResultTable, Shown, data_frame
 from autotune.text import parameter_rows
 from identification.errors import EstimateError
 from identification.evidence import Evidence
-from identification.logs.roles.cell import Cell
-from identification.logs.summary import LogSummary
 from identification.result import Finding, Identified
-from identification.signals.recording import Recording
 from problems.frozen import freeze
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from autotune.figures import AxesLike
+    pass
 
 _CONTRADICTIONS = frozenset({"given-contradicts", "logs-disagree"})
 _ALL_THE_SAME = " With --allow-partial what was found is written all the same."
 _EXPLAINING = frozenset({"clock-offset", "hand-in-contact", "rests-without-spring", "mass-disagreement"})
 
 
-def _notes(findings: Sequence[Finding]) -> list[str]:
+def finding_notes(findings: Sequence[Finding]) -> list[str]:
+    """Return what should not be overlooked of findings, a sentence or two each."""
     return [f"{each.severity}: {each.message} {each.advice}".rstrip() for each in findings if each.severity != "info"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Topics:
-    """Channels named by the user; None where they are to be found by type and name."""
-
-    wrench: str | None = None
-    pose: str | None = None
-    command: str | None = None
-
-    def applied(self, cell: CellFile | None) -> Cell:
-        """Return what is declared of the cell, with these channels."""
-        declared = Cell() if cell is None else cell.cell
-        return declared.with_topics(wrench=self.wrench, pose=self.pose, command=self.command)
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class Log(Shown):
-    """A log that was read: what its channels are used for, their health, and the signals.
-
-    Attributes
-    ----------
-    paths
-        The files, parts of one recording.
-    summary
-        Channels, roles, rates, clocks and findings, as `autotune inspect` prints them.
-    recording
-        The signals in SI on one clock; None where the log lacks what `identify` needs (`missing` says what).
-    cell
-        The `cell.yaml` that was given.
-    topics
-        Channels that were named.
-    salvage
-        Whether a damaged log was read as far as it goes.
-
-    """
-
-    paths: tuple[Path, ...]
-    summary: LogSummary
-    recording: Recording | None = None
-    cell: CellFile | None = None
-    topics: Topics = field(default_factory=Topics)
-    salvage: bool = False
-
-    @property
-    def roles(self) -> dict[str, str | None]:
-        """Which topic serves which role; None where none does."""
-        return {each.role.value: each.topic for each in self.summary.roles}
-
-    @property
-    def missing(self) -> tuple[str, ...]:
-        """One sentence for each thing that `identify` lacks."""
-        return self.summary.missing
-
-    @property
-    def duration(self) -> float:
-        """How long the log is [s]."""
-        return 1e-9 * (self.summary.end_ns - self.summary.start_ns)
-
-    def _headline(self) -> str:
-        names = ", ".join(path.name for path in self.paths)
-        what = "lacks " + " ".join(self.missing) if self.missing else "ready to identify"
-        return f"Log {names}: {self.duration:.1f} s, {len(self.summary.channels)} channels, {what}"
-
-    def _tables(self) -> Iterator[ResultTable]:
-        roles = {each.topic: each.role.value for each in self.summary.roles if each.topic is not None}
-        yield ResultTable(
-            title="channels",
-            columns=("topic", "type", "role", "messages", "rate [Hz]", "largest gap [ms]"),
-            rows=tuple(
-                (
-                    each.topic,
-                    each.type,
-                    roles.get(each.topic, ""),
-                    str(each.count),
-                    "-" if each.rate_hz is None else f"{each.rate_hz:.4g}",
-                    "-" if each.max_gap_s is None else f"{1e3 * each.max_gap_s:.4g}",
-                )
-                for each in self.summary.channels
-            ),
-        )
-
-    def _notes(self) -> Sequence[str]:
-        return _notes(self.summary.findings)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the summary as plain data: channels, roles, findings, digests."""
-        return dict(plain_tree(self.summary))
-
-    def _signals(self) -> Recording:
-        if self.recording is None:
-            raise UsageError(f"{self._headline()}; its signals cannot be read into one table.")
-        return self.recording
-
-    def to_pandas(self) -> Any:
-        """Return the signals as a pandas.DataFrame over the time [s] from the first wrench on.
-
-        Columns are `wrench.fx` … `wrench.tz` [N, N·m], `pose.x` … `pose.qw` [m, quaternion] and, where the log has a
-        command, `command.x` …; each channel keeps its own stamps, and where another one has none its columns are NaN.
-
-        Raises
-        ------
-        UsageError
-            pandas is not installed, or the log lacks what `identify` needs.
-
-        """
-        recording = self._signals()
-        wrench, start = recording.wrench, int(recording.wrench.stamp_ns[0])
-        parts = [("wrench", wrench.stamp_ns, np.hstack([wrench.force_n, wrench.torque_n_m]), "fx fy fz tx ty tz")]
-        for name, pose in (("pose", recording.pose), ("command", recording.command)):
-            if pose is not None:
-                values = np.hstack([pose.position_m, pose.quaternion_xyzw])
-                parts.append((name, pose.stamp_ns, values, "x y z qx qy qz qw"))
-        every = np.unique(np.concatenate([stamps for _, stamps, _, _ in parts]))
-        columns = {}
-        for name, stamps, values, names in parts:
-            rows = np.searchsorted(every, stamps)
-            for i, each in enumerate(names.split()):
-                column = np.full(len(every), np.nan)
-                column[rows] = values[:, i]
-                columns[f"{name}.{each}"] = column
-        return data_frame(columns, 1e-9 * (every - start), "time [s]")
-
-    def plot(self, ax: "AxesLike | None" = None) -> "Figure":
-        """Draw force, torque and path of the flange over time; on a single `ax` the force alone."""
-        from autotune.figures import log_chart, show  # noqa: PLC0415 - matplotlib, which only who draws pays
-
-        return show(log_chart(self._signals()), ax)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -213,7 +77,7 @@ class Identification(Shown):
         )
 
     def _notes(self) -> Sequence[str]:
-        return _notes(self.result.findings)
+        return finding_notes(self.result.findings)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the tree of `identified.yaml`."""

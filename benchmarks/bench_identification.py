@@ -28,8 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from autotune.errors import AutotuneError
 from autotune.formats.cell import read_cell
-from autotune.pipeline import identify_log
-from autotune.results import Topics
+from autotune.pipeline import IdentifyOptions, identify_log
 from benchmarks.accuracy_table import Run, all_targets_met, page
 from benchmarks.cell_logs import write_cell_log
 from benchmarks.cell_outcomes import Outcome, compare
@@ -95,7 +94,7 @@ def _identified(
         log, cell = write_cell_log(simulated(drawn), drawn.writing, Path(folder), drawn.seed)
         try:
             found = identify_log(
-                log, Topics(), cell=None if cell is None else read_cell(cell), allow_partial=True
+                log, IdentifyOptions(cell=None if cell is None else read_cell(cell), allow_partial=True)
             ).result
         except AutotuneError as error:
             return (), f"{type(error).__name__}: {error}".replace(folder, ""), ()

@@ -56,12 +56,13 @@ def command(output: Output, directory: Path, seed: int) -> None:
 
 def _page(found: "DemoResult") -> "Page":
     """Return the page of what was identified and tuned."""
+    from autotune.pipeline import IdentifyOptions
     from autotune.report.identify_page import build_identify_page, summaries_of
     from autotune.report.optimize_page import build_optimize_page
     from autotune.report.page import join_pages
 
     identified, files = found.identified, found.files
-    summaries = summaries_of([files.log], None, salvage=False, evidence=identified.evidence)
+    summaries = summaries_of([files.log], IdentifyOptions(), identified.evidence)
     steps = {name: search.steps for name, search in found.optimized.searches.items()}
     parts = (
         (files.log, build_identify_page(identified.result, identified.provenance, identified.evidence, summaries)),

@@ -1,6 +1,6 @@
 """`autotune identify`: plant parameters from a log."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,9 +12,9 @@ from ._report import check_report, print_report_path, report_option, report_refu
 from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
-    from autotune.formats.cell import CellFile
+    from autotune.pipeline import IdentifyOptions
     from autotune.report.page import Page
-    from autotune.results import Identification, Topics
+    from autotune.results import Identification
     from identification.result import Identified, Timeline
 
 _EPILOG = """\b
@@ -74,27 +74,29 @@ def command(
     from autotune.formats.atomic import check_target
     from autotune.formats.cell import read_cell
     from autotune.formats.identified import identified_tree, write_identified
-    from autotune.pipeline import identify_log
+    from autotune.pipeline import IdentifyOptions, identify_log
     from autotune.processes import count_processors
     from autotune.quantities import parse_given
-    from autotune.results import Topics
 
     sources = [*logs, *([] if cell_path is None else [cell_path])]
     check_target(out, sources, kind="identified")
     check_report(report, [*sources, out])
-    topics = Topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
-    seen = _Seen(logs=logs, topics=topics, salvage=salvage)
+    options = IdentifyOptions(
+        wrench_topic=wrench_topic,
+        pose_topic=pose_topic,
+        command_topic=command_topic,
+        allow_partial=allow_partial,
+        salvage=salvage,
+    )
+    seen = _Seen(logs=logs, options=options)
     with report_refusal(output, report, sources, seen.refused_page):
-        seen.cell = None if cell_path is None else read_cell(cell_path)
+        cell = None if cell_path is None else read_cell(cell_path)
+        seen.options = replace(options, cell=cell, given=parse_given(given))
         with output.progress(f"identifying {', '.join(log.name for log in logs)}", 1.0) as advance:
             found = seen.found = identify_log(
                 logs,
-                topics,
-                cell=seen.cell,
-                salvage=salvage,
-                allow_partial=allow_partial,
+                seen.options,
                 defers_refusal=True,
-                given=parse_given(given),
                 processes=count_processors(),
                 progress=advance,
                 with_evidence=report is not None,
@@ -117,9 +119,7 @@ class _Seen:
     """What the page of a run shows, also of one that is refused midway."""
 
     logs: tuple[Path, ...]
-    topics: "Topics"
-    salvage: bool
-    cell: "CellFile | None" = None
+    options: "IdentifyOptions"
     found: "Identification | None" = None
 
     def page(self) -> "Page":
@@ -128,7 +128,7 @@ class _Seen:
 
         if self.found is None:
             raise ValueError("nothing was found yet")
-        summaries = summaries_of(self.logs, self.cell, salvage=self.salvage, evidence=self.found.evidence)
+        summaries = summaries_of(self.logs, self.options, self.found.evidence)
         return build_identify_page(self.found.result, self.found.provenance, self.found.evidence, summaries)
 
     def refused_page(self, error: Exception) -> "Page":
@@ -136,7 +136,7 @@ class _Seen:
         from autotune.report.refused_page import refused_estimate_page, refused_log_page
 
         if self.found is None:
-            return refused_log_page(error, self.logs, self.topics, self.cell, salvage=self.salvage)
+            return refused_log_page(error, self.logs, self.options)
         return refused_estimate_page(error, self.page())
 
 

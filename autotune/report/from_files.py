@@ -12,14 +12,12 @@ from autotune.formats.identified import IdentifiedFile, read_identified
 from autotune.formats.schedule import read_schedule
 from autotune.formats.schema import check_document, check_format
 from autotune.formats.yaml12 import kind_of_file, load_document
-from autotune.pipeline import identify_log
+from autotune.pipeline import IdentifyOptions, identify_log
 from autotune.processes import count_processors
-from autotune.results import Topics
 from autotune.validation.report import ValidationReport
 from autotune.validation.verify import verify
 from identification.errors import LogError
 from identification.evidence import Evidence
-from identification.given import Given
 from identification.logs import LogSummary
 from identification.logs.opened import digests
 from problems.progress import Progress, no_progress
@@ -146,23 +144,10 @@ def _identified_page(plant: IdentifiedFile, logs: tuple[Path, ...]) -> Page:
     evidence: tuple[Evidence, ...] = ()
     summaries: tuple[LogSummary, ...] = ()
     if logs:
-        options, cell = plant.provenance.get("options", {}), _cell_of(plant)
-        salvage = bool(options.get("salvage", False))
-        evidence = identify_log(
-            logs,
-            Topics(
-                wrench=options.get("wrench_topic"),
-                pose=options.get("pose_topic"),
-                command=options.get("command_topic"),
-            ),
-            cell=cell,
-            salvage=salvage,
-            allow_partial=True,
-            given={name: Given(value=value, std=std) for name, (value, std) in options.get("given", {}).items()},
-            processes=count_processors(),
-            with_evidence=True,
-        ).evidence
-        summaries = summaries_of(logs, cell, salvage=salvage, evidence=evidence)
+        options = IdentifyOptions.from_tree(plant.provenance.get("options", {}), _cell_of(plant))
+        options = replace(options, allow_partial=True)
+        evidence = identify_log(logs, options, processes=count_processors(), with_evidence=True).evidence
+        summaries = summaries_of(logs, options, evidence)
     return build_identify_page(plant.result, plant.provenance, evidence, summaries)
 
 

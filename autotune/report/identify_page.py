@@ -3,16 +3,14 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from autotune.charts.chart import Chart
-from autotune.formats.cell import CellFile
 from autotune.formats.units import axis_units
 from autotune.text import ParameterRow, parameter_rows
 from identification.errors import LogError
 from identification.evidence import AxisEvidence, Evidence
 from identification.logs import LogSummary, inspect_log
-from identification.logs.roles.cell import Cell
 from identification.result import AxisEstimate, Finding, FitQuality, Identified
 
 from .identify_charts import (
@@ -25,6 +23,10 @@ from .identify_charts import (
 )
 from .page import Block, Fact, Facts, Note, Page, Section, Table, TableCell, Tone, build_table
 from .sensor_charts import noise_chart, wrench_charts
+
+if TYPE_CHECKING:
+    from autotune.pipeline import IdentifyOptions
+
 
 _TONES: Mapping[str, Tone] = {
     "identified": "good",
@@ -156,18 +158,18 @@ def health_blocks(summaries: Sequence[LogSummary], known: Sequence[Finding] = ()
 
 
 def summaries_of(
-    logs: Sequence[Path], cell: CellFile | None, *, salvage: bool, evidence: Sequence[Evidence] = ()
+    logs: Sequence[Path], options: "IdentifyOptions", evidence: Sequence[Evidence] = ()
 ) -> tuple[LogSummary, ...]:
     """Return the summary of each log, as `inspect` makes it; of a part that cannot be used alone there is none.
 
     `evidence` is what identification kept of these logs: those that it read by themselves are not read once more.
     """
-    settings, found = Cell() if cell is None else cell.cell, []
+    cell, found = options.declared(), []
     names = [log.name for log in logs]
     known = {each.log: each.reading for each in evidence if names.count(each.log) == 1}
     for log in logs:
         try:
-            found.append(inspect_log(log, settings, salvage=salvage, reading=known.get(log.name)))
+            found.append(inspect_log(log, cell, salvage=options.salvage, reading=known.get(log.name)))
         except LogError:
             # A part of a recording need not hold everything by itself.
             continue

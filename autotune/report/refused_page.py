@@ -3,22 +3,24 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from autotune.errors import AutotuneError, CertificateError, InfeasibleError
 from autotune.formats.canonical import checksum, short
-from autotune.formats.cell import CellFile
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.yaml12 import load_document
-from autotune.results import Topics
 from identification.errors import LogError
 from identification.logs import read_recording
 from identification.logs.opened import digests
-from identification.logs.roles.cell import Cell
 from identification.signals.recording import Recording
 
 from .identify_page import health_blocks, summaries_of
 from .page import Block, Fact, Facts, Note, Page, Section, build_table
 from .sensor_charts import logged_charts
+
+if TYPE_CHECKING:
+    from autotune.pipeline import IdentifyOptions
+
 
 NOT_IDENTIFIED = "NOT identified"
 NOT_VALID = "NOT valid"
@@ -58,25 +60,21 @@ def refused_estimate_page(error: Exception, page: Page) -> Page:
     return refuse(NOT_IDENTIFIED, error, replace(page, title="The log does not identify every parameter"))
 
 
-def refused_log_page(
-    error: Exception, logs: Sequence[Path], topics: Topics, cell: CellFile | None, *, salvage: bool
-) -> Page:
+def refused_log_page(error: Exception, logs: Sequence[Path], options: "IdentifyOptions") -> Page:
     """Return the page of logs of which nothing was identified: their health, and the wrench where it can be read."""
-    summaries = summaries_of(logs, cell, salvage=salvage)
+    summaries = summaries_of(logs, options)
     blocks: list[Block] = list(health_blocks(summaries))
     blocks += [Note(text=sentence, kind="missing", tone="bad") for each in summaries for sentence in each.missing]
-    read = _readable(logs, topics, cell, salvage=salvage)
+    read = _readable(logs, options)
     blocks += [] if read is None else logged_charts(read)
     section = Section(key="log", title="The log", blocks=tuple(blocks))
     sections = (section,) if blocks else ()
     return refuse(NOT_IDENTIFIED, error, Page(title="The log cannot be used", lead="", sections=sections))
 
 
-def _readable(logs: Sequence[Path], topics: Topics, cell: CellFile | None, *, salvage: bool) -> Recording | None:
-    settings = Cell() if cell is None else cell.cell
-    settings = settings.with_topics(wrench=topics.wrench, pose=topics.pose, command=topics.command)
+def _readable(logs: Sequence[Path], options: "IdentifyOptions") -> Recording | None:
     try:
-        return read_recording(tuple(logs), settings, salvage=salvage)
+        return read_recording(tuple(logs), options.declared(), salvage=options.salvage)
     except AutotuneError:
         # Why it cannot be read is what the page says already.
         return None

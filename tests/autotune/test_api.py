@@ -74,7 +74,7 @@ def test_what_types_see_is_what_there_is() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("module", ["autotune.api", "autotune.formats.plant"])
+@pytest.mark.parametrize("module", ["autotune.api", "autotune.formats.plant", "autotune.log"])
 def test_the_examples_of_docstrings_run(module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     found = doctest.testmod(importlib.import_module(module))

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from autotune.formats.identified import read_identified, write_identified
-from autotune.pipeline import identify_log
-from autotune.results import Identification, Topics
+from autotune.pipeline import IdentifyOptions, identify_log
+from autotune.results import Identification
 from autotune.simulation.phases import Program
 from autotune.simulation.simulate import made_later, simulate_cell
 from autotune.simulation.truth import SimulatedCell
@@ -16,6 +16,8 @@ from identification.errors import EstimateError
 from identification.given import Given
 from tests.autotune.simulation.runs import SHORT
 from tests.identification.merging.test_axis import check_one_record
+
+PARTIAL = IdentifyOptions(allow_partial=True)
 
 
 def written(path: Path, program: Program, seed: int) -> Path:
@@ -38,14 +40,24 @@ def one_orientation(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def in_one_process(two_logs: list[Path]) -> Identification:
-    return identify_log(two_logs, Topics(), allow_partial=True)
+    return identify_log(two_logs, PARTIAL)
 
 
 def test_recordings_side_by_side_tell_what_they_tell_one_after_the_other(
     two_logs: list[Path], in_one_process: Identification
 ) -> None:
     # The same code on the same numbers: nothing may differ, not by rounding.
-    assert identify_log(two_logs, Topics(), allow_partial=True, processes=2) == in_one_process
+    assert identify_log(two_logs, PARTIAL, processes=2) == in_one_process
+
+
+def test_options_come_back_from_the_provenance_and_an_older_file_has_defaults() -> None:
+    given = {"mass_kg": Given(value=16.2, std=0.1)}
+    asked = IdentifyOptions(wrench_topic="/ft", pose_topic="/pose", salvage=True, allow_partial=True, given=given)
+    assert IdentifyOptions.from_tree(asked.tree(), None) == asked
+    assert IdentifyOptions.from_tree({"salvage": True, "of_a_newer_version": 1}, None) == IdentifyOptions(salvage=True)
+    wrench = asked.declared().wrench
+    assert wrench is not None
+    assert wrench.topic == "/ft"
 
 
 def test_what_is_written_of_two_recordings_can_be_read_again(in_one_process: Identification, tmp_path: Path) -> None:
@@ -60,7 +72,7 @@ def test_what_is_given_counts_once_beside_two_recordings(two_logs: list[Path], i
     assert mass.value is not None
     assert mass.std is not None
     prior = {"mass_kg": Given(value=mass.value, std=mass.std)}
-    found = identify_log(two_logs, Topics(), allow_partial=True, given=prior).result
+    found = identify_log(two_logs, IdentifyOptions(allow_partial=True, given=prior)).result
     check_one_record(found)
     # As sharp as both logs together: 1/√2 of it, whatever each log alone knows.
     assert found.payload.mass_kg.std == pytest.approx(mass.std / 2.0**0.5, rel=1e-9)
@@ -68,7 +80,7 @@ def test_what_is_given_counts_once_beside_two_recordings(two_logs: list[Path], i
 
 def test_the_progress_comes_to_the_whole_in_small_parts(two_logs: list[Path]) -> None:
     told: list[float] = []
-    identify_log(two_logs[0], Topics(), allow_partial=True, progress=told.append)
+    identify_log(two_logs[0], PARTIAL, progress=told.append)
     assert sum(told) == pytest.approx(1.0)
     assert min(told) > 0.0
     assert max(told) < 0.3
@@ -87,10 +99,10 @@ def test_of_several_recordings_the_one_that_fails_is_named(
     two_logs: list[Path], one_orientation: Path, processes: int
 ) -> None:
     with pytest.raises(EstimateError, match=r"^sunday\.mcap: "):
-        identify_log([one_orientation, two_logs[0]], Topics(), processes=processes)
+        identify_log([one_orientation, two_logs[0]], processes=processes)
 
 
 def test_an_only_recording_needs_no_name(one_orientation: Path) -> None:
     with pytest.raises(EstimateError) as refused:
-        identify_log(one_orientation, Topics())
+        identify_log(one_orientation)
     assert "sunday" not in str(refused.value)

@@ -6,7 +6,6 @@ import pytest
 
 from autotune.formats.problem import ProblemSpec
 from autotune.pipeline import identify_log
-from autotune.results import Topics
 from autotune.tuning.problems import DesignOptions, build_problems
 from identification.result import Status
 
@@ -16,7 +15,7 @@ def test_a_wall_that_chatters_is_a_weak_surface_and_in_the_default_range(shared_
     path = shared_data / "cases" / "chattering_wall.mcap"
     if not path.is_file():
         pytest.skip("needs the recorded logs in ../shared/data")
-    found = identify_log(path, Topics()).result
+    found = identify_log(path).result
     soft, wall = found.axes["z"].environments
     assert soft.stiffness_n_per_m.value == pytest.approx(3e4, rel=0.02)  # what is called identified is good to 5 %
     assert wall.stiffness_n_per_m.status is Status.WEAK

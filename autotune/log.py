@@ -1,0 +1,237 @@
+"""A log that was read: its signals and health; reading one, and simulating one to try everything else on."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from autotune.errors import UsageError
+from autotune.formats.atomic import check_target
+from autotune.formats.cell import CellFile, read_cell
+from autotune.pipeline import IdentifyOptions
+from autotune.results import finding_notes
+from autotune.shown import ResultTable, Shown, data_frame, plain_tree
+from identification.errors import EstimateError, LogError
+from identification.logs.summary import LogSummary
+from identification.signals.recording import Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from autotune.figures import AxesLike
+
+Paths = str | Path | Sequence[str | Path]
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Log(Shown):
+    """A log that was read: what its channels are used for, their health, and the signals.
+
+    Attributes
+    ----------
+    paths
+        The files, parts of one recording.
+    summary
+        Channels, roles, rates, clocks and findings, as `autotune inspect` prints them.
+    recording
+        The signals in SI on one clock; None where the log lacks what `identify` needs (`missing` says what).
+    options
+        How it was read: `cell.yaml`, channels that were named, and whether a damaged log was read as far as it goes.
+
+    """
+
+    paths: tuple[Path, ...]
+    summary: LogSummary
+    recording: Recording | None = None
+    options: IdentifyOptions = field(default_factory=IdentifyOptions)
+
+    @property
+    def roles(self) -> dict[str, str | None]:
+        """Which topic serves which role; None where none does."""
+        return {each.role.value: each.topic for each in self.summary.roles}
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """One sentence for each thing that `identify` lacks."""
+        return self.summary.missing
+
+    @property
+    def duration(self) -> float:
+        """How long the log is [s]."""
+        return 1e-9 * (self.summary.end_ns - self.summary.start_ns)
+
+    def _headline(self) -> str:
+        names = ", ".join(path.name for path in self.paths)
+        what = "lacks " + " ".join(self.missing) if self.missing else "ready to identify"
+        return f"Log {names}: {self.duration:.1f} s, {len(self.summary.channels)} channels, {what}"
+
+    def _tables(self) -> Iterator[ResultTable]:
+        roles = {each.topic: each.role.value for each in self.summary.roles if each.topic is not None}
+        yield ResultTable(
+            title="channels",
+            columns=("topic", "type", "role", "messages", "rate [Hz]", "largest gap [ms]"),
+            rows=tuple(
+                (
+                    each.topic,
+                    each.type,
+                    roles.get(each.topic, ""),
+                    str(each.count),
+                    "-" if each.rate_hz is None else f"{each.rate_hz:.4g}",
+                    "-" if each.max_gap_s is None else f"{1e3 * each.max_gap_s:.4g}",
+                )
+                for each in self.summary.channels
+            ),
+        )
+
+    def _notes(self) -> Sequence[str]:
+        return finding_notes(self.summary.findings)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the summary as plain data: channels, roles, findings, digests."""
+        return dict(plain_tree(self.summary))
+
+    def _signals(self) -> Recording:
+        if self.recording is None:
+            raise UsageError(f"{self._headline()}; its signals cannot be read into one table.")
+        return self.recording
+
+    def to_pandas(self) -> Any:
+        """Return the signals as a pandas.DataFrame over the time [s] from the first wrench on.
+
+        Columns are `wrench.fx` … `wrench.tz` [N, N·m], `pose.x` … `pose.qw` [m, quaternion] and, where the log has a
+        command, `command.x` …; each channel keeps its own stamps, and where another one has none its columns are NaN.
+
+        Raises
+        ------
+        UsageError
+            pandas is not installed, or the log lacks what `identify` needs.
+
+        """
+        recording = self._signals()
+        wrench, start = recording.wrench, int(recording.wrench.stamp_ns[0])
+        parts = [("wrench", wrench.stamp_ns, np.hstack([wrench.force_n, wrench.torque_n_m]), "fx fy fz tx ty tz")]
+        for name, pose in (("pose", recording.pose), ("command", recording.command)):
+            if pose is not None:
+                values = np.hstack([pose.position_m, pose.quaternion_xyzw])
+                parts.append((name, pose.stamp_ns, values, "x y z qx qy qz qw"))
+        every = np.unique(np.concatenate([stamps for _, stamps, _, _ in parts]))
+        columns = {}
+        for name, stamps, values, names in parts:
+            rows = np.searchsorted(every, stamps)
+            for i, each in enumerate(names.split()):
+                column = np.full(len(every), np.nan)
+                column[rows] = values[:, i]
+                columns[f"{name}.{each}"] = column
+        return data_frame(columns, 1e-9 * (every - start), "time [s]")
+
+    def plot(self, ax: "AxesLike | None" = None) -> "Figure":
+        """Draw force, torque and path of the flange over time; on a single `ax` the force alone."""
+        from autotune.figures import log_chart, show  # noqa: PLC0415 - matplotlib, which only who draws pays
+
+        return show(log_chart(self._signals()), ax)
+
+
+def read_log(
+    paths: Paths,
+    *,
+    cell: str | Path | CellFile | None = None,
+    wrench_topic: str | None = None,
+    pose_topic: str | None = None,
+    command_topic: str | None = None,
+    salvage: bool = False,
+) -> Log:
+    """Read a log: what its channels are used for, their health, and the signals.
+
+    Parameters
+    ----------
+    paths
+        An MCAP, a rosbag2 folder, a ROS 1 bag, a CSV or Parquet table, or the parts of one recording.
+    cell
+        What the log cannot say of itself: a `cell.yaml`.
+    wrench_topic, pose_topic, command_topic
+        Channels of wrench, measured and commanded flange pose; found by type and name unless they are said.
+    salvage
+        Read what a damaged log still holds.
+
+    Returns
+    -------
+    Log
+        With `missing` where it lacks what `identify` needs.
+
+    Raises
+    ------
+    LogError
+        A file is damaged or no log.
+    UsageError
+        `cell.yaml` cannot be used.
+
+    Examples
+    --------
+    >>> import autotune as at
+    >>> path = at.simulate_log("run7.mcap")
+    >>> log = at.read_log(path)
+    >>> log.roles["wrench"]
+    '/ft_sensor/wrench'
+
+    """
+    from identification.logs import inspect_log, read_checked_recording  # noqa: PLC0415 - compiles
+
+    files = log_paths(paths)
+    options = IdentifyOptions(
+        cell=read_cell(Path(cell)) if isinstance(cell, str | Path) else cell,
+        wrench_topic=wrench_topic,
+        pose_topic=pose_topic,
+        command_topic=command_topic,
+        salvage=salvage,
+    )
+    declared = options.declared()
+    recording, findings = None, None
+    with suppress(LogError, EstimateError):  # What is wrong is said by the summary, or raised by it.
+        recording = read_checked_recording(files, declared, salvage=salvage)
+        findings = recording.findings
+    summary = inspect_log(files, declared, salvage=salvage, reading=findings)
+    return Log(paths=files, summary=summary, recording=recording, options=options)
+
+
+def simulate_log(path: str | Path, *, seed: int = 0, progress: Callable[[float], None] | None = None) -> Path:
+    """Simulate a cell and write its log, to try everything else on.
+
+    Parameters
+    ----------
+    path
+        The MCAP file to write.
+    seed
+        The same seed gives the same log.
+    progress
+        A callable that takes the share of the work done since its last call.
+
+    Returns
+    -------
+    pathlib.Path
+        The file: 44 s of poses at rest, a commanded sweep and four contacts along x, with 16.2 kg.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be written, or the name is taken: no log is replaced.
+
+    """
+    check_target(path, kind="simulated log", option="path")
+    from autotune.simulation.phases import Program  # noqa: PLC0415 - compiles
+    from autotune.simulation.simulate import simulate_cell  # noqa: PLC0415
+    from autotune.simulation.truth import SimulatedCell  # noqa: PLC0415
+    from autotune.simulation.write import write_mcap  # noqa: PLC0415
+
+    run = simulate_cell(SimulatedCell(), Program(), seed=seed)
+    signals = (run.recording.wrench, run.recording.pose, run.recording.command)
+    share = 1.0 / sum(len(signal.stamp_ns) for signal in signals if signal is not None)
+    write_mcap(run.recording, Path(path), progress=None if progress is None else lambda n: progress(share * n))
+    return Path(path)
+
+
+def log_paths(paths: Paths) -> tuple[Path, ...]:
+    """Return the files of one or several logs."""
+    return (Path(paths),) if isinstance(paths, str | Path) else tuple(Path(path) for path in paths)
