@@ -29,9 +29,8 @@ from identification.logs.roles.cell import (
     WrenchUnits,
 )
 from identification.logs.tables.layout import TableLayout
-from identification.signals.recording import Recording
+from identification.signals.recording import AppliedDeadband, Recording
 from problems.contact.nonlinearities import DeadbandType
-from problems.errors import ParameterError
 from tests.identification.logs.message_builder import (
     ADMITTANCE_STATE,
     DELAY_NS,
@@ -250,31 +249,19 @@ def test_known_gains_are_constants(tmp_path: Path) -> None:
     assert recording.gains.mass.tolist() == [[1, 2, 3, 4, 5, 6]]
     assert recording.gains.damping.tolist() == [[7, 8, 9, 10, 11, 12]]
     assert recording.gains.lead_s == lead
-    assert recording.gains.deadband is not None
-    assert recording.gains.deadband.force_n == 5.0
+    assert recording.gains.deadband == AppliedDeadband(type="subtractive", force_n=5.0)
 
 
-@pytest.mark.parametrize("axes", [None, Frame.BASE])
-def test_a_known_desired_force_turns_with_the_tool_only_if_it_is_declared_in_base_axes(
-    tmp_path: Path, axes: Frame | None
-) -> None:
-    cell = Cell(
-        desired_force=DesiredForceSource(force=(0.0, 0.0, 0.03), units=WrenchUnits(force="kN"), expressed_in=axes)
-    )
-    recording = read_recording(write_log(tmp_path / "run.mcap", [FT, POSE]), cell)
-    assert recording.desired_force is not None
-    force = recording.desired_force.force_n
-    if axes is None:
-        assert force == pytest.approx(np.array([[0.0, 0.0, 30.0]]))
-    else:
-        turned = Rotation.from_quat(recording.pose.quaternion_xyzw[10]).apply(np.array(force[10]))
-        assert turned == pytest.approx([0.0, 0.0, 30.0], abs=1e-9)
-        assert float(np.max(np.abs(force[0] - force[-1]))) > 1.0
-
-
-def test_a_desired_force_is_logged_or_known() -> None:
-    with pytest.raises(ParameterError, match="left out where topic or fields"):
-        DesiredForceSource(force=(0.0, 0.0, 30.0), topic="/setpoint")
+def test_a_known_desired_force_turns_with_the_tool_where_it_is_declared_in_base_axes(tmp_path: Path) -> None:
+    source = DesiredForceSource(force=(0.0, 0.0, 0.03), units=WrenchUnits(force="kN"))
+    log = write_log(tmp_path / "run.mcap", [FT, POSE])
+    cells = Cell(desired_force=source), Cell(desired_force=replace(source, expressed_in=Frame.BASE))
+    of_tool, of_base = (read_recording(log, cell) for cell in cells)
+    assert of_tool.desired_force is not None
+    assert of_tool.desired_force.force_n == pytest.approx(np.array([[0.0, 0.0, 30.0]]))
+    assert of_base.desired_force is not None
+    turned = Rotation.from_quat(of_base.pose.quaternion_xyzw).apply(np.array(of_base.desired_force.force_n))
+    assert turned == pytest.approx(np.tile([0.0, 0.0, 30.0], (len(turned), 1)), abs=1e-9)
 
 
 def test_clocks_are_as_declared(tmp_path: Path) -> None:
