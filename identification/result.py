@@ -55,12 +55,58 @@ class LogPhase:
     contact: ContactPhase | None = None
 
 
+class TouchCause(StrEnum):
+    """What a payload touched."""
+
+    WALL = "wall"
+    HAND = "hand"
+    UNDETERMINED = "undetermined"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Touch:
+    """One touch of a log on one axis of S: N, m, kg along it, N·m, rad, kg·m² about it; None where it is not shown.
+
+    Times are in s after the start of the log: `onset_s` of the first blow, `peak_s`, `hold_s` from when to when the
+    payload rested, `release_s`, and `bounces_s` when it left the surface before. `sign` is +1 where the payload presses
+    towards +axis. `peak_force` is the largest sample, `peak_interval` what the peak between the samples may be, and
+    `rise_samples` how many of them the force took from a tenth of the peak to the peak. `approach_speed` is that of
+    the flange right before the onset, towards what is touched, `impulse` ∫F dt of the first blow, `held_force` that of
+    the hold. `is_led` says that a hand led the payload into it. `mass`, `damping` and `desired_force` are M_a, B_a and
+    F^d at the onset. `surface` is the name of what was touched, None until it is known.
+    """
+
+    axis: str
+    sign: int
+    cause: TouchCause
+    peak_s: float
+    peak_force: float
+    onset_s: float | None = None
+    release_s: float | None = None
+    hold_s: tuple[float, float] | None = None
+    bounces_s: tuple[float, ...] = ()
+    peak_interval: tuple[float, float] | None = None
+    rise_samples: int | None = None
+    approach_speed: float | None = None
+    impulse: float | None = None
+    held_force: float | None = None
+    surface: str | None = None
+    is_led: bool | None = None
+    mass: float | None = None
+    damping: float | None = None
+    desired_force: float | None = None
+
+
 @dataclass(frozen=True, kw_only=True)
 class Timeline:
-    """What happened when in one log, each instant once; `log` is its name where there are several."""
+    """What happened when in one log: `phases` each instant once, `touches` by their time, which may overlap.
+
+    `log` is its name where there are several.
+    """
 
     phases: tuple[LogPhase, ...]
     log: str = ""
+    touches: tuple[Touch, ...] = ()
 
 
 def name_surfaces(phases: Sequence[LogPhase], axis: str, onsets_s: Sequence[Sequence[float]]) -> tuple[LogPhase, ...]:
@@ -148,7 +194,13 @@ class CouplingEstimate:
 
 @dataclass(frozen=True, kw_only=True)
 class EnvironmentEstimate:
-    """One surface: K_e alone, the secant (K_s and K_e in series), B_e, M_e, and its contacts."""
+    """One surface: K_e alone, the secant (K_s and K_e in series), B_e, M_e, and its contacts.
+
+    Both stiffnesses are those of the loading, which make the peak. `relaxed_stiffness_n_per_m` is force over depth
+    where the hold ends, `relaxation_s` the time in which it gets there. `impact_n_s_per_m` is the force of the first
+    blow over the speed of the approach, sqrt(k m) of the mass that it stops. `contact_spread` is the standard deviation
+    of the loading stiffness from contact to contact, as a share of it; None with one contact.
+    """
 
     name: str
     stiffness_n_per_m: Estimate
@@ -157,6 +209,10 @@ class EnvironmentEstimate:
     mass_kg: Estimate
     contacts: int
     peak_force_n: tuple[float, ...]
+    relaxed_stiffness_n_per_m: Estimate | None = None
+    relaxation_s: Estimate | None = None
+    impact_n_s_per_m: Estimate | None = None
+    contact_spread: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

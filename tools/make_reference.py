@@ -35,6 +35,9 @@ TWO_UNITS = {
     "deadband": "N, N·m",
     "speed": "m/s, rad/s",
     "acceleration": "m/s², rad/s²",
+    "approach_speed": "m/s, rad/s",
+    "impulse": "N·s, N·m·s",
+    **dict.fromkeys(("peak_force", "peak_interval", "held_force", "desired_force"), "N, N·m"),
 }
 TYPES = {
     "array": "list", "boolean": "true or false", "integer": "whole number", "null": "null", "number": "number",

@@ -18,6 +18,8 @@ ROTATIONAL_KEYS: Mapping[str, str] = FrozenDict(
     {
         "stiffness_n_per_m": "stiffness_n_m_per_rad",
         "secant_stiffness_n_per_m": "secant_stiffness_n_m_per_rad",
+        "relaxed_stiffness_n_per_m": "relaxed_stiffness_n_m_per_rad",
+        "impact_n_s_per_m": "impact_n_m_s_per_rad",
         "damping_n_s_per_m": "damping_n_m_s_per_rad",
         "drag_n_s_per_m": "drag_n_m_s_per_rad",
         "mass_kg": "inertia_kg_m2",

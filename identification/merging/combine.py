@@ -312,7 +312,11 @@ def rename_surfaces(result: Identified, names: Mapping[str, str]) -> Identified:
 
 
 def rename_timeline(line: Timeline, names: Mapping[str, str]) -> Timeline:
-    """Return a time line with the surfaces of its contacts renamed."""
+    """Return a time line with the surfaces of its contacts and touches renamed."""
+    touches = tuple(
+        touch if touch.surface is None else replace(touch, surface=names.get(touch.surface, touch.surface))
+        for touch in line.touches
+    )
     phases = tuple(
         phase
         if phase.contact is None or phase.contact.surface is None
@@ -321,7 +325,7 @@ def rename_timeline(line: Timeline, names: Mapping[str, str]) -> Timeline:
         )
         for phase in line.phases
     )
-    return replace(line, phases=phases)
+    return replace(line, phases=phases, touches=touches)
 
 
 def rename_in_text(text: str, names: Mapping[str, str]) -> str:

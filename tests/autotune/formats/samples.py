@@ -34,6 +34,8 @@ from identification.result import (
     SensorEstimate,
     Status,
     Timeline,
+    Touch,
+    TouchCause,
     VectorEstimate,
     WrenchFilterEstimate,
 )
@@ -262,6 +264,10 @@ def identified_results() -> st.SearchStrategy[Identified]:
         mass_kg=free,
         contacts=st.integers(0, 100),
         peak_force_n=st.lists(FLOATS, max_size=20).map(tuple),
+        relaxed_stiffness_n_per_m=st.none() | positive,
+        relaxation_s=st.none() | positive,
+        impact_n_s_per_m=st.none() | positive,
+        contact_spread=st.none() | st.floats(0.0, 1e3),
     )
     axis = st.builds(
         AxisEstimate,
@@ -363,7 +369,29 @@ def timelines() -> st.SearchStrategy[Timeline]:
         axis=st.none() | st.sampled_from(("x", "rz")),
         contact=st.none() | contact,
     )
-    return st.builds(Timeline, phases=st.lists(phase, max_size=3).map(tuple), log=TEXTS)
+    touch = st.builds(
+        Touch,
+        axis=st.sampled_from(("x", "rz")),
+        sign=st.sampled_from((-1, 1)),
+        cause=st.sampled_from(TouchCause),
+        peak_s=FLOATS,
+        peak_force=FLOATS,
+        onset_s=maybe,
+        hold_s=st.none() | st.tuples(FLOATS, FLOATS),
+        bounces_s=st.lists(FLOATS, max_size=3).map(tuple),
+        peak_interval=st.none() | st.tuples(FLOATS, FLOATS),
+        rise_samples=st.none() | st.integers(0, 100),
+        approach_speed=maybe,
+        surface=st.none() | TEXTS,
+        is_led=st.none() | st.booleans(),
+        damping=st.none() | st.floats(0.0, 1e6),
+    )
+    return st.builds(
+        Timeline,
+        phases=st.lists(phase, max_size=3).map(tuple),
+        log=TEXTS,
+        touches=st.lists(touch, max_size=2).map(tuple),
+    )
 
 
 def make_identified() -> Identified:
