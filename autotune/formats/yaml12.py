@@ -43,6 +43,8 @@ _WORDS: dict[str, object] = {"": None, "~": None} | {
     for word, value in (("null", None), ("true", True), ("false", False))
     for form in (word, word.capitalize(), word.upper())
 }
+_WHOLE_NUMBERS = ("signs",)
+"""Lists in which no number has decimals, so that a comma between two of them can mean one thing only."""
 _COMMA_LEFT, _COMMA_RIGHT = re.compile(r"[-+]?[0-9]+"), re.compile(r"[0-9]+([eE][-+]?[0-9]+)?")
 
 
@@ -213,8 +215,12 @@ class _Reader:
                 break
             scalar = event if isinstance(event, ScalarEvent) else None
             if is_flow and before is not None and scalar is not None and _is_decimal_comma(before, scalar):
-                text = f"{before.value},{scalar.value}"
-                self.refuse(event, f"{text} may be a decimal comma; write a point, or a space after the comma.")
+                one, two = before.value, scalar.value
+                if place[-1:] != _WHOLE_NUMBERS:
+                    self.refuse(
+                        event,
+                        f"{one},{two} may be a decimal comma; write {one}.{two} for one number, {one}, {two} for two.",
+                    )
             items.append(self.value(event, events, (*place, len(items))))
             before = scalar
         return items

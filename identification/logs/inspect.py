@@ -18,8 +18,8 @@ from .opened import OpenedLogs, digests, open_logs
 from .read import read_checked_recording
 from .roles.candidates import is_undeclared, missing_sentence, roles_of
 from .roles.cell import Cell
-from .roles.choose import Choice, RoleSeries, candidates_of, choose, open_questions, source_of
-from .roles.registry import ROLES, TRANSFORMS, Role
+from .roles.choose import Choice, RoleSeries, candidates_of, choose, open_questions, source_of, spelled_as_in
+from .roles.registry import ROLES, TRANSFORMS, Role, layout_of
 from .summary import Candidate, ChannelSummary, LogSummary, RoleSummary
 
 _TOLD_ELSEWHERE = frozenset({"channel-chosen", "role-open"})
@@ -54,6 +54,7 @@ def inspect_log(
     declared = cell or Cell()
     with open_logs(files, declared, salvage=salvage) as logs:
         infos = logs.infos
+        declared = spelled_as_in(declared, infos)
         roles, choices, missing = _roles(logs, declared)
         findings: list[Finding] = []
         series = _read_all(logs, findings)
@@ -115,7 +116,7 @@ def _roles(logs: OpenedLogs, cell: Cell) -> tuple[tuple[RoleSummary, ...], dict[
         missing.append("cell.yaml declares that gravity is removed from the wrench; identify needs the sensor's own.")
     if cell.displacement is not None:
         missing.append("cell.yaml declares a displacement; identify needs the flange pose in the base frame.")
-    return tuple(summaries), choices, tuple(missing)
+    return tuple(summaries), choices, tuple(dict.fromkeys(missing))
 
 
 def _role_summary(role: Role, choice: Choice | None, reason: str, candidates: Sequence[ChannelInfo]) -> RoleSummary:
@@ -164,7 +165,7 @@ def _read_all(logs: OpenedLogs, findings: list[Finding]) -> dict[Channel, Series
 
 
 def _wanted(info: ChannelInfo) -> Wanted:
-    by_type = [kind.layouts[info.channel.type_name] for role, kind in ROLES.items() if role in roles_of(info.channel)]
+    by_type = [layout_of(role, info.channel) for role in roles_of(info.channel) if role in ROLES]
     is_plain = bool(by_type) and info.channel.type_name not in TRANSFORMS
     return Wanted(fields=by_type[0].fields if is_plain else (), header="header" if info.has_header else "")
 

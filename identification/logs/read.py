@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import LogError
 from ..result import Finding
 from ..signals.recording import Recording
@@ -17,9 +19,9 @@ from .opened import OpenedLogs, digests, open_logs
 from .parts import join_recordings
 from .recording import build_recording, chosen_clocks, refuse, sample_findings
 from .roles.cell import Cell, Clock
-from .roles.choose import Choice, RoleSeries, choose_all, open_questions
+from .roles.choose import Choice, RoleSeries, choose_all, open_questions, spelled_as_in, with_meanings
 from .roles.interpret import make_continuous
-from .roles.registry import ROLES, Role
+from .roles.registry import ROBOT_STATES, ROLES, Role
 
 Part = dict[Role, RoleSeries]
 
@@ -89,9 +91,12 @@ def read_checked_recording(paths: Path | Sequence[Path], cell: Cell, *, salvage:
 def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool) -> _Read:
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     with open_logs(files, cell, salvage=salvage) as logs:
+        cell = spelled_as_in(cell, logs.infos)
         choices = choose_all(logs.infos, cell, logs.name, logs.frames_of)
+        cell, cautions = with_meanings(cell, choices.values())
         _check_fields(choices.values(), logs)
         parts = _parts(logs.read_roles(tuple(choices.values())), choices, logs)
+        idle = _drop_idle_command(parts)
         clocks, about_clocks = chosen_clocks(parts, cell)
         times = _times(parts, clocks)
         about_samples = sample_findings(parts, clocks, cell, logs.start_ns, keeps_holes=salvage)
@@ -101,7 +106,8 @@ def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool) -> _Read:
         chosen = map(_chosen, choices.values())
         about_log = logs.findings()
         about_log = (*about_log, *_about_what_is_left(about_log, recording, logs))
-        findings = (*about_log, *chosen, *questions, *about_clocks, *about_samples, *recording.findings)
+        findings = (*about_log, *chosen, *cautions, *idle, *questions, *about_clocks, *about_samples)
+        findings = (*findings, *recording.findings)
     recording = replace(recording, sha256=digests(files), findings=findings, keeps_holes=salvage)
     return _Read(recording=recording, times=times)
 
@@ -135,6 +141,28 @@ def _parts(read: Sequence[dict[Role, RoleSeries]], choices: Mapping[Role, Choice
                     "found no message of it in one; leave that file out."
                 )
     return parts
+
+
+def _drop_idle_command(parts: Sequence[Part]) -> tuple[Finding, ...]:
+    """Take a command out that a robot's state holds though nobody commands poses: it rests, or repeats the measured."""
+    if Role.COMMAND not in parts[0] or parts[0][Role.COMMAND].choice.info.channel.type_name not in ROBOT_STATES:
+        return ()
+    command, pose = (joined([part[role].values for part in parts]) for role in (Role.COMMAND, Role.POSE))
+    is_same = bool(np.array_equal(command, pose, equal_nan=True))
+    if not is_same and bool(np.any(command != command[:1])):
+        return ()
+    topic = parts[0][Role.COMMAND].choice.info.channel.topic
+    for part in parts:
+        del part[Role.COMMAND]
+    why = "repeats the measured pose" if is_same else "stays the same"
+    return (
+        Finding.warning(
+            "idle-command",
+            f"The desired pose of {topic} {why} in all {len(command)} samples, so it is not what moved the robot; it "
+            "is left out.",
+            "Record the command that the robot followed, and name it with --command-topic.",
+        ),
+    )
 
 
 def _continuous(recording: Recording) -> Recording:

@@ -13,7 +13,7 @@ from .checks.consistency import turn_findings, twist_findings
 from .checks.samples import role_faults
 from .roles.candidates import is_processed_name
 from .roles.cell import Cell, Clock, DesiredForceSource, Frame, GainsSource, PoseSource, TwistSource, WrenchSource
-from .roles.choose import Choice, RoleSeries, source_of
+from .roles.choose import RoleSeries, source_of
 from .roles.interpret import (
     Columns,
     applied_deadband,
@@ -23,7 +23,7 @@ from .roles.interpret import (
     interpret_twist,
     interpret_wrench,
 )
-from .roles.registry import ADMITTANCE_STATE, ROLES, Role
+from .roles.registry import ROLES, Role
 
 _MAIN = (Role.WRENCH, Role.POSE, Role.COMMAND)
 
@@ -90,12 +90,11 @@ def build_recording(series: dict[Role, RoleSeries], clocks: Mapping[Role, Clock]
     frames = build_frames(cell)
     stamps = {role: _stamps(role, series, clocks, cell) for role in series}
     columns = {role: _columns(series[role], stamps[role]) for role in series}
-    choice = series[Role.WRENCH].choice
     series.clear()
     is_relative = cell.displacement is not None
     source = cell.pose or cell.displacement or PoseSource()
     pose = interpret_pose(columns.pop(Role.POSE), source, frames, is_displacement=is_relative)
-    wrench, findings = _wrench(choice, columns.pop(Role.WRENCH), cell, frames, pose)
+    wrench, findings = _wrench(columns.pop(Role.WRENCH), cell, frames, pose)
     command = twist = desired_force = None
     if Role.COMMAND in columns:
         source = cell.command or PoseSource()
@@ -165,22 +164,10 @@ def _columns(series: RoleSeries, stamp_ns: StampArray) -> Columns:
     )
 
 
-def _wrench(
-    choice: Choice, columns: Columns, cell: Cell, frames: Frames, pose: PoseSignal
-) -> tuple[WrenchSignal, list[Finding]]:
+def _wrench(columns: Columns, cell: Cell, frames: Frames, pose: PoseSignal) -> tuple[WrenchSignal, list[Finding]]:
     source = cell.wrench or WrenchSource()
-    is_state = choice.info.channel.type_name == ADMITTANCE_STATE and source.fields is None
     findings = []
-    if is_state and (source.expressed_in is None or source.gravity_compensated is None):
-        findings.append(
-            Finding.warning(
-                "admittance-state-wrench",
-                f"The wrench of {columns.topic} is what the admittance controller acts on: taken as given in base "
-                "axes, with the configured gravity removed and filtered.",
-                "Record the sensor's own wrench, or declare `expressed_in` and `gravity_compensated`.",
-            )
-        )
-    elif source.gravity_compensated is None and is_processed_name(columns.topic):
+    if source.gravity_compensated is None and is_processed_name(columns.topic):
         findings.append(
             Finding.warning(
                 "wrench-may-be-processed",
@@ -193,8 +180,8 @@ def _wrench(
         source,
         frames,
         pose,
-        expressed_in=source.expressed_in or (Frame.BASE if is_state else Frame.SENSOR),
-        gravity_compensated=is_state if source.gravity_compensated is None else source.gravity_compensated,
+        expressed_in=source.expressed_in or Frame.SENSOR,
+        gravity_compensated=bool(source.gravity_compensated),
     )
     return wrench, findings
 

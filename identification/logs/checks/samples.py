@@ -11,8 +11,19 @@ from problems.arrays import FloatArray
 
 from ...result import Finding
 from ...signals.constant_runs import Runs, find_deadband, quantum, repeated_share, saturated_samples, stuck_runs
-from ...signals.recording import StampArray
-from ..roles.cell import ANGLE_RAD, FORCE_N, LENGTH_M, TORQUE_N_M, PoseSource, Source, WrenchSource
+from ...signals.recording import AXES, StampArray
+from ..roles.cell import (
+    ANGLE_RAD,
+    COLUMN_MAJOR,
+    FORCE_N,
+    LENGTH_M,
+    ROW_MAJOR,
+    TORQUE_N_M,
+    PoseSource,
+    Source,
+    WrenchSource,
+    is_rotation,
+)
 from ..roles.choose import RoleSeries
 from ..roles.interpret import orientation_quaternion
 from ..roles.registry import Role
@@ -68,7 +79,8 @@ def wrench_faults(
             yield Finding.error(
                 "stuck-axis",
                 f"The {WRENCH_AXES[axis]} axis of topic {topic} is {column[0]:g} in all {len(column)} samples.",
-                _SENSOR_ADVICE,
+                f"Check the sensor's cable and driver and record again, or, if the sensor does not measure this axis, "
+                f"leave it out with `wrench: {{left_out: [{AXES[axis]}]}}` in cell.yaml.",
             )
             continue
         limit = None if limits is None else limits[axis]
@@ -298,12 +310,33 @@ def _pose_faults(topic: str, values: FloatArray, source: PoseSource, when: Float
         seven[:, 3:] = turns[:, [1, 2, 3, 0]] if kind == "quaternion_wxyz" else turns
     else:
         finite = np.isfinite(turns).all(axis=1)
+        good = finite
+        if turns.shape[1] == 9:
+            good = finite & is_rotation(turns)
+            yield from _matrix_faults(topic, values[:, :3], finite & ~good, when)
         seven[:, 6] = np.where(finite, 1.0, np.nan)
-        if turns.shape[1] == 3 and bool(np.any(finite)):
-            seven[finite, 3:] = orientation_quaternion(kind, turns[finite], ANGLE_RAD[source.units.angle])
+        if turns.shape[1] and bool(np.any(good)):
+            seven[good, 3:] = orientation_quaternion(kind, turns[good], ANGLE_RAD[source.units.angle])
     yield from pose_faults(topic, seven, when)
     if turns.shape[1] == 3 and kind == "rotation_vector":
         yield from turn_faults(topic, turns * ANGLE_RAD[source.units.angle], when)
+
+
+def _matrix_faults(topic: str, position: FloatArray, bad: NDArray[np.bool_], when: FloatArray) -> Iterator[Finding]:
+    """Yield what is wrong with orientations written as matrices, of which `bad` (n,) are no rotations."""
+    if bool(np.any(bad)):
+        yield Finding.error(
+            "no-rotation",
+            f"{np.count_nonzero(bad)} matrices of topic {topic} are no rotations (orthonormal, determinant +1), the "
+            f"first {when[bad][0]:.3f} s after the start of the log.",
+            "Check which numbers `fields: {orientation: …}` in cell.yaml names, and their order.",
+        )
+    if not bool(np.any(position)):
+        yield Finding.error(
+            "matrix-order",
+            f"The position of topic {topic} is 0 in all {len(position)} samples, as the last row of a matrix is.",
+            f"Declare the other of {ROW_MAJOR} and {COLUMN_MAJOR} in `orientation_as`.",
+        )
 
 
 def _scaled(values: FloatArray, first: float, second: float) -> FloatArray:

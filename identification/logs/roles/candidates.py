@@ -12,6 +12,7 @@ from .registry import (
     FLOAT_ARRAY,
     JOINT_STATE,
     POSE_STAMPED,
+    ROBOT_STATES,
     ROLES,
     TRANSFORM_STAMPED,
     TRANSFORMS,
@@ -21,7 +22,7 @@ from .registry import (
 
 COMMAND_WORDS = frozenset({"command", "cmd", "commanded", "desired", "target", "reference", "setpoint", "goal"})
 PROCESSED_WORDS = frozenset(
-    {"compensated", "filtered", "filter", "unbiased", "zeroed", "tared", "external", "contact", "processed"}
+    {"compensated", "filtered", "filter", "unbiased", "zeroed", "tared", "external", "ext", "contact", "processed"}
 )
 
 _NEVER_COMMANDS = frozenset({ADMITTANCE_STATE, *TRANSFORMS} - {TRANSFORM_STAMPED})
@@ -38,7 +39,9 @@ def roles_of(channel: Channel) -> tuple[Role, ...]:
         return (Role.NUMBERS,)
     is_command = is_command_name(channel.topic) and channel.type_name not in _NEVER_COMMANDS
     return tuple(
-        role for role, kind in ROLES.items() if channel.type_name in kind.layouts and kind.is_command == is_command
+        role
+        for role, kind in ROLES.items()
+        if channel.type_name in kind.layouts and (channel.type_name in ROBOT_STATES or kind.is_command == is_command)
     )
 
 

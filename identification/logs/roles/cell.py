@@ -7,9 +7,14 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
+from problems.arrays import FloatArray
 from problems.contact.nonlinearities import DeadbandType
 from problems.errors import ParameterError
 
+from ...signals.recording import AXES
 from ..tables.layout import TableLayout
 
 FORCE_N: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605, "kgf": 9.80665}
@@ -27,6 +32,8 @@ LENGTH_M: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
 ANGLE_RAD: Mapping[str, float] = {"rad": 1.0, "deg": 0.017453292519943295}
 _EULER = re.compile(r"euler_([xyz]{3}|[XYZ]{3})")
 _QUATERNIONS = ("quaternion_xyzw", "quaternion_wxyz")
+ROW_MAJOR, COLUMN_MAJOR = "matrix_row_major", "matrix_column_major"
+_SLICE = re.compile(r"(.*)\[(\d{1,4}):(\d{1,4})\]")
 Paths = tuple[str | None, ...]
 """Paths of the numbers of a vector in a message; None for an axis that the log does not have."""
 _NORM_TOLERANCE = 1e-3
@@ -36,20 +43,45 @@ def orientation_width(kind: str) -> int:
     """Count the numbers of an orientation; raise ParameterError for a kind that is not known."""
     if kind in _QUATERNIONS:
         return 4
+    if kind in (ROW_MAJOR, COLUMN_MAJOR):
+        return 9
     match = _EULER.fullmatch(kind)
     if kind == "rotation_vector" or (match and all(a != b for a, b in zip(match[1], match[1][1:], strict=False))):
         return 3
     must = (
-        "quaternion_xyzw, quaternion_wxyz, rotation_vector, or euler_ and three axes, no two neighbours alike "
+        f"quaternion_xyzw, quaternion_wxyz, rotation_vector, {ROW_MAJOR}, {COLUMN_MAJOR}, or euler_ and three axes, "
+        "no two neighbours alike "
         "(euler_ZYZ about the moved axes, euler_xyz about the fixed ones)"
     )
     raise ParameterError("orientation_as", kind, must)
+
+
+def is_rotation(entries: FloatArray) -> NDArray[np.bool_]:
+    """Return which of the matrices (n, 9), in either order, are orthonormal within rounding and no mirror."""
+    matrix = entries.reshape(-1, 3, 3)
+    with np.errstate(invalid="ignore", over="ignore"):
+        off = np.abs(np.einsum("nij,nkj->nik", matrix, matrix) - np.eye(3)).max(axis=(1, 2))
+        right_handed = np.einsum("ni,ni->n", np.cross(matrix[:, 0], matrix[:, 1]), matrix[:, 2]) > 0.0
+    return np.asarray((off <= 2.0 * _NORM_TOLERANCE) & right_handed)
 
 
 def check_unit(name: str, unit: str, known: Mapping[str, float]) -> None:
     """Raise ParameterError for a unit that is not known."""
     if unit not in known:
         raise ParameterError(name, unit, f"one of {', '.join(known)}")
+
+
+def _expand(vectors: object, **widths: int) -> None:
+    """Write slices such as `effort[0:3]` in the vectors of a record out, and check how many paths each then has."""
+    for name, width in widths.items():
+        paths: list[str | None] = []
+        for path in getattr(vectors, name):
+            found = None if path is None else _SLICE.fullmatch(path)
+            entries = () if found is None else range(int(found[2]), int(found[3]))
+            paths += [path] if found is None else [f"{found[1]}[{index}]" for index in entries]
+        if width and len(paths) != width:
+            raise ParameterError(name, f"{len(paths)} paths", f"{width} paths (a slice such as effort[0:3] is three)")
+        object.__setattr__(vectors, name, tuple(paths))
 
 
 _Source = TypeVar("_Source", bound="Source")
@@ -99,6 +131,9 @@ class WrenchFields:
     force: Paths
     torque: Paths = (None, None, None)
 
+    def __post_init__(self) -> None:
+        _expand(self, force=3, torque=3)
+
 
 @dataclass(frozen=True, kw_only=True)
 class WrenchUnits:
@@ -133,17 +168,24 @@ class Saturation:
 class WrenchSource(Source):
     """The wrench: its channel, and how its numbers become the payload's wrench on the sensor in the sensor frame.
 
-    `expressed_in` None is the sensor frame and `gravity_compensated` None is False, unless the message type says else.
+    `expressed_in` None is the sensor frame, `exerted_by` None the payload and `gravity_compensated` None is False,
+    unless the message type says else. `left_out` are axes (x to rz) that the sensor does not measure.
     """
 
     fields: WrenchFields | None = None
     units: WrenchUnits = field(default_factory=WrenchUnits)
     signs: tuple[float, ...] = (1.0,) * 6
     expressed_in: Frame | None = None
-    exerted_by: ExertedBy = ExertedBy.PAYLOAD
+    exerted_by: ExertedBy | None = None
     gravity_compensated: bool | None = None
+    left_out: tuple[str, ...] = ()
     deadband: DeclaredDeadband | None = None
     saturation: Saturation = field(default_factory=Saturation)
+
+    def __post_init__(self) -> None:
+        unknown = [axis for axis in self.left_out if axis not in AXES]
+        if unknown:
+            raise ParameterError("left_out", unknown[0], f"one of {', '.join(AXES)}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,10 +207,15 @@ class DesiredForceSource(WrenchSource):
 
 @dataclass(frozen=True, kw_only=True)
 class PoseFields:
-    """Paths of position (three) and orientation (three or four)."""
+    """Paths of position (three) and orientation (3, 4 or 9, or the 16 of a pose that is written as one matrix)."""
 
-    position: Paths
+    position: Paths = ()
     orientation: Paths = ()
+
+    def __post_init__(self) -> None:
+        _expand(self, position=3 if self.position else 0, orientation=0)
+        if not (self.position or len(self.orientation) == 16):
+            raise ParameterError("position", "nothing", "named too, unless `orientation` names the 16 of a whole pose")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,6 +246,9 @@ class PoseSource(Source):
 
     def __post_init__(self) -> None:
         width = orientation_width(self.orientation_as)
+        fields = self.fields
+        if fields is not None and len(fields.orientation) == 16 and width == 9:
+            object.__setattr__(self, "fields", _of_pose_matrix(fields, self.orientation_as))
         count = 0 if self.fields is None else len(self.fields.orientation)
         if count not in (0, width):
             raise ParameterError(
@@ -209,12 +259,24 @@ class PoseSource(Source):
             raise ParameterError(missing, "nothing", "named too: a transform needs parent and child")
 
 
+def _of_pose_matrix(fields: PoseFields, kind: str) -> PoseFields:
+    """Return the paths of position and rotation in a pose that is written as a 4 by 4 matrix."""
+    step, across = (4, 1) if kind == ROW_MAJOR else (1, 4)
+    entry = [[fields.orientation[step * row + across * column] for column in range(4)] for row in range(3)]
+    places = [(i, j) if kind == ROW_MAJOR else (j, i) for i in range(3) for j in range(3)]
+    turn = tuple(entry[row][column] for row, column in places)
+    return PoseFields(position=fields.position or tuple(row[3] for row in entry), orientation=turn)
+
+
 @dataclass(frozen=True, kw_only=True)
 class TwistFields:
     """Paths of linear and angular velocity, three each."""
 
     linear: Paths
     angular: Paths = (None, None, None)
+
+    def __post_init__(self) -> None:
+        _expand(self, linear=3, angular=3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -245,6 +307,9 @@ class GainsFields:
 
     mass: Paths
     damping: Paths
+
+    def __post_init__(self) -> None:
+        _expand(self, mass=6, damping=6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -291,6 +356,8 @@ class Mounting:
         norm = math.hypot(*self.orientation)
         if len(self.orientation) == 4 and abs(norm - 1.0) > _NORM_TOLERANCE:
             raise ParameterError("orientation", list(self.orientation), f"a unit quaternion (its norm is {norm:.6g})")
+        if len(self.orientation) == 9 and not bool(is_rotation(np.array([self.orientation]))[0]):
+            raise ParameterError("orientation", list(self.orientation), "a rotation matrix (orthonormal, no mirror)")
         check_unit("angle", self.angle, ANGLE_RAD)
 
 

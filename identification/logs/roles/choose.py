@@ -1,13 +1,14 @@
 """Decide which channel serves as what, from type, name, frame and rate. Never guess."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import MISSING, dataclass, fields, replace
+from typing import Any
 
 from problems.arrays import FloatArray
 
 from ...errors import LogError, listed
 from ...result import Finding
-from ...signals.recording import StampArray
+from ...signals.recording import AXES, StampArray
 from ..messages.channel_info import ChannelInfo, Infos
 from .candidates import (
     ambiguous_sentence,
@@ -16,8 +17,8 @@ from .candidates import (
     missing_sentence,
     roles_of,
 )
-from .cell import Cell, DesiredForceSource, GainsSource, PoseSource, Source
-from .registry import ROLES, TRANSFORMS, Role
+from .cell import Cell, DesiredForceSource, GainsSource, PoseSource, Source, WrenchSource
+from .registry import ROBOT_STATES, ROLES, TRANSFORMS, FieldPaths, Role, layout_of
 
 FramesOf = Callable[[ChannelInfo], tuple[tuple[str, str], ...]]
 
@@ -26,7 +27,8 @@ FramesOf = Callable[[ChannelInfo], tuple[tuple[str, str], ...]]
 class Choice:
     """A channel that serves a role: the paths of its numbers (None for those it lacks) and of its header.
 
-    `frames` is the pair (parent, child) where a transform is read; `reason` says why it was taken.
+    `frames` is the pair (parent, child) where a transform is read; `layout` is that of the type, None where the cell
+    declares the paths; `reason` says why it was taken.
     """
 
     role: Role
@@ -34,6 +36,7 @@ class Choice:
     fields: tuple[str | None, ...]
     header: str
     frames: tuple[str, str] | None = None
+    layout: FieldPaths | None = None
     reason: str
 
 
@@ -73,7 +76,7 @@ def choose(role: Role, infos: Infos, cell: Cell, log: str, frames_of: FramesOf) 
     if isinstance(source, PoseSource) and source.parent is not None and source.child is not None:
         return _transform(role, source, (source.parent, source.child), infos, log, frames_of)
     if source is not None and source.topic is not None:
-        _check_distinct(role, cell)
+        _check_distinct(role, cell, infos)
         found = _named(role, source.topic, infos, log)
     else:
         candidates = _candidates(role, source, infos, _taken(cell, role))
@@ -83,6 +86,40 @@ def choose(role: Role, infos: Infos, cell: Cell, log: str, frames_of: FramesOf) 
             return None
         found = _only(role, candidates, infos, log, source)
     return _by_type(role, found, source, log, frames_of)
+
+
+def spelled_as_in(cell: Cell, infos: Infos) -> Cell:
+    """Return the cell with its topics as the log spells them: with or without a slash in front."""
+    topics = {info.channel.topic for info in infos}
+    for name in (*(kind.entry for kind in ROLES.values()), "displacement"):
+        source = getattr(cell, name, None)
+        if source is None or source.topic is None or source.topic in topics:
+            continue
+        same = [topic for topic in topics if topic.strip("/") == source.topic.strip("/")]
+        if len(same) == 1:
+            cell = replace(cell, **{name: replace(source, topic=same[0])})
+    return cell
+
+
+def with_meanings(cell: Cell, choices: Iterable[Choice]) -> tuple[Cell, tuple[Finding, ...]]:
+    """Return the cell with what the types of the chosen channels say where it declares nothing, and cautions."""
+    cautions = []
+    for choice in choices:
+        meaning = None if choice.layout is None else choice.layout.meaning
+        if choice.layout is None or meaning is None:
+            continue
+        is_relative = choice.role is Role.POSE and cell.displacement is not None
+        name = "displacement" if is_relative else ROLES[choice.role].entry
+        declared = getattr(cell, name) or type(meaning)()
+        said = {each.name: each.default for each in fields(meaning) if each.default is not MISSING}
+        left = {key: getattr(meaning, key) for key, usual in said.items() if getattr(declared, key) == usual}
+        is_declared = all(getattr(meaning, key) == said[key] for key in left)
+        change: dict[str, Any] = {name: replace(declared, **left)}
+        cell = replace(cell, **change)
+        if choice.layout.caution is not None and not is_declared:
+            caution = choice.layout.caution
+            cautions.append(replace(caution, message=caution.message.format(topic=choice.info.channel.topic)))
+    return cell, tuple(cautions)
 
 
 def candidates_of(role: Role, infos: Infos, cell: Cell) -> list[ChannelInfo]:
@@ -131,11 +168,14 @@ def _candidates(role: Role, source: Source | None, infos: Infos, taken: set[str]
             if info.count
             and info.channel.type_name in types
             and role in roles_of(info.channel)
-            and info.channel.topic not in taken
+            and (info.channel.topic not in taken or info.channel.type_name in ROBOT_STATES)
             and frame in (None, info.frame)
         ]
         if role is Role.WRENCH:
-            found = [info for info in found if not is_processed_name(info.channel.topic)] or found
+            raw = [info for info in found if not is_processed_name(info.channel.topic)]
+            # What a robot publishes beside its state is a part of it, of which the type says less.
+            has_state = any(info.count and info.channel.type_name in ROBOT_STATES for info in infos)
+            found = raw or ([] if has_state else found)
         lasting = [info for info in found if info.count > 1]
         if found:
             return lasting or found
@@ -177,7 +217,7 @@ def _named(role: Role, topic: str, infos: Infos, log: str) -> ChannelInfo:
     raise LogError(f"{reason}; topics of that type: {others}.")
 
 
-def _check_distinct(role: Role, cell: Cell) -> None:
+def _check_distinct(role: Role, cell: Cell, infos: Infos) -> None:
     measured = source_of(cell, Role.POSE)
     if (
         role is Role.COMMAND
@@ -185,12 +225,13 @@ def _check_distinct(role: Role, cell: Cell) -> None:
         and cell.command is not None
         and measured.topic == cell.command.topic
         and declared_fields(measured) is None
+        and not any(i.channel.topic == measured.topic and i.channel.type_name in ROBOT_STATES for i in infos)
     ):
         raise LogError(f"Topic `{measured.topic}` cannot be the measured and the commanded pose at once.")
 
 
 def _by_type(role: Role, info: ChannelInfo, source: Source | None, log: str, frames_of: FramesOf) -> Choice:
-    layout = ROLES[role].layouts[info.channel.type_name]
+    layout = layout_of(role, info.channel)
     pair = None
     if info.channel.type_name in TRANSFORMS:
         pairs = frames_of(info)
@@ -207,7 +248,8 @@ def _by_type(role: Role, info: ChannelInfo, source: Source | None, log: str, fra
         header = source.header
     named = source is not None and source.topic is not None
     why = "named by you" if named else f"the only plausible {info.channel.type_name}"
-    return Choice(role=role, info=info, fields=layout.fields, header=header, frames=pair, reason=why)
+    paths = _measured(layout.fields, source)
+    return Choice(role=role, info=info, fields=paths, header=header, frames=pair, layout=layout, reason=why)
 
 
 def _declared(role: Role, source: Source, fields: tuple[str | None, ...], infos: Infos, log: str) -> Choice:
@@ -224,7 +266,16 @@ def _declared(role: Role, source: Source, fields: tuple[str | None, ...], infos:
         found = [info for info in filled if is_undeclared(info) and _has_columns(info, wanted)]
     info = _only(role, found, infos, log, source)
     header = source.header if source.header is not None else ("header" if info.has_header else "")
-    return Choice(role=role, info=info, fields=fields, header=header, reason="declared with its fields")
+    paths = _measured(fields, source)
+    return Choice(role=role, info=info, fields=paths, header=header, reason="declared with its fields")
+
+
+def _measured(paths: tuple[str | None, ...], source: Source | None) -> tuple[str | None, ...]:
+    """Return the paths of a wrench without those of axes that the cell leaves out."""
+    left_out = source.left_out if isinstance(source, WrenchSource) else ()
+    return (
+        tuple(None if axis in left_out else path for axis, path in zip(AXES, paths, strict=True)) if left_out else paths
+    )
 
 
 def _has_columns(info: ChannelInfo, wanted: set[str]) -> bool:
@@ -249,7 +300,7 @@ def _transform(
             f"No transform of {pair[1]} in {pair[0]} is in {log}, which holds: {listed(known, empty='no transforms')}."
         )
     info = _only(role, found, infos, log, source)
-    layout = ROLES[role].layouts[info.channel.type_name]
+    layout = layout_of(role, info.channel)
     return Choice(
         role=role, info=info, fields=layout.fields, header="header", frames=pair, reason="declared by its frames"
     )

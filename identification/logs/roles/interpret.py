@@ -13,8 +13,10 @@ from ...signals.frames import Frames
 from ...signals.recording import AXES, AppliedDeadband, GainsSignal, PoseSignal, StampArray, TwistSignal, WrenchSignal
 from .cell import (
     ANGLE_RAD,
+    COLUMN_MAJOR,
     FORCE_N,
     LENGTH_M,
+    ROW_MAJOR,
     TORQUE_N_M,
     Cell,
     DeclaredDeadband,
@@ -55,9 +57,9 @@ def build_frames(cell: Cell) -> Frames:
 
 
 def orientation_quaternion(kind: str, numbers: FloatArray, rad_per_unit: float = 1.0) -> FloatArray:
-    """Return unit quaternions xyzw (n, 4), w not negative, from orientations (n, 3 or 4) written as `kind`.
+    """Return unit quaternions xyzw (n, 4), w not negative, from orientations (n, 3, 4 or 9) written as `kind`.
 
-    Quaternions are expected to be of norm 1 within rounding and are normalised.
+    Quaternions are expected to be of norm 1 within rounding and are normalised, matrices to be rotations likewise.
     """
     if kind == "quaternion_wxyz":
         quaternion = numbers[:, [1, 2, 3, 0]]
@@ -65,6 +67,9 @@ def orientation_quaternion(kind: str, numbers: FloatArray, rad_per_unit: float =
         quaternion = numbers
     elif kind == "rotation_vector":
         quaternion = Rotation.from_rotvec(numbers * rad_per_unit).as_quat()
+    elif kind in (ROW_MAJOR, COLUMN_MAJOR):
+        matrix = numbers.reshape(-1, 3, 3)
+        quaternion = Rotation.from_matrix(matrix if kind == ROW_MAJOR else matrix.transpose(0, 2, 1)).as_quat()
     else:
         quaternion = Rotation.from_euler(kind.removeprefix("euler_"), numbers * rad_per_unit).as_quat()
     return _canonical(quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True))

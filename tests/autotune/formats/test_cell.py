@@ -101,6 +101,12 @@ def test_every_entry_arrives_where_it_belongs() -> None:
         ("wrench: {units: {force: newton}}", 3, "one of N, kN, lbf, kgf"),
         ("wrench: {signs: [1, 1, 1, 1, 1, 2]}", 3, r"wrench.signs[5] must be one of 1, -1, found 2."),
         ("wrench: {signs: [1, 1, 1]}", 3, "at least 6 entries long"),
+        ("wrench: {signs: [1,1,-1]}", 3, "at least 6 entries long"),
+        ("gravity_direction: [0,0,-1]", 3, "0,0 may be a decimal comma; write 0.0 for one number, 0, 0 for two."),
+        ("wrench: {left_out: [w]}", 3, "one of x, y, z, rx, ry, rz"),
+        ('wrench: {fields: {force: ["effort[0:2]"]}}', 3, "wrench.fields.force must be 3 paths"),
+        ("pose: {fields: {orientation: [a, b, c]}}", 3, "pose.fields.position must be named too"),
+        ('pose: {fields: {orientation: ["a[0:16]"]}}', 3, "orientation_as must be of 16 numbers"),
         ("wrench: {fields: {torque: [a, b, c]}}", 3, "wrench.fields.force must be present"),
         ("wrench: {deadband: {force_n: 2}}", 3, "deadband.type must be present"),
         ("wrench: {exerted_by: robot}", 3, "one of payload, sensor"),
@@ -121,6 +127,12 @@ def test_what_is_unknown_or_contradictory_is_refused_with_its_line(text: str, li
     message = refused(text)
     assert f"cell.yaml, line {line}: " in message
     assert told in message
+
+
+def test_signs_need_no_space_after_their_commas() -> None:
+    cell = check_cell_text("format: autotune/cell\nversion: 1\npose: {signs: [1,1,-1]}\n", Path("cell.yaml"))
+    assert cell.pose is not None
+    assert cell.pose.signs == (1, 1, -1)
 
 
 @pytest.mark.parametrize("text", ["version: 1\n", "format: autotune/problem\nversion: 1\n", "format: autotune/cell\n"])

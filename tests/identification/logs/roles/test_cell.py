@@ -1,6 +1,10 @@
 """A cell's description is checked once and its topics can be named on top."""
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from identification.logs.roles.cell import (
     FORCE_N,
@@ -9,8 +13,10 @@ from identification.logs.roles.cell import (
     Mounting,
     PoseFields,
     PoseSource,
+    WrenchFields,
     WrenchSource,
     WrenchUnits,
+    is_rotation,
     orientation_width,
 )
 from problems.errors import ParameterError
@@ -34,7 +40,15 @@ def test_a_pose_topic_names_the_displacement_where_one_is_declared() -> None:
 
 @pytest.mark.parametrize(
     ("kind", "width"),
-    [("quaternion_xyzw", 4), ("quaternion_wxyz", 4), ("rotation_vector", 3), ("euler_ZYZ", 3), ("euler_xyz", 3)],
+    [
+        ("quaternion_xyzw", 4),
+        ("quaternion_wxyz", 4),
+        ("rotation_vector", 3),
+        ("matrix_row_major", 9),
+        ("matrix_column_major", 9),
+        ("euler_ZYZ", 3),
+        ("euler_xyz", 3),
+    ],
 )
 def test_orientations_have_their_width(kind: str, width: int) -> None:
     assert orientation_width(kind) == width
@@ -57,6 +71,36 @@ def test_contradictions_are_refused() -> None:
         Mounting(orientation=(1.0, 0.0, 0.0))
     with pytest.raises(ParameterError, match="one of N, kN, lbf, kgf"):
         WrenchUnits(force="daN")
+
+
+@pytest.mark.parametrize("kind", ["matrix_row_major", "matrix_column_major"])
+def test_a_pose_matrix_of_sixteen_numbers_is_position_and_rotation(kind: str) -> None:
+    """The entry in row i and column j is called ij; four rows or four columns of them stand after each other."""
+    order = [f"{i}{j}" if kind == "matrix_row_major" else f"{j}{i}" for i in range(4) for j in range(4)]
+    fields = PoseSource(fields=PoseFields(orientation=tuple(order)), orientation_as=kind).fields
+    assert fields is not None
+    assert fields.position == ("03", "13", "23")
+    rotation = [name for name in order if "3" not in name]
+    assert list(fields.orientation) == rotation
+
+
+def test_a_slice_of_a_list_is_its_entries() -> None:
+    assert WrenchFields(force=("effort[1:4]",), torque=("a", "b[7:9]")).torque == ("a", "b[7]", "b[8]")
+    assert WrenchFields(force=("effort[1:4]",)).force == ("effort[1]", "effort[2]", "effort[3]")
+    with pytest.raises(ParameterError, match="force must be 3 paths"):
+        WrenchFields(force=("effort[0:4]",))
+
+
+@given(st.integers(0, 8), st.floats(0.01, 1.0))
+def test_only_rotations_are_rotations(entry: int, change: float) -> None:
+    turn = Rotation.from_rotvec([0.3, -2.0, 0.5]).as_matrix()
+    assert is_rotation(turn.reshape(1, 9))[0]
+    assert not is_rotation((turn @ np.diag([1.0, 1.0, -1.0])).reshape(1, 9))[0]
+    off = turn.ravel().copy()
+    off[entry] += change
+    assert not is_rotation(off[None])[0]
+    with pytest.raises(ParameterError, match="a rotation matrix"):
+        Mounting(orientation=tuple(off.tolist()), orientation_as="matrix_row_major")
 
 
 def test_units_are_those_of_the_books() -> None:

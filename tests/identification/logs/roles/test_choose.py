@@ -15,7 +15,7 @@ from identification.logs.roles.cell import (
     WrenchFields,
     WrenchSource,
 )
-from identification.logs.roles.choose import choose, choose_all, open_questions
+from identification.logs.roles.choose import choose, choose_all, open_questions, spelled_as_in
 from identification.logs.roles.registry import (
     ADMITTANCE_STATE,
     FLOAT_ARRAY,
@@ -224,3 +224,22 @@ def test_declared_gains_need_no_channel() -> None:
 def test_one_topic_cannot_be_measured_and_commanded() -> None:
     cell = Cell(pose=PoseSource(topic="/pose"), command=PoseSource(topic="/pose"))
     assert "at once" in refused([FT, POSE], cell)
+
+
+@pytest.mark.parametrize(("in_log", "declared"), [("ft", "/ft"), ("/ft", "ft")])
+def test_a_slash_in_front_of_a_topic_makes_no_difference(in_log: str, declared: str) -> None:
+    infos = [info(in_log, WRENCH_STAMPED), info("/other", WRENCH_STAMPED), POSE]
+    cell = spelled_as_in(Cell(wrench=WrenchSource(topic=declared)), infos)
+    assert chosen(infos, cell)[Role.WRENCH] == in_log
+
+
+def test_a_topic_that_is_there_as_named_is_taken_though_another_differs_by_its_slash() -> None:
+    infos = [info("ft", WRENCH_STAMPED), info("/ft", WRENCH_STAMPED), POSE]
+    for topic in ("ft", "/ft"):
+        assert chosen(infos, spelled_as_in(Cell(wrench=WrenchSource(topic=topic)), infos))[Role.WRENCH] == topic
+
+
+def test_an_axis_that_is_left_out_has_no_path() -> None:
+    found = choose(Role.WRENCH, [FT, POSE], Cell(wrench=WrenchSource(left_out=("z", "rx"))), "run.mcap", frames_of)
+    assert found is not None
+    assert [path is None for path in found.fields] == [False, False, True, True, False, False]

@@ -78,7 +78,18 @@ def steps(quaternion: Array) -> Array:
     return np.asarray(np.linalg.norm(np.diff(quaternion, axis=0), axis=1))
 
 
-@pytest.mark.parametrize("kind", ["quaternion_xyzw", "quaternion_wxyz", "rotation_vector", "euler_ZYZ", "euler_xyz"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "quaternion_xyzw",
+        "quaternion_wxyz",
+        "rotation_vector",
+        "matrix_row_major",
+        "matrix_column_major",
+        "euler_ZYZ",
+        "euler_xyz",
+    ],
+)
 @pytest.mark.parametrize("seed", range(4))
 def test_every_way_to_tell_an_orientation_gives_the_same_continuous_quaternion(kind: str, seed: int) -> None:
     truth = turning(seed)
@@ -86,6 +97,8 @@ def test_every_way_to_tell_an_orientation_gives_the_same_continuous_quaternion(k
         "quaternion_xyzw": lambda: truth.as_quat(canonical=True),
         "quaternion_wxyz": lambda: truth.as_quat(canonical=True)[:, [3, 0, 1, 2]],
         "rotation_vector": truth.as_rotvec,
+        "matrix_row_major": lambda: np.array([matrix.ravel() for matrix in truth.as_matrix()]),
+        "matrix_column_major": lambda: np.array([matrix.ravel(order="F") for matrix in truth.as_matrix()]),
         "euler_ZYZ": lambda: truth.as_euler("ZYZ"),
         "euler_xyz": lambda: truth.as_euler("xyz"),
     }[kind]()
