@@ -201,6 +201,7 @@ class DesiredForceSource(WrenchSource):
         return self.force is not None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.is_known and (self.topic is not None or self.fields is not None):
             raise ParameterError("force", "a known force", "left out where topic or fields say where it is logged")
 

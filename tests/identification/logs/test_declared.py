@@ -121,24 +121,6 @@ def test_joint_states(tmp_path: Path) -> None:
     assert recording.command is None
 
 
-def test_an_axis_that_the_sensor_does_not_measure_is_left_out(tmp_path: Path) -> None:
-    def flat(i: int, stamp: int) -> Tree:
-        return {
-            "header": header(stamp, "ft"),
-            "wrench": {"force": xyz(WRENCH[i, :3]), "torque": xyz([*WRENCH[i, 3:5], 0])},
-        }
-
-    log = write_log(tmp_path / "run.mcap", [replace(FT, message=flat), POSE])
-    with pytest.raises(
-        LogError, match=r"torque z axis .* leave it out with `wrench: \{left_out: \[rz\]\}` in cell.yaml"
-    ):
-        read_recording(log)
-    recording = read_recording(log, Cell(wrench=WrenchSource(left_out=("rz",))))
-    assert recording.wrench.measured_axes == ("x", "y", "z", "rx", "ry")
-    assert np.isnan(recording.wrench.torque_n_m[:, 2]).all()
-    assert np.array_equal(recording.wrench.force_n, WRENCH[:, :3])
-
-
 def test_the_choice_is_told(tmp_path: Path) -> None:
     recording = read_recording(write_log(tmp_path / "run.mcap", [FT, POSE]))
     told = [finding.message for finding in recording.findings if finding.code == "channel-chosen"]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from identification.errors import LogError
 from identification.logs import inspect_log, read_recording
+from identification.logs.roles.cell import Cell, WrenchSource
 from tests.identification.logs.log_builder import (
     START_NS,
     Stream,
@@ -235,3 +236,17 @@ def test_the_checks_of_identify_are_told_by_inspect(tmp_path: Path) -> None:
     pose = pose_stream()
     path = write_mcap(tmp_path / "run.mcap", [wrench_stream(), pose.with_stamps(pose.stamp_ns + 3600 * 10**9)])
     assert {"clocks-differ", "unusable"} <= {finding.code for finding in inspect_log(path).findings}
+
+
+def test_an_axis_that_the_sensor_does_not_measure_is_left_out(tmp_path: Path) -> None:
+    wrench = wrench_stream()
+    flat = wrench.with_values(wrench.values * [1, 1, 1, 1, 1, 0])
+    log = write_mcap(tmp_path / "run.mcap", [flat, pose_stream()])
+    with pytest.raises(
+        LogError, match=r"torque z axis .* leave it out with `wrench: \{left_out: \[rz\]\}` in cell.yaml"
+    ):
+        read_recording(log)
+    recording = read_recording(log, Cell(wrench=WrenchSource(left_out=("rz",))))
+    assert recording.wrench.measured_axes == ("x", "y", "z", "rx", "ry")
+    assert np.isnan(recording.wrench.torque_n_m[:, 2]).all()
+    assert np.array_equal(recording.wrench.force_n, wrench.values[:, :3])
