@@ -19,6 +19,7 @@ from .partial import identify_partial
 from .payload.gravity import identify_gravity
 from .payload.gravity_verdicts import com_estimate, gravity_findings, mass_estimate
 from .payload.inertia import InertiaFit, identify_inertia
+from .rests import at_rest_only, identify_from_rows
 from .result import (
     AxisEstimate,
     EnvironmentEstimate,
@@ -103,10 +104,10 @@ def identify_with_evidence(
 def _identify(
     recording: Recording, frames: Frames | None, given: Mapping[str, Given], report: Callable[[float], None]
 ) -> tuple[Identified, CellSignals | None, Mapping[str, AxisResult]]:
-    if recording.wrench.gravity_compensated:
-        partial = settle_cell(identify_partial(recording, _sample_time(recording)), given)
+    partial = _identify_incomplete(recording, frames)
+    if partial is not None:
         report(1.0)
-        return partial, None, {}
+        return settle_cell(partial, given), None, {}
     if recording.command is not None:
         recording = replace(recording, command=restore_commands(recording.command))
     recording, about_spikes = without_spikes(recording)
@@ -158,6 +159,22 @@ def _identify(
         timelines=(timeline,),
     )
     return settle_cell(found, cell.given), cell, results
+
+
+def _identify_incomplete(recording: Recording, frames: Frames | None) -> Identified | None:
+    """Identify what a log without gravity, times or positions shows; None for one that has them."""
+    if recording.wrench.gravity_compensated:
+        return identify_partial(recording, _sample_time(recording))
+    if recording.rows_are_poses:
+        return identify_from_rows(recording, frames)
+    if recording.pose.has_position:
+        return None
+    recording, about_spikes = without_spikes(recording)
+    log = align(recording)
+    read = read_by_weight(recording, log, find_motion(log), frames)
+    gravity = identify_gravity(read.poses)
+    sensor, about_sensor = describe_sensor(read, gravity, frames)
+    return at_rest_only(gravity, sensor, _sample_time(recording), (*about_spikes, *read.findings, *about_sensor))
 
 
 def _evidence(cell: CellSignals, results: Mapping[str, AxisResult]) -> Evidence:

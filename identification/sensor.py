@@ -7,6 +7,7 @@ import numpy as np
 from .conventions.choice import ReadLog
 from .payload.gravity import GravityFit
 from .payload.mounting import identify_mounting
+from .rests import residual_estimate
 from .result import Estimate, Finding, SensorEstimate, Status
 from .signals.frames import Frames
 from .signals.recording import PoseSignal
@@ -29,12 +30,7 @@ def describe_sensor(
         force_bias_n=vector(gravity.force_bias_S_n, gravity.force_bias_std_n, method=_METHOD),
         torque_bias_n_m=vector(gravity.torque_bias_S_n_m, gravity.torque_bias_std_n_m, method=_METHOD),
         force_noise_rms_n=within if noise is None else noise.force_rms(),
-        gravity_residual_rms_n=Estimate(
-            value=gravity.residual_rms_n,
-            std=gravity.residual_rms_n / np.sqrt(6.0 * max(gravity.pose_count, 1)),
-            status=Status.IDENTIFIED,
-            method=_METHOD,
-        ),
+        gravity_residual_rms_n=residual_estimate(gravity),
         deadband_n=_deadband(read, noise),
         torque_noise_rms_n_m=None
         if noise is None

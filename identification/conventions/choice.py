@@ -44,7 +44,8 @@ def read_by_weight(recording: Recording, log: AlignedLog, motion: MotionSpans, f
     ranking = rank_conventions(poses, frames)
     findings = ranking.findings()
     hypotheses = [each.hypothesis for each in ranking.alike]
-    if ranking.verdict is ConventionVerdict.ASK and len(hypotheses) == 2 and hypotheses[0] == hypotheses[1]:
+    moves = recording.pose.has_position
+    if moves and ranking.verdict is ConventionVerdict.ASK and len(hypotheses) == 2 and hypotheses[0] == hypotheses[1]:
         decided = _decided_by_moves(recording, ranking, frames)
         if decided is not None:
             chosen, sign = decided

@@ -26,6 +26,8 @@ from .roles.interpret import (
 from .roles.registry import ROLES, Role
 
 _MAIN = (Role.WRENCH, Role.POSE, Role.COMMAND)
+_OF_SINGLE_ROWS = frozenset({"not-finite", "quaternion-norm", "turn-unit", "length-unit"})
+"""Faults that a table of poses can have; the others compare neighbours in time."""
 
 
 def chosen_clocks(
@@ -51,7 +53,17 @@ def chosen_clocks(
     }
     by_log = [role for role in series if clocks[role] is Clock.LOG]
     findings = []
-    if bare:
+    tables = {_topic(series[role]) for role in _MAIN if role in series and _is_table(series[role])}
+    if len(tables) > 1 and not _are_poses(cell):
+        findings.append(
+            Finding.info(
+                "tables-on-one-clock",
+                f"The times of {', '.join(sorted(tables))} are taken as those of one clock.",
+                "Declare `clock_offset_s` where one of them counts from another instant.",
+            )
+        )
+    # The time column of a table is what its writer took for the time; only messages have a time of recording beside.
+    if bare and not all(_is_table(series[role]) for role in by_log):
         topics = ", ".join(sorted({_topic(series[role]) for role in bare}))
         findings.append(
             Finding.warning(
@@ -78,8 +90,18 @@ def sample_findings(
         mine = [part[role] for part in parts]
         stamps = [_stamps(role, part, clocks, cell) for part in parts]
         found += role_faults(role, mine, stamps, source_of(cell, role), start_ns, keeps_holes=keeps_holes)
+    if _are_poses(cell):
+        found = [finding for finding in found if finding.code in _OF_SINGLE_ROWS]
     refuse(found)
     return tuple(found)
+
+
+def _is_table(series: RoleSeries) -> bool:
+    return series.choice.info.channel.encoding == "table"
+
+
+def _are_poses(cell: Cell) -> bool:
+    return cell.table is not None and cell.table.are_poses
 
 
 def build_recording(series: dict[Role, RoleSeries], clocks: Mapping[Role, Clock], cell: Cell) -> Recording:
@@ -99,7 +121,8 @@ def build_recording(series: dict[Role, RoleSeries], clocks: Mapping[Role, Clock]
     if Role.COMMAND in columns:
         source = cell.command or PoseSource()
         command = interpret_pose(columns[Role.COMMAND], source, frames, is_displacement=is_relative)
-    findings += turn_findings(pose)
+    if not _are_poses(cell):
+        findings += turn_findings(pose)
     if Role.TWIST in columns:
         twist = interpret_twist(columns[Role.TWIST], cell.twist or TwistSource(), frames, pose)
         findings += twist_findings(pose, twist)
@@ -117,6 +140,7 @@ def build_recording(series: dict[Role, RoleSeries], clocks: Mapping[Role, Clock]
         desired_force=desired_force,
         clocks={ROLES[role].entry: clock.value for role, clock in clocks.items()},
         findings=tuple(dict.fromkeys(findings)),
+        rows_are_poses=_are_poses(cell),
     )
 
 

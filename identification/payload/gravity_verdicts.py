@@ -62,11 +62,14 @@ def gravity_findings(fit: GravityFit) -> tuple[Finding, ...]:
     step = fit.bias_step
     if step is not None:
         shown = ", ".join(f"{-value:+.2f}" for value in step.force_before_S_n)
+        when = f"{step.after_s:.2f} and {step.before_s:.2f} s"
+        if not np.isfinite(step.after_s):
+            when = f"rows {step.sample} and {step.sample + 1}"
         found.append(
             Finding(
                 code="bias-step",
                 severity="warning",
-                message=f"The sensor's bias steps by ({shown}) N between {step.after_s:.2f} and {step.before_s:.2f} s; "
+                message=f"The sensor's bias steps by ({shown}) N between {when}; "
                 "both parts of the log were used, each with its own bias.",
                 advice="Tare before recording, not during it.",
             )

@@ -272,6 +272,8 @@ def _plain_rows(rests: _Rests) -> FloatArray:
 
 def _drift(rests: _Rests) -> ResidualTerm | None:
     past = rests.time - rests.time.mean()
+    if not np.all(np.isfinite(past)):
+        return None
     extension = _diagonal(np.repeat(past[:, None], 3, axis=1))
     pair = _compare(rests, np.concatenate([_plain_rows(rests), extension], axis=2), 3)
     if pair is None:

@@ -8,7 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from problems.arrays import FloatArray, IntArray
 
+from ..errors import LogError
 from ..signals.aligned import AlignedLog
+from ..signals.recording import Recording
 from ..signals.segments import Span
 
 GRAVITY_B_M_S2 = np.array([0.0, 0.0, -9.80665])
@@ -22,7 +24,8 @@ _BATCHES = 8
 class StaticPose:
     """Mean wrench over one rest, `gravity_S_m_s2`, `force_S_n`, `torque_S_n_m` (3,), and the noise within it.
 
-    `quaternion_xyzw` (4,) is the mean orientation, base from sensor; `time_s` the middle of the rest in the log;
+    `quaternion_xyzw` (4,) is the mean orientation, base from sensor; `time_s` the middle of the rest in the log, NaN
+    where it has no time;
     `force_noise_n` the spread of the samples, `force_mean_std_n` and `torque_mean_std_n_m` that of their mean, with
     noise that is not white accounted for.
     """
@@ -62,6 +65,35 @@ def collect_static_poses(log: AlignedLog, still: tuple[Span, ...]) -> tuple[Stat
             )
         )
     return tuple(poses)
+
+
+def rows_as_poses(recording: Recording) -> tuple[StaticPose, ...]:
+    """Take each row of a table of poses as a rest; how much the samples of one scattered is not known.
+
+    Raises LogError where wrench and pose do not have as many rows, EstimateError where they are not raw and whole.
+    """
+    recording.require_raw()
+    wrench, pose = recording.wrench, recording.pose
+    if len(wrench.stamp_ns) != len(pose.stamp_ns):
+        raise LogError(
+            f"Tables of poses must have one row per pose each, found {len(wrench.stamp_ns)} in {wrench.topic} and "
+            f"{len(pose.stamp_ns)} in {pose.topic}; give the rows that belong together."
+        )
+    turned = Rotation.from_quat(pose.quaternion_xyzw).inv()
+    return tuple(
+        StaticPose(
+            span=Span(start=row, stop=row + 1),
+            time_s=np.nan,
+            quaternion_xyzw=pose.quaternion_xyzw[row],
+            gravity_S_m_s2=gravity,
+            force_S_n=wrench.force_n[row],
+            torque_S_n_m=wrench.torque_n_m[row],
+            force_noise_n=0.0,
+            force_mean_std_n=0.0,
+            torque_mean_std_n_m=0.0,
+        )
+        for row, gravity in enumerate(np.asarray(turned.apply(GRAVITY_B_M_S2)))
+    )
 
 
 def _mean_std(values: FloatArray) -> float:

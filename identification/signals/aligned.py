@@ -83,9 +83,9 @@ def align(recording: Recording) -> AlignedLog:
     """Interpolate the pose on a uniform clock of the wrench's rate, over the time that both cover.
 
     The clock starts at a wrench stamp, so that a regular wrench keeps its samples: between them its noise would be
-    averaged. Position by cubic spline, orientation by slerp, neither across a hole. Raises LogError when the channels
-    do not overlap by 30 samples, or have holes that the recording does not keep; EstimateError when wrench or pose are
-    not as sensor and robot show them (`Recording.require_raw`).
+    averaged. Position by cubic spline (NaN where not all three coordinates were logged), orientation by slerp, neither
+    across a hole. Raises LogError when the channels do not overlap by 30 samples, or have holes that the recording does
+    not keep; EstimateError when wrench or pose are not as sensor and robot show them (`Recording.require_raw`).
     """
     recording.require_raw()
     wrench, pose = recording.wrench, recording.pose
@@ -113,6 +113,8 @@ def align(recording: Recording) -> AlignedLog:
     holes = spans_of(~(forces.covered() & poses.covered()))
 
     def on_clock(pieces: _Pieces, values: FloatArray, degree: int) -> FloatArray:
+        if values is pose.position_m and not pose.has_position:
+            return np.full((count, values.shape[1]), np.nan)
         found = pieces.interpolated(values, degree)
         if holes and found is values:
             found = np.array(values)

@@ -96,6 +96,11 @@ class PoseSignal:
     def __post_init__(self) -> None:
         _freeze(self, position_m=3, quaternion_xyzw=4)
 
+    @property
+    def has_position(self) -> bool:
+        """Whether all three coordinates were logged."""
+        return {*AXES[:3]} <= {*self.measured_axes}
+
 
 @dataclass(frozen=True, kw_only=True)
 class TwistSignal:
@@ -139,7 +144,8 @@ class Recording:
     (`header` or `log`); `findings` show what was chosen, assumed or left out on the way. With `keeps_holes` (a salvaged
     log) times without messages are kept as holes, of which nothing is known, instead of being refused. `wrench_lag_s`
     is how late the wrench is stamped against the pose, value and standard deviation, where the log shows it, after
-    `wrench_shifted_s` were taken off its stamps as an offset between clocks that are said to be one.
+    `wrench_shifted_s` were taken off its stamps as an offset between clocks that are said to be one. With
+    `rows_are_poses` row i of wrench and pose is the mean of a rest, and the stamps only number them.
     """
 
     wrench: WrenchSignal
@@ -154,12 +160,13 @@ class Recording:
     wrench_shifted_s: float = 0.0
     findings: tuple[Finding, ...] = ()
     keeps_holes: bool = False
+    rows_are_poses: bool = False
 
     def __post_init__(self) -> None:
         freeze(self, "sha256", "clocks")
 
     def require_raw(self) -> None:
-        """Raise EstimateError unless this holds a raw six-axis wrench and a whole pose in the base frame."""
+        """Raise EstimateError unless this holds a raw six-axis wrench and an orientation in the base frame."""
         if self.wrench.gravity_compensated:
             raise EstimateError(
                 f"Gravity is already removed from the force of topic {self.wrench.topic}, so the payload's mass, its "
@@ -172,10 +179,11 @@ class Recording:
                 f"Topic {self.pose.topic} shows a displacement from an unknown pose, so the direction of gravity in "
                 "the sensor frame cannot be determined from it; record the flange pose in the base frame."
             )
-        _require_axes(f"The pose of topic {self.pose.topic}", self.pose.measured_axes)
+        _require_axes(f"The pose of topic {self.pose.topic}", self.pose.measured_axes, AXES[3:])
 
 
-def _require_axes(what: str, measured: tuple[str, ...]) -> None:
-    missing = [axis for axis in AXES if axis not in measured]
+def _require_axes(what: str, measured: tuple[str, ...], needed: tuple[str, ...] = AXES) -> None:
+    missing = [axis for axis in needed if axis not in measured]
     if missing:
-        raise EstimateError(f"{what} must have all six axes, found none for {', '.join(missing)}; record them all.")
+        all_of_them = "all six axes" if needed == AXES else "an orientation"
+        raise EstimateError(f"{what} must have {all_of_them}, found none for {', '.join(missing)}; record them all.")

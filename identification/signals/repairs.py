@@ -15,6 +15,7 @@ from .recording import PoseSignal, Recording, WrenchSignal
 
 _NOISES, _OTHERS = 12.0, 6.0
 _AROUND, _FEWEST, _LONGEST_PERIOD_S = 8, 20, 2.5e-3
+_LONGEST_POSE_PERIOD_S = 0.1
 _TO_STD = 1.4826  # of a normal distribution, over its median absolute deviation
 _ADVICE = "Check the sensor's cable, shield and driver; they were replaced by the mean of their neighbours."
 _LOST = 1.5
@@ -52,11 +53,12 @@ def without_pose_spikes(pose: PoseSignal) -> tuple[PoseSignal, tuple[Finding, ..
     """Return the pose with single samples replaced that leave both neighbours as no arm could, and come back.
 
     As in the wrench they must stand out from noise and from all samples around them; beyond that, what takes a robot
-    there and back within two periods must exceed 100 m/s² (1000 rad/s²). Quaternions have neighbouring signs already.
+    there and back within two periods must exceed 100 m/s² (1000 rad/s²), of which a pose below 10 Hz shows nothing.
+    Quaternions have neighbouring signs already.
     """
-    if len(pose.stamp_ns) < _FEWEST:
+    period = float(np.median(np.diff(pose.stamp_ns))) * 1e-9 if len(pose.stamp_ns) >= _FEWEST else np.inf
+    if period > _LONGEST_POSE_PERIOD_S:
         return pose, ()
-    period = float(np.median(np.diff(pose.stamp_ns))) * 1e-9
     places = _spikes(pose.position_m, 0.5 * _FASTEST_M_S2 * period**2)
     turns = _spikes(pose.quaternion_xyzw, 0.5 * _FASTEST_HALF_RAD_S2 * period**2)
     rows = np.flatnonzero(np.any(places, axis=1) | np.any(turns, axis=1))

@@ -67,13 +67,16 @@ def rate_of(values: FloatArray, period_s: float) -> FloatArray:
 def find_motion(log: AlignedLog) -> MotionSpans:
     """Split the log into spans at rest (≥ 0.4 s) and spans of motion between them, neither across a hole of the log.
 
+    Of a log without positions turning and force show what is a rest.
     MotionSpans ends 0.15 s off a hole: what is derived from it looks that far beyond a span.
     """
     smooth = low_pass(log.position_B_m, log.period_s, _MOTION_BAND_HZ)
     velocity_B = np.gradient(smooth, log.period_s, axis=0)
     velocity_S = np.asarray(log.orientation_BS.inv().apply(velocity_B))
     turning = _turn_rate(log)
-    still = (np.linalg.norm(velocity_B, axis=1) < _STILL_SPEED_M_S) & (turning < _STILL_TURN_RAD_S) & _quiet_force(log)
+    still = (turning < _STILL_TURN_RAD_S) & _quiet_force(log)
+    if not np.all(np.isnan(velocity_B)):
+        still &= np.linalg.norm(velocity_B, axis=1) < _STILL_SPEED_M_S
     # An oscillation passes through zero speed: short pauses belong to the motion, and rest has a least length.
     pause = max(1, round(_LONGEST_PAUSE_S / log.period_s))
     shortest = max(1, round(_SHORTEST_STILL_S / log.period_s))

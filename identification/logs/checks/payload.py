@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter1d
 from problems.arrays import BoolArray, FloatArray
 
 from ...errors import EstimateError, LogError
-from ...payload.static_poses import StaticPose, collect_static_poses
+from ...payload.static_poses import StaticPose, collect_static_poses, rows_as_poses
 from ...result import Finding
 from ...signals.aligned import AlignedLog, align
 from ...signals.constant_runs import find_runs
@@ -123,8 +123,10 @@ def check_payload(recording: Recording) -> tuple[Finding, ...]:
     wrench, pose = recording.wrench, recording.pose
     if wrench.gravity_compensated or wrench.deadband is not None or pose.is_displacement:
         return ()
-    if {*AXES} - {*wrench.measured_axes} or {*AXES} - {*pose.measured_axes}:
+    if {*AXES} - {*wrench.measured_axes} or {*AXES[3 if recording.rows_are_poses else 0 :]} - {*pose.measured_axes}:
         return ()
+    if recording.rows_are_poses:
+        return tuple(_unit_findings(wrench.topic, rows_as_poses(recording)))
     try:
         log = align(recording)
     except (EstimateError, LogError):

@@ -208,15 +208,20 @@ class DesiredForceSource(WrenchSource):
 
 @dataclass(frozen=True, kw_only=True)
 class PoseFields:
-    """Paths of position (three) and orientation (3, 4 or 9, or the 16 of a pose that is written as one matrix)."""
+    """Paths of position (three) and orientation (3, 4 or 9, or the 16 of a pose that is written as one matrix).
+
+    Without position all that is known of a pose is its orientation.
+    """
 
     position: Paths = ()
     orientation: Paths = ()
 
     def __post_init__(self) -> None:
         _expand(self, position=3 if self.position else 0, orientation=0)
-        if not (self.position or len(self.orientation) == 16):
-            raise ParameterError("position", "nothing", "named too, unless `orientation` names the 16 of a whole pose")
+        if not (self.position or self.orientation):
+            raise ParameterError("position", "nothing", "named, or `orientation` where no position was logged")
+        if not self.position and len(self.orientation) != 16:
+            object.__setattr__(self, "position", (None,) * 3)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,12 +17,14 @@ class TableLayout:
     `columns` are names, or indices from 0 as text where the table has no names. The time is the column `time`
     in `time_unit`, or the rows follow each other with `sample_rate_hz`, from 0. `delimiter`, `header_rows` (the first
     of which holds the names) and `encoding` are found out where they are None; lines that start with `comment` are left
-    out, as are `skip_rows` lines before everything else. Raises ParameterError.
+    out, as are `skip_rows` lines before everything else. With `rows` "poses" each row is the mean of a rest in a pose
+    of its own, and no time is asked. Raises ParameterError.
     """
 
     columns: tuple[str, ...] = ()
     time: str | None = None
     time_unit: str = "s"
+    rows: str = "samples"
     sample_rate_hz: float | None = None
     delimiter: str | None = None
     decimal: str = "."
@@ -31,7 +33,17 @@ class TableLayout:
     header_rows: int | None = None
     encoding: str | None = None
 
+    @property
+    def are_poses(self) -> bool:
+        """Whether each row is the mean of a rest, without a time."""
+        return self.rows == "poses"
+
     def __post_init__(self) -> None:
+        if self.rows not in ("samples", "poses"):
+            raise ParameterError("rows", self.rows, "samples or poses")
+        if self.are_poses and (self.time is not None or self.sample_rate_hz is not None):
+            name = "sample_rate_hz" if self.time is None else "time"
+            raise ParameterError(name, getattr(self, name), "left out where each row is a pose at rest, which has none")
         if self.time_unit not in EXPONENT:
             raise ParameterError("time_unit", self.time_unit, "one of s, ms, us, ns")
         if self.sample_rate_hz is not None and not 0 < self.sample_rate_hz <= 1e9:

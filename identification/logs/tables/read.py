@@ -21,7 +21,7 @@ from .text import Text, look_at
 _PARQUET_MAGIC = b"PAR1"
 
 _STAND_IN_HZ = 1.0
-"""Counts the rows of a table without a declared time; no time is derived from it."""
+"""Counts the rows of a table without a time; no time is derived from it."""
 
 
 def list_columns(path: Path, layout: TableLayout | None = None) -> tuple[str, ...]:
@@ -37,10 +37,13 @@ def read_table(path: Path, layout: TableLayout) -> Series:
     `log_ns` is the time column rounded to nanoseconds, or counted from 0 with the sample rate; the channel is named
     after the file.
     """
+    if layout.are_poses:
+        layout = replace(layout, rows="samples", sample_rate_hz=_STAND_IN_HZ)
     if layout.time is None and layout.sample_rate_hz is None:
         raise LogError(
             f"{path.name} is a table, whose time is not declared; in cell.yaml, `table`, name its time column "
-            f"(`time`, of {_names(list_columns(path, layout))}) or give its `sample_rate_hz`."
+            f"(`time`, of {_names(list_columns(path, layout))}), give its `sample_rate_hz`, or say `rows: poses` where "
+            "each row is the mean of a rest."
         )
     kind = "parquet" if _is_parquet(path) else "csv"
     if kind == "parquet":
@@ -141,7 +144,9 @@ class TableLog:
 
     @cached_property
     def _times(self) -> Series:
-        timed = self._layout if self._is_timed else replace(self._layout, sample_rate_hz=_STAND_IN_HZ)
+        timed = self._layout
+        if not (self._is_timed or timed.are_poses):
+            timed = replace(timed, sample_rate_hz=_STAND_IN_HZ)
         return read_table(self.path, timed)
 
     def read(self, channels: Mapping[Channel, Wanted]) -> dict[Channel, Series]:
@@ -170,13 +175,14 @@ class TableLog:
         """Nothing is open."""
 
     def _untimed(self) -> tuple[Finding, ...]:
-        if self._is_timed:
+        if self._is_timed or self._layout.are_poses:
             return ()
         return (
             Finding.error(
                 "time-undeclared",
                 f"{self.path.name} is a table, whose time is not declared; its columns are: {listed(self.columns)}.",
-                "In cell.yaml name its time column (`table: {time: …}`) or give its `sample_rate_hz`.",
+                "In cell.yaml name its time column (`table: {time: …}`), give its `sample_rate_hz`, or say "
+                "`rows: poses` where each row is the mean of a rest.",
             ),
         )
 

@@ -105,7 +105,7 @@ def test_every_entry_arrives_where_it_belongs() -> None:
         ("gravity_direction: [0,0,-1]", 3, "0,0 may be a decimal comma; write 0.0 for one number, 0, 0 for two."),
         ("wrench: {left_out: [w]}", 3, "one of x, y, z, rx, ry, rz"),
         ('wrench: {fields: {force: ["effort[0:2]"]}}', 3, "wrench.fields.force must be 3 paths"),
-        ("pose: {fields: {orientation: [a, b, c]}}", 3, "pose.fields.position must be named too"),
+        ("pose: {fields: {orientation: [a, b, c]}}", 3, "pose.orientation_as must be of 3 numbers"),
         ('pose: {fields: {orientation: ["a[0:16]"]}}', 3, "orientation_as must be of 16 numbers"),
         ("wrench: {fields: {torque: [a, b, c]}}", 3, "wrench.fields.force must be present"),
         ("wrench: {deadband: {force_n: 2}}", 3, "deadband.type must be present"),
