@@ -22,7 +22,7 @@ from .joint_fit.model import COUPLING_NAMES
 from .joint_fit.result import JointFit, with_gain_error
 from .joint_fit.segments import find_holds
 from .payload.gravity import GravityFit
-from .result import AxisEstimate, CouplingEstimate, Finding, RobotEstimate
+from .result import AxisEstimate, CouplingEstimate, Finding, HeldOutPeak, RobotEstimate
 from .robot.coupling import CouplingFit, Noise, identify_coupling
 from .robot.position_loop import RobotFit, identify_robot
 from .signals.aligned import AlignedLog
@@ -199,6 +199,16 @@ def _estimate(axis: AxisMotion, fit: JointFit, robot: RobotEstimate, period_s: f
         mass_kg=None if fit.is_weighed else result.mass_kg,
         covariance=result.covariance,
         fits=(fit.quality,),
+        held_out=tuple(
+            HeldOutPeak(
+                without="contact",
+                surface=f"{axis.name}{each.surface + 1}",
+                time_s=each.onset * period_s,
+                measured_peak=each.measured_peak,
+                predicted_peak=each.predicted_peak,
+            )
+            for each in fit.held_out
+        ),
     )
 
 

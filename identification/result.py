@@ -1,8 +1,10 @@
 """Results of an identification: every parameter with its uncertainty and a verdict, and the phases of the log."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Literal
 
 from problems.errors import ParameterError
 from problems.frozen import freeze
@@ -277,11 +279,33 @@ class FitQuality:
 
 
 @dataclass(frozen=True, kw_only=True)
+class HeldOutPeak:
+    """The peak of a contact beside what everything but this contact, or but its whole log, predicts.
+
+    `without` is `contact` (predicted from the command as it was recorded, the other contacts of the log saying what
+    plant and surface are) or `log` (predicted from gains and approach). `time_s` counts from the start of the log; peaks
+    are those of the sensor, in N or N·m.
+    """
+
+    without: Literal["contact", "log"]
+    surface: str
+    time_s: float
+    measured_peak: float
+    predicted_peak: float
+    log: str = ""
+
+    @property
+    def log_ratio(self) -> float:
+        """ln(predicted/measured), which is the relative error where that is small."""
+        return math.log(self.predicted_peak / self.measured_peak)
+
+
+@dataclass(frozen=True, kw_only=True)
 class AxisEstimate:
     """Everything that one axis of the control frame needs.
 
     `drag_n_s_per_m` is B_p; `mass_kg` is M_p as motion along this axis shows it; `fits` has an entry for every log that
-    shows something of the axis.
+    shows something of the axis, `held_out` for every contact that was predicted without itself.
     """
 
     coupling: CouplingEstimate
@@ -291,6 +315,7 @@ class AxisEstimate:
     mass_kg: Estimate | None = None
     covariance: Covariance | None = None
     fits: tuple[FitQuality, ...] = ()
+    held_out: tuple[HeldOutPeak, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

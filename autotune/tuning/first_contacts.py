@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import Controller
 from autotune.validation.disturbances import file_deadband
-from autotune.validation.monte_carlo import needed_substeps
 from autotune.validation.validate import admittance_controller
 from problems.arrays import FloatArray
 from problems.contact.nonlinear_simulation import NonlinearRun, simulate_nonlinear

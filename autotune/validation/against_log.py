@@ -14,14 +14,14 @@ from identification.errors import LogError
 from identification.signals.frames import Frames
 from identification.signals.recording import Recording
 from problems.arrays import FloatArray
-from problems.contact.nonlinear_simulation import simulate_nonlinear
+from problems.contact.nonlinear_simulation import needed_substeps, simulate_nonlinear
 from problems.contact.nonlinearities import Nonlinearities
 from problems.contact.transient import Approach
 from problems.design.uncertainty import Scenario
 
 from .disturbances import file_deadband
 from .log_contacts import ContactLog, LawFit, LogContact, find_log_contacts, follow_law
-from .monte_carlo import SAME_PEAK, needed_substeps
+from .monte_carlo import SAME_PEAK
 from .report import Check
 from .validate import admittance_controller
 

@@ -29,7 +29,6 @@ BAND = (0.05, 0.5, 0.95)
 # As of a replayed contact (`peaks`): an impact anywhere between two samples.
 SAME_PEAK = 0.02
 _PEAKS_LATER, _SHORTEST_S, _LONGEST_S = 4.0, 0.3, 10.0
-_SUBSTEPS = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -250,15 +249,6 @@ def _peaks(values: FloatArray, plants: Sequence[Scenario]) -> Peaks:
         plant=plants[worst],
         quantiles=tuple(float(value) for value in np.quantile(values, QUANTILES)),
     )
-
-
-def needed_substeps(plant: Plant, sample_time_s: float) -> int:
-    """Return how many steps follow the plant's fastest motion; the parts of a sample share them to within a half."""
-    sides = (plant, plant.in_contact_with(FREE_SPACE))
-    fastest = max(
-        float(np.max(np.abs(np.linalg.eigvals(build_plant_matrices(side, sample_time_s).a)))) for side in sides
-    )
-    return max(_SUBSTEPS, math.ceil(2.0 * fastest))
 
 
 def monte_carlo_checks(found: Sequence[AxisMonteCarlo]) -> tuple[Check, ...]:

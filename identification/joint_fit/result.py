@@ -56,6 +56,19 @@ class FittedSpan:
 
 
 @dataclass(frozen=True, kw_only=True)
+class HeldOutContact:
+    """A contact's peak force as measured, and as all other spans predict it from the recorded command [N, N·m].
+
+    `surface` counts the surfaces of the axis, `onset` is a sample.
+    """
+
+    surface: int
+    onset: int
+    measured_peak: float
+    predicted_peak: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class JointFit:
     """All parameters of one axis with one covariance, (p,) and (p, p) in SI, in the order of `names`.
 
@@ -74,6 +87,7 @@ class JointFit:
     latency: WrenchLatency
     is_weighed: bool = False
     spans: tuple[FittedSpan, ...] = ()
+    held_out: tuple[HeldOutContact, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "ci95")
@@ -128,6 +142,7 @@ def build_joint_fit(
         quality=_quality(problem, point, blocks, spread, share, ratio, latency),
         latency=latency,
         spans=_spans(problem, point, blocks),
+        held_out=_held_out(problem, point, blocks, found),
     )
 
 
@@ -233,14 +248,43 @@ def _force_error(problem: Problem, point: Point, segment: Segment, index: int) -
 
 def _left_out(problem: Problem, point: Point, blocks: Sequence[Block], kind: Sequence[int]) -> float | None:
     """Predict the last span of a kind with the parameters that all others show."""
-    if not kind:
+    predicted = _predicted_by_others(problem, point, blocks, kind, kind[-1]) if kind else None
+    if predicted is None:
         return None
-    last = kind[-1]
-    segment = problem.segments[last]
-    like = [i for i in kind[:-1] if problem.segments[i].surface == segment.surface]
-    if not like:
+    force = problem.signals.force_n[problem.segments[kind[-1]].slice]
+    return float(np.linalg.norm(predicted - force) / max(float(np.linalg.norm(force - np.mean(force))), 1e-300))
+
+
+def _held_out(
+    problem: Problem, point: Point, blocks: Sequence[Block], found: Sequence[FoundContact]
+) -> tuple[HeldOutContact, ...]:
+    """Predict every contact whose surface was touched more than once from all others."""
+    contact = [i for i, s in enumerate(problem.segments) if s.is_contact]
+    held = []
+    for index, touched in zip(contact, found, strict=True):
+        segment = problem.segments[index]
+        predicted = _predicted_by_others(problem, point, blocks, contact, index)
+        if predicted is not None and segment.surface is not None:
+            force = problem.signals.force_n[segment.slice]
+            peaks = (float(np.max(-segment.sign * each)) for each in (force, predicted))
+            measured, other = peaks
+            if measured > 0.0 and other > 0.0:
+                held.append(
+                    HeldOutContact(
+                        surface=segment.surface, onset=touched.onset, measured_peak=measured, predicted_peak=other
+                    )
+                )
+    return tuple(held)
+
+
+def _predicted_by_others(
+    problem: Problem, point: Point, blocks: Sequence[Block], kind: Sequence[int], index: int
+) -> FloatArray | None:
+    """Return the force (n,) of a span as the parameters that all others show make it; None where none is like it."""
+    segment = problem.segments[index]
+    if not any(i != index and problem.segments[i].surface == segment.surface for i in kind):
         return None
-    matrix, gradient = information([b for i, b in enumerate(blocks) if i != last], len(problem.layout))
+    matrix, gradient = information([b for i, b in enumerate(blocks) if i != index], len(problem.layout))
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     step = -scale * (np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True) @ (scale * gradient))
     sizes = sizes_of(point.values, problem.layout, problem.signals.period_s)
@@ -252,12 +296,8 @@ def _left_out(problem: Problem, point: Point, blocks: Sequence[Block], kind: Seq
     alone = replace(
         problem, segments=(segment,), pose_spans=(), fixed=tuple(range(len(values))), known_path=problem.path(values)
     )
-    start = Point(values=values, nuisances=(point.nuisances[last],))
-    moved, _ = minimise(alone, start, _STEPS)
-    problem, last = alone, 0
-    error = _force_error(problem, moved, segment, last)
-    force = problem.signals.force_n[segment.slice]
-    return float(np.linalg.norm(error) / max(float(np.linalg.norm(force - np.mean(force))), 1e-300))
+    moved, _ = minimise(alone, Point(values=values, nuisances=(point.nuisances[index],)), _STEPS)
+    return np.asarray(problem.signals.force_n[segment.slice] + _force_error(alone, moved, segment, 0))
 
 
 def with_gain_error(fit: JointFit, share: float) -> JointFit:

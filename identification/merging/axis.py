@@ -64,6 +64,12 @@ class AxisRecord:
             mass_kg=None if all(axis.mass_kg is None for axis in there) else self._one("M_p", judged_plainly),
             covariance=self._covariance() if any(axis.covariance is not None for axis in there) else None,
             fits=tuple(fit for axis in there for fit in axis.fits),
+            held_out=tuple(
+                replace(each, log=log)
+                for log, axis in zip(self.merge.names, self.axes, strict=True)
+                if axis is not None
+                for each in axis.held_out
+            ),
         )
 
     @property

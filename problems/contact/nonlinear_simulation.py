@@ -51,6 +51,7 @@ from .transient import Approach, SampledContact, build_sampled_contact, contact_
 _RESPONSES: dict[Response, int] = {"none": REPORTING, "reset": RESETTING, "stop": STOPPING}
 # Far inside the stability of the method (2.78 rad), where its error falls with the fourth power of the step.
 _LARGEST_STEP_RAD = 1.0
+_FEWEST_SUBSTEPS = 10
 # A duration this close to a whole number of samples is that number.
 _WHOLE = 1e-9
 
@@ -145,6 +146,15 @@ def simulate_nonlinear(
     drawn = _noise(effects, noise, count), _late(effects, noise, count)
     run_nonlinear(motion, law, start, drive.desired_n, drive.push_n, *drawn, recording)
     return _run(recording, h, drive, is_stable=radius < 1.0)
+
+
+def needed_substeps(plant: Plant, sample_time_s: float) -> int:
+    """Return how many steps follow the plant's fastest motion; the parts of a sample share them to within a half."""
+    sides = (plant, plant.in_contact_with(FREE_SPACE))
+    fastest = max(
+        float(np.max(np.abs(np.linalg.eigvals(build_plant_matrices(side, sample_time_s).a)))) for side in sides
+    )
+    return max(_FEWEST_SUBSTEPS, math.ceil(2.0 * fastest))
 
 
 def _check_plant(plant: Plant, h: float) -> None:

@@ -1,0 +1,156 @@
+"""One predicted contact: its trace on the most likely plant, and the interval of its peaks over all of them."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from problems.arrays import FloatArray
+from problems.contact.nonlinear_simulation import needed_substeps, simulate_nonlinear
+from problems.contact.nonlinearities import Deadband, Nonlinearities
+from problems.contact.transient import (
+    Approach,
+    ContactTransient,
+    build_sampled_contact,
+    longest_run,
+    simulate_contact,
+)
+from problems.errors import ParameterError
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant
+from problems.model.sampled import build_sampled_plant
+from problems.stability.margins import UnstableLoopError
+
+from .plants import PlantEnsemble
+
+LEVEL = 0.95
+_FACTORS = 15
+"""Of the model's error, for every plant."""
+_NO_DEADBAND = Deadband(width_n=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Law:
+    """An admittance law and the deadband before it."""
+
+    controller: AdmittanceController
+    deadband: Deadband = _NO_DEADBAND
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeakInterval:
+    """Where a peak lies with the probability `level`, or over all plants of ranges where that is None.
+
+    `sensor` and `contact` are (low, high) [N, N·m]; a high end is None where loops of that many plants are unstable,
+    whose peak is no number. `unstable_share` is the share of plants whose loop is.
+    """
+
+    level: float | None
+    sensor: tuple[float, float | None]
+    contact: tuple[float, float | None]
+    unstable_share: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactBand:
+    """The lowest and highest force at the sensor (n,) over `time_s` (n,) with the level of the interval."""
+
+    time_s: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+
+def simulate_on(plant: Plant, law: Law, approach: Approach, sample_time_s: float) -> ContactTransient:
+    """Simulate a contact: the exact transient, or with a deadband the nonlinear simulation.
+
+    Raises UnstableLoopError where the loop is unstable, ParameterError for a plant that cannot be followed.
+    """
+    if law.deadband.width_n == 0.0:
+        pair = build_sampled_contact(build_sampled_plant(plant, sample_time_s))
+        return simulate_contact(pair, law.controller, approach)
+    linear = simulate_on(plant, Law(controller=law.controller), approach, sample_time_s)
+    duration = min(2.0 * float(linear.time_s[-1]) + sample_time_s, sample_time_s * longest_run(sample_time_s))
+    run = simulate_nonlinear(
+        plant,
+        law.controller,
+        approach,
+        sample_time_s=sample_time_s,
+        duration_s=duration,
+        effects=Nonlinearities(deadband=law.deadband),
+        substeps=needed_substeps(plant, sample_time_s),
+    )
+    return ContactTransient(
+        time_s=run.time_s,
+        sensor_force_n=run.sensor_force_n,
+        contact_force_n=run.contact_force_n,
+        contact_speed_m_s=run.impact_speed_m_s or 0.0,
+        driving_force_n=run.driving_force_n,
+        peak_sensor_force_n=run.peak_sensor_force_n,
+        time_of_sensor_peak_s=run.time_of_sensor_peak_s,
+        peak_contact_force_n=run.peak_contact_force_n,
+        time_of_peak_s=run.time_of_peak_s,
+        impulse_n_s=0.0,
+        is_settled=linear.is_settled,
+    )
+
+
+def simulate_others(plants: PlantEnsemble, law: Law, approach: Approach) -> list[ContactTransient | None]:
+    """Return the contact of every other plant, None where its loop is unstable."""
+    runs: list[ContactTransient | None] = []
+    for plant in plants.others:
+        try:
+            runs.append(simulate_on(plant, law, approach, plants.sample_time_s))
+        except UnstableLoopError:
+            runs.append(None)
+    return runs
+
+
+def peak_interval(
+    plants: PlantEnsemble, nominal: ContactTransient, runs: Sequence[ContactTransient | None]
+) -> PeakInterval:
+    """Return where the peaks lie: over all plants of ranges, or with `LEVEL` over the draws and the model's error."""
+
+    def span(key: str) -> tuple[float, float | None]:
+        peaks = np.array([math.inf if run is None else getattr(run, key) for run in runs])
+        return _span(plants, np.append(peaks, getattr(nominal, key)))
+
+    return PeakInterval(
+        level=None if plants.is_range else LEVEL,
+        sensor=span("peak_sensor_force_n"),
+        contact=span("peak_contact_force_n"),
+        unstable_share=sum(run is None for run in runs) / max(len(runs), 1),
+    )
+
+
+def _span(plants: PlantEnsemble, peaks: FloatArray) -> tuple[float, float | None]:
+    """Return the ends of the interval of peaks (n,), infinite of unstable loops; None for an end that is none."""
+    if plants.is_range:
+        low, high = float(np.min(peaks)), float(np.max(peaks))
+    else:
+        error = plants.model_error
+        every = peaks if error is None else np.outer(peaks, error.factors(4 * _FACTORS)).ravel()
+        tail = 0.5 * (1.0 - LEVEL)
+        low, high = (float(np.quantile(every, share, method=m)) for share, m in ((tail, "lower"), (1.0 - tail, "higher")))
+    return low, high if math.isfinite(high) else None
+
+
+def contact_band(plants: PlantEnsemble, nominal: ContactTransient, runs: Sequence[ContactTransient | None]) -> ContactBand:
+    """Return lowest and highest force at the sensor over the time of the nominal contact, as the interval has them."""
+    time = nominal.time_s
+    stable = [np.interp(time, run.time_s, run.sensor_force_n) for run in (nominal, *runs) if run is not None]
+    forces = np.array(stable)
+    if plants.is_range:
+        return ContactBand(time_s=time, low=np.min(forces, axis=0), high=np.max(forces, axis=0))
+    error, tail = plants.model_error, 0.5 * (1.0 - LEVEL)
+    factors = np.ones(1) if error is None else error.factors(_FACTORS)
+    every = (factors[:, None, None] * forces[None]).reshape(-1, len(time))
+    low, high = np.quantile(every, (tail, 1.0 - tail), axis=0)
+    return ContactBand(time_s=time, low=low, high=high)
+
+
+def check_approach(approach: Approach, *, fastest: float = 5.0, strongest: float = 1e4) -> None:
+    """Raise ParameterError for a speed or force that no contact experiment has."""
+    for name, value, most in (("approach_speed", approach.speed_m_s, fastest), ("approach_force", approach.force_n, strongest)):
+        if value is not None and not 0.0 < value <= most:
+            raise ParameterError(name, value, f"greater than 0 and at most {most:g}")

@@ -1,0 +1,214 @@
+"""What a prediction is: one contact with its interval, and how it shows itself."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from autotune.formats.units import axis_units
+from autotune.shown import ResultTable, Shown, data_frame, plain_tree
+from problems.contact.transient import Approach, ContactTransient
+from problems.model.controller import AdmittanceController
+from problems.model.plant import Plant
+
+from .contact import ContactBand, Law, PeakInterval, contact_band, peak_interval, simulate_on, simulate_others
+from .model_error import ModelError
+from .plants import PlantEnsemble
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from autotune.charts.chart import Chart
+    from autotune.figures import AxesLike
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class PredictedContact(Shown):
+    """One contact as the model predicts it.
+
+    Attributes
+    ----------
+    axis, surface
+        Name of the axis, and what is touched.
+    law
+        The gains that were running.
+    plant
+        The most likely plant, in contact; without payload where that is not known (`neglected`).
+    contact
+        Forces at the controller's ticks from the impact on, and their peaks, on that plant.
+    interval
+        Where the peaks lie, and with which probability.
+    band
+        The same for the force at the sensor over time.
+    neglected
+        What is not known of the plant and left out, a sentence each.
+    model_error
+        What the interval holds beyond the deviations of the parameters; None where no log is behind the plant.
+    certified
+        Whether a certificate holds this contact and its peak lies below `certified_peak`.
+    certified_peak
+        The worst predicted peak over the certified domain [N, N·m]; None outside of it, or without a certificate.
+
+    """
+
+    axis: str
+    surface: str
+    law: AdmittanceController
+    plant: Plant
+    contact: ContactTransient
+    interval: PeakInterval
+    band: ContactBand = field(compare=False)
+    has_payload: bool = True
+    neglected: tuple[str, ...] = ()
+    model_error: ModelError | None = None
+    certified: bool = False
+    certified_peak: float | None = None
+
+    @property
+    def peak_force(self) -> float:
+        """Largest force at the surface, between the ticks too [N, N·m]."""
+        return self.contact.peak_contact_force_n
+
+    @property
+    def peak_sensor_force(self) -> float:
+        """Largest force at the sensor at the ticks [N, N·m]."""
+        return self.contact.peak_sensor_force_n
+
+    @property
+    def time_of_peak(self) -> float:
+        """When the force at the surface is largest [s after touching]."""
+        return self.contact.time_of_peak_s
+
+    def _headline(self) -> str:
+        units = axis_units(self.axis)
+        stiffness = self.plant.environment.stiffness_n_per_m * (1.0 if self.has_payload else 0.5)
+        mass = f"a payload of {self.plant.payload.mass_kg:.4g} {units.mass}" if self.has_payload else "no payload"
+        return (
+            f"Predicted contact on axis {self.axis}: peak {self.peak_force:.4g} {units.force} at the surface, "
+            f"{1e3 * self.time_of_peak:.3g} ms after touching {stiffness:.4g} "
+            f"{units.stiffness} at {self.contact.contact_speed_m_s:.3g} {units.speed} with {mass}"
+        )
+
+    def _tables(self) -> Iterator[ResultTable]:
+        unit, contact = axis_units(self.axis).force, self.contact
+        of = "over all plants" if self.interval.level is None else f"{100.0 * self.interval.level:g} % interval"
+        rows = (
+            ("sensor", contact.peak_sensor_force_n, self.interval.sensor, contact.time_of_sensor_peak_s),
+            ("surface", contact.peak_contact_force_n, self.interval.contact, contact.time_of_peak_s),
+        )
+        yield ResultTable(
+            title="peaks",
+            columns=("at the", f"peak [{unit}]", f"{of} [{unit}]", "after [ms]"),
+            rows=tuple(
+                (name, f"{peak:.1f}", interval_text(span), f"{1e3 * time:.1f}") for name, peak, span, time in rows
+            ),
+        )
+
+    def _notes(self) -> Sequence[str]:
+        return (*self._certificate_notes(), *self.neglected, *interval_notes(self.interval, self.model_error))
+
+    def _certificate_notes(self) -> Iterator[str]:
+        if self.certified_peak is not None:
+            yield (
+                f"largest predicted peak over the certified domain: {self.certified_peak:.4g} "
+                f"{axis_units(self.axis).force}"
+            )
+            if not self.certified:
+                yield "this peak is above the worst of the certificate, which does not hold it"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plant, series, peaks and interval as plain data, with the names and units of the fields."""
+        robot = self.plant.robot
+        return {
+            "axis": self.axis,
+            "surface": self.surface,
+            "certified": self.certified,
+            "certified_peak": self.certified_peak,
+            "law": plain_tree(self.law),
+            "plant": {
+                **plain_tree(self.plant),
+                "robot": {name: plain_tree(getattr(robot, name)) for name in ("numerator", "denominator", "delay_s")},
+                "has_payload": self.has_payload,
+            },
+            "contact": plain_tree(self.contact),
+            "interval": plain_tree(self.interval),
+            "band": plain_tree(self.band),
+            "model_error": plain_tree(self.model_error),
+            "neglected": list(self.neglected),
+        }
+
+    def to_pandas(self) -> Any:
+        """Return the forces [N, N·m] over the time after touching [s] as a pandas.DataFrame."""
+        series = {
+            "contact_force": self.contact.contact_force_n,
+            "sensor_force": self.contact.sensor_force_n,
+            "sensor_force_low": self.band.low,
+            "sensor_force_high": self.band.high,
+        }
+        return data_frame(series, self.contact.time_s, "time [s]")
+
+    def chart(self) -> "Chart":
+        """Return the picture: the force at the surface and at the sensor over time, and the band."""
+        from autotune.figures import contact_chart  # noqa: PLC0415 - what draws
+
+        return contact_chart(self.contact, axis_units(self.axis), "Predicted contact", band=self.band)
+
+    def plot(self, ax: "AxesLike | None" = None) -> "Figure":
+        """Draw the force at the surface and at the sensor over time, and the band in which it lies."""
+        from autotune.figures import show  # noqa: PLC0415 - matplotlib
+
+        return show(self.chart(), ax)
+
+
+def interval_text(span: tuple[float, float | None]) -> str:
+    """Return an interval of forces for a table."""
+    low, high = span
+    return f"{low:.1f} to {high:.1f}" if high is not None else f"{low:.1f} and more"
+
+
+def interval_notes(interval: PeakInterval, error: ModelError | None) -> Iterator[str]:
+    """Yield what the interval holds, and where it has no upper end."""
+    if interval.unstable_share > 0.0:
+        yield (
+            f"on {100.0 * interval.unstable_share:.2g} % of the plants inside the uncertainty the loop is unstable, and "
+            "its peak is no number"
+        )
+    if interval.level is None:
+        yield "the interval holds every plant of the ranges, and nothing of the model's own error"
+        return
+    level = f"{100.0 * interval.level:g} % interval"
+    if error is None:
+        yield f"the {level} holds the deviations of the parameters, and nothing of the model's own error"
+        return
+    seen = ", ".join(
+        text
+        for count, text in (
+            (error.logs, f"{error.logs} contacts of logs that took no part"),
+            (error.contacts, f"{error.contacts} contacts that took no part"),
+        )
+        if count
+    )
+    yield (
+        f"the {level} holds the joint deviations of the parameters and a model error of {100.0 * error.share:.1f} % "
+        f"({f'from {seen} and ' if seen else 'from '}2 other surfaces)"
+    )
+
+
+def predict_contact(plants: PlantEnsemble, law: Law, approach: Approach) -> PredictedContact:
+    """Predict one contact: its trace on the most likely plant, the interval over the others.
+
+    Raises UnstableLoopError where the loop on the most likely plant is unstable.
+    """
+    contact = simulate_on(plants.nominal, law, approach, plants.sample_time_s)
+    runs = simulate_others(plants, law, approach)
+    return PredictedContact(
+        axis=plants.axis,
+        surface=plants.surface,
+        law=law.controller,
+        plant=plants.nominal,
+        contact=contact,
+        interval=peak_interval(plants, contact, runs),
+        band=contact_band(plants, contact, runs),
+        has_payload=plants.has_payload,
+        neglected=plants.neglected,
+        model_error=plants.model_error,
+    )
