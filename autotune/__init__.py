@@ -18,12 +18,13 @@ if TYPE_CHECKING:
         optimize,
         predict,
     )
-    from autotune.design import Design, PredictedContact, Validation
+    from autotune.design import Design, Validation
     from autotune.errors import AutotuneError, CertificateError, InfeasibleError, UsageError
     from autotune.formats.plant import Plant, Robot
     from autotune.formats.problem import ProblemSpec as Problem
     from autotune.formats.quantity import Uncertain
     from autotune.log import Log, read_log, simulate_log
+    from autotune.prediction.result import PredictedContact
     from autotune.results import Identification
     from autotune.validation.report import Check
     from autotune.version import __version__
@@ -36,12 +37,13 @@ if TYPE_CHECKING:
 
 _HOMES: dict[str, tuple[str, ...]] = {
     "autotune.api": ("from_control", "identify", "load", "optimize", "predict"),
-    "autotune.design": ("Design", "PredictedContact", "Validation"),
+    "autotune.design": ("Design", "Validation"),
     "autotune.errors": ("AutotuneError", "CertificateError", "InfeasibleError", "UsageError"),
     "autotune.formats.plant": ("Plant", "Robot"),
     "autotune.formats.quantity": ("Uncertain",),
     "autotune.formats.problem": ("Problem",),
     "autotune.log": ("Log", "read_log", "simulate_log"),
+    "autotune.prediction.result": ("PredictedContact",),
     "autotune.results": ("Identification",),
     "autotune.validation.report": ("Check",),
     "autotune.version": ("__version__",),

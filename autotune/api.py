@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from autotune.design import Design, PredictedContact
+from autotune.design import Design
 from autotune.errors import UsageError
 from autotune.formats.plant import Plant, Robot
 from autotune.formats.quantity import Quantity, Uncertain, as_interval
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from autotune.formats.cell import CellFile
     from autotune.formats.identified import IdentifiedFile
     from autotune.formats.problem import ProblemSpec
+    from autotune.prediction.result import PredictedContact
 
 
 def identify(
@@ -187,56 +188,87 @@ def optimize(
 
 
 def predict(
-    design: Design,
+    plant: "Design | Plant | Identification | str | Path",
     *,
-    environment_stiffness: float,
+    gains: "Mapping[str, float] | Design | str | Path | None" = None,
+    surface: str | None = None,
+    environment_stiffness: float | Uncertain | None = None,
     payload_mass: float | None = None,
     approach_speed: float | None = None,
     approach_force: float | None = None,
     axis: str | None = None,
-) -> PredictedContact:
-    """Predict one contact of a design: approach in free space, impact, and what follows.
+    sample_time: float | None = None,
+) -> "PredictedContact":
+    """Predict one contact: approach in free space, impact, and what follows, with the interval of its peaks.
 
     Parameters
     ----------
-    design
-        What `optimize` or `load` returned.
+    plant
+        What `optimize`, `identify` or `load` returned, a `Plant`, or the path of such a file. A design brings its own
+        gains and certified plants.
+    gains
+        Any admittance gains for a plant that is none: mass [kg, kg·m²], damping [N·s/m, N·m·s/rad] and, where they are
+        not 0, lead [s], feedback_damping [s], deadband [N, N·m] and deadband_type; a design, or a `controller.yaml`.
+    surface
+        Name of an identified surface, as in `x1`; the only one unless it or a stiffness is said.
     environment_stiffness
-        Of the surface, K_e [N/m, N·m/rad].
+        Of a surface instead, K_e [N/m, N·m/rad]; over robot travel where the plant holds no payload.
     payload_mass
-        M_p [kg, kg·m²]; that with the largest peak of both ends and the nominal one of the domain unless it is said.
+        M_p [kg, kg·m²]; that of the plant unless it is said, and of a design that with the largest peak of both ends
+        and the nominal one of the domain.
     approach_speed
         Speed at the impact [m/s, rad/s], sustained by the force that it needs in free space.
     approach_force
-        Instead of a speed: the force that was held until the speed was steady [N, N·m]. That of the certificate unless
-        one of both is said.
+        Instead of a speed: the force that was held until the speed was steady [N, N·m]. Beside a speed: the force after
+        the impact. Of a design that of the certificate unless one of both is said.
     axis
-        Which axis; may be left out where there is one.
+        Which axis; may be left out where there is one, or the surface says it.
+    sample_time
+        Period of the controller [s]; that of the plant unless it is said.
 
     Returns
     -------
     PredictedContact
-        Forces over time and their peaks; `certified` says whether the certificate speaks of this contact.
+        Forces over time, their peaks and the interval of these; `certified` says whether a certificate speaks of this
+        contact.
 
     Raises
     ------
     ParameterError
-        A number is out of range, or both speed and force are said.
+        A number is out of range.
+    UsageError
+        There is no such axis or surface, or it is not said which is meant.
+    EstimateError
+        The robot or the stiffness of the surface is not identified.
     UnstableLoopError
         The loop is unstable on this plant, so there is no steady approach or the contact grows without end.
 
     References
     ----------
-    MODEL.md, "The contact transient".
+    Haninger, Radke, Vick and Krüger: the contact experiments. docs/method.md: what the interval holds.
+
+    Examples
+    --------
+    >>> import autotune as at
+    >>> plant = at.Plant(mass=16, coupling_stiffness=3e5, drag=630, robot=at.Robot(bandwidth=3.2, delay=2.4e-3),
+    ...                  environment_stiffness=2e4, sample_time=8e-4)
+    >>> found = at.predict(plant, gains={"mass": 13, "damping": 1000, "lead": 0.02}, approach_force=30)
+    >>> 30 < found.peak_force < 60
+    True
 
     """
-    return design.predict(
-        environment_stiffness=environment_stiffness,
+    from autotune.predicting import ContactRequest, predict_any  # noqa: PLC0415 - compiles
+
+    asked = ContactRequest(
+        surface=surface or "",
+        stiffness=environment_stiffness,
         payload_mass=payload_mass,
-        approach_speed=approach_speed,
-        approach_force=approach_force,
+        speed=approach_speed,
+        force=approach_force,
         axis=axis,
+        sample_time=sample_time,
     )
+    return predict_any(load(plant) if isinstance(plant, str | Path) else plant, gains, asked)
 
 
 def load(path: str | Path) -> "Design | Identification | Plant":

@@ -11,16 +11,15 @@ from autotune.formats.atomic import check_target
 from autotune.formats.controller import ControllerFile, controller_tree, write_controller
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import AxisUnits, axis_units
-from autotune.shown import Progress, ResultTable, Shown, data_frame, plain_tree, reporting
+from autotune.shown import Progress, ResultTable, Shown, data_frame, reporting
 from autotune.validation.report import Check, ValidationReport
-from problems.contact.transient import ContactTransient
 from problems.design.uncertainty import Scenario
-from problems.errors import ParameterError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from autotune.figures import AxesLike
+    from autotune.charts.show import AxesLike
+    from autotune.prediction.result import PredictedContact
     from autotune.report.axis_design import AxisDesign
     from autotune.tuning.optimize import Optimized
 
@@ -65,84 +64,6 @@ class Validation(Shown):
 
 
 _CHECK_COLUMNS = ("axis", "name", "verdict", "message")
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class PredictedContact(Shown):
-    """One contact as the model predicts it.
-
-    Attributes
-    ----------
-    axis
-        Name of the axis.
-    scenario
-        The plant: environment stiffness, payload mass and what else is not nominal.
-    contact
-        Forces at the controller's ticks from the impact on, and their peaks.
-    certified
-        Whether the contact lies inside the certified domain and its peak below `certified_peak`.
-    certified_peak
-        The worst predicted peak over the certified domain [N, N·m]; None outside of it.
-
-    """
-
-    axis: str
-    scenario: Scenario
-    contact: ContactTransient
-    certified: bool
-    certified_peak: float | None = None
-
-    @property
-    def peak_force(self) -> float:
-        """Largest force at the surface, between the ticks too [N, N·m]."""
-        return self.contact.peak_contact_force_n
-
-    @property
-    def peak_sensor_force(self) -> float:
-        """Largest force at the sensor at the ticks [N, N·m]."""
-        return self.contact.peak_sensor_force_n
-
-    @property
-    def time_of_peak(self) -> float:
-        """When the force at the surface is largest [s after touching]."""
-        return self.contact.time_of_peak_s
-
-    def _headline(self) -> str:
-        units = axis_units(self.axis)
-        return (
-            f"Predicted contact on axis {self.axis}: peak {self.peak_force:.4g} {units.force} at the surface, "
-            f"{1e3 * self.time_of_peak:.3g} ms after touching {self.scenario.environment_stiffness_n_per_m:.4g} "
-            f"{units.stiffness} at {self.contact.contact_speed_m_s:.3g} {units.speed} with a payload of "
-            f"{self.scenario.payload_mass_kg:.4g} {units.mass}"
-        )
-
-    def _notes(self) -> Sequence[str]:
-        if self.certified_peak is None:
-            return ("the certificate of this design does not speak of this contact",)
-        worst = f"certified: at most {self.certified_peak:.4g} {axis_units(self.axis).force} over the whole domain"
-        above = () if self.certified else ("this peak is above the worst of the certificate, which does not hold it",)
-        return (f"the rest of the plant is nominal; {worst}", *above)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return scenario, series and peaks as plain data, with the names and units of the fields."""
-        return {
-            "axis": self.axis,
-            "certified": self.certified,
-            "certified_peak": self.certified_peak,
-            "scenario": plain_tree(self.scenario),
-            "contact": plain_tree(self.contact),
-        }
-
-    def to_pandas(self) -> Any:
-        """Return the forces [N, N·m] over the time after touching [s] as a pandas.DataFrame."""
-        series = {"contact_force": self.contact.contact_force_n, "sensor_force": self.contact.sensor_force_n}
-        return data_frame(series, self.contact.time_s, "time [s]")
-
-    def plot(self, ax: "AxesLike | None" = None) -> "Figure":
-        """Draw the force at the surface and at the sensor over time."""
-        from autotune.figures import contact_chart, show  # noqa: PLC0415 - matplotlib
-
-        return show(contact_chart(self.contact, axis_units(self.axis), "Predicted contact"), ax)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -340,46 +261,24 @@ class Design(Shown):
     def predict(
         self,
         *,
-        environment_stiffness: float,
+        environment_stiffness: float | None = None,
         payload_mass: float | None = None,
         approach_speed: float | None = None,
         approach_force: float | None = None,
         axis: str | None = None,
-    ) -> PredictedContact:
+    ) -> "PredictedContact":
         """Predict one contact; see `autotune.predict`."""
-        from problems.contact.transient import Approach, build_sampled_contact, simulate_contact  # noqa: PLC0415
-        from problems.model.sampled import build_sampled_plant  # noqa: PLC0415 - compiles
+        from autotune.prediction.certified import predict_certified  # noqa: PLC0415 - compiles
 
-        design = self._axis(axis)
-        is_said = approach_speed is not None or approach_force is not None
-        approach = Approach(force_n=approach_force, speed_m_s=approach_speed) if is_said else design.approach
-        for name, value, most in (
-            ("approach_speed", approach_speed, 5.0),
-            ("approach_force", approach_force, 1e4),
-            ("payload_mass", payload_mass, 1e3),
-        ):
-            if value is not None and not 0.0 < value <= most:
-                raise ParameterError(name, value, f"greater than 0 and at most {most:g}")
-        domain = design.domain
-        masses = {*domain.payload_mass_kg, domain.nominal_plant().payload.mass_kg}
-        contacts = []
-        for mass in sorted(masses) if payload_mass is None else [payload_mass]:
-            scenario = self._scenario(design, environment_stiffness, mass)
-            pair = build_sampled_contact(build_sampled_plant(design.plant(scenario), design.sample_time_s))
-            contacts.append((simulate_contact(pair, design.law, approach), scenario))
-        contact, scenario = max(contacts, key=lambda each: each[0].peak_contact_force_n)
-        within = (
-            domain.environment_stiffness_n_per_m[0] <= environment_stiffness <= domain.environment_stiffness_n_per_m[1]
-            and domain.payload_mass_kg[0] <= scenario.payload_mass_kg <= domain.payload_mass_kg[1]
-        )
-        worst = design.worst_contact.peak_contact_force_n if within and approach == design.approach else None
-        return PredictedContact(
-            axis=design.name,
-            scenario=scenario,
-            contact=contact,
-            # The same contact computed twice agrees to rounding.
-            certified=worst is not None and contact.peak_contact_force_n <= worst * (1.0 + 1e-9),
-            certified_peak=worst,
+        if environment_stiffness is None:
+            raise UsageError("A design is predicted on a surface; say environment_stiffness=… [N/m, N·m/rad].")
+        return predict_certified(
+            self.controller,
+            self._axis(axis).name,
+            environment_stiffness,
+            payload_mass=payload_mass,
+            approach_speed=approach_speed,
+            approach_force=approach_force,
         )
 
     def plot_contact(self, axis: str | None = None, *, ax: "AxesLike | None" = None) -> "Figure":
@@ -387,7 +286,7 @@ class Design(Shown):
 
         On a single `ax` the stiffest alone. Raises UsageError where several axes are there and none is named.
         """
-        from autotune.figures import show  # noqa: PLC0415 - matplotlib
+        from autotune.charts.show import show  # noqa: PLC0415 - matplotlib
         from autotune.report.controller_charts import contact_charts  # noqa: PLC0415
 
         charts = list(contact_charts(self._axis(axis), None))
@@ -397,14 +296,15 @@ class Design(Shown):
 
     def plot_nyquist(self, axis: str | None = None, *, ax: "AxesLike | None" = None) -> "Figure":
         """Draw L, cut at the force and at the command, and the disk that it must not enter; on one `ax` the force."""
-        from autotune.figures import show  # noqa: PLC0415 - matplotlib
+        from autotune.charts.show import show  # noqa: PLC0415 - matplotlib
         from autotune.report.controller_charts import nyquist_chart  # noqa: PLC0415
 
         return show(nyquist_chart(self._axis(axis), None), ax)
 
     def plot_bode(self, axis: str | None = None, *, ax: "AxesLike | None" = None) -> "Figure":
         """Draw gain and phase of the open loop, cut at the force, over frequency; on one `ax` the gain."""
-        from autotune.figures import bode_chart, show  # noqa: PLC0415 - matplotlib
+        from autotune.charts.show import show  # noqa: PLC0415 - matplotlib
+        from autotune.figures import bode_chart  # noqa: PLC0415
 
         return show(bode_chart(self._axis(axis)), ax)
 
@@ -423,7 +323,7 @@ class Design(Shown):
             Axes to draw on; None for a figure of its own.
 
         """
-        from autotune.figures import show  # noqa: PLC0415 - matplotlib
+        from autotune.charts.show import show  # noqa: PLC0415 - matplotlib
         from autotune.report.controller_charts import gain_map_chart  # noqa: PLC0415
 
         return show(gain_map_chart(self._axis(axis), x, y), ax)

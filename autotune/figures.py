@@ -1,63 +1,21 @@
 """Figures of results for scripts and notebooks: charts of the reports, drawn by matplotlib on axes of the caller."""
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.charts.chart import Chart, Element, Line, Panel, Points, Role, Scale
-from autotune.errors import UsageError
-from problems.contact.transient import ContactTransient
+from autotune.charts.chart import Chart, Element, Line, Panel, Role, Scale
 from problems.model.response import loop_response
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import frequency_grid
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from autotune.formats.units import AxisUnits
     from autotune.report.axis_design import AxisDesign
     from identification.signals.recording import Recording
 
-    AxesLike = Axes | Sequence[Axes]
 
 _POINTS = 700
-
-
-def show(chart: Chart, ax: "AxesLike | None" = None, *, panel: int = 0) -> "Figure":
-    """Draw a chart and return its figure.
-
-    Parameters
-    ----------
-    chart
-        What to draw.
-    ax
-        Axes to draw on: one for each panel of the chart, or a single one, which takes the panel number `panel`. None
-        makes a figure that `matplotlib.pyplot.show` and notebooks show.
-    panel
-        Which panel a single axes takes.
-
-    Raises
-    ------
-    UsageError
-        The number of axes is neither one nor that of the panels.
-
-    """
-    from matplotlib.axes import Axes  # noqa: PLC0415 - half a second, which only who draws pays
-
-    from autotune.charts.matplotlib_renderer import draw  # noqa: PLC0415
-
-    if ax is None:
-        from matplotlib import pyplot as plt  # noqa: PLC0415
-
-        return draw(chart, make=plt.figure)
-    given = [ax] if isinstance(ax, Axes) else list(ax)
-    if len(given) not in {1, len(chart.panels)}:
-        raise UsageError(f"{chart.title!r} takes one axes, or {len(chart.panels)} for its panels; found {len(given)}.")
-    one = Chart(key=chart.key, title=chart.title, alternative=chart.alternative, panels=(chart.panels[panel],))
-    return draw(one if len(given) == 1 else chart, given)
 
 
 def bode_chart(design: "AxisDesign") -> Chart:
@@ -95,28 +53,6 @@ def _phase_deg(loop: NDArray[np.complex128]) -> NDArray[np.float64]:
     """Return the continuous phase on the branch that begins between −315° and 45°, so that a gain begins at 0°."""
     phase = np.degrees(np.unwrap(np.angle(loop)))
     return np.asarray(phase - 360.0 * np.ceil((phase[0] - 45.0) / 360.0))
-
-
-def contact_chart(contact: ContactTransient, units: "AxisUnits", title: str) -> Chart:
-    """Draw one predicted contact: the force at the surface and at the sensor over the time after touching."""
-    time = 1e3 * contact.time_s
-    peak = np.array([1e3 * contact.time_of_peak_s]), np.array([contact.peak_contact_force_n])
-    return Chart(
-        key="contact",
-        title=title,
-        alternative=f"The force after touching; its peak is {contact.peak_contact_force_n:.4g} {units.force}.",
-        panels=(
-            Panel(
-                x=Scale(label="time after touching [ms]"),
-                y=Scale(label=f"{units.force_name} [{units.force}]"),
-                elements=(
-                    Line(x=time, y=contact.contact_force_n, label="at the surface", role="after"),
-                    Line(x=time, y=contact.sensor_force_n, label="at the sensor", role="after", dashed=True),
-                    Points(x=peak[0], y=peak[1], role="after", marker="diamond", label="peak", names=("peak",)),
-                ),
-            ),
-        ),
-    )
 
 
 def log_chart(recording: "Recording") -> Chart:

@@ -21,7 +21,7 @@ from identification.signals.recording import Recording
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from autotune.figures import AxesLike
+    from autotune.charts.show import AxesLike
 
 Paths = str | Path | Sequence[str | Path]
 
@@ -129,7 +129,8 @@ class Log(Shown):
 
     def plot(self, ax: "AxesLike | None" = None) -> "Figure":
         """Draw force, torque and path of the flange over time; on a single `ax` the force alone."""
-        from autotune.figures import log_chart, show  # noqa: PLC0415 - matplotlib, which only who draws pays
+        from autotune.charts.show import show  # noqa: PLC0415 - matplotlib, which only who draws pays
+        from autotune.figures import log_chart  # noqa: PLC0415
 
         return show(log_chart(self._signals()), ax)
 

@@ -18,6 +18,10 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
     "inertia": {"kgm²": 1.0, "kgm2": 1.0, "kgm^2": 1.0, "gm²": 1e-3, "gm2": 1e-3, "kgmm²": 1e-6, "kgmm2": 1e-6},
     "damping": {"Ns/m": 1.0, "kNs/m": 1e3, "Ns/mm": 1e3},
     "force": {"N": 1.0, "kN": 1e3},
+    "speed": {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2},
+    "rotational speed": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": 1.0 / _PER_TURN, "°/s": 1.0 / _PER_TURN},
+    "torque": {"Nm": 1.0, "kNm": 1e3, "Nmm": 1e-3},
+    "rotational damping": {"Nms/rad": 1.0},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6},
 }
 _SHOWN = {"rotational stiffness": "N·m/rad", "inertia": "kg·m²", "damping": "N·s/m"}

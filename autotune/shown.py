@@ -54,6 +54,10 @@ class Shown:
         """Return what should not be overlooked."""
         return ()
 
+    def parts(self) -> tuple[str, tuple[ResultTable, ...], tuple[str, ...]]:
+        """Return the headline, the tables and the notes."""
+        return self._headline(), tuple(self._tables()), tuple(self._notes())
+
     def __repr__(self) -> str:
         return f"<{self._headline()}>"
 

@@ -10,8 +10,8 @@ import matplotlib as mpl
 from matplotlib import pyplot as plt
 
 from autotune.formats.controller import read_controller
+from autotune.formats.controller_record import admittance_controller
 from autotune.simulation.truth import SimulatedCell
-from autotune.validation.validate import admittance_controller
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import find_margins

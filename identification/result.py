@@ -283,8 +283,8 @@ class HeldOutPeak:
     """The peak of a contact beside what everything but this contact, or but its whole log, predicts.
 
     `without` is `contact` (predicted from the command as it was recorded, the other contacts of the log saying what
-    plant and surface are) or `log` (predicted from gains and approach). `time_s` counts from the start of the log; peaks
-    are those of the sensor, in N or N·m.
+    plant and surface are) or `log` (predicted from gains and approach). `time_s` counts from the start of the log;
+    peaks are those of the sensor, in N or N·m.
     """
 
     without: Literal["contact", "log"]

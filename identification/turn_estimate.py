@@ -117,9 +117,7 @@ def fit_about_axis(fit: JointFit, turn: AxisTurn) -> JointFit:
             replace(span, measured=LEVER_M * span.measured, predicted=LEVER_M * span.predicted) for span in fit.spans
         ),
         held_out=tuple(
-            replace(
-                each, measured_peak=LEVER_M * each.measured_peak, predicted_peak=LEVER_M * each.predicted_peak
-            )
+            replace(each, measured_peak=LEVER_M * each.measured_peak, predicted_peak=LEVER_M * each.predicted_peak)
             for each in fit.held_out
         ),
     )

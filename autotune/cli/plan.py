@@ -160,7 +160,7 @@ def _law(path: Path, axis: str, provenance: dict[str, object]) -> "AdmittanceCon
     """Return the law of one axis of a controller file, and note the file in `provenance`."""
     from autotune.errors import UsageError
     from autotune.formats.controller import read_controller
-    from autotune.validation.validate import admittance_controller
+    from autotune.formats.controller_record import admittance_controller
 
     source = read_controller(path)
     if axis not in source.controller.axes:

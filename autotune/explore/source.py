@@ -10,7 +10,7 @@ import numpy as np
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller import ControllerFile, read_controller
-from autotune.formats.controller_record import AxisGains, Controller, RuntimePayload
+from autotune.formats.controller_record import AxisGains, Controller, RuntimePayload, admittance_controller
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.plant import read_plant
 from autotune.formats.problem import ProblemSpec, read_problem
@@ -25,7 +25,6 @@ from autotune.tuning.search import SearchResult, solve_design
 from autotune.tuning.threshold import ThresholdSettings, threshold_settings
 from autotune.validation.axis_proof import ProofOptions
 from autotune.validation.certified_requirements import certified_problem_requirements
-from autotune.validation.validate import admittance_controller
 from autotune.version import __version__
 from problems.arrays import FloatArray
 from problems.design.evaluation import build_scenarios

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from problems.contact.nonlinearities import DeadbandType
+from problems.contact.nonlinearities import Deadband, DeadbandType
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
 from problems.frozen import freeze
+from problems.model.controller import AdmittanceController
 
 from .certificate_record import Certificate, Interval, check_interval
 from .limits import CollisionResponse, Limits, ResidualPeaks
@@ -190,3 +191,22 @@ class Controller:
                 raise ParameterError(name, sorted(part), f"given for all tuned axes, {', '.join(self.axes)}")
         if self.status == ControllerStatus.VALIDATED and not self.certificate.proved:
             raise ParameterError("certificate.proved", (), "at least one claim in a validated controller")
+
+
+def admittance_controller(controller: Controller, name: str) -> AdmittanceController:
+    """Return the control law of one axis."""
+    gains = controller.axes[name]
+    return AdmittanceController(
+        mass_kg=gains.mass,
+        damping_n_s_per_m=gains.damping,
+        lead_s=gains.lead_s,
+        feedback_damping_s=gains.feedback_damping_s,
+        velocity_filter_rad_per_s=controller.filters.velocity_rad_per_s,
+        acceleration_filter_rad_per_s=controller.filters.acceleration_rad_per_s,
+        compensation_mass_kg=controller.compensation_mass_kg,
+    )
+
+
+def file_deadband(gains: AxisGains) -> Deadband:
+    """Return the deadband of an axis."""
+    return Deadband(width_n=gains.deadband, kind=gains.deadband_type)

@@ -10,12 +10,11 @@ import numpy as np
 from autotune.errors import UsageError
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller import read_controller
-from autotune.formats.controller_record import Controller
+from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.plant import read_plant
 from autotune.formats.units import ROTATIONAL_AXES
 from autotune.formats.yaml12 import kind_of_file
 from autotune.tuning.wrench import build_wrench
-from autotune.validation.validate import admittance_controller
 from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError
 from identification.result import AxisEstimate, Estimate, Identified, Status

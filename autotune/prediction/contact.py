@@ -106,14 +106,24 @@ def simulate_others(plants: PlantEnsemble, law: Law, approach: Approach) -> list
     return runs
 
 
+def nominal_peak(plants: PlantEnsemble, law: Law, approach: Approach) -> float:
+    """Return the peak at the sensor on the most likely plant, the first blow included [N, N·m]."""
+    contact = simulate_on(plants.nominal, law, approach, plants.sample_time_s)
+    return with_blow(contact.peak_sensor_force_n, plants.blow, contact)
+
+
 def peak_interval(
     plants: PlantEnsemble, nominal: ContactTransient, runs: Sequence[ContactTransient | None]
 ) -> PeakInterval:
     """Return where the peaks lie: over all plants of ranges, or with `LEVEL` over the draws and the model's error."""
+    blows = plants.other_blows or (0.0,) * len(runs)
 
     def span(key: str) -> tuple[float, float | None]:
-        peaks = np.array([math.inf if run is None else getattr(run, key) for run in runs])
-        return _span(plants, np.append(peaks, getattr(nominal, key)))
+        others = [
+            with_blow(getattr(run, key), blow, run) for run, blow in zip(runs, blows, strict=True) if run is not None
+        ]
+        lost = [math.inf] * (len(runs) - len(others))
+        return _span(plants, np.array([*others, *lost, with_blow(getattr(nominal, key), plants.blow, nominal)]))
 
     return PeakInterval(
         level=None if plants.is_range else LEVEL,
@@ -121,6 +131,11 @@ def peak_interval(
         contact=span("peak_contact_force_n"),
         unstable_share=sum(run is None for run in runs) / max(len(runs), 1),
     )
+
+
+def with_blow(peak: float, blow: float, contact: ContactTransient) -> float:
+    """Return the larger of a peak and the first blow, which goes with the speed."""
+    return max(peak, blow * contact.contact_speed_m_s)
 
 
 def _span(plants: PlantEnsemble, peaks: FloatArray) -> tuple[float, float | None]:
@@ -131,11 +146,14 @@ def _span(plants: PlantEnsemble, peaks: FloatArray) -> tuple[float, float | None
         error = plants.model_error
         every = peaks if error is None else np.outer(peaks, error.factors(4 * _FACTORS)).ravel()
         tail = 0.5 * (1.0 - LEVEL)
-        low, high = (float(np.quantile(every, share, method=m)) for share, m in ((tail, "lower"), (1.0 - tail, "higher")))
+        low = float(np.quantile(every, tail, method="lower"))
+        high = float(np.quantile(every, 1.0 - tail, method="higher"))
     return low, high if math.isfinite(high) else None
 
 
-def contact_band(plants: PlantEnsemble, nominal: ContactTransient, runs: Sequence[ContactTransient | None]) -> ContactBand:
+def contact_band(
+    plants: PlantEnsemble, nominal: ContactTransient, runs: Sequence[ContactTransient | None]
+) -> ContactBand:
     """Return lowest and highest force at the sensor over the time of the nominal contact, as the interval has them."""
     time = nominal.time_s
     stable = [np.interp(time, run.time_s, run.sensor_force_n) for run in (nominal, *runs) if run is not None]
@@ -151,6 +169,9 @@ def contact_band(plants: PlantEnsemble, nominal: ContactTransient, runs: Sequenc
 
 def check_approach(approach: Approach, *, fastest: float = 5.0, strongest: float = 1e4) -> None:
     """Raise ParameterError for a speed or force that no contact experiment has."""
-    for name, value, most in (("approach_speed", approach.speed_m_s, fastest), ("approach_force", approach.force_n, strongest)):
+    for name, value, most in (
+        ("approach_speed", approach.speed_m_s, fastest),
+        ("approach_force", approach.force_n, strongest),
+    ):
         if value is not None and not 0.0 < value <= most:
             raise ParameterError(name, value, f"greater than 0 and at most {most:g}")

@@ -29,7 +29,9 @@ _LARGEST_SHARE = 1.0
 _SWING, _DAMPED = 8.0, 0.1
 # A moving mass of the surface below this many deviations is none.
 _STDS = 2.0
-_POSITIVE = frozenset({"K_s", "K_e", "M_p", "omega", "zeta", "tau"})
+# What is left out where the payload is not known.
+_BEHIND = frozenset({"K_s", "B_s", "B_p", "M_p"})
+_POSITIVE = frozenset({"K_s", "K_e", "M_p", "omega", "zeta", "corner", "blow"})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +54,9 @@ class PlantEnsemble:
 
     With `is_range` the others are corners and samples of ranges that must all be safe, so that the extremes count;
     otherwise they are draws from the joint distribution of what was identified. `neglected` says in sentences what is
-    not known and left out; `has_payload` is False where payload and coupling are. `model_error` is how far a peak of
-    the identified model is from a measured one beyond its parameters, None where no log shows anything of it.
+    not known and left out; `has_payload` is False where payload and coupling are: then `blow` and `other_blows` are the
+    force of the first blow over the speed [N·s/m, N·m·s/rad], 0 where it is not known. `model_error` is how far a peak
+    of the identified model is from a measured one beyond its parameters, None where no log shows anything of it.
     """
 
     axis: str
@@ -65,6 +68,8 @@ class PlantEnsemble:
     has_payload: bool = True
     neglected: tuple[str, ...] = ()
     model_error: ModelError | None = None
+    blow: float = 0.0
+    other_blows: tuple[float, ...] = ()
 
 
 def find_axis(result: Identified, axis: str | None, surface: Surface) -> str:
@@ -127,6 +132,7 @@ def build_plants(
     if source.domain:
         others, is_range = _of_ranges(source.domain, nominal, surface, payload_mass, seed), True
         error = None
+        draws: tuple[dict[str, float], ...] = ()
     else:
         draws = _draws(known, seed)
         others, is_range = tuple(known.plant(draw, period) for draw in draws), False
@@ -141,6 +147,8 @@ def build_plants(
         has_payload=known.has_payload,
         neglected=known.neglected,
         model_error=error,
+        blow=known.value("blow", {}),
+        other_blows=tuple(known.value("blow", draw) for draw in draws),
     )
 
 
@@ -151,8 +159,9 @@ def _of_ranges(
     ranges = dict(domain)
     if surface.stiffness is not None:
         half = 3.0 * surface.std
-        ranges["environment_stiffness_n_per_m"] = max(surface.stiffness - half, 1e-3 * surface.stiffness), (
-            surface.stiffness + half
+        ranges["environment_stiffness_n_per_m"] = (
+            max(surface.stiffness - half, 1e-3 * surface.stiffness),
+            (surface.stiffness + half),
         )
     if mass is not None:
         ranges["payload_mass_kg"] = mass, mass
@@ -224,7 +233,9 @@ class _Known:
         elif touched is not None:
             of = touched.stiffness_n_per_m if self.has_payload else touched.secant_stiffness_n_per_m
             self.estimates |= {"K_e": of, "B_e": touched.damping_n_s_per_m}
-            if self.has_payload and _is_seen(touched.mass_kg):
+            if not self.has_payload:
+                self.estimates["blow"] = touched.impact_n_s_per_m
+            elif _is_seen(touched.mass_kg):
                 self.estimates["M_e"] = touched.mass_kg
             if _number(of) is None:
                 raise EstimateError(f"The stiffness of surface {touched.name} is not identified ({of.note}).")
@@ -232,7 +243,8 @@ class _Known:
             missing = ", ".join(lacking) or "K_e apart from K_s"
             self.neglected = (
                 f"{missing} of axis {name} is not known: payload, its drag and the coupling are left out, and the "
-                "stiffness is that over robot travel; the first blow of the masses is not predicted",
+                "stiffness is that over robot travel"
+                + ("" if _number(self.estimates.get("blow")) else "; a first blow of the masses is not predicted"),
             )
 
     def value(self, symbol: str, draw: Mapping[str, float]) -> float:
@@ -296,7 +308,9 @@ def _robot(name: str, axis: AxisEstimate) -> RobotModel:
             f"The robot's r(s) on axis {name} is not identified{because}, so no contact can be predicted; record the "
             "position command with a motion, or give r(s) in a plant.yaml."
         )
-    return RobotModel(numerator=np.array(numerator), denominator=np.array(denominator), delay_s=max(delay_s or 0.0, 0.0))
+    return RobotModel(
+        numerator=np.array(numerator), denominator=np.array(denominator), delay_s=max(delay_s or 0.0, 0.0)
+    )
 
 
 def series_plant(
@@ -346,39 +360,15 @@ def _draws(known: _Known, seed: int) -> tuple[dict[str, float], ...]:
 
 
 def _joint(known: _Known) -> tuple[list[str], FloatArray]:
-    axis, touched = known.axis, known.touched
-    stds = {symbol: _std(each) for symbol, each in known.estimates.items() if each is not None}
-    band = axis.robot.bandwidth_hz
-    stds["omega"] = (_std(band) / band.value) if band.value else 0.0
-    joint: dict[str, int] = {}
-    covariance = axis.covariance
-    if covariance is not None:
-        scale = {"omega": 1.0}
-        for place, name in enumerate(covariance.names):
-            surface, _, symbol = name.rpartition(".")
-            mine = not surface or (touched is not None and surface == touched.name and known.has_payload)
-            mine = mine and (symbol != "M_e" or symbol in known.estimates)
-            given = known.estimates.get(symbol)
-            is_given = given is not None and given.status is Status.GIVEN
-            # The payload's mass is that of the rests where there are some, with the deviation that they have.
-            if mine and not is_given and (symbol != "M_p" or given is axis.mass_kg):
-                joint[symbol] = place
-        if "omega" in joint:
-            scale["omega"] = 1.0 / covariance.values[joint["omega"]]
-    if not known.has_payload:
-        for symbol in ("K_s", "B_s", "B_p", "M_p"):
-            joint.pop(symbol, None)
-            stds.pop(symbol, None)
-    symbols = sorted({*joint, *(symbol for symbol, std in stds.items() if std > 0.0)})
-    matrix = np.zeros((len(symbols), len(symbols)))
-    for i, a in enumerate(symbols):
-        matrix[i, i] = stds.get(a, 0.0) ** 2
-    if covariance is not None and joint:
-        full = np.array(covariance.matrix)
-        for a, row in joint.items():
-            for b, column in joint.items():
-                factor = scale.get(a, 1.0) * scale.get(b, 1.0)
-                matrix[symbols.index(a), symbols.index(b)] = factor * full[row, column]
+    """Return the symbols that vary and their covariance: the fit's, and beside it what has a deviation of its own."""
+    stds, places = _deviations(known), _places(known)
+    symbols = sorted({*places, *(symbol for symbol, std in stds.items() if std > 0.0)})
+    matrix = np.diag([stds.get(symbol, 0.0) ** 2 for symbol in symbols])
+    covariance = known.axis.covariance
+    if covariance is not None and places:
+        rows, own = [symbols.index(symbol) for symbol in places], list(places.values())
+        scale = np.array([1.0 / covariance.values[k] if each == "omega" else 1.0 for each, k in places.items()])
+        matrix[np.ix_(rows, rows)] = np.array(covariance.matrix)[np.ix_(own, own)] * np.outer(scale, scale)
     for i, symbol in enumerate(symbols):
         # A deviation that was widened since (contacts that differ, logs that disagree) is the one that counts.
         wider = stds.get(symbol, 0.0) / math.sqrt(matrix[i, i]) if matrix[i, i] > 0.0 else 1.0
@@ -386,3 +376,34 @@ def _joint(known: _Known) -> tuple[list[str], FloatArray]:
             matrix[i, :] *= wider
             matrix[:, i] *= wider
     return symbols, matrix
+
+
+def _deviations(known: _Known) -> dict[str, float]:
+    """Return standard deviations by symbol, that of ω as a share of it."""
+    stds = {symbol: _std(each) for symbol, each in known.estimates.items() if each is not None}
+    touched, band = known.touched, known.axis.robot.bandwidth_hz
+    if touched is not None and touched.contact_spread is not None:
+        # Another contact is another draw of what differs from contact to contact.
+        for symbol in ("K_e", "blow"):
+            value = _number(known.estimates.get(symbol)) or 0.0
+            stds[symbol] = math.hypot(stds.get(symbol, 0.0), touched.contact_spread * value)
+    stds["omega"] = _std(band) / band.value if band.value else 0.0
+    return stds if known.has_payload else {symbol: std for symbol, std in stds.items() if symbol not in _BEHIND}
+
+
+def _places(known: _Known) -> dict[str, int]:
+    """Return where the axis's covariance holds what is used of it."""
+    covariance, touched = known.axis.covariance, known.touched
+    found: dict[str, int] = {}
+    for place, name in enumerate(() if covariance is None else covariance.names):
+        surface, _, symbol = name.rpartition(".")
+        estimate = known.estimates.get(symbol)
+        if surface and (touched is None or surface != touched.name or not known.has_payload or estimate is None):
+            continue
+        if estimate is not None and estimate.status is Status.GIVEN:
+            continue
+        # The payload's mass is that of the rests where there are some, with the deviation that they have.
+        if (symbol == "M_p" and estimate is not known.axis.mass_kg) or (symbol in _BEHIND and not known.has_payload):
+            continue
+        found[symbol] = place
+    return found

@@ -4,7 +4,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from autotune.formats.units import axis_units
+import numpy as np
+
+from autotune.charts.chart import Band, Chart, Line, Panel, Points, Scale
+from autotune.formats.units import AxisUnits, axis_units
 from autotune.shown import ResultTable, Shown, data_frame, plain_tree
 from problems.contact.transient import Approach, ContactTransient
 from problems.model.controller import AdmittanceController
@@ -17,8 +20,7 @@ from .plants import PlantEnsemble
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from autotune.charts.chart import Chart
-    from autotune.figures import AxesLike
+    from autotune.charts.show import AxesLike
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -43,6 +45,8 @@ class PredictedContact(Shown):
         What is not known of the plant and left out, a sentence each.
     model_error
         What the interval holds beyond the deviations of the parameters; None where no log is behind the plant.
+    blow
+        Force of the first blow over the speed [N·s/m, N·m·s/rad], 0 where it is in the plant or not known.
     certified
         Whether a certificate holds this contact and its peak lies below `certified_peak`.
     certified_peak
@@ -60,23 +64,29 @@ class PredictedContact(Shown):
     has_payload: bool = True
     neglected: tuple[str, ...] = ()
     model_error: ModelError | None = None
+    blow: float = 0.0
     certified: bool = False
     certified_peak: float | None = None
 
     @property
+    def first_blow(self) -> float:
+        """Force of the first blow where the plant holds no payload and a log showed it, else 0 [N, N·m]."""
+        return self.blow * self.contact.contact_speed_m_s
+
+    @property
     def peak_force(self) -> float:
         """Largest force at the surface, between the ticks too [N, N·m]."""
-        return self.contact.peak_contact_force_n
+        return max(self.contact.peak_contact_force_n, self.first_blow)
 
     @property
     def peak_sensor_force(self) -> float:
         """Largest force at the sensor at the ticks [N, N·m]."""
-        return self.contact.peak_sensor_force_n
+        return max(self.contact.peak_sensor_force_n, self.first_blow)
 
     @property
     def time_of_peak(self) -> float:
         """When the force at the surface is largest [s after touching]."""
-        return self.contact.time_of_peak_s
+        return 0.0 if self.first_blow > self.contact.peak_contact_force_n else self.contact.time_of_peak_s
 
     def _headline(self) -> str:
         units = axis_units(self.axis)
@@ -92,14 +102,20 @@ class PredictedContact(Shown):
         unit, contact = axis_units(self.axis).force, self.contact
         of = "over all plants" if self.interval.level is None else f"{100.0 * self.interval.level:g} % interval"
         rows = (
-            ("sensor", contact.peak_sensor_force_n, self.interval.sensor, contact.time_of_sensor_peak_s),
-            ("surface", contact.peak_contact_force_n, self.interval.contact, contact.time_of_peak_s),
+            ("sensor", self.peak_sensor_force, self.interval.sensor, contact.time_of_sensor_peak_s),
+            ("surface", self.peak_force, self.interval.contact, contact.time_of_peak_s),
         )
         yield ResultTable(
             title="peaks",
             columns=("at the", f"peak [{unit}]", f"{of} [{unit}]", "after [ms]"),
             rows=tuple(
-                (name, f"{peak:.1f}", interval_text(span), f"{1e3 * time:.1f}") for name, peak, span, time in rows
+                (
+                    name,
+                    f"{peak:.1f}",
+                    interval_text(span),
+                    "0 (first blow)" if peak == self.first_blow else f"{1e3 * time:.1f}",
+                )
+                for name, peak, span, time in rows
             ),
         )
 
@@ -130,6 +146,9 @@ class PredictedContact(Shown):
                 "has_payload": self.has_payload,
             },
             "contact": plain_tree(self.contact),
+            "peak_force": self.peak_force,
+            "peak_sensor_force": self.peak_sensor_force,
+            "first_blow": self.first_blow,
             "interval": plain_tree(self.interval),
             "band": plain_tree(self.band),
             "model_error": plain_tree(self.model_error),
@@ -146,15 +165,13 @@ class PredictedContact(Shown):
         }
         return data_frame(series, self.contact.time_s, "time [s]")
 
-    def chart(self) -> "Chart":
+    def chart(self) -> Chart:
         """Return the picture: the force at the surface and at the sensor over time, and the band."""
-        from autotune.figures import contact_chart  # noqa: PLC0415 - what draws
-
-        return contact_chart(self.contact, axis_units(self.axis), "Predicted contact", band=self.band)
+        return contact_chart(self.contact, axis_units(self.axis), "Predicted contact", self.band)
 
     def plot(self, ax: "AxesLike | None" = None) -> "Figure":
         """Draw the force at the surface and at the sensor over time, and the band in which it lies."""
-        from autotune.figures import show  # noqa: PLC0415 - matplotlib
+        from autotune.charts.show import show  # noqa: PLC0415 - matplotlib
 
         return show(self.chart(), ax)
 
@@ -169,8 +186,8 @@ def interval_notes(interval: PeakInterval, error: ModelError | None) -> Iterator
     """Yield what the interval holds, and where it has no upper end."""
     if interval.unstable_share > 0.0:
         yield (
-            f"on {100.0 * interval.unstable_share:.2g} % of the plants inside the uncertainty the loop is unstable, and "
-            "its peak is no number"
+            f"on {100.0 * interval.unstable_share:.2g} % of the plants inside the uncertainty the loop is unstable, "
+            "and its peak is no number"
         )
     if interval.level is None:
         yield "the interval holds every plant of the ranges, and nothing of the model's own error"
@@ -209,6 +226,34 @@ def predict_contact(plants: PlantEnsemble, law: Law, approach: Approach) -> Pred
         interval=peak_interval(plants, contact, runs),
         band=contact_band(plants, contact, runs),
         has_payload=plants.has_payload,
+        blow=plants.blow,
         neglected=plants.neglected,
         model_error=plants.model_error,
+    )
+
+
+def contact_chart(contact: ContactTransient, units: AxisUnits, title: str, band: ContactBand) -> Chart:
+    """Draw one predicted contact: the force at the surface and at the sensor over the time after touching.
+
+    `band` is where the force at the sensor lies.
+    """
+    time = 1e3 * contact.time_s
+    ground = Band(x=1e3 * band.time_s, low=band.low, high=band.high, label="interval at the sensor")
+    peak = np.array([1e3 * contact.time_of_peak_s]), np.array([contact.peak_contact_force_n])
+    return Chart(
+        key="contact",
+        title=title,
+        alternative=f"The force after touching; its peak is {contact.peak_contact_force_n:.4g} {units.force}.",
+        panels=(
+            Panel(
+                x=Scale(label="time after touching [ms]"),
+                y=Scale(label=f"{units.force_name} [{units.force}]"),
+                elements=(
+                    ground,
+                    Line(x=time, y=contact.contact_force_n, label="at the surface", role="after"),
+                    Line(x=time, y=contact.sensor_force_n, label="at the sensor", role="after", dashed=True),
+                    Points(x=peak[0], y=peak[1], role="after", marker="diamond", label="peak", names=("peak",)),
+                ),
+            ),
+        ),
     )

@@ -8,9 +8,8 @@ from itertools import product
 import numpy as np
 
 from autotune.formats.certificate_record import Asked, AxisDomain, AxisMargins, ProvenRegion, SoftRequirement
-from autotune.formats.controller_record import AxisPrediction, Controller, ScenarioPrediction
+from autotune.formats.controller_record import AxisPrediction, Controller, ScenarioPrediction, admittance_controller
 from autotune.formats.units import AxisUnits, axis_units
-from autotune.validation.validate import admittance_controller
 from problems.arrays import FloatArray
 from problems.contact.transient import Approach, ContactTransient, build_sampled_contact, simulate_contact
 from problems.design.uncertainty import Scenario

@@ -9,11 +9,10 @@ import numpy as np
 from autotune.formats.canonical import short
 from autotune.formats.certificate_record import SoftRequirement
 from autotune.formats.controller import ControllerFile
-from autotune.formats.controller_record import Controller
+from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.units import ROTATIONAL_AXES, AxisUnits, axis_units
 from autotune.plugins import find_requirement
 from autotune.text import scenario_text, stiffness_text, value_text
-from autotune.validation.validate import admittance_controller
 from problems.design.requirements import BUILT_IN, AdmittanceRequirement, Margin, PeakForceLimit
 from problems.design.uncertainty import SYMBOLS
 from problems.model.controller import AdmittanceController

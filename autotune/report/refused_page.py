@@ -26,6 +26,7 @@ NOT_IDENTIFIED = "NOT identified"
 NOT_VALID = "NOT valid"
 NO_CONTROLLER = "NO controller"
 NOT_COMPARED = "NOT compared"
+NOT_PREDICTED = "NOT predicted"
 NOT_SHOWN = "NOT shown"
 
 

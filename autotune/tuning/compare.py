@@ -7,9 +7,8 @@ import numpy as np
 
 from autotune.errors import InfeasibleError, UsageError
 from autotune.formats.controller import ControllerFile
-from autotune.formats.controller_record import Controller
+from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.limits import CollisionResponse
-from autotune.validation.validate import admittance_controller
 from problems.arrays import FloatArray
 from problems.design.evaluation import PreparedScenarios, build_scenarios
 from problems.design.problem import FURTHER_VARIABLES, VARIABLES, DesignProblem

@@ -7,11 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autotune.formats.certificate_record import AxisDomain
-from autotune.formats.controller_record import Controller
-from autotune.validation.disturbances import file_deadband
-from autotune.validation.validate import admittance_controller
+from autotune.formats.controller_record import Controller, admittance_controller, file_deadband
 from problems.arrays import FloatArray
-from problems.contact.nonlinear_simulation import NonlinearRun, simulate_nonlinear
+from problems.contact.nonlinear_simulation import NonlinearRun, needed_substeps, simulate_nonlinear
 from problems.contact.nonlinearities import NO_NONLINEARITIES, Collision, Deadband, Nonlinearities
 from problems.contact.transient import Approach
 from problems.design.uncertainty import Scenario

@@ -10,12 +10,11 @@ from typing import TypeVar
 from autotune.errors import AutotuneError, CertificateError, InfeasibleError, UsageError
 from autotune.formats.canonical import dump_yaml
 from autotune.formats.controller import controller_tree, parse_controller
-from autotune.formats.controller_record import Controller
+from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.problem import Interval, ProblemSpec
 from autotune.formats.schedule import COMMON_FILE, Schedule, ScheduleClass, Tuned, worst_peaks
 from autotune.processes import map_in_processes
-from autotune.validation.validate import admittance_controller
 from identification.errors import EstimateError
 from problems.errors import ParameterError
 from problems.progress import no_progress

@@ -7,7 +7,7 @@ import numpy as np
 
 from autotune.errors import UsageError
 from autotune.formats.certificate_record import AxisDomain
-from autotune.formats.controller_record import Controller
+from autotune.formats.controller_record import Controller, admittance_controller, file_deadband
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from identification.errors import LogError
@@ -19,11 +19,9 @@ from problems.contact.nonlinearities import Nonlinearities
 from problems.contact.transient import Approach
 from problems.design.uncertainty import Scenario
 
-from .disturbances import file_deadband
 from .log_contacts import ContactLog, LawFit, LogContact, find_log_contacts, follow_law
 from .monte_carlo import SAME_PEAK
 from .report import Check
-from .validate import admittance_controller
 
 _BAND_PLANTS, _SEED = 32, 3
 _LAW_BEFORE_S, _LAW_AFTER_S = 0.15, 0.6

@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from autotune.formats.controller_record import AxisGains, Controller
+from autotune.formats.controller_record import Controller, file_deadband
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.units import ROTATIONAL_AXES
-from problems.contact.nonlinearities import Collision, CommandLimits, Deadband, Nonlinearities, Response
+from problems.contact.nonlinearities import Collision, CommandLimits, Nonlinearities, Response
 from problems.design.requirements import NoiseLimit
 from problems.errors import ParameterError
 
@@ -78,11 +78,6 @@ def _file_response(controller: Controller, name: str) -> Collision | None:
         return None
     kind: Response = "reset" if collision.response is CollisionResponse.RESET else "stop"
     return Collision(response=kind, threshold_n=collision.threshold_n)
-
-
-def file_deadband(gains: AxisGains) -> Deadband:
-    """Return the deadband of an axis."""
-    return Deadband(width_n=gains.deadband, kind=gains.deadband_type)
 
 
 def _noise_rms(controller: Controller, name: str, disturbances: Disturbances) -> float:

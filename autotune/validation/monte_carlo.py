@@ -1,27 +1,25 @@
 """The full nonlinear simulation over seeded plants of the certified set, its peaks against the predicted ones."""
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from autotune.formats.certificate_record import AxisDomain
-from autotune.formats.controller_record import Controller
+from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.units import axis_units
 from problems.arrays import FloatArray
-from problems.contact.nonlinear_simulation import NonlinearRun, simulate_nonlinear
+from problems.contact.nonlinear_simulation import NonlinearRun, needed_substeps, simulate_nonlinear
 from problems.contact.nonlinearities import NO_NONLINEARITIES, Nonlinearities
 from problems.contact.transient import Approach
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
-from problems.model.plant import FREE_SPACE, NO_FILTER, Plant, build_plant_matrices
+from problems.model.plant import NO_FILTER, Plant
 from problems.stability.margins import UnstableLoopError
 
 from .disturbances import Disturbances, axis_effects
 from .report import Check
-from .validate import admittance_controller
 
 SAMPLES, SEED = 256, 1
 QUANTILES = (0.5, 0.95, 0.99)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from autotune.certificate.family import UncertainPlant
 from autotune.formats.certificate_record import AxisDomain, Proof
-from autotune.formats.controller_record import Controller
+from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.units import ROTATIONAL_AXES, AxisUnits, axis_units
 from problems.errors import ParameterError
@@ -114,20 +114,6 @@ class AxisCase:
     def check(self, name: str, wrong: str, message: str = "", *, warns: bool = False) -> Check:
         """Return a check that fails where something is `wrong`."""
         return Check(axis=self.name, name=name, passed=not wrong, message=wrong or message, warns=warns)
-
-
-def admittance_controller(controller: Controller, name: str) -> AdmittanceController:
-    """Return the control law of one axis."""
-    gains = controller.axes[name]
-    return AdmittanceController(
-        mass_kg=gains.mass,
-        damping_n_s_per_m=gains.damping,
-        lead_s=gains.lead_s,
-        feedback_damping_s=gains.feedback_damping_s,
-        velocity_filter_rad_per_s=controller.filters.velocity_rad_per_s,
-        acceleration_filter_rad_per_s=controller.filters.acceleration_rad_per_s,
-        compensation_mass_kg=controller.compensation_mass_kg,
-    )
 
 
 def uncertain_plant(domain: AxisDomain) -> UncertainPlant:

@@ -271,7 +271,7 @@ def _held_out(
             if measured > 0.0 and other > 0.0:
                 held.append(
                     HeldOutContact(
-                        surface=segment.surface, onset=touched.onset, measured_peak=measured, predicted_peak=other
+                        surface=segment.surface, onset=touched.start.onset, measured_peak=measured, predicted_peak=other
                     )
                 )
     return tuple(held)

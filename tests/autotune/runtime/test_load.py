@@ -52,7 +52,7 @@ def test_a_good_file_says_what_it_says_to_the_rest_of_the_tool(tmp_path: Path) -
         force_bias_S_n=(1.5, -0.25, 3.0),
         torque_bias_S_n_m=(0.1, 0.2, -0.0),
     )
-    from autotune.validation.validate import admittance_controller
+    from autotune.formats.controller_record import admittance_controller
 
     for axis in law.axes:
         blocks = controller_blocks(admittance_controller(whole.controller, axis.name), law.sample_time_s)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from autotune.errors import UsageError
-from autotune.formats.controller_record import Controller
+from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.limits import LimitsSpec, ResidualPeaks
 from autotune.tuning.limits import LimitsSettings, largest_motion, limits_settings, with_limits
 from autotune.validation.replay import replay_contact
-from autotune.validation.validate import admittance_controller, validate_controller
+from autotune.validation.validate import validate_controller
 from tests.autotune.tuning.cases import FAST_SPEC, identified_plant, known, small_controller
 
 

@@ -7,14 +7,13 @@ import pytest
 
 from autotune.certificate.claim import METHOD
 from autotune.errors import CertificateError
-from autotune.formats.controller_record import ControllerStatus
+from autotune.formats.controller_record import ControllerStatus, admittance_controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.limits import CollisionResponse
 from autotune.tuning import optimize as optimize_module
 from autotune.tuning.optimize import check_within_bounds, optimize
 from autotune.tuning.record import build_controller as honest
 from autotune.validation.axis_proof import prove_axis
-from autotune.validation.validate import admittance_controller
 from problems.contact.transient import build_sampled_contact, simulate_contact
 from problems.design.requirements import AdmittanceTarget
 from problems.model.plant import Environment

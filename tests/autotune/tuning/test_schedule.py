@@ -12,14 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autotune.errors import CertificateError, InfeasibleError, UsageError
-from autotune.formats.controller_record import Controller
+from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.identified import IdentifiedFile
 from autotune.formats.schedule import Schedule, ScheduleClass, covered, read_schedule, write_schedule
 from autotune.tuning import schedule as schedule_module
 from autotune.tuning.optimize import optimize
 from autotune.tuning.problems import DesignOptions, build_problems
 from autotune.tuning.schedule import build_classes, class_options, hull, tune_schedule
-from autotune.validation.validate import admittance_controller
 from identification.errors import EstimateError
 from problems.contact.transient import build_sampled_contact, simulate_contact
 from problems.design.uncertainty import Scenario

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from autotune.cli.validate import print_comparison
+from autotune.formats.controller_record import admittance_controller
 from autotune.report.page import Table
 from autotune.report.validate_page import Validated, measured_section
 from autotune.simulation.phases import Program
@@ -16,7 +17,6 @@ from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from autotune.validation.against_log import LogComparison, compare_with_log, log_checks
 from autotune.validation.report import ValidationReport
-from autotune.validation.validate import admittance_controller
 from identification.errors import EstimateError, LogError
 from identification.signals.recording import GainsSignal, Recording
 from problems.model.plant import Coupling, Environment

@@ -7,6 +7,7 @@ import pytest
 from autotune.certificate.claim import METHOD, prove
 from autotune.errors import CertificateError
 from autotune.formats.certificate_record import AxisDomain, ConfidenceSet
+from autotune.formats.controller_record import admittance_controller
 from autotune.validation.axis_proof import (
     ProofOptions,
     Prover,
@@ -15,7 +16,6 @@ from autotune.validation.axis_proof import (
     refuted_inside,
     stability_claim,
 )
-from autotune.validation.validate import admittance_controller
 from problems.model.controller import AdmittanceController
 from tests.autotune.tuning.cases import fast_optimized
 

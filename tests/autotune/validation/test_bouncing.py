@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from autotune.formats.controller import write_controller
+from autotune.formats.controller_record import admittance_controller
 from autotune.validation.bouncing import (
     LEAST_FORCE,
     RUNS,
@@ -17,7 +18,7 @@ from autotune.validation.bouncing import (
     drawn_ratios,
     search_bouncing,
 )
-from autotune.validation.validate import admittance_controller, validate_controller
+from autotune.validation.validate import validate_controller
 from problems.model.sampled import linear_controller
 from tests.autotune.tuning.cases import small_controller, uncertain_optimized
 from tests.autotune.validation.bouncing_cases import bouncing_controller, written

@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from autotune.formats.controller_record import Controller
+from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.validation.disturbances import Disturbances, axis_effects
 from autotune.validation.monte_carlo import AxisMonteCarlo, monte_carlo_checks, monte_carlo_tree, run_monte_carlo
-from autotune.validation.validate import admittance_controller
 from problems.contact.nonlinearities import DeadbandType
 from problems.contact.transient import Approach, build_sampled_contact, simulate_contact
 from problems.design.requirements import NoiseLimit

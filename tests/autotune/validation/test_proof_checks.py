@@ -9,7 +9,7 @@ import pytest
 
 from autotune.certificate.claim import METHOD
 from autotune.formats.certificate_record import Proof
-from autotune.formats.controller_record import Controller
+from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.validation.axis_proof import Prover
 from autotune.validation.proof_checks import (
     FORMER_METHOD,
@@ -18,7 +18,6 @@ from autotune.validation.proof_checks import (
     check_statements,
     wrong_statements,
 )
-from autotune.validation.validate import admittance_controller
 from autotune.validation.validation_samples import sampled_claims
 from tests.autotune.tuning.cases import FURTHER, small_controller
 

@@ -8,13 +8,18 @@ from typing import Any
 import pytest
 
 from autotune.errors import UsageError
-from autotune.formats.controller_record import AxisPrediction, CollisionSettings, Controller, ScenarioPrediction
+from autotune.formats.controller_record import (
+    AxisPrediction,
+    CollisionSettings,
+    Controller,
+    ScenarioPrediction,
+    admittance_controller,
+)
 from autotune.formats.limits import CollisionResponse
 from autotune.validation.against_log import compare_with_log
 from autotune.validation.contacts import verify_response
 from autotune.validation.disturbances import Disturbances, axis_effects
 from autotune.validation.monte_carlo import monte_carlo_checks, monte_carlo_tree, run_monte_carlo
-from autotune.validation.validate import admittance_controller
 from problems.contact.nonlinearities import Collision
 from tests.autotune.tuning.responding import responding
 

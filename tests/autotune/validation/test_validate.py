@@ -14,11 +14,12 @@ from autotune.formats.controller_record import (
     ControllerStatus,
     FreeSpaceAdmittance,
     ScenarioPrediction,
+    admittance_controller,
 )
 from autotune.formats.limits import CollisionResponse
 from autotune.validation.axis_proof import ProofOptions, prove_axis
 from autotune.validation.report import Check, ValidationReport
-from autotune.validation.validate import admittance_controller, validate_controller
+from autotune.validation.validate import validate_controller
 from tests.autotune.tuning.cases import fast_optimized, small_controller
 
 Change = Callable[[Controller], Controller]

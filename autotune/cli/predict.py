@@ -1,0 +1,200 @@
+"""`autotune predict`: the contact of any gains on a known plant, alone or beside the contacts of a log."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ._common import Output, output_options
+from ._options import LOGS, SETTINGS, FilePath, GroupedCommand, cell_option
+from ._report import check_report, print_report_path, report_option, report_refusal, write_report
+from ._terminal import print_message, print_table
+
+if TYPE_CHECKING:
+    from autotune.prediction.against_touches import TouchComparison
+    from autotune.prediction.result import PredictedContact
+    from autotune.report.page import Page
+    from autotune.shown import Shown
+
+_EPILOG = """\b
+Examples:
+  autotune predict identified.yaml --gains mass=13,damping=1000,lead=0.02 --surface x1 --approach force=30
+  autotune predict plant.yaml --gains mass=13,damping=1000 --surface 20N/mm --approach speed=28mm/s --plot contact.svg
+  autotune predict identified.yaml --controller controller.yaml --surface 20±2N/mm --approach force=30
+  autotune predict identified.yaml --controller controller.yaml --log contacts.bag --report contacts.html
+"""
+_GROUPS = {
+    "Contact": ("surface", "approach", "axis", "payload_mass", "sample_time"),
+    "Comparison with logs": ("logs", "cell_path"),
+}
+_SOURCE = FilePath(*SETTINGS)
+
+
+@click.command("predict", cls=GroupedCommand, groups=_GROUPS, epilog=_EPILOG)
+@click.argument("identified", type=_SOURCE)
+@click.option("--gains", metavar="NAME=VALUE,...", help="Gains: mass, damping, lead, feedback_damping, deadband.")
+@click.option("--controller", type=_SOURCE, help="Controller file with the gains.")
+@click.option("--surface", metavar="NAME|STIFFNESS", help="Surface of the plant, or a stiffness such as 20N/mm.")
+@click.option(
+    "--approach", metavar="force=F|speed=V", help="How the contact begins; with both, F acts after the impact."
+)
+@click.option("--axis", metavar="NAME", help="x, y, z, rx, ry or rz; needed where the surface does not say it.")
+@click.option("--payload-mass", metavar="KG", help="Another payload than that of the plant.")
+@click.option("--sample-time", metavar="S", help="Period of the controller, where the plant does not know it.")
+@click.option(
+    "--log",
+    "logs",
+    type=FilePath(*LOGS, dir_okay=True),
+    multiple=True,
+    help="Predict every contact of this log at its own speed and desired force; may be repeated.",
+)
+@cell_option
+@click.option(
+    "--plot", type=click.Path(path_type=Path, dir_okay=False), metavar="F.svg", help="Also draw it, .svg or .png."
+)
+@report_option
+@output_options
+def command(output: Output, /, identified: Path, **options: Any) -> None:
+    """Predict the peak force of a contact with an interval, from the plant in IDENTIFIED.
+
+    IDENTIFIED is what identify wrote, or a plant.yaml. The interval holds the joint deviations of the parameters, the
+    spread between contacts and the error of the model on contacts that took no part. With --log every contact of the
+    log is predicted, beside what was measured; gains and desired force are those in the log unless they are said. Exit
+    code 3: a log cannot be used. 4: the plant does not tell what the prediction needs, or the loop is unstable.
+    """
+    from autotune.formats.atomic import check_target
+
+    logs, plot, report = options["logs"], options["plot"], options["report"]
+    others = [each for each in (options["controller"], options["cell_path"]) if each is not None]
+    sources = [identified, *others, *logs]
+    if plot is not None:
+        check_target(plot, sources, kind="picture", option="--plot")
+    check_report(report, [*sources, *([] if plot is None else [plot])])
+    seen = _Seen()
+    with report_refusal(output, report, sources, seen.refused_page):
+        seen.found = _compared(output, identified, options) if logs else _predicted(identified, options)
+    tree = seen.found.to_dict()
+    if plot is not None:
+        _write_plot(output, plot, seen.found)
+        tree["plot"] = str(plot)
+    tree |= write_report(output, report, seen.page)
+
+    def text() -> None:
+        for lines in _printed(seen.shown):
+            print_message(lines) if isinstance(lines, str) else print_table(lines)
+        if plot is not None:
+            print_message(f"written: {plot}")
+        print_report_path(report)
+
+    output.result(tree, text)
+
+
+@dataclass(kw_only=True)
+class _Seen:
+    """What a run shows; None until it was computed."""
+
+    found: "PredictedContact | TouchComparison | None" = None
+
+    @property
+    def shown(self) -> "PredictedContact | TouchComparison":
+        if self.found is None:
+            raise ValueError("nothing was predicted yet")
+        return self.found
+
+    def page(self) -> "Page":
+        """Build the page of the prediction."""
+        from autotune.report.predict_page import build_predict_page
+
+        return build_predict_page(self.shown)
+
+    def refused_page(self, error: Exception) -> "Page":
+        """Build the page of what was refused."""
+        from autotune.report.refused_page import NOT_PREDICTED, refuse
+
+        return refuse(NOT_PREDICTED, error)
+
+
+def _printed(found: "Shown") -> Iterator[str | list[tuple[str, ...]]]:
+    """Yield the headline, the tables and the notes."""
+    headline, tables, notes = found.parts()
+    yield headline
+    for table in tables:
+        yield [table.columns, *table.rows]
+    for note in notes:
+        yield f"note: {note}"
+
+
+def _predicted(identified: Path, options: dict[str, Any]) -> "PredictedContact":
+    from autotune.formats.plant import read_plant
+    from autotune.predicting import parse_gains, predict_any
+
+    file, axis = read_plant(identified), options["axis"]
+    asked = _request(options, file.result)
+    gains, controller = options["gains"], options["controller"]
+    if (gains is None) == (controller is None):
+        raise click.UsageError("Give the gains with --gains, or with --controller.")
+    if asked.approach() is None:
+        raise click.UsageError("Say how the contact begins: --approach force=30 or speed=0.02.")
+    return predict_any(file, controller if gains is None else parse_gains(gains, axis), asked)
+
+
+def _compared(output: Output, identified: Path, options: dict[str, Any]) -> "TouchComparison":
+    from autotune.formats.cell import read_cell
+    from autotune.formats.controller import read_controller
+    from autotune.formats.plant import read_plant
+    from autotune.pipeline import IdentifyOptions, identify_log
+    from autotune.predicting import compare_with_touches, parse_gains
+
+    file, controller, cell = read_plant(identified), options["controller"], options["cell_path"]
+    asked = _request(options, file.result)
+    gains = {} if options["gains"] is None else parse_gains(options["gains"], options["axis"])
+    if gains and controller is not None:
+        raise click.UsageError("Give the gains with --gains, or with --controller.")
+    law = None if controller is None else read_controller(controller).controller
+    logs = options["logs"]
+    with output.progress(f"comparing with {', '.join(log.name for log in logs)}", 2.0) as advance:
+        declared = None if cell is None else read_cell(cell)
+        found = identify_log(logs, IdentifyOptions(cell=declared, allow_partial=True), progress=advance)
+        name = ", ".join(log.name for log in logs)
+        return compare_with_touches(file, [(name, found.result)], gains, law, asked, advance)
+
+
+def _request(options: dict[str, Any], result: Any) -> Any:
+    from autotune.predicting import ContactRequest, parse_approach, parse_surface
+
+    axis = options["axis"]
+    name, stiffness = ("", None) if options["surface"] is None else parse_surface(options["surface"], result)
+    approach = {} if options["approach"] is None else parse_approach(options["approach"], axis)
+    return ContactRequest(
+        surface=name,
+        stiffness=stiffness,
+        axis=axis,
+        payload_mass=_number(options["payload_mass"], "mass", "--payload-mass"),
+        sample_time=_number(options["sample_time"], "time", "--sample-time"),
+        **approach,
+    )
+
+
+def _number(text: str | None, kind: str, option: str) -> float | None:
+    from autotune.quantities import parse_quantity
+
+    if text is None:
+        return None
+    try:
+        return parse_quantity(text, kind).value
+    except ValueError as error:
+        raise click.UsageError(f"{option}: {error}") from None
+
+
+def _write_plot(output: Output, path: Path, found: "PredictedContact | TouchComparison") -> None:
+    from autotune.charts.matplotlib_renderer import render
+    from autotune.formats.atomic import write_atomic
+    from autotune.formats.replaceable import PICTURE_MARK
+
+    if path.suffix.lower() not in {".svg", ".png"}:
+        raise click.UsageError(f"--plot {path} must end in .svg or .png.")
+    picture = render(found.chart(), path.suffix, mark=PICTURE_MARK)
+    with output.replacing(path, "picture"):
+        write_atomic(path, picture)

@@ -1,0 +1,233 @@
+"""From a plant, gains and a contact as a person says them to a prediction, alone or beside the contacts of a log."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from autotune.design import Design
+from autotune.errors import UsageError
+from autotune.formats.identified import IdentifiedFile
+from autotune.formats.plant import Plant
+from autotune.formats.quantity import Uncertain
+from autotune.formats.units import ROTATIONAL_AXES
+from autotune.prediction.against_touches import Running, TouchComparison, compare_touches
+from autotune.prediction.contact import Law, check_approach
+from autotune.prediction.law import law_of, law_of_gains
+from autotune.prediction.plants import Surface, build_plants, find_axis
+from autotune.prediction.result import PredictedContact, predict_contact
+from autotune.quantities import parse_quantity
+from autotune.results import Identification
+from identification.result import Identified
+from problems.contact.transient import Approach
+from problems.errors import ParameterError
+
+if TYPE_CHECKING:
+    from autotune.formats.controller_record import Controller
+
+Gains = Mapping[str, float] | Mapping[str, float | str] | Design | str | Path | None
+# As for a design: what is no contact experiment of a robot.
+_MOST = {"payload_mass": 1e3, "sample_time": 0.1}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactRequest:
+    """What contact is asked for, None where the plant or the gains say it; units as of `autotune.predict`."""
+
+    surface: str = ""
+    stiffness: float | Uncertain | None = None
+    payload_mass: float | None = None
+    speed: float | None = None
+    force: float | None = None
+    axis: str | None = None
+    sample_time: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, most in _MOST.items():
+            value = getattr(self, name)
+            if value is not None and not (_is_number(value) and 0.0 < value <= most):
+                raise ParameterError(name, value, f"a number greater than 0 and at most {most:g}")
+        for name in ("speed", "force"):
+            value = getattr(self, name)
+            if value is not None and not (_is_number(value) and value > 0.0):
+                raise ParameterError(f"approach_{name}", value, "a number greater than 0")
+        if self.stiffness is not None and self.surface:
+            raise UsageError("Say the name of a surface or a stiffness, not both.")
+
+    def touched(self) -> Surface:
+        """Return the surface that is meant."""
+        if self.stiffness is None:
+            return Surface(name=self.surface)
+        value, std = (
+            (self.stiffness.value, self.stiffness.std)
+            if isinstance(self.stiffness, Uncertain)
+            else (self.stiffness, 0.0)
+        )
+        if not (_is_number(value) and 0.0 < value < math.inf):
+            raise ParameterError("environment_stiffness", value, "a number greater than 0")
+        return Surface(stiffness=float(value), std=std)
+
+    def approach(self) -> Approach | None:
+        """Return how the contact begins, None where nothing is said of it."""
+        if self.speed is None and self.force is None:
+            return None
+        found = (
+            Approach(force_n=self.force)
+            if self.speed is None
+            else Approach(speed_m_s=self.speed, after_impact_n=self.force)
+        )
+        check_approach(found)
+        return found
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def predict_any(source: object, gains: Gains, asked: ContactRequest) -> PredictedContact:
+    """Predict one contact of a design, a plant or what was identified; see `autotune.predict`."""
+    if isinstance(source, Design) and gains is None:
+        return source.predict(
+            environment_stiffness=asked.touched().stiffness,
+            payload_mass=asked.payload_mass,
+            approach_speed=asked.speed,
+            approach_force=asked.force,
+            axis=asked.axis,
+        )
+    file = plant_file(source)
+    approach = asked.approach()
+    if approach is None:
+        raise UsageError("Say how the contact begins: approach_force or approach_speed.")
+    surface = asked.touched()
+    axis = find_axis(file.result, asked.axis, surface)
+    plants = build_plants(file, surface, axis=axis, payload_mass=asked.payload_mass, sample_time_s=asked.sample_time)
+    return predict_contact(plants, law_on(gains, axis), approach)
+
+
+def plant_file(source: object) -> IdentifiedFile:
+    """Return the parameters behind a plant or an identification; raises UsageError for anything else."""
+    if isinstance(source, Identification | Plant):
+        return source.file()
+    if isinstance(source, IdentifiedFile):
+        return source
+    raise UsageError(
+        f"A prediction needs what identify, optimize or load returns, a Plant or a path, found {type(source).__name__}."
+    )
+
+
+def law_on(gains: Gains, axis: str) -> Law:
+    """Return the law of an axis; raises UsageError where the gains say none."""
+    if isinstance(gains, Design):
+        return law_of(gains.controller, axis)
+    if isinstance(gains, str | Path):
+        from autotune.formats.controller import read_controller  # noqa: PLC0415 - a file only
+
+        return law_of(read_controller(gains).controller, axis)
+    if not isinstance(gains, Mapping):
+        raise UsageError(
+            "A contact of a plant needs gains: a mapping with mass and damping, a design, or the path of a controller."
+        )
+    return law_of_gains(gains)
+
+
+def parse_gains(text: str, axis: str | None) -> dict[str, float | str]:
+    """Return gains of the form mass=13,damping=1000,lead=20ms; raises UsageError."""
+    turns = axis in ROTATIONAL_AXES
+    kinds = {
+        "mass": "inertia" if turns else "mass",
+        "damping": "rotational damping" if turns else "damping",
+        "lead": "time",
+        "feedback_damping": "time",
+        "deadband": "torque" if turns else "force",
+    }
+    found: dict[str, float | str] = {}
+    for name, value in _pairs(text, "--gains", (*kinds, "deadband_type")):
+        found[name] = value if name == "deadband_type" else _quantity(value, kinds[name], "--gains")
+    return found
+
+
+def parse_approach(text: str, axis: str | None) -> dict[str, float]:
+    """Return force and speed of the form force=30 or speed=28mm/s,force=15; raises UsageError."""
+    turns = axis in ROTATIONAL_AXES
+    kinds = {"force": "torque" if turns else "force", "speed": "rotational speed" if turns else "speed"}
+    return {
+        name: _quantity(value, kinds[name], "--approach") for name, value in _pairs(text, "--approach", tuple(kinds))
+    }
+
+
+def parse_surface(text: str, result: Identified) -> tuple[str, float | Uncertain | None]:
+    """Return the name of a surface of a plant, or a stiffness such as 20N/mm or 20±2N/mm; raises UsageError."""
+    names = [each.name for axis in result.axes.values() for each in axis.environments]
+    if text in names:
+        return text, None
+    value, sign, std = text.replace("+-", "±").partition("±")
+    unit = (std if sign else value).lstrip("0123456789.eE+- ")
+    kind = "rotational stiffness" if "rad" in unit or "deg" in unit else "stiffness"
+    try:
+        stiffness = parse_quantity(value if not sign else f"{value}{unit}", kind).value
+        deviation = parse_quantity(std, kind).value if sign else 0.0
+    except ValueError:
+        held = f"the plant holds {', '.join(names)}" if names else "the plant holds none"
+        raise UsageError(
+            f"--surface {text} must be the name of a surface ({held}) or a stiffness such as 20N/mm."
+        ) from None
+    return "", Uncertain(stiffness, deviation) if sign else stiffness
+
+
+def _pairs(text: str, option: str, known: tuple[str, ...]) -> list[tuple[str, str]]:
+    pairs: list[tuple[str, str]] = []
+    for part in text.split(","):
+        name, sign, value = (each.strip() for each in part.partition("="))
+        if not sign or name not in known or name in dict(pairs):
+            raise UsageError(f"{option} must be NAME=VALUE,… with {', '.join(known)}, each once; found {part!r}.")
+        pairs.append((name, value))
+    return pairs
+
+
+def _quantity(text: str, kind: str, option: str) -> float:
+    try:
+        return parse_quantity(text, kind).value
+    except ValueError as error:
+        raise UsageError(f"{option}: {error}") from None
+
+
+def compare_with_touches(
+    file: IdentifiedFile,
+    logs: Sequence[tuple[str, Identified]],
+    gains: Mapping[str, float | str],
+    controller: "Controller | None",
+    asked: ContactRequest,
+    progress: Callable[[float], None] | None = None,
+) -> TouchComparison:
+    """Predict every touch of what logs show; gains and desired force are the logs' unless they are said."""
+    touches = [
+        (line.log or (name if len(logs) > 1 else ""), touch)
+        for name, result in logs
+        for line in result.timelines
+        for touch in line.touches
+        if asked.axis is None or touch.axis == asked.axis
+    ]
+
+    def running(axis: str) -> Running:
+        if controller is not None:
+            law = law_of(controller, axis)
+            return Running(
+                law=law,
+                mass=law.controller.mass_kg,
+                damping=law.controller.damping_n_s_per_m,
+                desired_force=asked.force,
+            )
+        law = law_of_gains({"mass": 1.0, "damping": 1.0, **gains})
+        said = {name: float(gains[name]) for name in ("mass", "damping") if name in gains}
+        return Running(law=law, desired_force=asked.force, **said)
+
+    surface = asked.touched()
+    return compare_touches(
+        file,
+        touches,
+        running,
+        surface=None if surface == Surface() else surface,
+        sample_time_s=asked.sample_time,
+        progress=progress,
+    )

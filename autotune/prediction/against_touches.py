@@ -1,0 +1,265 @@
+"""Predicted beside measured peaks: every touch of a log with its own speed, desired force and gains."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from autotune.charts.chart import Chart, Line, Panel, Points, Scale
+from autotune.errors import UsageError
+from autotune.formats.identified import IdentifiedFile
+from autotune.formats.units import axis_units
+from autotune.shown import ResultTable, Shown, data_frame, plain_tree
+from identification.errors import EstimateError
+from identification.result import Touch, TouchCause
+from problems.contact.transient import Approach
+from problems.errors import AutotuneError
+
+from .contact import Law
+from .plants import PlantEnsemble, Surface, build_plants
+from .result import PredictedContact, interval_notes, interval_text, predict_contact
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from autotune.charts.show import AxesLike
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComparedTouch:
+    """One touch: what was measured, and what is predicted at its speed, F^d and gains; peaks at the sensor."""
+
+    touch: Touch
+    log: str
+    predicted: PredictedContact
+
+    @property
+    def error_share(self) -> float:
+        """(Predicted − measured)/measured."""
+        return self.predicted.peak_sensor_force / self.touch.peak_force - 1.0
+
+    @property
+    def is_inside(self) -> bool:
+        """Whether the largest sample lies inside the predicted interval."""
+        low, high = self.predicted.interval.sensor
+        return low <= self.touch.peak_force and (high is None or self.touch.peak_force <= high)
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class TouchComparison(Shown):
+    """All touches of logs beside their prediction; `passed_over` says of the others why, a sentence each."""
+
+    contacts: tuple[ComparedTouch, ...]
+    passed_over: tuple[str, ...] = ()
+
+    def _headline(self) -> str:
+        inside = sum(each.is_inside for each in self.contacts)
+        errors = [each.error_share for each in self.contacts]
+        rms = 100.0 * float(np.sqrt(np.mean(np.square(errors))))
+        return f"{len(errors)} contacts: RMS error {rms:.1f} % of the peak, {inside} inside their interval"
+
+    def _tables(self) -> Iterator[ResultTable]:
+        for unit in ("N", "N·m"):
+            rows = [compared_row(each) for each in self.contacts if axis_units(each.touch.axis).force == unit]
+            if rows:
+                yield ResultTable(title="measured and predicted peaks", columns=_columns(unit), rows=tuple(rows))
+
+    def _notes(self) -> Sequence[str]:
+        notes: list[str] = []
+        for each in self.contacts:
+            said = each.predicted
+            notes += [*said.neglected, *interval_notes(said.interval, said.model_error)]
+        return (*dict.fromkeys(notes), *self.passed_over)
+
+    def chart(self) -> Chart:
+        """Return the picture: measured and predicted peaks with their intervals, contact by contact."""
+        number = np.arange(1.0, len(self.contacts) + 1.0)
+        names = tuple(f"{each.touch.axis} at {touch_time_s(each.touch):.2f} s" for each in self.contacts)
+        measured = np.array([each.touch.peak_force for each in self.contacts])
+        predicted = np.array([each.predicted.peak_sensor_force for each in self.contacts])
+        unit = " or ".join(dict.fromkeys(axis_units(each.touch.axis).force for each in self.contacts))
+        bars = []
+        for place, each in zip(number, self.contacts, strict=True):
+            low, high = each.predicted.interval.sensor
+            label = "interval" if place == 1.0 else ""
+            ends = np.array([low, each.touch.peak_force if high is None else high])
+            bars.append(Line(x=np.array([place, place]), y=ends, label=label, role="model"))
+        return Chart(
+            key="contacts",
+            title="Predicted and measured peaks",
+            alternative=f"Measured and predicted peaks of {len(number)} contacts: {self._headline()}",
+            panels=(
+                Panel(
+                    x=Scale(label="contact", limits=(0.5, len(number) + 0.5)),
+                    y=Scale(label=f"peak at the sensor [{unit}]"),
+                    elements=(
+                        *bars,
+                        Points(x=number, y=predicted, label="predicted", role="model", marker="diamond", names=names),
+                        Points(x=number, y=measured, label="measured", names=names),
+                    ),
+                ),
+            ),
+        )
+
+    def plot(self, ax: "AxesLike | None" = None) -> "Figure":
+        """Draw measured and predicted peaks with their intervals, contact by contact."""
+        from autotune.charts.show import show  # noqa: PLC0415 - matplotlib
+
+        return show(self.chart(), ax)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return every contact as plain data, without the traces."""
+        return {
+            "contacts": [
+                {
+                    "log": each.log,
+                    "touch": plain_tree(each.touch),
+                    "surface": each.predicted.surface,
+                    "law": plain_tree(each.predicted.law),
+                    "predicted_peak": each.predicted.peak_sensor_force,
+                    "interval": plain_tree(each.predicted.interval),
+                    "error_percent": 100.0 * each.error_share,
+                    "is_inside": each.is_inside,
+                }
+                for each in self.contacts
+            ],
+            "inside": sum(each.is_inside for each in self.contacts),
+            "passed_over": list(self.passed_over),
+        }
+
+    def to_pandas(self) -> Any:
+        """Return measured and predicted peaks [N, N·m] as a pandas.DataFrame; raises UsageError without pandas."""
+        return data_frame(
+            {
+                "axis": [each.touch.axis for each in self.contacts],
+                "time_s": [touch_time_s(each.touch) for each in self.contacts],
+                "measured": [each.touch.peak_force for each in self.contacts],
+                "predicted": [each.predicted.peak_sensor_force for each in self.contacts],
+                "low": [each.predicted.interval.sensor[0] for each in self.contacts],
+                "high": [each.predicted.interval.sensor[1] for each in self.contacts],
+            }
+        )
+
+
+def touch_time_s(touch: Touch) -> float:
+    """Return when the touch began, or else when its force was largest [s]."""
+    return touch.peak_s if touch.onset_s is None else touch.onset_s
+
+
+def _columns(unit: str) -> tuple[str, ...]:
+    speed, desired = ("mm/s", "F^d") if unit == "N" else ("mrad/s", "T^d")
+    return (
+        "contact",
+        "surface",
+        f"speed [{speed}]",
+        f"{desired} [{unit}]",
+        f"measured [{unit}]",
+        f"between samples [{unit}]",
+        f"predicted [{unit}]",
+        "error [%]",
+        f"interval [{unit}]",
+        "inside",
+    )
+
+
+def compared_row(each: ComparedTouch) -> tuple[str, ...]:
+    """Return a contact as texts, in the order of the table's columns."""
+    touch, found = each.touch, each.predicted
+    return (
+        f"{each.log + ', ' if each.log else ''}{touch.axis} at {touch_time_s(touch):.2f} s",
+        found.surface,
+        f"{1e3 * found.contact.contact_speed_m_s:.1f}",
+        "?" if touch.desired_force is None else f"{touch.desired_force:.1f}",
+        f"{touch.peak_force:.1f}",
+        "" if touch.peak_interval is None else interval_text(touch.peak_interval),
+        f"{found.peak_sensor_force:.1f}",
+        f"{100.0 * each.error_share:+.1f}",
+        interval_text(found.interval.sensor),
+        "yes" if each.is_inside else "no",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Running:
+    """What was running in the cell while the log was recorded; None where the log says it, touch by touch.
+
+    `mass` and `damping` are M_a and B_a, `desired_force` F^d; `law` holds the rest (lead, filters, deadband), and all
+    of it where mass and damping are said.
+    """
+
+    law: Law
+    mass: float | None = None
+    damping: float | None = None
+    desired_force: float | None = None
+
+    def law_at(self, touch: Touch) -> Law:
+        """Return the law at a touch; raises UsageError where neither the log nor anybody says mass and damping."""
+        mass = touch.mass if self.mass is None else self.mass
+        damping = touch.damping if self.damping is None else self.damping
+        if mass is None or damping is None:
+            raise UsageError(
+                "The log does not say with which mass and damping it was recorded; give them (--gains or --controller)."
+            )
+        return replace(self.law, controller=replace(self.law.controller, mass_kg=mass, damping_n_s_per_m=damping))
+
+    def approach_at(self, touch: Touch) -> Approach:
+        """Return how a touch began: at its measured speed under F^d, or where one of both is not known by the other."""
+        force = touch.desired_force if self.desired_force is None else self.desired_force
+        force = None if force is None else abs(force)
+        speed = touch.approach_speed
+        if speed is not None and speed > 0.0:
+            return Approach(speed_m_s=speed, after_impact_n=force)
+        if not force:
+            raise UsageError(
+                "Neither the speed of the approach nor the desired force is known; say --approach force=F."
+            )
+        return Approach(force_n=force)
+
+
+def compare_touches(
+    source: IdentifiedFile,
+    touches: Sequence[tuple[str, Touch]],
+    running: Callable[[str], Running],
+    *,
+    surface: Surface | None = None,
+    sample_time_s: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> TouchComparison:
+    """Predict every touch, each with the name of its log, from what `source` says of plant and surface.
+
+    `running` gives what was running on an axis. Touches of a hand, on axes or of surfaces that the source does not
+    hold, and of loops that are unstable are passed over with the reason. Raises EstimateError where none is left.
+    """
+    known: dict[tuple[str, str], PlantEnsemble] = {}
+
+    def plants(touch: Touch) -> PlantEnsemble:
+        asked = Surface() if surface is None else surface
+        axis = source.result.axes.get(touch.axis)
+        if axis is None:
+            raise UsageError(f"the plant holds no axis {touch.axis}.")
+        names = {each.name for each in axis.environments}
+        if asked == Surface() and len(names) > 1 and touch.surface in names:
+            asked = Surface(name=touch.surface or "")
+        key = touch.axis, asked.name
+        if key not in known:
+            known[key] = build_plants(source, asked, axis=touch.axis, sample_time_s=sample_time_s)
+        return known[key]
+
+    found, passed = [], []
+    for log, touch in touches:
+        where = f"{log + ', ' if log else ''}{touch.axis} at {touch_time_s(touch):.2f} s"
+        try:
+            if touch.cause is TouchCause.HAND:
+                raise UsageError("it was a hand.")
+            said = running(touch.axis)
+            predicted = predict_contact(plants(touch), said.law_at(touch), said.approach_at(touch))
+            found.append(ComparedTouch(touch=touch, log=log, predicted=predicted))
+        except AutotuneError as error:
+            passed.append(f"{where}: {error}")
+        if progress is not None:
+            progress(1.0 / len(touches))
+    if not found:
+        why = "; ".join(passed) if passed else "it holds no touch; record the approach and a second of holding"
+        raise EstimateError(f"No contact of the log can be predicted: {why}")
+    return TouchComparison(contacts=tuple(found), passed_over=tuple(passed))

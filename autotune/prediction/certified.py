@@ -1,0 +1,85 @@
+"""Predicted contacts of a controller file: its own plants, and whether its certificate holds the contact."""
+
+import math
+from dataclasses import replace
+
+from autotune.formats.certificate_record import AxisDomain
+from autotune.formats.controller_record import Controller, admittance_controller
+from problems.contact.transient import Approach
+from problems.design.uncertainty import Scenario, Uncertainty
+from problems.errors import ParameterError
+
+from .contact import Law, check_approach
+from .plants import PlantEnsemble, Surface, range_plants
+from .result import PredictedContact, predict_contact
+
+_STIFFNESS, _MASS = "environment_stiffness_n_per_m", "payload_mass_kg"
+# The same contact computed twice agrees to rounding.
+_ROUNDING = 1e-9
+
+
+def certified_plants(
+    domain: AxisDomain, axis: str, sample_time_s: float, *, stiffness: float, payload_mass: float
+) -> PlantEnsemble:
+    """Return the certified plants of an axis against a surface with a payload; both may lie outside of the domain."""
+    scenario = Scenario(environment_stiffness_n_per_m=stiffness, payload_mass_kg=payload_mass)
+    nominal = scenario.plant(domain.nominal_plant())
+    whole = domain.uncertainty()
+    ranges = {**whole.ranges, _STIFFNESS: (stiffness, stiffness), _MASS: (payload_mass, payload_mass)}
+    ellipsoid = whole.ellipsoid
+    if ellipsoid is not None and {_STIFFNESS, _MASS}.intersection(ellipsoid.names):
+        ellipsoid = None
+    return PlantEnsemble(
+        axis=axis,
+        surface=Surface(stiffness=stiffness).label(axis),
+        sample_time_s=sample_time_s,
+        nominal=nominal,
+        others=range_plants(Uncertainty(ranges=ranges, ellipsoid=ellipsoid), nominal),
+        is_range=True,
+    )
+
+
+def predict_certified(
+    controller: Controller,
+    axis: str,
+    stiffness: float,
+    *,
+    payload_mass: float | None = None,
+    approach_speed: float | None = None,
+    approach_force: float | None = None,
+) -> PredictedContact:
+    """Predict a contact of a controller file on its own nominal plant; the interval is that over its certified plants.
+
+    Without a payload's mass it is that with the largest peak of both ends and the nominal one of the domain. Raises
+    ParameterError for numbers out of range, UnstableLoopError where the loop is unstable.
+    """
+    domain, predicted = controller.certificate.domain[axis], controller.predicted[axis]
+    own = Approach(force_n=domain.approach_force_n, speed_m_s=domain.approach_speed_m_s)
+    is_said = approach_speed is not None or approach_force is not None
+    approach = Approach(force_n=approach_force, speed_m_s=approach_speed) if is_said else own
+    check_approach(approach)
+    if payload_mass is not None and not 0.0 < payload_mass <= 1e3:
+        raise ParameterError("payload_mass", payload_mass, "greater than 0 and at most 1000")
+    if not (0.0 < stiffness < math.inf):
+        raise ParameterError("environment_stiffness", stiffness, "a number greater than 0")
+    law = Law(controller=admittance_controller(controller, axis))
+    masses = (
+        {*domain.payload_mass_kg, domain.nominal_plant().payload.mass_kg} if payload_mass is None else {payload_mass}
+    )
+    found = max(
+        (
+            predict_contact(
+                certified_plants(domain, axis, controller.sample_time_s, stiffness=stiffness, payload_mass=mass),
+                law,
+                approach,
+            )
+            for mass in sorted(masses)
+        ),
+        key=lambda each: each.contact.peak_contact_force_n,
+    )
+    (soft, stiff), (light, heavy) = domain.environment_stiffness_n_per_m, domain.payload_mass_kg
+    is_within = soft <= stiffness <= stiff and light <= found.plant.payload.mass_kg <= heavy and approach == own
+    if not is_within:
+        return found
+    worst = max(each.peak_contact_force_n for each in predicted.scenarios)
+    return replace(found, certified=found.peak_force <= worst * (1.0 + _ROUNDING), certified_peak=worst)
