@@ -72,7 +72,7 @@ def test_every_command_in_the_readme_exists(repository: Path) -> None:
         "optimize",
         "validate",
         "export",
-        "map",
+        "predict", "map",
         "report",
         "explore",
         "warm",

@@ -37,7 +37,9 @@ TWO_UNITS = {
     "acceleration": "m/s², rad/s²",
     "approach_speed": "m/s, rad/s",
     "impulse": "N·s, N·m·s",
-    **dict.fromkeys(("peak_force", "peak_interval", "held_force", "desired_force"), "N, N·m"),
+    **dict.fromkeys(
+        ("peak_force", "peak_interval", "held_force", "desired_force", "measured_peak", "predicted_peak"), "N, N·m"
+    ),
 }
 TYPES = {
     "array": "list", "boolean": "true or false", "integer": "whole number", "null": "null", "number": "number",

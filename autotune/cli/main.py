@@ -68,11 +68,11 @@ COMMANDS: Mapping[str, CommandEntry] = FrozenDict(
         "identify": CommandEntry(module="autotune.cli.identify", help="Estimate plant parameters from logs."),
         "optimize": CommandEntry(module="autotune.cli.optimize", help="Search and validate a controller."),
         "validate": CommandEntry(module="autotune.cli.validate", help="Verify a controller file, by a second method."),
+        "export": CommandEntry(module="autotune.cli.export", help="Write a controller in another format."),
+        "demo": CommandEntry(module="autotune.cli.demo", help="Run all steps on the log of a simulated cell."),
         "predict": CommandEntry(
             module="autotune.cli.predict", help="Predict the peak force of a contact, with an interval."
         ),
-        "export": CommandEntry(module="autotune.cli.export", help="Write a controller in another format."),
-        "demo": CommandEntry(module="autotune.cli.demo", help="Run all steps on the log of a simulated cell."),
         "map": CommandEntry(
             module="autotune.cli.map", help="Draw stability, a margin or the peak force over two parameters."
         ),
