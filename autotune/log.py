@@ -15,6 +15,7 @@ from autotune.pipeline import IdentifyOptions
 from autotune.results import finding_notes
 from autotune.shown import ResultTable, Shown, data_frame, plain_tree
 from identification.errors import EstimateError, LogError
+from identification.logs.span import Instant
 from identification.logs.summary import LogSummary
 from identification.signals.recording import Recording
 
@@ -143,6 +144,8 @@ def read_log(
     pose_topic: str | None = None,
     command_topic: str | None = None,
     salvage: bool = False,
+    start: Instant | None = None,
+    stop: Instant | None = None,
 ) -> Log:
     """Read a log: what its channels are used for, their health, and the signals.
 
@@ -156,6 +159,8 @@ def read_log(
         Channels of wrench, measured and commanded flange pose; found by type and name unless they are said.
     salvage
         Read what a damaged log still holds.
+    start, stop
+        The part that is read: seconds after the log's start (12.5), or with @ a stamp in seconds ("@1700000012.5").
 
     Returns
     -------
@@ -187,13 +192,15 @@ def read_log(
         pose_topic=pose_topic,
         command_topic=command_topic,
         salvage=salvage,
+        start=start,
+        stop=stop,
     )
-    declared = options.declared()
+    declared, span = options.declared(), options.span
     recording, findings = None, None
     with suppress(LogError, EstimateError):  # What is wrong is said by the summary, or raised by it.
-        recording = read_checked_recording(files, declared, salvage=salvage)
+        recording = read_checked_recording(files, declared, salvage=salvage, span=span)
         findings = recording.findings
-    summary = inspect_log(files, declared, salvage=salvage, reading=findings)
+    summary = inspect_log(files, declared, salvage=salvage, span=span, reading=findings)
     return Log(paths=files, summary=summary, recording=recording, options=options)
 
 

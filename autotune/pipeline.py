@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from autotune.errors import UsageError
 from autotune.formats.cell import CellFile
 from autotune.processes import map_in_processes
 from autotune.results import Identification
@@ -19,6 +20,7 @@ from identification.logs import read_checked_recording
 from identification.logs.parts import separate_runs
 from identification.logs.roles.cell import Cell
 from identification.logs.roles.interpret import build_frames
+from identification.logs.span import Instant, LogSpan
 from identification.merging.combine import NamedResult, combine_identified
 from identification.signals.recording import Recording
 from problems.frozen import freeze
@@ -43,6 +45,8 @@ class IdentifyOptions:
         Keep a missing parameter as unidentifiable, and a widened mean of what logs disagree on.
     salvage
         Read what a damaged log still holds.
+    start, stop
+        The part of the log that is read (`LogSpan`); None for its beginning and end.
     given
         What is known from elsewhere, by name as in `mass_kg` or `x.delay_s` [SI].
 
@@ -54,10 +58,17 @@ class IdentifyOptions:
     command_topic: str | None = None
     allow_partial: bool = False
     salvage: bool = False
+    start: Instant | None = None
+    stop: Instant | None = None
     given: Mapping[str, Given] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze(self, "given")
+
+    @property
+    def span(self) -> LogSpan:
+        """The part of the log that is read; raises ParameterError where start or stop is no time."""
+        return LogSpan(start=self.start, stop=self.stop)
 
     def declared(self) -> Cell:
         """Return what is declared of the cell, with the channels that were named."""
@@ -68,6 +79,7 @@ class IdentifyOptions:
         """Return the `options` of the provenance: plain data, without the cell and what was not given."""
         given = {name: [prior.value, prior.std] for name, prior in self.given.items()}
         own = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in ("cell", "given")}
+        own = {name: value for name, value in own.items() if value is not None or name not in ("start", "stop")}
         return {**own, **({"given": given} if given else {})}
 
     @classmethod
@@ -123,10 +135,15 @@ def identify_log(
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     cell, given = options.declared(), options.given
     runs = separate_runs(files, cell, salvage=options.salvage)
+    if len(runs) > 1 and not options.span.is_whole:
+        raise UsageError(
+            f"A part of a log must be one of a single recording, found {len(runs)}; identify each by itself."
+        )
     work = partial(
         _identify_run,
         cell=cell,
         salvage=options.salvage,
+        span=options.span,
         # Of several recordings each is identified without: what is known from elsewhere counts once.
         given=given if len(runs) == 1 else {},
         is_one_of_many=len(runs) > 1,
@@ -174,6 +191,7 @@ def _identify_run(
     *,
     cell: Cell,
     salvage: bool,
+    span: LogSpan,
     given: Mapping[str, Given],
     is_one_of_many: bool,
     with_evidence: bool,
@@ -185,7 +203,7 @@ def _identify_run(
     name = ", ".join(path.name for path in run)
     try:
         if recording is None:
-            recording = read_checked_recording(run, cell, salvage=salvage)
+            recording = read_checked_recording(run, cell, salvage=salvage, span=span)
         report(_READING_SHARE)
         found, evidence = identify_with_evidence(
             recording, build_frames(cell), given, lambda share: report((1.0 - _READING_SHARE) * share)

@@ -116,6 +116,30 @@ def cell_option(function: Callable[..., Any]) -> Callable[..., Any]:
     return click.option("--cell", "cell_path", type=FilePath(*SETTINGS), help=text)(function)
 
 
+def span_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add `--from` and `--to`, handed on as `start` and `stop`: the part of a log that is read."""
+    text = "seconds after its start, or @ and a stamp in seconds."
+    to = click.option("--to", "stop", metavar="TIME", callback=_check_instant, help=f"Read the log up to here: {text}")
+    since = click.option(
+        "--from", "start", metavar="TIME", callback=_check_instant, help=f"Read the log from here: {text}"
+    )
+    return since(to(function))
+
+
+def _check_instant(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
+    """Refuse what is no time in a log, and an end that is not after the beginning."""
+    if value is not None:
+        from identification.logs.span import LogSpan
+        from problems.errors import ParameterError
+
+        try:
+            given = {name: ctx.params.get(name) for name in ("start", "stop")}
+            LogSpan(**{**given, str(param.name): value})
+        except ParameterError as error:
+            raise click.BadParameter(str(error), ctx, param) from error
+    return value
+
+
 def salvage_option(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add `--salvage`."""
     text = "Read the intact part of a damaged log, and list what is lost."

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ._common import Output, output_options
-from ._options import LOGS, FilePath, GroupedCommand, cell_option, output_option, salvage_option
+from ._options import LOGS, FilePath, GroupedCommand, cell_option, output_option, salvage_option, span_options
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._terminal import print_message, print_table
 
@@ -26,7 +26,7 @@ Examples:
 """
 _GROUPS = {
     "Settings of the cell": ("cell_path", "wrench_topic", "pose_topic", "command_topic", "given"),
-    "Damaged logs and missing parameters": ("allow_partial", "salvage"),
+    "Parts of logs, damaged logs and missing parameters": ("start", "stop", "allow_partial", "salvage"),
 }
 
 
@@ -42,6 +42,7 @@ _GROUPS = {
     is_flag=True,
     help="Write the file even if a parameter is unidentifiable or logs disagree.",
 )
+@span_options
 @salvage_option
 @click.option(
     "--given",
@@ -60,6 +61,8 @@ def command(
     pose_topic: str | None,
     command_topic: str | None,
     allow_partial: bool,
+    start: str | None,
+    stop: str | None,
     salvage: bool,
     given: tuple[str, ...],
     report: Path | None,
@@ -87,6 +90,8 @@ def command(
         command_topic=command_topic,
         allow_partial=allow_partial,
         salvage=salvage,
+        start=start,
+        stop=stop,
     )
     seen = _Seen(logs=logs, options=options)
     with report_refusal(output, report, sources, seen.refused_page):

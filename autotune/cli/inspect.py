@@ -9,7 +9,7 @@ import click
 from autotune.errors import UsageError
 
 from ._common import Output, output_options
-from ._options import LOGS, FilePath, GroupedCommand, cell_option, salvage_option
+from ._options import LOGS, FilePath, GroupedCommand, cell_option, salvage_option, span_options
 from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
@@ -33,10 +33,18 @@ Examples:
     help="Write a cell.yaml to complete: what was found is filled in, what is open is a question.",
 )
 @click.option("--force", is_flag=True, help="Let --write-cell replace a file.")
+@span_options
 @salvage_option
 @output_options
 def command(
-    output: Output, logs: tuple[Path, ...], cell_path: Path | None, start_path: Path | None, force: bool, salvage: bool
+    output: Output,
+    logs: tuple[Path, ...],
+    cell_path: Path | None,
+    start_path: Path | None,
+    force: bool,
+    start: str | None,
+    stop: str | None,
+    salvage: bool,
 ) -> None:
     """List the channels of LOG and what is missing for `identify`; several LOGs are parts of one recording.
 
@@ -45,14 +53,16 @@ def command(
     """
     from autotune.formats.cell import check_new, read_cell, write_cell_start
     from identification.logs import inspect_log
+    from identification.logs.span import LogSpan
 
+    span = LogSpan(start=start, stop=stop)
     if start_path is not None:
         if cell_path is not None:
             raise UsageError("--write-cell begins a cell.yaml where there is none; leave out --cell.")
         check_new(start_path, force=force)
     cell = None if cell_path is None else read_cell(cell_path).cell
     with output.progress(f"reading {', '.join(log.name for log in logs)}", None):
-        summary = inspect_log(logs, cell, salvage=salvage)
+        summary = inspect_log(logs, cell, salvage=salvage, span=span)
     if start_path is not None:
         write_cell_start(start_path, summary, force=force)
         output.note(f"written: {start_path}")

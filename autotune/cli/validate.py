@@ -11,7 +11,7 @@ from autotune.formats.units import ROTATIONAL_AXES, axis_units
 
 from ._common import Output, output_options
 from ._optimized import limit_lines
-from ._options import KEYS, LOGS, SETTINGS, FilePath, GroupedCommand, cell_option
+from ._options import KEYS, LOGS, SETTINGS, FilePath, GroupedCommand, cell_option, span_options
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._schedule import validate_schedule
 from ._terminal import echo, painted, print_message, print_table, printable
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from autotune.validation.disturbances import Disturbances
     from autotune.validation.monte_carlo import AxisMonteCarlo
     from autotune.validation.report import ValidationReport
+    from identification.logs.span import LogSpan
 
 _EPILOG = """\b
 Examples:
@@ -37,7 +38,7 @@ Examples:
 """
 _FILE, _KEY = FilePath(*SETTINGS), FilePath(*KEYS)
 _GROUPS = {
-    "Comparison with a log": ("logs", "cell_path", "command_topic"),
+    "Comparison with a log": ("logs", "cell_path", "command_topic", "start", "stop"),
     "Simulation of the certified set": ("samples", "seed", "noise", "sensor_range", "speed_limit", "late"),
     "Signature": ("public_key", "sign"),
 }
@@ -69,6 +70,7 @@ def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tupl
 )
 @cell_option
 @click.option("--command-topic", help="Channel of the commanded pose in the log.")
+@span_options
 @click.option(
     "--samples",
     type=click.IntRange(0),
@@ -259,7 +261,10 @@ def _disturbances(options: dict[str, Any], identified: "IdentifiedFile | None") 
 def _compared(output: Output, read: "ControllerFile", options: dict[str, Any]) -> "LogComparison | None":
     if not options["logs"]:
         return None
-    return compare_logs(output, read.controller, options["logs"], options["cell_path"], options["command_topic"])
+    from identification.logs.span import LogSpan
+
+    span = LogSpan(start=options["start"], stop=options["stop"])
+    return compare_logs(output, read.controller, options["logs"], options["cell_path"], options["command_topic"], span)
 
 
 def checks_tree(report: "ValidationReport") -> list[dict[str, Any]]:
@@ -280,7 +285,12 @@ def _print(
 
 
 def compare_logs(
-    output: Output, controller: "Controller", logs: tuple[Path, ...], cell_path: Path | None, command_topic: str | None
+    output: Output,
+    controller: "Controller",
+    logs: tuple[Path, ...],
+    cell_path: Path | None,
+    command_topic: str | None,
+    span: "LogSpan",
 ) -> "LogComparison":
     """Read the logs as the parts of one recording and compare every contact."""
     from autotune.formats.cell import read_cell
@@ -292,7 +302,7 @@ def compare_logs(
     cell = Cell() if cell_path is None else read_cell(cell_path).cell
     cell = cell.with_topics(wrench=None, pose=None, command=command_topic)
     with output.progress(f"comparing with {', '.join(log.name for log in logs)}", 1.0) as advance:
-        recording = read_checked_recording(logs, cell)
+        recording = read_checked_recording(logs, cell, span=span)
         return compare_with_log(controller, recording, build_frames(cell), advance)
 
 

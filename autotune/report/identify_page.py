@@ -11,6 +11,7 @@ from autotune.text import ParameterRow, parameter_rows
 from identification.errors import LogError
 from identification.evidence import AxisEvidence, Evidence
 from identification.logs import LogSummary, inspect_log
+from identification.logs.span import LogSpan
 from identification.result import AxisEstimate, Finding, FitQuality, Identified
 
 from .identify_charts import (
@@ -165,11 +166,13 @@ def summaries_of(
     `evidence` is what identification kept of these logs: those that it read by themselves are not read once more.
     """
     cell, found = options.declared(), []
+    # Start and stop of a recording of several parts are not those of each.
+    span = options.span if len(logs) == 1 else LogSpan()
     names = [log.name for log in logs]
     known = {each.log: each.reading for each in evidence if names.count(each.log) == 1}
     for log in logs:
         try:
-            found.append(inspect_log(log, cell, salvage=options.salvage, reading=known.get(log.name)))
+            found.append(inspect_log(log, cell, salvage=options.salvage, span=span, reading=known.get(log.name)))
         except LogError:
             # A part of a recording need not hold everything by itself.
             continue

@@ -75,7 +75,7 @@ def refused_log_page(error: Exception, logs: Sequence[Path], options: "IdentifyO
 
 def _readable(logs: Sequence[Path], options: "IdentifyOptions") -> Recording | None:
     try:
-        return read_recording(tuple(logs), options.declared(), salvage=options.salvage)
+        return read_recording(tuple(logs), options.declared(), salvage=options.salvage, span=options.span)
     except AutotuneError:
         # Why it cannot be read is what the page says already.
         return None

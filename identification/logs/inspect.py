@@ -20,6 +20,7 @@ from .roles.candidates import is_undeclared, missing_sentence, roles_of
 from .roles.cell import Cell
 from .roles.choose import Choice, RoleSeries, candidates_of, choose, open_questions, source_of, spelled_as_in
 from .roles.registry import ROLES, TRANSFORMS, Role, layout_of
+from .span import WHOLE, LogSpan, cut_series
 from .summary import Candidate, ChannelSummary, LogSummary, RoleSummary
 
 _TOLD_ELSEWHERE = frozenset({"channel-chosen", "role-open"})
@@ -30,9 +31,10 @@ def inspect_log(
     cell: Cell | None = None,
     *,
     salvage: bool = False,
+    span: LogSpan = WHOLE,
     reading: Sequence[Finding] | None = None,
 ) -> LogSummary:
-    """Read whole logs and summarise channels, roles, findings and what `identify` lacks.
+    """Read logs and summarise channels, roles, findings and what `identify` lacks.
 
     Parameters
     ----------
@@ -42,6 +44,8 @@ def inspect_log(
         What is declared of the cell.
     salvage
         Take what a damaged log still holds and report the loss.
+    span
+        The part that is read; a channel is cut by its header stamps where it has them.
     reading
         What `read_checked_recording` found of the same files, which are read once more where it is not given.
 
@@ -57,22 +61,24 @@ def inspect_log(
         declared = spelled_as_in(declared, infos)
         roles, choices, missing = _roles(logs, declared)
         findings: list[Finding] = []
-        series = _read_all(logs, findings)
+        series = _cut(_read_all(logs, findings), choices, span, logs.start_ns)
         channels = tuple(_summary(info, series[info.channel]) for info in infos)
         numbers = tuple(found for part in logs.parts for found in number_fields(part))
         findings += [
             f for info in infos for f in _channel_findings(info, series[info.channel], logs.start_ns, salvage=salvage)
         ]
-        findings += _declared_findings(logs, choices, declared, salvage=salvage)
+        if span.is_whole:
+            # Of a part, reading it for identify says the same.
+            findings += _declared_findings(logs, choices, declared, salvage=salvage)
         findings += number_findings(logs, numbers, {choice.info.channel for choice in choices.values()})
         findings += _clock_findings(series, choices)
         findings += open_questions(infos, declared, logs.name)
         seen = logs.findings()
-        span = (logs.start_ns, logs.end_ns)
+        ends = (logs.start_ns, logs.end_ns)
         container = logs.parts[0].survey.container
     if Role.WRENCH in choices and Role.POSE in choices:
         if reading is None:
-            reading = _read_findings(files, declared, findings, salvage=salvage)
+            reading = _read_findings(files, declared, findings, salvage=salvage, span=span)
         findings += [finding for finding in reading if finding.code not in _TOLD_ELSEWHERE]
     digest = digests(files)
     return LogSummary(
@@ -80,8 +86,8 @@ def inspect_log(
         container=container,
         sha256=digest[str(files[0])],
         size_bytes=sum(map(_size, files)),
-        start_ns=span[0],
-        end_ns=span[1],
+        start_ns=ends[0],
+        end_ns=ends[1],
         channels=channels,
         roles=roles,
         numbers=numbers,
@@ -169,6 +175,22 @@ def _read_all(logs: OpenedLogs, findings: list[Finding]) -> dict[Channel, Series
     return series
 
 
+def _cut(
+    series: dict[Channel, Series], choices: Mapping[Role, Choice], span: LogSpan, start_ns: int
+) -> dict[Channel, Series]:
+    """Return what the channels hold within a span; those of wrench and pose say where the log starts."""
+    if span.is_whole:
+        return series
+    main = [series[choices[role].info.channel] for role in (Role.WRENCH, Role.POSE) if role in choices]
+    log_zero = max((int(each.log_ns[0]) for each in main if each.log_ns.size), default=start_ns)
+    zero = max((int(each.stamp_ns[0]) for each in main if each.stamp_ns is not None), default=None)
+    cut = {}
+    for channel, each in series.items():
+        own = log_zero if each.stamp_ns is None or not each.log_ns.size else int(each.stamp_ns[0])
+        cut[channel] = cut_series(each, span, own if each.stamp_ns is None or zero is None else zero)
+    return cut
+
+
 def _wanted(info: ChannelInfo) -> Wanted:
     by_type = [layout_of(role, info.channel) for role in roles_of(info.channel) if role in ROLES]
     is_plain = bool(by_type) and info.channel.type_name not in TRANSFORMS
@@ -206,10 +228,12 @@ def _declared_findings(logs: OpenedLogs, choices: Mapping[Role, Choice], cell: C
     return found
 
 
-def _read_findings(files: Sequence[Path], cell: Cell, known: Sequence[Finding], *, salvage: bool) -> Sequence[Finding]:
+def _read_findings(
+    files: Sequence[Path], cell: Cell, known: Sequence[Finding], *, salvage: bool, span: LogSpan
+) -> Sequence[Finding]:
     """Return what reading for `identify` finds beside what is known: tare, payload, clocks, or why it is refused."""
     try:
-        return read_checked_recording(files, cell, salvage=salvage).findings
+        return read_checked_recording(files, cell, salvage=salvage, span=span).findings
     except EstimateError:
         return []
     except LogError as error:
@@ -232,7 +256,7 @@ def _summary(info: ChannelInfo, series: Series) -> ChannelSummary:
         topic=info.channel.topic,
         type=info.channel.type_name,
         encoding=info.channel.encoding,
-        count=info.count,
+        count=series.log_ns.size,
         clock=clock,
         rate_hz=(stamps.size - 1) / span_s if span_s > 0 else None,
         median_gap_s=float(np.median(steps)) / 1e9 if steps.size else None,

@@ -17,11 +17,12 @@ from .checks.samples import joined
 from .numbers import number_fields
 from .opened import OpenedLogs, digests, open_logs
 from .parts import join_recordings
-from .recording import build_recording, chosen_clocks, refuse, sample_findings
+from .recording import build_recording, chosen_clocks, refuse, role_stamps, sample_findings
 from .roles.cell import Cell, Clock
 from .roles.choose import Choice, RoleSeries, choose_all, open_questions, spelled_as_in, with_meanings
 from .roles.interpret import make_continuous
 from .roles.registry import ROBOT_STATES, ROLES, Role
+from .span import WHOLE, LogSpan, cut_roles
 
 Part = dict[Role, RoleSeries]
 
@@ -39,6 +40,7 @@ def read_recording(
     cell: Cell | None = None,
     *,
     salvage: bool = False,
+    span: LogSpan = WHOLE,
     wrench_topic: str | None = None,
     pose_topic: str | None = None,
     command_topic: str | None = None,
@@ -54,6 +56,8 @@ def read_recording(
         stamps are the clock unless a channel has none or the cell declares another.
     salvage
         Take what a damaged log still holds and report the loss.
+    span
+        The part that is read.
     wrench_topic, pose_topic, command_topic
         Topics that go before those of `cell`.
 
@@ -68,10 +72,12 @@ def read_recording(
         A file is damaged, a channel is missing or ambiguous, or its samples cannot be used.
     """
     declared = (cell or Cell()).with_topics(wrench=wrench_topic, pose=pose_topic, command=command_topic)
-    return _read(paths, declared, salvage=salvage).recording
+    return _read(paths, declared, salvage=salvage, span=span).recording
 
 
-def read_checked_recording(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool = False) -> Recording:
+def read_checked_recording(
+    paths: Path | Sequence[Path], cell: Cell, *, salvage: bool = False, span: LogSpan = WHOLE
+) -> Recording:
     """Read as `read_recording` does, and check clocks and payload by the motion itself.
 
     The offset between the clocks of wrench and pose is removed where the motion determines it.
@@ -81,14 +87,14 @@ def read_checked_recording(paths: Path | Sequence[Path], cell: Cell, *, salvage:
     LogError
         As `read_recording`; the clocks differ by an unknown offset; or the payload changed within the log.
     """
-    read = _read(paths, cell, salvage=salvage)
+    read = _read(paths, cell, salvage=salvage, span=span)
     recording = _on_one_clock(read)
     about_payload = check_payload(recording)
     refuse(about_payload)
     return replace(recording, findings=(*recording.findings, *about_payload))
 
 
-def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool) -> _Read:
+def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool, span: LogSpan) -> _Read:
     files = (paths,) if isinstance(paths, Path) else tuple(paths)
     with open_logs(files, cell, salvage=salvage) as logs:
         cell = spelled_as_in(cell, logs.infos)
@@ -98,6 +104,7 @@ def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool) -> _Read:
         parts = _parts(logs.read_roles(tuple(choices.values())), choices, logs)
         idle = _drop_idle_command(parts)
         clocks, about_clocks = chosen_clocks(parts, cell)
+        parts, about_span = cut_roles(parts, [role_stamps(part, clocks, cell) for part in parts], span, logs.name)
         times = _times(parts, clocks)
         about_samples = sample_findings(parts, clocks, cell, logs.start_ns, keeps_holes=salvage)
         recordings = [build_recording(part, clocks, cell) for part in parts]
@@ -106,7 +113,7 @@ def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool) -> _Read:
         chosen = map(_chosen, choices.values())
         about_log = logs.findings()
         about_log = (*about_log, *_about_what_is_left(about_log, recording, logs))
-        findings = (*about_log, *chosen, *cautions, *idle, *questions, *about_clocks, *about_samples)
+        findings = (*about_log, *about_span, *chosen, *cautions, *idle, *questions, *about_clocks, *about_samples)
         findings = (*findings, *recording.findings)
     recording = replace(recording, sha256=digests(files), findings=findings, keeps_holes=salvage)
     return _Read(recording=recording, times=times)

@@ -110,7 +110,7 @@ def build_recording(series: dict[Role, RoleSeries], clocks: Mapping[Role, Clock]
     `series` is emptied: of a long log never all numbers are held as they were logged and as they are meant.
     """
     frames = build_frames(cell)
-    stamps = {role: _stamps(role, series, clocks, cell) for role in series}
+    stamps = role_stamps(series, clocks, cell)
     columns = {role: _columns(series[role], stamps[role]) for role in series}
     series.clear()
     is_relative = cell.displacement is not None
@@ -142,6 +142,11 @@ def build_recording(series: dict[Role, RoleSeries], clocks: Mapping[Role, Clock]
         findings=tuple(dict.fromkeys(findings)),
         rows_are_poses=_are_poses(cell),
     )
+
+
+def role_stamps(series: Mapping[Role, RoleSeries], clocks: Mapping[Role, Clock], cell: Cell) -> dict[Role, StampArray]:
+    """Return the stamps of each role on its clock, moved by the declared offset."""
+    return {role: _stamps(role, series, clocks, cell) for role in series}
 
 
 def refuse(findings: Iterable[Finding]) -> None:

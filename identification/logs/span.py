@@ -1,0 +1,133 @@
+"""The part of a log that is read: from and to a time after its start, or a stamp."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from decimal import Decimal, InvalidOperation
+
+import numpy as np
+from numpy.typing import NDArray
+
+from problems.errors import ParameterError
+
+from ..errors import LogError
+from ..result import Finding
+from ..signals.recording import StampArray
+from .messages.series import Series
+from .roles.choose import RoleSeries
+from .roles.registry import Role
+
+Instant = float | str
+"""Seconds after the start of a log, as a number or text; with @ in front a stamp in seconds, as GNU date writes it."""
+_LARGEST_NS = 2**62
+_HELD = frozenset({Role.GAINS, Role.DESIRED_FORCE})
+"""Roles whose last value goes on until there is another."""
+
+
+def _parsed(name: str, instant: Instant | None) -> tuple[int, bool] | None:
+    """Return the nanoseconds of an instant, and whether they are those of a stamp."""
+    if instant is None:
+        return None
+    text = str(instant).strip()
+    is_stamp = text.startswith("@")
+    try:
+        number = Decimal(text.removeprefix("@")).scaleb(9)
+        if not number.is_finite() or abs(number) > _LARGEST_NS or number < 0:
+            raise InvalidOperation
+    except InvalidOperation as error:
+        must = "seconds after the log's start (12.5), or with @ a stamp in seconds (@1700000012.5)"
+        raise ParameterError(name, instant, must) from error
+    return round(number), is_stamp
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogSpan:
+    """From `start` to `stop`; None is the log's own. A log starts where both its wrench and its pose have begun.
+
+    Raises ParameterError for what is no time, and where `stop` is not after `start`.
+    """
+
+    start: Instant | None = None
+    stop: Instant | None = None
+
+    def __post_init__(self) -> None:
+        first, last = _parsed("from", self.start), _parsed("to", self.stop)
+        if first is not None and last is not None and first[1] == last[1] and last[0] <= first[0]:
+            raise ParameterError("to", self.stop, f"after the beginning, {self.start}")
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all of a log is read."""
+        return self.start is None and self.stop is None
+
+    def covers(self, stamp_ns: StampArray, zero_ns: int) -> NDArray[np.bool_]:
+        """Return which stamps (n,) are in it, in a log that starts at `zero_ns`."""
+        inside = np.ones(stamp_ns.size, dtype=np.bool_)
+        for name, instant in (("from", self.start), ("to", self.stop)):
+            parsed = _parsed(name, instant)
+            if parsed is not None:
+                limit = parsed[0] + (0 if parsed[1] else zero_ns)
+                inside &= stamp_ns >= limit if name == "from" else stamp_ns <= limit
+        return inside
+
+    def __str__(self) -> str:
+        first, last = ("its start" if self.start is None else f"{self.start} s"), self.stop
+        return f"{first} to {'its end' if last is None else f'{last} s'}"
+
+
+WHOLE = LogSpan()
+
+
+def cut_roles(
+    parts: Sequence[dict[Role, RoleSeries]], stamps: Sequence[Mapping[Role, StampArray]], span: LogSpan, name: str
+) -> tuple[list[dict[Role, RoleSeries]], tuple[Finding, ...]]:
+    """Return what the parts of a recording hold within a span, without parts that lie outside, and say so.
+
+    `stamps` are those of each role and part on their clocks. Raises LogError where nothing is left of a role.
+    """
+    if span.is_whole:
+        return list(parts), ()
+    main = (Role.WRENCH, Role.POSE)
+    zero = max(min(int(part[role][0]) for part in stamps) for role in main)
+    end = max(int(part[role][-1]) for part in stamps for role in main)
+    kept = []
+    for part, times in zip(parts, stamps, strict=True):
+        inside = {role: span.covers(times[role], zero) for role in part}
+        if all(bool(inside[role].any()) for role in main):
+            kept.append({role: _cut(series, times[role], inside[role]) for role, series in part.items()})
+    empty = [series.choice for part in kept for series in part.values() if not series.log_ns.size]
+    if empty or not kept:
+        what = f"of topic {empty[0].info.channel.topic}" if empty else "of wrench and pose"
+        raise LogError(
+            f"{name} must hold messages {what} from {span}, found none; it is {(end - zero) * 1e-9:.3f} s long and "
+            f"starts at @{zero // 10**9}.{zero % 10**9:09d} (with @ a time is a stamp)."
+        )
+    return kept, (_told(span, name),)
+
+
+def cut_series(series: Series, span: LogSpan, zero_ns: int) -> Series:
+    """Return what a channel holds within a span, by its header stamps where it has them."""
+    stamps = series.log_ns if series.stamp_ns is None else series.stamp_ns
+    inside = span.covers(stamps, zero_ns)
+    return replace(
+        series,
+        log_ns=series.log_ns[inside],
+        stamp_ns=None if series.stamp_ns is None else series.stamp_ns[inside],
+        values=series.values[inside],
+    )
+
+
+def _cut(series: RoleSeries, stamp_ns: StampArray, inside: NDArray[np.bool_]) -> RoleSeries:
+    before = np.flatnonzero(~inside[: int(np.argmax(inside))] if inside.any() else stamp_ns >= 0)
+    if series.choice.role in _HELD and before.size:
+        inside = inside.copy()
+        inside[before[-1]] = True
+    return replace(
+        series,
+        log_ns=series.log_ns[inside],
+        stamp_ns=None if series.stamp_ns is None else series.stamp_ns[inside],
+        values=series.values[inside],
+    )
+
+
+def _told(span: LogSpan, name: str) -> Finding:
+    return Finding.info("part-read", f"Of {name} only {span} is read.", "Times are counted from there.")
