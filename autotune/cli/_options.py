@@ -126,8 +126,8 @@ def span_options(function: Callable[..., Any]) -> Callable[..., Any]:
     return since(to(function))
 
 
-def _check_instant(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
-    """Refuse what is no time in a log, and an end that is not after the beginning."""
+def _check_instant(ctx: click.Context, param: click.Parameter, value: str | None) -> float | str | None:
+    """Return seconds as a number and a stamp as it is; refuse others, and an end that is not after the beginning."""
     if value is not None:
         from identification.logs.span import LogSpan
         from problems.errors import ParameterError
@@ -137,7 +137,7 @@ def _check_instant(ctx: click.Context, param: click.Parameter, value: str | None
             LogSpan(**{**given, str(param.name): value})
         except ParameterError as error:
             raise click.BadParameter(str(error), ctx, param) from error
-    return value
+    return value if value is None or value.strip().startswith("@") else float(value)
 
 
 def salvage_option(function: Callable[..., Any]) -> Callable[..., Any]:

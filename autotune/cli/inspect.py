@@ -42,8 +42,8 @@ def command(
     cell_path: Path | None,
     start_path: Path | None,
     force: bool,
-    start: str | None,
-    stop: str | None,
+    start: float | str | None,
+    stop: float | str | None,
     salvage: bool,
 ) -> None:
     """List the channels of LOG and what is missing for `identify`; several LOGs are parts of one recording.

@@ -70,8 +70,8 @@ class LogSpan:
         return inside
 
     def __str__(self) -> str:
-        first, last = ("its start" if self.start is None else f"{self.start} s"), self.stop
-        return f"{first} to {'its end' if last is None else f'{last} s'}"
+        first, last = (f"{each:.9g}" if isinstance(each, float) else each for each in (self.start, self.stop))
+        return f"{'its start' if first is None else f'{first} s'} to {'its end' if last is None else f'{last} s'}"
 
 
 WHOLE = LogSpan()
