@@ -118,7 +118,7 @@ def _roles(logs: OpenedLogs, cell: Cell) -> tuple[tuple[RoleSummary, ...], dict[
             choices[role] = choice
         summaries.append(_role_summary(role, choice, "", candidates))
     wrench = cell.wrench
-    if cell.table is not None and cell.table.are_poses:
+    if cell.rows_are_poses:
         missing = [sentence for sentence in missing if Role.WRENCH not in choices or Role.POSE not in choices]
         missing.append(
             "Each row is a pose at rest: payload and sensor are in it, robot, coupling and surfaces are not."

@@ -19,7 +19,7 @@ from .messages.transforms import list_frames, read_transform
 from .roles.cell import Cell
 from .roles.choose import Choice, RoleSeries
 from .roles.registry import Role
-from .tables.read import TableLog
+from .tables.read import TableLog, check_time_units
 
 
 class ContainerLog:
@@ -144,6 +144,7 @@ def open_logs(paths: Sequence[Path], cell: Cell, *, salvage: bool) -> Iterator[O
         for path in paths:
             # What was opened is closed when the next one fails.
             parts.append(_opened(path, cell, salvage=salvage))  # noqa: PERF401
+        check_time_units([part for part in parts if isinstance(part, TableLog)])
         yield OpenedLogs(parts=tuple(parts))
     finally:
         for part in parts:
@@ -171,7 +172,7 @@ def _times(container: Container, channels: Sequence[Channel]) -> dict[Channel, S
 
 def _opened(path: Path, cell: Cell, *, salvage: bool) -> OpenedLog:
     if not path.is_dir() and is_table(path):
-        return TableLog(path, cell.table)
+        return TableLog(path, cell.table_of(path.name))
     return ContainerLog(path, salvage=salvage)
 
 

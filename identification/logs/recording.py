@@ -54,7 +54,7 @@ def chosen_clocks(
     by_log = [role for role in series if clocks[role] is Clock.LOG]
     findings = []
     tables = {_topic(series[role]) for role in _MAIN if role in series and _is_table(series[role])}
-    if len(tables) > 1 and not _are_poses(cell):
+    if len(tables) > 1 and not cell.rows_are_poses:
         findings.append(
             Finding.info(
                 "tables-on-one-clock",
@@ -90,7 +90,7 @@ def sample_findings(
         mine = [part[role] for part in parts]
         stamps = [_stamps(role, part, clocks, cell) for part in parts]
         found += role_faults(role, mine, stamps, source_of(cell, role), start_ns, keeps_holes=keeps_holes)
-    if _are_poses(cell):
+    if cell.rows_are_poses:
         found = [finding for finding in found if finding.code in _OF_SINGLE_ROWS]
     refuse(found)
     return tuple(found)
@@ -98,10 +98,6 @@ def sample_findings(
 
 def _is_table(series: RoleSeries) -> bool:
     return series.choice.info.channel.encoding == "table"
-
-
-def _are_poses(cell: Cell) -> bool:
-    return cell.table is not None and cell.table.are_poses
 
 
 def build_recording(series: dict[Role, RoleSeries], clocks: Mapping[Role, Clock], cell: Cell) -> Recording:
@@ -121,7 +117,7 @@ def build_recording(series: dict[Role, RoleSeries], clocks: Mapping[Role, Clock]
     if Role.COMMAND in columns:
         source = cell.command or PoseSource()
         command = interpret_pose(columns[Role.COMMAND], source, frames, is_displacement=is_relative)
-    if not _are_poses(cell):
+    if not cell.rows_are_poses:
         findings += turn_findings(pose)
     if Role.TWIST in columns:
         twist = interpret_twist(columns[Role.TWIST], cell.twist or TwistSource(), frames, pose)
@@ -140,7 +136,7 @@ def build_recording(series: dict[Role, RoleSeries], clocks: Mapping[Role, Clock]
         desired_force=desired_force,
         clocks={ROLES[role].entry: clock.value for role, clock in clocks.items()},
         findings=tuple(dict.fromkeys(findings)),
-        rows_are_poses=_are_poses(cell),
+        rows_are_poses=cell.rows_are_poses,
     )
 
 

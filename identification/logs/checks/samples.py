@@ -273,7 +273,9 @@ def role_faults(
         # A recording clock may start at 0; only a header stamp of 0 is one that was never set.
         shifted = stamp_ns - stamp_ns[:1] + 1 if stamp_ns is part.log_ns else stamp_ns
         yield from frame_faults(topic, part.frame_ids)
-        yield from stamp_faults(topic, shifted, (part.log_ns - start_ns) / 1e9, keeps_holes=keeps_holes)
+        is_table = part.choice.info.channel.encoding == "table"
+        since_s = (part.log_ns - start_ns) / 1e9
+        yield from stamp_faults(topic, shifted, since_s, keeps_holes=keeps_holes, is_table=is_table)
     ordered = sorted(parts, key=lambda part: int(part.log_ns[0]) if part.log_ns.size else 0)
     when = (joined([part.log_ns for part in ordered]) - start_ns) / 1e9
     values = _without_unmeasured(parts[0], joined([part.values for part in ordered]))

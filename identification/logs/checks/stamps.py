@@ -21,6 +21,8 @@ _MOSTLY = 0.9
 _LISTED_HOLES = 5
 _CLOCK_ADVICE = "Keep the clock from being set during a recording (NTP, PTP, a restarted driver), and record again."
 _ADVICE = "Record with the sensor driver's own clock in the header and one publisher per topic."
+_JITTER_ADVICE = "Stamp where the sample is taken, not where it is published."
+_TABLE_ADVICE = "Export the time with all its digits and the rows in their order, or declare `sample_rate_hz` instead."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,13 +69,20 @@ def report_stamps(stamp_ns: StampArray) -> StampReport:
 
 
 def stamp_faults(
-    topic: str, stamp_ns: StampArray, since_start_s: FloatArray, *, keeps_holes: bool = False
+    topic: str,
+    stamp_ns: StampArray,
+    since_start_s: FloatArray,
+    *,
+    keeps_holes: bool = False,
+    is_table: bool = False,
 ) -> Iterator[Finding]:
-    """Yield what is wrong with header stamps (n,): zero, constant, backwards, repeated; gaps and jitter.
+    """Yield what is wrong with stamps (n,): zero, constant, backwards, repeated; gaps and jitter.
 
-    `since_start_s` (n,) is when each message was recorded. With `keeps_holes` (a salvaged log) a long gap is a
-    warning: it is kept as a hole.
+    They are those of headers or the times of a table, which is what the messages speak of. `since_start_s` (n,) is
+    when each message was recorded. With `keeps_holes` (a salvaged log) a long gap is a warning: it is kept as a hole.
     """
+    name = f"times of table {topic}" if is_table else f"header stamps of topic {topic}"
+    advice = _TABLE_ADVICE if is_table else _ADVICE
     if stamp_ns.size < 2:
         yield Finding.error(
             "too-few-messages", f"Topic {topic} holds {stamp_ns.size} message(s).", "Record the whole run."
@@ -81,9 +90,7 @@ def stamp_faults(
         return
     if bool(np.all(stamp_ns == stamp_ns[0])):
         what = "zero" if stamp_ns[0] == 0 else f"the same ({stamp_ns[0] / 1e9:.9f} s)"
-        yield Finding.error(
-            "constant-stamps", f"All {stamp_ns.size} header stamps of topic {topic} are {what}.", _ADVICE
-        )
+        yield Finding.error("constant-stamps", f"All {stamp_ns.size} {name} are {what}.", advice)
         return
     if bool(np.any(stamp_ns <= 0)):
         when = since_start_s[stamp_ns <= 0]
@@ -96,9 +103,8 @@ def stamp_faults(
         when = since_start_s[1:][back]
         yield Finding.error(
             "backwards-stamps",
-            f"{when.size} header stamps of topic {topic} go backwards, {_at(when)}, by up to "
-            f"{-float(steps.min()) * 1e-9:.6f} s.",
-            _CLOCK_ADVICE,
+            f"{when.size} {name} go backwards, {_at(when)}, by up to {-float(steps.min()) * 1e-9:.6f} s.",
+            advice if is_table else _CLOCK_ADVICE,
         )
     # What a clock that was set back stamped twice explains the duplicates there.
     folded = np.zeros(len(steps), dtype=np.bool_)
@@ -106,7 +112,7 @@ def stamp_faults(
         folded[start:stop] = True
         yield Finding.error(
             "backwards-stamps",
-            f"The header stamps of topic {topic} go back by about {(stamp_ns[stop] - stamp_ns[start]) * 1e-9:.3f} s: "
+            f"The {name} go back by about {(stamp_ns[stop] - stamp_ns[start]) * 1e-9:.3f} s: "
             f"the time from {since_start_s[start]:.3f} to {since_start_s[stop]:.3f} s after the start of the log is "
             "covered twice, by two messages in each period. The clock of the recording went back too.",
             _CLOCK_ADVICE,
@@ -116,11 +122,13 @@ def stamp_faults(
         when = since_start_s[1:][repeated]
         yield Finding.error(
             "duplicate-stamps",
-            f"{when.size} header stamps of topic {topic} repeat the one before, {_at(when)}.",
-            _ADVICE,
+            f"{when.size} {name} repeat the one before, {_at(when)}.",
+            advice,
         )
     if bool(np.all(steps > 0)) and not bool(np.any(folded)):
-        yield from _uneven(topic, report_stamps(stamp_ns), since_start_s, keeps_holes=keeps_holes)
+        report = report_stamps(stamp_ns)
+        yield from _uneven(topic, report, since_start_s, keeps_holes=keeps_holes)
+        yield from _jitter(name, report, advice if is_table else _JITTER_ADVICE)
 
 
 def _find_folds(steps: StampArray) -> Iterator[tuple[int, int]]:
@@ -159,7 +167,6 @@ def _uneven(topic: str, report: StampReport, since_start_s: FloatArray, *, keeps
             if severe
             else "Single lost messages are interpolated; record to a faster disk or fewer topics.",
         )
-    yield from _jitter(topic, report)
 
 
 def _kept(topic: str, holes: Sequence[tuple[int, float]], since_start_s: FloatArray) -> Finding:
@@ -175,14 +182,14 @@ def _kept(topic: str, holes: Sequence[tuple[int, float]], since_start_s: FloatAr
     )
 
 
-def _jitter(topic: str, report: StampReport) -> Iterator[Finding]:
+def _jitter(name: str, report: StampReport, advice: str) -> Iterator[Finding]:
     if report.jitter_std_s > _JITTER_SHARE * report.period_s:
         yield Finding.warning(
             "stamp-jitter",
-            f"The header stamps of topic {topic} jitter: steps of {1e3 * report.period_s:.3f} ms with a "
+            f"The {name} jitter: steps of {1e3 * report.period_s:.3f} ms with a "
             f"standard deviation of {1e3 * report.jitter_std_s:.3f} ms, at worst "
             f"{1e3 * report.jitter_worst_s:.3f} ms off.",
-            "Stamp where the sample is taken, not where it is published.",
+            advice,
         )
 
 

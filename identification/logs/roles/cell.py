@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from problems.arrays import FloatArray
 from problems.contact.nonlinearities import DeadbandType
 from problems.errors import ParameterError
+from problems.frozen import freeze
 
 from ...signals.recording import AXES
 from ..tables.layout import TableLayout
@@ -372,7 +373,8 @@ class Cell:
     """Everything that may be declared of a cell's logs; every entry may be left out.
 
     `gravity_direction` is in the base frame. A measured `pose` and a `displacement` (a pose relative to one that is not
-    known) exclude each other. `table` says how CSV and Parquet files are timed; `fields` name their columns.
+    known) exclude each other. `table` says how CSV and Parquet files are timed, `tables` the same of single files by
+    their names; `fields` name their columns.
     """
 
     gravity_direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
@@ -385,12 +387,30 @@ class Cell:
     gains: GainsSource | None = None
     desired_force: DesiredForceSource | None = None
     table: TableLayout | None = None
+    tables: Mapping[str, TableLayout] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        freeze(self, "tables")
+        kinds = {layout.rows for layout in self._layouts}
+        if len(kinds) > 1:
+            raise ParameterError("tables", "samples beside poses", "of one kind: rows with a time, or means of rests")
         if self.pose is not None and self.displacement is not None:
             raise ParameterError("displacement", "both pose and displacement", "the only one of the two")
         if not any(self.gravity_direction):
             raise ParameterError("gravity_direction", list(self.gravity_direction), "a direction, not zero")
+
+    @property
+    def rows_are_poses(self) -> bool:
+        """Whether the rows of tables are declared as means of rests."""
+        return any(layout.are_poses for layout in self._layouts)
+
+    @property
+    def _layouts(self) -> tuple[TableLayout, ...]:
+        return (*(() if self.table is None else (self.table,)), *self.tables.values())
+
+    def table_of(self, name: str) -> TableLayout | None:
+        """Return how the table of this file name is to be read, None where nothing is declared."""
+        return self.tables.get(name, self.table)
 
     def with_topics(self, *, wrench: str | None, pose: str | None, command: str | None) -> "Cell":
         """Return the cell with these topics instead of its own where they are not None."""

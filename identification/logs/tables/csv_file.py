@@ -15,10 +15,9 @@ from problems.arrays import FloatArray
 from ...errors import LogError
 from ...signals.recording import StampArray
 from .layout import EXPONENT, NO_ROW
-from .text import CutOffError, Rows, Text, split, unreadable
+from .text import COMMA, CutOffError, Rows, Text, split, unreadable
 from .times import from_texts
 
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
 _MISSING = ("", "nan", "NaN", "NAN")
 _BLOCK_BYTES = 2**18
@@ -41,7 +40,7 @@ def first_fault(text: Text, columns: Sequence[int], time: int | None) -> str | N
             field = fields[column].strip() if column < len(fields) else ""
             if field in _MISSING and column == time:
                 return f"line {number}: the time `{text.names[column]}` is missing; remove the row or record again"
-            if field not in _MISSING and not _is_number(field, text.layout.decimal):
+            if field not in _MISSING and not _is_number(field, text.decimal):
                 return f"line {number}: {_field_fault(text, column, field)}"
             if column == time and not _is_time(field, text):
                 return (
@@ -52,7 +51,7 @@ def first_fault(text: Text, columns: Sequence[int], time: int | None) -> str | N
 
 
 def _is_time(field: str, text: Text) -> bool:
-    number = _parse(field, text.layout.decimal)
+    number = _parse(field, text.decimal)
     return number.is_finite() and abs(number.scaleb(EXPONENT[text.layout.time_unit])) < 2**63
 
 
@@ -84,9 +83,9 @@ def _count_fault(text: Text, line: str, count: int) -> str:
 
 def _field_fault(text: Text, column: int, field: str) -> str:
     where = f"column `{text.names[column]}` holds {field[:40]!r}"
-    if text.layout.decimal == "." and _DECIMAL_COMMA.fullmatch(field):
+    if text.decimal == "." and COMMA.fullmatch(field):
         return f"{where}, a number with a decimal comma; declare `decimal: ','`"
-    if text.layout.decimal == "," and _DECIMAL_POINT.fullmatch(field):
+    if text.decimal == "," and _DECIMAL_POINT.fullmatch(field):
         return f"{where}, a number with a decimal point where a comma is declared; declare `decimal: '.'`"
     if text.delimiter != " " and len(field.split()) == len(text.names) > 1:
         return f"{where}; columns must be separated by one character"
@@ -107,7 +106,7 @@ def read_csv(text: Text, columns: Sequence[int], time: int | None) -> tuple[Floa
         for batch in _batches(text, kinds):
             values.append(np.empty((batch.num_rows, len(columns))))
             for index, column in enumerate(columns):
-                values[-1][:, index] = _numbers(batch.column(str(column)), text.layout.decimal)
+                values[-1][:, index] = _numbers(batch.column(str(column)), text.decimal)
             if time is not None:
                 times.append(_times(batch.column(str(time)), text))
     except (UnicodeError, OSError) as error:
@@ -140,7 +139,7 @@ def _batches(text: Text, kinds: dict[str, pa.DataType]) -> Iterator[pa.RecordBat
                 include_columns=list(kinds),
                 null_values=list(_EMPTY),
                 strings_can_be_null=True,
-                decimal_point=text.layout.decimal,
+                decimal_point=text.decimal,
             ),
         ) as reader,
     ):
@@ -157,4 +156,4 @@ def _numbers(column: pa.Array, decimal: str) -> FloatArray:
 def _times(column: pa.Array, text: Text) -> StampArray:
     if column.null_count:
         raise ValueError("a time is missing")
-    return from_texts(column, text.layout.time_unit, text.layout.decimal)
+    return from_texts(column, text.layout.time_unit, text.decimal)

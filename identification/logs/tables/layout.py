@@ -15,10 +15,10 @@ class TableLayout:
     """The wanted columns of a table, its time, and for CSV how it is written.
 
     `columns` are names, or indices from 0 as text where the table has no names. The time is the column `time`
-    in `time_unit`, or the rows follow each other with `sample_rate_hz`, from 0. `delimiter`, `header_rows` (the first
-    of which holds the names) and `encoding` are found out where they are None; lines that start with `comment` are left
-    out, as are `skip_rows` lines before everything else. With `rows` "poses" each row is the mean of a rest in a pose
-    of its own, and no time is asked. Raises ParameterError.
+    in `time_unit`, or the rows follow each other with `sample_rate_hz`, from 0. `delimiter`, `decimal`, `header_rows`
+    (the first of which holds the names) and `encoding` are found out where they are None; lines that start with
+    `comment` are left out, as are `skip_rows` lines before everything else. With `rows` "poses" each row
+    is the mean of a rest in a pose of its own, and no time is asked. Raises ParameterError.
     """
 
     columns: tuple[str, ...] = ()
@@ -27,7 +27,7 @@ class TableLayout:
     rows: str = "samples"
     sample_rate_hz: float | None = None
     delimiter: str | None = None
-    decimal: str = "."
+    decimal: str | None = None
     comment: str = ""
     skip_rows: int = 0
     header_rows: int | None = None
@@ -50,13 +50,13 @@ class TableLayout:
             raise ParameterError("sample_rate_hz", self.sample_rate_hz, "above 0 and at most 1e9")
         if self.time is not None and self.sample_rate_hz is not None:
             raise ParameterError("sample_rate_hz", self.sample_rate_hz, "left out where a time column is named")
-        if self.decimal not in (".", ","):
+        if self.decimal not in (None, ".", ","):
             raise ParameterError("decimal", self.decimal, "a point or a comma")
         if self.delimiter is not None and (
             len(self.delimiter) != 1 or not self.delimiter.isascii() or self.delimiter in "\r\n\"'.+-0123456789eE"
         ):
             raise ParameterError("delimiter", self.delimiter, "one ASCII character that is in no number")
-        if self.delimiter == self.decimal:
+        if self.delimiter is not None and self.delimiter == self.decimal:
             raise ParameterError("delimiter", self.delimiter, "another character than the decimal mark")
         if len(self.comment) > 8 or not self.comment.isascii() or any(mark in self.comment for mark in '\r\n"'):
             raise ParameterError("comment", self.comment, "at most 8 ASCII characters without quotes")

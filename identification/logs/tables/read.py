@@ -1,9 +1,11 @@
 """Tables as series of numbers, and a table as a log of one channel whose fields are its columns: CSV and Parquet."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+
+import numpy as np
 
 from problems.arrays import FloatArray
 from problems.errors import require_extra
@@ -16,10 +18,14 @@ from ..containers.formats import head_of
 from ..messages.channel_info import ChannelInfo
 from ..messages.series import Series, Wanted
 from .layout import NO_ROW, TableLayout
+from .rounding import RoundedTimes, find_rounding
 from .text import Text, look_at
 
 _PARQUET_MAGIC = b"PAR1"
 
+_FEWEST_STEPS = 100
+_LONGEST_PERIOD_S, _SHORTEST_PERIOD_S = 0.2, 1e-5
+_SAME_SPAN = 2.0
 _STAND_IN_HZ = 1.0
 """Counts the rows of a table without a time; no time is derived from it."""
 
@@ -142,17 +148,35 @@ class TableLog:
         start, end = (int(log_ns[0]), int(log_ns[-1])) if self._is_timed else (0, 0)
         return Survey(container=channel.type_name, held=(held,), start_ns=start, end_ns=end, findings=self.findings())
 
+    @property
+    def span_s(self) -> float | None:
+        """How long the table is by its time column, None without one."""
+        log_ns = self._times.log_ns
+        return None if self._layout.time is None else float(log_ns.max() - log_ns.min()) * 1e-9
+
     @cached_property
-    def _times(self) -> Series:
+    def _logged(self) -> Series:
         timed = self._layout
         if not (self._is_timed or timed.are_poses):
             timed = replace(timed, sample_rate_hz=_STAND_IN_HZ)
         return read_table(self.path, timed)
 
+    @cached_property
+    def _rounding(self) -> RoundedTimes | None:
+        return None if self._layout.time is None else find_rounding(self._logged.log_ns)
+
+    @property
+    def _times(self) -> Series:
+        return self._logged if self._rounding is None else replace(self._logged, log_ns=self._rounding.even_ns)
+
     def read(self, channels: Mapping[Channel, Wanted]) -> dict[Channel, Series]:
         """Read columns; raise LogError where one is not there or the time is not declared."""
+        if not (self._is_timed or self._layout.are_poses) and any(wanted.fields for wanted in channels.values()):
+            read_table(self.path, self._layout)  # says what is to be declared
+        # The times are read once; with `poses` nothing is asked of them.
+        bare = replace(self._layout, time=None, sample_rate_hz=None, rows="poses")
         return {
-            channel: read_table(self.path, replace(self._layout, columns=wanted.fields))
+            channel: replace(read_table(self.path, replace(bare, columns=wanted.fields)), log_ns=self._times.log_ns)
             if wanted.fields
             else self._times
             for channel, wanted in channels.items()
@@ -169,10 +193,29 @@ class TableLog:
 
     def findings(self) -> tuple[Finding, ...]:
         """Report that checksums are missing, and the time, if it is not declared."""
-        return (*_unprotected(self.path, self._times.channel.type_name), *self._untimed())
+        return (*_unprotected(self.path, self._logged.channel.type_name), *self._untimed(), *self._about_times())
 
     def close(self) -> None:
         """Nothing is open."""
+
+    def _about_times(self) -> Iterator[Finding]:
+        """Yield what a time column lost when it was written, and a unit that no control loop has."""
+        if self._rounding is not None:
+            yield Finding.info(
+                "times-rounded",
+                f"The times of {self.path.name} are rounded to {self._rounding.quantum_ns * 1e-6:g} ms; rows at "
+                f"{self._rounding.rate_hz:.6g} Hz explain all of them and are taken to be there.",
+                "Export the time with all its digits where the rows are not evenly spaced.",
+            )
+        steps = np.diff(self._logged.log_ns) * 1e-9 if self._layout.time is not None else np.zeros(0)
+        period = float(np.median(steps)) if steps.size >= _FEWEST_STEPS else 0.0
+        if period > _LONGEST_PERIOD_S or 0.0 < period < _SHORTEST_PERIOD_S:
+            yield Finding.warning(
+                "time-unit",
+                f"The rows of {self.path.name} are {period:g} s apart by `time: {self._layout.time}` in "
+                f"{self._layout.time_unit}, which no control loop logs.",
+                "Declare `time_unit` (s, ms, us, ns) in cell.yaml if it is another.",
+            )
 
     def _untimed(self) -> tuple[Finding, ...]:
         if self._is_timed or self._layout.are_poses:
@@ -184,6 +227,20 @@ class TableLog:
                 "In cell.yaml name its time column (`table: {time: …}`), give its `sample_rate_hz`, or say "
                 "`rows: poses` where each row is the mean of a rest.",
             ),
+        )
+
+
+def check_time_units(tables: Sequence[TableLog]) -> None:
+    """Raise LogError where the times of two tables of one recording differ as their units do: 1000 times, or more."""
+    spans = {table.path.name: span for table in tables if len(tables) > 1 and (span := table.span_s)}
+    shortest, longest = (min(spans, key=spans.__getitem__), max(spans, key=spans.__getitem__)) if spans else ("", "")
+    ratio = spans[longest] / spans[shortest] if spans else 1.0
+    factor = 1000.0 ** round(np.log10(ratio) / 3.0)
+    if factor > 1.0 and 1.0 / _SAME_SPAN < ratio / factor < _SAME_SPAN:
+        raise LogError(
+            f"Tables of one recording must count their times in the units that are declared; those of {longest} span "
+            f"{spans[longest]:.6g} s, those of {shortest} {spans[shortest]:.6g} s, about {factor:g} times less. "
+            f"Declare `tables: {{{longest}: {{time: …, time_unit: …}}, {shortest}: {{…}}}}` in cell.yaml."
         )
 
 

@@ -16,18 +16,24 @@ _LINE_LIMIT = 2**20
 _LOOKED_AT = 50
 _DELIMITERS = (";", "\t", "|", ",")
 _NUMBER = re.compile(r"\s*([-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?|[-+]?(nan|inf|infinity)|)\s*", re.IGNORECASE)
+COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Text:
-    """A CSV file that was looked at: `names` of its columns, and the number of the line where its rows begin."""
+    """A CSV file that was looked at: `names` of its columns, and the number of the line where its rows begin.
+
+    `header` holds the lines of names and units, field by field.
+    """
 
     path: Path
     layout: TableLayout
     encoding: str
     delimiter: str
+    decimal: str
     names: tuple[str, ...]
+    header: tuple[tuple[str, ...], ...]
     first_line: int
 
     def lines(self) -> Iterator[tuple[int, str]]:
@@ -61,16 +67,17 @@ def look_at(path: Path, layout: TableLayout) -> Text:
         first = split(written[0][1], delimiter)
     except csv.Error as error:
         raise LogError(f"{path.name}, line {written[0][0]}: it cannot be split ({error}); correct the line.") from error
-    header_rows = layout.header_rows
-    if header_rows is None:
-        header_rows = 0 if all(_NUMBER.fullmatch(field) for field in first) else 1
+    rows = [_fields(line, delimiter) for _, line in written]
+    header_rows = _count_header(rows) if layout.header_rows is None else layout.header_rows
     names = (field.strip() or str(index) for index, field in enumerate(first))
     return Text(
         path=path,
         layout=layout,
         encoding=encoding,
         delimiter=delimiter,
+        decimal=layout.decimal or _find_decimal(rows[header_rows:], delimiter),
         names=tuple(names) if header_rows else tuple(map(str, range(len(first)))),
+        header=tuple(tuple(fields) for fields in rows[:header_rows]),
         first_line=written[header_rows][0] if header_rows < len(written) else numbered[-1][0] + 1,
     )
 
@@ -196,13 +203,40 @@ def _find_delimiter(lines: Sequence[str]) -> str:
     if alike:
         return alike[0]
     most = max(_DELIMITERS, key=lambda mark: counts[mark][0])
-    if counts[most][0] <= 1 and len(lines[0].split()) > 1 and all(_NUMBER.fullmatch(each) for each in lines[0].split()):
+    numbers = lines[1 if len(lines) > 1 else 0].split()
+    if counts[most][0] <= 1 and len(lines[0].split()) == len(numbers) > 1 and all(map(_NUMBER.fullmatch, numbers)):
         return " "
     return most if counts[most][0] > 1 else ","
 
 
-def _count(line: str, delimiter: str) -> int:
-    try:
-        return len(split(line, delimiter))
-    except csv.Error:
+def _count_header(rows: Sequence[list[str]]) -> int:
+    """Count the lines of names and, where one is there, of units, before the first line of numbers."""
+    if all(_NUMBER.fullmatch(field) for field in rows[0]):
         return 0
+    # Of units none is a number; a row with a word among numbers is a faulty one.
+    has_units = (
+        len(rows) > 2
+        and len(rows[0]) == len(rows[1]) == len(rows[2])
+        and not any(field.strip() and _NUMBER.fullmatch(field) for field in rows[1])
+        and any(field.strip() for field in rows[1])
+        and all(_NUMBER.fullmatch(field) for field in rows[2])
+    )
+    return 2 if has_units else 1
+
+
+def _find_decimal(rows: Sequence[list[str]], delimiter: str) -> str:
+    """Return a comma where every broken number of the first lines is written with one, else the point."""
+    fields = [field.strip() for row in rows for field in row]
+    commas = delimiter != "," and any(COMMA.fullmatch(field) for field in fields)
+    return "," if commas and not any("." in field for field in fields) else "."
+
+
+def _fields(line: str, delimiter: str) -> list[str]:
+    try:
+        return split(line, delimiter)
+    except csv.Error:
+        return []
+
+
+def _count(line: str, delimiter: str) -> int:
+    return len(_fields(line, delimiter))

@@ -111,8 +111,10 @@ def test_lines_before_and_among_the_rows_are_left_out_where_declared(tmp_path: P
     layout = replace(AB, skip_rows=1, comment="#", header_rows=2)
     assert list_columns(path, layout) == ("a", "b")
     assert read_table(path, layout).values.tolist() == [[1, 2], [3, 4]]
+    # A second line without any number holds the units; one that was declared away is a row.
+    assert read_table(path, replace(layout, header_rows=None)).values.tolist() == [[1, 2], [3, 4]]
     with pytest.raises(LogError, match=r"run\.csv, line 5: column `a` holds 'N', not a number"):
-        read_table(path, replace(layout, header_rows=None))
+        read_table(path, replace(layout, header_rows=1))
     path.write_text(content + "5,x\n")
     with pytest.raises(LogError, match=r"line 9: column `b` holds 'x'"):
         read_table(path, layout)
@@ -161,7 +163,17 @@ WRONG: dict[str, tuple[str | bytes, TableLayout, str]] = {
     "hexadecimal": ("a,b\n1,0x10\n", AB, "line 2: column `b` holds '0x10'"),
     "underscore": ("a,b\n1,1_000\n", AB, "line 2: column `b` holds '1_000'"),
     "unit": ("a,b\n1,5 N\n", AB, "line 2: column `b` holds '5 N'"),
-    "decimal comma": ("a;b\n1,5;2\n", AB, "line 2: column `a` holds '1,5', a number with a decimal comma; declare"),
+    "decimal comma": (
+        "a;b\n1,5;2\n",
+        replace(AB, decimal="."),
+        "line 2: column `a` holds '1,5', a number with a decimal comma; declare",
+    ),
+    "both decimal marks": (
+        "a;b\n1,5;2.5\n",
+        AB,
+        "line 2: column `a` holds '1,5', a number with a decimal comma; declare",
+    ),
+    "a word in the first row": ("a,b\n1,x\n2,3\n", AB, "line 2: column `b` holds 'x'"),
     "decimal comma and comma": ("a,b\n1,5,2,0\n", AB, "if commas are decimal marks, export with another delimiter"),
     "decimal point": ("a;b\n1.5;2\n", replace(AB, decimal=","), "decimal point where a comma is declared"),
     "mixed": ("a,b\n1,2\n3;4\n", AB, "line 3: it is separated by ';', the table by ','"),
@@ -245,3 +257,13 @@ def test_only_wanted_columns_are_kept_in_memory(tmp_path: Path) -> None:
 def test_a_layout_that_cannot_be_is_refused(changes: dict[str, object]) -> None:
     with pytest.raises(ParameterError):
         replace(AB, **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t", "|"])
+def test_decimal_commas_are_found_out(tmp_path: Path, delimiter: str) -> None:
+    content = "a;b\n1,5;-2\n3;4,25e-1\n".replace(";", delimiter)
+    assert read_table(write(tmp_path / "run.csv", content), AB).values.tolist() == [[1.5, -2.0], [3.0, 0.425]]
+
+
+def test_columns_between_blanks_may_have_names(tmp_path: Path) -> None:
+    assert read_table(write(tmp_path / "run.txt", "a b\n1 2\n3 4\n"), AB).values.tolist() == [[1, 2], [3, 4]]
