@@ -19,7 +19,7 @@ from .result import (
 )
 from .robot.admittance_robot import identify_admittance_robots
 from .signals.recording import AXES, Recording
-from .touches.trace import identify_trace_surfaces
+from .touches.surfaces import identify_touches, no_contact
 from .verdicts import missing, unidentifiable, unidentifiable_robot, unidentifiable_vector
 
 _REMOVED = "gravity was removed before recording"
@@ -34,7 +34,8 @@ def identify_partial(recording: Recording, sample_time_s: Estimate) -> Identifie
     """
     findings: list[Finding] = [*_always_missing(recording)]
     robots: Mapping[str, RobotEstimate] = {}
-    surfaces: dict[str, EnvironmentEstimate] = {}
+    touched = identify_touches(recording)
+    surfaces = touched.surfaces
     if recording.gains is not None or not recording.pose.is_displacement:
         found = identify_admittance_robots(recording)
         robots = found.robots
@@ -48,25 +49,18 @@ def identify_partial(recording: Recording, sample_time_s: Estimate) -> Identifie
                 "Record the position command, or declare `gains`.",
             )
         )
-    if recording.pose.is_displacement:
-        surfaces = identify_trace_surfaces(recording, findings)
-    if not robots and not surfaces:
+    findings += touched.findings
+    if not robots and not touched.shows_more_than_a_hand:
         raise EstimateError(" ".join(f"{f.message} {f.advice}".strip() for f in findings if f.severity == "error"))
     if not surfaces:
-        findings.append(
-            missing(
-                "no-contact",
-                "Without the payload's mass and coupling a contact cannot be distinguished from a hand, so no "
-                "environment is identified.",
-                "Record the sensor's own wrench, with contacts, hands off.",
-            )
-        )
+        findings.append(no_contact(touched))
     return Identified(
         sample_time_s=sample_time_s,
         payload=PayloadEstimate(mass_kg=unidentifiable(note=_REMOVED), com_m=unidentifiable_vector(_REMOVED)),
         axes={axis: _axis(axis, robots, surfaces) for axis in AXES if axis in robots or axis in surfaces},
         sensor=_sensor(recording),
         findings=tuple(findings),
+        timelines=(touched.timeline,),
     )
 
 
@@ -87,13 +81,15 @@ def _always_missing(recording: Recording) -> tuple[Finding, ...]:
     )
 
 
-def _axis(axis: str, robots: Mapping[str, RobotEstimate], surfaces: Mapping[str, EnvironmentEstimate]) -> AxisEstimate:
+def _axis(
+    axis: str, robots: Mapping[str, RobotEstimate], surfaces: Mapping[str, tuple[EnvironmentEstimate, ...]]
+) -> AxisEstimate:
     none = unidentifiable(note=_REMOVED)
     without = unidentifiable_robot("neither command nor gains identify the robot on this axis")
     return AxisEstimate(
         coupling=CouplingEstimate(stiffness_n_per_m=none, damping_n_s_per_m=none),
         drag_n_s_per_m=none,
-        environments=(surfaces[axis],) if axis in surfaces else (),
+        environments=surfaces.get(axis, ()),
         robot=robots.get(axis, without),
     )
 

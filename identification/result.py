@@ -199,9 +199,9 @@ class EnvironmentEstimate:
     """One surface: K_e alone, the secant (K_s and K_e in series), B_e, M_e, and its contacts.
 
     Both stiffnesses are those of the loading, which make the peak. `relaxed_stiffness_n_per_m` is force over depth
-    where the hold ends, `relaxation_s` the time in which it gets there. `impact_n_s_per_m` is the force of the first
-    blow over the speed of the approach, sqrt(k m) of the mass that it stops. `contact_spread` is the standard deviation
-    of the loading stiffness from contact to contact, as a share of it; None with one contact.
+    where it is held. `impact_n_s_per_m` is the force of the first blow over the speed of the approach, sqrt(k m) of the
+    mass that it stops. `contact_spread` is the standard deviation of the loading stiffness from contact to contact, as
+    a share of it; None with one contact.
     """
 
     name: str
@@ -212,7 +212,6 @@ class EnvironmentEstimate:
     contacts: int
     peak_force_n: tuple[float, ...]
     relaxed_stiffness_n_per_m: Estimate | None = None
-    relaxation_s: Estimate | None = None
     impact_n_s_per_m: Estimate | None = None
     contact_spread: float | None = None
 

@@ -1,4 +1,4 @@
-"""The secant stiffness of a contact trace: displacement since contact, and force."""
+"""The stiffness of one contact from force over travel: loading, hold and the first blow apart."""
 
 from dataclasses import dataclass
 
@@ -7,11 +7,8 @@ import numpy as np
 from problems.arrays import BoolArray, FloatArray
 
 from ..errors import EstimateError
-from ..result import EnvironmentEstimate, Finding
-from ..signals.aligned import check_regular, spans_of
+from ..signals.aligned import spans_of
 from ..signals.contact_rule import CONTACT
-from ..signals.recording import AXES, Recording
-from ..verdicts import judged, unidentifiable
 
 _SMALLEST_TRAVEL_M = 2e-4
 _FEWEST = 50
@@ -23,48 +20,31 @@ _HOLD_SHARE = 0.2
 _SPIKE_RATIO = 2.0
 _FALLEN_SHARE = 0.5
 _BLOCKS = 12
-_NOT_A_SPRING = 0.1
-
-
-def identify_trace_surfaces(recording: Recording, findings: list[Finding]) -> dict[str, EnvironmentEstimate]:
-    """Return the surface that a trace of displacement and force shows on each axis, and append what is to be said."""
-    wrench, pose = recording.wrench, recording.pose
-    period = check_regular(wrench.topic, wrench.stamp_ns, keeps_holes=recording.keeps_holes)
-    surfaces = {}
-    for i, axis in enumerate(AXES[:3]):
-        if axis not in wrench.measured_axes or axis not in pose.measured_axes:
-            continue
-        inside = (wrench.stamp_ns >= pose.stamp_ns[0]) & (wrench.stamp_ns <= pose.stamp_ns[-1])
-        start = int(pose.stamp_ns[0])
-        displacement = np.interp(
-            wrench.stamp_ns[inside] - start, pose.stamp_ns - start, np.array(pose.position_m[:, i], dtype=np.float64)
-        )
-        # Pressing towards +axis reads F < 0 (the payload's force on the flange).
-        sign = 1.0 if abs(float(np.max(displacement))) >= abs(float(np.min(displacement))) else -1.0
-        try:
-            contact = identify_trace(sign * displacement, -sign * wrench.force_n[inside, i], period)
-        except EstimateError as error:
-            findings.append(Finding(code="no-contact", severity="warning", message=f"Axis {axis}: {error}", advice=""))
-            continue
-        surfaces[axis], about = describe_trace(contact, f"{axis}1")
-        findings += about
-    return surfaces
+# Loading ends where the depth first comes this near to the deepest.
+_REACHED_SHARE = 0.95
+_FEWEST_LOADING = 6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Spike:
-    """The first blow: its force, where it came, and ∫(F − k x)dt, the momentum that no spring took."""
+    """The first blow: its force, where it came, ∫(F − k x)dt, the momentum that no spring took, and where it ends.
+
+    `stop` is the sample at which the force is least before it rises again.
+    """
 
     force_n: float
     depth_m: float
     impulse_n_s: float
+    stop: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class TraceContact:
     """Force over displacement since contact. `secant_n_per_m` k minimises Σ(F − k x)² over the loaded samples.
 
-    `secant_std_n_per_m` holds the scatter about it and what the place of the first touch does to it;
+    `secant_std_n_per_m` holds the scatter about it and what the place of the first touch does to it. On the loading,
+    behind the first blow and until 95 % of the depth, `loading_n_per_m` lies in the middle between that k and force
+    over displacement at the peak, and its deviation holds half of what is between them: what a spring leaves out.
     `hold_secant_n_per_m` is mean force over mean displacement of the hold, the longest stretch under load at one depth,
     None without one; `fit_error` RMS(F − k x) over RMS(F).
     """
@@ -72,18 +52,23 @@ class TraceContact:
     peak_force_n: float
     secant_n_per_m: float
     secant_std_n_per_m: float
+    loading_n_per_m: float
+    loading_std_n_per_m: float
     hold_secant_n_per_m: float | None
     touch_m: float
     fit_error: float
     spike: Spike | None
 
 
-def identify_trace(displacement_m: FloatArray, pressing_n: FloatArray, period_s: float) -> TraceContact:
+def identify_trace(
+    displacement_m: FloatArray, pressing_n: FloatArray, period_s: float, onset_std_m: float = 0.0
+) -> TraceContact:
     """Fit k through the origin of displacement (n,), counted from contact, and pressing force (n,), both into the wall.
 
     Samples from a fifth of the peak force on count. The trace says where the contact began, and so does the force
     (the last sample below 5 % of the peak before the load): the difference between both secants goes into the
-    deviation. Raises EstimateError where nothing presses, or too little.
+    deviation, as does `onset_std_m`, by which the displacement is known to be off. Raises EstimateError where nothing
+    presses, or too little.
     """
     x, force = displacement_m, pressing_n
     peak, depth = float(np.max(force, initial=0.0)), float(np.max(x, initial=0.0))
@@ -100,76 +85,22 @@ def identify_trace(displacement_m: FloatArray, pressing_n: FloatArray, period_s:
     farther = x[touch]
     beyond = loaded & (x > farther)
     apart = _through_origin(x[beyond] - farther, force[beyond])[0] - stiffness if np.any(beyond) else np.inf
+    scatter = float(np.hypot(scatter, stiffness * onset_std_m / np.sqrt(float(np.mean(x[loaded] ** 2)))))
     misfit = force[loaded] - stiffness * x[loaded]
+    spike = _spike(x, force, stiffness, touch, period_s)
+    loading, open_n_per_m = _loading(x, force, loaded, 0 if spike is None else spike.stop)
+    share = float(np.hypot(0.5 * apart / stiffness, onset_std_m / max(float(np.max(x)), 1e-9)))
     return TraceContact(
         peak_force_n=peak,
         secant_n_per_m=stiffness,
         secant_std_n_per_m=float(np.hypot(scatter, apart)),
+        loading_n_per_m=loading,
+        loading_std_n_per_m=float(np.hypot(open_n_per_m, share * loading)),
         hold_secant_n_per_m=_hold_secant(x, force, loaded),
         touch_m=float(farther),
         fit_error=float(np.sqrt(np.mean(misfit**2) / np.mean(force[loaded] ** 2))),
-        spike=_spike(x, force, stiffness, touch, period_s),
+        spike=spike,
     )
-
-
-def describe_trace(contact: TraceContact, name: str) -> tuple[EnvironmentEstimate, tuple[Finding, ...]]:
-    """Return what a trace shows of a surface: the secant, never K_e, B_e or M_e alone."""
-    secant = contact.secant_n_per_m
-    method = "force over robot travel: least squares through the origin over the samples above 20 % of the peak force"
-    hold = _hold_text(contact)
-    blow = contact.spike
-    environment = EnvironmentEstimate(
-        name=name,
-        stiffness_n_per_m=unidentifiable(
-            note=f"in series with a coupling that this trace does not identify; above the secant, {secant:.4g} N/m"
-        ),
-        secant_stiffness_n_per_m=judged(secant, contact.secant_std_n_per_m, method=method, note=hold),
-        damping_n_s_per_m=unidentifiable(note="the motion of the payload behind the coupling is not identified"),
-        mass_kg=unidentifiable(
-            note="no impact spike"
-            if blow is None
-            else f"an impact spike of {blow.impulse_n_s:.2g} N·s; payload and surface share it"
-        ),
-        contacts=1,
-        peak_force_n=(contact.peak_force_n,),
-    )
-    return environment, _findings(contact, name)
-
-
-def _findings(contact: TraceContact, name: str) -> tuple[Finding, ...]:
-    found = []
-    if contact.spike is not None:
-        spike = contact.spike
-        found.append(
-            Finding(
-                code="impact-spike",
-                severity="warning",
-                message=f"Surface {name}: the contact begins with a blow of {spike.force_n:.1f} N at "
-                f"{1e3 * spike.depth_m:.2f} mm, where the secant explains "
-                f"{contact.secant_n_per_m * spike.depth_m:.1f} N: masses meet, so a slope fitted there is no "
-                "stiffness.",
-                advice="Record wrench, whole pose and command, to determine the masses of payload and surface.",
-            )
-        )
-    if contact.fit_error > _NOT_A_SPRING:
-        found.append(
-            Finding(
-                code="secant-only",
-                severity="warning",
-                message=f"Surface {name}: force and displacement leave {100.0 * contact.fit_error:.0f} % of the force "
-                f"unexplained by {contact.secant_n_per_m:.4g} N/m ({_hold_text(contact)}; "
-                f"contact felt at {1e3 * contact.touch_m:.2f} mm): the secant "
-                "depends on load, on swings of the payload and on where the contact begins.",
-                advice="Hold the contact for 1 s after the swings have died out.",
-            )
-        )
-    return tuple(found)
-
-
-def _hold_text(contact: TraceContact) -> str:
-    if contact.hold_secant_n_per_m is None:
-        return "the trace has no hold"
-    return f"{contact.hold_secant_n_per_m:.4g} N/m over the hold"
 
 
 def _hold_secant(x: FloatArray, force: FloatArray, loaded: BoolArray) -> float | None:
@@ -194,7 +125,10 @@ def _through_origin(x: FloatArray, force: FloatArray) -> tuple[float, float]:
 
 
 def _spike(x: FloatArray, force: FloatArray, stiffness: float, touch: int, period_s: float) -> Spike | None:
-    """Return the first blow: a maximum of more than twice k x, from which the force falls by half and more."""
+    """Return the first blow: a maximum of more than twice k x, from which the force falls by half and more.
+
+    It comes on the first half of the way: what falls behind the deepest relaxes.
+    """
     after = force[touch:]
     highest = np.maximum.accumulate(after)
     fallen = np.flatnonzero((after < _FALLEN_SHARE * highest) & (highest > _LOADED_SHARE * float(np.max(force))))
@@ -202,10 +136,34 @@ def _spike(x: FloatArray, force: FloatArray, stiffness: float, touch: int, perio
         return None
     blow = slice(touch, touch + int(fallen[0]))
     top = touch + int(np.argmax(force[blow]))
-    if force[top] < _SPIKE_RATIO * stiffness * max(float(x[top]), 0.0):
+    if force[top] < _SPIKE_RATIO * stiffness * max(float(x[top]), 0.0) or x[top] > _FALLEN_SHARE * np.max(x):
         return None
     return Spike(
         force_n=float(force[top]),
         depth_m=float(x[top]),
         impulse_n_s=float(np.sum(force[blow] - stiffness * x[blow]) * period_s),
+        stop=_trough(force, touch + int(fallen[0])),
     )
+
+
+def _trough(force: FloatArray, start: int) -> int:
+    """Return the least force between a sample and the next one that is half as much again and more than it."""
+    lowest = np.minimum.accumulate(force[start:])
+    risen = np.flatnonzero((_FALLEN_SHARE * force[start:] > lowest) & (force[start:] > _LOADED_SHARE * np.max(force)))
+    stop = start + (int(risen[0]) if risen.size else len(lowest))
+    return start + int(np.argmin(force[start:stop]))
+
+
+def _loading(x: FloatArray, force: FloatArray, loaded: BoolArray, start: int) -> tuple[float, float]:
+    """Return the loading stiffness of the samples from `start` on, and half of what is between its two measures."""
+    reached = int(np.argmax(x >= _REACHED_SHARE * np.max(x)))
+    branch = np.flatnonzero(loaded[start : max(reached, start) + 1]) + start
+    if len(branch) < _FEWEST_LOADING:
+        branch = np.flatnonzero(loaded[start:]) + start
+    if len(branch) < _FEWEST_LOADING:
+        branch = np.flatnonzero(loaded)
+    along = _through_origin(x[branch], force[branch])[0]
+    behind = np.flatnonzero(loaded[start:]) + start
+    top = int(behind[np.argmax(force[behind])]) if behind.size else int(np.argmax(np.where(loaded, force, 0.0)))
+    at_peak = float(force[top] / x[top])
+    return 0.5 * (along + at_peak), 0.5 * abs(at_peak - along)

@@ -265,7 +265,6 @@ def identified_results() -> st.SearchStrategy[Identified]:
         contacts=st.integers(0, 100),
         peak_force_n=st.lists(FLOATS, max_size=20).map(tuple),
         relaxed_stiffness_n_per_m=st.none() | positive,
-        relaxation_s=st.none() | positive,
         impact_n_s_per_m=st.none() | positive,
         contact_spread=st.none() | st.floats(0.0, 1e3),
     )

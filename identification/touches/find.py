@@ -1,0 +1,305 @@
+"""Touches of a log: when something pressed, how fast it was met, how hard, and whether it was a wall or a hand."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from problems.arrays import BoolArray, FloatArray
+
+from ..result import Touch, TouchCause
+from ..signals.aligned import Span, spans_of
+from ..signals.contact_rule import CONTACT
+from ..signals.segments import without_pauses, without_short
+from .peak import bound_peak
+from .signals import AxisSignals
+
+_APPROACH_S, _SHORTEST_APPROACH_S = 0.1, 0.02
+_SMALLEST_SPEED_M_S = 2e-3
+_STILL_M_S = 1e-3
+_SHORTEST_STILL_S = 0.4
+_BEFORE_S, _SKIPPED_S = 0.3, 0.015
+# What pushes the flange back this far, beside how far it went in, does work on it: no surface.
+_DRIVEN_M = 5e-3
+_SMALLEST_TRAVEL_M = 5e-4
+# An admittance without a hand moves at F^d/B_a; lag and drag of a robot leave less than this open.
+_SPEED_SHARE = 0.3
+# A hand turns its force round within about a tenth of a second: slower is steering, much faster is no hand.
+_TURNED_S = 0.2
+_SMALLEST_STEP_N = 10.0
+_STEERING_N_PER_S = 100.0
+_FASTEST_HAND_N_PER_S = 1500.0
+_ENTERED_SHARE = 0.1
+_FALLEN_SHARE = 0.5
+_ACROSS_SHARE = 0.5
+_AGAINST_SHARE = 0.25
+_LONGEST_SWING_S = 0.1
+_SMALLEST_PEAK_SHARE = 1.5
+_LEFT_SHARE, _HELD_SHARE = 0.1, 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundTouch:
+    """A touch, the samples that it takes, and which of them is the peak."""
+
+    touch: Touch
+    span: Span
+    peak: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisTouches:
+    """What happens on one axis: the touches, and the `led` spans in which a force moves the flange along with it."""
+
+    signals: AxisSignals
+    touches: tuple[FoundTouch, ...]
+    led: tuple[Span, ...]
+
+
+def find_touches(axes: tuple[AxisSignals, ...], *, is_contact: bool = False) -> tuple[AxisTouches, ...]:
+    """Find the touches of every axis; with `is_contact` the log is declared to be one contact.
+
+    A force touches where it presses against the motion: what is met at more than 2 mm/s without any force right before
+    is a wall where the approach was as fast as F^d/B_a (or its gains are not known), unless it then drives the flange
+    back. A force along the motion that turns round on the way is a wall only where it turns faster than a hand can, and
+    undetermined where a hand could, as is a force without motion. What moves the flange along with it is a hand that
+    leads, and no touch.
+    """
+    free = _without_force(axes)
+    return _of_their_own([_on_axis(axis, free, is_contact=is_contact) for axis in axes])
+
+
+def _of_their_own(found: Sequence[AxisTouches]) -> tuple[AxisTouches, ...]:
+    """Leave out what is a part of something larger on another axis at that time.
+
+    A touch beside a larger one is its share across, and a force without motion beside a hand that leads is that hand's,
+    unless it comes faster than a hand steers.
+    """
+    kept = []
+    for each in found:
+        beside = [touch for other in found if other is not each for touch in other.touches]
+        hands = [span for other in found for span in other.led]
+        reach = round(_LONGEST_SWING_S / each.signals.period_s)
+        touches = [
+            one
+            for one in each.touches
+            if not any(_is_share(one, other) for other in beside)
+            and not (
+                one.touch.is_led is None
+                and any(one.span.start < hand.stop + reach and hand.start - reach < one.span.stop for hand in hands)
+                and not _is_sudden(each.signals, one)
+            )
+        ]
+        kept.append(AxisTouches(signals=each.signals, touches=tuple(touches), led=each.led))
+    return tuple(kept)
+
+
+def _is_share(one: FoundTouch, other: FoundTouch) -> bool:
+    """Return whether a touch is what another one, of another axis, does across."""
+    is_within = other.span.start - 2 <= one.peak < other.span.stop + 2
+    return is_within and one.touch.peak_force < _ACROSS_SHARE * other.touch.peak_force
+
+
+def _is_sudden(axis: AxisSignals, one: FoundTouch) -> bool:
+    """Return whether a force comes faster than a hand steers, or lasts while the hand holds against it."""
+    if one.touch.hold_s is not None:
+        return True
+    rate, step = _turned_round(axis, one.touch.sign, one.peak)
+    return step >= _SMALLEST_STEP_N and rate >= _STEERING_N_PER_S
+
+
+def _without_force(axes: tuple[AxisSignals, ...]) -> BoolArray:
+    """Return where no axis shows a force (n,)."""
+    return np.asarray(np.all([np.abs(axis.force_n) <= axis.level_n for axis in axes], axis=0), dtype=np.bool_)
+
+
+def _on_axis(axis: AxisSignals, free: BoolArray, *, is_contact: bool) -> AxisTouches:
+    touches: list[FoundTouch] = []
+    led: list[Span] = []
+    speed = _speed(axis)
+    for sign in _deeper_side(axis) if is_contact else (-1, 1):
+        pressing = -sign * axis.force_n
+        longest = round(CONTACT.longest_bounce_s / axis.period_s)
+        swing = max(1, round(_LONGEST_SWING_S / axis.period_s))
+        for span in _presses(pressing, axis.level_n, longest, swing):
+            judged = _judge(axis, sign, span, free, is_contact=is_contact)
+            if judged is not None:
+                touches.append(_describe(axis, sign, span, *judged))
+                continue
+            for part, is_still in _parts(span, speed, axis.period_s):
+                if is_still:
+                    touches.append(_describe(axis, sign, part, TouchCause.UNDETERMINED, None))
+                elif len(part) >= swing:
+                    led.append(part)
+    return AxisTouches(signals=axis, touches=tuple(sorted(touches, key=lambda each: each.span.start)), led=tuple(led))
+
+
+def _deeper_side(axis: AxisSignals) -> tuple[int, ...]:
+    """Return the side on which a trace of a contact goes farther in."""
+    if not np.all(np.isfinite(axis.travel_m)):
+        return ()
+    return (1,) if np.max(axis.travel_m) >= -np.min(axis.travel_m) else (-1,)
+
+
+def _presses(pressing: FloatArray, level: float, longest: int, swing: int) -> Iterator[Span]:
+    """Yield the presses; a force the other way in between parts them where it is no short swing after a blow."""
+    touched = np.asarray(pressing > level)
+    joined = without_pauses(touched, longest)
+    against = without_short(np.asarray(pressing < -level), swing)
+    smallest = max(CONTACT.smallest_trace_peak_n, _SMALLEST_PEAK_SHARE * level)
+    for span in spans_of(np.asarray(joined & ~against)):
+        inside = np.flatnonzero(touched[span.slice])
+        if inside.size and float(np.max(pressing[span.slice])) > smallest:
+            yield Span(start=span.start + int(inside[0]), stop=span.start + int(inside[-1]) + 1)
+
+
+def _speed(axis: AxisSignals) -> FloatArray:
+    """Return how fast the flange is along the axis, over about 0.1 s (n,)."""
+    half = max(1, round(0.5 * _APPROACH_S / axis.period_s))
+    last = len(axis.time_s) - 1
+    before, after = np.maximum(np.arange(last + 1) - half, 0), np.minimum(np.arange(last + 1) + half, last)
+    return np.asarray((axis.travel_m[after] - axis.travel_m[before]) / (axis.time_s[after] - axis.time_s[before]))
+
+
+def _parts(span: Span, speed: FloatArray, period_s: float) -> Iterator[tuple[Span, bool]]:
+    """Yield a span in parts that move and parts of 0.4 s or more that do not."""
+    still = without_short(
+        np.asarray(np.abs(speed[span.slice]) < _STILL_M_S), max(1, round(_SHORTEST_STILL_S / period_s))
+    )
+    for mask, is_still in ((still, True), (~still, False)):
+        for part in spans_of(np.asarray(mask)):
+            yield Span(start=span.start + part.start, stop=span.start + part.stop), is_still
+
+
+def approach_speed(axis: AxisSignals, onset: int, sign: int) -> float | None:
+    """Return how fast the flange goes towards what it touches, by least squares over 0.1 s before the onset [m/s].
+
+    A trace that begins with the contact shows it in its first 20 ms; None where the log shows neither.
+    """
+    start = int(np.searchsorted(axis.time_s, axis.time_s[onset] - _APPROACH_S))
+    window = slice(start, onset + 1)
+    if axis.time_s[onset] - axis.time_s[start] < _SHORTEST_APPROACH_S:
+        window = slice(start, max(start + 4, int(np.searchsorted(axis.time_s, axis.time_s[start] + 0.02)) + 1))
+    time, travel = axis.time_s[window], axis.travel_m[window]
+    if len(time) < 3 or not np.all(np.isfinite(travel)):
+        return None
+    return sign * float(np.polyfit(time - time[0], travel - travel[0], 1)[0])
+
+
+def _judge(
+    axis: AxisSignals, sign: int, span: Span, free: BoolArray, *, is_contact: bool
+) -> tuple[TouchCause, bool | None] | None:
+    """Return the cause of a press and whether a hand led into it, None where the force moves the flange along."""
+    if is_contact:
+        return TouchCause.WALL, None
+    speed = approach_speed(axis, span.start, sign)
+    if speed is None:
+        return TouchCause.UNDETERMINED, None
+    into = sign * (axis.travel_m[span.slice] - axis.travel_m[span.start])
+    if speed < _SMALLEST_SPEED_M_S:
+        return None if float(np.min(into)) < -_SMALLEST_TRAVEL_M else (TouchCause.UNDETERMINED, None)
+    window = slice(
+        int(np.searchsorted(axis.time_s, axis.time_s[span.start] - _BEFORE_S)),
+        max(1, int(np.searchsorted(axis.time_s, axis.time_s[span.start] - _SKIPPED_S))),
+    )
+    if window.stop > window.start and bool(np.all(free[window])):
+        return _met_free(axis, span.start, speed, into), False
+    cause = _met_led(axis, sign, span)
+    return None if cause is None else (cause, True)
+
+
+def _met_free(axis: AxisSignals, onset: int, speed: float, into: FloatArray) -> TouchCause:
+    """Return the cause of a press that begins without any force before it; `into` (n,) is how far the flange goes."""
+    deepest = int(np.argmax(into))
+    if float(into[deepest] - np.min(into[deepest:])) > _DRIVEN_M + float(into[deepest]):
+        return TouchCause.HAND
+    return TouchCause.WALL if _is_driven_by_desired(axis, onset, speed) else TouchCause.UNDETERMINED
+
+
+def _met_led(axis: AxisSignals, sign: int, span: Span) -> TouchCause | None:
+    """Return the cause of a press after a force along the motion, None where a hand steers."""
+    pressing = -sign * axis.force_n
+    reach = max(span.start + 1, int(np.searchsorted(axis.time_s, axis.time_s[span.start] + _TURNED_S)))
+    high = span.start + int(np.argmax(pressing[span.start : reach]))
+    rate, step = _turned_round(axis, sign, high)
+    if pressing[high] < _AGAINST_SHARE * step or step < _SMALLEST_STEP_N or rate < _STEERING_N_PER_S:
+        return None
+    return TouchCause.WALL if rate > _FASTEST_HAND_N_PER_S else TouchCause.UNDETERMINED
+
+
+def _is_driven_by_desired(axis: AxisSignals, onset: int, speed: float) -> bool:
+    """Return whether the approach is as fast as F^d/B_a, true also where one of them is not known or F^d is zero."""
+    damping, desired = float(axis.damping_n_s_per_m[onset]), float(axis.desired_n[onset])
+    if not (np.isfinite(damping) and np.isfinite(desired) and damping > 0.0) or desired == 0.0:
+        return True
+    asked = abs(desired) / damping
+    return abs(speed - asked) <= _SPEED_SHARE * asked
+
+
+def _turned_round(axis: AxisSignals, sign: int, high: int) -> tuple[float, float]:
+    """Return how fast [N/s] and by how much [N] the force turns towards pressing until the sample `high`."""
+    pressing = -sign * axis.force_n
+    begin = int(np.searchsorted(axis.time_s, axis.time_s[high] - _TURNED_S))
+    low = begin + int(np.argmin(pressing[begin : high + 1]))
+    step = float(pressing[high] - pressing[low])
+    # The last instant at which the force was still as it had been before is where it began to turn.
+    last = low + int(np.flatnonzero(pressing[low : high + 1] <= pressing[low] + _ENTERED_SHARE * step)[-1])
+    return step / max(float(axis.time_s[high] - axis.time_s[last]), axis.period_s), step
+
+
+def _describe(axis: AxisSignals, sign: int, span: Span, cause: TouchCause, is_led: bool | None) -> FoundTouch:
+    pressing = -sign * axis.force_n
+    inside = pressing[span.slice]
+    peak = span.start + int(np.argmax(inside))
+    low, high, rise = bound_peak(pressing, span.start, peak)
+    hold = _hold(axis, pressing, span)
+    held = None if hold is None else float(np.median(pressing[hold.slice]))
+    left = max(axis.level_n, min(_LEFT_SHARE * high, np.inf if held is None else _HELD_SHARE * held))
+    apart = without_short(np.asarray(inside <= left), max(1, round(CONTACT.shortest_bounce_s / axis.period_s)))
+    bounces = tuple(float(axis.time_s[span.start + gap.start]) for gap in spans_of(apart))
+    last = span.stop >= len(axis.time_s) - 1
+
+    def at(values: FloatArray) -> float | None:
+        value = float(values[span.start])
+        return value if np.isfinite(value) else None
+
+    touch = Touch(
+        axis=axis.axis,
+        sign=sign,
+        cause=cause,
+        peak_s=float(axis.time_s[peak]),
+        peak_force=float(pressing[peak]),
+        onset_s=float(axis.time_s[span.start]),
+        release_s=None if last else float(axis.time_s[span.stop]),
+        hold_s=None if hold is None else (float(axis.time_s[hold.start]), float(axis.time_s[hold.stop - 1])),
+        bounces_s=bounces,
+        peak_interval=(low, high),
+        rise_samples=rise,
+        approach_speed=approach_speed(axis, span.start, sign),
+        impulse=_impulse(axis, pressing, span),
+        held_force=held,
+        is_led=is_led,
+        mass=at(axis.mass_kg),
+        damping=at(axis.damping_n_s_per_m),
+        desired_force=at(axis.desired_n),
+    )
+    return FoundTouch(touch=touch, span=span, peak=peak)
+
+
+def _hold(axis: AxisSignals, pressing: FloatArray, span: Span) -> Span | None:
+    """Return the longest rest of 0.4 s or more under force."""
+    still = np.asarray((np.abs(_speed(axis)[span.slice]) < _STILL_M_S) & (pressing[span.slice] > axis.level_n))
+    found = spans_of(without_short(still, max(1, round(_SHORTEST_STILL_S / axis.period_s))))
+    if not found:
+        return None
+    longest = max(found, key=len)
+    return Span(start=span.start + longest.start, stop=span.start + longest.stop)
+
+
+def _impulse(axis: AxisSignals, pressing: FloatArray, span: Span) -> float:
+    """Return ∫F dt of the first blow [N·s]: until the force has fallen to half of what it had reached."""
+    inside = np.asarray(pressing[span.slice])
+    fallen = np.flatnonzero(inside < _FALLEN_SHARE * np.maximum.accumulate(inside))
+    stop = span.start + (int(fallen[0]) if fallen.size else len(inside))
+    blow = slice(max(0, span.start - 1), stop + 1)
+    return float(np.trapezoid(np.maximum(pressing[blow], 0.0), axis.time_s[blow]))

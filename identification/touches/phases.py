@@ -1,0 +1,69 @@
+"""Phases of a log without the payload's mass: touches, motion that a force leads, free motion, and rests."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from ..result import ContactPhase, LogPhase, PhaseKind, Touch, TouchCause
+from ..signals.segments import without_short
+from .find import AxisTouches
+
+_MOVING_M_S = 1e-3
+_STEP_S = 0.1
+_SHORTEST_S = 0.2
+
+
+def build_phases(found: Sequence[AxisTouches], touches: Sequence[Touch]) -> tuple[LogPhase, ...]:
+    """Label a log from its start to its end, each instant once.
+
+    Of touches at one time the harder one counts, and all are in `touches`; what is neither moving nor pressing is a
+    rest, motion without force is free, and what a force leads along is led by a hand; the rest is unknown.
+    """
+    if not found:
+        return ()
+    time, period = found[0].signals.time_s, found[0].signals.period_s
+    step, last = max(1, round(_STEP_S / period / 2.0)), len(time) - 1
+    before, after = np.maximum(np.arange(last + 1) - step, 0), np.minimum(np.arange(last + 1) + step, last)
+    travel = np.column_stack([np.nan_to_num(each.signals.travel_m) for each in found])
+    speed = np.linalg.norm(travel[after] - travel[before], axis=1) / (time[after] - time[before])
+    pressed = np.any([np.abs(each.signals.force_n) > each.signals.level_n for each in found], axis=0)
+    shortest = max(1, round(_SHORTEST_S / period))
+    number = np.zeros(len(time), dtype=np.int64)
+    labels: list[tuple[PhaseKind, str | None, Touch | None]] = [(PhaseKind.UNKNOWN, None, None)]
+    moving = speed > _MOVING_M_S
+    for mask, kind in ((~moving & ~pressed, PhaseKind.REST), (moving & ~pressed, PhaseKind.FREE_MOTION)):
+        number[without_short(np.asarray(mask), shortest)] = len(labels)
+        labels.append((kind, None, None))
+    hands = len(labels)
+    for each in found:
+        for span in each.led:
+            number[span.slice] = hands
+    labels.append((PhaseKind.HAND_LED_MOTION, None, None))
+    spans = {(each.signals.axis, one.touch.peak_s): one.span for each in found for one in each.touches}
+    for touch in sorted(touches, key=lambda touch: touch.peak_force):
+        if touch.cause is not TouchCause.HAND:
+            number[spans[touch.axis, touch.peak_s].slice] = len(labels)
+            labels.append((PhaseKind.CONTACT, touch.axis, touch))
+    edges = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(number)]
+    end = float(time[-1]) + period
+    return tuple(
+        _phase(*labels[int(number[start])], float(time[start]), float(time[stop]) if stop < len(time) else end)
+        for start, stop in pairwise(edges)
+    )
+
+
+def _phase(kind: PhaseKind, axis: str | None, touch: Touch | None, start_s: float, stop_s: float) -> LogPhase:
+    if touch is None:
+        return LogPhase(kind=kind, start_s=start_s, stop_s=stop_s)
+    contact = ContactPhase(
+        onset_s=touch.onset_s,
+        peak_s=touch.peak_s,
+        peak_force_n=touch.peak_force,
+        hold_s=touch.hold_s,
+        release_s=touch.release_s,
+        bounces_s=touch.bounces_s,
+        surface=touch.surface,
+        hand_suspected=None if touch.cause is TouchCause.UNDETERMINED else bool(touch.is_led),
+    )
+    return LogPhase(kind=kind, start_s=start_s, stop_s=stop_s, axis=axis, contact=contact)

@@ -1,0 +1,127 @@
+"""Force and travel along each axis of the wrench, on the wrench's own stamps, of logs without a payload's mass."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from problems.arrays import FloatArray
+
+from ..signals.aligned import longest_whole
+from ..signals.contact_rule import CONTACT
+from ..signals.recording import AXES, GainsSignal, PoseSignal, Recording, StampArray, WrenchSignal
+
+_NEAR_ZERO_SHARE = 0.05
+_NOISES = 6.0
+_MOVING_M_S, _CONSTANT_N = 2e-3, 1.0
+_TO_DEVIATION = float(1.4826 / np.sqrt(2.0))
+_FEWEST, _FEWEST_FOR_NOISE = 4, 100
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisSignals:
+    """One axis of S: `force_n` (n,) on the flange, free of its offset, and `travel_m` (n,) of the flange.
+
+    `time_s` (n,) counts from the first sample that wrench and pose share, `period_s` is the usual step. A force is one
+    above `level_n`; `noise_n` is the deviation of one sample. `mass_kg`, `damping_n_s_per_m` and `desired_n` (n,) are
+    M_a, B_a and F^d, NaN where they are not known.
+    """
+
+    axis: str
+    time_s: FloatArray
+    period_s: float
+    force_n: FloatArray
+    travel_m: FloatArray
+    level_n: float
+    noise_n: float
+    mass_kg: FloatArray
+    damping_n_s_per_m: FloatArray
+    desired_n: FloatArray
+
+
+def axis_signals(recording: Recording) -> tuple[AxisSignals, ...]:
+    """Return the straight axes that wrench and pose share; none where they do not overlap.
+
+    What the sensor shows without a load is taken off: the force in motion, where it is never zero and constant there.
+    Without an orientation the pose is not in the axes of the wrench, and the travel is NaN.
+    """
+    recording = longest_whole(recording)
+    wrench, pose = recording.wrench, recording.pose
+    inside = (wrench.stamp_ns >= pose.stamp_ns[0]) & (wrench.stamp_ns <= pose.stamp_ns[-1])
+    stamps = wrench.stamp_ns[inside]
+    if len(stamps) < _FEWEST or len(pose.stamp_ns) < _FEWEST:
+        return ()
+    time, travel = np.asarray((stamps - stamps[0]) * 1e-9), _travel(pose, stamps)
+    found = []
+    for i, axis in enumerate(AXES[:3]):
+        if axis not in wrench.measured_axes or not np.all(np.isfinite(wrench.force_n[inside, i])):
+            continue
+        force = np.array(wrench.force_n[inside, i])
+        if not pose.is_displacement:
+            force -= _offset(force, travel[:, i], time)
+        noise = _noise(force)
+        mass, damping = _gains(recording.gains, stamps, i)
+        found.append(
+            AxisSignals(
+                axis=axis,
+                time_s=time,
+                period_s=float(np.median(np.diff(time))),
+                force_n=force,
+                travel_m=travel[:, i],
+                level_n=_level(recording, force, noise),
+                noise_n=noise,
+                mass_kg=mass,
+                damping_n_s_per_m=damping,
+                desired_n=_desired(recording.desired_force, stamps, i),
+            )
+        )
+    return tuple(found)
+
+
+def _noise(force: FloatArray) -> float:
+    """Return the deviation of one sample from the usual step between two; a log of a blow alone shows none."""
+    return _TO_DEVIATION * float(np.median(np.abs(np.diff(force)))) if len(force) >= _FEWEST_FOR_NOISE else 0.0
+
+
+def _level(recording: Recording, force: FloatArray, noise: float) -> float:
+    """Return the least force that counts; a trace that is declared to be a contact begins with less."""
+    if recording.pose.is_displacement:
+        return max(CONTACT.trace_share * float(np.max(np.abs(force))), _NOISES * noise, 1e-9)
+    return max(CONTACT.smallest_n, _NOISES * noise)
+
+
+def _offset(force: FloatArray, travel: FloatArray, time: FloatArray) -> float:
+    """Return 0 where a twentieth of the samples is near it, else the force that is constant in motion, else 0."""
+    if np.mean(np.abs(force) <= CONTACT.smallest_n) >= _NEAR_ZERO_SHARE:
+        return 0.0
+    moving = np.abs(np.gradient(travel, time)) > _MOVING_M_S
+    if not np.any(moving):
+        return 0.0
+    middle = float(np.median(force[moving]))
+    return middle if float(np.median(np.abs(force[moving] - middle))) <= _CONSTANT_N else 0.0
+
+
+def _travel(pose: PoseSignal, stamps: StampArray) -> FloatArray:
+    """Return how far the flange has gone along the axes of S, (n, 3)."""
+    at, time = (stamps - pose.stamp_ns[0]) * 1e-9, (pose.stamp_ns - pose.stamp_ns[0]) * 1e-9
+    position = np.array(pose.position_m)
+    if not pose.is_displacement:
+        if "rx" not in pose.measured_axes:
+            return np.full((len(stamps), 3), np.nan)
+        turned = Rotation.from_quat(np.array(pose.quaternion_xyzw[:-1])).inv()
+        position = np.vstack([np.zeros((1, 3)), np.cumsum(turned.apply(np.diff(position, axis=0)), axis=0)])
+    return np.column_stack([np.interp(at, time, column) for column in position.T])
+
+
+def _gains(gains: GainsSignal | None, stamps: StampArray, axis: int) -> tuple[FloatArray, FloatArray]:
+    if gains is None:
+        return np.full(len(stamps), np.nan), np.full(len(stamps), np.nan)
+    rows = np.maximum(np.searchsorted(gains.stamp_ns, stamps, side="right") - 1, 0)
+    return gains.mass[rows, axis], gains.damping[rows, axis]
+
+
+def _desired(desired: WrenchSignal | None, stamps: StampArray, axis: int) -> FloatArray:
+    if desired is None:
+        return np.full(len(stamps), np.nan)
+    rows = np.maximum(np.searchsorted(desired.stamp_ns, stamps, side="right") - 1, 0)
+    return np.asarray(desired.force_n[rows, axis])

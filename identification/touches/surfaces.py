@@ -1,0 +1,317 @@
+"""Surfaces of a log: what all contacts with one show of its loading stiffness, its hold and its first blow."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from problems.arrays import FloatArray
+from problems.frozen import freeze
+
+from ..errors import EstimateError
+from ..result import EnvironmentEstimate, Estimate, Finding, LogPhase, Timeline, Touch, TouchCause
+from ..signals.recording import Recording
+from ..verdicts import judged, missing, unidentifiable
+from .find import AxisTouches, FoundTouch, find_touches
+from .peak import bound_peak
+from .phases import build_phases
+from .signals import AxisSignals, axis_signals
+from .trace import TraceContact, identify_trace
+
+# One more contact with a surface differs from those before it by about this share, where they do not show it.
+_USUAL_SPREAD = 0.1
+_WEAK_SHARE = 0.5
+_SAME_PLACE_M = 5e-3
+_SAME_STIFFNESS = 1.25
+_NOT_A_SPRING = 0.1
+_FALLEN_SHARE = 0.5
+_MOST_LISTED = 8
+# Of the depth: a displacement that begins no farther before the force is one since contact.
+_CONTACT_SHARE = 0.2
+_NARROW_SAMPLES = 3
+_PEAK_OF_NOTE_N = 10.0
+_LOADING = "force over travel while it loads, behind the first blow: mean of its slope through the origin and its peak"
+_BLOW = "force of the first blow over the speed of the approach"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Contact:
+    """A touch of a wall; `trace` is None where it is too short, `blow_n` what the first blow may be."""
+
+    touch: Touch
+    place_m: float
+    trace: TraceContact | None
+    refused: str
+    blow_n: tuple[float, float] | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Touched:
+    """What a log shows of touches: the time line, the surfaces by axis, and what is to be said of them."""
+
+    timeline: Timeline
+    surfaces: Mapping[str, tuple[EnvironmentEstimate, ...]]
+    findings: tuple[Finding, ...]
+
+    def __post_init__(self) -> None:
+        freeze(self, "surfaces")
+
+    @property
+    def shows_more_than_a_hand(self) -> bool:
+        """Return whether there is a surface, or touches into which no hand led."""
+        touches = self.timeline.touches
+        return bool(self.surfaces) or (bool(touches) and not any(touch.is_led for touch in touches))
+
+
+def identify_touches(recording: Recording) -> Touched:
+    """Find the touches of a log without the payload's mass, and what they show of the surfaces.
+
+    A displacement is a trace of one contact. A surface is what walls on one side of an axis are touched at one place,
+    or with one stiffness; touches whose cause is not known are named in a finding.
+    """
+    found = find_touches(axis_signals(recording), is_contact=recording.pose.is_displacement)
+    surfaces: dict[str, tuple[EnvironmentEstimate, ...]] = {}
+    names: dict[tuple[str, float], str] = {}
+    findings: list[Finding] = []
+    for axis in found:
+        walls = [each for each in axis.touches if each.touch.cause is TouchCause.WALL]
+        contacts = [_contact(axis.signals, each, is_trace=recording.pose.is_displacement) for each in walls]
+        estimates = []
+        for i, group in enumerate(_grouped(contacts)):
+            name = f"{axis.signals.axis}{i + 1}"
+            estimates.append(_surface(name, group))
+            findings += _about(name, group)
+            names |= {(axis.signals.axis, contact.touch.peak_s): name for contact in group}
+        if estimates:
+            surfaces[axis.signals.axis] = tuple(estimates)
+        findings += _between_samples(axis)
+    touches = sorted(
+        (
+            replace(each.touch, surface=names.get((each.touch.axis, each.touch.peak_s)))
+            for axis in found
+            for each in axis.touches
+        ),
+        key=lambda touch: (touch.peak_s if touch.onset_s is None else touch.onset_s, touch.axis),
+    )
+    findings += _undetermined(touches)
+    phases: tuple[LogPhase, ...] = build_phases(found, touches)
+    return Touched(
+        timeline=Timeline(phases=phases, touches=tuple(touches)), surfaces=surfaces, findings=tuple(findings)
+    )
+
+
+def _contact(axis: AxisSignals, found: FoundTouch, *, is_trace: bool) -> _Contact:
+    """Return what one contact shows of its surface."""
+    touch, start = found.touch, found.span.start
+    step = abs(float(axis.travel_m[start] - axis.travel_m[max(0, start - 1)]))
+    # Travel counts from the middle of the step in which the contact began, in a trace from where that says it began.
+    origin, open_m = float(axis.travel_m[start]) - 0.5 * touch.sign * step, step / np.sqrt(12.0)
+    used = found.span.slice
+    depth, pressing = touch.sign * axis.travel_m, -touch.sign * axis.force_n
+    if is_trace and depth[start] < _CONTACT_SHARE * float(np.max(depth)):
+        origin, open_m, used = 0.0, 0.0, slice(None)
+    depth = depth[used] - touch.sign * origin
+    trace, refused = None, ""
+    if touch.is_led:
+        refused = "a hand pressed with it"
+    else:
+        try:
+            trace = identify_trace(depth, pressing[used], axis.period_s, open_m)
+        except EstimateError:
+            refused = f"{np.max(depth) * 1e3:.2f} mm of travel into it show no stiffness"
+    return _Contact(
+        touch=touch, place_m=touch.sign * origin, trace=trace, refused=refused, blow_n=_blow(axis, found, pressing)
+    )
+
+
+def _blow(axis: AxisSignals, found: FoundTouch, pressing: FloatArray) -> tuple[float, float] | None:
+    """Return what the peak of the first blow may be, None where a hand pushed or the speed is not known."""
+    if found.touch.is_led or not found.touch.approach_speed or found.touch.approach_speed <= 0.0:
+        return None
+    inside = pressing[found.span.slice]
+    highest = np.maximum.accumulate(inside)
+    fallen = np.flatnonzero((inside < _FALLEN_SHARE * highest) & (highest > 2.0 * axis.level_n))
+    stop = found.span.start + (int(fallen[0]) if fallen.size else len(inside))
+    top = found.span.start + int(np.argmax(pressing[found.span.start : stop]))
+    low, high, _ = bound_peak(pressing, found.span.start, top)
+    return low, high
+
+
+def _grouped(contacts: Sequence[_Contact]) -> list[list[_Contact]]:
+    """Return the contacts by surface: on one side at one place, or of one stiffness."""
+    groups: list[list[_Contact]] = []
+    for contact in contacts:
+        fitting = [group for group in groups if any(_is_same(contact, other) for other in group)]
+        if fitting:
+            fitting[0].append(contact)
+        else:
+            groups.append([contact])
+    return groups
+
+
+def _is_same(one: _Contact, other: _Contact) -> bool:
+    if one.touch.sign != other.touch.sign:
+        return False
+    if abs(one.place_m - other.place_m) <= _SAME_PLACE_M:
+        return True
+    if one.trace is None or other.trace is None:
+        return False
+    ratio = one.trace.loading_n_per_m / other.trace.loading_n_per_m
+    return 1.0 / _SAME_STIFFNESS <= ratio <= _SAME_STIFFNESS
+
+
+def pooled(values: Sequence[float], stds: Sequence[float]) -> tuple[float, float, float | None]:
+    """Return the mean of contacts, the deviation of one more contact, and the share by which they differ.
+
+    The variance between contacts is that of the values, together with one contact that differs by a tenth: two contacts
+    that happen to agree are no proof that the third will. None for one contact.
+    """
+    known, own = np.array(values), np.array(stds)
+    mean = float(np.mean(known))
+    between = ((_USUAL_SPREAD * mean) ** 2 + float(np.sum((known - mean) ** 2))) / len(known)
+    spread = float(np.std(known, ddof=1)) / abs(mean) if len(known) > 1 else None
+    return mean, float(np.sqrt(between + np.mean(own**2) / len(own))), spread
+
+
+def _surface(name: str, contacts: Sequence[_Contact]) -> EnvironmentEstimate:
+    traces = [contact.trace for contact in contacts if contact.trace is not None]
+    refused = "; ".join(dict.fromkeys(contact.refused for contact in contacts if contact.refused))
+    secant, relaxed, spread = unidentifiable(method=_LOADING, note=refused), None, None
+    if traces:
+        value, std, spread = pooled([t.loading_n_per_m for t in traces], [t.loading_std_n_per_m for t in traces])
+        secant = judged(value, std, method=_LOADING, note=_spread_note(spread), weak=_WEAK_SHARE)
+        relaxed = _relaxed(traces)
+    above = "" if secant.value is None else f"; above the secant, {secant.value:.4g} N/m"
+    impulses = [trace.spike.impulse_n_s for trace in traces if trace.spike is not None]
+    return EnvironmentEstimate(
+        name=name,
+        stiffness_n_per_m=unidentifiable(note=f"in series with a coupling that this log does not identify{above}"),
+        secant_stiffness_n_per_m=secant,
+        damping_n_s_per_m=unidentifiable(note="the motion of the payload behind the coupling is not identified"),
+        mass_kg=unidentifiable(
+            note=f"an impact spike of {np.mean(impulses):.2g} N·s; payload and surface share it"
+            if impulses
+            else "no impact spike"
+        ),
+        contacts=len(contacts),
+        peak_force_n=tuple(contact.touch.peak_force for contact in contacts),
+        relaxed_stiffness_n_per_m=relaxed,
+        impact_n_s_per_m=_impact(contacts),
+        contact_spread=spread,
+    )
+
+
+def _spread_note(spread: float | None) -> str:
+    if spread is None:
+        return f"one contact: the next one is taken to differ by {100.0 * _USUAL_SPREAD:.0f} %"
+    return f"contacts differ by {100.0 * spread:.0f} %"
+
+
+def _relaxed(traces: Sequence[TraceContact]) -> Estimate | None:
+    """Return force over travel where it is held, None without a hold."""
+    held = [(trace.hold_secant_n_per_m, trace) for trace in traces if trace.hold_secant_n_per_m is not None]
+    if not held:
+        return None
+    shares = [trace.secant_std_n_per_m / trace.secant_n_per_m for _, trace in held]
+    value, std, _ = pooled([k for k, _ in held], [k * share for (k, _), share in zip(held, shares, strict=True)])
+    return judged(value, std, method="mean force over mean travel of the hold", weak=_WEAK_SHARE)
+
+
+def _impact(contacts: Sequence[_Contact]) -> Estimate | None:
+    """Return the force of the first blow over the speed, from the middles of what it may be; None without one."""
+    blows = [(c.blow_n, c.touch.approach_speed) for c in contacts]
+    known = [(blow, speed) for blow, speed in blows if blow is not None and speed is not None and speed > 0.0]
+    if not known:
+        return None
+    values = [0.5 * (low + high) / speed for (low, high), speed in known]
+    stds = [(high - low) / np.sqrt(12.0) / speed for (low, high), speed in known]
+    value, std, _ = pooled(values, [float(each) for each in stds])
+    return judged(value, std, method=_BLOW, weak=_WEAK_SHARE)
+
+
+def _about(name: str, contacts: Sequence[_Contact]) -> list[Finding]:
+    """Return what is to be said of a surface: a blow first, and what is no spring."""
+    found = []
+    for contact in contacts:
+        trace = contact.trace
+        if trace is None:
+            continue
+        if trace.spike is not None:
+            found.append(
+                Finding.warning(
+                    "impact-spike",
+                    f"Surface {name}: the contact begins with a blow of {trace.spike.force_n:.1f} N at "
+                    f"{1e3 * trace.spike.depth_m:.2f} mm, where the secant explains "
+                    f"{trace.secant_n_per_m * trace.spike.depth_m:.1f} N: masses meet, so a slope fitted there is no "
+                    "stiffness.",
+                    "Record wrench, whole pose and command, to determine the masses of payload and surface.",
+                )
+            )
+        if trace.fit_error > _NOT_A_SPRING:
+            held = "no hold" if trace.hold_secant_n_per_m is None else f"{trace.hold_secant_n_per_m:.4g} N/m held"
+            found.append(
+                Finding.warning(
+                    "secant-only",
+                    f"Surface {name}: {trace.loading_n_per_m:.4g} N/m while it loads, {trace.secant_n_per_m:.4g} N/m "
+                    f"over the whole contact ({held}), which leaves {100.0 * trace.fit_error:.0f} % of the force "
+                    f"unexplained (contact felt at {1e3 * trace.touch_m:.2f} mm): no single spring.",
+                    "Hold the contact for 1 s after the swings have died out.",
+                )
+            )
+    return found
+
+
+def _between_samples(axis: AxisTouches) -> list[Finding]:
+    """Return which peaks are so narrow that they may lie between the samples."""
+    found = []
+    for each in axis.touches:
+        touch = each.touch
+        if touch.cause is TouchCause.HAND or touch.peak_interval is None or touch.rise_samples is None:
+            continue
+        low, high = touch.peak_interval
+        if high > (1.0 + _NOT_A_SPRING) * low and touch.rise_samples <= 3:
+            samples = "1 sample" if touch.rise_samples <= 1 else f"{touch.rise_samples} samples"
+            found.append(
+                Finding.warning(
+                    "peak-between-samples",
+                    f"Axis {touch.axis}, {touch.peak_s:.2f} s: sampled at {1.0 / axis.signals.period_s:.0f} Hz, rise "
+                    f"in {samples}: the peak may be {low:.1f} to {high:.1f} N.",
+                    "Record the wrench faster, at 500 Hz or more.",
+                )
+            )
+    return found
+
+
+def _undetermined(touches: Sequence[Touch]) -> list[Finding]:
+    """Return the finding on touches that may be a hand's."""
+    left = [touch for touch in touches if touch.cause is not TouchCause.WALL]
+    if not left:
+        return []
+    shown = ", ".join(
+        f"{touch.peak_s:.2f} s ({touch.axis}, {touch.peak_force:.1f} N{', led' if touch.is_led else ''})"
+        for touch in left[:_MOST_LISTED]
+    )
+    more = f" and {len(left) - _MOST_LISTED} more" if len(left) > _MOST_LISTED else ""
+    return [
+        Finding.warning(
+            "touch-undetermined",
+            f"What was touched at {shown}{more} cannot be told from a hand: a hand led the payload or the force came "
+            "without motion.",
+            "Approach under a desired force or a command, hands off.",
+        )
+    ]
+
+
+def no_contact(touched: Touched) -> Finding:
+    """Return why a log shows no surface."""
+    if touched.timeline.touches:
+        return missing(
+            "no-contact",
+            "None of the touches of the log can be told from a hand, so no environment is identified.",
+            "Record contacts that are approached under a desired force or a command, hands off.",
+        )
+    return missing(
+        "no-contact",
+        "Nothing presses against the motion in this log, so no environment is identified.",
+        "Record contacts that are approached under a desired force or a command, hands off.",
+    )
