@@ -295,6 +295,7 @@ def compare_logs(
     """Read the logs as the parts of one recording and compare every contact."""
     from autotune.formats.cell import read_cell
     from autotune.validation.against_log import compare_with_log
+    from autotune.validation.log_touches import compare_touches_of_log
     from identification.logs import read_checked_recording
     from identification.logs.roles.cell import Cell
     from identification.logs.roles.interpret import build_frames
@@ -303,7 +304,10 @@ def compare_logs(
     cell = cell.with_topics(wrench=None, pose=None, command=command_topic)
     with output.progress(f"comparing with {', '.join(log.name for log in logs)}", 1.0) as advance:
         recording = read_checked_recording(logs, cell, span=span)
-        return compare_with_log(controller, recording, build_frames(cell), advance)
+        # Without a command the law cannot be held against it, without the weight no contact be followed.
+        is_whole = recording.command is not None and not recording.wrench.gravity_compensated
+        compare = compare_with_log if is_whole else compare_touches_of_log
+        return compare(controller, recording, build_frames(cell), advance)
 
 
 def comparison_tree(found: "LogComparison") -> dict[str, Any]:
@@ -334,13 +338,19 @@ def print_comparison(found: "LogComparison") -> None:
         if mine:
             print_table([*_contact_rows(mine)])
     inside = sum(each.is_inside for each in found.contacts)
-    print_message(f"{inside} of {len(found.contacts)} traces lie inside the predicted band all the time")
+    is_followed = all(each.trace is not None for each in found.contacts)
+    what = "traces lie inside the predicted band all the time" if is_followed else "peaks lie inside the certified set"
+    print_message(f"{inside} of {len(found.contacts)} {what}")
+    if not is_followed:
+        print_message("the log holds no command or no weight: that this controller was running is taken on trust")
     if found.passed_over:
         print_message(f"{found.passed_over} more contacts passed over: another law drove the command there")
 
 
 def _contact_rows(contacts: "Sequence[ComparedContact]") -> Iterator[tuple[str, ...]]:
     """Yield the rows of contacts that are all along, or all about, an axis."""
+    from autotune.validation.against_log import share_text
+
     units = axis_units(contacts[0].axis)
     # A torque is a force at 0.2 m: it takes a digit more.
     digits = 1 if units.force == "N" else 2
@@ -361,6 +371,6 @@ def _contact_rows(contacts: "Sequence[ComparedContact]") -> Iterator[tuple[str, 
             f"{each.peak_error_n:+.{digits}f}",
             f"{100.0 * each.peak_error_n / each.measured_peak_n:+.1f}",
             f"{low:.{digits}f} to {high:.{digits}f}",
-            f"{100.0 * each.share_inside:.1f}",
-            f"{each.rms_error_n:.{digits + 1}f}",
+            share_text(each),
+            "" if each.rms_error_n is None else f"{each.rms_error_n:.{digits + 1}f}",
         )

@@ -19,19 +19,32 @@ _ROUNDING = 1e-9
 
 
 def certified_plants(
-    domain: AxisDomain, axis: str, sample_time_s: float, *, stiffness: float, payload_mass: float
+    domain: AxisDomain,
+    axis: str,
+    sample_time_s: float,
+    *,
+    stiffness: float | None = None,
+    payload_mass: float | None = None,
 ) -> PlantEnsemble:
-    """Return the certified plants of an axis against a surface with a payload; both may lie outside of the domain."""
-    scenario = Scenario(environment_stiffness_n_per_m=stiffness, payload_mass_kg=payload_mass)
+    """Return the certified plants of an axis against a surface with a payload; both may lie outside of the domain.
+
+    None keeps the whole range, and the nominal plant is then in the middle of it (of the stiffness by ratios).
+    """
+    (soft, stiff), (light, heavy) = domain.environment_stiffness_n_per_m, domain.payload_mass_kg
+    scenario = Scenario(
+        environment_stiffness_n_per_m=math.sqrt(soft * stiff) if stiffness is None else stiffness,
+        payload_mass_kg=0.5 * (light + heavy) if payload_mass is None else payload_mass,
+    )
     nominal = scenario.plant(domain.nominal_plant())
     whole = domain.uncertainty()
-    ranges = {**whole.ranges, _STIFFNESS: (stiffness, stiffness), _MASS: (payload_mass, payload_mass)}
+    said = {_STIFFNESS: stiffness, _MASS: payload_mass}
+    ranges = {**whole.ranges, **{name: (value, value) for name, value in said.items() if value is not None}}
     ellipsoid = whole.ellipsoid
-    if ellipsoid is not None and {_STIFFNESS, _MASS}.intersection(ellipsoid.names):
+    if ellipsoid is not None and any(ranges[name] != whole.ranges[name] for name in ellipsoid.names):
         ellipsoid = None
     return PlantEnsemble(
         axis=axis,
-        surface=Surface(stiffness=stiffness).label(axis),
+        surface="certified" if stiffness is None else Surface(stiffness=stiffness).label(axis),
         sample_time_s=sample_time_s,
         nominal=nominal,
         others=range_plants(Uncertainty(ranges=ranges, ellipsoid=ellipsoid), nominal),

@@ -61,22 +61,25 @@ class ContactBand:
     high: FloatArray
 
 
-def simulate_on(plant: Plant, law: Law, approach: Approach, sample_time_s: float) -> ContactTransient:
+def simulate_on(
+    plant: Plant, law: Law, approach: Approach, sample_time_s: float, *, samples: int | None = None
+) -> ContactTransient:
     """Simulate a contact: the exact transient, or with a deadband the nonlinear simulation.
 
+    Without `samples` it lasts until the force has settled.
     Raises UnstableLoopError where the loop is unstable, ParameterError for a plant that cannot be followed.
     """
     if law.deadband.width_n == 0.0:
         pair = build_sampled_contact(build_sampled_plant(plant, sample_time_s))
-        return simulate_contact(pair, law.controller, approach)
+        return simulate_contact(pair, law.controller, approach, samples=samples)
     linear = simulate_on(plant, Law(controller=law.controller), approach, sample_time_s)
-    duration = min(2.0 * float(linear.time_s[-1]) + sample_time_s, sample_time_s * longest_run(sample_time_s))
+    count = min(2 * len(linear.time_s), longest_run(sample_time_s)) if samples is None else samples
     run = simulate_nonlinear(
         plant,
         law.controller,
         approach,
         sample_time_s=sample_time_s,
-        duration_s=duration,
+        duration_s=count * sample_time_s,
         effects=Nonlinearities(deadband=law.deadband),
         substeps=needed_substeps(plant, sample_time_s),
     )

@@ -8,7 +8,7 @@ import numpy as np
 from autotune.charts.chart import Band, Chart, Limit, Line, Panel, Scale, level_panels
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
-from autotune.validation.against_log import ComparedContact, LogComparison
+from autotune.validation.against_log import ComparedContact, ContactTrace, LogComparison, share_text
 from autotune.validation.monte_carlo import BAND, QUANTILES, AxisMonteCarlo
 from autotune.validation.report import ValidationReport
 
@@ -115,7 +115,7 @@ def _measured_table(contacts: Sequence[ComparedContact]) -> Table:
             f"{each.predicted_peak_n:.{digits}f}",
             f"{100.0 * each.peak_error_n / each.measured_peak_n:+.1f}",
             f"{low:.{digits}f} to {high:.{digits}f}",
-            f"{100.0 * each.share_inside:.1f}",
+            share_text(each),
         )
         rows.append(numbers)
     return build_table(
@@ -192,7 +192,8 @@ def band_chart(found: AxisMonteCarlo) -> Chart | None:
 
 def measured_charts(found: LogComparison) -> Iterator[Chart]:
     """Draw the contacts of a log beside the prediction and what the certified set allows, in the order of time."""
-    strongest = sorted(found.contacts, key=lambda each: -each.measured_peak_n)[:_MOST_CONTACTS]
+    traced = [each for each in found.contacts if each.trace is not None]
+    strongest = sorted(traced, key=lambda each: -each.measured_peak_n)[:_MOST_CONTACTS]
     shown = sorted(strongest, key=lambda each: each.onset_s)
     errors = [100.0 * abs(each.peak_error_n) / each.measured_peak_n for each in found.contacts]
     inside = sum(each.is_inside for each in found.contacts)
@@ -200,8 +201,8 @@ def measured_charts(found: LogComparison) -> Iterator[Chart]:
         f"of {len(found.contacts)} contacts the predicted peak is within {max(errors):.1f} % of the measured one; "
         f"{inside} lie inside the band all the time."
     )
-    which = "" if len(shown) == len(found.contacts) else f" The strongest {len(shown)} are drawn; the table has all."
-    panels = level_panels([_measured_panel(each) for each in shown])
+    which = "" if len(shown) == len(traced) else f" The strongest {len(shown)} are drawn; the table has all."
+    panels = level_panels([_measured_panel(each, each.trace) for each in shown if each.trace is not None])
     for number, start in enumerate(range(0, len(shown), _PANELS), 1):
         is_last = start + _PANELS >= len(shown)
         yield Chart(
@@ -214,8 +215,8 @@ def measured_charts(found: LogComparison) -> Iterator[Chart]:
         )
 
 
-def _measured_panel(contact: ComparedContact) -> Panel:
-    units, trace = axis_units(contact.axis), contact.trace
+def _measured_panel(contact: ComparedContact, trace: ContactTrace) -> Panel:
+    units = axis_units(contact.axis)
     last = min(float(trace.measured_s[-1]), float(trace.time_s[-1]))
     used = trace.time_s <= last
     time = 1e3 * trace.time_s[used]

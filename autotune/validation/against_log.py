@@ -7,15 +7,15 @@ import numpy as np
 
 from autotune.errors import UsageError
 from autotune.formats.certificate_record import AxisDomain
-from autotune.formats.controller_record import Controller, admittance_controller, file_deadband
+from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.limits import CollisionResponse
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
+from autotune.prediction.contact import simulate_on
+from autotune.prediction.law import law_of
 from identification.errors import LogError
 from identification.signals.frames import Frames
 from identification.signals.recording import Recording
 from problems.arrays import FloatArray
-from problems.contact.nonlinear_simulation import needed_substeps, simulate_nonlinear
-from problems.contact.nonlinearities import Nonlinearities
 from problems.contact.transient import Approach
 from problems.design.uncertainty import Scenario
 
@@ -56,26 +56,31 @@ class ComparedContact:
 
     `band_peaks_n` are the smallest and the largest peak over the certified set at the same speed and F^d, and
     `share_inside` is the share of the trace between the lowest and the highest of its forces. `outside` says where
-    the contact lies outside of what is certified. `trace` is for pictures.
+    the contact lies outside of what is certified. `trace` is for pictures. What the log shows of no command or of a
+    wrench whose gravity was taken off is the peak alone: then `law_left_share`, `share_inside`, `rms_error_n` and
+    `trace` are None.
     """
 
     axis: str
     onset_s: float
     speed_m_s: float
     desired_force_n: float
-    law_left_share: float
+    law_left_share: float | None
     stiffness_n_per_m: float | None
     measured_peak_n: float
     predicted_peak_n: float
     band_peaks_n: tuple[float, float]
-    share_inside: float
-    rms_error_n: float
+    share_inside: float | None
+    rms_error_n: float | None
     outside: str
-    trace: ContactTrace = field(compare=False)
+    trace: ContactTrace | None = field(compare=False)
 
     @property
     def is_inside(self) -> bool:
-        """Whether the whole trace lies inside the band."""
+        """Whether the whole trace lies inside the band, or the peak where that is all there is."""
+        if self.share_inside is None:
+            low, high = self.band_peaks_n
+            return low <= self.measured_peak_n <= high
         return self.share_inside == 1.0
 
     @property
@@ -110,11 +115,7 @@ def compare_with_log(
     Raises LogError for a log without a contact along an axis of the file, or whose command no contact explains by this
     law; EstimateError for a log without raw wrench or pose; UsageError for a file with a collision response.
     """
-    if controller.collision.response is not CollisionResponse.NONE:
-        raise UsageError(
-            "The comparison with a log does not know the collision response, and the file has one: the command jumps "
-            "where it begins. Record the contacts under the same gains without it."
-        )
+    refuse_response(controller)
     found = find_log_contacts(recording, controller, frames)
     if not found.contacts:
         raise LogError(
@@ -138,6 +139,15 @@ def compare_with_log(
         mass_kg=found.mass_kg,
         is_weighed=found.is_weighed,
     )
+
+
+def refuse_response(controller: Controller) -> None:
+    """Raise UsageError for a file with a collision response, which no comparison with a log knows."""
+    if controller.collision.response is not CollisionResponse.NONE:
+        raise UsageError(
+            "The comparison with a log does not know the collision response, and the file has one: the command jumps "
+            "where it begins. Record the contacts under the same gains without it."
+        )
 
 
 def _refusal(followed: Sequence[LawFit]) -> str:
@@ -206,30 +216,19 @@ def _compared(controller: Controller, log: ContactLog, contact: LogContact, foll
 
 
 class _Simulator:
-    """The full simulation of one contact of the log, with the deadband of the file and without noise."""
+    """The simulation of one contact of the log, with the deadband of the file and without noise."""
 
     def __init__(self, controller: Controller, contact: LogContact, followed: LawFit) -> None:
-        gains = controller.axes[contact.axis]
         self.h = controller.sample_time_s
-        self.law = admittance_controller(controller, contact.axis)
+        self.law = law_of(controller, contact.axis)
         self.nominal = controller.certificate.domain[contact.axis].nominal_plant()
-        self.effects = Nonlinearities(deadband=file_deadband(gains))
         self.approach = Approach(speed_m_s=contact.speed_m_s, after_impact_n=followed.desired_force)
         self.time = np.arange(round((_COMPARED_S + _EARLIEST_S) / self.h)) * self.h
 
     def trace(self, scenario: Scenario) -> FloatArray:
         """Return the pressing force at the sensor (n,), from the touch on."""
         plant = scenario.plant(self.nominal)
-        run = simulate_nonlinear(
-            plant,
-            self.law,
-            self.approach,
-            sample_time_s=self.h,
-            duration_s=len(self.time) * self.h,
-            effects=self.effects,
-            substeps=needed_substeps(plant, self.h),
-        )
-        return run.sensor_force_n
+        return simulate_on(plant, self.law, self.approach, self.h, samples=len(self.time)).sensor_force_n
 
 
 def _shifted(contact: LogContact, period_s: float, predicted: FloatArray, h: float) -> tuple[FloatArray, FloatArray]:
@@ -277,6 +276,13 @@ def _outside(domain: AxisDomain, axis: str, stiffness: float | None, log: Contac
         if value is not None and not low * (1.0 - _OUTSIDE) <= value <= high * (1.0 + _OUTSIDE)
     ]
     return ", ".join(text)
+
+
+def share_text(contact: ComparedContact) -> str:
+    """Return the share of the trace inside the band, or whether the peak is where there is no trace."""
+    if contact.share_inside is None:
+        return "yes" if contact.is_inside else "no"
+    return f"{100.0 * contact.share_inside:.1f}"
 
 
 def log_checks(found: LogComparison) -> tuple[Check, ...]:

@@ -61,6 +61,7 @@ def test_its_own_cell_is_predicted_to_the_noise() -> None:
         assert each.stiffness_n_per_m == pytest.approx(1.1e5, rel=0.02)
         # The largest of a hundred noisy samples at the top stands out by two deviations, 0.3 N.
         assert abs(each.peak_error_n) < 0.5
+        assert each.rms_error_n is not None
         assert each.rms_error_n < 2.0 * certified_cell().force_noise_rms_n
         assert each.band_peaks_n[0] < each.measured_peak_n < each.band_peaks_n[1]
     assert all(check.passed for check in log_checks(found))
@@ -152,6 +153,7 @@ def test_contacts_at_the_end_of_a_turn_are_predicted_in_torque_and_angle() -> No
         assert each.stiffness_n_per_m == pytest.approx(1.1e5 * SQUARE, rel=0.02)
         # The weight turns with what turns, which no model holds: 1 % of 8.6 N·m, and five deviations of the noise.
         assert abs(each.peak_error_n) < 0.15
+        assert each.share_inside is not None
         assert each.share_inside > 0.95
         assert each.outside == ""
         assert check.passed
