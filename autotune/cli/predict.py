@@ -62,11 +62,14 @@ def command(output: Output, /, identified: Path, **options: Any) -> None:
     IDENTIFIED is what identify wrote, or a plant.yaml. The interval holds the joint deviations of the parameters, the
     spread between contacts and the error of the model on contacts that took no part. With --log every contact of the
     log is predicted, beside what was measured; gains and desired force are those in the log unless they are said. Exit
-    code 3: a log cannot be used. 4: the plant does not tell what the prediction needs, or the loop is unstable.
+    code 3: a log cannot be used. 4: the plant does not tell what the prediction needs. 5: the loop is unstable, and its
+    peak no number.
     """
     from autotune.formats.atomic import check_target
 
     logs, plot, report = options["logs"], options["plot"], options["report"]
+    if plot is not None and plot.suffix.lower() not in {".svg", ".png"}:
+        raise click.UsageError(f"--plot {plot} must end in .svg or .png.")
     others = [each for each in (options["controller"], options["cell_path"]) if each is not None]
     sources = [identified, *others, *logs]
     if plot is not None:
@@ -127,8 +130,10 @@ def _printed(found: "Shown") -> Iterator[str | list[tuple[str, ...]]]:
 
 
 def _predicted(identified: Path, options: dict[str, Any]) -> "PredictedContact":
+    from autotune.errors import InfeasibleError
     from autotune.formats.plant import read_plant
     from autotune.predicting import parse_gains, predict_any
+    from problems.stability.margins import UnstableLoopError
 
     file, axis = read_plant(identified), options["axis"]
     asked = _request(options, file.result)
@@ -137,7 +142,10 @@ def _predicted(identified: Path, options: dict[str, Any]) -> "PredictedContact":
         raise click.UsageError("Give the gains with --gains, or with --controller.")
     if asked.approach() is None:
         raise click.UsageError("Say how the contact begins: --approach force=30 or speed=0.02.")
-    return predict_any(file, controller if gains is None else parse_gains(gains, axis), asked)
+    try:
+        return predict_any(file, controller if gains is None else parse_gains(gains, axis), asked)
+    except UnstableLoopError as error:
+        raise InfeasibleError(f"On the plant of {identified}: {error}") from error
 
 
 def _compared(output: Output, identified: Path, options: dict[str, Any]) -> "TouchComparison":
@@ -193,8 +201,6 @@ def _write_plot(output: Output, path: Path, found: "PredictedContact | TouchComp
     from autotune.formats.atomic import write_atomic
     from autotune.formats.replaceable import PICTURE_MARK
 
-    if path.suffix.lower() not in {".svg", ".png"}:
-        raise click.UsageError(f"--plot {path} must end in .svg or .png.")
     picture = render(found.chart(), path.suffix, mark=PICTURE_MARK)
     with output.replacing(path, "picture"):
         write_atomic(path, picture)

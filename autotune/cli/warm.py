@@ -47,7 +47,7 @@ def _warm(folder: Path, advance: Advance) -> None:
     identified, controller = str(folder / "identified.yaml"), str(folder / "controller.yaml")
     axes = ("--x", "environment_stiffness=2e4:5e5:4:log", "--y", "lead_s=0:0.03:4")
     steps: list[tuple[str, float, Callable[[], None]]] = [
-        ("demo", 0.6, lambda: _run("demo", str(folder))),
+        ("demo", 0.58, lambda: _run("demo", str(folder))),
         ("log formats", 0.02, lambda: _write_logs(bag, rosbag2, table)),
         *(
             (f"inspect {path.name}", 0.03, lambda path=path: _run("inspect", str(path)))
@@ -55,6 +55,7 @@ def _warm(folder: Path, advance: Advance) -> None:
         ),
         ("plan", 0.05, lambda: _run("plan", identified, "-o", str(folder / "plan.yaml"))),
         ("validate", 0.05, lambda: _run("validate", controller, "--identified", identified, "--log", str(log))),
+        ("predict", 0.02, lambda: _predict(identified, controller)),
         ("map", 0.06, lambda: _map(controller, folder, axes)),
         ("explore", 0.1, lambda: _explore(Path(identified), Path(controller))),
     ]
@@ -83,6 +84,12 @@ def _write_logs(bag: Path, rosbag2: Path, table: Path) -> None:
     recording = simulate_cell(SimulatedCell(), program, seed=0).recording
     for path, write in ((bag, write_ros1_bag), (rosbag2, write_rosbag2), (table, write_csv)):
         write(recording, path, rows=_ROWS)
+
+
+def _predict(identified: str, controller: str) -> None:
+    """Predict a contact with a deadband and one without."""
+    for gains in (("--controller", controller), ("--gains", "mass=13,damping=1000")):
+        _run("predict", identified, *gains, "--surface", "40N/mm", "--approach", "force=30")
 
 
 def _map(controller: str, folder: Path, axes: tuple[str, ...]) -> None:

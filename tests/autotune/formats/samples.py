@@ -26,6 +26,7 @@ from identification.result import (
     Estimate,
     Finding,
     FitQuality,
+    HeldOutPeak,
     Identified,
     LogPhase,
     PayloadEstimate,
@@ -253,6 +254,12 @@ def vectors(draw: st.DrawFn, *, size: int = 3) -> VectorEstimate:
     )
 
 
+HELD_OUT = tuple(
+    HeldOutPeak(without=without, surface="x1", time_s=2.5, measured_peak=50.0, predicted_peak=48.5, log=log)
+    for without, log in (("contact", ""), ("log", "run7.mcap"))
+)
+
+
 def identified_results() -> st.SearchStrategy[Identified]:
     free, positive = estimates(), estimates(positive=True)
     environment = st.builds(
@@ -283,6 +290,7 @@ def identified_results() -> st.SearchStrategy[Identified]:
         mass_kg=st.none() | positive,
         covariance=st.none() | covariances(),
         fits=st.lists(st.just(FIT), max_size=2).map(tuple),
+        held_out=st.lists(st.sampled_from(HELD_OUT), max_size=2).map(tuple),
     )
     sensor = st.builds(
         SensorEstimate,

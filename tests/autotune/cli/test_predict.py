@@ -1,0 +1,97 @@
+"""`autotune predict` through its real entry point."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from autotune.cli.main import main
+from autotune.errors import UsageError
+from autotune.formats.quantity import Uncertain
+from autotune.predicting import parse_approach, parse_gains, parse_surface
+from tests.autotune.formats.samples import make_identified
+
+PLANT = """format: autotune/plant
+version: 1
+mass: 16
+coupling_stiffness: 3e5
+drag: 630
+robot: {bandwidth: 3.2, delay: 2.4e-3}
+environment_stiffness: [2e4, 8e4]
+sample_time: 8e-4
+"""
+GAINS = ("--gains", "mass=13,damping=1kNs/m,lead=20ms")
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> Path:
+    path = tmp_path / "plant.yaml"
+    path.write_text(PLANT, encoding="utf-8")
+    return path
+
+
+def test_one_contact_as_table_json_picture_and_page(
+    plant: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    asked = (
+        "predict",
+        str(plant),
+        *GAINS,
+        "--surface",
+        "20N/mm",
+        "--approach",
+        "speed=28mm/s",
+        "--plot",
+        "contact.svg",
+    )
+    assert main([*asked, "--json", "--report", "contact.html"]) == 0
+    tree = json.loads(capsys.readouterr().out)
+    assert tree["plant"]["environment"]["stiffness_n_per_m"] == 2e4
+    assert tree["contact"]["contact_speed_m_s"] == pytest.approx(0.028)
+    low, high = tree["interval"]["sensor"]
+    assert low <= tree["peak_sensor_force"] <= high
+    assert (tmp_path / "contact.svg").read_bytes().startswith(b"<?xml")
+    assert "Predicted contact on axis x" in (tmp_path / "contact.html").read_text(encoding="utf-8")
+    assert main([*asked]) == 0
+    said = capsys.readouterr()
+    assert f"peak {tree['peak_force']:.4g} N at the surface" in " ".join(said.out.split())
+    assert "contact.svg: replaced" in said.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (("--approach", "force=30"), 2, "--gains"),
+        (GAINS, 2, "--approach"),
+        ((*GAINS, "--approach", "force=30", "--surface", "wood"), 2, "stiffness such as 20N/mm"),
+        ((*GAINS, "--approach", "push=30"), 2, "force, speed"),
+        ((*GAINS, "--approach", "force=30", "--plot", "contact.pdf"), 2, ".svg or .png"),
+        (("--gains", "mass=10,damping=200", "--approach", "force=30", "--surface", "5e5"), 5, "unstable"),
+    ],
+)
+def test_what_cannot_be_predicted_is_one_sentence(
+    plant: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], code: int, said: str
+) -> None:
+    assert main(["predict", str(plant), *arguments]) == code
+    found = capsys.readouterr()
+    assert said in found.err
+    assert len(found.err.strip().splitlines()) == 1
+    assert found.out == ""
+
+
+def test_gains_surface_and_approach_are_read_with_units() -> None:
+    result = make_identified()
+    surface = next(each.name for axis in result.axes.values() for each in axis.environments)
+    assert parse_gains("mass=13,damping=1kNs/m,lead=20ms", None) == {"mass": 13.0, "damping": 1e3, "lead": 0.02}
+    assert parse_gains("mass=0.3,damping=40,deadband=1Nm", "rz") == {"mass": 0.3, "damping": 40.0, "deadband": 1.0}
+    assert parse_approach("speed=28mm/s,force=15", None) == {"speed": pytest.approx(0.028), "force": 15.0}
+    assert parse_surface(surface, result) == (surface, None)
+    assert parse_surface("20N/mm", result) == ("", 2e4)
+    assert parse_surface("20±2N/mm", result) == ("", Uncertain(2e4, 2e3))
+    assert parse_surface("4000Nm/rad", result) == ("", 4e3)
+    for text in ("mass=13,mass=12", "mass", "weight=3"):
+        with pytest.raises(UsageError, match="--gains"):
+            parse_gains(text, None)
+    with pytest.raises(UsageError, match="holds"):
+        parse_surface("x99", result)

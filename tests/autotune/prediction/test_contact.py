@@ -1,0 +1,156 @@
+"""A predicted contact against scipy's integrator, and its interval against what it says of itself."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import autotune as at
+from autotune.prediction.contact import Law, peak_interval, simulate_on, simulate_others
+from autotune.prediction.plants import Surface, build_plants, series_plant
+from autotune.prediction.result import predict_contact
+from problems.contact.nonlinearities import Deadband
+from problems.contact.transient import Approach
+from problems.model.controller import AdmittanceController
+from problems.model.robot import RobotModel
+from tests.autotune.prediction.pressing import Cell, contact_peak
+
+GAINS = {"mass": 13.0, "damping": 1000.0, "lead": 0.02}
+PLAIN = AdmittanceController(mass_kg=13.0, damping_n_s_per_m=1000.0, lead_s=0.02)
+# The integrator knows neither sampling nor hold: half a sample of 0.2 ms.
+FAST_S = 2e-4
+
+
+def plant_of(cell: Cell, **changes: object) -> at.Plant:
+    values: dict[str, object] = {
+        "mass": cell.mass,
+        "coupling_stiffness": cell.coupling,
+        "coupling_damping": cell.coupling_damping,
+        "drag": cell.drag,
+        "robot": at.Robot(bandwidth=cell.robot / (2.0 * np.pi), delay=0.0),
+        "environment_stiffness": cell.wall,
+        "sample_time": FAST_S,
+    }
+    return at.Plant(**values | changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("wall", [8e3, 5e4, 2e5])
+@pytest.mark.parametrize("force", [15.0, 40.0])
+def test_a_peak_is_that_of_another_integrator(wall: float, force: float) -> None:
+    cell = Cell(wall=wall)
+    found = at.predict(plant_of(cell), gains=GAINS, approach_force=force)
+    expected = contact_peak(cell, mass=13.0, damping=1000.0, lead=0.02, force=force)
+    assert found.peak_sensor_force == pytest.approx(expected, rel=0.01)
+
+
+def test_a_speed_with_another_force_after_the_touch() -> None:
+    cell = Cell(wall=3e4)
+    found = at.predict(plant_of(cell), gains=GAINS, approach_speed=0.04, approach_force=10.0)
+    expected = contact_peak(cell, mass=13.0, damping=1000.0, lead=0.02, force=0.04 * 1630.0, speed=0.04, after=10.0)
+    assert found.peak_sensor_force == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize(("stiffness", "period_s"), [(2.6e3, 1e-3), (1.75e4, 1e-3), (1.75e4, 1e-2)])
+def test_without_payload_robot_and_spring_are_left(stiffness: float, period_s: float) -> None:
+    """The small mass between both halves of the spring changes nothing; the rest is half a sample of delay."""
+    plant = series_plant(RobotModel.from_bandwidth(bandwidth_rad_per_s=6.3, delay_s=0.0), stiffness, period_s)
+    found = simulate_on(plant, Law(controller=PLAIN), Approach(force_n=30.0), period_s)
+    cell = Cell(robot=6.3, wall=stiffness, payload=False)
+    expected = contact_peak(cell, mass=13.0, damping=1000.0, lead=0.02, force=30.0)
+    assert found.peak_sensor_force_n == pytest.approx(expected, rel=0.005 if period_s < 5e-3 else 0.05)
+
+
+def test_a_range_gives_the_extremes_and_a_stiffness_with_its_deviation_counts() -> None:
+    cell = Cell()
+    plant = plant_of(cell, environment_stiffness=(2e4, 8e4))
+    found = at.predict(plant, gains=GAINS, approach_force=30.0)
+    assert found.interval.level is None
+    low, high = found.interval.sensor
+    ends = [at.predict(plant, gains=GAINS, approach_force=30.0, environment_stiffness=k) for k in (2e4, 8e4)]
+    assert low == pytest.approx(min(each.peak_sensor_force for each in ends))
+    assert high == pytest.approx(max(each.peak_sensor_force for each in ends))
+    wide = at.predict(
+        plant, gains=GAINS, approach_force=30.0, environment_stiffness=at.Uncertain(4e4, 4e3)
+    ).interval.sensor
+    narrow = at.predict(plant, gains=GAINS, approach_force=30.0, environment_stiffness=4e4).interval.sensor
+    assert wide[0] < narrow[0] == narrow[1]
+    assert wide[1] is not None
+    assert wide[1] > narrow[0]
+
+
+def test_an_interval_holds_other_cells_as_often_as_it_says() -> None:
+    """Cells drawn from the stated deviations, each pressed by the other integrator: 95 % of 40 is 38 ± 1.4."""
+    stds = {"wall": 5e3, "robot": 1.5, "drag": 60.0, "mass": 0.5}
+    cell = Cell(coupling_damping=100.0)
+    identified = plant_of(cell).file()
+    result = identified.result
+    (name, axis) = next(iter(result.axes.items()))
+    told = replace(
+        axis,
+        drag_n_s_per_m=replace(axis.drag_n_s_per_m, std=stds["drag"]),
+        environments=tuple(
+            replace(each, stiffness_n_per_m=replace(each.stiffness_n_per_m, std=stds["wall"]))
+            for each in axis.environments
+        ),
+        robot=replace(axis.robot, bandwidth_hz=replace(axis.robot.bandwidth_hz, std=stds["robot"] / (2.0 * np.pi))),
+    )
+    payload = replace(result.payload, mass_kg=replace(result.payload.mass_kg, std=stds["mass"]))
+    file = replace(identified, result=replace(result, axes={name: told}, payload=payload), domain={})
+    plants = replace(build_plants(file, Surface()), model_error=None)
+    law, approach = Law(controller=PLAIN), Approach(force_n=30.0)
+    nominal = simulate_on(plants.nominal, law, approach, FAST_S)
+    low, high = peak_interval(plants, nominal, simulate_others(plants, law, approach)).sensor
+    assert high is not None
+    rng = np.random.default_rng(3)
+    inside = 0
+    for _ in range(40):
+        drawn = replace(cell, **{key: getattr(cell, key) + std * rng.standard_normal() for key, std in stds.items()})
+        peak = contact_peak(drawn, mass=13.0, damping=1000.0, lead=0.02, force=30.0)
+        inside += low <= peak <= high
+    assert 34 <= inside <= 40
+    # And it is no wider than it must be: six deviations of the wall alone move the peak further.
+    assert high - low < 0.4 * nominal.peak_sensor_force_n
+
+
+def test_loops_that_are_unstable_inside_the_uncertainty_leave_no_upper_end() -> None:
+    robot = at.Robot(bandwidth=3.2, delay=2.4e-3)
+    plant = plant_of(Cell(coupling_damping=0.0), robot=robot, sample_time=8e-4)
+    low_gains = {"mass": 10.0, "damping": 1000.0}
+    found = at.predict(plant, gains=low_gains, approach_force=30.0, environment_stiffness=at.Uncertain(2e5, 5e4))
+    assert found.interval.unstable_share > 0.0
+    assert found.interval.sensor[1] is None
+    assert any("unstable" in note for note in found.parts()[2])
+    assert "and more" in str(found)
+    with pytest.raises(at.UnstableLoopError):
+        at.predict(plant, gains=low_gains, approach_force=30.0, environment_stiffness=2e6)
+
+
+def test_a_subtractive_deadband_raises_the_peak_by_about_its_width() -> None:
+    """The law sees the force less the deadband, so at rest it holds F^d and the width."""
+    robot = at.Robot(bandwidth=3.2, delay=2.4e-3)
+    plants = build_plants(plant_of(Cell(wall=1e4), robot=robot).file(), Surface())
+    law, approach = Law(controller=PLAIN, deadband=Deadband(width_n=5.0, kind="subtractive")), Approach(force_n=30.0)  # type: ignore[arg-type]
+    with_it = predict_contact(plants, law, approach).contact
+    assert with_it.sensor_force_n[-1] == pytest.approx(35.0, rel=0.02)
+    without = predict_contact(plants, Law(controller=PLAIN), approach).contact
+    assert without.sensor_force_n[-1] == pytest.approx(30.0, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"gains": None, "approach_force": 30.0}, "needs gains"),
+        ({"gains": GAINS}, "how the contact begins"),
+        ({"gains": {"mass": 13.0}, "approach_force": 30.0}, "no damping"),
+        ({"gains": {"mass": 13.0, "damping": "much"}, "approach_force": 30.0}, "must be a number"),
+        ({"gains": {**GAINS, "stiffness": 1.0}, "approach_force": 30.0}, "found stiffness"),
+        ({"gains": GAINS, "approach_force": 30.0, "surface": "x7"}, "not x7"),
+        ({"gains": GAINS, "approach_force": 30.0, "axis": "y"}, "not y"),
+        ({"gains": GAINS, "approach_force": 30.0, "surface": "surface", "environment_stiffness": 1e4}, "not both"),
+    ],
+)
+def test_what_is_not_said_is_asked_for(arguments: dict[str, object], message: str) -> None:
+    with pytest.raises(at.UsageError, match=message):
+        at.predict(plant_of(Cell()), **arguments)  # type: ignore[arg-type]
+    with pytest.raises(at.UsageError, match="found int"):
+        at.predict(3, gains=GAINS, approach_force=30.0)  # type: ignore[arg-type]
