@@ -24,18 +24,30 @@ from .joint_fit.segments import find_holds
 from .payload.gravity import GravityFit
 from .result import AxisEstimate, CouplingEstimate, Finding, HeldOutPeak, RobotEstimate
 from .robot.coupling import CouplingFit, Noise, identify_coupling
-from .robot.position_loop import RobotFit, identify_robot
+from .robot.logged_command import LoggedRobot, identify_logged_robot
+from .robot.position_loop import RobotFit
 from .signals.aligned import AlignedLog
 from .signals.contact_rule import CONTACT
 from .signals.recording import Recording
 from .signals.segments import MotionSpans, Span
 from .timeline.payload import AxisContacts
-from .verdicts import judged, missing, unidentifiable, unidentifiable_robot, vector, weak_at_best
+from .verdicts import (
+    IDENTIFIED_SHARE,
+    WEAK_SHARE,
+    judged,
+    missing,
+    unidentifiable,
+    unidentifiable_robot,
+    vector,
+    weak_at_best,
+)
 
 _OBLIQUE_CONTACT_DEG = 10.0
 # The continuous model is fitted to signals sampled behind a hold: measured on simulated cells, this is what it costs.
 _MODEL_STD_SHARE = 0.003
 _EXACT_SHARE = 1e-6
+_LOOSEST_DELAY = 0.6
+_USUAL_MASS_KG = 10.0
 _STAGES_SHARE = 0.27  # of the time that an axis takes
 
 
@@ -43,14 +55,17 @@ _STAGES_SHARE = 0.27  # of the time that an axis takes
 class CellSignals:
     """What the axes of a recording share; `force_S_n` (n, 3) is free of weight and bias.
 
-    `robots` are those that the admittance's known gains show where no command was logged; `turns`, the axes about which
-    the tool turned.
+    `gravity` is None where the weight was taken off before recording; `noise_rms_n` is the force's at rest, and
+    `rest_residual_n` what weight and bias leave of it. `robots` are those that the admittance's known gains show where
+    no command was logged; `turns`, the axes about which the tool turned.
     """
 
     recording: Recording
     log: AlignedLog
     motion: MotionSpans
-    gravity: GravityFit
+    gravity: GravityFit | None
+    noise_rms_n: float
+    rest_residual_n: float
     force_S_n: FloatArray
     given: Mapping[str, Given]
     robots: Mapping[str, RobotEstimate]
@@ -95,25 +110,30 @@ def identify_axis(cell: CellSignals, axis: AxisMotion, progress: ProgressSlice |
     `progress` receives the share of the work that is done.
     """
     holds, findings = _holds(cell, axis)
-    view = AxisView(
-        recording=cell.recording,
-        log=cell.log,
-        axis=axis,
-        holds=holds,
-        noise_rms_n=cell.gravity.noise_rms_n,
-        mass_kg=cell.gravity.mass_kg,
-        priors=axis_priors(cell.given, axis.name),
-        in_units=partial(with_gain_error, share=cell.gravity.gain_error_share),
-        weighed=(cell.gravity.mass_kg, cell.gravity.mass_std_kg),
-    )
-    result = fit_axis(cell, view, progress or ProgressSlice())
+    gravity = cell.gravity
+    result = fit_axis(cell, _view(cell, axis, holds), progress or ProgressSlice())
     findings += result.findings
-    if result.fit is not None and not result.fit.is_weighed:
-        disagreement = mass_findings(axis.name, cell.gravity, result.fit)
+    if gravity is not None and result.fit is not None and not result.fit.is_weighed:
+        disagreement = mass_findings(axis.name, gravity, result.fit)
         findings += disagreement
         if disagreement:
             result = replace(result, estimate=_weakened(result.estimate))
     return replace(result, findings=tuple(findings))
+
+
+def _view(cell: CellSignals, axis: AxisMotion, holds: tuple[Span, ...]) -> AxisView:
+    gravity = cell.gravity
+    return AxisView(
+        recording=cell.recording,
+        log=cell.log,
+        axis=axis,
+        holds=holds,
+        noise_rms_n=cell.noise_rms_n,
+        mass_kg=None if gravity is None else gravity.mass_kg,
+        priors=axis_priors(cell.given, axis.name),
+        in_units=partial(with_gain_error, share=0.0 if gravity is None else gravity.gain_error_share),
+        weighed=None if gravity is None else (gravity.mass_kg, gravity.mass_std_kg),
+    )
 
 
 def _weakened(estimate: AxisEstimate) -> AxisEstimate:
@@ -141,7 +161,8 @@ def fit_axis(cell: CellSignals, view: AxisView, progress: ProgressSlice) -> Axis
         mass_kg = view.mass_kg if coupling is None or view.mass_kg is not None else coupling.mass_kg
         if mass_kg is None:
             raise EstimateError(
-                "What moves is not known well enough to begin; record a commanded sweep about the axis."
+                "What moves is not known well enough to begin; record a commanded sweep along or about the axis, hands "
+                "off."
             )
         data = build_joint_data(
             view.log,
@@ -156,14 +177,20 @@ def fit_axis(cell: CellSignals, view: AxisView, progress: ProgressSlice) -> Axis
             view.recording.wrench_lag_s,
             view.recording.pose.stamp_ns,
         )
-        data = replace(data, weighed=view.weighed, shifted_s=view.recording.wrench_shifted_s)
+        data = replace(
+            data,
+            weighed=view.weighed,
+            shifted_s=view.recording.wrench_shifted_s,
+            least_noise_n=cell.noise_rms_n if cell.gravity is None else 0.0,
+        )
         found = identify_joint(data, progress.part((0.5 if view.priors else 1.0) - _STAGES_SHARE))
         fit = view.in_units(found)
         with_priors = view.in_units(identify_joint(replace(data, priors=view.priors))) if view.priors else None
     except EstimateError as error:
         findings.append(missing("coupling", f"Axis {axis.name}: {error}"))
         estimate, contradictions = settle_axis(axis.name, _without_coupling(robot, str(error)), None, cell.given)
-        contacts = AxisContacts(axis=axis, holds=view.holds, coupling=usual_coupling(cell.gravity.mass_kg))
+        mass_kg = _USUAL_MASS_KG if cell.gravity is None else cell.gravity.mass_kg
+        contacts = AxisContacts(axis=axis, holds=view.holds, coupling=usual_coupling(mass_kg))
         return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=None)
     left_n = force_beside(axis, cell.motion.still, view.holds)
     findings += contact_findings(axis.name, first_rests(cell.motion.still, data.holds), fit, left_n)
@@ -227,20 +254,46 @@ def _robot(cell: CellSignals, view: AxisView, findings: list[Finding]) -> tuple[
             )
         )
         return None, unidentifiable_robot("no commanded pose in the log")
+    period = cell.given.get("sample_time_s")
     try:
         moved = commanded_motion(recording, recording.command, view.log, axis)
-        fit = identify_robot(moved.command_m, moved.position_m, moved.period_s)
+        found = identify_logged_robot(
+            moved.command_m,
+            moved.position_m,
+            moved.period_s,
+            is_uniform=moved.is_uniform,
+            control_period_s=None if period is None else period.value,
+        )
     except EstimateError as error:
         findings.append(missing("robot", f"Axis {axis.name}: {error}"))
         return None, unidentifiable_robot(str(error))
-    method = f"output error of r(s) behind a hold, residual {100.0 * fit.fit_error:.2g} % of the motion"
+    return found.fit if found.is_held else None, _logged_robot(found, moved.period_s)
+
+
+def identify_axis_robot(cell: CellSignals, axis: AxisMotion) -> AxisResult:
+    """Estimate the robot alone along an axis, from command and pose."""
+    findings: list[Finding] = []
+    _, robot = _robot(cell, _view(cell, axis, ()), findings)
+    contacts = AxisContacts(axis=axis, holds=(), coupling=usual_coupling(_USUAL_MASS_KG))
+    estimate = _without_coupling(robot, "no motion along this axis alone, with the force on it")
+    return AxisResult(estimate=estimate, findings=tuple(findings), contacts=contacts, fit=None)
+
+
+def _logged_robot(found: LoggedRobot, period_s: float) -> RobotEstimate:
+    """Return the verdicts on what the command shows of the robot alone."""
+    fit, between = found.fit, "behind a hold" if found.is_held else "behind a command that is smooth between samples"
+    method = f"output error of r(s) {between}, residual {100.0 * fit.fit_error:.2g} % of the motion"
     bandwidth_std = float(np.hypot(fit.bandwidth_std_hz, _MODEL_STD_SHARE * fit.bandwidth_hz))
-    delay_std = fit.delay_std_s
-    return fit, RobotEstimate(
+    return RobotEstimate(
         numerator=vector(fit.model.numerator, fit.numerator_std, method=method),
         denominator=vector(fit.model.denominator, fit.denominator_std, method=method),
         delay_s=judged(
-            fit.model.delay_s, delay_std, method=method, identified=np.inf if delay_std < 0.2 * moved.period_s else 0.05
+            fit.model.delay_s,
+            fit.delay_std_s,
+            method=method,
+            note=found.note,
+            identified=np.inf if found.is_held and fit.delay_std_s < 0.2 * period_s else IDENTIFIED_SHARE,
+            weak=WEAK_SHARE if found.is_held else _LOOSEST_DELAY,
         ),
         bandwidth_hz=judged(fit.bandwidth_hz, bandwidth_std, method=method),
     )
@@ -279,7 +332,7 @@ def _holds(cell: CellSignals, axis: AxisMotion) -> tuple[tuple[Span, ...], list[
     What is touched at the end of a turn is pressed sideways, and belongs to the turn.
     """
     findings: list[Finding] = []
-    holds = find_holds(cell.motion.still, axis.force_n, CONTACT.hold_threshold_n(cell.gravity.residual_rms_n))
+    holds = find_holds(cell.motion.still, axis.force_n, CONTACT.hold_threshold_n(cell.rest_residual_n))
     turned = {hold for turn in cell.turns for hold in rests_after(turn.motion.spans, holds)}
     mine = tuple(h for h in holds if h not in turned and _is_along(h, cell.force_S_n, axis, findings))
     return mine, findings

@@ -16,7 +16,7 @@ from .evidence import Evidence
 from .given import Given, settle_cell
 from .joint_fit.latency import find_wrench_filter
 from .partial import identify_partial
-from .payload.gravity import identify_gravity
+from .payload.gravity import GravityFit, identify_gravity
 from .payload.gravity_verdicts import com_estimate, gravity_findings, mass_estimate
 from .payload.inertia import InertiaFit, identify_inertia
 from .rests import at_rest_only, identify_from_rows
@@ -98,13 +98,13 @@ def identify_with_evidence(
 
     """
     found, cell, results = _identify(recording, frames, given or {}, progress if progress is not None else no_progress)
-    return found, None if cell is None else _evidence(cell, results)
+    return found, None if cell is None or cell.gravity is None else _evidence(cell, cell.gravity, results)
 
 
 def _identify(
     recording: Recording, frames: Frames | None, given: Mapping[str, Given], report: Callable[[float], None]
 ) -> tuple[Identified, CellSignals | None, Mapping[str, AxisResult]]:
-    partial = _identify_incomplete(recording, frames)
+    partial = _identify_incomplete(recording, frames, given)
     if partial is not None:
         report(1.0)
         return settle_cell(partial, given), None, {}
@@ -125,13 +125,15 @@ def _identify(
         log=log,
         motion=motion,
         gravity=gravity,
+        noise_rms_n=gravity.noise_rms_n,
+        rest_residual_n=gravity.residual_rms_n,
         force_S_n=force,
         given=dict(given),
         robots=robots.robots,
         turns=find_turns(recording, log, motion, gravity),
     )
     results, about_axes = _identify_axes(cell, inertia, lambda share: report(_AXES_SHARE * share))
-    accounted = _accounted(cell, results)
+    accounted = _accounted(cell, results, gravity.mass_kg)
     timeline = Timeline(phases=accounted.phases)
     sensor, about_sensor = describe_sensor(read, gravity, frames)
     latencies = {name: axis.fit.latency for name, axis in results.items() if axis.fit is not None}
@@ -161,10 +163,10 @@ def _identify(
     return settle_cell(found, cell.given), cell, results
 
 
-def _identify_incomplete(recording: Recording, frames: Frames | None) -> Identified | None:
+def _identify_incomplete(recording: Recording, frames: Frames | None, given: Mapping[str, Given]) -> Identified | None:
     """Identify what a log without gravity, times or positions shows; None for one that has them."""
     if recording.wrench.gravity_compensated:
-        return identify_partial(recording, _sample_time(recording))
+        return identify_partial(recording, _sample_time(recording), given)
     if recording.rows_are_poses:
         return identify_from_rows(recording, frames)
     if recording.pose.has_position:
@@ -177,16 +179,16 @@ def _identify_incomplete(recording: Recording, frames: Frames | None) -> Identif
     return at_rest_only(gravity, sensor, _sample_time(recording), (*about_spikes, *read.findings, *about_sensor))
 
 
-def _evidence(cell: CellSignals, results: Mapping[str, AxisResult]) -> Evidence:
+def _evidence(cell: CellSignals, gravity: GravityFit, results: Mapping[str, AxisResult]) -> Evidence:
     """Gather what the pictures of this log show."""
     return Evidence(
         period_s=cell.log.period_s,
         raw_S_n=cell.log.force_S_n,
         compensated_S_n=cell.force_S_n,
         raw_torque_S_n_m=cell.log.torque_S_n_m,
-        compensated_torque_S_n_m=cell.gravity.compensated_torque_S_n_m(cell.log),
+        compensated_torque_S_n_m=gravity.compensated_torque_S_n_m(cell.log),
         axes={name: axis_evidence(axis) for name, axis in results.items()},
-        gain_error_share=cell.gravity.gain_error_share,
+        gain_error_share=gravity.gain_error_share,
     )
 
 
@@ -217,13 +219,12 @@ def _identify_axes(
     return axes, [*findings, *(finding for axis in axes.values() for finding in axis.findings)]
 
 
-def _accounted(cell: CellSignals, results: Mapping[str, AxisResult]) -> Accounted:
+def _accounted(cell: CellSignals, results: Mapping[str, AxisResult], mass_kg: float) -> Accounted:
     """Return what happened when, contacts with the names of their surfaces, and the surfaces that no fit used."""
     contacts, period = [axis.contacts for axis in results.values()], cell.log.period_s
     payloads = [observe_payload(of, period) for of in contacts]
     pressed = [find_contacts(of, seen, cell.motion, period) for of, seen in zip(contacts, payloads, strict=True)]
-    command, mass = cell.recording.command, cell.gravity.mass_kg
-    phases = build_timeline(cell.log, cell.motion, cell.force_S_n, contacts, command, mass, pressed)
+    phases = build_timeline(cell.log, cell.motion, cell.force_S_n, contacts, cell.recording.command, mass_kg, pressed)
     axes = []
     for (name, axis), payload, found in zip(results.items(), payloads, pressed, strict=True):
         surfaces = () if axis.fit is None else axis.fit.surfaces

@@ -1,10 +1,13 @@
 """Identification of logs whose weight was removed before recording: the robot, and the secant of a contact trace."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
+from .compensated import CompensatedAxes, identify_compensated_axes
 from .errors import EstimateError
+from .given import Given
 from .result import (
     AxisEstimate,
     CouplingEstimate,
@@ -17,7 +20,7 @@ from .result import (
     SensorEstimate,
     Status,
 )
-from .robot.admittance_robot import identify_admittance_robots
+from .robot.admittance_robot import AdmittanceRobots, identify_admittance_robots
 from .signals.recording import AXES, Recording
 from .touches.surfaces import identify_touches, no_contact
 from .verdicts import missing, unidentifiable, unidentifiable_robot, unidentifiable_vector
@@ -25,72 +28,115 @@ from .verdicts import missing, unidentifiable, unidentifiable_robot, unidentifia
 _REMOVED = "gravity was removed before recording"
 
 
-def identify_partial(recording: Recording, sample_time_s: Estimate) -> Identified:
-    """Identify what a log without gravity shows: the robot through known gains, and the secant of a contact trace.
+def identify_partial(
+    recording: Recording, sample_time_s: Estimate, given: Mapping[str, Given] | None = None
+) -> Identified:
+    """Identify what a log without gravity shows: robot, coupling and moving mass, or the secant of a contact trace.
 
-    A trace is a displacement since contact with its force; a pose in the base frame is taken as motion under the
-    admittance. `sample_time_s` is handed on. Payload, coupling and sensor are unidentifiable, with findings of
-    severity `error`. Raises EstimateError when nothing is identified.
+    The robot follows from the command, else from the admittance's gains and the force; coupling and moving mass from
+    pose and force. A trace is a displacement since contact with its force. `sample_time_s` is handed on. The centre of
+    mass and the sensor's bias are unidentifiable; what else is missing has a finding of severity `error`. Raises
+    EstimateError when nothing is identified.
     """
-    findings: list[Finding] = [*_always_missing(recording)]
-    robots: Mapping[str, RobotEstimate] = {}
+    led = AdmittanceRobots(robots={}, findings=())
+    if recording.command is None:
+        led = identify_admittance_robots(recording)
+    found = CompensatedAxes(axes={}, findings=())
+    if recording.command is not None or not recording.pose.is_displacement:
+        found = identify_compensated_axes(recording, led, given or {})
     touched = identify_touches(recording)
-    surfaces = touched.surfaces
-    if recording.gains is not None or not recording.pose.is_displacement:
-        found = identify_admittance_robots(recording)
-        robots = found.robots
-        findings += found.findings
-    else:
-        findings.append(
-            missing(
-                "no-command",
-                "The log has neither a commanded pose nor the admittance gains, so neither the robot's response nor "
-                "its delay can be determined.",
-                "Record the position command, or declare `gains`.",
-            )
+    axes = {
+        axis: _axis(
+            found.axes[axis].estimate if axis in found.axes else None,
+            led.robots.get(axis),
+            touched.surfaces.get(axis, ()),
         )
-    findings += touched.findings
-    if not robots and not touched.shows_more_than_a_hand:
+        for axis in AXES
+        if axis in found.axes or axis in led.robots or axis in touched.surfaces
+    }
+    mass = _moving_mass(axes)
+    told = {finding.code for finding in led.findings}
+    about = [f for f in found.findings if f.code != "no-contact" and (f.code != "no-command" or f.code not in told)]
+    findings = [_removed(recording, mass), *led.findings, *about, *touched.findings]
+    if not any(finding.code == "coupling" for finding in about):
+        findings[1:1] = _coupling_findings(axes)
+    if not led.robots and not touched.shows_more_than_a_hand and not any(map(_says_something, axes.values())):
         raise EstimateError(" ".join(f"{f.message} {f.advice}".strip() for f in findings if f.severity == "error"))
-    if not surfaces:
+    if not any(axis.environments for axis in axes.values()):
         findings.append(no_contact(touched))
     return Identified(
         sample_time_s=sample_time_s,
-        payload=PayloadEstimate(mass_kg=unidentifiable(note=_REMOVED), com_m=unidentifiable_vector(_REMOVED)),
-        axes={axis: _axis(axis, robots, surfaces) for axis in AXES if axis in robots or axis in surfaces},
+        payload=PayloadEstimate(mass_kg=mass, com_m=unidentifiable_vector(_REMOVED)),
+        axes=axes,
         sensor=_sensor(recording),
         findings=tuple(findings),
         timelines=(touched.timeline,),
     )
 
 
-def _always_missing(recording: Recording) -> tuple[Finding, ...]:
-    return (
-        missing(
+def _says_something(axis: AxisEstimate) -> bool:
+    known = axis.environments or axis.coupling.stiffness_n_per_m.value is not None
+    return bool(known or axis.robot.bandwidth_hz.value is not None or axis.robot.delay_s.value is not None)
+
+
+def _moving_mass(axes: Mapping[str, AxisEstimate]) -> Estimate:
+    """Return the mass that moves, of the axis that knows it best."""
+    known = [axis.mass_kg for axis in axes.values() if axis.mass_kg is not None and axis.mass_kg.value is not None]
+    if not known:
+        return unidentifiable(note=_REMOVED)
+    best = min(known, key=lambda mass: np.inf if mass.std is None else mass.std)
+    return replace(
+        best, note="what moves behind the sensor, from acceleration; the weight was removed before recording"
+    )
+
+
+def _removed(recording: Recording, mass: Estimate) -> Finding:
+    """Return what is not known without the weight: an error where the mass is not known from the motion either."""
+    topic = recording.wrench.topic
+    if mass.value is None:
+        return missing(
             "gravity-removed",
-            f"Gravity is already removed from the force of topic {recording.wrench.topic}, so the payload's mass, its "
-            "centre and the sensor's bias cannot be determined from it.",
+            f"Gravity is already removed from the force of topic {topic}, so the payload's mass, its centre and the "
+            "sensor's bias cannot be determined from it.",
             "Record the sensor's wrench before gravity compensation.",
-        ),
+        )
+    return Finding.warning(
+        "gravity-removed",
+        f"Gravity is already removed from the force of topic {topic}, so the payload's centre of mass and the sensor's "
+        "bias cannot be determined from it; its mass is what moves.",
+        "Record the sensor's wrench before gravity compensation to know both.",
+    )
+
+
+def _coupling_findings(axes: Mapping[str, AxisEstimate]) -> tuple[Finding, ...]:
+    if any(axis.coupling.stiffness_n_per_m.value is not None for axis in axes.values()):
+        return ()
+    return (
         missing(
             "coupling",
             "The force that the payload's inertia makes is hidden by gravity compensation, deadband or the hand, so "
             "K_s, B_s and B_p cannot be determined.",
-            "Record raw wrench and pose with a commanded sweep, hands off.",
+            "Record wrench and pose with a commanded sweep, hands off.",
         ),
     )
 
 
 def _axis(
-    axis: str, robots: Mapping[str, RobotEstimate], surfaces: Mapping[str, tuple[EnvironmentEstimate, ...]]
+    found: AxisEstimate | None, led: RobotEstimate | None, surfaces: tuple[EnvironmentEstimate, ...]
 ) -> AxisEstimate:
+    """Join what pose, force and command show of an axis, what the gains show of its robot, and what was touched."""
     none = unidentifiable(note=_REMOVED)
-    without = unidentifiable_robot("neither command nor gains identify the robot on this axis")
-    return AxisEstimate(
+    axis = found or AxisEstimate(
         coupling=CouplingEstimate(stiffness_n_per_m=none, damping_n_s_per_m=none),
         drag_n_s_per_m=none,
-        environments=surfaces.get(axis, ()),
-        robot=robots.get(axis, without),
+        environments=(),
+        robot=unidentifiable_robot("neither command nor gains identify the robot on this axis"),
+    )
+    return replace(
+        axis,
+        # The joint fit knows a surface alone, a touch the surface in series with the coupling.
+        environments=axis.environments or surfaces,
+        robot=axis.robot if led is None else led,
     )
 
 

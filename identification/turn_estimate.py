@@ -31,6 +31,8 @@ def identify_turn(
     compared with that of the tensor. What is missing is a warning: a log whose translations are identified is good.
     `progress` receives the share of the work that is done.
     """
+    if cell.gravity is None:
+        return None
     try:
         unrolled = unroll(turn, cell.recording, cell.log)
     except EstimateError:

@@ -9,7 +9,7 @@ from problems.arrays import FloatArray
 from .result import Estimate, Finding, RobotEstimate, Status, VectorEstimate
 
 IDENTIFIED_SHARE = 0.05
-_WEAK_SHARE = 0.2
+WEAK_SHARE = 0.2
 _BOUND_SHARE = 0.25
 _TWO_SIDED = 1.96
 
@@ -21,7 +21,7 @@ def judged(
     method: str,
     note: str = "",
     identified: float = IDENTIFIED_SHARE,
-    weak: float = _WEAK_SHARE,
+    weak: float = WEAK_SHARE,
     floor: float = 0.0,
     ci95: tuple[float, float] | None = None,
 ) -> Estimate:

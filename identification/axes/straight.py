@@ -33,6 +33,7 @@ _NOISES = 8.0
 _BEHIND_S = 0.2
 _MOST = 12
 _LARGEST_TRAVEL_M = 2e-3
+_SAME_STEP = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,11 +115,15 @@ def free_motions(axis: AxisMotion, spans: Sequence[Span], period_s: float) -> tu
 
 @dataclass(frozen=True, kw_only=True)
 class CommandedMotion:
-    """Command and measured position along one axis on the command's clock, (n,) each, from rest."""
+    """Command and measured position along one axis on the command's clock, (n,) each, from rest.
+
+    Without `is_uniform` the command's stamps keep no step, and it is interpolated between them as if it were smooth.
+    """
 
     command_m: FloatArray
     position_m: FloatArray
     period_s: float
+    is_uniform: bool = True
 
 
 def commanded_motion(recording: Recording, command: PoseSignal, log: AlignedLog, axis: AxisMotion) -> CommandedMotion:
@@ -142,11 +147,16 @@ def commanded_motion(recording: Recording, command: PoseSignal, log: AlignedLog,
     held = slice(*np.searchsorted(pose.stamp_ns, (first, last + 1.0)).tolist()) if log.holes else slice(None)
     pose_time = (pose.stamp_ns[held] - stamps[0]) * 1e-9
     measured = (pose.position_m[held] - origin) @ axis.direction_B
-    spline = make_interp_spline(pose_time, measured, k=3)
+    time = np.asarray((stamps - stamps[0]) * 1e-9)
+    clock = np.arange(int(time[-1] / period + 0.5) + 1) * period
+    is_uniform = len(clock) == len(time) and bool(np.max(np.abs(clock - time)) < _SAME_STEP * period)
+    if not is_uniform:
+        time, command_m = clock, make_interp_spline(time, command_m, k=3)(np.minimum(clock, time[-1]))
     return CommandedMotion(
         command_m=np.asarray(command_m),
-        position_m=np.asarray(spline((stamps - stamps[0]) * 1e-9)),
+        position_m=np.asarray(make_interp_spline(pose_time, measured, k=3)(np.minimum(time, pose_time[-1]))),
         period_s=period,
+        is_uniform=is_uniform,
     )
 
 

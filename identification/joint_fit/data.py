@@ -52,7 +52,8 @@ class JointData:
     `measured`, first tick at which the pose was measured and every how many it was (between them it is interpolated).
     `mass_kg`, from gravity, is a start too and no information; M_p is looked for between a fifth of it and five times
     it. `priors` maps names of `ParameterLayout.names` to value and standard deviation known from elsewhere; `weighed`
-    is M_p from gravity with its deviation, for ringing that has nothing else to go by.
+    is M_p from gravity with its deviation, for ringing that has nothing else to go by. `least_noise_n` is the force's
+    noise where a deadband may hide it at rest.
     """
 
     period_s: float
@@ -72,6 +73,7 @@ class JointData:
     shifted_s: float = 0.0
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     weighed: tuple[float, float] | None = None
+    least_noise_n: float = 0.0
 
     @property
     def robot_order(self) -> int:

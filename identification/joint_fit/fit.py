@@ -89,7 +89,13 @@ def _identify(data: JointData, begin: _Beginning, progress: ProgressSlice) -> Jo
     _require_mass(problem, float(point.values[3]))
     resting = np.concatenate([detrended(data.force_n[s]) for s in quiet_rests(data)])
     fit = build_joint_fit(
-        problem, point, found, competing, command=data.command, latency=latency, rest_rms_n=float(np.std(resting))
+        problem,
+        point,
+        found,
+        competing,
+        command=data.command,
+        latency=latency,
+        rest_rms_n=max(float(np.std(resting)), data.least_noise_n),
     )
     if not np.all(np.isfinite(fit.covariance)) or fit.quality.explained_free < _LEAST_EXPLAINED:
         explained = 100.0 * max(fit.quality.explained_free, 0.0)

@@ -12,7 +12,7 @@ from ..errors import EstimateError
 from .data import JointData
 from .latency import forces_left
 from .model import ParameterLayout
-from .noise import Smoother, fit_smoother, fit_whitener
+from .noise import Smoother, Whitener, fit_smoother, fit_whitener
 from .segments import Segment, contact_segment
 from .solve import Point, Problem, Signals, linearise, minimise
 from .start import start_coupling
@@ -64,6 +64,8 @@ def fit_robot(data: JointData) -> tuple[Problem, FloatArray]:
         measured=data.measured,
     )
     rest_noise = fit_whitener([detrended(data.force_n[s]) for s in rests])
+    if rest_noise.rms < data.least_noise_n:
+        rest_noise = Whitener(coefficients=np.ones(1), rms=data.least_noise_n)
     problem = Problem(
         signals=signals,
         layout=layout,

@@ -328,7 +328,9 @@ def forces_left(problem: Problem, point: Point) -> dict[bool, list[FloatArray]]:
         predicted = predict_force(point.values, nuisance, segment, path, layout, signals.period_s)
         felt = sensor_dynamics.shown(predicted, path, segment.slice, float(point.values[1]), signals.period_s)
         error = felt - signals.force_n[segment.slice]
-        left[segment.is_contact].append(error[sensor_dynamics.unknown(signals.period_s) :])
+        # What the whitener has no past of shows nothing, and the payload's state at the beginning is free there.
+        unseen = max(sensor_dynamics.unknown(signals.period_s), problem.noise(segment).order)
+        left[segment.is_contact].append(error[unseen:])
     return left
 
 

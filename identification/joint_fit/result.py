@@ -202,8 +202,10 @@ def _fit(problem: Problem, point: Point, rest_rms_n: float) -> tuple[tuple[float
     share, ratio = [], []
     for kind in (False, True):
         mine = [(i, s) for i, s in enumerate(problem.segments) if s.is_contact == kind]
-        forces = [problem.signals.force_n[s.slice] for _, s in mine]
-        left = float(sum(np.sum(_force_error(problem, point, s, i) ** 2) for i, s in mine))
+        seen = [slice(problem.noise(s).order, None) for _, s in mine]
+        forces = [problem.signals.force_n[s.slice][part] for (_, s), part in zip(mine, seen, strict=True)]
+        errors = [_force_error(problem, point, s, i)[part] for (i, s), part in zip(mine, seen, strict=True)]
+        left = float(sum(np.sum(error**2) for error in errors))
         all_of = float(sum(np.sum((f - np.mean(f)) ** 2) for f in forces))
         count = sum(len(f) for f in forces)
         share.append(1.0 - left / all_of if all_of > 0.0 else 0.0)

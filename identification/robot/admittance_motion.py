@@ -11,9 +11,9 @@ from problems.compiled import compiled
 
 from ..errors import EstimateError
 from ..signals.aligned import check_regular, longest_whole, spans_of
-from ..signals.recording import AXES, GainsSignal, PoseSignal, Recording, StampArray
+from ..signals.recording import AXES, AppliedDeadband, GainsSignal, PoseSignal, Recording, StampArray
 
-_SHORTEST_S = 3.0
+_SHORTEST_S, _SHORTEST_TRACE_S = 3.0, 1.0
 _STEP_S = 0.01
 _CLOCK_S = 0.004
 # A robot that stands while the admittance asks for this speed is not driven by it.
@@ -28,10 +28,12 @@ _SETTLING_S = 0.5
 class AdmittanceMotion:
     """One axis of S (rotations: rad for m).
 
-    `asked_m_s` (n,) is the velocity a(t) of the admittance, M_a da/dt + B_a a = F + F^d, every `period_s` from time 0;
-    `moved_m_s` (m,) the mean velocity of the logged point between the stamps `edge_s` (m + 1,); `turning_rad_s`
+    `asked_m_s` (n,) is the velocity a + K_l da/dt of the admittance, M_a da/dt + B_a a = F + F^d, F behind the
+    controller's deadband, every `period_s` from time 0; `lead_s` is K_l, None where it is not known and taken as 0.
+    `moved_m_s` (m,) is the mean velocity of the logged point between the stamps `edge_s` (m + 1,); `turning_rad_s`
     (m, 2 or 0) what the tool's turning adds to it for a lever of 1 m (along the axis after next, then the next one);
-    `used` (m,) is false where the robot was not driven by the admittance, and right behind that.
+    `used` (m,) is false where the robot was not driven by the admittance, and right behind that. `is_trace` marks one
+    contact after a steady approach.
     """
 
     axis: str
@@ -42,13 +44,16 @@ class AdmittanceMotion:
     turning_rad_s: FloatArray
     used: BoolArray
     halted_s: float
+    lead_s: float | None = None
+    is_trace: bool = False
 
 
 def admittance_motions(recording: Recording) -> tuple[AdmittanceMotion, ...]:
     """Drive the admittance of the logged gains with the logged wrench, for every axis that was measured.
 
     The wrench is that which the controller acted on: what a deadband took off is not put back. Gains and F^d hold from
-    one message to the next. Raises EstimateError without gains, orientation, or 3 s in common.
+    one message to the next. A trace of a contact, a displacement, begins while F^d drives the robot steadily. Raises
+    EstimateError without gains, orientation, or 3 s in common (1 s of a trace with F^d).
     """
     gains = recording.gains
     if gains is None:
@@ -60,9 +65,11 @@ def admittance_motions(recording: Recording) -> tuple[AdmittanceMotion, ...]:
     wrench, pose = recording.wrench, recording.pose
     start, stop = max(wrench.stamp_ns[0], pose.stamp_ns[0]), min(wrench.stamp_ns[-1], pose.stamp_ns[-1])
     common_s = float(stop - start) * 1e-9
-    if common_s < _SHORTEST_S:
+    is_trace = pose.is_displacement and recording.desired_force is not None
+    shortest_s = _SHORTEST_TRACE_S if is_trace else _SHORTEST_S
+    if common_s < shortest_s:
         raise EstimateError(
-            f"Wrench and pose must cover the same time for {_SHORTEST_S:g} s to identify the robot's response, found "
+            f"Wrench and pose must cover the same time for {shortest_s:g} s to identify the robot's response, found "
             f"{max(common_s, 0.0):.2f} s; record longer."
         )
     period = check_regular(wrench.topic, wrench.stamp_ns)
@@ -81,8 +88,10 @@ def admittance_motions(recording: Recording) -> tuple[AdmittanceMotion, ...]:
             edge_s=edge - time[0],
             moved_m_s=moved[:, i],
             turning_rad_s=_turning(moved, i) if turned and i < 3 else np.zeros((len(moved), 0)),
-            used=~_reach(edge, halted) & (edge[:-1] > edge[0] + _SETTLING_S),
+            used=~_reach(edge, halted) & (is_trace | (edge[:-1] > edge[0] + _SETTLING_S)),
             halted_s=float(np.sum(np.diff(edge)[halted])),
+            lead_s=None if gains.lead_s is None else gains.lead_s[i],
+            is_trace=is_trace,
         )
         for i in axes
     )
@@ -92,7 +101,8 @@ def _asked(recording: Recording, gains: GainsSignal, start_ns: int, time: FloatA
     """Return the admittance's velocity on all axes (n, 6), NaN where no force was measured."""
     wrench, desired = recording.wrench, recording.desired_force
     at = (wrench.stamp_ns - start_ns) * 1e-9
-    drive = np.column_stack([np.interp(time, at, column) for column in _six(wrench.force_n, wrench.torque_n_m)])
+    felt = _behind_deadband(np.column_stack(_six(wrench.force_n, wrench.torque_n_m)), gains.deadband)
+    drive = np.column_stack([np.interp(time, at, column) for column in felt.T])
     if desired is not None:
         rows = _held_rows(desired.stamp_ns, start_ns, time)
         drive += np.nan_to_num(np.column_stack(_six(desired.force_n, desired.torque_n_m)))[rows]
@@ -101,8 +111,20 @@ def _asked(recording: Recording, gains: GainsSignal, start_ns: int, time: FloatA
     for i in range(6):
         mass, damping = gains.mass[rows, i], gains.damping[rows, i]
         if bool(np.all(np.isfinite(mass) & np.isfinite(damping) & (mass >= 0.0) & (damping > 0.0))):
-            out[:, i] = _admittance(np.ascontiguousarray(drive[:, i]), mass, damping, float(time[1]))
+            asked = _admittance(np.ascontiguousarray(drive[:, i]), mass, damping, float(time[1]))
+            lead = 0.0 if gains.lead_s is None else gains.lead_s[i]
+            out[:, i] = asked + lead * (drive[:, i] - damping * asked) / mass if lead > 0.0 else asked
     return out
+
+
+def _behind_deadband(wrench: FloatArray, deadband: AppliedDeadband | None) -> FloatArray:
+    """Return the wrench (n, 6) that the controller acts on; a width that is not known counts as none."""
+    if deadband is None:
+        return wrench
+    width = np.repeat([deadband.force_n or 0.0, deadband.torque_n_m or 0.0], 3)
+    beyond = np.maximum(np.abs(wrench) - width, 0.0)
+    kept = beyond if deadband.type == "subtractive" else np.where(beyond > 0.0, np.abs(wrench), 0.0)
+    return np.asarray(np.sign(wrench) * kept)
 
 
 def _six(linear: FloatArray, angular: FloatArray) -> list[FloatArray]:

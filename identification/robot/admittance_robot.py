@@ -7,6 +7,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter
+from scipy.special import stdtrit
 
 from problems.arrays import FloatArray
 from problems.model.robot import RobotModel
@@ -15,7 +16,7 @@ from ..errors import EstimateError
 from ..result import Finding, RobotEstimate, Status
 from ..signals.aligned import AlignedLog
 from ..signals.recording import Recording
-from ..verdicts import judged, missing, unidentifiable_vector, vector, weak_at_best
+from ..verdicts import WEAK_SHARE, judged, missing, unidentifiable_vector, vector, weak_at_best
 from .admittance_motion import AdmittanceMotion, admittance_motions
 from .position_loop import find_bandwidth_hz
 
@@ -28,20 +29,22 @@ _DELAY_UNIT_S = 0.01
 _DELAY_STARTS_S = (0.003, 0.03, 0.1)
 _BANDWIDTH_STARTS_RAD_PER_S = (6.0, 20.0, 60.0)
 _SLOWEST_RAD_PER_S, _FASTEST_RAD_PER_S = 0.5, 400.0
-_POOR_FIT = 0.2
+_POOR_FIT, _POOR_TRACE_FIT = 0.2, 0.4
 _RIVAL_RATIO = 1.25
-_BLOCK_S = 1.0
+_BLOCK_S, _FEWEST_BLOCKS = 1.0, 8
 _NUDGE = 1e-5
 # A force that is linear between the samples of the log: measured on simulated robots, this is what it costs.
 _BANDWIDTH_SHARE, _DELAY_SAMPLES = 0.01, 0.05
 _GAIN_SHARE = 0.05
 _SIGNIFICANT_STDS = 3.0
 _SMALLEST_LEVER_M = 0.1
-_LOOSEST_SHARE, _LOOSEST_BOUND = 0.5, 0.25
+_LOOSEST_SHARE = 0.5
+_DELAY_FLOOR = 0.1  # of the lag: a delay near zero is known well enough beside what the poles make
 _NOT_SPLIT = (
     "loop delay, half a control period and the logger's lag together, which only a logged command distinguishes"
 )
 _ASSUMED = "holds if neither lead nor feedback damping ran in the controller"
+_ASSUMED_OF_KNOWN_LEAD = "holds if no feedback damping ran in the controller"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,13 +94,15 @@ def identify_admittance_robot(motion: AdmittanceMotion) -> AdmittanceRobotFit:
     levers = (False, True) if turns else (False,)
     fits = [_fit(motion, order, with_lever=lever) for order in (1, 2) for lever in levers]
     effective = min(fits, key=lambda fit: fit.residual_rms).effective_samples
-    chosen = min(fits, key=lambda fit: fit.criterion(effective))
+    # A contact of a second shows one pole, and how far it is from being one.
+    tried = [fit for fit in fits if fit.order == 1] if motion.is_trace else fits
+    chosen = min(tried, key=lambda fit: fit.criterion(effective))
     error = chosen.residual_rms / max(float(np.std(moved)), 1e-15)
-    _check(chosen, error)
-    rivals = [f for f in fits if f is not chosen and len(f.linear) == len(chosen.linear)]
-    return _described(
-        chosen, [f for f in rivals if f.residual_rms < _RIVAL_RATIO * chosen.residual_rms], error, motion.period_s
-    )
+    _check(chosen, error, _POOR_TRACE_FIT if motion.is_trace else _POOR_FIT)
+    # What no robot explains of a trace is more than noise, and may hide another order whatever it leaves.
+    most = np.inf if motion.is_trace else _RIVAL_RATIO * chosen.residual_rms
+    rivals = [f for f in fits if f is not chosen and len(f.linear) == len(chosen.linear) and f.residual_rms < most]
+    return _described(chosen, rivals, error, motion.period_s)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,11 +134,11 @@ class _Fit:
         return float(misfit + (len(self.parameters) + len(self.linear)) * np.log(effective_samples))
 
 
-def _check(fit: _Fit, error: float) -> None:
-    if error > _POOR_FIT:
+def _check(fit: _Fit, error: float, poor: float) -> None:
+    if error > poor:
         raise EstimateError(
             f"No first- or second-order robot behind the admittance with the known gains explains the motion (residual "
-            f"{100.0 * error:.0f} % of it, {100.0 * _POOR_FIT:.0f} % at most); check that these gains ran throughout, "
+            f"{100.0 * error:.0f} % of it, {100.0 * poor:.0f} % at most); check that these gains ran throughout, "
             "with no other force, constraint or point of control than the logged ones."
         )
     if fit.linear[0] <= 0.0:
@@ -223,17 +228,22 @@ def _gradients(motion: AdmittanceMotion, order: int, parameters: FloatArray) -> 
 def _covariance(jacobian: FloatArray, residual: FloatArray, time: FloatArray) -> FloatArray:
     """Return H⁻¹ Ω H⁻¹, H = JᵀJ and Ω the scores Jᵀr summed over blocks of a second: true for any colour within it.
 
-    The larger of this and of a white residual's counts, parameter by parameter.
+    A log below 8 s has eight blocks, and its deviations Student's factor for so few. The larger of this and of a white
+    residual's counts, parameter by parameter.
     """
     count = jacobian.shape[1]
     size = np.linalg.norm(jacobian, axis=0)
     size[size == 0.0] = 1.0
     inverse = np.linalg.pinv((jacobian / size).T @ (jacobian / size), rcond=1e-12)
     scores = jacobian / size * residual[:, None]
-    starts = np.flatnonzero(np.diff(np.floor(time / _BLOCK_S), prepend=-1.0))
+    length_s = min(_BLOCK_S, float(time[-1] - time[0]) / _FEWEST_BLOCKS)
+    starts = np.flatnonzero(np.diff(np.floor((time - time[0]) / length_s), prepend=-1.0))
     sums = np.add.reduceat(scores, starts, axis=0)
     blocks = len(sums)
-    coloured = inverse @ (sums.T @ sums) @ inverse * blocks / max(blocks - count, 1)
+    freedom = max(blocks - count, 1)
+    coloured = inverse @ (sums.T @ sums) @ inverse * blocks / freedom
+    if blocks <= 2 * _FEWEST_BLOCKS:
+        coloured *= (float(stdtrit(freedom, 0.975)) / 1.96) ** 2
     white = inverse * float(residual @ residual) / max(len(residual) - count, 1)
     widening = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(coloured), 1e-300), 1.0))
     return np.asarray(coloured * np.outer(widening / size, widening / size))
@@ -294,7 +304,7 @@ def identify_admittance_robots(recording: Recording) -> AdmittanceRobots:
                 Finding(code="robot", severity="warning", message=f"Axis {motion.axis}: {error}", advice="")
             )
             continue
-        robots[motion.axis] = _estimate(fit)
+        robots[motion.axis] = _estimate(fit, motion)
         findings += _about(motion, fit)
     if robots:
         findings.insert(0, _lag_not_split(recording))
@@ -327,12 +337,21 @@ def with_compensated_force(recording: Recording, log: AlignedLog, force_S_n: Flo
     return replace(recording, wrench=wrench)
 
 
-def _estimate(fit: AdmittanceRobotFit) -> RobotEstimate:
+def _estimate(fit: AdmittanceRobotFit, motion: AdmittanceMotion) -> RobotEstimate:
     method = f"output error behind the admittance of the known gains, residual {100.0 * fit.fit_error:.2g} % of speed"
     lag = f"lag at low frequency {1e3 * fit.lag_s:.0f} ± {1e3 * fit.lag_std_s:.0f} ms, poles and delay together"
-    bandwidth = weak_at_best(judged(fit.bandwidth_hz, fit.bandwidth_std_hz, method=method), _ASSUMED)
+    assumed = _ASSUMED if motion.lead_s is None else _ASSUMED_OF_KNOWN_LEAD
+    weak = _LOOSEST_SHARE if motion.is_trace else WEAK_SHARE
+    bandwidth = weak_at_best(judged(fit.bandwidth_hz, fit.bandwidth_std_hz, method=method, weak=weak), assumed)
     # A bound may be looser than a value.
-    delay = judged(fit.model.delay_s, fit.delay_std_s, method=method, note=f"{_NOT_SPLIT}; {lag}", weak=_LOOSEST_SHARE)
+    delay = judged(
+        fit.model.delay_s,
+        fit.delay_std_s,
+        method=method,
+        note=f"{_NOT_SPLIT}; {lag}",
+        weak=_LOOSEST_SHARE,
+        floor=_DELAY_FLOOR * fit.lag_s,
+    )
     loosest = float(np.max(fit.denominator_std[1:] / fit.model.denominator[1:]))
     if bandwidth.value is None or loosest > _LOOSEST_SHARE:
         numerator = denominator = unidentifiable_vector(f"poles and delay trade against each other: {lag}")
@@ -387,12 +406,14 @@ def _about(motion: AdmittanceMotion, fit: AdmittanceRobotFit) -> list[Finding]:
 def _lag_not_split(recording: Recording) -> Finding:
     wrench, pose = recording.wrench, recording.pose
     together = wrench.topic == pose.topic and np.array_equal(wrench.stamp_ns, pose.stamp_ns)
+    is_known = recording.gains is not None and recording.gains.lead_s is not None
+    unknown = "Feedback damping B_fb" if is_known else "A lead K_l or feedback damping B_fb"
     where = "in one message, so their own ages are not known" if together else "with stamps of their own"
     return Finding(
         code="delay-not-split",
         severity="warning",
         message=f"Without a logged command the delay is that from wrench to pose: {_NOT_SPLIT}. Wrench and pose come "
-        f"{where}. A lead K_l or feedback damping B_fb that ran in the controller counts as part of the robot.",
+        f"{where}. {unknown} that ran in the controller counts as part of the robot.",
         advice="Record the position command that the robot receives.",
     )
 

@@ -1,12 +1,14 @@
 """The robot's closed position loop and its delay, from command to pose."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
+from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
-from scipy.signal import lfilter
+from scipy.signal import cont2discrete, lfilter
 
 from problems.arrays import FloatArray
 from problems.model.robot import RobotModel
@@ -14,7 +16,7 @@ from problems.model.sampled import split_delay
 
 from ..errors import EstimateError
 
-_LONGEST_DELAY_S = 0.05
+_LONGEST_DELAY_S, _LONGEST_SMOOTH_DELAY_S = 0.05, 0.3
 _FASTEST_RAD_PER_S = 2e3
 _RESOLVED_SHARE = 0.2
 _DELAY_STARTS = (0.5, 2.0, 4.0, 8.0, 16.0)
@@ -22,12 +24,17 @@ _BANDWIDTH_STARTS_HZ = (2.0, 8.0)
 _SMALLEST_TRAVEL_M = 5e-4
 _POOR_FIT = 0.1
 _STEPS, _STEPS_NEAR = 60, 12
+_FINER = 4
+_HARDLY_BETTER = 1.03
 _TELLING_S, _TELLING_SHARE = 20.0, 0.125
 
 
 @dataclass(frozen=True, kw_only=True)
 class RobotFit:
-    """r(s) and T_d with their standard deviations; `fit_error` is residual RMS over motion RMS."""
+    """r(s) and T_d with their standard deviations; `fit_error` is residual RMS over motion RMS.
+
+    `effective_samples` is how many independent ones the residual's colour leaves of the samples.
+    """
 
     model: RobotModel
     numerator_std: FloatArray
@@ -36,14 +43,18 @@ class RobotFit:
     bandwidth_hz: float
     bandwidth_std_hz: float
     fit_error: float
+    effective_samples: float
 
 
-def identify_robot(command_m: FloatArray, position_m: FloatArray, period_s: float) -> RobotFit:
-    """Fit r(s) e^(-s T_d) behind a zero-order hold to command and measured position, (n,) each, by output error.
+def identify_robot(command_m: FloatArray, position_m: FloatArray, period_s: float, *, is_held: bool = True) -> RobotFit:
+    """Fit r(s) e^(-s T_d) to command and measured position, (n,) each, by output error; both start at rest.
 
-    One pole and two poles are tried; the Bayesian information criterion decides. Both signals start at rest.
-    Raises EstimateError if the command hardly moves or no model explains the motion.
+    The command is held from sample to sample, or with `is_held` False a smooth one of which the log has samples: one
+    of a controller that runs faster than the log, whose hold counts as part of the delay. One pole and two poles are
+    tried; the Bayesian information criterion decides. Raises EstimateError if the command hardly moves or no model
+    explains the motion.
     """
+    longest_s = _LONGEST_DELAY_S if is_held else _LONGEST_SMOOTH_DELAY_S
     command, position = command_m - command_m[0], position_m - command_m[0]
     travel = float(np.ptp(command))
     if travel < _SMALLEST_TRAVEL_M:
@@ -51,14 +62,19 @@ def identify_robot(command_m: FloatArray, position_m: FloatArray, period_s: floa
             f"The position command moves by {travel * 1e3:.3f} mm only, too little to identify the robot; record a "
             "commanded sweep of 0.5 to 50 Hz with at least a few millimetres at its slow end."
         )
-    fits = [_fit(command, position, period_s, order) for order in (1, 2)]
+    answer = partial(robot_response, command=command, period_s=period_s) if is_held else _smooth(command, period_s)
+    telling = _telling_part(command, period_s)
+    fits = [_fit(answer, position, period_s, order, longest_s, telling) for order in (1, 2)]
+    if not is_held and fits[0].residual_rms < _HARDLY_BETTER * fits[1].residual_rms:
+        # What a spline through the samples leaves out looks like a second pole near the log's rate: it is delay.
+        fits = fits[:1]
     # One count of independent samples for all: criteria of different counts cannot be compared.
     effective = min(fits, key=lambda fit: fit.residual_rms).effective_samples
     chosen = min(fits, key=lambda fit: fit.criterion(effective))
     error = chosen.residual_rms / float(np.std(position))
     if error > _POOR_FIT:
         raise EstimateError(
-            f"No first- or second-order robot with a delay up to {_LONGEST_DELAY_S * 1e3:.0f} ms explains the motion "
+            f"No first- or second-order robot with a delay up to {longest_s * 1e3:.0f} ms explains the motion "
             f"(residual {100 * error:.0f} % of it); check that the command topic is the position command that this "
             "robot follows, in the same frame and unit as the measured pose."
         )
@@ -68,12 +84,12 @@ def identify_robot(command_m: FloatArray, position_m: FloatArray, period_s: floa
             "The measured pose follows the command as if there were no robot between them (a bandwidth above the "
             f"{fastest:.0f} Hz that this rate resolves); check that the pose is measured and no echo of the command."
         )
-    if chosen.delay_s > 0.999 * _LONGEST_DELAY_S:
+    if chosen.delay_s > 0.999 * longest_s:
         raise EstimateError(
-            f"The measured pose follows the command later than {_LONGEST_DELAY_S * 1e3:.0f} ms, the most that is "
+            f"The measured pose follows the command later than {longest_s * 1e3:.0f} ms, the most that is "
             "searched; check that the header stamps of command and pose come from one clock."
         )
-    return _described(chosen, error)
+    return _described(chosen, error, effective)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,12 +112,31 @@ class _Fit:
         return float(misfit + (len(self.parameters) + 1) * np.log(effective_samples))
 
 
-def robot_response(model: RobotModel, command: FloatArray, period_s: float) -> FloatArray:
-    """Return the sampled position of the held robot, starting at rest at zero."""
+def robot_response(model: RobotModel, command: FloatArray, period_s: float, count: int | None = None) -> FloatArray:
+    """Return the sampled position of the held robot, starting at rest at zero; of the first `count` samples."""
+    command = command[:count]
     whole, fraction = split_delay(model.delay_s, period_s)
     numerator, denominator = held_robot(model, period_s, fraction)
     late = np.concatenate([np.zeros(whole), command[: len(command) - whole]])
     return np.asarray(lfilter(numerator, denominator, late))
+
+
+def _smooth(command: FloatArray, period_s: float) -> Callable[..., FloatArray]:
+    """Return the answer (count,) of a robot to the cubic spline through the command, steady before its first sample.
+
+    The spline is straight between points that lie four times as close.
+    """
+    path = CubicSpline(np.arange(len(command)) * period_s, command)
+    step = period_s / _FINER
+
+    def answer(model: RobotModel, count: int | None = None) -> FloatArray:
+        samples = len(command) if count is None else count
+        time = np.arange(samples * _FINER) * step - model.delay_s
+        late = path(np.clip(time, 0.0, path.x[-1]))
+        discrete = cont2discrete((model.numerator, model.denominator), step, method="foh")
+        return np.asarray(lfilter(np.squeeze(discrete[0]), discrete[1], late)[::_FINER])
+
+    return answer
 
 
 def held_robot(model: RobotModel, period_s: float, fraction: float) -> tuple[FloatArray, FloatArray]:
@@ -142,16 +177,23 @@ def _model(order: int, parameters: FloatArray, period_s: float) -> RobotModel:
     )
 
 
-def _fit(command: FloatArray, position: FloatArray, period_s: float, order: int) -> _Fit:
+def _fit(
+    answer: Callable[..., FloatArray],
+    position: FloatArray,
+    period_s: float,
+    order: int,
+    longest_s: float,
+    some: int | None,
+) -> _Fit:
     def residual(parameters: FloatArray, count: int | None = None) -> FloatArray:
         # Command and measurement may differ by a constant (calibration, sag), which says nothing about r(s).
         model = _model(order, parameters, period_s)
-        difference = robot_response(model, command[:count], period_s) - position[:count]
+        difference = answer(model, count=count) - position[:count]
         return np.asarray(difference - np.mean(difference))
 
     middle = [] if order == 1 else [0.8]
     # Counted from 1, the delay has a size: the differences that make the Jacobian do not vanish at a delay of 0.
-    longest = _LONGEST_DELAY_S / period_s
+    longest = longest_s / period_s
     bounds = (
         [np.log(0.5)] + [0.1] * len(middle) + [1.0],
         [np.log(_FASTEST_RAD_PER_S)] + [5.0] * len(middle) + [1.0 + longest],
@@ -167,13 +209,13 @@ def _fit(command: FloatArray, position: FloatArray, period_s: float, order: int)
         least_squares, bounds=bounds, method="dogbox", x_scale="jac", diff_step=1e-5, gtol=None, max_nfev=_STEPS
     )
     best = min(starts, key=lambda start: float(np.sum(residual(start) ** 2)))
-    some, most_steps = _telling_part(command, period_s), _STEPS
+    most_steps = _STEPS
     if some is not None:
         near = descend(residual, best, args=(some,)).x
         if np.sum(residual(near) ** 2) < np.sum(residual(best) ** 2):
             best, most_steps = near, _STEPS_NEAR
     found = descend(residual, best, max_nfev=most_steps)
-    n, count = len(command), len(found.x) + 1
+    n, count = len(position), len(found.x) + 1
     factor = _correlation_factor(found.fun)
     variance = float(2.0 * found.cost) / (n - count) * factor
     return _Fit(
@@ -211,7 +253,7 @@ def _correlation_factor(residual: FloatArray) -> float:
     return max(1.0, 1.0 + 2.0 * float(np.sum(correlation[1:reach])))
 
 
-def _described(fit: _Fit, error: float) -> RobotFit:
+def _described(fit: _Fit, error: float, effective_samples: float) -> RobotFit:
     model = _model(fit.order, fit.parameters, fit.period_s)
     bandwidth = find_bandwidth_hz(model)
     denominator_jacobian = np.zeros((fit.order + 1, len(fit.parameters)))
@@ -232,6 +274,7 @@ def _described(fit: _Fit, error: float) -> RobotFit:
         bandwidth_hz=bandwidth,
         bandwidth_std_hz=float(np.sqrt(bandwidth_jacobian @ fit.covariance @ bandwidth_jacobian)),
         fit_error=error,
+        effective_samples=effective_samples,
     )
 
 

@@ -88,6 +88,11 @@ def align(recording: Recording) -> AlignedLog:
     not keep; EstimateError when wrench or pose are not as sensor and robot show them (`Recording.require_raw`).
     """
     recording.require_raw()
+    return on_one_clock(recording)
+
+
+def on_one_clock(recording: Recording) -> AlignedLog:
+    """Return the log as `align` does, of wrench and pose as they are: every number must be known."""
     wrench, pose = recording.wrench, recording.pose
     start = max(wrench.stamp_ns[0], pose.stamp_ns[0])
     stop = min(wrench.stamp_ns[-1], pose.stamp_ns[-1])
@@ -159,7 +164,8 @@ def check_regular(topic: str, stamp_ns: StampArray, *, keeps_holes: bool = False
     steps = gaps / period
     counts = np.round(steps)
     regular = np.abs(steps - counts) < _REGULAR_SHARE
-    if counts.min() > 0 and np.mean(regular) > _MOSTLY:
+    # Stamps that jitter, as those of a fast clock of which every few ticks are logged, have no step but a mean.
+    if counts.min() > 0 and (np.mean(regular) > _MOSTLY or counts.max() == 1):
         return 1e-9 * float(gaps.sum()) / float(counts.sum())
     mean = float(gaps.mean())
     return 1e-9 * (mean if abs(mean / period - 1.0) < 1e-3 else period)

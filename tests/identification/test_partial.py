@@ -13,6 +13,7 @@ from identification.errors import EstimateError
 from identification.logs import read_recording
 from identification.partial import identify_partial
 from identification.result import Estimate, Identified, Status
+from identification.robot.admittance_motion import admittance_motions
 from identification.robot.admittance_robot import (
     AdmittanceRobotFit,
     _estimate,
@@ -68,7 +69,8 @@ def test_however_well_it_fits_a_delay_with_the_logger_in_it_is_weak() -> None:
         lever_std_m=np.zeros(0),
         fit_error=0.01,
     )
-    robot = _estimate(fit)
+    (motion,) = (each for each in admittance_motions(lively()) if each.axis == "x")
+    robot = _estimate(fit, motion)
     assert {robot.delay_s.status, robot.bandwidth_hz.status, robot.denominator.status} == {Status.WEAK}
 
 

@@ -1,0 +1,147 @@
+"""Axes of a log whose weight was removed before recording: robot from the command, coupling and moving mass."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from problems.arrays import FloatArray
+
+from .axes.straight import AXIS_NAMES, AxisMotion, find_axes
+from .axis_estimate import AxisResult, CellSignals, identify_axis, identify_axis_robot
+from .errors import LogError
+from .given import Given
+from .payload.gravity import orientation_spread_rad
+from .result import Finding
+from .robot.admittance_robot import AdmittanceRobots
+from .signals.aligned import AlignedLog, edges_of, on_one_clock
+from .signals.recording import AXES, AppliedDeadband, Recording
+from .signals.repairs import restore_commands, without_spikes
+from .signals.segments import MotionSpans, find_motion
+
+_LONGEST_CROSSING_S = 0.1
+_SMALLEST_TRAVEL_M = 2e-3
+_LARGEST_TURN_RAD = np.radians(10.0)
+_FEWEST_NOISE_SAMPLES = 50
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompensatedAxes:
+    """The axes along which the tool moved, by name, and what to know about them."""
+
+    axes: Mapping[str, AxisResult]
+    findings: tuple[Finding, ...]
+
+
+def identify_compensated_axes(
+    recording: Recording, robots: AdmittanceRobots, given: Mapping[str, Given]
+) -> CompensatedAxes:
+    """Identify each straight axis without the payload's weight: r(s) and T_d, K_s, B_s, B_p, and M_p as what moves.
+
+    The robot follows from command and pose, or is that of `robots`; the rest from pose and force in free motion. A
+    deadband of known width is undone where the force is beyond it. Axes that are not measured count as at rest.
+    """
+    if recording.command is not None:
+        recording = replace(recording, command=restore_commands(recording.command))
+    recording, findings = without_spikes(recording)
+    try:
+        complete = _complete(recording)
+        log = on_one_clock(complete)
+    except LogError as error:
+        return CompensatedAxes(axes={}, findings=(Finding.warning("no-motion", str(error), ""),))
+    motion = find_motion(log)
+    force = _restored(log.force_S_n, recording.wrench.deadband, log.period_s)
+    cell = CellSignals(
+        recording=complete,
+        log=log,
+        motion=motion,
+        gravity=None,
+        noise_rms_n=_noise_n(force, motion),
+        rest_residual_n=_left_at_rest_n(force, motion),
+        force_S_n=force,
+        given=dict(given),
+        robots=robots.robots,
+    )
+    axes: dict[str, AxisResult] = {}
+    measured = [name for name in AXIS_NAMES if name in recording.pose.measured_axes]
+    if motion.still and _is_force_known(recording.wrench.deadband):
+        straight = [axis for axis in find_axes(log, motion, force).axes if axis.name in measured]
+        axes = {a.name: identify_axis(cell, a) for a in straight if a.name in recording.wrench.measured_axes}
+    if recording.command is not None:
+        for axis in _other_axes(log, motion, force, [name for name in measured if name not in axes]):
+            axes[axis.name] = identify_axis_robot(cell, axis)
+    about = tuple(finding for axis in axes.values() for finding in axis.findings)
+    return CompensatedAxes(axes=axes, findings=(*findings, *about))
+
+
+def _is_force_known(deadband: AppliedDeadband | None) -> bool:
+    """Return whether the force can be had back: a subtractive deadband of unknown width hides how much it took."""
+    return deadband is None or deadband.type == "threshold" or deadband.force_n is not None
+
+
+def _complete(recording: Recording) -> Recording:
+    """Return the recording with zeros for what was not measured, and with one orientation where there is none."""
+    wrench, pose, command = recording.wrench, recording.pose, recording.command
+    unknown = not np.isfinite(pose.quaternion_xyzw).all()
+    level = Rotation.identity(len(pose.stamp_ns)).as_quat()
+    return replace(
+        recording,
+        wrench=replace(wrench, force_n=np.nan_to_num(wrench.force_n), torque_n_m=np.nan_to_num(wrench.torque_n_m)),
+        pose=replace(
+            pose,
+            position_m=np.nan_to_num(pose.position_m),
+            quaternion_xyzw=level if unknown else pose.quaternion_xyzw,
+        ),
+        command=None if command is None else replace(command, position_m=np.nan_to_num(command.position_m)),
+    )
+
+
+def _restored(force_S_n: FloatArray, deadband: AppliedDeadband | None, period_s: float) -> FloatArray:
+    """Return the force (n, 3) before the deadband, straight lines across it where it was crossed within 0.1 s."""
+    if deadband is None:
+        return force_S_n
+    width = (deadband.force_n or 0.0) if deadband.type == "subtractive" else 0.0
+    out = force_S_n + width * np.sign(force_S_n)
+    longest = max(round(_LONGEST_CROSSING_S / period_s), 1)
+    for column in out.T:
+        starts, stops = edges_of(column == 0.0)
+        for start, stop in zip(starts.tolist(), stops.tolist(), strict=True):
+            if start > 0 and stop < len(column) and stop - start <= longest:
+                column[start - 1 : stop + 1] = np.linspace(column[start - 1], column[stop], stop - start + 2)
+    return out
+
+
+def _noise_n(force_S_n: FloatArray, motion: MotionSpans) -> float:
+    """Return the noise of the force, from second differences at rest where it is not swallowed by a deadband."""
+    spans = [s for s in motion.still if bool(np.any(force_S_n[s.slice]))] or list(motion.moving)
+    parts = [force_S_n[s.slice][np.any(force_S_n[s.slice] != 0.0, axis=1)] for s in spans]
+    second = [np.diff(part, n=2, axis=0) for part in parts if len(part) > _FEWEST_NOISE_SAMPLES]
+    return max(float(np.median([np.std(each) for each in second])) / np.sqrt(6.0) if second else 0.0, 1e-3)
+
+
+def _left_at_rest_n(force_S_n: FloatArray, motion: MotionSpans) -> float:
+    rests = [float(np.linalg.norm(np.median(force_S_n[s.slice], axis=0))) for s in motion.still]
+    return float(np.median(rests)) if rests else 0.0
+
+
+def _other_axes(log: AlignedLog, motion: MotionSpans, force_S_n: FloatArray, names: list[str]) -> list[AxisMotion]:
+    """Return the axes of S along which the tool travels in whatever direction, turning by less than ten degrees."""
+    if not motion.moving or not names or orientation_spread_rad(log.orientation_BS) > _LARGEST_TURN_RAD:
+        return []
+    axes = []
+    for name in names:
+        index = AXES.index(name)
+        direction_B = np.asarray(log.orientation_BS.mean().apply(np.eye(3)[index]))
+        position = np.asarray((log.position_B_m - log.position_B_m[0]) @ direction_B)
+        if float(np.nanmax(position) - np.nanmin(position)) > _SMALLEST_TRAVEL_M:
+            axes.append(
+                AxisMotion(
+                    name=name,
+                    direction_B=direction_B,
+                    position_m=position,
+                    force_n=np.array(force_S_n[:, index]),
+                    spans=motion.moving,
+                )
+            )
+    return axes

@@ -1,0 +1,85 @@
+"""A command counts where the weight was taken off: robot, coupling and moving mass, against physics by scipy."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.given import Given
+from identification.identify import identify_cell
+from identification.result import Estimate, Status
+from identification.signals.recording import AppliedDeadband
+
+from .commanded_cell import CommandedCell, Logger, logged, swept
+
+# Deviations of 95 % for a normal error; of the delay, of which any value within an interval is as likely, √3 is all.
+WITHIN_STDS = 2.5
+
+
+def covers(estimate: Estimate, truth: float) -> bool:
+    assert estimate.value is not None
+    assert estimate.std is not None
+    return abs(estimate.value - truth) < WITHIN_STDS * estimate.std
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "deadband", "cell"),
+    [
+        (1250.0, None, CommandedCell()),
+        (200.0, AppliedDeadband(type="subtractive", force_n=2.0), CommandedCell(delay_s=9e-3)),
+        (100.0, AppliedDeadband(type="threshold", force_n=2.0), CommandedCell(robot=(60.0, 0.8), mass=20.0)),
+    ],
+    ids=["at the controller's rate", "subtractive deadband", "threshold, two poles"],
+)
+def test_robot_coupling_and_moving_mass_follow_from_command_pose_and_force(
+    rate_hz: float, deadband: AppliedDeadband | None, cell: CommandedCell
+) -> None:
+    command = swept(cell, min(40.0, 0.25 * rate_hz))
+    result = identify_cell(logged(cell, command, Logger(rate_hz=rate_hz, deadband=deadband, axis=2)))
+    axis = result.axes["z"]
+    assert covers(axis.robot.bandwidth_hz, cell.bandwidth_hz)
+    assert covers(axis.robot.delay_s, cell.delay_s)
+    assert covers(axis.coupling.stiffness_n_per_m, cell.stiffness)
+    assert covers(result.payload.mass_kg, cell.mass)
+    assert axis.robot.bandwidth_hz.std is not None
+    assert axis.robot.bandwidth_hz.std < 0.02 * cell.bandwidth_hz
+    assert result.payload.mass_kg.std is not None
+    assert result.payload.mass_kg.std < 0.1 * cell.mass
+    removed = next(finding for finding in result.findings if finding.code == "gravity-removed")
+    assert removed.severity == "warning"
+    assert "its mass is what moves" in removed.message
+    assert result.payload.com_m.status is Status.UNIDENTIFIABLE
+    assert "no-command" not in {finding.code for finding in result.findings}
+
+
+def test_a_slow_log_leaves_the_hold_of_the_controller_open_unless_its_period_is_given() -> None:
+    cell = CommandedCell(delay_s=6e-3)
+    recording = logged(cell, swept(cell, 20.0), Logger(rate_hz=100.0))
+    alone = identify_cell(recording).axes["x"].robot.delay_s
+    known = identify_cell(recording, given={"sample_time_s": Given(value=cell.tick_s, std=0.0)}).axes["x"].robot.delay_s
+    assert alone.status is Status.WEAK
+    assert "half a control period" in alone.note
+    assert alone.std is not None
+    # Any hold up to 4 ms: half of it, as likely as any other, scatters by 2 ms/√12.
+    assert alone.std == pytest.approx(2e-3 / np.sqrt(12.0), rel=0.05)
+    assert known.std is not None
+    assert known.std < 0.3 * alone.std
+    assert covers(known, cell.delay_s)
+
+
+def test_without_a_force_on_the_axis_the_robot_is_identified_all_the_same() -> None:
+    cell = CommandedCell()
+    result = identify_cell(logged(cell, swept(cell, 25.0), Logger(measured=("y", "z", "rx", "ry", "rz"))))
+    assert covers(result.axes["x"].robot.bandwidth_hz, cell.bandwidth_hz)
+    assert result.axes["x"].coupling.stiffness_n_per_m.value is None
+    assert result.payload.mass_kg.value is None
+    assert next(f for f in result.findings if f.code == "gravity-removed").severity == "error"
+
+
+def test_a_subtractive_deadband_of_unknown_width_hides_the_coupling_and_not_the_robot() -> None:
+    cell = CommandedCell()
+    recording = logged(cell, swept(cell, 25.0), Logger(deadband=AppliedDeadband(type="subtractive", force_n=2.0)))
+    unknown = replace(recording.wrench, deadband=AppliedDeadband(type="subtractive"))
+    result = identify_cell(replace(recording, wrench=unknown))
+    assert covers(result.axes["x"].robot.bandwidth_hz, cell.bandwidth_hz)
+    assert result.payload.mass_kg.value is None
