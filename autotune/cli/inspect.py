@@ -30,7 +30,7 @@ Examples:
     "--write-cell",
     "start_path",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Write a cell.yaml to complete: what was found is filled in, what is open is a question.",
+    help="Write a cell.yaml to complete: what was found or guessed is filled in, what is open is a question.",
 )
 @click.option("--force", is_flag=True, help="Let --write-cell replace a file.")
 @span_options
@@ -53,6 +53,7 @@ def command(
     """
     from autotune.formats.cell import check_new, read_cell, write_cell_start
     from identification.logs import inspect_log
+    from identification.logs.guess import guess_cell
     from identification.logs.span import LogSpan
 
     span = LogSpan(start=start, stop=stop)
@@ -63,8 +64,9 @@ def command(
     cell = None if cell_path is None else read_cell(cell_path).cell
     with output.progress(f"reading {', '.join(log.name for log in logs)}", None):
         summary = inspect_log(logs, cell, salvage=salvage, span=span)
+        guess = None if start_path is None else guess_cell(logs, salvage=salvage)
     if start_path is not None:
-        write_cell_start(start_path, summary, force=force)
+        write_cell_start(start_path, summary, guess, force=force)
         output.note(f"written: {start_path}")
     output.result(summary_tree(summary), lambda: print_summary(summary))
 

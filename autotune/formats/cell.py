@@ -1,12 +1,14 @@
 """`cell.yaml`: what the logs of a cell cannot say of themselves; reading one, and writing one to start from."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 
 from autotune.errors import UsageError
+from identification.logs.guess import CellGuess, Entry
 from identification.logs.roles.cell import Cell
 from identification.logs.roles.registry import Role
 from identification.logs.summary import Candidate, LogSummary, RoleSummary
@@ -18,6 +20,7 @@ from .schema import Violation, check_format, violations
 from .yaml12 import Document, load_document, parse_document
 
 _NAME = "cell"
+_BARE = re.compile(r"[A-Za-z_][\w./·-]*")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,9 +105,11 @@ _QUESTIONS: Mapping[Role, Sequence[tuple[str, str]]] = FrozenDict(
     }
 )
 _TABLE = """
-# CSV or Parquet: the time column and its unit (s, ms, us, ns), or the rate of a table without one.
+# CSV or Parquet: the time column and its unit (s, ms, us, ns), the rate of a table without one, or that each row is the
+# mean of a rest; of several tables `tables: {force.csv: {…}, pose.csv: {…}}`.
 # table: {time: t, time_unit: s}
 # table: {sample_rate_hz: 1000.0}
+# table: {rows: poses}
 """
 _END = """
 # The sensor's orientation on the flange (flange from sensor); no turn if left out.
@@ -121,32 +126,72 @@ def check_new(path: Path, *, force: bool) -> None:
         raise UsageError(f"{path} exists; name another file, or use --force to replace it.")
 
 
-def write_cell_start(path: Path, summary: LogSummary, *, force: bool = False) -> None:
+def write_cell_start(path: Path, summary: LogSummary, guess: CellGuess | None = None, *, force: bool = False) -> None:
     """Write a cell.yaml to start from; raises UsageError if `path` exists (unless `force`) or cannot be written."""
     check_new(path, force=force)
-    text = cell_text(summary)
+    text = cell_text(summary, guess)
     check_cell_text(text, path)
     write_atomic(path, text)
 
 
-def cell_text(summary: LogSummary) -> str:
-    """Return the text of a cell.yaml to start from; every line that is not a comment was found in the log."""
+def cell_text(summary: LogSummary, guess: CellGuess | None = None) -> str:
+    """Return the text of a cell.yaml to start from.
+
+    Every line that is not a comment was found in the log, or guessed from names and values with the evidence beside it.
+    """
+    guess = guess or CellGuess()
     lines = [
-        f"# Begun by `autotune inspect` from {_plain(summary.path.name)}. Lines without # were found in the log; the",
-        "# others are questions: answer those that matter and take the # away. docs/cell.md tells what they mean.",
+        f"# Begun by `autotune inspect` from {_plain(summary.path.name)}. Lines without # were found in the log, or",
+        "# guessed where the evidence stands behind them: check those. The others are questions: answer those that",
+        "# matter and take the # away. docs/cell.md tells what they mean.",
         "format: autotune/cell",
         "version: 1",
     ]
     if summary.numbers:
         lines += ["", "# Numbers whose meaning the log does not tell:"]
         lines += [f"#   {_plain(found.topic)}: {_plain(found.short)}" for found in summary.numbers]
+    for topic, ranges in guess.others.items():
+        lines += [f"# Neither names nor values say what these of {_plain(topic)} are:"]
+        lines += [f"#   {_plain(each)}" for each in ranges]
     for role in summary.roles:
-        lines += ["", *_role_lines(role)]
-    has_table = any(channel.encoding == "table" for channel in summary.channels)
-    return "\n".join(lines) + "\n" + (_TABLE if has_table else "") + _END
+        lines += ["", *_role_lines(role, guess.roles.get(role.role, ()))]
+    tables = [channel.topic for channel in summary.channels if channel.encoding == "table"]
+    return "\n".join(lines) + "\n" + "\n".join(_table_lines(tables, guess)) + _END
 
 
-def _role_lines(role: RoleSummary) -> Iterator[str]:
+def _table_lines(topics: Sequence[str], guess: CellGuess) -> Iterator[str]:
+    """Yield how the tables are timed: as guessed, else as a question."""
+    if not topics:
+        return
+    if any(topic not in guess.tables for topic in topics):
+        yield _TABLE.rstrip("\n")
+    if len(topics) == 1 and topics[0] in guess.tables:
+        yield ""
+        yield _entry_line(guess.tables[topics[0]], "")
+    elif guess.tables:
+        yield ""
+        yield "tables:"
+        yield from (_entry_line(replace(entry, key=topic), "  ") for topic, entry in guess.tables.items())
+    yield ""
+
+
+def _entry_line(entry: Entry, start: str) -> str:
+    """Write an entry as a line of YAML with its evidence behind it."""
+    remark = f"  # {_plain(entry.evidence)}" if entry.evidence else ""
+    return f"{start}{_flow(entry.key)}: {_flow(entry.value)}{remark}"
+
+
+def _flow(value: object) -> str:
+    """Write plain data in YAML's flow style; JSON is that, only with more quotes."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_flow(key)}: {_flow(each)}" for key, each in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_flow, value)) + "]"
+    is_plain = isinstance(value, str) and _BARE.fullmatch(value) and value.lower() not in ("true", "false", "null")
+    return str(value) if is_plain else json.dumps(value, ensure_ascii=False)
+
+
+def _role_lines(role: RoleSummary, guessed: Sequence[Entry]) -> Iterator[str]:
     if role.topic is not None:
         yield f"# {_plain(role.reason)}"
         yield f"{role.entry}:"
@@ -155,6 +200,11 @@ def _role_lines(role: RoleSummary) -> Iterator[str]:
             yield f"  parent: {_quoted(role.parent)}"
             yield f"  child: {_quoted(role.child)}"
         yield from _questions(role, "  # ")
+        return
+    if guessed:
+        yield f"{role.entry}:"
+        yield from (_entry_line(entry, "  ") for entry in guessed)
+        yield from _questions(role, "  # ", answered={entry.key for entry in guessed})
         return
     if not role.candidates:
         yield f"# The log has no channel for `{role.entry}`."
@@ -168,8 +218,8 @@ def _role_lines(role: RoleSummary) -> Iterator[str]:
     yield from _questions(role, "#   ")
 
 
-def _questions(role: RoleSummary, start: str) -> Iterator[str]:
-    questions = _QUESTIONS[role.role]
+def _questions(role: RoleSummary, start: str, answered: Collection[str] = ()) -> Iterator[str]:
+    questions = [each for each in _QUESTIONS[role.role] if each[0].partition(":")[0] not in answered]
     width = max((len(entry) for entry, _ in questions), default=0)
     yield from (f"{start}{entry:{width}}  # {choices}" for entry, choices in questions)
 

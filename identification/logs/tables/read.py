@@ -131,6 +131,14 @@ class TableLog:
         self.columns = list_columns(path, self._layout)
 
     @cached_property
+    def units(self) -> tuple[str, ...]:
+        """What a second line of the header writes below each name, nothing where there is none."""
+        if _is_parquet(self.path):
+            return ()
+        header = look_at(self.path, self._layout).header
+        return header[1] if len(header) > 1 and len(header[1]) == len(self.columns) else ()
+
+    @cached_property
     def infos(self) -> tuple[ChannelInfo, ...]:
         """The one channel."""
         log_ns = self._times.log_ns

@@ -1,0 +1,327 @@
+"""Guess what columns and fields mean, from their names and values, with the evidence beside each guess."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from problems.arrays import FloatArray
+from problems.frozen import freeze
+
+from ..errors import LogError
+from .messages.series import Wanted
+from .names import Meaning, Named, NamedVector, read_names
+from .numbers import NumberFields, number_fields
+from .opened import OpenedLogs, open_logs
+from .roles.cell import COLUMN_MAJOR, ROW_MAJOR, Cell
+from .roles.registry import JOINT_STATE, Role
+from .tables.layout import TableLayout
+from .tables.read import TableLog
+
+_FARTHEST_M = 20.0
+_LARGEST_RAD = 6.6
+_MOST_POSES = 500
+_LEAP_SHARE = 0.05
+_NORM_TOLERANCE = 2e-3
+_SHORTEST_STEP = {"ns": 2e4, "us": 50.0, "ms": 0.5}
+_EPOCH = {"ns": 1e17, "us": 1e14, "ms": 1e11}
+_N_MM_RATIO = 30.0
+_FEWEST = 3
+_SIXTEEN = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One line of a role or a table in cell.yaml: its key, its value as plain data, and why it is guessed."""
+
+    key: str
+    value: object
+    evidence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellGuess:
+    """Guessed entries: `roles` by role (the topic first), `tables` by file name, and remarks on what is open.
+
+    `others` maps a topic to its numbers without a guess, each with its range.
+    """
+
+    roles: Mapping[Role, tuple[Entry, ...]] = field(default_factory=dict)
+    tables: Mapping[str, Entry] = field(default_factory=dict)
+    others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        freeze(self, "roles", "tables", "others")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Channel:
+    """The numbers of one channel: what their names say, and their values (n, k), the columns by path."""
+
+    topic: str
+    named: Named
+    columns: Mapping[str, FloatArray]
+
+    def of(self, paths: Sequence[str]) -> FloatArray:
+        return np.column_stack([self.columns[path] for path in paths])
+
+
+def guess_cell(paths: Sequence[Path], *, salvage: bool = False) -> CellGuess:
+    """Guess roles, units, orientations and the time of tables from names and values.
+
+    Parameters
+    ----------
+    paths
+        Parts of one recording.
+    salvage
+        Take what a damaged log still holds.
+
+    Returns
+    -------
+    CellGuess
+        Nothing of what neither names nor values say; numbers of a JointState, whose names are those of joints, are
+        never guessed.
+
+    Raises
+    ------
+    LogError
+        A log is damaged.
+
+    """
+    tables: dict[str, Entry] = {}
+    others: dict[str, tuple[str, ...]] = {}
+    vectors: list[tuple[_Channel, NamedVector]] = []
+    untimed = Cell(table=TableLayout(rows="poses"))
+    with open_logs(paths, untimed, salvage=salvage) as logs:
+        units = {part.path.name: part.units for part in logs.parts if isinstance(part, TableLog)}
+        fields = [found for part in logs.parts for found in number_fields(part) if found.type != JOINT_STATE]
+        for found in fields:
+            channel = _channel(logs, found, units.get(found.topic, ()))
+            if channel is None:
+                continue
+            vectors += [(channel, vector) for vector in channel.named.vectors]
+            time = _time(channel) if found.topic in units else None
+            if time is not None:
+                tables[found.topic] = time
+            left = tuple(_ranges(channel))
+            if left:
+                others[found.topic] = left
+    return CellGuess(roles=dict(_roles(vectors)), tables=tables, others=others)
+
+
+def _channel(logs: OpenedLogs, found: NumberFields, units: Sequence[str]) -> _Channel | None:
+    info = next(info for info in logs.infos if info.channel.topic == found.topic)
+    columns: dict[str, FloatArray] = {}
+    try:
+        values = logs.read({info.channel: Wanted(fields=found.paths)})[info.channel].values
+        columns = dict(zip(found.paths, values.T, strict=True))
+    except LogError:
+        for path in found.paths:  # one of text beside numbers
+            try:
+                columns[path] = logs.read({info.channel: Wanted(fields=(path,))})[info.channel].values[:, 0]
+            except LogError:
+                continue
+    if not columns or len(next(iter(columns.values()))) < _FEWEST:
+        return None
+    below = dict(zip(found.paths, units or [""] * len(found.paths), strict=True))
+    named = read_names(tuple(columns), [below[path] for path in columns])
+    if all(path.isdigit() for path in columns):
+        named = _by_values(columns)
+    return _Channel(topic=found.topic, named=named, columns=columns)
+
+
+def _by_values(columns: Mapping[str, FloatArray]) -> Named:
+    """Find in columns without names a time, which always rises, and a quaternion, whose norm is 1 and which turns."""
+    paths = tuple(columns)
+    times = {path: "" for path in paths[:2] if _rises(columns[path])}
+    turns = []
+    for at in range(len(paths) - 3):
+        four = np.column_stack([columns[path] for path in paths[at : at + 4]])
+        if _is_unit(four) and np.any(np.ptp(four, axis=0) > 0.0):
+            turns.append(NamedVector(kind=Meaning.TURN, paths=paths[at : at + 4], words=(), unit=""))
+    vectors = tuple(turns) if len(turns) == 1 else ()
+    used = {*times, *(path for vector in vectors for path in vector.paths)}
+    return Named(vectors=vectors, times=times, others=tuple(path for path in paths if path not in used))
+
+
+def _rises(values: FloatArray) -> bool:
+    steps = np.diff(values)
+    return bool(np.all(np.isfinite(values)) and np.all(steps >= 0.0) and values[-1] > values[0])
+
+
+def _is_unit(four: FloatArray) -> bool:
+    return bool(np.all(np.abs(np.linalg.norm(four, axis=1) - 1.0) < _NORM_TOLERANCE))
+
+
+def _ranges(channel: _Channel) -> Iterator[str]:
+    """Describe the numbers without a guess."""
+    for path in channel.named.others:
+        values = channel.columns[path][np.isfinite(channel.columns[path])]
+        span = f"{values.min():.4g} to {values.max():.4g}" if values.size else "nothing"
+        yield f"{path}: {span}"
+
+
+def _time(channel: _Channel) -> Entry | None:
+    """Guess the time column of a table and its unit, or that each row is a pose at rest."""
+    for path, named_unit in channel.named.times.items():
+        unit = named_unit
+        values = channel.columns[path]
+        if not _rises(values):
+            continue
+        step = float(np.median(np.diff(values)[np.diff(values) > 0.0]))
+        if unit:
+            why = "its unit by its name"
+        elif any(values[0] > least for least in _EPOCH.values()):
+            unit = next(name for name, least in _EPOCH.items() if values[0] > least)
+            why = f"counted since 1970 in {unit}"
+        else:
+            unit = next((name for name, least in _SHORTEST_STEP.items() if step >= least), "s")
+            why = f"rows are {step:.4g} {unit} apart, of s, ms, us and ns the unit of a control loop"
+        layout: dict[str, object] = {"time": path, "time_unit": unit}
+        return Entry(key="table", value=layout, evidence=f"it always rises; {why}")
+    moving = [vector.paths for vector in channel.named.vectors if vector.kind is Meaning.TURN]
+    if moving and len(channel.columns[moving[0][0]]) <= _MOST_POSES and _leaps(channel.of(moving[0])):
+        evidence = "no column is a time, and the orientation leaps from row to row: each is taken as the mean of a rest"
+        return Entry(key="table", value={"rows": "poses"}, evidence=evidence)
+    return None
+
+
+def _leaps(values: FloatArray) -> bool:
+    moved = np.ptp(values, axis=0)
+    steps = np.median(np.abs(np.diff(values, axis=0)), axis=0)
+    return bool(np.median(steps[moved > 0.0] / moved[moved > 0.0]) > _LEAP_SHARE) if np.any(moved > 0.0) else False
+
+
+_PARTS: Mapping[Meaning, tuple[str, ...]] = {
+    Meaning.FORCE: ("force",),
+    Meaning.TORQUE: ("torque",),
+    Meaning.WRENCH: ("force", "torque"),
+    Meaning.POSITION: ("position",),
+    Meaning.TURN: ("orientation",),
+    Meaning.POSE: ("position", "orientation"),
+    Meaning.MATRIX: ("orientation",),
+    Meaning.LINEAR: ("linear",),
+    Meaning.ANGULAR: ("angular",),
+}
+_MAIN_PART = {Role.WRENCH: "force", Role.DESIRED_FORCE: "force", Role.TWIST: "linear"}
+
+
+def _role(vector: NamedVector) -> Role | None:
+    if vector.kind in (Meaning.FORCE, Meaning.TORQUE, Meaning.WRENCH):
+        return Role.DESIRED_FORCE if vector.is_command else Role.WRENCH
+    if vector.kind in (Meaning.LINEAR, Meaning.ANGULAR):
+        return None if vector.is_command else Role.TWIST
+    return Role.COMMAND if vector.is_command else Role.POSE
+
+
+def _roles(vectors: Sequence[tuple[_Channel, NamedVector]]) -> Iterator[tuple[Role, tuple[Entry, ...]]]:
+    """Yield for each role the entries of the vectors that serve it, where names leave one of each."""
+    for role in (Role.WRENCH, Role.POSE, Role.COMMAND, Role.TWIST, Role.DESIRED_FORCE):
+        mine = [(channel, vector) for channel, vector in vectors if _role(vector) is role]
+        chosen: dict[str, tuple[_Channel, NamedVector]] = {}
+        for part in ("force", "torque", "position", "orientation", "linear", "angular"):
+            found = _one([pair for pair in mine if part in _PARTS[pair[1].kind]])
+            if found is not None:
+                chosen[part] = found
+        topics = {channel.topic for channel, _ in chosen.values()}
+        needed = _MAIN_PART.get(role)
+        if len(topics) == 1 and (needed is None or needed in chosen):
+            yield role, tuple(_entries(role, chosen))
+
+
+def _one(found: Sequence[tuple[_Channel, NamedVector]]) -> tuple[_Channel, NamedVector] | None:
+    """Return the vector that was measured and not processed, None where that leaves none or several."""
+    for better in (lambda v: not v.is_processed, lambda v: v.is_measured):
+        found = [pair for pair in found if better(pair[1])] or found
+    return found[0] if len(found) == 1 else None
+
+
+def _entries(role: Role, chosen: Mapping[str, tuple[_Channel, NamedVector]]) -> Iterator[Entry]:
+    channel, first = next(iter(chosen.values()))
+    yield Entry(key="topic", value=channel.topic, evidence="")
+    fields: dict[str, list[str]] = {}
+    for part, (_, vector) in chosen.items():
+        parts = _PARTS[vector.kind]
+        split = 3 if len(parts) == 2 else len(vector.paths)
+        paths = vector.paths[split:] if len(parts) == 2 and part == parts[1] else vector.paths[:split]
+        fields[part] = list(paths)
+    ranges = "; ".join(f"{part} {_span(channel, paths)}" for part, paths in fields.items())
+    said = "by name" if first.words or first.components else "four columns of norm 1"
+    yield Entry(key="fields", value=fields, evidence=f"{said}; {ranges}")
+    if role in (Role.WRENCH, Role.DESIRED_FORCE):
+        yield from _wrench_entries(channel, chosen, fields)
+    elif role is not Role.TWIST:
+        yield from _pose_entries(channel, chosen, fields)
+
+
+def _span(channel: _Channel, paths: Sequence[str]) -> str:
+    values = channel.of(paths)
+    return f"{np.nanmin(values):.4g} to {np.nanmax(values):.4g}"
+
+
+def _wrench_entries(
+    channel: _Channel, chosen: Mapping[str, tuple[_Channel, NamedVector]], fields: Mapping[str, list[str]]
+) -> Iterator[Entry]:
+    force = chosen["force"][1]
+    units: dict[str, object] = {"force": force.unit if force.unit in ("N", "kN", "lbf", "kgf") else "N"}
+    why = ["by name" if force.unit else "newtons are usual"]
+    if "torque" in chosen:
+        torque = chosen["torque"][1]
+        sizes = [float(np.nanmax(np.ptp(channel.of(fields[part]), axis=0))) for part in ("force", "torque")]
+        unit = torque.unit if torque.unit.endswith("m") else ""
+        if not unit and sizes[1] > _N_MM_RATIO * sizes[0]:
+            unit = "N·mm"
+            why.append(f"torques vary {sizes[1] / sizes[0]:.0f} times as much as forces")
+        units["torque"] = unit or "N·m"
+    yield Entry(key="units", value=units, evidence="; ".join(why))
+    words = {*force.words}
+    if {"f", "ext", "hat"} <= words or ({"tcp", "force"} <= words and force.kind is Meaning.WRENCH):
+        maker = "Franka's estimate of the external wrench" if "hat" in words else "UR's force at the TCP"
+        base = "hat" not in words or force.words[0] == "o"
+        yield Entry(key="expressed_in", value="base" if base else "sensor", evidence=f"{maker}, by name")
+        yield Entry(key="gravity_compensated", value=True, evidence=f"{maker}, by name")
+
+
+def _pose_entries(
+    channel: _Channel, chosen: Mapping[str, tuple[_Channel, NamedVector]], fields: Mapping[str, list[str]]
+) -> Iterator[Entry]:
+    units: dict[str, object] = {}
+    why = []
+    kind, about = "", ""
+    if "orientation" in chosen:
+        vector = chosen["orientation"][1]
+        turns = channel.of(fields["orientation"])
+        kind, about = _orientation(vector, turns)
+        if turns.shape[1] == 3:
+            largest = float(np.nanmax(np.abs(turns)))
+            by_name = vector.unit if vector.unit in ("rad", "deg") else ""
+            units["angle"] = by_name or ("deg" if largest > _LARGEST_RAD else "rad")
+            why.append("angle by name" if by_name else f"angles up to {largest:.4g}")
+    if "position" in chosen:
+        vector = chosen["position"][1]
+        largest = float(np.nanmax(np.abs(channel.of(fields["position"]))))
+        by_name = vector.unit if vector.unit in ("mm", "cm", "m", "in") else ""
+        units = {"position": by_name or ("mm" if largest > _FARTHEST_M else "m"), **units}
+        why.insert(0, "position by name" if by_name else f"positions up to {largest:.4g}")
+    if units:
+        yield Entry(key="units", value=units, evidence="; ".join(why))
+    if kind:
+        yield Entry(key="orientation_as", value=kind, evidence=about)
+
+
+def _orientation(vector: NamedVector, turns: FloatArray) -> tuple[str, str]:
+    """Return how an orientation is written, and why."""
+    if turns.shape[1] == _SIXTEEN:
+        last_of_column = float(np.nanmax(np.abs(turns[:, [3, 7, 11]])))
+        kind = COLUMN_MAJOR if last_of_column < _NORM_TOLERANCE else ROW_MAJOR
+        return kind, "the entries that are 0 throughout are the last row of the matrix"
+    if turns.shape[1] == 4:
+        if vector.components == "xyzw":
+            return "quaternion_xyzw", "by name"
+        return "quaternion_xyzw", "or quaternion_wxyz: identify compares both with the weight where the tool tilts"
+    if vector.components == "abc":
+        return "euler_ZYX", "A, B and C as KUKA's: about z, y and x of the moved axes"
+    if vector.components == "rpy" or {"rpy", "euler"} & {*vector.words}:
+        return "euler_xyz", "roll, pitch and yaw about the fixed x, y and z; or another euler_…"
+    return "rotation_vector", "three numbers; or euler_xyz, euler_ZYZ, …: check it in the robot's manual"

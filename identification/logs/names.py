@@ -1,0 +1,233 @@
+"""What names of columns and fields say: which numbers form a vector, of what, in which unit."""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from problems.frozen import FrozenDict, freeze
+
+from .roles.candidates import COMMAND_WORDS, PROCESSED_WORDS
+
+_FORCE = frozenset({"f", "force", "forces", "fext", "kraft"})
+_TORQUE = frozenset({"m", "mom", "moment", "moments", "torque", "torques", "tau", "trq", "drehmoment"})
+_WRENCH = frozenset({"wrench", "ft", "fts", "ftsensor"})
+_POSITION = frozenset(
+    {"p", "pos", "position", "positions", "translation", "trans", "xyz", "tcp", "ee", "eef", "flange", "tool", "pose"}
+)
+_TURN = frozenset(
+    {"q", "quat", "quaternion", "orientation", "orient", "ori", "rot", "rotation", "r", "rotvec", "rv", "euler", "rpy"}
+)
+_VELOCITY = frozenset({"v", "vel", "velocity", "speed", "twist", "w", "omega", "geschwindigkeit"})
+_OTHER = frozenset(
+    {"acc", "accel", "acceleration", "joint", "joints", "motor", "jerk", "temp", "imu", "std", "cov", "qd"}
+)
+_TRANSLATION_OR_TORQUE = "t"
+_KNOWN = _FORCE | _TORQUE | _WRENCH | _POSITION | _TURN | _VELOCITY | _OTHER | {_TRANSLATION_OR_TORQUE}
+_COMMANDS = COMMAND_WORDS | {"des", "ref", "set", "sp", "soll", "tgt"}
+_MEASURED = frozenset({"actual", "measured", "meas", "act", "ist", "current", "cur", "real"})
+_TIME = frozenset(
+    {"t", "time", "times", "timestamp", "stamp", "zeit", "elapsed", "sec", "secs", "seconds", "millis", "nanos"}
+)
+_TIME_UNITS: Mapping[str, str] = FrozenDict(
+    {"s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "msec": "ms", "millis": "ms", "us": "us"}
+    | {"µs": "us", "ns": "ns", "nsec": "ns", "nanos": "ns"}
+)
+UNITS: Mapping[str, str] = FrozenDict(
+    {
+        "mm": "mm",
+        "cm": "cm",
+        "m": "m",
+        "in": "in",
+        "deg": "deg",
+        "°": "deg",
+        "grad": "deg",
+        "degree": "deg",
+        "rad": "rad",
+    }
+    | {"degrees": "deg", "n": "N", "kn": "kN", "lbf": "lbf", "kgf": "kgf", "nm": "N·m", "n·m": "N·m", "n*m": "N·m"}
+    | {"n.m": "N·m", "nmm": "N·mm", "n·mm": "N·mm", "knm": "kN·m", **_TIME_UNITS}
+)
+"""Units by how they are written, in small letters."""
+_TRAILING = frozenset(UNITS) - {"m", "in", "°"}
+_BRACKETED = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
+_MATRIX = 16
+
+
+class Meaning(StrEnum):
+    """What a vector is."""
+
+    FORCE = "force"
+    TORQUE = "torque"
+    WRENCH = "wrench"
+    POSITION = "position"
+    TURN = "orientation"
+    POSE = "pose"
+    MATRIX = "pose as a matrix"
+    LINEAR = "linear velocity"
+    ANGULAR = "angular velocity"
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedVector:
+    """Numbers that belong together by name: `paths` in order, the `words` before the component, the `unit` beside it.
+
+    `is_command` and `is_processed` say what the words say; `components` how the numbers are distinguished: `xyz`,
+    `xyzw`, `abc`, `rpy`, or nothing where they are counted.
+    """
+
+    kind: Meaning
+    paths: tuple[str, ...]
+    words: tuple[str, ...]
+    unit: str
+    components: str = ""
+
+    @property
+    def is_command(self) -> bool:
+        """Whether a word says that it is commanded or desired."""
+        return bool(_COMMANDS & {*self.words}) or (len(self.words) > 1 and self.words[-1] == "d")
+
+    @property
+    def is_processed(self) -> bool:
+        """Whether a word says that it is not as the sensor shows it."""
+        return bool((PROCESSED_WORDS | {"comp", "ext", "hat"}) & {*self.words})
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether a word says that it was measured."""
+        return bool(_MEASURED & {*self.words})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Named:
+    """The vectors among the names, the columns that may be the time with their units, and the names of the others."""
+
+    vectors: tuple[NamedVector, ...]
+    times: Mapping[str, str]
+    others: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        freeze(self, "times")
+
+
+@dataclass(kw_only=True)
+class _Group:
+    paths: dict[str, str] = field(default_factory=dict)
+    units: dict[str, None] = field(default_factory=dict)
+
+
+def read_names(paths: Sequence[str], units: Sequence[str] = ()) -> Named:
+    """Group names such as `force_x [N]`, `goal.pos.x`, `O_T_EE[3]`, `qw` or `actual_TCP_force_0` into vectors.
+
+    `units` (as many as `paths`, or none) is what a second line of a table writes below each name.
+    """
+    groups: dict[tuple[str, ...], _Group] = {}
+    times: dict[str, str] = {}
+    for path, below in zip(paths, units or [""] * len(paths), strict=True):
+        words, component, unit = _split(path, below)
+        if not component:
+            if words and {*words} <= _TIME | _MEASURED:
+                times[path] = _TIME_UNITS.get(unit, "") or _TIME_UNITS.get(words[-1], "")
+            continue
+        group = groups.setdefault(words, _Group())
+        group.paths[component] = path
+        group.units[unit] = None
+    vectors = tuple(vector for words, group in groups.items() for vector in _vectors(words, group))
+    vectors = _with_torques(vectors)
+    used = {path for vector in vectors for path in vector.paths} | {*times}
+    return Named(vectors=vectors, times=times, others=tuple(path for path in paths if path not in used))
+
+
+def _split(path: str, unit: str) -> tuple[tuple[str, ...], str, str]:
+    """Return the words before the component, the component (empty for a number of its own), and the unit."""
+    unit = unit.strip().strip("[](){}<>").lower()
+    bracketed = _BRACKETED.search(path)
+    if bracketed is not None and bracketed[1].lower() in UNITS:
+        unit, path = bracketed[1].lower(), path[: bracketed.start()]
+    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", path)
+    words = re.findall(r"[a-zµ]+|\d+", spaced.lower())
+    if len(words) > 1 and words[-1] in _TRAILING and not unit:
+        unit = words.pop()
+    if not words:
+        return (), "", unit
+    *before, last = words
+    if last.isdigit() or last in ("x", "y", "z", "w", "a", "b", "c"):
+        return tuple(before), last, unit
+    if last in ("roll", "pitch", "yaw"):
+        return (*before, "rpy"), last, unit
+    if last[-1] in "xyzw" and last[:-1] in _KNOWN:
+        return (*before, last[:-1]), last[-1], unit
+    return tuple(words), "", unit
+
+
+def _vectors(words: tuple[str, ...], group: _Group) -> Iterator[NamedVector]:
+    known = [word for word in words if word in _KNOWN]
+    if _OTHER & {*words}:
+        return
+    last = known[-1] if known else ""
+    unit = next(iter(group.units)) if len(group.units) == 1 else ""
+
+    def vector(kind: Meaning, names: Sequence[str], components: str = "") -> NamedVector:
+        paths = tuple(group.paths[name] for name in names)
+        return NamedVector(kind=kind, paths=paths, words=words, unit=UNITS.get(unit, ""), components=components)
+
+    if {"roll", "pitch", "yaw"} <= {*group.paths}:
+        yield vector(Meaning.TURN, ("roll", "pitch", "yaw"), "rpy")
+    elif {*"xyzw"} <= {*group.paths} and last not in _FORCE | _TORQUE:
+        yield vector(Meaning.TURN, "xyzw", "xyzw")
+    elif {*"xyz"} <= {*group.paths}:
+        kind = _kind_of_three(last, words)
+        if kind is not None:
+            yield vector(kind, "xyz", "xyz")
+        if {*"abc"} <= {*group.paths} and kind is Meaning.POSITION:
+            yield vector(Meaning.TURN, "abc", "abc")
+    else:
+        numbers = sorted((name for name in group.paths if name.isdigit()), key=int)
+        counted = [int(name) for name in numbers]
+        if known and counted and counted in ([*range(len(counted))], [*range(1, 1 + len(counted))]):
+            counted_kind = _kind_of_counted(last, words, len(counted))
+            if counted_kind is not None:
+                yield vector(counted_kind, numbers)
+
+
+def _kind_of_three(last: str, words: tuple[str, ...]) -> Meaning | None:
+    if last in _FORCE | _WRENCH:
+        return Meaning.FORCE
+    if last in _TORQUE:
+        return Meaning.TORQUE
+    if last in _VELOCITY:
+        turns = last in ("w", "omega") or {"ang", "angular"} & {*words}
+        return Meaning.ANGULAR if turns else Meaning.LINEAR
+    if last in _TURN:
+        return Meaning.TURN
+    # Bare x, y and z are a place, as is what has no other word than one for a command or a measurement.
+    is_place = last in _POSITION or last == _TRANSLATION_OR_TORQUE or {*words} <= _COMMANDS | _MEASURED
+    return Meaning.POSITION if is_place else None
+
+
+def _kind_of_counted(last: str, words: tuple[str, ...], count: int) -> Meaning | None:
+    forces = bool((_FORCE | _WRENCH) & {*words})
+    if count == _MATRIX:
+        return Meaning.MATRIX
+    if count == 6 and last in _VELOCITY:
+        return None
+    if count == 6 and forces:
+        return Meaning.WRENCH
+    if count == 3:
+        return _kind_of_three(last, words)
+    if count == 4 and last in _TURN:
+        return Meaning.TURN
+    return Meaning.POSE if count in (6, 7) and last in _POSITION else None
+
+
+def _with_torques(vectors: tuple[NamedVector, ...]) -> tuple[NamedVector, ...]:
+    """Return the vectors with `tx ty tz` as torques where forces are there and other torques are not."""
+    kinds = {vector.kind for vector in vectors}
+    if Meaning.FORCE not in kinds or Meaning.TORQUE in kinds:
+        return vectors
+    return tuple(
+        NamedVector(kind=Meaning.TORQUE, paths=v.paths, words=v.words, unit=v.unit, components=v.components)
+        if v.kind is Meaning.POSITION and v.words[-1:] == (_TRANSLATION_OR_TORQUE,)
+        else v
+        for v in vectors
+    )

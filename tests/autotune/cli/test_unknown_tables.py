@@ -1,0 +1,157 @@
+"""From a CSV that nobody explained to the payload, in two edits of what `inspect --write-cell` begins."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation, RotationSpline
+
+from autotune.cli.main import main
+from autotune.formats.identified import read_identified
+from problems.arrays import FloatArray
+
+MASS_KG, RATE_HZ = 7.3, 200.0
+COM_M = np.array([0.02, -0.03, 0.11])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """Eight rests and the moves between them: time (n,), place, orientation, and the raw wrench (n, 3) each."""
+
+    time: FloatArray
+    place: FloatArray
+    turned: Rotation
+    force: FloatArray
+    torque: FloatArray
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    """A tool that tilts and turns, at rest for 1 s each; by numpy and scipy alone."""
+    rng = np.random.default_rng(7)
+    rests = Rotation.from_euler("x", 170.0, degrees=True) * Rotation.from_rotvec(rng.uniform(-0.8, 0.8, (8, 3)))
+    places = np.array([0.5, 0.1, 0.6]) + rng.uniform(-0.1, 0.1, (8, 3))
+    time = np.arange(round(8 * 1.8 * RATE_HZ)) / RATE_HZ
+    within = np.clip((time % 1.8 - 1.0) / 0.8, 0.0, 1.0)
+    at = np.minimum(np.floor(time / 1.8) + within**3 * (10.0 - 15.0 * within + 6.0 * within**2), 7.0)
+    turned = RotationSpline(np.arange(8.0), rests)(at)
+    low = np.minimum(at.astype(int), 6)
+    place = places[low] + (at - low)[:, None] * (places[low + 1] - places[low])
+    gravity = turned.inv().apply([0.0, 0.0, -9.80665])
+    force = MASS_KG * gravity + [3.0, -5.0, 8.0] + 0.3 * rng.standard_normal((len(time), 3))
+    torque = np.cross(COM_M, MASS_KG * gravity) + [0.2, 0.1, -0.1] + 0.02 * rng.standard_normal((len(time), 3))
+    return Run(
+        time=time, place=place + 1e-6 * rng.standard_normal(place.shape), turned=turned, force=force, torque=torque
+    )
+
+
+def columns(path: Path, names: str, values: FloatArray, *, separator: str = ",", comma: bool = False) -> Path:
+    rows = [separator.join(f"{value:.6f}" for value in row) for row in values]
+    text = "\n".join([*([names] if names else []), *(row.replace(".", ",") if comma else row for row in rows), ""])
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def in_two_edits(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], logs: Sequence[Path], edits: Sequence[tuple[str, str]] = ()
+) -> str:
+    """Begin a cell.yaml, edit it (at most twice) and identify; returns the text that was begun."""
+    cell, out = tmp_path / "cell.yaml", tmp_path / "identified.yaml"
+    names = [*map(str, logs)]
+    assert main(["inspect", *names, "--write-cell", str(cell), "--quiet"]) == 0, capsys.readouterr().err
+    begun = text = cell.read_text(encoding="utf-8")
+    assert len(edits) <= 2
+    for before, after in edits:
+        assert text.count(before) == 1, f"{before!r} must be once in\n{text}"
+        text = text.replace(before, after)
+    cell.write_text(text, encoding="utf-8")
+    code = main(["identify", *names, "--cell", str(cell), "-o", str(out), "--allow-partial", "--quiet"])
+    assert code == 0, capsys.readouterr().err + text
+    payload = read_identified(out).result.payload
+    assert payload.mass_kg.value is not None
+    assert payload.mass_kg.std is not None
+    assert abs(payload.mass_kg.value - MASS_KG) < 4.0 * payload.mass_kg.std < 0.1
+    assert payload.com_m.value is not None
+    assert np.max(np.abs(np.subtract(payload.com_m.value, COM_M))) < 1e-3
+    return begun
+
+
+def test_millimetres_degrees_and_milliseconds(tmp_path: Path, capsys: pytest.CaptureFixture[str], run: Run) -> None:
+    """Euler angles under names that do not say which: the one edit."""
+    angles = run.turned.as_euler("xyz", degrees=True)
+    values = np.column_stack([1e3 * run.time, 1e3 * run.place, angles, run.force, 1e3 * run.torque])
+    path = columns(tmp_path / "a.csv", "time,x,y,z,rx,ry,rz,fx,fy,fz,tx,ty,tz", values)
+    begun = in_two_edits(tmp_path, capsys, [path], [("orientation_as: rotation_vector", "orientation_as: euler_xyz")])
+    assert "table: {time: time, time_unit: ms}  # it always rises; rows are 5 ms apart" in begun
+    assert "units: {position: mm, angle: deg}  # positions up to " in begun
+    assert "units: {force: N, torque: N·mm}  # newtons are usual; torques vary " in begun
+
+
+def test_german_separators_and_units_in_brackets(tmp_path: Path, capsys: pytest.CaptureFixture[str], run: Run) -> None:
+    """Decimal commas, units beside the names and w in front: nothing to edit."""
+    turns = run.turned.as_quat()[:, [3, 0, 1, 2]]
+    values = np.column_stack([1e3 * run.time, 1e-3 * run.force, run.torque, 1e2 * run.place, turns])
+    names = (
+        "Zeit [ms];Kraft X [kN];Kraft Y [kN];Kraft Z [kN];Moment X [Nm];Moment Y [Nm];Moment Z [Nm];"
+        "Pos X [cm];Pos Y [cm];Pos Z [cm];qw;qx;qy;qz"
+    )
+    begun = in_two_edits(tmp_path, capsys, [columns(tmp_path / "b.csv", names, values, separator=";", comma=True)])
+    assert 'table: {time: "Zeit [ms]", time_unit: ms}  # it always rises; its unit by its name' in begun
+    assert "units: {force: kN, torque: N·m}  # by name" in begun
+    assert "orientation: [qx, qy, qz, qw]" in begun
+
+
+def test_no_header_at_all(tmp_path: Path, capsys: pytest.CaptureFixture[str], run: Run) -> None:
+    """Time and quaternion show in the values; where force, torque and position stand has to be said."""
+    values = np.column_stack([run.time, run.place, run.turned.as_quat(), run.force, run.torque])
+    edits = [
+        (
+            'fields: {orientation: ["4", "5", "6", "7"]}',
+            'fields: {position: ["1", "2", "3"], orientation: ["4", "5", "6", "7"]}',
+        ),
+        ("# Which of these is `wrench`?", 'wrench: {fields: {force: ["8", "9", "10"], torque: ["11", "12", "13"]}}'),
+    ]
+    begun = in_two_edits(tmp_path, capsys, [columns(tmp_path / "c.txt", "", values, separator=" ")], edits)
+    assert 'table: {time: "0", time_unit: s}' in begun
+    assert "#   8: " in begun
+
+
+def test_a_matrix_and_nanoseconds_since_1970(tmp_path: Path, capsys: pytest.CaptureFixture[str], run: Run) -> None:
+    """Column by column as Franka writes it, a command beside it, and a filtered force that is not the one to take."""
+    matrix = np.zeros((len(run.time), 4, 4))
+    matrix[:, :3, :3], matrix[:, :3, 3], matrix[:, 3, 3] = run.turned.as_matrix(), run.place, 1.0
+    flat = matrix.transpose(0, 2, 1).reshape(len(run.time), 16)
+    stamps = 1_700_000_000_000_000_000 + np.rint(run.time * 1e9).astype(np.int64)
+    names = [
+        "timestamp",
+        *(f"O_T_EE[{i}]" for i in range(16)),
+        *(f"O_T_EE_d[{i}]" for i in range(16)),
+        *(f"ft.force.{axis}" for axis in "xyz"),
+        *(f"ft.torque.{axis}" for axis in "xyz"),
+        *(f"ft_filtered.force.{axis}" for axis in "xyz"),
+    ]
+    numbers = np.column_stack([flat, flat, run.force, run.torque, 0.0 * run.force + 1.0])
+    rows = [f"{stamp}," + ",".join(f"{v:.7f}" for v in row) for stamp, row in zip(stamps, numbers, strict=True)]
+    path = tmp_path / "d.csv"
+    path.write_text("\n".join([",".join(names), *rows, ""]), encoding="utf-8")
+    begun = in_two_edits(tmp_path, capsys, [path])
+    assert "table: {time: timestamp, time_unit: ns}  # it always rises; counted since 1970 in ns" in begun
+    assert begun.count("orientation_as: matrix_column_major  # the entries that are 0 throughout") == 2
+
+
+def test_two_tables_with_clocks_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str], run: Run) -> None:
+    """A quaternion with its w in front that only the weight can show, at half the rate of the force."""
+    forces = columns(
+        tmp_path / "force.csv",
+        "t_us,wrench_0,wrench_1,wrench_2,wrench_3,wrench_4,wrench_5",
+        np.column_stack([1e6 * run.time, run.force, run.torque]),
+    )
+    half = slice(None, None, 2)
+    turns = run.turned.as_quat()[half][:, [3, 0, 1, 2]]
+    values = np.column_stack([run.time[half], run.place[half], turns])
+    poses = columns(tmp_path / "pose.csv", "secs,pos_1,pos_2,pos_3,quat_1,quat_2,quat_3,quat_4", values)
+    begun = in_two_edits(tmp_path, capsys, [forces, poses])
+    assert "  force.csv: {time: t_us, time_unit: us}" in begun
+    assert "  pose.csv: {time: secs, time_unit: s}" in begun
