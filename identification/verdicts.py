@@ -1,4 +1,4 @@
-"""Verdicts on estimates from a value and its standard deviation."""
+"""Verdicts on estimates from a value and its standard deviation, and the scatter of several."""
 
 from dataclasses import replace
 
@@ -12,6 +12,9 @@ IDENTIFIED_SHARE = 0.05
 WEAK_SHARE = 0.2
 _BOUND_SHARE = 0.25
 _TWO_SIDED = 1.96
+# The share to which a cell repeats from one recording to the next: less scatter than this is no disagreement.
+_REPEATABILITY = 0.0005
+_HALVINGS = 100
 
 
 def judged(
@@ -86,3 +89,26 @@ def unidentifiable_vector(note: str) -> VectorEstimate:
 def missing(code: str, message: str, advice: str = "") -> Finding:
     """Return the finding that a parameter which a controller needs is not identified."""
     return Finding(code=code, severity="error", message=message, advice=advice)
+
+
+def scatter(values: FloatArray, noise: FloatArray) -> tuple[float, float]:
+    """Return χ² of values (n,) about their weighted mean, and the variance τ² that they have beyond their noise.
+
+    With τ² in each of them χ² is n − 1 (Paule and Mandel 1982); it is 0 where the noise alone explains the scatter.
+    Noise below what a cell repeats to counts as that.
+    """
+    noise = np.maximum(noise, np.maximum(_REPEATABILITY * np.abs(values), 1e-300))
+    freedom, square = len(values) - 1, _chi_square(values, noise, 0.0)
+    if square <= freedom:
+        return square, 0.0
+    low, high = 0.0, float(np.ptp(values)) ** 2
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _chi_square(values, noise, middle) > freedom else (low, middle)
+    return square, high
+
+
+def _chi_square(values: FloatArray, noise: FloatArray, beyond: float) -> float:
+    weights = 1.0 / (noise**2 + beyond)
+    mean = float(np.sum(weights * values) / np.sum(weights))
+    return float(np.sum(weights * (values - mean) ** 2))

@@ -16,7 +16,7 @@ from problems.frozen import freeze
 
 from ..payload.gravity import LOCAL_GRAVITY_STD
 from ..result import Estimate, Finding, Status, VectorEstimate
-from ..verdicts import IDENTIFIED_SHARE, weak_at_best
+from ..verdicts import IDENTIFIED_SHARE, scatter, weak_at_best
 
 WEIGHED_MASS = "mass"
 # No sensor's scale is better known than this (`joint_covariance` adds as much to each of these).
@@ -25,12 +25,9 @@ _CALIBRATED = frozenset({"K_s", "B_p", "M_p"})
 _MECHANICAL = frozenset({"K_s", "B_s", "B_p", "M_p", "K_e", "B_e", "M_e"})
 _SPRINGS = frozenset({"K_s", "K_e"})
 _NOT_NEGATIVE = frozenset({"B_s", "B_p", "B_e", "M_e", "T_d"})
-# The share to which a cell repeats from one recording to the next: less scatter than this is no disagreement.
-_REPEATABILITY = 0.0005
 # No log knows its own noise better than this against what it states in all.
 _LEAST_NOISE_SHARE = 0.1
 _SINGULAR, _DEFINITE = 1e-13, 1e-9
-_HALVINGS = 100
 # Scatter that chance brings about once in a thousand is no chance.
 _CHANCE = 1e-3
 _WIDER = 1e-9
@@ -63,29 +60,6 @@ def merged_std(stds: Sequence[float] | FloatArray, shared: float = 0.0) -> float
         return 0.0
     noise, common = noise_stds(stds, shared)
     return min(float(np.hypot(np.sum(noise**-2.0) ** -0.5, common)), float(np.min(stds)))
-
-
-def scatter(values: FloatArray, noise: FloatArray) -> tuple[float, float]:
-    """Return χ² of values (n,) about their weighted mean, and the variance τ² that they have beyond their noise.
-
-    With τ² in each of them χ² is n − 1 (Paule and Mandel 1982); it is 0 where the noise alone explains the scatter.
-    Noise below what a cell repeats to counts as that.
-    """
-    noise = np.maximum(noise, np.maximum(_REPEATABILITY * np.abs(values), 1e-300))
-    freedom, square = len(values) - 1, _chi_square(values, noise, 0.0)
-    if square <= freedom:
-        return square, 0.0
-    low, high = 0.0, float(np.ptp(values)) ** 2
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if _chi_square(values, noise, middle) > freedom else (low, middle)
-    return square, high
-
-
-def _chi_square(values: FloatArray, noise: FloatArray, beyond: float) -> float:
-    weights = 1.0 / (noise**2 + beyond)
-    mean = float(np.sum(weights * values) / np.sum(weights))
-    return float(np.sum(weights * (values - mean) ** 2))
 
 
 @dataclass(frozen=True, kw_only=True)

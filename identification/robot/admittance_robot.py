@@ -16,8 +16,9 @@ from ..errors import EstimateError
 from ..result import Finding, RobotEstimate, Status
 from ..signals.aligned import AlignedLog
 from ..signals.recording import Recording
-from ..verdicts import WEAK_SHARE, judged, missing, unidentifiable_vector, vector, weak_at_best
+from ..verdicts import judged, missing, unidentifiable_vector, vector, weak_at_best
 from .admittance_motion import AdmittanceMotion, admittance_motions
+from .log_parts import PartSpread, spread_of_parts
 from .position_loop import find_bandwidth_hz
 
 _SMALLEST_TRAVEL = 5e-3  # m or rad
@@ -74,9 +75,10 @@ def identify_admittance_robot(motion: AdmittanceMotion) -> AdmittanceRobotFit:
     """Fit V = g r(s) e^(−sT) (F + F^d)/(M_a s + B_a) + lever × turning to one axis by output error.
 
     One pole or two, with or without a lever, by the Bayesian information criterion. Deviations are those of coloured
-    residuals (scores summed over seconds); where the other number of poles fits within a quarter as well, its answer
-    with its deviation lies inside them too, since a slow hand shows the sum of the lags better than their kind.
-    Raises EstimateError when the axis hardly moves, the wrench asks for nothing, or no such robot explains the motion.
+    residuals (scores summed over seconds), with what gain and lag of parts of the log differ by beyond that; where the
+    other number of poles fits within a quarter as well, its answer with its deviation lies inside them too, since a
+    slow hand shows the sum of the lags better than their kind. Raises EstimateError when the axis hardly moves or no
+    such robot explains the motion.
     """
     moved = motion.moved_m_s[motion.used]
     travel = float(np.sum(np.abs(moved) * np.diff(motion.edge_s)[motion.used]))
@@ -102,7 +104,16 @@ def identify_admittance_robot(motion: AdmittanceMotion) -> AdmittanceRobotFit:
     # What no robot explains of a trace is more than noise, and may hide another order whatever it leaves.
     most = np.inf if motion.is_trace else _RIVAL_RATIO * chosen.residual_rms
     rivals = [f for f in fits if f is not chosen and len(f.linear) == len(chosen.linear) and f.residual_rms < most]
-    return _described(chosen, rivals, error, motion.period_s)
+    between = spread_of_parts(*_without_lever(motion, chosen), motion.edge_s[:-1][motion.used])
+    return _described(chosen, rivals, error, motion.period_s, between)
+
+
+def _without_lever(motion: AdmittanceMotion, fit: "_Fit") -> tuple[FloatArray, FloatArray]:
+    """Return the velocity that was measured, less what the lever explains, and that of a gain of 1."""
+    moved = motion.moved_m_s[motion.used]
+    if len(fit.linear) > 1:
+        moved = moved - motion.turning_rad_s[motion.used] @ fit.linear[1:]
+    return moved, _response(motion, fit.order, fit.parameters)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -249,12 +260,16 @@ def _covariance(jacobian: FloatArray, residual: FloatArray, time: FloatArray) ->
     return np.asarray(coloured * np.outer(widening / size, widening / size))
 
 
-def _described(fit: _Fit, rivals: Sequence[_Fit], error: float, period_s: float) -> AdmittanceRobotFit:
+def _described(
+    fit: _Fit, rivals: Sequence[_Fit], error: float, period_s: float, between: PartSpread
+) -> AdmittanceRobotFit:
     model, count = _model(fit.order, fit.parameters), len(fit.parameters)
     summary, own = fit.summary(), fit.summary_std()
     widest = np.max([own, *(np.hypot(rival.summary_std(), rival.summary() - summary) for rival in rivals)], axis=0)
     floor = np.array([_BANDWIDTH_SHARE * summary[0], _DELAY_SAMPLES * period_s, _DELAY_SAMPLES * period_s])
-    stds = np.hypot(widest, floor)
+    # A lag that differs between parts of the log is one of the poles: that of the logger is always the same.
+    apart = np.array([summary[0] * between.lag_s / max(float(summary[2]), 1e-6), 0.0, between.lag_s])
+    stds = np.sqrt(widest**2 + floor**2 + apart**2)
     denominators = [_model(fit.order, fit.parameters + _NUDGE * row).denominator for row in np.eye(count)]
     gradients = (np.array(denominators) - model.denominator) / _NUDGE
     spread = np.einsum("ik,ij,jk->k", gradients, fit.covariance[:count, :count], gradients)
@@ -268,7 +283,7 @@ def _described(fit: _Fit, rivals: Sequence[_Fit], error: float, period_s: float)
         lag_s=float(summary[2]),
         lag_std_s=float(stds[2]),
         gain=float(fit.linear[0]),
-        gain_std=float(linear_std[0]),
+        gain_std=float(np.hypot(linear_std[0], between.gain)),
         lever_m=fit.linear[1:],
         lever_std_m=linear_std[1:],
         fit_error=error,
@@ -341,8 +356,8 @@ def _estimate(fit: AdmittanceRobotFit, motion: AdmittanceMotion) -> RobotEstimat
     method = f"output error behind the admittance of the known gains, residual {100.0 * fit.fit_error:.2g} % of speed"
     lag = f"lag at low frequency {1e3 * fit.lag_s:.0f} ± {1e3 * fit.lag_std_s:.0f} ms, poles and delay together"
     assumed = _ASSUMED if motion.lead_s is None else _ASSUMED_OF_KNOWN_LEAD
-    weak = _LOOSEST_SHARE if motion.is_trace else WEAK_SHARE
-    bandwidth = weak_at_best(judged(fit.bandwidth_hz, fit.bandwidth_std_hz, method=method, weak=weak), assumed)
+    bandwidth = judged(fit.bandwidth_hz, fit.bandwidth_std_hz, method=method, weak=_LOOSEST_SHARE)
+    bandwidth = weak_at_best(bandwidth, assumed)
     # A bound may be looser than a value.
     delay = judged(
         fit.model.delay_s,

@@ -14,11 +14,11 @@ from identification.merging.values import (
     Normal,
     merge_normals,
     merged_std,
-    scatter,
     shared_std,
     with_priors,
 )
 from identification.payload.gravity import LOCAL_GRAVITY_STD
+from identification.verdicts import scatter
 from problems.arrays import FloatArray
 from tests.problems.axes import LAW
 
