@@ -10,10 +10,11 @@ from autotune.errors import CertificateError, UsageError
 from autotune.formats.atomic import check_target
 from autotune.formats.controller import ControllerFile, controller_tree, write_controller
 from autotune.formats.controller_record import Controller
-from autotune.formats.units import AxisUnits, axis_units
+from autotune.formats.units import axis_units
 from autotune.shown import Progress, ResultTable, Shown, data_frame, reporting
 from autotune.validation.report import Check, ValidationReport
 from problems.design.uncertainty import Scenario
+from problems.model.axis_kind import AxisKind
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -339,7 +340,7 @@ _PREDICTED = (
 
 
 def _gains_text(name: str, gains: Mapping[str, float]) -> str:
-    units: AxisUnits = axis_units(name)
+    units: AxisKind = axis_units(name)
     return (
         f"axis {name}: M_a {gains['mass']:.4g} {units.mass}, B_a {gains['damping']:.4g} {units.damping}, "
         f"K_l {gains['lead']:.4g} s, B_fb {gains['feedback_damping']:.4g} s"

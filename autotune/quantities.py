@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from autotune.errors import UsageError
 from autotune.formats.units import AXES
 from identification.given import Given, axis_keys
+from problems.model.plant_parameters import PARAMETERS
 
 _PER_TURN = 180.0 / math.pi
 # What a unit is in SI; · and * may stand between its parts or be left out.
@@ -74,12 +75,11 @@ def _factor(text: str, unit: str | None, kind: str) -> float:
 
 _FORM = re.compile(r"(?P<name>[a-z][a-z_.]*)=(?P<value>[^±]+?)(?:(?:±|\+-|\+/-)(?P<std>.+))?")
 
-_MAY_VANISH = (
-    "delay_s",
-    "coupling_damping_n_s_per_m",
-    "coupling_damping_n_m_s_per_rad",
-    "drag_n_s_per_m",
-    "drag_n_m_s_per_rad",
+_MAY_VANISH = tuple(
+    key
+    for each in PARAMETERS.values()
+    if each.may_be_zero and each.part in {"coupling", "payload", "robot"}
+    for key in (each.name, each.rotational_name)
 )
 
 

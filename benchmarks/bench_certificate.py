@@ -4,8 +4,9 @@ import time
 
 from autotune.certificate.certify import certify
 from autotune.certificate.claim import WORK_PER_SECOND
-from autotune.certificate.family import MASS, STIFFNESS, Family, UncertainPlant
+from autotune.certificate.family import Family
 from autotune.validation.margins import sweep_margins
+from problems.design.uncertainty import MASS, STIFFNESS, PlantSet
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
@@ -24,11 +25,11 @@ PLANT = Plant(
 
 def main() -> None:
     for mass, slacks in (((16.0, 16.0), (0.1, 0.05, 0.03, 0.01)), ((14.0, 24.0), (0.1, 0.05, 0.03))):
-        plants = UncertainPlant(nominal=PLANT, payload_mass_kg=mass, environment_stiffness_n_per_m=STIFFNESSES)
+        plants = PlantSet(nominal=PLANT, ranges={STIFFNESS: STIFFNESSES, MASS: mass})
         swept = sweep_margins(plants, LAW, PERIOD_S, stiffness=25, mass=3)
         told = f"K_e {STIFFNESSES[0]:g} to {STIFFNESSES[1]:g} N/m, M_p {mass[0]:g} to {mass[1]:g} kg"
         print(f"{told}: swept modulus {swept.values['modulus']:.4f}")
-        family = Family(nominal=PLANT, ranges={STIFFNESS: STIFFNESSES, MASS: mass}, sample_time_s=PERIOD_S)
+        family = Family(nominal=PLANT, ranges=plants.ranges, sample_time_s=PERIOD_S)
         claims: list[tuple[str, float | None]] = [
             (f"{100 * slack:4.1f} % slack", (1.0 - slack) * swept.values["modulus"]) for slack in slacks
         ]

@@ -73,10 +73,11 @@ def contact_loop(
     With x = W (F^d + F), W = N/D, and κ = K_s + B_s s, the payload's compliance to a force on it is
     Y = (D + κ N)/((M_p s² + B_p s)(D + κ N) + κ D); a wall met at speed v answers with F_e = K v/(s² (1 + K Y)).
     """
-    drag, mass = problem.drag_n_s_per_m, scenario.payload_mass_kg
-    wall = [scenario.environment_stiffness_n_per_m, problem.environment_damping_n_s_per_m * _RATE]
+    drag, mass = problem.plants.nominal.payload.drag_n_s_per_m, scenario.payload_mass_kg
+    wall = [scenario.environment_stiffness_n_per_m, problem.plants.nominal.environment.damping_n_s_per_m * _RATE]
     above, below = position_loop(problem, controller)
-    kappa = [problem.coupling.stiffness_n_per_m, problem.coupling.damping_n_s_per_m * _RATE]
+    coupling = problem.plants.nominal.coupling
+    kappa = [coupling.stiffness_n_per_m, coupling.damping_n_s_per_m * _RATE]
     driven = _sum(below, _product(kappa, above))
     free = _sum(_product([0.0, drag * _RATE, mass * _RATE**2], driven), _product(kappa, below))
     closed = _sum(_product(wall, driven), free)
@@ -99,7 +100,7 @@ def admittance(problem: DesignProblem, controller: Sequence[Any]) -> tuple[Polyn
 def position_loop(problem: DesignProblem, controller: Sequence[Any]) -> tuple[Polynomial, Polynomial]:
     """Return N and D of W = A (1 + C_ff) T/(1 + T C_fb), force to position, with T = r e^(−s T_d) by Padé."""
     mass, damping, lead, feedback = controller
-    robot, corner = problem.robot, problem.velocity_filter_rad_per_s
+    robot, corner = problem.plants.nominal.robot, problem.velocity_filter_rad_per_s
     late, early = pade(robot.delay_s + _HOLD_SAMPLES * problem.sample_time_s, _PADE_ORDER)
     above = _product(_scaled(robot.numerator), late)
     below = _product(_scaled(robot.denominator), early)

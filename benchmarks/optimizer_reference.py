@@ -167,7 +167,7 @@ def check_densely(problem: DesignProblem, design: FloatArray, *, seed: int, dens
 def random_scenarios(problem: DesignProblem, count: int, seed: int) -> tuple[Scenario, ...]:
     """Draw scenarios from the ranges, stiffness by equal ratios and mass by equal steps; the corners come first."""
     rng = np.random.default_rng([seed, 31])
-    (soft, stiff), (light, heavy) = problem.environment_stiffness_n_per_m, problem.payload_mass_kg
+    (soft, stiff), (light, heavy) = problem.plants.environment_stiffness_n_per_m, problem.plants.payload_mass_kg
     stiffness = soft * (stiff / soft) ** rng.random(count)
     mass = light + (heavy - light) * rng.random(count)
     drawn = [

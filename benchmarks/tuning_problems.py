@@ -4,7 +4,7 @@ import numpy as np
 
 from problems.contact.transient import Approach
 from problems.design.problem import AdmittanceTarget, DesignProblem, Objective, Requirements
-from problems.model.plant import Coupling
+from problems.design.uncertainty import PlantSet
 from problems.model.robot import RobotModel
 
 STIFFNESS_N_PER_M = (2e4, 5e5)
@@ -17,11 +17,14 @@ def paper_cell(
 ) -> DesignProblem:
     """The paper's 16 kg cell over ranges of surface and payload (MODEL.md, "Symbols")."""
     return DesignProblem(
-        robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=3.0 * PERIOD_S),
-        coupling=Coupling(stiffness_n_per_m=3e5, damping_n_s_per_m=0.0),
-        drag_n_s_per_m=630.0,
-        environment_stiffness_n_per_m=stiffness,
-        payload_mass_kg=mass,
+        plants=PlantSet.of(
+            RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=3.0 * PERIOD_S),
+            coupling_stiffness_n_per_m=3e5,
+            coupling_damping_n_s_per_m=0.0,
+            drag_n_s_per_m=630.0,
+            environment_stiffness_n_per_m=stiffness,
+            payload_mass_kg=mass,
+        ),
         sample_time_s=PERIOD_S,
     )
 
@@ -48,14 +51,14 @@ def draw_problem(seed: int) -> DesignProblem:
         approach = Approach(speed_m_s=ratio(0.01, 0.05))
     objective: Objective = "contact_force" if rng.random() < 0.5 else "sensor_force"
     return DesignProblem(
-        robot=draw_robot(rng, samples * h),
-        coupling=Coupling(
-            stiffness_n_per_m=coupling,
-            damping_n_s_per_m=float(rng.uniform(0.01, 0.1)) * 2.0 * (coupling * mass) ** 0.5,
+        plants=PlantSet.of(
+            draw_robot(rng, samples * h),
+            coupling_stiffness_n_per_m=coupling,
+            coupling_damping_n_s_per_m=float(rng.uniform(0.01, 0.1)) * 2.0 * (coupling * mass) ** 0.5,
+            drag_n_s_per_m=ratio(150.0, 900.0),
+            environment_stiffness_n_per_m=(softest, min(stiffest, 6e5)),
+            payload_mass_kg=(mass, mass * float(rng.uniform(1.05, 3.0))),
         ),
-        drag_n_s_per_m=ratio(150.0, 900.0),
-        environment_stiffness_n_per_m=(softest, min(stiffest, 6e5)),
-        payload_mass_kg=(mass, mass * float(rng.uniform(1.05, 3.0))),
         sample_time_s=h,
         approach=approach,
         requirements=Requirements(

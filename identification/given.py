@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from problems.frozen import FrozenDict
+from problems.model.axis_kind import rotational_name
 
 from .errors import EstimateError
 from .result import AxisEstimate, Estimate, Finding, Identified, Status
@@ -17,13 +18,7 @@ _AXIS_KEYS = {
     "drag_n_s_per_m": "drag_n_s_per_m",
     "delay_s": "delay_s",
 }
-_ROTATIONAL_UNITS = {"_n_per_m": "_n_m_per_rad", "_n_s_per_m": "_n_m_s_per_rad", "_s": "_s"}
-_ROTATIONAL_KEYS = {
-    key.removesuffix(unit) + turned: name
-    for key, name in _AXIS_KEYS.items()
-    for unit, turned in _ROTATIONAL_UNITS.items()
-    if key.endswith(unit)
-}
+_ROTATIONAL_KEYS = {rotational_name(key): name for key, name in _AXIS_KEYS.items()}
 
 
 def axis_keys(axis: str) -> Mapping[str, str]:

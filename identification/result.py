@@ -316,6 +316,16 @@ class AxisEstimate:
     fits: tuple[FitQuality, ...] = ()
     held_out: tuple[HeldOutPeak, ...] = ()
 
+    def plant_estimates(self) -> dict[str, Estimate]:
+        """Return what is identified of the plant beside K_e and M_p, by `problems.model.plant_parameters`."""
+        return {
+            "coupling_stiffness_n_per_m": self.coupling.stiffness_n_per_m,
+            "coupling_damping_n_s_per_m": self.coupling.damping_n_s_per_m,
+            "drag_n_s_per_m": self.drag_n_s_per_m,
+            "delay_s": self.robot.delay_s,
+            "robot_bandwidth_hz": self.robot.bandwidth_hz,
+        }
+
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseSpectrum:

@@ -9,7 +9,7 @@ from enum import Enum
 import numpy as np
 
 from problems.arrays import FloatArray, IntArray
-from problems.design.uncertainty import Scenario
+from problems.design.uncertainty import STIFFNESS, Scenario
 from problems.errors import ParameterError
 from problems.model.sampled import Controller, build_loop, build_sampled_plant, stability_matrix
 
@@ -18,7 +18,7 @@ from .balls import Balls, DualBall, as_series, derivative_of, enclose
 from .base_plant import fails_at, is_stable
 from .bounds import PlantCell, judge
 from .circle import Circle
-from .family import LATE, STIFFNESS, Family
+from .family import LATE, Family
 from .law import LawPolynomials, law_polynomials, without_constant
 from .plant_polynomials import plant_polynomials
 

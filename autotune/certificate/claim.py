@@ -5,11 +5,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
-from problems.model.plant import Plant
+from problems.design.uncertainty import PlantSet
 from problems.model.sampled import Controller
 
 from .certify import ProofOutcome, Verdict, certify
-from .family import Interval, build_families
+from .family import build_families
 
 METHOD = "zero exclusion on the unit circle in ball arithmetic"
 # A proof's work is counted, not timed, so that the same input gives the same file; this many are done in a second.
@@ -20,12 +20,11 @@ WORK_PER_SECOND = 40_000
 class Claim:
     """That a sampled loop is stable, with |1 + L| > `modulus` at both break points, in contact and in free space.
 
-    `ranges` is keyed by the names of `problems.design.uncertainty`; what is not named is nominal. A `modulus` of None
-    claims stability alone. `work` bounds the effort of the proof.
+    It is claimed of every plant in the box of `plants`, whatever cuts that. A `modulus` of None claims stability alone.
+    `work` bounds the effort of the proof.
     """
 
-    nominal: Plant
-    ranges: tuple[tuple[str, Interval], ...]
+    plants: PlantSet
     law: Controller
     sample_time_s: float
     modulus: float | None
@@ -109,7 +108,7 @@ def prove(claim: Claim, progress: Callable[[float], None] | None = None) -> Comb
     ParameterError
         For parameters that cannot be proved over.
     """
-    families = build_families(claim.nominal, dict(claim.ranges), claim.sample_time_s)
+    families = build_families(claim.plants.nominal, claim.plants.ranges, claim.sample_time_s)
     every = [each for family in families for each in (family.in_free_space(), family)]
 
     def part_done(done: float) -> None:

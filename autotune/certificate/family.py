@@ -8,19 +8,20 @@ from itertools import pairwise
 import numpy as np
 
 from problems.arrays import FloatArray
-from problems.design.uncertainty import FURTHER_UNCERTAIN, Scenario
+from problems.design.uncertainty import MASS, STIFFNESS, UNCERTAIN, Scenario
 from problems.errors import ParameterError
 from problems.frozen import freeze
-from problems.model.plant import FREE_SPACE, Plant, WrenchFilter
-from problems.model.robot import RobotModel, bandwidth_hz, vary_robot
+from problems.model.plant import FREE_SPACE, Plant
+from problems.model.plant_parameters import PARAMETERS
+from problems.model.robot import vary_robot
 from problems.model.sampled import split_delay
 
 Interval = tuple[float, float]
 
-MASS, STIFFNESS = "payload_mass_kg", "environment_stiffness_n_per_m"
 LAG, LATE = "wrench_time_constant_s", "wrench_delay_s"
-# What is proved over; a robot's damping ratio is not among them.
-PROVABLE = (STIFFNESS, MASS, *(name for name in FURTHER_UNCERTAIN if name != "robot_damping_ratio"))
+PROVABLE = tuple(name for name in UNCERTAIN if PARAMETERS[name].is_provable)
+"""What is proved over."""
+_ENVIRONMENT = frozenset(name for name in UNCERTAIN if PARAMETERS[name].part == "environment")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +53,7 @@ class Family:
         if environment.mass_kg != 0.0:
             raise ParameterError("environment.mass_kg", environment.mass_kg, "0, to be proved over")
         softest = self.range_of(STIFFNESS)[0]
-        touched = {STIFFNESS, "environment_damping_n_s_per_m"} & set(self.ranges)
-        if softest <= 0.0 and (touched or not environment.is_free_space):
+        if softest <= 0.0 and (_ENVIRONMENT & self.ranges.keys() or not environment.is_free_space):
             raise ParameterError(STIFFNESS, softest, "greater than 0 in contact")
         if self.nominal.wrench_filter.delay_s > 0.0 or LATE in self.ranges:
             raise ParameterError(LATE, self.range_of(LATE), "0 (`build_families` adds it to the delay)")
@@ -65,21 +65,9 @@ class Family:
 
     def range_of(self, name: str) -> Interval:
         """Return the range of one parameter, from nominal to nominal where none is given."""
-        plant = self.nominal
-        values = {
-            STIFFNESS: plant.environment.stiffness_n_per_m,
-            MASS: plant.payload.mass_kg,
-            "coupling_stiffness_n_per_m": plant.coupling.stiffness_n_per_m,
-            "coupling_damping_n_s_per_m": plant.coupling.damping_n_s_per_m,
-            "drag_n_s_per_m": plant.payload.drag_n_s_per_m,
-            "environment_damping_n_s_per_m": plant.environment.damping_n_s_per_m,
-            "delay_s": plant.robot.delay_s,
-            "wrench_time_constant_s": plant.wrench_filter.time_constant_s,
-            "wrench_delay_s": plant.wrench_filter.delay_s,
-        }
         if name in self.ranges:
             return self.ranges[name]
-        value = values[name] if name in values else bandwidth_hz(plant.robot)
+        value = PARAMETERS[name].value(self.nominal)
         return value, value
 
     @property
@@ -107,8 +95,7 @@ class Family:
 
     def in_free_space(self) -> "Family":
         """Return the same plants with nothing to touch."""
-        touching = (STIFFNESS, "environment_damping_n_s_per_m")
-        kept = {name: span for name, span in self.ranges.items() if name not in touching}
+        kept = {name: span for name, span in self.ranges.items() if name not in _ENVIRONMENT}
         return replace(self, nominal=self.nominal.in_contact_with(FREE_SPACE), ranges=kept)
 
     def box(self) -> FloatArray:
@@ -162,30 +149,3 @@ def build_families(nominal: Plant, ranges: Mapping[str, Interval], sample_time_s
     return tuple(
         Family(nominal=nominal, ranges=each, sample_time_s=sample_time_s, shared_delay=shared) for each in spans
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class UncertainPlant:
-    """A nominal plant whose payload mass and environment stiffness lie anywhere in intervals; (0, 0) is free space."""
-
-    nominal: Plant
-    payload_mass_kg: Interval
-    environment_stiffness_n_per_m: Interval
-
-    def at(self, mass_kg: float, stiffness_n_per_m: float) -> Plant:
-        """Return one plant of the set."""
-        return replace(
-            self.nominal,
-            payload=replace(self.nominal.payload, mass_kg=mass_kg),
-            environment=replace(self.nominal.environment, stiffness_n_per_m=stiffness_n_per_m),
-        )
-
-    @property
-    def port(self) -> tuple[RobotModel, WrenchFilter]:
-        """What the rendered admittance depends on besides the controller."""
-        return self.nominal.robot, self.nominal.wrench_filter
-
-    def in_free_space(self) -> "UncertainPlant":
-        """Return the same plants with nothing to touch."""
-        free = self.nominal.in_contact_with(FREE_SPACE)
-        return replace(self, nominal=free, environment_stiffness_n_per_m=(0.0, 0.0))

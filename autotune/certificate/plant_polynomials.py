@@ -6,12 +6,14 @@ from typing import Any
 import numpy as np
 
 from problems.arrays import FloatArray
-from problems.model.plant import write_plant
+from problems.design.uncertainty import MASS, STIFFNESS
+from problems.model.plant import PLANT_PARAMETERS, write_plant
+from problems.model.plant_parameters import PARAMETERS
 from problems.model.robot import bandwidth_hz
 
 from . import rational
 from .balls import DualBall, as_series, ball, exponential, number, precise
-from .family import LAG, MASS, PROVABLE, STIFFNESS, Family
+from .family import LAG, PROVABLE, Family
 
 
 @precise
@@ -119,11 +121,12 @@ def _continuous(family: Family, values: Mapping[str, Any]) -> tuple[Any, Any, An
         _objects(n + 2),
         _objects(3),
     )
-    parameters = _objects(7)
-    named = ("coupling_damping_n_s_per_m", "drag_n_s_per_m", "environment_damping_n_s_per_m")
-    for place, name in zip((1, 3, 5), named, strict=True):
-        parameters[place] = values[name]
-    parameters[2] = as_series(1)
+    parameters = _objects(PLANT_PARAMETERS)
+    # Dampings act on speeds, and the rest on e or, divided by the mass, below.
+    for each in PARAMETERS.values():
+        if each.kind == "damping":
+            parameters[each.place] = values[each.name]
+    parameters[PARAMETERS[MASS].place] = as_series(1)
     top, bottom = _robot(family, values)
     write_plant(a, b, push, position, force, contact, direct, top, bottom, parameters, h)
     k_s, k_e, inverse = values["coupling_stiffness_n_per_m"], values[STIFFNESS], values[MASS]

@@ -10,12 +10,12 @@ from ._terminal import painted, print_message, print_table, printable, table_lin
 if TYPE_CHECKING:
     from autotune.formats.controller import ControllerFile
     from autotune.formats.controller_record import Controller, ScenarioPrediction
-    from autotune.formats.units import AxisUnits
     from autotune.tuning.compare import EvaluatedController, SideBySide
     from autotune.tuning.compliance import Compliance, CompliancePoint
     from autotune.tuning.optimality_report import ActiveConstraint, OptimalityReport, Reference
     from autotune.tuning.optimize import Optimized
     from problems.design.problem import DesignProblem
+    from problems.model.axis_kind import AxisKind
     from problems.model.controller import AdmittanceController
 
 # Decimals of a price: what is 0 in them saves nothing.
@@ -50,7 +50,7 @@ def active_lines(found: "Optimized", name: str) -> list[str]:
     return [*lines, *_optimality_lines(standing, units, bool(found.searches[name].problem.requirements.soft_n))]
 
 
-def _active_line(entry: "ActiveConstraint", problem: "DesignProblem", units: "AxisUnits") -> str:
+def _active_line(entry: "ActiveConstraint", problem: "DesignProblem", units: "AxisKind") -> str:
     decimals = _DECIMALS[units.force]
     saved, is_nothing = f"{entry.price_n:.{decimals}f} {units.force}", entry.price_n < 0.5 * 10.0**-decimals
     side, _, variable = entry.name.partition(" bound of ")
@@ -66,7 +66,7 @@ def _active_line(entry: "ActiveConstraint", problem: "DesignProblem", units: "Ax
     return f"{entry.name} holds the peak up: easing it by 1 % saves {saved}, asking 1 % more costs as much"
 
 
-def _optimality_lines(standing: "OptimalityReport", units: "AxisUnits", has_wishes: bool) -> Iterator[str]:
+def _optimality_lines(standing: "OptimalityReport", units: "AxisKind", has_wishes: bool) -> Iterator[str]:
     """Yield whether the design is feasible, an optimum of its surroundings, and the best that anyone found.
 
     With wishes, what was minimised is the peak and the prices of what is missed.
@@ -145,7 +145,7 @@ def compare_lines(old: "ControllerFile", found: Mapping[str, "SideBySide"]) -> I
             yield f"  {name}  {side}: {_verdict(standing, units)}"
 
 
-def _rows(both: "SideBySide", units: "AxisUnits") -> Iterator[tuple[str, str, str]]:
+def _rows(both: "SideBySide", units: "AxisKind") -> Iterator[tuple[str, str, str]]:
     sides = (both.old, both.new)
     for what, name in (
         (f"M_a [{units.mass}]", "mass_kg"),
@@ -177,7 +177,7 @@ def _number(side: "EvaluatedController", name: str, scale: float) -> str:
     return "no limit" if math.isinf(value) else f"{value * scale:.4g}"
 
 
-def _verdict(side: "EvaluatedController", units: "AxisUnits") -> str:
+def _verdict(side: "EvaluatedController", units: "AxisKind") -> str:
     if side.unstable_at is not None:
         mass, stiffness = side.unstable_at
         where = f"K_e {stiffness:.4g} {units.stiffness}" if stiffness > 0.0 else "free space"
@@ -192,7 +192,7 @@ def print_compliance(name: str, compliance: "Compliance", problem: "DesignProble
 
     `problem` is the one that the controller was found for.
     """
-    low, high = problem.environment_stiffness_n_per_m
+    low, high = problem.plants.environment_stiffness_n_per_m
     tolerance = 100.0 * compliance.asked.tolerance
     print_message(
         f"axis {name}: build K_e {compliance.chosen.stiffness_n_per_m:g} N/m to ± {tolerance:g} %, certified from "
@@ -245,7 +245,7 @@ def _lines(compliance: "Compliance", problem: "DesignProblem") -> Iterator[str]:
             f"{100.0 * RESOLUTION:g} % stiffer. To take another one, give it as "
             "free.environment_stiffness_n_per_m: [K, K]"
         )
-    damping = problem.uncertain.get("environment_damping_n_s_per_m", (problem.environment_damping_n_s_per_m,) * 2)
+    damping = problem.plants.range_of("environment_damping_n_s_per_m")
     text = f"{damping[0]:g}" if damping[0] == damping[1] else f"{damping[0]:g} to {damping[1]:g}"
     yield (
         f"assumed of the compliance: damping B_e {text} N·s/m, and no mass that moves with it; once it is built, "
@@ -336,7 +336,7 @@ def spark(values: Sequence[float], cells: int = _CELLS) -> str:
 
 
 def contact_spark(
-    problem: "DesignProblem", controller: "AdmittanceController", worst: "ScenarioPrediction", units: "AxisUnits"
+    problem: "DesignProblem", controller: "AdmittanceController", worst: "ScenarioPrediction", units: "AxisKind"
 ) -> str:
     """Return the predicted force at the contact of one scenario, from the impact until it has settled."""
     from problems.contact.transient import build_sampled_contact, simulate_contact

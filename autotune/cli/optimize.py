@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from autotune.formats.controller import ControllerFile
     from autotune.formats.controller_record import ScenarioPrediction
     from autotune.formats.identified import IdentifiedFile
-    from autotune.formats.units import AxisUnits
     from autotune.report.page import Page
     from autotune.studies.front import FrontRequest
     from autotune.tuning.optimize import Optimized
     from autotune.validation.axis_proof import ProofOptions
+    from problems.model.axis_kind import AxisKind
 
 _EPILOG = """\b
 Examples:
@@ -244,7 +244,7 @@ def print_optimized(found: "Optimized", out: Path, checksum: str, existing: "Con
     print_message(f"written: {out}, checksum {checksum}")
 
 
-def _print_spark(found: "Optimized", name: str, units: "AxisUnits") -> None:
+def _print_spark(found: "Optimized", name: str, units: "AxisKind") -> None:
     """Draw the force of the predicted contact with the highest peak, where somebody sees it."""
     if not detect_terminal(sys.stdout).has_blocks:
         return
@@ -253,7 +253,7 @@ def _print_spark(found: "Optimized", name: str, units: "AxisUnits") -> None:
     print_message(f"  {contact_spark(search.problem, search.problem.controller(search.design), worst, units)}")
 
 
-def _print_peaks(scenarios: "Iterable[ScenarioPrediction]", units: "AxisUnits") -> None:
+def _print_peaks(scenarios: "Iterable[ScenarioPrediction]", units: "AxisKind") -> None:
     """Print the table of predicted contacts; lengths in mm along an axis, digits as its unit needs them."""
     from autotune.text import off_nominal
 

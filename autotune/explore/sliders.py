@@ -4,10 +4,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from autotune.formats.units import AxisUnits, axis_units
+from autotune.formats.units import axis_units
 from autotune.tuning.bounds import bounds_of, linear_variables
 from problems.design.problem import DesignProblem
-from problems.design.uncertainty import ALWAYS_UNCERTAIN, SYMBOLS, Scenario
+from problems.design.uncertainty import ALWAYS_UNCERTAIN, MASS, STIFFNESS, SYMBOLS, Scenario
+from problems.model.plant_parameters import PARAMETERS
 
 STEPS = 1000
 _SURFACES, _PAYLOADS, _FACTOR, _SPEEDS = 4.0, 2.0, 3.0, 2.0
@@ -24,15 +25,11 @@ _GAINS = {
     "acceleration_filter_rad_per_s": ("ω_a", "acceleration filter"),
     "compensation_mass_kg": ("P̂", "compensated mass"),
 }
-_PLANT = {
-    "environment_stiffness_n_per_m": "surface stiffness",
-    "payload_mass_kg": "payload",
-    "coupling_stiffness_n_per_m": "coupling stiffness",
-    "coupling_damping_n_s_per_m": "coupling damping",
-    "drag_n_s_per_m": "drag",
-    "delay_s": "delay",
-    "robot_bandwidth_hz": "robot bandwidth",
-}
+_LABELS = {STIFFNESS: "surface stiffness", MASS: "payload"}
+_PLANT = (
+    *(STIFFNESS, MASS, "coupling_stiffness_n_per_m", "coupling_damping_n_s_per_m", "drag_n_s_per_m"),
+    *("delay_s", "robot_bandwidth_hz"),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,56 +91,43 @@ def build_plant_sliders(problem: DesignProblem, axis: str) -> tuple[SliderRange,
         SliderRange(
             name=name,
             symbol=SYMBOLS[name],
-            label=label,
-            unit=_unit(name, units),
+            label=_LABELS.get(name, PARAMETERS[name].label),
+            unit=units.unit(PARAMETERS[name].kind),
             low=low,
             high=high,
             logarithmic=low > 0.0,
         )
-        for name, label in _PLANT.items()
+        for name in _PLANT
         for low, high in [_plant_range(problem, name)]
     )
 
 
-def _unit(name: str, units: AxisUnits) -> str:
-    if name == "payload_mass_kg":
-        return units.mass
-    if "stiffness" in name:
-        return units.stiffness
-    return {"delay_s": "s", "robot_bandwidth_hz": "Hz"}.get(name, units.damping)
-
-
 def _plant_range(problem: DesignProblem, name: str) -> tuple[float, float]:
     if name in ALWAYS_UNCERTAIN:
-        low, high = problem.uncertainty.ranges[name]
-        factor = _PAYLOADS if name == "payload_mass_kg" else _SURFACES
+        low, high = problem.plants.ranges[name]
+        factor = _PAYLOADS if name == MASS else _SURFACES
         return low / factor, high * factor
-    value = problem.nominal()[name]
-    low, high = problem.uncertain.get(name, (value, value))
+    low, high = problem.plants.range_of(name)
     if name == "coupling_stiffness_n_per_m":
         return low / _FACTOR, high * _FACTOR
     if name == "robot_bandwidth_hz":
         return low / _SPEEDS, high * _SPEEDS
     if name == "delay_s":
         return 0.0, max(_FACTOR * high, _LEAST_DELAY_SAMPLES * problem.sample_time_s)
-    critical = math.sqrt(problem.coupling.stiffness_n_per_m * problem.payload_mass_kg[1])
+    critical = math.sqrt(problem.plants.nominal.coupling.stiffness_n_per_m * problem.plants.payload_mass_kg[1])
     return 0.0, max(_FACTOR * high, _DAMPING_SHARE * critical)
 
 
 def nominal_values(problem: DesignProblem) -> dict[str, float]:
     """Return the plant that is looked at first: the middle of the ranges of K_e and M_p, the rest nominal."""
-    soft, stiff = problem.environment_stiffness_n_per_m
-    middle = {
-        "environment_stiffness_n_per_m": math.sqrt(soft * stiff),
-        "payload_mass_kg": 0.5 * sum(problem.payload_mass_kg),
-    }
-    nominal = problem.nominal()
-    return {name: middle[name] if name in middle else nominal[name] for name in _PLANT}
+    soft, stiff = problem.plants.environment_stiffness_n_per_m
+    middle = {STIFFNESS: math.sqrt(soft * stiff), MASS: 0.5 * sum(problem.plants.payload_mass_kg)}
+    return {name: middle[name] if name in middle else problem.plants.nominal_values()[name] for name in _PLANT}
 
 
 def scenario_at(problem: DesignProblem, values: Mapping[str, float]) -> Scenario:
     """Return the plant of these values as a scenario, in which what is nominal stays unsaid."""
-    nominal = problem.nominal()
+    nominal = problem.plants.nominal_values()
     further = {
         name: value
         for name, value in values.items()

@@ -170,8 +170,10 @@ def problem_of(controller: Controller, name: str) -> DesignProblem:
     The bounds are the usual ones, widened to the gains of the file; filters and compensation stay as they are.
     """
     domain, law = controller.certificate.domain[name], admittance_controller(controller, name)
-    return domain.problem(
-        controller.sample_time_s,
+    return DesignProblem(
+        plants=domain.plants,
+        sample_time_s=controller.sample_time_s,
+        approach=domain.approach,
         bounds=_bounds(law, name, reads_position=not is_late(domain)),
         requirements=certified_problem_requirements(controller, name),
         velocity_filter_rad_per_s=law.velocity_filter_rad_per_s,
@@ -180,8 +182,7 @@ def problem_of(controller: Controller, name: str) -> DesignProblem:
 
 def is_late(domain: AxisDomain) -> bool:
     """Whether the wrench comes with a pure delay, beside which nothing may read the position."""
-    nominal = domain.nominal_plant().wrench_filter.delay_s
-    return max(nominal, (domain.uncertain or {}).get("wrench_delay_s", (0.0, 0.0))[1]) > 0.0
+    return domain.plants.range_of("wrench_delay_s")[1] > 0.0
 
 
 def _bounds(law: AdmittanceController, name: str, *, reads_position: bool) -> dict[str, tuple[float, float]]:

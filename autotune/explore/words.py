@@ -3,8 +3,8 @@
 import math
 from html import escape
 
-from autotune.formats.units import AxisUnits
 from autotune.plugins import find_requirement
+from problems.model.axis_kind import AxisKind
 
 from .view import View
 
@@ -33,7 +33,7 @@ def _share(ratio: float) -> str:
     return f"{min(100.0 / ratio, 99.9):.3g} %" if math.isfinite(ratio) else "none of it"
 
 
-def facts(view: View, units: AxisUnits, hand: float) -> str:
+def facts(view: View, units: AxisKind, hand: float) -> str:
     """Return the numbers of one view as a list of terms."""
     run, margins, worst = view.transient, view.margins, view.evaluation.peaks
     peak = max((each.peak_contact_force_n for each in worst), default=math.nan)

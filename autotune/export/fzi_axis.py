@@ -45,7 +45,7 @@ class FziAxis:
     @cached_property
     def pair(self) -> SampledContact:
         """The nominal plant; how fast this controller moves depends on the robot's lag."""
-        return build_sampled_contact(build_sampled_plant(self.task.domain.nominal_plant(), self.task.sample_time_s))
+        return build_sampled_contact(build_sampled_plant(self.task.domain.plants.nominal, self.task.sample_time_s))
 
     @cached_property
     def translated(self) -> Values:

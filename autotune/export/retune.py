@@ -106,7 +106,7 @@ class QuickJudge:
     def __init__(self, task: AxisTask, scenarios: tuple[Scenario, ...], reserve: float) -> None:
         self.task, self.reserve, h = task, reserve, task.sample_time_s
         self.missed: dict[str, float] = {}
-        nominal = task.domain.nominal_plant()
+        nominal = task.domain.plants.nominal
         contacts = [build_sampled_plant(each.plant(nominal), h) for each in scenarios]
         # What a payload touches does not matter in free space.
         free = dict.fromkeys(each.plant.in_contact_with(FREE_SPACE) for each in contacts)

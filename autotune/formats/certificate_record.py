@@ -2,18 +2,19 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from problems.contact.transient import Approach
-from problems.design.problem import DesignProblem
 from problems.design.requirements import AdmittanceTarget, NoiseLimit, PassivityTarget
-from problems.design.uncertainty import Ellipsoid, Uncertainty
+from problems.design.uncertainty import ALWAYS_UNCERTAIN, Ellipsoid, PlantSet
 from problems.errors import ParameterError
 from problems.frozen import FrozenDict, freeze
-from problems.model.plant import NO_FILTER, Coupling, Environment, PayloadDynamics, Plant, WrenchFilter
+from problems.model.plant import NO_FILTER, WrenchFilter
+from problems.model.plant_parameters import PARAMETERS
 from problems.model.robot import RobotModel
 
 from .units import ROTATIONAL_AXES
@@ -42,6 +43,17 @@ class ConfidenceSet:
                 raise ParameterError(f"covariance.{name}", sorted(row), f"given for {', '.join(self.centre)}")
         if set(self.covariance) != set(self.centre):
             raise ParameterError("covariance", sorted(self.covariance), f"given for {', '.join(self.centre)}")
+
+    @classmethod
+    def of(cls, ellipsoid: Ellipsoid) -> "ConfidenceSet":
+        """Return the record of an ellipsoid."""
+        names = ellipsoid.names
+        rows = zip(names, ellipsoid.covariance, strict=True)
+        return cls(
+            level=ellipsoid.level,
+            centre=dict(zip(names, ellipsoid.centre, strict=True)),
+            covariance={name: dict(zip(names, row, strict=True)) for name, row in rows},
+        )
 
     def ellipsoid(self) -> Ellipsoid:
         """Return the same as a set to compute with."""
@@ -83,57 +95,52 @@ class AxisDomain:
         check_interval("payload_mass_kg", self.payload_mass_kg)
         if self.uncertain is not None:
             freeze(self, "uncertain")
-            self.uncertainty()
+            _ = self.plants
         elif self.confidence is not None:
             raise ParameterError("confidence", self.confidence.level, "given together with the ranges that it cuts")
 
-    def uncertainty(self) -> Uncertainty:
-        """Return all plants of the domain as a set; raises ParameterError if there is no such set."""
-        return Uncertainty(
-            ranges={
-                "environment_stiffness_n_per_m": self.environment_stiffness_n_per_m,
-                "payload_mass_kg": self.payload_mass_kg,
-                **(self.uncertain or {}),
-            },
-            ellipsoid=None if self.confidence is None else self.confidence.ellipsoid(),
+    @classmethod
+    def of(cls, plants: PlantSet, approach: Approach) -> "AxisDomain":
+        """Return the domain that says this set, and how its contacts begin."""
+        robot, wrench, cut = plants.nominal.robot, plants.nominal.wrench_filter, plants.ellipsoid
+        return cls(
+            **{name: PARAMETERS[name].value(plants.nominal) for name in _NOMINAL},
+            environment_stiffness_n_per_m=plants.environment_stiffness_n_per_m,
+            payload_mass_kg=plants.payload_mass_kg,
+            robot_numerator=tuple(float(c) for c in robot.numerator),
+            robot_denominator=tuple(float(c) for c in robot.denominator),
+            approach_force_n=approach.force_n,
+            approach_speed_m_s=approach.speed_m_s,
+            uncertain=plants.further or None,
+            confidence=None if cut is None else ConfidenceSet.of(cut),
+            wrench_filter=None if wrench.is_none else wrench,
         )
 
-    def problem(self, sample_time_s: float, **more: Any) -> DesignProblem:
-        """Return the design problem of these plants and contacts; `more` are its other fields."""
-        nominal = self.nominal_plant()
-        return DesignProblem(
-            robot=nominal.robot,
-            coupling=nominal.coupling,
-            drag_n_s_per_m=nominal.payload.drag_n_s_per_m,
+    @cached_property
+    def plants(self) -> PlantSet:
+        """The set that the file says; raises ParameterError if there is no such set."""
+        numerator, denominator = np.array(self.robot_numerator), np.array(self.robot_denominator)
+        robot = RobotModel(numerator=numerator, denominator=denominator, delay_s=self.delay_s)
+        return PlantSet.of(
+            robot,
             environment_stiffness_n_per_m=self.environment_stiffness_n_per_m,
-            environment_damping_n_s_per_m=nominal.environment.damping_n_s_per_m,
             payload_mass_kg=self.payload_mass_kg,
-            sample_time_s=sample_time_s,
-            approach=Approach(force_n=self.approach_force_n, speed_m_s=self.approach_speed_m_s),
-            uncertain=self.uncertain or {},
+            wrench_filter=self.wrench_filter or NO_FILTER,
+            further=self.uncertain,
             ellipsoid=None if self.confidence is None else self.confidence.ellipsoid(),
-            wrench_filter=nominal.wrench_filter,
-            **more,
+            **{name: getattr(self, name) for name in _NOMINAL},
         )
 
-    def nominal_plant(self) -> Plant:
-        """Return the plant that all ranges are around, at the soft and light end of K_e and M_p."""
-        return Plant(
-            robot=RobotModel(
-                numerator=np.array(self.robot_numerator),
-                denominator=np.array(self.robot_denominator),
-                delay_s=self.delay_s,
-            ),
-            coupling=Coupling(
-                stiffness_n_per_m=self.coupling_stiffness_n_per_m, damping_n_s_per_m=self.coupling_damping_n_s_per_m
-            ),
-            payload=PayloadDynamics(mass_kg=self.payload_mass_kg[0], drag_n_s_per_m=self.drag_n_s_per_m),
-            environment=Environment(
-                stiffness_n_per_m=self.environment_stiffness_n_per_m[0],
-                damping_n_s_per_m=self.environment_damping_n_s_per_m,
-            ),
-            wrench_filter=self.wrench_filter or NO_FILTER,
-        )
+    @property
+    def approach(self) -> Approach:
+        """How the contacts begin: by the speed where one is said, else by the force; ParameterError without both."""
+        speed = self.approach_speed_m_s
+        return Approach(force_n=self.approach_force_n if speed is None else None, speed_m_s=speed)
+
+
+_NOMINAL = tuple(
+    each.name for each in fields(AxisDomain) if each.name in PARAMETERS and each.name not in ALWAYS_UNCERTAIN
+)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,43 +8,24 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from problems.errors import ParameterError
 from problems.frozen import FrozenDict
+from problems.model.axis_kind import rotational_name
+from problems.model.plant_parameters import PARAMETERS
 
 from .canonical import Place, plain, spell
 from .units import ROTATIONAL_AXES
 
 _Record = TypeVar("_Record")
 
+_RENAMED = (
+    *PARAMETERS,
+    *("stiffness_n_per_m", "secant_stiffness_n_per_m", "relaxed_stiffness_n_per_m"),
+    *("damping_n_s_per_m", "impact_n_s_per_m", "mass_kg"),
+    *("force_n", "speed_m_s", "approach_force_n", "approach_speed_m_s", "force_noise_rms_n", "max_speed_rms_m_s"),
+    *("peak_force_n", "peak_sensor_force_n", "peak_contact_force_n", "max_peak_force_n", "peak_with_common_n"),
+    *("cost_n", "soft_n", "min_m_s_per_n", "hand_force_n_per_m_s"),
+)
 ROTATIONAL_KEYS: Mapping[str, str] = FrozenDict(
-    {
-        "stiffness_n_per_m": "stiffness_n_m_per_rad",
-        "secant_stiffness_n_per_m": "secant_stiffness_n_m_per_rad",
-        "relaxed_stiffness_n_per_m": "relaxed_stiffness_n_m_per_rad",
-        "impact_n_s_per_m": "impact_n_m_s_per_rad",
-        "damping_n_s_per_m": "damping_n_m_s_per_rad",
-        "drag_n_s_per_m": "drag_n_m_s_per_rad",
-        "mass_kg": "inertia_kg_m2",
-        "peak_force_n": "peak_torque_n_m",
-        "peak_with_common_n": "peak_with_common_n_m",
-        "cost_n": "cost_n_m",
-        "environment_stiffness_n_per_m": "environment_stiffness_n_m_per_rad",
-        "environment_damping_n_s_per_m": "environment_damping_n_m_s_per_rad",
-        "environment_mass_kg": "environment_inertia_kg_m2",
-        "payload_mass_kg": "payload_inertia_kg_m2",
-        "coupling_stiffness_n_per_m": "coupling_stiffness_n_m_per_rad",
-        "coupling_damping_n_s_per_m": "coupling_damping_n_m_s_per_rad",
-        "force_n": "torque_n_m",
-        "speed_m_s": "speed_rad_s",
-        "approach_force_n": "approach_torque_n_m",
-        "approach_speed_m_s": "approach_speed_rad_s",
-        "peak_sensor_force_n": "peak_sensor_torque_n_m",
-        "peak_contact_force_n": "peak_contact_torque_n_m",
-        "max_peak_force_n": "max_peak_torque_n_m",
-        "max_speed_rms_m_s": "max_speed_rms_rad_s",
-        "force_noise_rms_n": "torque_noise_rms_n_m",
-        "soft_n": "soft_n_m",
-        "min_m_s_per_n": "min_rad_s_per_n_m",
-        "hand_force_n_per_m_s": "hand_torque_n_m_per_rad_s",
-    }
+    {key: rotational_name(key) for key in _RENAMED if rotational_name(key) != key}
 )
 """What a key of a translational axis is called on a rotational one (rad, N·m, kg·m²)."""
 

@@ -1,55 +1,16 @@
-"""The units of one axis: m, N and kg along x, y, z; rad, N·m and kg·m² about rx, ry, rz."""
+"""The axes of a cell and of which kind each is: straight ones x, y, z; turning ones rx, ry, rz."""
 
-from dataclasses import dataclass
+from problems.model.axis_kind import STRAIGHT, TURNING, AxisKind, rotational_name
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 ROTATIONAL_AXES = frozenset({"rx", "ry", "rz"})
 
 
-@dataclass(frozen=True, kw_only=True)
-class AxisUnits:
-    """What a number of an axis is followed by; `mass_name` and `force_name` are what the quantity is called."""
-
-    force: str
-    mass: str
-    stiffness: str
-    damping: str
-    admittance: str
-    hand: str
-    speed: str
-    mass_name: str
-    force_name: str
-
-    @property
-    def shown_stiffness(self) -> tuple[float, str]:
-        """Factor and unit in which people read a stiffness: N/mm along an axis, as on data sheets."""
-        return (1e-3, "N/mm") if self.stiffness == "N/m" else (1.0, self.stiffness)
-
-
-_TRANSLATION = AxisUnits(
-    force="N",
-    mass="kg",
-    stiffness="N/m",
-    damping="N·s/m",
-    admittance="m/s/N",
-    hand="N/(m/s)",
-    speed="m/s",
-    mass_name="mass",
-    force_name="force",
-)
-_ROTATION = AxisUnits(
-    force="N·m",
-    mass="kg·m²",
-    stiffness="N·m/rad",
-    damping="N·m·s/rad",
-    admittance="rad/s/(N·m)",
-    hand="N·m/(rad/s)",
-    speed="rad/s",
-    mass_name="inertia",
-    force_name="torque",
-)
-
-
-def axis_units(axis: str) -> AxisUnits:
+def axis_units(axis: str) -> AxisKind:
     """Return the units of the axis `axis`, one of x, y, z, rx, ry, rz."""
-    return _ROTATION if axis in ROTATIONAL_AXES else _TRANSLATION
+    return TURNING if axis in ROTATIONAL_AXES else STRAIGHT
+
+
+def axis_key(axis: str, name: str) -> str:
+    """Return what the entry `name` of a straight axis is called in the files of `axis`."""
+    return rotational_name(name) if axis in ROTATIONAL_AXES else name

@@ -11,6 +11,8 @@ from problems.frozen import freeze
 from problems.maps.maps import MapAxis, MapRequest, check_varied
 from problems.maps.parameters import (
     CONTROLLER_FIELDS,
+    MAP_PARAMETERS,
+    PLANT_NAMES,
     STANDS_FOR,
     MapParameter,
     MapQuantity,
@@ -21,7 +23,8 @@ from problems.maps.parameters import (
 )
 from problems.maps.search import IntervalCase, IntervalRequest
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
+from problems.model.plant import Plant
+from problems.model.plant_parameters import build_plant
 
 from .options import STABLE_DAMPING, STABLE_LEAD, MapOptions, parse_range, parse_search, parse_settings
 from .source import MapSource
@@ -66,17 +69,8 @@ class Base:
         """Return the parameters that do not vary, and say the payload as the varied and the derived ones do."""
         spoken = {*varied, *self.derived}
         unsaid = {direct if derived in spoken else derived for derived, direct in STANDS_FOR.items()}
-        found = {
-            name: self.value(name) for name in (*CONTROLLER_FIELDS, *_PLANT_NAMES) if name not in {*varied, *unsaid}
-        }
+        found = {name: self.value(name) for name in MAP_PARAMETERS if name not in {*varied, *unsaid}}
         return {name: value for name, value in found.items() if not math.isnan(value)}
-
-
-_PLANT_NAMES = (
-    *("payload_mass", "drag", "payload_frequency_rad_per_s", "payload_damping_ratio"),
-    *("coupling_stiffness", "coupling_damping", "environment_stiffness", "environment_damping", "environment_mass"),
-    *("delay_s", "robot_bandwidth_rad_per_s"),
-)
 
 
 def known_values(source: MapSource, settings: Mapping[str, float]) -> dict[str, float]:
@@ -117,25 +111,17 @@ def build_base(source: MapSource, settings: Mapping[str, float], varied: Collect
         raise EstimateError(
             f"{source.path}: {name} of axis {source.axis} is not identified ({reason}); say --set {name}=VALUE."
         )
-    values = {name: known.get(name, _REPLACED) for name in (*_NEEDED, *_OF_PLANT)}
+    values = {name: known.get(name, _REPLACED) for name in _OF_PLANT}
     if not touches:
         values["environment_stiffness"] = known.get("environment_stiffness", 0.0)
     kind = source.controller or AdmittanceController(mass_kg=_REPLACED, damping_n_s_per_m=_REPLACED)
     direct = {name: value for name, value in settings.items() if name not in STANDS_FOR}
-    plant = Plant(
-        robot=source.robot,
-        coupling=Coupling(stiffness_n_per_m=values["coupling_stiffness"], damping_n_s_per_m=values["coupling_damping"]),
-        payload=PayloadDynamics(mass_kg=values["payload_mass"], drag_n_s_per_m=values["drag"]),
-        environment=Environment(
-            stiffness_n_per_m=values["environment_stiffness"],
-            damping_n_s_per_m=known.get("environment_damping", 0.0),
-            mass_kg=known.get("environment_mass", 0.0),
-        ),
-        wrench_filter=source.wrench_filter,
-    )
+    # The environment is without damping and mass unless something is known of them.
+    values |= {name: known[name] for name in PLANT_NAMES if name in known}
+    plant = build_plant(source.robot, {PLANT_NAMES[name]: each for name, each in values.items()}, source.wrench_filter)
     return Base(
         plant=plant_at(plant, direct),
-        controller=controller_at(kind, {name: values[name] for name in _NEEDED} | direct),
+        controller=controller_at(kind, {name: known.get(name, _REPLACED) for name in _NEEDED} | direct),
         derived={name: value for name, value in settings.items() if name in STANDS_FOR and name not in varied},
     )
 

@@ -20,8 +20,10 @@ from identification.errors import EstimateError
 from identification.result import AxisEstimate, Estimate, Identified, Status
 from problems.contact.transient import Approach
 from problems.frozen import freeze
+from problems.maps.parameters import PLANT_NAMES
 from problems.model.controller import AdmittanceController
 from problems.model.plant import NO_FILTER, WrenchFilter
+from problems.model.plant_parameters import PARAMETERS
 from problems.model.robot import RobotModel
 
 _DEFAULT_APPROACH_N = 30.0
@@ -108,17 +110,13 @@ def _law(path: Path, controller: Controller, axis: str) -> AdmittanceController:
 def _certified(path: Path, controller: Controller, wanted: str | None) -> MapSource:
     axis = _axis(path, controller.axes, wanted)
     domain = controller.certificate.domain[axis]
-    nominal = domain.nominal_plant()
+    nominal = domain.plants.nominal
     (low, high), (light, heavy) = domain.environment_stiffness_n_per_m, domain.payload_mass_kg
     carried = controller.payload.mass_kg
-    known = {
-        "payload_mass": carried if axis not in ROTATIONAL_AXES and light <= carried <= heavy else 0.5 * (light + heavy),
-        "drag": nominal.payload.drag_n_s_per_m,
-        "coupling_stiffness": nominal.coupling.stiffness_n_per_m,
-        "coupling_damping": nominal.coupling.damping_n_s_per_m,
+    is_carried = axis not in ROTATIONAL_AXES and light <= carried <= heavy
+    known = {name: PARAMETERS[each].value(nominal) for name, each in PLANT_NAMES.items()} | {
+        "payload_mass": carried if is_carried else 0.5 * (light + heavy),
         "environment_stiffness": low if low == high else math.sqrt(low * high) or 0.5 * high,
-        "environment_damping": nominal.environment.damping_n_s_per_m,
-        "environment_mass": domain.environment_mass_kg,
     }
     return MapSource(
         path=path,

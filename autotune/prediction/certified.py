@@ -6,14 +6,13 @@ from dataclasses import replace
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import Controller, admittance_controller
 from problems.contact.transient import Approach
-from problems.design.uncertainty import Scenario, Uncertainty
+from problems.design.uncertainty import MASS, STIFFNESS
 from problems.errors import ParameterError
 
 from .contact import Law, check_approach
 from .plants import PlantEnsemble, Surface, range_plants
 from .result import PredictedContact, predict_contact
 
-_STIFFNESS, _MASS = "environment_stiffness_n_per_m", "payload_mass_kg"
 # The same contact computed twice agrees to rounding.
 _ROUNDING = 1e-9
 
@@ -31,23 +30,18 @@ def certified_plants(
     None keeps the whole range, and the nominal plant is then in the middle of it (of the stiffness by ratios).
     """
     (soft, stiff), (light, heavy) = domain.environment_stiffness_n_per_m, domain.payload_mass_kg
-    scenario = Scenario(
-        environment_stiffness_n_per_m=math.sqrt(soft * stiff) if stiffness is None else stiffness,
-        payload_mass_kg=0.5 * (light + heavy) if payload_mass is None else payload_mass,
-    )
-    nominal = scenario.plant(domain.nominal_plant())
-    whole = domain.uncertainty()
-    said = {_STIFFNESS: stiffness, _MASS: payload_mass}
-    ranges = {**whole.ranges, **{name: (value, value) for name, value in said.items() if value is not None}}
-    ellipsoid = whole.ellipsoid
-    if ellipsoid is not None and any(ranges[name] != whole.ranges[name] for name in ellipsoid.names):
-        ellipsoid = None
+    mass = 0.5 * (light + heavy) if payload_mass is None else payload_mass
+    plants, said = domain.plants, {STIFFNESS: stiffness, MASS: payload_mass}
+    ranges = {**plants.ranges, **{name: (value, value) for name, value in said.items() if value is not None}}
+    cut = plants.ellipsoid
+    if cut is not None and any(ranges[name] != plants.ranges[name] for name in cut.names):
+        cut = None
     return PlantEnsemble(
         axis=axis,
         surface="certified" if stiffness is None else Surface(stiffness=stiffness).label(axis),
         sample_time_s=sample_time_s,
-        nominal=nominal,
-        others=range_plants(Uncertainty(ranges=ranges, ellipsoid=ellipsoid), nominal),
+        nominal=plants.at(mass, math.sqrt(soft * stiff) if stiffness is None else stiffness),
+        others=range_plants(replace(plants, ranges=ranges, ellipsoid=cut)),
         is_range=True,
     )
 
@@ -67,18 +61,15 @@ def predict_certified(
     ParameterError for numbers out of range, UnstableLoopError where the loop is unstable.
     """
     domain, predicted = controller.certificate.domain[axis], controller.predicted[axis]
-    own = Approach(force_n=domain.approach_force_n, speed_m_s=domain.approach_speed_m_s)
     is_said = approach_speed is not None or approach_force is not None
-    approach = Approach(force_n=approach_force, speed_m_s=approach_speed) if is_said else own
+    approach = Approach(force_n=approach_force, speed_m_s=approach_speed) if is_said else domain.approach
     check_approach(approach)
     if payload_mass is not None and not 0.0 < payload_mass <= 1e3:
         raise ParameterError("payload_mass", payload_mass, "greater than 0 and at most 1000")
     if not (0.0 < stiffness < math.inf):
         raise ParameterError("environment_stiffness", stiffness, "a number greater than 0")
     law = Law(controller=admittance_controller(controller, axis))
-    masses = (
-        {*domain.payload_mass_kg, domain.nominal_plant().payload.mass_kg} if payload_mass is None else {payload_mass}
-    )
+    masses = set(domain.payload_mass_kg) if payload_mass is None else {payload_mass}
     found = max(
         (
             predict_contact(
@@ -91,7 +82,9 @@ def predict_certified(
         key=lambda each: each.contact.peak_contact_force_n,
     )
     (soft, stiff), (light, heavy) = domain.environment_stiffness_n_per_m, domain.payload_mass_kg
-    is_within = soft <= stiffness <= stiff and light <= found.plant.payload.mass_kg <= heavy and approach == own
+    is_within = (
+        soft <= stiffness <= stiff and light <= found.plant.payload.mass_kg <= heavy and approach == domain.approach
+    )
     if not is_within:
         return found
     worst = max(each.peak_contact_force_n for each in predicted.scenarios)

@@ -15,7 +15,7 @@ from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from identification.errors import EstimateError
 from identification.result import AxisEstimate, EnvironmentEstimate, Estimate, Identified, Status
 from problems.arrays import FloatArray
-from problems.design.uncertainty import Scenario, Uncertainty
+from problems.design.uncertainty import PlantSet, Scenario
 from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant, WrenchFilter
 from problems.model.robot import RobotModel, bandwidth_hz, bandwidth_share, has_damping_ratio, vary_robot
 
@@ -165,13 +165,13 @@ def _of_ranges(
         )
     if mass is not None:
         ranges["payload_mass_kg"] = mass, mass
-    return range_plants(Uncertainty(ranges=ranges), nominal, seed)
+    return range_plants(PlantSet(nominal=nominal, ranges=ranges), seed)
 
 
-def range_plants(uncertainty: Uncertainty, nominal: Plant, seed: int = 0) -> tuple[Plant, ...]:
+def range_plants(plants: PlantSet, seed: int = 0) -> tuple[Plant, ...]:
     """Return the plants at the corners of a set and at samples inside of it, in contact."""
-    scenarios: tuple[Scenario, ...] = (*uncertainty.corners(), *uncertainty.samples(DRAWS // 4, seed=seed))
-    return tuple(each.plant(nominal) for each in dict.fromkeys(scenarios))
+    scenarios: tuple[Scenario, ...] = (*plants.corners(), *plants.samples(DRAWS // 4, seed=seed))
+    return tuple(each.plant(plants.nominal) for each in dict.fromkeys(scenarios))
 
 
 def _number(estimate: Estimate | None) -> float | None:

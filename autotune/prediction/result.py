@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from autotune.charts.chart import Band, Chart, Line, Panel, Points, Scale
-from autotune.formats.units import AxisUnits, axis_units
+from autotune.formats.units import axis_units
 from autotune.shown import ResultTable, Shown, data_frame, plain_tree
 from problems.contact.transient import Approach, ContactTransient
+from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 
@@ -232,7 +233,7 @@ def predict_contact(plants: PlantEnsemble, law: Law, approach: Approach) -> Pred
     )
 
 
-def contact_chart(contact: ContactTransient, units: AxisUnits, title: str, band: ContactBand) -> Chart:
+def contact_chart(contact: ContactTransient, units: AxisKind, title: str, band: ContactBand) -> Chart:
     """Draw one predicted contact: the force at the surface and at the sensor over the time after touching.
 
     `band` is where the force at the sensor lies.

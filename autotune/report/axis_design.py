@@ -9,11 +9,12 @@ import numpy as np
 
 from autotune.formats.certificate_record import Asked, AxisDomain, AxisMargins, ProvenRegion, SoftRequirement
 from autotune.formats.controller_record import AxisPrediction, Controller, ScenarioPrediction, admittance_controller
-from autotune.formats.units import AxisUnits, axis_units
+from autotune.formats.units import axis_units
 from problems.arrays import FloatArray
 from problems.contact.transient import Approach, ContactTransient, build_sampled_contact, simulate_contact
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
+from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Plant
 from problems.model.sampled import build_sampled_plant
@@ -40,14 +41,14 @@ class AxisDesign:
     reach: tuple[ProvenRegion, ...] = ()
 
     @property
-    def units(self) -> AxisUnits:
+    def units(self) -> AxisKind:
         """The units of the axis."""
         return axis_units(self.name)
 
     @property
     def approach(self) -> Approach:
         """How a contact begins; raises ParameterError for a domain that does not say it."""
-        return Approach(force_n=self.domain.approach_force_n, speed_m_s=self.domain.approach_speed_m_s)
+        return self.domain.approach
 
     @property
     def modulus_asked(self) -> float | None:
@@ -64,7 +65,7 @@ class AxisDesign:
 
     def plant(self, scenario: Scenario) -> Plant:
         """Return the plant of a scenario, in contact."""
-        return scenario.plant(self.domain.nominal_plant())
+        return scenario.plant(self.domain.plants.nominal)
 
     def corners(self) -> tuple[Plant, ...]:
         """Return the nominal plants at the ends of K_e and M_p, all in contact."""
@@ -77,7 +78,7 @@ class AxisDesign:
 
     def free_plant(self) -> Plant:
         """Return the nominal plant with the lightest payload in free space."""
-        return self.domain.nominal_plant().in_contact_with(FREE_SPACE)
+        return self.domain.plants.nominal.in_contact_with(FREE_SPACE)
 
     def worst_plant(self, margin: str = "modulus") -> Plant | None:
         """Return the plant at which the certificate found a margin smallest; None where it does not say."""

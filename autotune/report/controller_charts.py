@@ -9,13 +9,13 @@ from contourpy import contour_generator
 from autotune.charts.chart import Chart, Element, Heat, Limit, Line, Panel, Points, Role, Scale, Stretch
 from autotune.errors import UsageError
 from autotune.formats.controller_record import ScenarioPrediction
-from autotune.formats.units import AxisUnits
 from autotune.text import off_nominal, stiffness_text
 from problems.arrays import ComplexArray, FloatArray
 from problems.contact.transient import ContactTransient
 from problems.design.requirements import AdmittanceTarget
 from problems.maps.maps import MapAxis, MapRequest, compute_map
 from problems.maps.parameters import CONTROLLER_FIELDS, MapQuantity, find_parameter
+from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.response import free_space_admittance, loop_response
@@ -106,7 +106,7 @@ def _contact_chart(
     )
 
 
-def _peak_before(runs: Sequence[dict[str, ContactTransient | None]], units: AxisUnits) -> str:
+def _peak_before(runs: Sequence[dict[str, ContactTransient | None]], units: AxisKind) -> str:
     peaks = [run.peak_contact_force_n for each in runs if (run := each.get("before")) is not None]
     return f" Before it was up to {max(peaks):.4g} {units.force}." if peaks else ""
 
@@ -304,7 +304,7 @@ def _curves(cases: Sequence[tuple[str, Role, OverStiffness]], scale: float, what
         yield Line(x=scale * each.stiffness, y=getattr(each, what), label=name, role=role, dashed=role == "before")
 
 
-def _extremes_inside(now: Sequence[OverStiffness], low: float, high: float, units: AxisUnits) -> str:
+def _extremes_inside(now: Sequence[OverStiffness], low: float, high: float, units: AxisKind) -> str:
     inside = [(each.stiffness >= low) & (each.stiffness <= high) for each in now]
     margins = np.concatenate([each.modulus[kept] for each, kept in zip(now, inside, strict=True)])
     peaks = np.concatenate([each.peak_n[kept] for each, kept in zip(now, inside, strict=True)])

@@ -10,13 +10,15 @@ from autotune.formats.canonical import short
 from autotune.formats.certificate_record import SoftRequirement
 from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import Controller, admittance_controller
-from autotune.formats.units import ROTATIONAL_AXES, AxisUnits, axis_units
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.plugins import find_requirement
 from autotune.text import scenario_text, stiffness_text, value_text
 from problems.design.requirements import BUILT_IN, AdmittanceRequirement, Margin, PeakForceLimit
-from problems.design.uncertainty import SYMBOLS
+from problems.design.uncertainty import SYMBOLS, UNCERTAIN
+from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
-from problems.model.plant import NO_FILTER, Plant
+from problems.model.plant import Plant
+from problems.model.plant_parameters import PARAMETERS, PlantParameter
 from problems.model.response import free_space_admittance
 from problems.model.sampled import build_sampled_plant
 from problems.stability.margins import UnstableLoopError, find_margins
@@ -183,7 +185,7 @@ def requirement_table(design: AxisDesign, active: Mapping[str, float] | None) ->
     return build_table(caption, heads, rows, numbers=range(1, 5))
 
 
-def _price(price: float | None, units: AxisUnits) -> str:
+def _price(price: float | None, units: AxisKind) -> str:
     if price is None:
         return ""
     return "nothing by itself" if price < 1e-3 else f"{price:.2f} {units.force}"
@@ -286,31 +288,16 @@ def _reached(design: AxisDesign, law: AdmittanceController, plants: Sequence[Pla
 def domain_table(design: AxisDesign) -> Table:
     """Return the plants that the certificate covers."""
     domain, units = design.domain, design.units
-    uncertain: Mapping[str, tuple[float, float]] = domain.uncertain or {}
-    scale, stiffness = units.shown_stiffness
-    entries: list[tuple[str, str, float | tuple[float, float], str]] = [
-        ("environment stiffness", "K_e", domain.environment_stiffness_n_per_m, stiffness),
-        (f"payload {units.mass_name}", "M_p", domain.payload_mass_kg, units.mass),
-        ("coupling stiffness", "K_s", domain.coupling_stiffness_n_per_m, stiffness),
-        ("coupling damping", "B_s", domain.coupling_damping_n_s_per_m, units.damping),
-        ("drag", "B_p", domain.drag_n_s_per_m, units.damping),
-        ("environment damping", "B_e", domain.environment_damping_n_s_per_m, units.damping),
-        ("delay", "T_d", domain.delay_s, "ms"),
+    entries = [
+        (
+            each.label.replace("mass", units.mass_name),
+            each.symbol,
+            domain.plants.range_of(each.name),
+            *units.shown(each.kind),
+        )
+        for each in (PARAMETERS[name] for name in UNCERTAIN)
+        if each.name in domain.plants.ranges or _is_said(each, domain.plants.nominal)
     ]
-    spans, scales = {SYMBOLS[name]: span for name, span in uncertain.items()}, {"ms": 1e3, stiffness: scale}
-    for name, symbol, title, unit in (
-        ("robot_bandwidth_hz", "f_b", "robot bandwidth", "Hz"),
-        ("robot_damping_ratio", "ζ_b", "robot damping ratio", ""),
-    ):
-        if name in uncertain:
-            entries.append((title, symbol, uncertain[name], unit))
-    wrench = domain.wrench_filter or NO_FILTER
-    for name, title, value in (
-        ("wrench_time_constant_s", "wrench filter, time constant", wrench.time_constant_s),
-        ("wrench_delay_s", "wrench delay", wrench.delay_s),
-    ):
-        if value > 0.0 or name in uncertain:
-            entries.append((title, SYMBOLS[name], value, "ms"))
     approach = (
         f"{domain.approach_force_n:g} {units.force}"
         if domain.approach_force_n is not None
@@ -322,16 +309,20 @@ def domain_table(design: AxisDesign) -> Table:
     return build_table(
         f"Domain of axis {design.name}: approach with {approach}{cut}",
         ("parameter", "", "from", "to", "unit"),
-        (
-            (title, symbol, *_span(spans.get(symbol, value), scales.get(unit, 1.0)), unit)
-            for title, symbol, value, unit in entries
-        ),
+        ((title, symbol, *_span(span, scale), unit) for title, symbol, span, scale, unit in entries),
         numbers=(2, 3),
     )
 
 
-def _span(value: float | tuple[float, float], scale: float) -> tuple[str, str]:
-    low, high = (scale * end for end in (value if isinstance(value, tuple) else (value, value)))
+def _is_said(parameter: PlantParameter, plant: Plant) -> bool:
+    """Whether a nominal value has a row: a robot's is in its coefficients, and a wrench that is not late has none."""
+    if parameter.part == "wrench_filter":
+        return parameter.value(plant) > 0.0
+    return parameter.part != "robot" or parameter.kind == "time"
+
+
+def _span(span: tuple[float, float], scale: float) -> tuple[str, str]:
+    low, high = (scale * end for end in span)
     return f"{low:.6g}", "" if low == high else f"{high:.6g}"
 
 
@@ -351,7 +342,7 @@ def worst_table(design: AxisDesign) -> Table:
     return build_table(f"Worst cases of axis {design.name}", ("", "value", "at"), rows, numbers=(1,))
 
 
-def _case(case: Mapping[str, Any], units: AxisUnits) -> str:
+def _case(case: Mapping[str, Any], units: AxisKind) -> str:
     parts: list[str] = []
     for name, value in case.items():
         if name == "environment_stiffness_n_per_m" and value == 0.0:

@@ -21,11 +21,11 @@ from autotune.charts.chart import (
     Scale,
     level_panels,
 )
-from autotune.formats.units import AxisUnits
 from identification.evidence import AxisEvidence
 from identification.joint_fit.result import FittedSpan
 from identification.result import AxisEstimate, Covariance
 from problems.arrays import ComplexArray, FloatArray
+from problems.model.axis_kind import AxisKind
 
 from .page import Table, build_table
 
@@ -75,7 +75,7 @@ def contacts_seen(evidence: AxisEvidence, surface: int) -> tuple[ContactSeen, ..
 
 
 def contact_charts(
-    axis: str, units: AxisUnits, surface: str, seen: Sequence[ContactSeen], period_s: float
+    axis: str, units: AxisKind, surface: str, seen: Sequence[ContactSeen], period_s: float
 ) -> Iterator[Chart]:
     """Draw the contacts of one surface, measured and modelled, all on one scale of force."""
     strongest = sorted(seen, key=lambda each: -each.measured)[:_MOST_DRAWN]
@@ -104,7 +104,7 @@ def contact_charts(
         )
 
 
-def _contact_panel(seen: ContactSeen, units: AxisUnits, period_s: float) -> Panel:
+def _contact_panel(seen: ContactSeen, units: AxisKind, period_s: float) -> Panel:
     span, place = seen.span, seen.place
     begin = max(0, place - round(_BEFORE_S / period_s))
     stop = min(len(span.measured), place + round(_AFTER_S / period_s))
@@ -121,7 +121,7 @@ def _contact_panel(seen: ContactSeen, units: AxisUnits, period_s: float) -> Pane
 
 
 def contact_table(
-    axis: str, units: AxisUnits, surfaces: Sequence[tuple[str, Sequence[ContactSeen]]], period_s: float
+    axis: str, units: AxisKind, surfaces: Sequence[tuple[str, Sequence[ContactSeen]]], period_s: float
 ) -> Table:
     """Return every contact that was fitted: when, with what, both peaks and the error."""
     rows = []
@@ -136,7 +136,7 @@ def contact_table(
     return build_table(caption, (*columns, f"residual RMS {force}"), rows, numbers=(0, 2, 3, 4, 5))
 
 
-def residual_charts(axis: str, units: AxisUnits, evidence: AxisEvidence, period_s: float) -> Iterator[Chart]:
+def residual_charts(axis: str, units: AxisKind, evidence: AxisEvidence, period_s: float) -> Iterator[Chart]:
     """Draw the signal that was fitted and what the fit leaves: over time, as histogram, spectrum, autocorrelation."""
     if not evidence.spans:
         return
@@ -219,7 +219,7 @@ def _histogram(white: FloatArray) -> Panel:
 
 
 def _spectra(
-    units: AxisUnits,
+    units: AxisKind,
     free: Sequence[tuple[FloatArray, FloatArray]],
     touching: Sequence[tuple[FloatArray, FloatArray]],
     period_s: float,
@@ -269,7 +269,7 @@ def _autocorrelation(spans: Sequence[FloatArray], period_s: float) -> Panel:
 
 
 def response_charts(
-    axis: str, units: AxisUnits, estimate: AxisEstimate, evidence: AxisEvidence | None, period_s: float
+    axis: str, units: AxisKind, estimate: AxisEstimate, evidence: AxisEvidence | None, period_s: float
 ) -> Iterator[Chart]:
     """Draw the frequency responses of robot and coupling: measured where the motion excites them, and the fit."""
     top = min(0.4 / period_s, 200.0)

@@ -9,7 +9,8 @@ from autotune.charts.chart import Chart, Element, Line, Panel, Points, Scale
 from autotune.formats.canonical import short
 from autotune.formats.controller import ControllerFile
 from autotune.formats.controller_record import Controller
-from autotune.formats.units import AxisUnits, axis_units
+from autotune.formats.units import axis_units
+from problems.model.axis_kind import AxisKind
 
 from .axis_design import AxisDesign, axis_designs
 from .controller_charts import admittance_chart, contact_charts, map_chart, nyquist_chart, stiffness_chart
@@ -208,7 +209,7 @@ def certificate_section(controller: Controller, designs: Sequence[AxisDesign]) -
     return Section(key="certificate", title="Certificate", blocks=tuple(blocks))
 
 
-def convergence_chart(name: str, units: AxisUnits, steps: Sequence["SearchStep"]) -> Chart | None:
+def convergence_chart(name: str, units: AxisKind, steps: Sequence["SearchStep"]) -> Chart | None:
     """Draw the best value over the designs evaluated; None where nothing was recorded."""
     if not steps:
         return None

@@ -12,8 +12,8 @@ from problems.contact.transient import Approach
 from problems.design.evaluation import Evaluation, build_scenarios
 from problems.design.objectives import BUILT_IN
 from problems.design.problem import DesignProblem
+from problems.design.uncertainty import PlantSet
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Coupling
 from problems.model.robot import RobotModel
 
 from .plugins import OBJECTIVES, REQUIREMENTS, Objective, Requirement, registered
@@ -28,11 +28,14 @@ class ContractError(AutotuneError):
 def sample_problem() -> DesignProblem:
     """Return a small problem, after the paper's cell, on which plugins are tried."""
     return DesignProblem(
-        robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=2.4e-3),
-        coupling=Coupling(stiffness_n_per_m=3e5, damping_n_s_per_m=150.0),
-        drag_n_s_per_m=330.0,
-        environment_stiffness_n_per_m=(8e4, 1.6e5),
-        payload_mass_kg=(15.5, 16.5),
+        plants=PlantSet.of(
+            RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=2.4e-3),
+            coupling_stiffness_n_per_m=3e5,
+            coupling_damping_n_s_per_m=150.0,
+            drag_n_s_per_m=330.0,
+            environment_stiffness_n_per_m=(8e4, 1.6e5),
+            payload_mass_kg=(15.5, 16.5),
+        ),
         sample_time_s=8e-4,
         approach=Approach(force_n=30.0),
     )

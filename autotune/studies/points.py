@@ -201,7 +201,7 @@ def build_controller(problem: DesignProblem, design: FloatArray, chosen: Mapping
     `chosen` maps names of `STRUCTURES` to one of their values. With the compensation, P̂ is the middle of the payload's
     range unless it is a variable; a part that is off has the gain 0, whatever the design says.
     """
-    low, high = problem.payload_mass_kg
+    low, high = problem.plants.payload_mass_kg
     base = problem.controller(design)
     compensation = base.compensation_mass_kg
     if "compensation" in chosen:

@@ -135,7 +135,7 @@ def evaluate_controller(prepared: PreparedScenarios, law: AdmittanceController) 
         peak_contact_force_n=max(peak.peak_contact_force_n for peak in peaks),
         margins={name: min(float(getattr(each.margins, name)) for each in exact.margins) for name in _MARGINS},
         min_m_s_per_n=smallest_admittance(prepared.free[0], law, band),
-        hand_force_n_per_m_s=law.damping_n_s_per_m + problem.drag_n_s_per_m,
+        hand_force_n_per_m_s=law.damping_n_s_per_m + problem.plants.nominal.payload.drag_n_s_per_m,
         missed={name: value for name, value in exact.evaluation.requirements.items() if value > 1.0},
     )
     return EvaluatedController(law=law, spectral_radius=radius, performance=performance)

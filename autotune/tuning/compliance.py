@@ -17,6 +17,7 @@ from autotune.formats.problem import ComplianceSpec, Interval, ProblemSpec, Unce
 from autotune.formats.units import ROTATIONAL_AXES
 from identification.result import Identified
 from problems.design.problem import DesignProblem
+from problems.design.uncertainty import STIFFNESS
 from problems.progress import no_progress
 
 from .problems import DesignOptions, build_problems
@@ -108,7 +109,7 @@ class Compliance:
     def on(self, problem: DesignProblem, stiffness_n_per_m: float) -> DesignProblem:
         """Return the problem with K_e (1 ± tolerance) as the range that must be safe."""
         certified = certified_range(stiffness_n_per_m, self.asked.tolerance)
-        return replace(problem, environment_stiffness_n_per_m=certified)
+        return replace(problem, plants=problem.plants.with_ranges({STIFFNESS: certified}))
 
     def on_chosen(self, problem: DesignProblem) -> DesignProblem:
         """Return the problem on the chosen compliance."""

@@ -20,7 +20,7 @@ def design_notes(plant: IdentifiedFile, found: Optimized, *, has_stiffness: bool
             f"The runtime will compensate {found.controller.payload.mass_kg:g} kg with the centre of mass of the "
             "identified payload; identify the new payload before it is led by hand."
         )
-    if any(search.problem.wrench_filter.delay_s > 0.0 for search in found.searches.values()):
+    if any(search.problem.plants.nominal.wrench_filter.delay_s > 0.0 for search in found.searches.values()):
         yield (
             "The wrench comes late by a pure delay, so B_fb is held at 0: the loop of a late wrench beside a position "
             "that is not late is not computed by this release."

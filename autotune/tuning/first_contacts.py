@@ -38,7 +38,7 @@ class FirstContacts:
     @property
     def approach(self) -> Approach:
         """The approach that the certificate speaks of."""
-        return Approach(force_n=self.domain.approach_force_n, speed_m_s=self.domain.approach_speed_m_s)
+        return self.domain.approach
 
     def run(self, scenario: Scenario, threshold_n: float | None) -> NonlinearRun:
         """Simulate one contact from its impact on; `threshold_n` None is no response."""
@@ -54,7 +54,7 @@ class FirstContacts:
         without, for every corner of the certified set and the given scenarios.
         """
         softest = self.domain.environment_stiffness_n_per_m[0]
-        corners = (*scenarios, *self.domain.uncertainty().corners())
+        corners = (*scenarios, *self.domain.plants.corners())
         different = dict.fromkeys(replace(each, environment_stiffness_n_per_m=softest) for each in corners)
         speed = self.domain.approach_speed_m_s or (self.domain.approach_force_n or 0.0) / self.law.damping_n_s_per_m
         distance = _FAR * speed * _APPROACH_S
@@ -75,7 +75,7 @@ class FirstContacts:
     def _simulate(
         self, scenario: Scenario, effects: Nonlinearities, duration_s: float, distance_m: float | None
     ) -> NonlinearRun:
-        plant = scenario.plant(self.domain.nominal_plant())
+        plant = scenario.plant(self.domain.plants.nominal)
         return simulate_nonlinear(
             plant,
             self.law,

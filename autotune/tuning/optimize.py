@@ -299,15 +299,15 @@ def _search(
 
 def _without_uncertainty(problem: DesignProblem, seed: int) -> str:
     """Say whether it is what is uncertain beyond K_e and M_p that leaves no controller."""
-    if not problem.uncertain:
+    if not problem.plants.further:
         return ""
     try:
-        found = solve_design(replace(problem, uncertain={}, ellipsoid=None), seed=seed)
+        found = solve_design(replace(problem, plants=problem.plants.only()), seed=seed)
     except InfeasibleError:
         return ""
     return (
         f" With everything but K_e and M_p at its nominal value there is one, of {found.evaluation.objective_n:.4g} N: "
-        f"the obstacle is how little is known of {', '.join(problem.uncertain)}. Record more, or say in "
+        f"the obstacle is how little is known of {', '.join(problem.plants.further)}. Record more, or say in "
         "problem.yaml what is sure."
     )
 

@@ -9,8 +9,6 @@ from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from identification.result import CONTACT_UNEXPLAINED, AxisEstimate, Finding, Identified
 from problems.design.problem import DesignProblem
 
-from .uncertain import plant_estimates
-
 Interval = tuple[float, float]
 
 # A range this many times off what was identified, and near it a factor of a thousand further on, is in another unit;
@@ -99,11 +97,12 @@ def _identified(known: Sequence[float], kind: str, unit: str) -> str:
 
 def doubtful_ranges(problem: DesignProblem, axis: AxisEstimate, name: str) -> Iterator[str]:
     """Yield a sentence for each range of problem.yaml that leaves out what was identified by many deviations."""
-    of_confidence = () if problem.ellipsoid is None else problem.ellipsoid.names
-    for key, estimate in plant_estimates(axis).items():
-        if key not in problem.uncertain or key in of_confidence or estimate.value is None or not estimate.std:
+    plants = problem.plants
+    of_confidence = () if plants.ellipsoid is None else plants.ellipsoid.names
+    for key, estimate in axis.plant_estimates().items():
+        if key not in plants.ranges or key in of_confidence or estimate.value is None or not estimate.std:
             continue
-        low, high = problem.uncertain[key]
+        low, high = plants.ranges[key]
         off = max(low - estimate.value, estimate.value - high) / estimate.std
         if off > _MOST_STDS:
             given = f"{low:g}" if low == high else f"{low:g} to {high:g}"
@@ -116,7 +115,7 @@ def doubtful_ranges(problem: DesignProblem, axis: AxisEstimate, name: str) -> It
 def left_out_contacts(problem: DesignProblem, identified: Identified, name: str) -> Iterator[str]:
     """Yield a sentence for each contact in the log that the certified range of K_e may leave out."""
     units = axis_units(name)
-    low, high = problem.environment_stiffness_n_per_m
+    low, high = problem.plants.environment_stiffness_n_per_m
     for surface in identified.axes[name].environments:
         value = surface.stiffness_n_per_m.value
         if value is None or low <= value <= high:

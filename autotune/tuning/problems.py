@@ -8,8 +8,7 @@ import numpy as np
 
 from autotune.errors import UsageError
 from autotune.formats.problem import Interval, ProblemSpec, RotationalSpec
-from autotune.formats.records import ROTATIONAL_KEYS
-from autotune.formats.units import ROTATIONAL_AXES
+from autotune.formats.units import ROTATIONAL_AXES, axis_key
 from autotune.plugins import build_requirements
 from identification.axes.turning import LEVER_M
 from identification.errors import EstimateError
@@ -22,8 +21,8 @@ from identification.result import (
 )
 from problems.contact.transient import Approach
 from problems.design.problem import DEFAULT_BOUNDS, DesignProblem, Requirements
-from problems.design.uncertainty import ALWAYS_UNCERTAIN
-from problems.model.plant import Coupling
+from problems.design.uncertainty import ALWAYS_UNCERTAIN, PlantSet
+from problems.model.plant import WrenchFilter
 from problems.model.robot import RobotModel
 
 from .plausible import check_plausible, unexplained_contacts
@@ -201,27 +200,19 @@ def is_identified_mass(identified: Identified, mass_kg: float) -> bool:
 
 def certified_mass_kg(problems: Mapping[str, DesignProblem]) -> Interval | None:
     """Return the range of payload mass that the translational axes share, None where there are none."""
-    return next((each.payload_mass_kg for name, each in problems.items() if name not in ROTATIONAL_AXES), None)
+    return next((each.plants.payload_mass_kg for name, each in problems.items() if name not in ROTATIONAL_AXES), None)
 
 
 def _build_problem(identified: Identified, name: str, spec: ProblemSpec) -> DesignProblem:
     axis, coupling = identified.axes[name], identified.axes[name].coupling
     wrench = build_wrench(identified.sensor.wrench_filter, spec.uncertain)
     nominal = DesignProblem(
-        robot=_robot(axis, name),
-        coupling=Coupling(
-            stiffness_n_per_m=_value(coupling.stiffness_n_per_m, _place(name, "coupling.", "stiffness_n_per_m")),
-            damping_n_s_per_m=_damping(coupling.damping_n_s_per_m, _place(name, "coupling.", "damping_n_s_per_m")),
-        ),
-        drag_n_s_per_m=_damping(axis.drag_n_s_per_m, _place(name, "", "drag_n_s_per_m")),
-        environment_stiffness_n_per_m=spec.environment_stiffness_n_per_m or _stiffness_range(identified, name),
-        payload_mass_kg=spec.payload_mass_kg or _mass_range(identified, name),
+        plants=_nominal_set(identified, name, spec, wrench.nominal),
         sample_time_s=_value(identified.sample_time_s, "sample_time_s"),
         approach=spec.approach or Approach(force_n=_DEFAULT_APPROACH_N),
         bounds=without_position({**spec.bounds, **spec.free}, wrench),
         requirements=_with_noise(spec.requirements, identified, name),
         objective=spec.objective,
-        wrench_filter=wrench.nominal,
     )
     bounded = {
         "coupling_damping_n_s_per_m": coupling.damping_n_s_per_m,
@@ -230,6 +221,20 @@ def _build_problem(identified: Identified, name: str, spec: ProblemSpec) -> Desi
     intervals = {key: each.ci95 for key, each in bounded.items() if each.value is None and each.ci95 is not None}
     said = {key: value for key, value in spec.uncertain.items() if key not in {LAG, LATE}}
     return with_uncertainty(nominal, axis, name, {**intervals, **said, **wrench.ranges})
+
+
+def _nominal_set(identified: Identified, name: str, spec: ProblemSpec, wrench: WrenchFilter) -> PlantSet:
+    """Return the ranges of K_e and M_p, everything else as it was identified."""
+    axis, coupling = identified.axes[name], identified.axes[name].coupling
+    return PlantSet.of(
+        _robot(axis, name),
+        coupling_stiffness_n_per_m=_value(coupling.stiffness_n_per_m, _place(name, "coupling.", "stiffness_n_per_m")),
+        coupling_damping_n_s_per_m=_damping(coupling.damping_n_s_per_m, _place(name, "coupling.", "damping_n_s_per_m")),
+        drag_n_s_per_m=_damping(axis.drag_n_s_per_m, _place(name, "", "drag_n_s_per_m")),
+        environment_stiffness_n_per_m=spec.environment_stiffness_n_per_m or _stiffness_range(identified, name),
+        payload_mass_kg=spec.payload_mass_kg or _mass_range(identified, name),
+        wrench_filter=wrench,
+    )
 
 
 def _robot(axis: AxisEstimate, name: str) -> RobotModel:
@@ -242,7 +247,7 @@ def _robot(axis: AxisEstimate, name: str) -> RobotModel:
 
 def _place(name: str, within: str, key: str) -> str:
     """Return the place of an entry in `identified.yaml`, a rotational one under the name that it has there."""
-    return f"axes.{name}.{within}{ROTATIONAL_KEYS[key] if name in ROTATIONAL_AXES else key}"
+    return f"axes.{name}.{within}{axis_key(name, key)}"
 
 
 def _mass_range(identified: Identified, name: str) -> Interval:

@@ -8,7 +8,6 @@ from autotune.formats.certificate_record import (
     AxisDomain,
     AxisMargins,
     Certificate,
-    ConfidenceSet,
     Proof,
     ProvenRegion,
     Requirement,
@@ -35,7 +34,7 @@ from problems.contact.nonlinearities import DeadbandType
 from problems.design.evaluation import PlantMargins, build_scenarios
 from problems.design.problem import DesignProblem, Requirements
 from problems.design.requirements import smallest_admittance
-from problems.design.uncertainty import Ellipsoid, Scenario
+from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
 
 from .search import SearchResult
@@ -100,7 +99,7 @@ def build_controller(
 
 
 def _longest_delay_s(problem: DesignProblem) -> float:
-    return max(problem.robot.delay_s, problem.uncertain.get("delay_s", (0.0, 0.0))[1])
+    return max(problem.plants.nominal.robot.delay_s, problem.plants.range_of("delay_s")[1])
 
 
 def _controller(result: SearchResult) -> AdmittanceController:
@@ -187,43 +186,14 @@ def _prediction(name: str, result: SearchResult, controller: AdmittanceControlle
         free_space_admittance=FreeSpaceAdmittance(
             band_hz=band,
             min_m_s_per_n=smallest_admittance(prepared.free[0], controller, band),
-            hand_force_n_per_m_s=controller.damping_n_s_per_m + problem.drag_n_s_per_m,
+            hand_force_n_per_m_s=controller.damping_n_s_per_m + problem.plants.nominal.payload.drag_n_s_per_m,
         ),
     )
 
 
 def build_domain(problem: DesignProblem) -> AxisDomain:
     """Return the set of plants that a design problem asks to be safe."""
-    return AxisDomain(
-        environment_stiffness_n_per_m=problem.environment_stiffness_n_per_m,
-        payload_mass_kg=problem.payload_mass_kg,
-        environment_damping_n_s_per_m=problem.environment_damping_n_s_per_m,
-        environment_mass_kg=0.0,
-        coupling_stiffness_n_per_m=problem.coupling.stiffness_n_per_m,
-        coupling_damping_n_s_per_m=problem.coupling.damping_n_s_per_m,
-        drag_n_s_per_m=problem.drag_n_s_per_m,
-        robot_numerator=tuple(float(c) for c in problem.robot.numerator),
-        robot_denominator=tuple(float(c) for c in problem.robot.denominator),
-        delay_s=problem.robot.delay_s,
-        approach_force_n=problem.approach.force_n,
-        approach_speed_m_s=problem.approach.speed_m_s,
-        uncertain=problem.uncertain or None,
-        confidence=_confidence(problem.ellipsoid),
-        wrench_filter=None if problem.wrench_filter.is_none else problem.wrench_filter,
-    )
-
-
-def _confidence(ellipsoid: Ellipsoid | None) -> ConfidenceSet | None:
-    if ellipsoid is None:
-        return None
-    names = ellipsoid.names
-    return ConfidenceSet(
-        level=ellipsoid.level,
-        centre=dict(zip(names, ellipsoid.centre, strict=True)),
-        covariance={
-            name: dict(zip(names, row, strict=True)) for name, row in zip(names, ellipsoid.covariance, strict=True)
-        },
-    )
+    return AxisDomain.of(problem.plants, problem.approach)
 
 
 def _requirements(requirements: Requirements) -> dict[str, Requirement]:

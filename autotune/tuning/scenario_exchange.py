@@ -49,9 +49,9 @@ class WholeSet:
 
     def __init__(self, problem: DesignProblem, seed: int = 0, also: tuple[Scenario, ...] = ()) -> None:
         self.problem = problem
-        self.uncertainty = problem.uncertainty
+        self.plants = problem.plants
         grid = problem.scenarios(DENSE_STIFFNESS, DENSE_MASS)
-        more = (*self.uncertainty.corners(), *self.uncertainty.samples(SAMPLES, seed=seed)) if problem.uncertain else ()
+        more = (*self.plants.corners(), *self.plants.samples(SAMPLES, seed=seed)) if problem.plants.further else ()
         self.prepared = build_scenarios(problem, tuple(dict.fromkeys((*grid, *more, *also))))
 
     @property
@@ -85,7 +85,7 @@ class WholeSet:
         return tuple(each.worst_scenario(value, design) for each, value in asked)
 
     def _search(self, controller: AdmittanceController, exact: ExactEvaluation) -> tuple[Scenario, ...]:
-        if not self.uncertainty.varying:
+        if not self.plants.varying:
             return ()
         found: list[Scenario] = []
         for name, value in (*exact.evaluation.requirements.items(), *exact.evaluation.soft.items()):
@@ -122,13 +122,13 @@ class WholeSet:
 
     def _climb(self, start: Scenario, value: Callable[[Scenario], float]) -> Scenario:
         """Return a scenario that is at least as bad: a pattern search in the unit cube, pulled into the set."""
-        unit, best = self.uncertainty.to_unit(start), start
+        unit, best = self.plants.to_unit(start), start
         worst, step, looks = value(start), _FIRST_STEP, 0
         while step >= _LAST_STEP and looks < _LOOKS and np.isfinite(worst):
             moved = False
             for direction in (*np.eye(len(unit)), *-np.eye(len(unit))):
                 there = np.clip(unit + step * direction, 0.0, 1.0)
-                scenario = self.uncertainty.from_unit(there)
+                scenario = self.plants.from_unit(there)
                 if np.array_equal(there, unit) or scenario == best:
                     continue
                 found, looks = value(scenario), looks + 1
@@ -195,7 +195,7 @@ def margin_scenarios(
 
 def moved_scenario(scenario: Scenario, old: DesignProblem, new: DesignProblem) -> Scenario:
     """Return a scenario at the same share of the new range of K_e, the other parameters as they are."""
-    (low, high), (new_low, new_high) = old.environment_stiffness_n_per_m, new.environment_stiffness_n_per_m
+    (low, high), (new_low, new_high) = (each.plants.environment_stiffness_n_per_m for each in (old, new))
     stiffness = scenario.environment_stiffness_n_per_m
     if stiffness >= high:
         return replace(scenario, environment_stiffness_n_per_m=new_high)

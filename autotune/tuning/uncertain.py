@@ -11,34 +11,22 @@ from dataclasses import replace
 import numpy as np
 
 from autotune.formats.problem import Interval, Uncertain
-from autotune.formats.records import ROTATIONAL_KEYS
-from autotune.formats.units import ROTATIONAL_AXES
+from autotune.formats.units import axis_key
 from identification.errors import EstimateError
 from identification.result import AxisEstimate, Covariance, Estimate, Status
 from problems.arrays import FloatArray
 from problems.design.problem import DesignProblem
-from problems.design.uncertainty import Ellipsoid
-from problems.model.plant import Coupling
-from problems.model.robot import bandwidth_share, has_damping_ratio, vary_robot
+from problems.design.uncertainty import FURTHER_UNCERTAIN, SYMBOLS, Ellipsoid
+from problems.model.plant_parameters import PARAMETERS, with_values
+from problems.model.robot import bandwidth_share, has_damping_ratio
 
 LEVEL = 0.95
-_BY_DEFAULT = (
-    "coupling_stiffness_n_per_m",
-    "coupling_damping_n_s_per_m",
-    "drag_n_s_per_m",
-    "delay_s",
-    "robot_bandwidth_hz",
-    "robot_damping_ratio",
-)
+# The symbols of identification's covariance: a robot's are those of its poles.
 _SYMBOLS = {
-    "coupling_stiffness_n_per_m": "K_s",
-    "coupling_damping_n_s_per_m": "B_s",
-    "drag_n_s_per_m": "B_p",
-    "delay_s": "T_d",
-    "robot_bandwidth_hz": "omega",
-    "robot_damping_ratio": "zeta",
+    name: {"robot_bandwidth_hz": "omega", "robot_damping_ratio": "zeta"}.get(name, SYMBOLS[name])
+    for name in FURTHER_UNCERTAIN
+    if PARAMETERS[name].part in {"coupling", "payload", "robot"}
 }
-_POSITIVE = ("coupling_stiffness_n_per_m", "robot_bandwidth_hz", "robot_damping_ratio")
 _WALL_DAMPING = "environment_damping_n_s_per_m"
 # Standard deviations to the upper end of a damping that has no covariance: one side of 95 % and more.
 _REACH = 2.0
@@ -60,7 +48,7 @@ def with_uncertainty(problem: DesignProblem, axis: AxisEstimate, name: str, said
     ranges = {key: value for key, value in said.items() if not isinstance(value, str)}
     problem = _moved(problem, ranges)
     asked = [key for key in _SYMBOLS if origins.get(key) == "identified"]
-    by_default = [key for key in _BY_DEFAULT if key not in said]
+    by_default = [key for key in _SYMBOLS if key not in said]
     ellipsoid = _ellipsoid(problem, axis, name, asked, by_default)
     if origins.get(_WALL_DAMPING) == "identified":
         ranges[_WALL_DAMPING] = _environment_damping(axis, name)
@@ -70,36 +58,14 @@ def with_uncertainty(problem: DesignProblem, axis: AxisEstimate, name: str, said
         ranges[_WALL_DAMPING] = (0.0, largest)
     if ellipsoid is not None:
         ranges |= {key: _readable(key, ellipsoid, i) for i, key in enumerate(ellipsoid.names)}
-    return replace(problem, uncertain=ranges, ellipsoid=ellipsoid)
+    return replace(problem, plants=replace(problem.plants.with_ranges(ranges), ellipsoid=ellipsoid))
 
 
 def _moved(problem: DesignProblem, ranges: Mapping[str, Interval]) -> DesignProblem:
     """Return the problem with its nominal values inside the ranges."""
-
-    def inside(key: str) -> float | None:
-        value = problem.nominal().get(key)
-        if key not in ranges or value is None:
-            return None
-        return min(max(value, ranges[key][0]), ranges[key][1])
-
-    values = {key: inside(key) for key in problem.nominal()}
-    stiffness, damping = values["coupling_stiffness_n_per_m"], values["coupling_damping_n_s_per_m"]
-    drag, wall = values["drag_n_s_per_m"], values["environment_damping_n_s_per_m"]
-    return replace(
-        problem,
-        robot=vary_robot(
-            problem.robot,
-            bandwidth_hz=values["robot_bandwidth_hz"],
-            damping_ratio=values.get("robot_damping_ratio"),
-            delay_s=values["delay_s"],
-        ),
-        coupling=Coupling(
-            stiffness_n_per_m=problem.coupling.stiffness_n_per_m if stiffness is None else stiffness,
-            damping_n_s_per_m=problem.coupling.damping_n_s_per_m if damping is None else damping,
-        ),
-        drag_n_s_per_m=problem.drag_n_s_per_m if drag is None else drag,
-        environment_damping_n_s_per_m=problem.environment_damping_n_s_per_m if wall is None else wall,
-    )
+    nominal = problem.plants.nominal_values()
+    inside = {key: min(max(nominal[key], low), high) for key, (low, high) in ranges.items() if key in nominal}
+    return replace(problem, plants=replace(problem.plants, nominal=with_values(problem.plants.nominal, inside)))
 
 
 def _ellipsoid(
@@ -116,14 +82,14 @@ def _ellipsoid(
                 else f"{where} says nothing of it; give a range [low, high], or {{from: nominal}}."
             )
             raise EstimateError(f"problem.yaml takes {key} from the identified file, and {why}")
-    nominal = problem.nominal()
+    nominal = problem.plants.nominal_values()
     chosen = [
         key
         for i, key in enumerate(known)
         if (key in asked or key in by_default)
         and key in nominal
         and matrix[i, i] > 0.0
-        and not (key in _POSITIVE and nominal[key] <= 0.0)
+        and (PARAMETERS[key].may_be_zero or nominal[key] > 0.0)
     ]
     if not chosen:
         return None
@@ -144,7 +110,7 @@ def _known(problem: DesignProblem, axis: AxisEstimate) -> tuple[list[str], Float
     hand, is known to whoever gave it, independently of the log; without a deviation it is exact.
     """
     known, fitted = ([], np.zeros((0, 0))) if axis.covariance is None else _transformed(problem, axis.covariance)
-    given = {key: e.std or 0.0 for key, e in plant_estimates(axis).items() if _is_given(e)}
+    given = {key: e.std or 0.0 for key, e in axis.plant_estimates().items() if _is_given(e)}
     if given.get("robot_bandwidth_hz") == 0.0:
         # The damping ratio is known together with the bandwidth.
         given["robot_damping_ratio"] = 0.0
@@ -161,7 +127,7 @@ def _known(problem: DesignProblem, axis: AxisEstimate) -> tuple[list[str], Float
 
 def _is_in_fit(axis: AxisEstimate, key: str, std: float) -> bool:
     """Whether the covariance has a given value and its deviation: what was given took part in the fit."""
-    covariance, estimate = axis.covariance, plant_estimates(axis).get(key)
+    covariance, estimate = axis.covariance, axis.plant_estimates().get(key)
     if covariance is None or estimate is None or estimate.value is None or std == 0.0:
         return False
     place = covariance.names.index(_SYMBOLS[key])
@@ -173,20 +139,9 @@ def _is_given(estimate: Estimate) -> bool:
     return estimate.status is Status.GIVEN
 
 
-def plant_estimates(axis: AxisEstimate) -> dict[str, Estimate]:
-    """Return what was identified of the plant's further parameters, by their names in `problem.yaml`."""
-    return {
-        "coupling_stiffness_n_per_m": axis.coupling.stiffness_n_per_m,
-        "coupling_damping_n_s_per_m": axis.coupling.damping_n_s_per_m,
-        "drag_n_s_per_m": axis.drag_n_s_per_m,
-        "delay_s": axis.robot.delay_s,
-        "robot_bandwidth_hz": axis.robot.bandwidth_hz,
-    }
-
-
 def _transformed(problem: DesignProblem, covariance: Covariance) -> tuple[list[str], FloatArray]:
     """Return the covariance under this floor's names, ω (and ζ) of the robot made into its bandwidth in Hz."""
-    two_poles = has_damping_ratio(problem.robot) and "zeta" in covariance.names
+    two_poles = has_damping_ratio(problem.plants.nominal.robot) and "zeta" in covariance.names
     keys = [
         key
         for key, symbol in _SYMBOLS.items()
@@ -214,7 +169,7 @@ def _environment_damping(axis: AxisEstimate, name: str) -> Interval:
     for surface in axis.environments:
         symbol = f"{surface.name}.B_e"
         if axis.covariance is None or symbol not in axis.covariance.names:
-            key = ROTATIONAL_KEYS[_WALL_DAMPING] if name in ROTATIONAL_AXES else _WALL_DAMPING
+            key = axis_key(name, _WALL_DAMPING)
             raise EstimateError(
                 f"problem.yaml takes {key} from the identified "
                 f"file, and axes.{name}.covariance says nothing of {symbol}; give a range [low, high]."
@@ -262,7 +217,7 @@ def _largest_environment_damping(axis: AxisEstimate) -> float:
 def _readable(key: str, ellipsoid: Ellipsoid, place: int) -> Interval:
     """Return the ellipsoid's range of one parameter with five digits, outwards."""
     low, high = ellipsoid.box()[key]
-    if key in _POSITIVE:
+    if not PARAMETERS[key].may_be_zero:
         low = max(low, _LEAST_SHARE * ellipsoid.centre[place])
     return _digits(low, down=True), _digits(high, down=False)
 

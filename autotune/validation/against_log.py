@@ -221,7 +221,7 @@ class _Simulator:
     def __init__(self, controller: Controller, contact: LogContact, followed: LawFit) -> None:
         self.h = controller.sample_time_s
         self.law = law_of(controller, contact.axis)
-        self.nominal = controller.certificate.domain[contact.axis].nominal_plant()
+        self.nominal = controller.certificate.domain[contact.axis].plants.nominal
         self.approach = Approach(speed_m_s=contact.speed_m_s, after_impact_n=followed.desired_force)
         self.time = np.arange(round((_COMPARED_S + _EARLIEST_S) / self.h)) * self.h
 
@@ -248,7 +248,7 @@ def _shifted(contact: LogContact, period_s: float, predicted: FloatArray, h: flo
 
 
 def _plants(domain: AxisDomain) -> tuple[Scenario, ...]:
-    whole = domain.uncertainty()
+    whole = domain.plants
     return tuple(dict.fromkeys((*whole.corners(), *whole.samples(_BAND_PLANTS, seed=_SEED))))
 
 

@@ -1,24 +1,25 @@
 """Prove stability and modulus margin of one axis over its domain: for the certificate, and again from it."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 
 from autotune.certificate.certify import ProofOutcome
 from autotune.certificate.claim import METHOD, WORK_PER_SECOND, Claim, CombinedCertificate, prove
-from autotune.certificate.family import MASS, PROVABLE, STIFFNESS, Interval
+from autotune.certificate.family import PROVABLE
 from autotune.errors import CertificateError
 from autotune.formats.certificate_record import AxisDomain, Proof, ProvenRegion
-from autotune.formats.units import AxisUnits, axis_units
+from autotune.formats.units import axis_units
+from problems.design.uncertainty import ALWAYS_UNCERTAIN
 from problems.errors import ParameterError
+from problems.model.axis_kind import AxisKind
 from problems.model.sampled import Controller
 
 from .bouncing import RefutedError
 
 # What a proof of stability alone may take, and one of which the file names no budget.
 STABILITY_WORK = 60 * WORK_PER_SECOND
-_ALWAYS = (STIFFNESS, MASS)
 _MOST_MODULUS = 1.0 - 1e-9
 Progress = Callable[[float], None] | None
 
@@ -124,10 +125,10 @@ def prove_axis(
     """
     options = options or ProofOptions()
     modulus = min((1.0 - options.slack) * swept_modulus, _MOST_MODULUS)
-    asked: list[tuple[tuple[str, ...], float]] = [(_ALWAYS, options.budget_s)]
+    asked: list[tuple[tuple[str, ...], float]] = [(ALWAYS_UNCERTAIN, options.budget_s)]
     further = tuple(key for key in domain.uncertain or {} if key in PROVABLE)
     if further and options.further_s > 0.0:
-        asked.append(((*_ALWAYS, *further), options.further_s))
+        asked.append(((*ALWAYS_UNCERTAIN, *further), options.further_s))
     prover, regions = Prover(), []
     for over, budget_s in asked:
         share = None if progress is None else partial(_passed_on, progress, 1.0 / len(asked))
@@ -179,17 +180,12 @@ def modulus_claim(
 
     Raises ParameterError for a parameter that the domain has no range of.
     """
-    every: Mapping[str, Interval] = {
-        STIFFNESS: domain.environment_stiffness_n_per_m,
-        MASS: domain.payload_mass_kg,
-        **(domain.uncertain or {}),
-    }
     for key in over:
-        if key not in every:
-            raise ParameterError("over", key, f"one of {', '.join(every)}, which the domain gives ranges of")
+        if key not in domain.plants.ranges:
+            known = ", ".join(domain.plants.ranges)
+            raise ParameterError("over", key, f"one of {known}, which the domain gives ranges of")
     return Claim(
-        nominal=domain.nominal_plant(),
-        ranges=tuple((key, every[key]) for key in over),
+        plants=domain.plants.only(over),
         law=law,
         sample_time_s=sample_time_s,
         modulus=modulus,
@@ -205,9 +201,9 @@ def stability_claim(
     It is the claim of the modulus where that is proved over all of K_e and M_p, and otherwise that of stability alone.
     """
     for each in regions:
-        if each.over == _ALWAYS and each.share == 1.0:
+        if each.over == ALWAYS_UNCERTAIN and each.share == 1.0:
             return modulus_claim(domain, law, sample_time_s, each.over, each.modulus, each.budget_s)
-    alone = modulus_claim(domain, law, sample_time_s, _ALWAYS, _MOST_MODULUS, 1.0)
+    alone = modulus_claim(domain, law, sample_time_s, ALWAYS_UNCERTAIN, _MOST_MODULUS, 1.0)
     return replace(alone, modulus=None, work=STABILITY_WORK)
 
 
@@ -247,10 +243,10 @@ def refuted_inside(domain: AxisDomain, found: CombinedCertificate) -> ProofOutco
     plant = false.plant
     if plant.environment_stiffness_n_per_m == 0.0:
         plant = replace(plant, environment_stiffness_n_per_m=domain.environment_stiffness_n_per_m[0])
-    return false if domain.confidence is None or domain.uncertainty().contains(plant) else None
+    return false if domain.confidence is None or domain.plants.contains(plant) else None
 
 
-def describe_false(false: ProofOutcome, units: AxisUnits) -> str:
+def describe_false(false: ProofOutcome, units: AxisKind) -> str:
     """Say where a claim is false."""
     plant, frequency = false.plant, false.frequency_rad_per_s
     if plant is None or frequency is None:
@@ -263,7 +259,7 @@ def describe_false(false: ProofOutcome, units: AxisUnits) -> str:
     )
 
 
-def describe_unstable(found: CombinedCertificate, units: AxisUnits) -> str:
+def describe_unstable(found: CombinedCertificate, units: AxisKind) -> str:
     """Say where stability is not proved."""
     failed = found.failed
     where = "free space" if failed in found.free_space else "contact"

@@ -100,7 +100,7 @@ def describe_impact(impact: Impact, axis: str) -> str:
 
 def drawn_plants(domain: AxisDomain) -> tuple[Scenario, ...]:
     """Return the plants that are searched: ends of K_e and M_p, corners of the whole set, and Sobol' samples of it."""
-    whole = domain.uncertainty()
+    whole = domain.plants
     ends = (
         Scenario(environment_stiffness_n_per_m=stiffness, payload_mass_kg=mass)
         for stiffness in domain.environment_stiffness_n_per_m
@@ -131,7 +131,7 @@ def search_bouncing(
 
     Speeds go up to twice the approach's, F^d from the force that drives it down to 5 % of it. Deterministic.
     """
-    nominal, plants = domain.nominal_plant(), drawn_plants(domain)
+    nominal, plants = domain.plants.nominal, drawn_plants(domain)
     if domain.approach_force_n is None and domain.approach_speed_m_s is None:
         return BounceSearch(axis=axis, runs=0, plants=len(plants), refusal="the domain names no approach")
     ratios = drawn_ratios(len(plants))

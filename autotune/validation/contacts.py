@@ -9,10 +9,11 @@ import numpy as np
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller_record import Controller, ScenarioPrediction
 from autotune.formats.limits import CollisionResponse
-from autotune.formats.units import ROTATIONAL_AXES, AxisUnits, axis_units
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.runtime.law import STANDARD_GRAVITY_M_S2
 from problems.arrays import FloatArray
 from problems.design.uncertainty import Scenario
+from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 
@@ -32,7 +33,7 @@ def verify_peaks(
     sample_time_s: float,
     *,
     limit_n: float | None,
-    units: AxisUnits,
+    units: AxisKind,
 ) -> tuple[str, list[str]]:
     """Return what was confirmed, and what is wrong: contacts that differ, lie outside or exceed `limit_n`."""
     if domain.approach_force_n is None and domain.approach_speed_m_s is None:
@@ -82,7 +83,7 @@ class Replays:
     ) -> None:
         self.domain, self.law, self.h = domain, law, sample_time_s
         self.reset_threshold_n = reset_threshold_n
-        self.nominal = domain.nominal_plant()
+        self.nominal = domain.plants.nominal
         self.largest_n = 0.0
 
     def force_n(self, plant: Plant) -> float:
@@ -105,7 +106,7 @@ class Replays:
         return seen
 
 
-def _compared(scenario: ScenarioPrediction, replays: Replays, units: AxisUnits) -> Iterator[str]:
+def _compared(scenario: ScenarioPrediction, replays: Replays, units: AxisKind) -> Iterator[str]:
     seen = replays.play(scenario.scenario())
     for what, said, found in (
         ("contact", scenario.peak_contact_force_n, seen.peak_contact_force_n),
@@ -187,7 +188,7 @@ def _is_certified(domain: AxisDomain, scenario: Scenario) -> bool:
     return (
         inside(scenario.environment_stiffness_n_per_m, domain.environment_stiffness_n_per_m)
         and inside(scenario.payload_mass_kg, domain.payload_mass_kg)
-        and (not scenario.further() or domain.uncertainty().contains(scenario))
+        and (not scenario.further() or domain.plants.contains(scenario))
     )
 
 

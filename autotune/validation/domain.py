@@ -8,6 +8,7 @@ from autotune.formats.controller_record import Controller, RuntimePayload
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from identification.result import AxisEstimate, Estimate, Identified, Status, VectorEstimate, WrenchFilterEstimate
 from problems.model.plant import NO_FILTER
+from problems.model.plant_parameters import PARAMETERS
 
 from .report import Check
 
@@ -118,29 +119,14 @@ def _outside(name: str, domain: AxisDomain, axis: AxisEstimate) -> Iterator[str]
             surface.stiffness_n_per_m,
             domain.environment_stiffness_n_per_m,
         )
-    uncertain = domain.uncertain or {}
-    for key, what, estimate, certified in (
-        (
-            "coupling_stiffness_n_per_m",
-            f"K_s [{units.stiffness}]",
-            axis.coupling.stiffness_n_per_m,
-            domain.coupling_stiffness_n_per_m,
-        ),
-        (
-            "coupling_damping_n_s_per_m",
-            f"B_s [{units.damping}]",
-            axis.coupling.damping_n_s_per_m,
-            domain.coupling_damping_n_s_per_m,
-        ),
-        ("drag_n_s_per_m", f"B_p [{units.damping}]", axis.drag_n_s_per_m, domain.drag_n_s_per_m),
-        ("delay_s", "T_d [s]", axis.robot.delay_s, domain.delay_s),
-    ):
-        if key in uncertain:
-            yield from _interval(what, estimate, uncertain[key])
-        else:
-            yield from _same(what, estimate, certified)
-    if "robot_bandwidth_hz" in uncertain:
-        yield from _interval("robot bandwidth [Hz]", axis.robot.bandwidth_hz, uncertain["robot_bandwidth_hz"])
+    for key, estimate in axis.plant_estimates().items():
+        of, (low, high) = PARAMETERS[key], domain.plants.range_of(key)
+        what = f"{of.label if of.kind == 'frequency' else of.symbol} [{units.unit(of.kind)}]"
+        if key in domain.plants.ranges:
+            yield from _interval(what, estimate, (low, high))
+        elif of.kind != "frequency":
+            # A robot's nominal bandwidth is in its coefficients, which nothing here compares.
+            yield from _same(what, estimate, low)
 
 
 def _interval(

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from autotune.certificate.claim import Claim, CombinedCertificate, prove
-from autotune.certificate.family import MASS, STIFFNESS, UncertainPlant
 from autotune.formats.certificate_record import Asked, AxisDomain, AxisMargins
 from autotune.formats.controller_record import AxisPrediction, FreeSpaceAdmittance, ScenarioPrediction
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
@@ -29,7 +28,7 @@ from problems.design.requirements import (
     PeakForceLimit,
     Requirement,
 )
-from problems.design.uncertainty import Scenario
+from problems.design.uncertainty import PlantSet, Scenario
 from problems.model.linear_controllers import LinearController
 from problems.model.plant import Plant
 from problems.model.response import controller_response, free_space_admittance, plant_response
@@ -40,7 +39,6 @@ from problems.stability.passivity import passive_below_hz
 from .axis_proof import STABILITY_WORK, describe_unstable
 from .margins import SweptMargins, sweep_margins
 from .requirements import worst_of_loops
-from .validate import uncertain_plant
 from .validation_samples import ValidationSamples, build_validation_samples
 
 _STIFFNESS_POINTS, _MASS_POINTS = 25, 3
@@ -64,18 +62,13 @@ class AxisTask:
     predicted: AxisPrediction
     sample_time_s: float
 
-    def plants(self) -> UncertainPlant:
-        """Return the set over K_e and M_p."""
-        return uncertain_plant(self.domain)
-
     def others(self) -> ValidationSamples:
         """Return the plants of the domain beyond K_e and M_p."""
         return build_validation_samples(self.domain, self.margins, self.predicted)
 
     def approach(self) -> Approach:
         """Return how the contacts of the file begin; of a speed and a force, the speed."""
-        speed = self.domain.approach_speed_m_s
-        return Approach(force_n=self.domain.approach_force_n if speed is None else None, speed_m_s=speed)
+        return self.domain.approach
 
     def contacts(self) -> tuple[Scenario, ...]:
         """Return the contacts that are looked at: those of the file, a grid over K_e × M_p, and the further plants."""
@@ -119,7 +112,7 @@ class LawCertificate:
 
 def certify_law(task: AxisTask, law: LinearController) -> LawCertificate:
     """Prove the law stable over the domain, sweep its margins, simulate its contacts and compare with what is asked."""
-    units, plants, others = axis_units(task.axis), task.plants(), task.others()
+    units, plants, others = axis_units(task.axis), task.domain.plants, task.others()
     stability, share = prove_law(plants, law)
     missed = [] if stability.holds else [describe_unstable(stability, units)]
     if share is not None and not share < _SPRING_ROOM:
@@ -153,11 +146,10 @@ def certify_law(task: AxisTask, law: LinearController) -> LawCertificate:
     )
 
 
-def prove_law(plants: UncertainPlant, law: LinearController) -> tuple[CombinedCertificate, float | None]:
+def prove_law(plants: PlantSet, law: LinearController) -> tuple[CombinedCertificate, float | None]:
     """Prove stability in free space and in contact; return the proof, and the largest `spring_share` of a spring."""
     claim = Claim(
-        nominal=plants.nominal,
-        ranges=((STIFFNESS, plants.environment_stiffness_n_per_m), (MASS, plants.payload_mass_kg)),
+        plants=plants.only(),
         law=law,
         sample_time_s=law.sample_time_s,
         modulus=None,
@@ -167,7 +159,7 @@ def prove_law(plants: UncertainPlant, law: LinearController) -> tuple[CombinedCe
     if not law.holds_position:
         return found, None
     masses = np.unique(np.linspace(*plants.payload_mass_kg, _MASS_POINTS))
-    return found, max(spring_share(plants.in_free_space().at(float(mass), 0.0), law) for mass in masses)
+    return found, max(spring_share(plants.at(float(mass), 0.0), law) for mass in masses)
 
 
 def spring_share(plant: Plant, law: LinearController) -> float:
@@ -188,7 +180,7 @@ def spring_share(plant: Plant, law: LinearController) -> float:
 
 def worst_contact(task: AxisTask, law: LinearController) -> ScenarioPrediction:
     """Return the contact of the domain with the largest force on the environment."""
-    units, nominal, approach, found = axis_units(task.axis), task.domain.nominal_plant(), task.approach(), []
+    units, nominal, approach, found = axis_units(task.axis), task.domain.plants.nominal, task.approach(), []
     for scenario in task.contacts():
         pair = build_sampled_contact(build_sampled_plant(scenario.plant(nominal), law.sample_time_s))
         seen = simulate_linear_contact(pair, law, approach)
@@ -209,7 +201,7 @@ def worst_contact(task: AxisTask, law: LinearController) -> ScenarioPrediction:
 def smallest_admittance(task: AxisTask, law: LinearController, band_hz: tuple[float, float]) -> float:
     """Return the least |G| over the band, for the nominal robot and the slowest and fastest of the domain."""
     omega = 2.0 * np.pi * np.unique(np.clip(np.geomspace(*band_hz, _BAND_POINTS), *band_hz))
-    nominal = task.plants().in_free_space().at(task.domain.payload_mass_kg[0], 0.0)
+    nominal = task.domain.plants.at(task.domain.payload_mass_kg[0], 0.0)
     ports = (nominal.port, *task.others().extreme_ports())
     return min(
         float(
@@ -230,7 +222,7 @@ def smallest_admittance(task: AxisTask, law: LinearController, band_hz: tuple[fl
 def _admittance(task: AxisTask, law: LinearController) -> FreeSpaceAdmittance:
     bands = [each.band_hz for each in task.asked.values() if isinstance(each, AdmittanceTarget)]
     band = bands[0] if bands else _DEFAULT_BAND_HZ
-    pair = build_sampled_contact(build_sampled_plant(task.domain.nominal_plant(), law.sample_time_s))
+    pair = build_sampled_contact(build_sampled_plant(task.domain.plants.nominal, law.sample_time_s))
     return FreeSpaceAdmittance(
         band_hz=band,
         min_m_s_per_n=smallest_admittance(task, law, band),
@@ -272,7 +264,7 @@ def _achieved(
     others: ValidationSamples,
 ) -> float | None:
     """Return what a law achieves of one requirement; None where only the requirement's own code could say it."""
-    h, nominal = law.sample_time_s, task.domain.nominal_plant()
+    h, nominal = law.sample_time_s, task.domain.plants.nominal
     if isinstance(requirement, Margin):
         return swept.values[requirement.margin]
     if isinstance(requirement, DecayRate):

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from autotune.certificate.family import UncertainPlant
 from problems.arrays import ComplexArray, FloatArray
+from problems.design.uncertainty import PlantSet
 from problems.model.plant import FREE_SPACE, Plant
 from problems.model.sampled import Controller, SampledPlant, build_cut_loop, build_sampled_plant
 from problems.stability.margins import LARGEST_GAIN_DB, frequency_grid, margins_on_grid
@@ -27,7 +27,7 @@ class SweptMargins:
 
 
 def sweep_margins(
-    plants: UncertainPlant,
+    plants: PlantSet,
     controller: Controller,
     sample_time_s: float,
     *,
@@ -47,8 +47,7 @@ def sweep_margins(
     # Clipped, since the spacing by equal ratios may leave the interval by a rounding error.
     stiffnesses = np.unique(np.clip(np.geomspace(low, high, stiffness), low, high))
     grid = [(float(m), float(k)) for m in masses for k in stiffnesses]
-    free = plants.in_free_space()
-    swept = [(plants if k > 0.0 else free).at(m, k) for m, k in [*grid, *((float(m), 0.0) for m in masses)]]
+    swept = [plants.at(m, k) for m, k in [*grid, *((float(m), 0.0) for m in masses)]]
     for plant in [*swept, *others, *dict.fromkeys(other.in_contact_with(FREE_SPACE) for other in others)]:
         m, k = plant.payload.mass_kg, plant.environment.stiffness_n_per_m
         found, largest = _margins(build_sampled_plant(plant, sample_time_s), controller)

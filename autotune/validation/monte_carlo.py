@@ -11,11 +11,10 @@ from autotune.formats.units import axis_units
 from problems.arrays import FloatArray
 from problems.contact.nonlinear_simulation import NonlinearRun, needed_substeps, simulate_nonlinear
 from problems.contact.nonlinearities import NO_NONLINEARITIES, Nonlinearities
-from problems.contact.transient import Approach
 from problems.design.uncertainty import Scenario
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
-from problems.model.plant import NO_FILTER, Plant
+from problems.model.plant import Plant
 from problems.stability.margins import UnstableLoopError
 
 from .disturbances import Disturbances, axis_effects
@@ -127,12 +126,6 @@ class _Contacts:
     sample_time_s: float
     duration_s: float
 
-    @property
-    def approach(self) -> Approach:
-        if self.domain.approach_speed_m_s is not None:
-            return Approach(speed_m_s=self.domain.approach_speed_m_s)
-        return Approach(force_n=self.domain.approach_force_n)
-
     def driving(self) -> tuple[float, float]:
         """Return force and speed of the approach of the linear loop, F^d = (B_a + B_p) v."""
         resistance = self.law.damping_n_s_per_m + self.domain.drag_n_s_per_m
@@ -144,7 +137,7 @@ class _Contacts:
         return simulate_nonlinear(
             plant,
             self.law,
-            self.approach,
+            self.domain.approach,
             sample_time_s=self.sample_time_s,
             duration_s=self.duration_s,
             effects=effects,
@@ -179,7 +172,7 @@ def _axis_monte_carlo(
     effects = axis_effects(controller, name, disturbances, speed)
     plants = tuple(_drawn(domain, count, seed))
     result = AxisMonteCarlo(axis=name, count=count, seed=seed, effects=effects, driving_force=force)
-    nominal, rows, traces = domain.nominal_plant(), list[tuple[float, ...]](), list[FloatArray]()
+    nominal, rows, traces = domain.plants.nominal, list[tuple[float, ...]](), list[FloatArray]()
     for i, scenario in enumerate(plants):
         noise = np.random.default_rng((seed, i))
         try:
@@ -219,12 +212,9 @@ def _axis_monte_carlo(
 
 def _never_delayed(domain: AxisDomain) -> bool:
     """Say whether no plant has a delay, and damping in the coupling hands each command on to the force of its tick."""
-    uncertain, damping = domain.uncertain or {}, domain.coupling_damping_n_s_per_m
-    wrench = domain.wrench_filter or NO_FILTER
-    _, longest = uncertain.get("delay_s", (domain.delay_s, domain.delay_s))
-    _, late = uncertain.get("wrench_delay_s", (wrench.delay_s, wrench.delay_s))
-    least, _ = uncertain.get("coupling_damping_n_s_per_m", (damping, damping))
-    return longest + late == 0.0 and least > 0.0 and wrench.time_constant_s == 0.0
+    delays = (domain.plants.range_of(name)[1] for name in ("delay_s", "wrench_delay_s"))
+    least, _ = domain.plants.range_of("coupling_damping_n_s_per_m")
+    return sum(delays) == 0.0 and least > 0.0 and domain.plants.nominal.wrench_filter.time_constant_s == 0.0
 
 
 def _band(traces: Sequence[FloatArray], h: float) -> ForceBand:
@@ -235,7 +225,7 @@ def _band(traces: Sequence[FloatArray], h: float) -> ForceBand:
 
 def _drawn(domain: AxisDomain, count: int, seed: int) -> Iterator[Scenario]:
     """Yield `count` plants of the set, the same again where it holds fewer."""
-    different = domain.uncertainty().samples(count, seed=seed)
+    different = domain.plants.samples(count, seed=seed)
     for i in range(count):
         yield different[i % len(different)]
 

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from autotune.certificate.family import UncertainPlant
 from autotune.formats.certificate_record import AxisMargins
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import ROTATIONAL_AXES, axis_units
 from autotune.plugins import find_requirement
 from problems.design.evaluation import build_scenarios
+from problems.design.problem import DesignProblem
 from problems.design.requirements import (
     AdmittanceRequirement,
     AdmittanceTarget,
@@ -23,6 +23,7 @@ from problems.design.requirements import (
     PeakForceLimit,
     Requirement,
 )
+from problems.design.uncertainty import PlantSet
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Plant
 from problems.model.sampled import Controller as LoopController
@@ -87,11 +88,11 @@ def check_requirements(controller: Controller, name: str, swept: SweptMargins) -
 
 
 def check_admittance(
-    controller: Controller, name: str, plants: UncertainPlant, others: ValidationSamples, law: AdmittanceController
+    controller: Controller, name: str, plants: PlantSet, others: ValidationSamples, law: AdmittanceController
 ) -> Check:
     """Check the steady hand force and |G| in free space against what is claimed and what was asked."""
     predicted = controller.predicted[name].free_space_admittance
-    found = sampled_admittance(plants.port, law, controller.sample_time_s, predicted.band_hz)
+    found = sampled_admittance(plants.nominal.port, law, controller.sample_time_s, predicted.band_hz)
     wrong = []
     units = axis_units(name)
     hand = law.damping_n_s_per_m + plants.nominal.payload.drag_n_s_per_m
@@ -105,7 +106,7 @@ def check_admittance(
             # G does not hang on the payload; among the robots the slowest and the fastest cover all.
             reached = min(
                 sampled_admittance(port, law, controller.sample_time_s, required.band_hz)
-                for port in (plants.port, *others.extreme_ports())
+                for port in (plants.nominal.port, *others.extreme_ports())
             )
             if reached < required.min_m_s_per_n * (1.0 - 0.1 * _SAME_MARGIN):
                 wrong.append(
@@ -121,7 +122,7 @@ def check_admittance(
 
 
 def check_further(
-    controller: Controller, name: str, plants: UncertainPlant, others: ValidationSamples, law: AdmittanceController
+    controller: Controller, name: str, plants: PlantSet, others: ValidationSamples, law: AdmittanceController
 ) -> Iterator[Check]:
     """Check the command's noise, the passive band and every other requirement, where they were asked."""
     h = controller.sample_time_s
@@ -134,7 +135,7 @@ def check_further(
         if isinstance(required, NoiseLimit):
             reached = required.speed_rms_m_s(worst_speed_rms(_loop_plants(plants, others), law, h))
         elif isinstance(required, PassivityTarget):
-            ports = (plants.port, *others.extreme_ports())
+            ports = (plants.nominal.port, *others.extreme_ports())
             reached = min(passive_band_hz(port, law, h, required.passive_below_hz) for port in ports)
         elif isinstance(requirement, LoopRequirement):
             reached = worst_of_loops(requirement, required, _loop_plants(plants, others), law, h)
@@ -170,8 +171,12 @@ def _worst_of_scenarios(
     law: AdmittanceController,
 ) -> float:
     """Return what is achieved on a grid of the domain, by the requirement's own code."""
-    problem = controller.certificate.domain[name].problem(
-        controller.sample_time_s, requirements=certified_problem_requirements(controller, name)
+    domain = controller.certificate.domain[name]
+    problem = DesignProblem(
+        plants=domain.plants,
+        sample_time_s=controller.sample_time_s,
+        approach=domain.approach,
+        requirements=certified_problem_requirements(controller, name),
     )
     named = (each.scenario() for each in controller.predicted[name].scenarios)
     scenarios = dict.fromkeys((*problem.scenarios(*_GRID), *named, *others.scenarios))
@@ -180,7 +185,7 @@ def _worst_of_scenarios(
     return requirement.achieved_at(required, ratio)
 
 
-def _loop_plants(plants: UncertainPlant, others: ValidationSamples) -> tuple[Plant, ...]:
+def _loop_plants(plants: PlantSet, others: ValidationSamples) -> tuple[Plant, ...]:
     """Return a grid of the set, ends included, and the further plants, all in contact."""
     masses = np.linspace(*plants.payload_mass_kg, _MASS_POINTS)
     low, high = plants.environment_stiffness_n_per_m

@@ -4,12 +4,13 @@ from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import NamedTuple
 
-from autotune.certificate.family import UncertainPlant
 from autotune.formats.certificate_record import AxisDomain, Proof
 from autotune.formats.controller_record import Controller, admittance_controller
 from autotune.formats.limits import CollisionResponse
-from autotune.formats.units import ROTATIONAL_AXES, AxisUnits, axis_units
+from autotune.formats.units import ROTATIONAL_AXES, axis_units
+from problems.design.uncertainty import PlantSet
 from problems.errors import ParameterError
+from problems.model.axis_kind import AxisKind
 from problems.model.controller import AdmittanceController
 
 from .axis_proof import Answers, Prover
@@ -80,7 +81,7 @@ class AxisCase:
         return self.controller.certificate.domain[self.name]
 
     @property
-    def units(self) -> AxisUnits:
+    def units(self) -> AxisKind:
         """The units of the axis."""
         return axis_units(self.name)
 
@@ -90,9 +91,9 @@ class AxisCase:
         return admittance_controller(self.controller, self.name)
 
     @cached_property
-    def plants(self) -> UncertainPlant:
-        """The plants over K_e and M_p."""
-        return uncertain_plant(self.domain)
+    def plants(self) -> PlantSet:
+        """The plants of the domain."""
+        return self.domain.plants
 
     @cached_property
     def others(self) -> ValidationSamples:
@@ -114,15 +115,6 @@ class AxisCase:
     def check(self, name: str, wrong: str, message: str = "", *, warns: bool = False) -> Check:
         """Return a check that fails where something is `wrong`."""
         return Check(axis=self.name, name=name, passed=not wrong, message=wrong or message, warns=warns)
-
-
-def uncertain_plant(domain: AxisDomain) -> UncertainPlant:
-    """Return the plants of a domain over K_e and M_p."""
-    return UncertainPlant(
-        nominal=domain.nominal_plant(),
-        payload_mass_kg=domain.payload_mass_kg,
-        environment_stiffness_n_per_m=domain.environment_stiffness_n_per_m,
-    )
 
 
 def _certificate(case: AxisCase) -> Iterator[Check]:
@@ -169,7 +161,7 @@ def _payload(case: AxisCase) -> Iterator[Check]:
 
 def _delay(case: AxisCase) -> Iterator[Check]:
     domain, assumed = case.domain, case.controller.delay_samples
-    _, longest = (domain.uncertain or {}).get("delay_s", (domain.delay_s, domain.delay_s))
+    _, longest = domain.plants.range_of("delay_s")
     samples = longest / case.controller.sample_time_s
     covered = samples <= assumed * (1.0 + _SAME_NUMBER)
     wrong = f"delay_samples says {assumed:.6g}, the certificate's plant has {samples:.6g}"

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from autotune.formats.certificate_record import AxisDomain, AxisMargins, Proof, ProvenRegion
 from autotune.formats.controller_record import AxisPrediction
 from autotune.formats.units import axis_units
-from problems.design.uncertainty import SYMBOLS, Scenario, Uncertainty
+from problems.design.uncertainty import STIFFNESS, SYMBOLS, PlantSet, Scenario
 from problems.model.plant import Plant, WrenchFilter
+from problems.model.plant_parameters import PARAMETERS
 from problems.model.robot import RobotModel, bandwidth_hz
 
 from .bouncing import bouncing_claim
@@ -43,13 +44,13 @@ def build_validation_samples(domain: AxisDomain, margins: AxisMargins, predicted
     """Return the plants of a domain that the grid over K_e × M_p leaves out; none where nothing else is uncertain."""
     if domain.uncertain is None:
         return ValidationSamples(scenarios=(), replayed=(), plants=(), outside=())
-    whole = domain.uncertainty()
+    whole = domain.plants
     named = {f"the worst plant of {name}": _scenario(case, whole) for name, case in margins.worst.items()}
     named |= {each.name: each.scenario() for each in predicted.scenarios if each.further}
     outside = tuple(name for name, scenario in named.items() if not whole.contains(scenario))
     samples = whole.samples(_SAMPLES, seed=SEED)
     scenarios = tuple(dict.fromkeys((*named.values(), *whole.corners(), *samples)))
-    nominal = domain.nominal_plant()
+    nominal = domain.plants.nominal
     return ValidationSamples(
         scenarios=scenarios,
         replayed=samples[:_REPLAYED],
@@ -60,7 +61,7 @@ def build_validation_samples(domain: AxisDomain, margins: AxisMargins, predicted
 
 def recorded_plants(domain: AxisDomain, margins: AxisMargins) -> tuple[Plant, ...]:
     """Return the plants in contact at which the file says that a margin is smallest."""
-    whole, nominal = domain.uncertainty(), domain.nominal_plant()
+    whole, nominal = domain.plants, domain.plants.nominal
     scenarios = dict.fromkeys(_scenario(case, whole) for case in margins.worst.values())
     return tuple(scenario.plant(nominal) for scenario in scenarios)
 
@@ -93,23 +94,17 @@ def sampled_claims(
 def describe_set(domain: AxisDomain, name: str) -> str:
     """Return the ranges beyond K_e and M_p in words."""
     units = axis_units(name)
-    of = {"K_s": units.stiffness, "B_s": units.damping, "B_p": units.damping, "B_e": units.damping}
-    of |= {"T_d": "s", "f_b": "Hz", "ζ_b": "", "τ_w": "s", "T_w": "s"}
-    ranges = domain.uncertain or {}
-    # In an order of its own: that of the file's entries says nothing, and a file may be written again in another.
+    # In the order of the table: that of the file's entries says nothing, and a file may be written again in another.
     ranges_text = [
-        f"{symbol} in [{ranges[key][0]:g}, {ranges[key][1]:g}] {of[symbol]}".rstrip()
-        for key, symbol in SYMBOLS.items()
-        if key in ranges
+        f"{SYMBOLS[name]} in [{low:g}, {high:g}] {units.unit(PARAMETERS[name].kind)}".rstrip()
+        for name, (low, high) in domain.plants.further.items()
     ]
     cut = "" if domain.confidence is None else f", inside the {100.0 * domain.confidence.level:g} % confidence set"
     return f"K_e, M_p and {', '.join(ranges_text)}{cut}"
 
 
-def _scenario(case: Mapping[str, float | str], whole: Uncertainty) -> Scenario:
+def _scenario(case: Mapping[str, float | str], whole: PlantSet) -> Scenario:
     """Return a recorded worst case as a point of the set; free space becomes its softest surface."""
     values = {key: float(value) for key, value in case.items()}
-    values["environment_stiffness_n_per_m"] = (
-        values["environment_stiffness_n_per_m"] or whole.ranges["environment_stiffness_n_per_m"][0]
-    )
+    values[STIFFNESS] = values[STIFFNESS] or whole.environment_stiffness_n_per_m[0]
     return Scenario(**values)

@@ -216,7 +216,7 @@ class PreparedScenarios(PreparedPlants):
 def build_scenarios(problem: DesignProblem, scenarios: Sequence[Scenario]) -> PreparedScenarios:
     """Sample every scenario's plant, and every different one in free space, once."""
     h = problem.sample_time_s
-    nominal = problem.nominal_plant()
+    nominal = problem.plants.nominal
     pairs = tuple(build_sampled_contact(build_sampled_plant(s.plant(nominal), h)) for s in scenarios)
     # Every different plant in free space is evaluated once, with its first scenario.
     different: dict[Plant, tuple[SampledPlant, Scenario]] = {}

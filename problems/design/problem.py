@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from .._checks import interval, non_negative, positive
+from .._checks import interval, positive
 from ..arrays import FloatArray
 from ..contact.transient import Approach
 from ..errors import ParameterError
@@ -17,10 +17,9 @@ from ..model.controller import (
     AdmittanceController,
     check_feedback_damping,
 )
-from ..model.plant import NO_FILTER, Coupling, Environment, PayloadDynamics, Plant, WrenchFilter
-from ..model.robot import RobotModel, bandwidth_hz, damping_ratio, has_damping_ratio
+from ..model.plant import Plant
 from .requirements import AdmittanceTarget, NoiseLimit, PassivityTarget, Requirements
-from .uncertainty import ALWAYS_UNCERTAIN, FURTHER_UNCERTAIN, SYMBOLS, Ellipsoid, Scenario, Uncertainty, check_robot
+from .uncertainty import SYMBOLS, PlantSet, Scenario
 
 __all__ = [
     "DEFAULT_BOUNDS",
@@ -51,44 +50,25 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class DesignProblem:
-    """One axis: nominal plant, the set that must all be safe, approach, bounds, requirements and objective.
+    """One axis: the plants that must all be safe, approach, bounds, requirements and objective.
 
-    `bounds` of `FURTHER_VARIABLES` make those free too. `uncertain` holds ranges of further parameters by name
-    (`problems.design.uncertainty.FURTHER_UNCERTAIN`), around the nominal values; `ellipsoid` cuts them down to a
-    confidence set. Without them the set is K_e × M_p.
+    `bounds` of `FURTHER_VARIABLES` make those free too.
     """
 
-    robot: RobotModel
-    coupling: Coupling
-    drag_n_s_per_m: float
-    environment_stiffness_n_per_m: tuple[float, float]
-    payload_mass_kg: tuple[float, float]
+    plants: PlantSet
     sample_time_s: float
-    environment_damping_n_s_per_m: float = 0.0
     approach: Approach = field(default_factory=lambda: Approach(force_n=30.0))
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     requirements: Requirements = field(default_factory=Requirements)
     objective: Objective = "contact_force"
     velocity_filter_rad_per_s: float = PAPER_VELOCITY_FILTER_RAD_PER_S
-    uncertain: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    ellipsoid: Ellipsoid | None = None
-    wrench_filter: WrenchFilter = NO_FILTER
-    uncertainty: Uncertainty = field(init=False)
 
     def __post_init__(self) -> None:
         self._check_bounds()
-        stiffness = interval("environment_stiffness_n_per_m", self.environment_stiffness_n_per_m)
-        positive("environment_stiffness_n_per_m", stiffness[0])
-        object.__setattr__(self, "environment_stiffness_n_per_m", stiffness)
-        mass = interval("payload_mass_kg", self.payload_mass_kg)
-        positive("payload_mass_kg", mass[0])
-        object.__setattr__(self, "payload_mass_kg", mass)
         object.__setattr__(self, "sample_time_s", positive("sample_time_s", self.sample_time_s))
-        non_negative("drag_n_s_per_m", self.drag_n_s_per_m)
-        non_negative("environment_damping_n_s_per_m", self.environment_damping_n_s_per_m)
         for requirement, asked in self.requirements.of("loop", "robot", "contact"):
             requirement.check_sampling(asked, self.sample_time_s)
-        self._check_uncertainty()
+        self._check_plants()
 
     def _check_bounds(self) -> None:
         unknown = sorted(set(self.bounds) - {*VARIABLES, *FURTHER_VARIABLES})
@@ -111,63 +91,25 @@ class DesignProblem:
         """The free variables in the order of the design vector: `VARIABLES`, then those that were made free."""
         return tuple(self.bounds)
 
-    def _check_uncertainty(self) -> None:
-        for name in ALWAYS_UNCERTAIN:
-            if name in self.uncertain:
-                raise ParameterError("uncertain", name, "given as the problem's own range")
-        check_robot(self.robot, self.uncertain)
-        known = {name: getattr(self, name) for name in ALWAYS_UNCERTAIN}
-        uncertainty = Uncertainty(ranges={**known, **self.uncertain}, ellipsoid=self.ellipsoid)
-        for name, value in self.nominal().items():
-            low, high = uncertainty.ranges.get(name, (value, value))
+    def _check_plants(self) -> None:
+        """Refuse a nominal value outside of its range, and what reads the position beside a late wrench."""
+        for name, value in self.plants.nominal_values().items():
+            low, high = self.plants.range_of(name)
             if not low * (1.0 - _ROUNDING) <= value <= high * (1.0 + _ROUNDING):
                 raise ParameterError(f"uncertain {name}", (low, high), f"around the nominal value {value:g}")
-        object.__setattr__(self, "uncertainty", uncertainty)
-        further = {name: pair for name, pair in uncertainty.ranges.items() if name in FURTHER_UNCERTAIN}
-        object.__setattr__(self, "uncertain", FrozenDict(further))
         self._check_wrench_delay()
 
     def _check_wrench_delay(self) -> None:
         """Refuse variables that let the law read the position beside a wrench that comes a delay late."""
-        late = max(self.wrench_filter.delay_s, self.uncertain.get("wrench_delay_s", (0.0, 0.0))[1])
+        late = self.plants.range_of("wrench_delay_s")[1]
         for name in ("feedback_damping_s", "compensation_mass_kg"):
             if late > 0.0 and self.bounds.get(name, (0.0, 0.0))[1] > 0.0:
                 must = "(0, 0) where the wrench comes with a pure delay (position and wrench are of different moments)"
                 raise ParameterError(f"bounds of {name}", self.bounds[name], must)
 
-    def nominal(self) -> dict[str, float]:
-        """Return the nominal values of what may be uncertain beyond K_e and M_p, as far as the robot has them."""
-        values = {
-            "coupling_stiffness_n_per_m": self.coupling.stiffness_n_per_m,
-            "coupling_damping_n_s_per_m": self.coupling.damping_n_s_per_m,
-            "drag_n_s_per_m": self.drag_n_s_per_m,
-            "environment_damping_n_s_per_m": self.environment_damping_n_s_per_m,
-            "delay_s": self.robot.delay_s,
-            "robot_bandwidth_hz": bandwidth_hz(self.robot),
-        }
-        wrench = {
-            "wrench_time_constant_s": self.wrench_filter.time_constant_s,
-            "wrench_delay_s": self.wrench_filter.delay_s,
-        }
-        values |= {name: value for name, value in wrench.items() if value > 0.0 or name in self.uncertain}
-        return {**values, "robot_damping_ratio": damping_ratio(self.robot)} if has_damping_ratio(self.robot) else values
-
     def plant(self, scenario: Scenario) -> Plant:
         """Return the plant of one scenario, in contact."""
-        return scenario.plant(self.nominal_plant())
-
-    def nominal_plant(self) -> Plant:
-        """Return the nominal plant, touching the softest surface with the lightest payload."""
-        return Plant(
-            robot=self.robot,
-            coupling=self.coupling,
-            payload=PayloadDynamics(mass_kg=self.payload_mass_kg[0], drag_n_s_per_m=self.drag_n_s_per_m),
-            environment=Environment(
-                stiffness_n_per_m=self.environment_stiffness_n_per_m[0],
-                damping_n_s_per_m=self.environment_damping_n_s_per_m,
-            ),
-            wrench_filter=self.wrench_filter,
-        )
+        return scenario.plant(self.plants.nominal)
 
     def scenarios(self, stiffness_count: int, mass_count: int) -> tuple[Scenario, ...]:
         """Return a grid over K_e × M_p at the nominal plant, ends included.
@@ -179,11 +121,11 @@ class DesignProblem:
             raise ParameterError(
                 "scenario counts", (stiffness_count, mass_count), "at least 2, for the ends of a range"
             )
-        low, high = self.environment_stiffness_n_per_m
+        low, high = self.plants.environment_stiffness_n_per_m
         stiffness = np.geomspace(low, high, stiffness_count if high > low else 1)
         # geomspace reproduces the ends only to rounding; the ends are what was promised.
         stiffness[0], stiffness[-1] = (low, high) if high > low else (low, low)
-        mass_low, mass_high = self.payload_mass_kg
+        mass_low, mass_high = self.plants.payload_mass_kg
         masses = np.linspace(mass_low, mass_high, mass_count if mass_high > mass_low else 1)
         return tuple(
             Scenario(environment_stiffness_n_per_m=float(k), payload_mass_kg=float(m))
@@ -217,15 +159,16 @@ class DesignProblem:
         lines += [(f"free: {name}", f"{low:g} to {high:g}") for name, (low, high) in self.bounds.items()]
         lines += [
             (f"uncertain: {SYMBOLS[name]}", f"{low:g} to {high:g}  ({name})")
-            for name, (low, high) in self.uncertainty.ranges.items()
+            for name, (low, high) in self.plants.ranges.items()
         ]
-        if self.ellipsoid is not None:
-            names = ", ".join(SYMBOLS[name] for name in self.ellipsoid.names)
-            lines.append(("cut by", f"the {100.0 * self.ellipsoid.level:g} % confidence set of {names}"))
+        ellipsoid = self.plants.ellipsoid
+        if ellipsoid is not None:
+            names = ", ".join(SYMBOLS[name] for name in ellipsoid.names)
+            lines.append(("cut by", f"the {100.0 * ellipsoid.level:g} % confidence set of {names}"))
         lines += [
             (f"nominal: {SYMBOLS[name]}", f"{value:g}")
-            for name, value in self.nominal().items()
-            if name not in self.uncertain
+            for name, value in self.plants.nominal_values().items()
+            if name not in self.plants.ranges
         ]
         lines.append(("sample time", f"{self.sample_time_s:g} s"))
         for name, value in asked.asked().items():

@@ -5,8 +5,8 @@ Names and units are those of the files. On rotational axes read rad, N·m and kg
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,31 +17,16 @@ from .._checks import interval, positive
 from ..arrays import FloatArray
 from ..errors import ParameterError
 from ..frozen import FrozenDict
-from ..model.plant import Coupling, Environment, PayloadDynamics, Plant, WrenchFilter
-from ..model.robot import RobotModel, has_damping_ratio, vary_robot
+from ..model.plant import FREE_SPACE, NO_FILTER, Plant, WrenchFilter
+from ..model.plant_parameters import PARAMETERS, build_plant, with_values
+from ..model.robot import RobotModel, has_damping_ratio
 
 Interval = tuple[float, float]
 
-ALWAYS_UNCERTAIN = ("environment_stiffness_n_per_m", "payload_mass_kg")
-FURTHER_UNCERTAIN = (
-    "coupling_stiffness_n_per_m",
-    "coupling_damping_n_s_per_m",
-    "drag_n_s_per_m",
-    "environment_damping_n_s_per_m",
-    "delay_s",
-    "robot_bandwidth_hz",
-    "robot_damping_ratio",
-    "wrench_time_constant_s",
-    "wrench_delay_s",
-)
-UNCERTAIN = (*ALWAYS_UNCERTAIN, *FURTHER_UNCERTAIN)
-SYMBOLS: Mapping[str, str] = FrozenDict(
-    dict(zip(UNCERTAIN, ("K_e", "M_p", "K_s", "B_s", "B_p", "B_e", "T_d", "f_b", "ζ_b", "τ_w", "T_w"), strict=True))
-)
-# A filter of the wrench is a state of the plant, and a state does not vanish within a set: τ_w is above 0 or absent.
-_MAY_BE_ZERO = frozenset(
-    {"coupling_damping_n_s_per_m", "drag_n_s_per_m", "environment_damping_n_s_per_m", "delay_s", "wrench_delay_s"}
-)
+UNCERTAIN = tuple(each.name for each in PARAMETERS.values() if each.may_vary)
+ALWAYS_UNCERTAIN, FURTHER_UNCERTAIN = UNCERTAIN[:2], UNCERTAIN[2:]
+STIFFNESS, MASS = ALWAYS_UNCERTAIN
+SYMBOLS: Mapping[str, str] = FrozenDict({name: PARAMETERS[name].symbol for name in UNCERTAIN})
 # More corners than these are left to the samples: eleven parameters have 2048.
 MOST_CORNERS = 128
 _ON_THE_EDGE = 1e-9
@@ -82,36 +67,8 @@ class Scenario:
 
     def plant(self, nominal: Plant) -> Plant:
         """Return the nominal plant with the values of this point, in contact."""
-
-        def value_of(name: str, otherwise: float) -> float:
-            value = getattr(self, name)
-            return otherwise if value is None else float(value)
-
-        return Plant(
-            robot=vary_robot(
-                nominal.robot,
-                bandwidth_hz=self.robot_bandwidth_hz,
-                damping_ratio=self.robot_damping_ratio,
-                delay_s=self.delay_s,
-            ),
-            coupling=Coupling(
-                stiffness_n_per_m=value_of("coupling_stiffness_n_per_m", nominal.coupling.stiffness_n_per_m),
-                damping_n_s_per_m=value_of("coupling_damping_n_s_per_m", nominal.coupling.damping_n_s_per_m),
-            ),
-            payload=PayloadDynamics(
-                mass_kg=self.payload_mass_kg,
-                drag_n_s_per_m=value_of("drag_n_s_per_m", nominal.payload.drag_n_s_per_m),
-            ),
-            environment=Environment(
-                stiffness_n_per_m=self.environment_stiffness_n_per_m,
-                damping_n_s_per_m=value_of("environment_damping_n_s_per_m", nominal.environment.damping_n_s_per_m),
-                mass_kg=nominal.environment.mass_kg,
-            ),
-            wrench_filter=WrenchFilter(
-                time_constant_s=value_of("wrench_time_constant_s", nominal.wrench_filter.time_constant_s),
-                delay_s=value_of("wrench_delay_s", nominal.wrench_filter.delay_s),
-            ),
-        )
+        always = {STIFFNESS: self.environment_stiffness_n_per_m, MASS: self.payload_mass_kg}
+        return with_values(nominal, {**always, **self.further()})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,13 +138,15 @@ class Ellipsoid:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Uncertainty:
+class PlantSet:
     """All plants that must be safe: `ranges` for K_e, M_p and any of the others, and an ellipsoid that cuts them.
 
-    Raises ParameterError for unknown names, ranges that cannot be, and an ellipsoid whose centre lies outside of the
-    ranges or that speaks of what does not vary.
+    What has no range is as in the `nominal` plant, which touches the softest surface with the lightest payload. Raises
+    ParameterError for unknown names, ranges that cannot be, and an ellipsoid whose centre lies outside of the ranges or
+    that speaks of what does not vary.
     """
 
+    nominal: Plant
     ranges: Mapping[str, Interval]
     ellipsoid: Ellipsoid | None = None
     varying: tuple[str, ...] = field(init=False)
@@ -199,11 +158,14 @@ class Uncertainty:
         for name in ALWAYS_UNCERTAIN:
             if name not in self.ranges:
                 raise ParameterError(name, None, "given as a range")
-        checked = {name: interval(name, self.ranges[name]) for name in UNCERTAIN if name in self.ranges}
-        for name in checked.keys() - _MAY_BE_ZERO:
-            positive(name, checked[name][0])
+        if "robot_damping_ratio" in self.ranges and not has_damping_ratio(self.nominal.robot):
+            must = f"given for a robot with two poles and no zero only (this one has {self.nominal.robot.order} poles)"
+            raise ParameterError("robot_damping_ratio", self.ranges["robot_damping_ratio"], must)
+        checked = {name: _checked(name, self.ranges[name]) for name in UNCERTAIN if name in self.ranges}
         object.__setattr__(self, "ranges", FrozenDict(checked))
         object.__setattr__(self, "varying", tuple(n for n, (low, high) in checked.items() if high > low))
+        soft_and_light = {name: checked[name][0] for name in ALWAYS_UNCERTAIN}
+        object.__setattr__(self, "nominal", with_values(self.nominal, soft_and_light))
         if self.ellipsoid is None:
             return
         for name, middle in zip(self.ellipsoid.names, self.ellipsoid.centre, strict=True):
@@ -213,6 +175,74 @@ class Uncertainty:
             if not low <= middle <= high:
                 raise ParameterError(f"ellipsoid.centre of {name}", middle, f"inside the range {low:g} to {high:g}")
 
+    @classmethod
+    def of(
+        cls,
+        robot: RobotModel,
+        *,
+        environment_stiffness_n_per_m: Interval,
+        payload_mass_kg: Interval,
+        wrench_filter: WrenchFilter = NO_FILTER,
+        further: Mapping[str, Interval] | None = None,
+        ellipsoid: Ellipsoid | None = None,
+        **nominal: float,
+    ) -> "PlantSet":
+        """Return the set around a robot and the `nominal` values of the other parameters, by their names."""
+        always = {STIFFNESS: environment_stiffness_n_per_m, MASS: payload_mass_kg}
+        for name in always.keys() & (further or {}).keys():
+            raise ParameterError("uncertain", name, "given as the problem's own range")
+        lowest = {name: _checked(name, span)[0] for name, span in always.items()}
+        plant = build_plant(robot, {**lowest, **nominal}, wrench_filter)
+        return cls(nominal=plant, ranges={**always, **(further or {})}, ellipsoid=ellipsoid)
+
+    @property
+    def environment_stiffness_n_per_m(self) -> Interval:
+        """The range of K_e."""
+        return self.ranges[STIFFNESS]
+
+    @property
+    def payload_mass_kg(self) -> Interval:
+        """The range of M_p."""
+        return self.ranges[MASS]
+
+    @property
+    def further(self) -> dict[str, Interval]:
+        """The ranges beyond K_e and M_p."""
+        return {name: span for name, span in self.ranges.items() if name not in ALWAYS_UNCERTAIN}
+
+    def range_of(self, name: str) -> Interval:
+        """Return the range of one parameter, from nominal to nominal where none is given."""
+        if name in self.ranges:
+            return self.ranges[name]
+        value = PARAMETERS[name].value(self.nominal)
+        return value, value
+
+    def nominal_values(self) -> dict[str, float]:
+        """Return the nominal values of what may be uncertain beyond K_e and M_p, as far as the plant has it."""
+        robot = self.nominal.robot
+        values = {
+            name: PARAMETERS[name].value(self.nominal)
+            for name in FURTHER_UNCERTAIN
+            if name != "robot_damping_ratio" or has_damping_ratio(robot)
+        }
+        wrench = {name for name in values if PARAMETERS[name].part == "wrench_filter"}
+        return {name: value for name, value in values.items() if name not in wrench or value or name in self.ranges}
+
+    def at(self, mass_kg: float, stiffness_n_per_m: float) -> Plant:
+        """Return the nominal plant with another payload and surface; without stiffness it is in free space."""
+        plant = self.nominal if stiffness_n_per_m > 0.0 else self.nominal.in_contact_with(FREE_SPACE)
+        return with_values(plant, {MASS: mass_kg, STIFFNESS: stiffness_n_per_m})
+
+    def with_ranges(self, ranges: Mapping[str, Interval]) -> "PlantSet":
+        """Return the same with further or other ranges."""
+        return replace(self, ranges={**self.ranges, **ranges})
+
+    def only(self, names: Iterable[str] = ALWAYS_UNCERTAIN) -> "PlantSet":
+        """Return the box over these parameters, everything else nominal: the lowest K_e and M_p, and no ellipsoid."""
+        kept = {name: self.ranges[name] for name in names}
+        lowest = {name: (self.ranges[name][0],) * 2 for name in ALWAYS_UNCERTAIN}
+        return PlantSet(nominal=self.nominal, ranges={**lowest, **kept})
+
     def from_unit(self, unit: Sequence[float] | FloatArray) -> Scenario:
         """Return the scenario of a point of the unit cube (d,), one side per entry of `varying`, pulled into the set.
 
@@ -221,9 +251,7 @@ class Uncertainty:
         values = {name: low for name, (low, high) in self.ranges.items() if low == high}
         for name, share in zip(self.varying, np.clip(unit, 0.0, 1.0).tolist(), strict=True):
             low, high = self.ranges[name]
-            value = (
-                low * (high / low) ** share if name == "environment_stiffness_n_per_m" else low + share * (high - low)
-            )
+            value = low * (high / low) ** share if name == STIFFNESS else low + share * (high - low)
             # The ends are what was promised, not what rounding makes of them.
             values[name] = low if share == 0.0 else high if share == 1.0 else min(max(value, low), high)
         return self._inside(values)
@@ -234,7 +262,7 @@ class Uncertainty:
         for i, name in enumerate(self.varying):
             (low, high), value = self.ranges[name], getattr(scenario, name)
             if value is not None:
-                ratio = name == "environment_stiffness_n_per_m"
+                ratio = name == STIFFNESS
                 unit[i] = math.log(value / low) / math.log(high / low) if ratio else (value - low) / (high - low)
         return np.asarray(np.clip(unit, 0.0, 1.0))
 
@@ -297,8 +325,7 @@ class Uncertainty:
         return tuple(dict.fromkeys(self.from_unit(unit) for unit in units))
 
 
-def check_robot(robot: RobotModel, ranges: Mapping[str, Interval]) -> None:
-    """Raise ParameterError if a range speaks of a damping ratio that the robot does not have."""
-    if "robot_damping_ratio" in ranges and not has_damping_ratio(robot):
-        must = f"given for a robot with two poles and no zero only (this one has {robot.order} poles)"
-        raise ParameterError("robot_damping_ratio", ranges["robot_damping_ratio"], must)
+def _checked(name: str, span: Interval) -> Interval:
+    """Return a range that can be; raises ParameterError."""
+    low, high = interval(name, span)
+    return (low if PARAMETERS[name].may_be_zero else positive(name, low)), high

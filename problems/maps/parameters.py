@@ -1,15 +1,17 @@
 """What a map can vary and show: one table of names, symbols and units, and how a value enters plant or controller."""
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, Literal
 
 from ..errors import ParameterError
 from ..frozen import FrozenDict
+from ..model.axis_kind import STRAIGHT, TURNING
 from ..model.controller import SMALLEST_FEEDBACK_DAMPING_S, AdmittanceController
-from ..model.plant import Coupling, Environment, PayloadDynamics, Plant
+from ..model.plant import Plant
+from ..model.plant_parameters import PARAMETERS, with_values
 from ..model.robot import RobotModel
 
 Part = Literal["controller", "plant"]
@@ -43,38 +45,54 @@ _OF_CONTROLLER = (
     ("acceleration_filter_rad_per_s", "ω_a", "acceleration filter", _CORNER, False),
     ("compensation_mass", "P̂", "compensated mass", _MASS, True),
 )
-_OF_PLANT = (
-    ("payload_mass", "M_p", "payload mass", _MASS, False),
-    ("drag", "B_p", "payload damping to ground", _DAMPING, True),
-    ("payload_frequency_rad_per_s", "ω", "payload frequency", _CORNER, False),
-    ("payload_damping_ratio", "ζ", "payload damping ratio", _NONE, True),
-    ("coupling_stiffness", "K_s", "coupling stiffness", _STIFFNESS, False),
-    ("coupling_damping", "B_s", "coupling damping", _DAMPING, True),
-    ("environment_stiffness", "K_e", "environment stiffness", _STIFFNESS, True),
-    ("environment_damping", "B_e", "environment damping", _DAMPING, True),
-    ("environment_mass", "M_e", "environment mass", _MASS, True),
-    ("delay_s", "T_d", "delay", _SECONDS, True),
-    ("robot_bandwidth_rad_per_s", "ω_b", "robot bandwidth", _CORNER, False),
-)
+_DERIVED = {
+    "payload": (
+        ("payload_frequency_rad_per_s", "ω", "payload frequency", _CORNER, False),
+        ("payload_damping_ratio", "ζ", "payload damping ratio", _NONE, True),
+    ),
+    "robot": (("robot_bandwidth_rad_per_s", "ω_b", "robot bandwidth", _CORNER, False),),
+}
+_LABELS = {"drag": "payload damping to ground"}
 
 
-def _table(part: Part, rows: tuple[tuple[str, str, str, tuple[str, str], bool], ...]) -> dict[str, MapParameter]:
-    return {
-        name: MapParameter(
-            name=name,
-            symbol=symbol,
-            label=label,
-            unit=units[0],
-            rotational_unit=units[1],
-            part=part,
-            may_be_zero=zero,
-        )
-        for name, symbol, label, units, zero in rows
+def _row(part: Part, row: tuple[str, str, str, tuple[str, str], bool]) -> MapParameter:
+    name, symbol, label, (unit, rotational_unit), may_be_zero = row
+    return MapParameter(
+        name=name,
+        symbol=symbol,
+        label=label,
+        unit=unit,
+        rotational_unit=rotational_unit,
+        part=part,
+        may_be_zero=may_be_zero,
+    )
+
+
+PLANT_NAMES: Mapping[str, str] = FrozenDict(
+    {
+        each.short_name: name
+        for part in ("payload", "coupling", "environment", "robot")
+        for name, each in PARAMETERS.items()
+        if each.part == part and each.kind in {"stiffness", "damping", "mass", "time"}
     }
+)
+"""The plant's parameters that a map may show, and their names in `problems.model.plant_parameters`."""
+
+
+def _of_plant() -> Iterator[MapParameter]:
+    """Yield the parameters of each part of the plant, those that are derived from a part's behind them."""
+    for part in ("payload", "coupling", "environment", "robot"):
+        for name, of in ((name, PARAMETERS[each]) for name, each in PLANT_NAMES.items()):
+            if of.part == part:
+                units = STRAIGHT.unit(of.kind), TURNING.unit(of.kind)
+                # A map may go to free space.
+                may_be_zero = of.may_be_zero or part == "environment"
+                yield _row("plant", (name, of.symbol, _LABELS.get(name, of.label), units, may_be_zero))
+        yield from (_row("plant", row) for row in _DERIVED.get(part, ()))
 
 
 MAP_PARAMETERS: Mapping[str, MapParameter] = FrozenDict(
-    _table("controller", _OF_CONTROLLER) | _table("plant", _OF_PLANT)
+    {each.name: each for each in (*(_row("controller", row) for row in _OF_CONTROLLER), *_of_plant())}
 )
 """Every parameter by its name. The payload frequency is ω = sqrt(K_s/M_p) and stands for M_p; its damping ratio
 ζ = B_p/(2 sqrt(M_p K_s)) stands for B_p; the bandwidth is that of a robot with one pole."""
@@ -169,40 +187,20 @@ def plant_at(plant: Plant, values: Mapping[str, float]) -> Plant:
 
     A payload frequency sets M_p = K_s/ω², a damping ratio then B_p = 2 ζ sqrt(M_p K_s), whatever else `values` sets.
     """
-    coupling, environment = plant.coupling, plant.environment
-    stiffness = values.get("coupling_stiffness", coupling.stiffness_n_per_m)
-    mass = values.get("payload_mass", plant.payload.mass_kg)
+    plant = with_values(plant, {PLANT_NAMES[name]: value for name, value in values.items() if name in PLANT_NAMES})
+    stiffness, payload, robot = plant.coupling.stiffness_n_per_m, plant.payload, plant.robot
     if "payload_frequency_rad_per_s" in values:
-        mass = stiffness / values["payload_frequency_rad_per_s"] ** 2
-    drag = values.get("drag", plant.payload.drag_n_s_per_m)
+        payload = replace(payload, mass_kg=stiffness / values["payload_frequency_rad_per_s"] ** 2)
     if "payload_damping_ratio" in values:
-        drag = 2.0 * values["payload_damping_ratio"] * math.sqrt(mass * stiffness)
-    return Plant(
-        robot=_robot_at(plant.robot, values),
-        coupling=Coupling(
-            stiffness_n_per_m=stiffness,
-            damping_n_s_per_m=values.get("coupling_damping", coupling.damping_n_s_per_m),
-        ),
-        payload=PayloadDynamics(mass_kg=mass, drag_n_s_per_m=drag),
-        environment=Environment(
-            stiffness_n_per_m=values.get("environment_stiffness", environment.stiffness_n_per_m),
-            damping_n_s_per_m=values.get("environment_damping", environment.damping_n_s_per_m),
-            mass_kg=values.get("environment_mass", environment.mass_kg),
-        ),
-        wrench_filter=plant.wrench_filter,
-    )
-
-
-def _robot_at(robot: RobotModel, values: Mapping[str, float]) -> RobotModel:
-    delay = values.get("delay_s", robot.delay_s)
+        drag = 2.0 * values["payload_damping_ratio"] * math.sqrt(payload.mass_kg * stiffness)
+        payload = replace(payload, drag_n_s_per_m=drag)
     if "robot_bandwidth_rad_per_s" in values:
+        bandwidth = values["robot_bandwidth_rad_per_s"]
         if not has_bandwidth(robot):
             must = f"asked of a robot with one pole (this one has {robot.order})"
-            raise ParameterError("robot_bandwidth_rad_per_s", values["robot_bandwidth_rad_per_s"], must)
-        return RobotModel.from_bandwidth(bandwidth_rad_per_s=values["robot_bandwidth_rad_per_s"], delay_s=delay)
-    if delay == robot.delay_s:
-        return robot
-    return RobotModel(numerator=robot.numerator, denominator=robot.denominator, delay_s=delay)
+            raise ParameterError("robot_bandwidth_rad_per_s", bandwidth, must)
+        robot = RobotModel.from_bandwidth(bandwidth_rad_per_s=bandwidth, delay_s=robot.delay_s)
+    return replace(plant, payload=payload, robot=robot)
 
 
 def has_bandwidth(robot: RobotModel) -> bool:
@@ -214,18 +212,12 @@ def value_of(name: str, plant: Plant, controller: AdmittanceController) -> float
     """Return what a parameter is on a plant and controller; NaN for the bandwidth of a robot with more poles."""
     if name in CONTROLLER_FIELDS:
         return float(getattr(controller, CONTROLLER_FIELDS[name]))
+    if name in PLANT_NAMES:
+        return PARAMETERS[PLANT_NAMES[name]].value(plant)
     stiffness, mass, drag = plant.coupling.stiffness_n_per_m, plant.payload.mass_kg, plant.payload.drag_n_s_per_m
     robot = plant.robot
     return {
-        "payload_mass": mass,
-        "drag": drag,
         "payload_frequency_rad_per_s": math.sqrt(stiffness / mass),
         "payload_damping_ratio": drag / (2.0 * math.sqrt(mass * stiffness)),
-        "coupling_stiffness": stiffness,
-        "coupling_damping": plant.coupling.damping_n_s_per_m,
-        "environment_stiffness": plant.environment.stiffness_n_per_m,
-        "environment_damping": plant.environment.damping_n_s_per_m,
-        "environment_mass": plant.environment.mass_kg,
-        "delay_s": robot.delay_s,
         "robot_bandwidth_rad_per_s": float(robot.denominator[-1]) if has_bandwidth(robot) else math.nan,
     }[name]

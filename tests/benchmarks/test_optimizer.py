@@ -128,11 +128,11 @@ def test_the_long_evolution_is_no_worse_than_a_sweep_of_its_own_scenarios() -> N
 def test_drawn_problems_are_the_same_again_and_differ() -> None:
     drawn = [draw_problem(seed) for seed in range(30)]
     assert drawn[7] == draw_problem(7)
-    samples = [each.robot.delay_s / each.sample_time_s for each in drawn]
+    samples = [each.plants.nominal.robot.delay_s / each.sample_time_s for each in drawn]
     whole = [abs(each - round(each)) < 1e-9 for each in samples]
     assert 1.0 <= min(samples) + 1e-9 < max(samples) <= 5.0 + 1e-9
     assert {*whole} == {True, False}
-    assert {each.robot.order for each in drawn} == {1, 2}
+    assert {each.plants.nominal.robot.order for each in drawn} == {1, 2}
     assert {each.objective for each in drawn} == {"contact_force", "sensor_force"}
     assert {each.approach.force_n is None for each in drawn} == {True, False}
 

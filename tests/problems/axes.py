@@ -1,11 +1,14 @@
 """Plants and controllers that the tests of this floor share: the paper's cell and random ones around it."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 
+from problems.design.problem import DesignProblem
+from problems.design.uncertainty import PlantSet
 from problems.model.controller import AdmittanceController, Compensation, Discretization
 from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel
@@ -41,6 +44,22 @@ def paper_plant(
             stiffness_n_per_m=stiffness, damping_n_s_per_m=environment_damping, mass_kg=environment_mass
         ),
     )
+
+
+def paper_problem(**changes: Any) -> DesignProblem:
+    """Return a design problem on the printed cell; what is no field of a problem is said of its set of plants."""
+    own = {each.name for each in fields(DesignProblem)}
+    plants: dict[str, Any] = {
+        "robot": one_pole(),
+        "coupling_stiffness_n_per_m": 3e5,
+        "coupling_damping_n_s_per_m": 0.0,
+        "drag_n_s_per_m": 630.0,
+        "environment_stiffness_n_per_m": (2e4, 5e5),
+        "payload_mass_kg": (8.0, 16.0),
+        **{name: value for name, value in changes.items() if name not in own},
+    }
+    said = {name: value for name, value in changes.items() if name in own}
+    return DesignProblem(**{"plants": PlantSet.of(**plants), "sample_time_s": PERIOD_S, **said})
 
 
 def admittance(

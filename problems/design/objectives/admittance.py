@@ -40,6 +40,6 @@ class HandForce(Objective):
 
     def __call__(self, controller: AdmittanceController, problem: DesignProblem, evaluation: Evaluation) -> float:
         """Return max 1/|V_p/F_h|."""
-        omega = band_frequencies(problem.robot, admittance_band_hz(problem))
+        omega = band_frequencies(problem.plants.nominal.robot, admittance_band_hz(problem))
         responses = [hand_admittance(free, controller, omega) for free in free_plants(problem, evaluation)]
         return max(float(np.max(1.0 / np.abs(response))) for response in responses)

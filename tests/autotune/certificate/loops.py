@@ -3,8 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from autotune.certificate.family import MASS, STIFFNESS, Family
+from autotune.certificate.family import Family
 from problems.arrays import FloatArray
+from problems.design.uncertainty import MASS, STIFFNESS
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.sampled import build_cut_loop, build_sampled_plant

@@ -13,9 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from autotune.certificate.family import UncertainPlant
+from autotune.certificate.family import Family
 from problems.arrays import FloatArray
+from problems.design.uncertainty import MASS, STIFFNESS
 from problems.model.plant import build_plant_matrices
+from problems.model.plant_parameters import with_values
 from problems.model.sampled import Controller, SampledPlant, build_loop, build_sampled_plant, stability_matrix
 
 _SMALLEST_SHARE = 1e-7
@@ -203,14 +205,14 @@ class StabilityProof:
 
 
 def lyapunov_stability(
-    plants: UncertainPlant, controller: Controller, sample_time_s: float, *, most_cells: int = _MOST_CELLS
+    family: Family, controller: Controller, sample_time_s: float, *, most_cells: int = _MOST_CELLS
 ) -> StabilityProof:
     """Prove that the sampled loop is stable for every plant of the set, or name a plant for which it is not shown.
 
     The set is split until every cell is proved; a cell whose centre is unstable, or one that would have to be split
     too finely, ends the attempt.
     """
-    loop = build_cell_loop(plants, controller, sample_time_s)
+    loop = build_cell_loop(family, controller, sample_time_s)
     waiting, cells, slack = np.array([[0.0, 0.0, 1.0, 1.0]]), 0, math.inf
     while len(waiting):
         now, waiting = waiting[:_AT_ONCE], waiting[_AT_ONCE:]
@@ -247,20 +249,21 @@ def _split(loop: CellLoop, cells: FloatArray) -> FloatArray:
     return np.vstack([lower, upper])
 
 
-def build_cell_loop(plants: UncertainPlant, controller: Controller, sample_time_s: float) -> CellLoop:
+def build_cell_loop(family: Family, controller: Controller, sample_time_s: float) -> CellLoop:
     """Find how the loop matrix depends on 1/M_p and K_e/M_p.
 
     A point of the unit square is 1/M_p and K_e: a rectangle of (1/M, K/M) would hold stiffness that nobody asked for.
     """
-    mass_low, mass_high = plants.payload_mass_kg
-    whole = build_plant_matrices(plants.at(1.0, 0.0), sample_time_s)
+    (mass_low, mass_high), stiffness = family.range_of(MASS), family.range_of(STIFFNESS)
+    whole = build_plant_matrices(with_values(family.nominal, {MASS: 1.0, STIFFNESS: 0.0}), sample_time_s)
     n = len(whole.b)
     # Only the last row (payload acceleration) depends on the mass: it is 1/M times the row for 1 kg.
     steady, per_mass, per_ratio = np.zeros((3, n + 1, n + 1))
     steady[: n - 1, :n], steady[: n - 1, n] = whole.a[:-1], whole.b[:-1]
     per_mass[n - 1, :n], per_mass[n - 1, n] = whole.a[-1], whole.b[-1]
     per_ratio[n - 1, n - 2] = -(sample_time_s**2)
-    sampled = build_sampled_plant(plants.at(mass_high, plants.environment_stiffness_n_per_m[0]), sample_time_s)
+    heaviest = with_values(family.nominal, {MASS: mass_high, STIFFNESS: stiffness[0]})
+    sampled = build_sampled_plant(heaviest, sample_time_s)
     constant, basis = _affine(sampled, controller)
     gain, rows, columns = _bounds(sampled, controller)
     return CellLoop(
@@ -271,7 +274,7 @@ def build_cell_loop(plants: UncertainPlant, controller: Controller, sample_time_
         constant=constant,
         basis=basis,
         inverse=(1.0 / mass_high, 1.0 / mass_low),
-        stiffness=plants.environment_stiffness_n_per_m,
+        stiffness=stiffness,
         gain=gain,
         rows=rows,
         columns=columns,

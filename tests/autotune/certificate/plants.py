@@ -3,9 +3,9 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from autotune.certificate.family import UncertainPlant
 from problems.arrays import FloatArray
-from problems.model.plant import NO_FILTER, Coupling, Environment, PayloadDynamics, Plant, WrenchFilter
+from problems.design.uncertainty import PlantSet
+from problems.model.plant import NO_FILTER, WrenchFilter
 from problems.model.robot import RobotModel
 from problems.model.sampled import Controller, build_loop, build_sampled_plant, spectral_radius
 from tests.problems.axes import ANY_DELAYS, PERIOD_S, between, one_pole, or_zero, robots
@@ -21,20 +21,22 @@ def uncertain(
     mass: tuple[float, float] = (15.0, 17.0),
     stiffness: tuple[float, float] = (5e4, 3e5),
     wrench_filter: WrenchFilter = NO_FILTER,
-) -> UncertainPlant:
+) -> PlantSet:
     """Return the paper's cell with ranges of mass and stiffness."""
-    nominal = Plant(
-        robot=robot if robot is not None else one_pole(),
-        coupling=Coupling(stiffness_n_per_m=coupling, damping_n_s_per_m=coupling_damping),
-        payload=PayloadDynamics(mass_kg=mass[0], drag_n_s_per_m=drag),
-        environment=Environment(stiffness_n_per_m=stiffness[0], damping_n_s_per_m=environment_damping),
+    return PlantSet.of(
+        robot if robot is not None else one_pole(),
+        coupling_stiffness_n_per_m=coupling,
+        coupling_damping_n_s_per_m=coupling_damping,
+        drag_n_s_per_m=drag,
+        environment_damping_n_s_per_m=environment_damping,
+        payload_mass_kg=mass,
+        environment_stiffness_n_per_m=stiffness,
         wrench_filter=wrench_filter,
     )
-    return UncertainPlant(nominal=nominal, payload_mass_kg=mass, environment_stiffness_n_per_m=stiffness)
 
 
 @st.composite
-def uncertain_plants(draw: st.DrawFn) -> UncertainPlant:
+def uncertain_plants(draw: st.DrawFn) -> PlantSet:
     """Draw robots of one and two poles, whole, fractional and no delays, damped and undamped walls and couplings."""
     lightest, softest = draw(between(5.0, 40.0)), draw(between(1e4, 3e5))
     return uncertain(
@@ -48,18 +50,17 @@ def uncertain_plants(draw: st.DrawFn) -> UncertainPlant:
     )
 
 
-def radius_at(plants: UncertainPlant, law: Controller, mass: float, stiffness: float) -> float:
+def radius_at(plants: PlantSet, law: Controller, mass: float, stiffness: float) -> float:
     """Return the largest |z| of one loop of the set, straight from its eigenvalues."""
-    where = plants if stiffness > 0.0 else plants.in_free_space()
-    return spectral_radius(build_loop(build_sampled_plant(where.at(mass, stiffness), PERIOD_S), law))
+    return spectral_radius(build_loop(build_sampled_plant(plants.at(mass, stiffness), PERIOD_S), law))
 
 
-def radii(plants: UncertainPlant, law: Controller, points: list[tuple[float, float]]) -> FloatArray:
+def radii(plants: PlantSet, law: Controller, points: list[tuple[float, float]]) -> FloatArray:
     """Return the largest |z| at points (M_p, K_e)."""
     return np.array([radius_at(plants, law, mass, stiffness) for mass, stiffness in points])
 
 
-def random_points(plants: UncertainPlant, count: int, *, seed: int = 0) -> list[tuple[float, float]]:
+def random_points(plants: PlantSet, count: int, *, seed: int = 0) -> list[tuple[float, float]]:
     """Return the corners and `count` random points of the set."""
     rng = np.random.default_rng(seed)
     masses = rng.uniform(*plants.payload_mass_kg, count)

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
-from autotune.certificate.family import UncertainPlant
+from autotune.certificate.family import Family
 from problems.arrays import FloatArray
+from problems.design.uncertainty import MASS, STIFFNESS
+from problems.model.plant_parameters import with_values
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, stability_matrix
 from tests.autotune.certificate.lyapunov import build_cell_loop, lyapunov
@@ -20,14 +22,16 @@ def numbers_of(inverse: float, stiffness: float) -> tuple[FloatArray, FloatArray
     return np.array([inverse]), np.array([stiffness])
 
 
-def reduced(plants: UncertainPlant, mass: float, stiffness: float) -> FloatArray:
+def reduced(family: Family, mass: float, stiffness: float) -> FloatArray:
     """Return the matrix whose eigenvalues decide, of one plant."""
-    return stability_matrix(build_loop(build_sampled_plant(plants.at(mass, stiffness), PERIOD_S), CALM))
+    plant = with_values(family.nominal, {MASS: mass, STIFFNESS: stiffness})
+    return stability_matrix(build_loop(build_sampled_plant(plant, PERIOD_S), CALM))
 
 
-def set_of(robot: RobotModel, free: bool, **ranges: Any) -> UncertainPlant:
+def set_of(robot: RobotModel, free: bool, **ranges: Any) -> Family:
     plants = uncertain(robot=robot, coupling_damping=150.0, environment_damping=0.0 if free else 40.0, **ranges)
-    return plants.in_free_space() if free else plants
+    family = Family(nominal=plants.nominal, ranges=plants.ranges, sample_time_s=PERIOD_S)
+    return family.in_free_space() if free else family
 
 
 @EVERY_KIND
@@ -90,13 +94,14 @@ def test_the_remainder_stays_below_its_bound(robot: RobotModel, free: bool, widt
 @EVERY_KIND
 def test_the_norm_over_a_cell_is_below_what_the_slack_promises(robot: RobotModel) -> None:
     """A cell with slack has one Lyapunov function for all its plants: each contracts by at least the slack."""
-    plants = set_of(robot, False, mass=(15.9, 16.1), stiffness=(1.45e5, 1.5e5))
+    masses, stiffnesses = (15.9, 16.1), (1.45e5, 1.5e5)
+    plants = set_of(robot, False, mass=masses, stiffness=stiffnesses)
     loop, cell = build_cell_loop(plants, CALM, PERIOD_S), np.array([[0.0, 0.0, 1.0, 1.0]])
     slack = float(loop.slack(cell)[0])
     assert slack > 0.0
     inverse, stiffness = loop.plant_numbers(np.array([[0.5, 0.5]]))
     centre = reduced(plants, float(1.0 / inverse[0]), float(stiffness[0]))
-    matrices = [reduced(plants, m, k) for m, k in random_points(plants, 30)]
+    matrices = [reduced(plants, m, k) for m, k in random_points(uncertain(mass=masses, stiffness=stiffnesses), 30)]
     radius, weight, contraction = float(np.max(np.abs(np.linalg.eigvals(centre)))), np.eye(len(centre)), []
     for _ in range(2):
         # The functions that the oracle tries first, by scipy's solver.

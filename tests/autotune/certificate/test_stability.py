@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from autotune.certificate import certify as certify_module
 from autotune.certificate.certify import CELL_WORK, ProofOutcome, Verdict, certify
 from autotune.certificate.claim import Claim, CombinedCertificate, prove
-from autotune.certificate.family import MASS, STIFFNESS, UncertainPlant, build_families
+from autotune.certificate.family import Family, build_families
 from problems.arrays import FloatArray
+from problems.design.uncertainty import MASS, STIFFNESS, PlantSet
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.model.linear_controllers import LinearController
@@ -43,13 +44,11 @@ EVERY_LAW = pytest.mark.parametrize("law", [CALM, linear_controller(CALM, PERIOD
 FEW = settings(deadline=None, max_examples=30)
 
 
-def proved(plants: UncertainPlant, law: Controller, *, work: int = WORK) -> CombinedCertificate:
-    ranges = ((STIFFNESS, plants.environment_stiffness_n_per_m), (MASS, plants.payload_mass_kg))
-    claim = Claim(nominal=plants.nominal, ranges=ranges, law=law, sample_time_s=PERIOD_S, modulus=None, work=work)
-    return prove(claim)
+def proved(plants: PlantSet, law: Controller, *, work: int = WORK) -> CombinedCertificate:
+    return prove(Claim(plants=plants, law=law, sample_time_s=PERIOD_S, modulus=None, work=work))
 
 
-def check_not_contradicted(plants: UncertainPlant, law: Controller) -> CombinedCertificate:
+def check_not_contradicted(plants: PlantSet, law: Controller) -> CombinedCertificate:
     """What is proved no plant contradicts, and a plant that is named as unstable is."""
     found = proved(plants, law)
     points = random_points(plants, 100)
@@ -94,7 +93,7 @@ def third_party_laws() -> st.SearchStrategy[LinearController]:
 
 @FEW
 @given(plants=uncertain_plants(), law=st.one_of(gentle_controllers(), controllers(), third_party_laws()))
-def test_a_proof_is_never_contradicted_by_eigenvalues(plants: UncertainPlant, law: Controller) -> None:
+def test_a_proof_is_never_contradicted_by_eigenvalues(plants: PlantSet, law: Controller) -> None:
     check_not_contradicted(plants, law)
 
 
@@ -128,7 +127,8 @@ def test_every_kind_of_loop_is_proved_over_a_domain_by_two_methods(robot: RobotM
     )
     assert radius_at(plants, law, 16.0, 1.5e5) < 1.0
     assert check_not_contradicted(plants, law).holds
-    part = replace(plants, payload_mass_kg=(15.98, 16.02), environment_stiffness_n_per_m=(1.49e5, 1.51e5))
+    ranges = {MASS: (15.98, 16.02), STIFFNESS: (1.49e5, 1.51e5)}
+    part = Family(nominal=plants.nominal, ranges=ranges, sample_time_s=PERIOD_S)
     assert lyapunov_stability(part, law, PERIOD_S).holds
     if law is not SPRUNG:
         assert lyapunov_stability(part.in_free_space(), law, PERIOD_S).holds
@@ -189,7 +189,7 @@ def test_nothing_is_proved_when_a_corner_is_unstable() -> None:
     assert check_not_contradicted(plants, law).false is not None
 
 
-def gap(drag: float) -> tuple[UncertainPlant, AdmittanceController]:
+def gap(drag: float) -> tuple[PlantSet, AdmittanceController]:
     """Light damping: stable against soft and against stiff walls, and not in between (MODEL.md, erratum 5)."""
     plants = uncertain(
         robot=one_pole(bandwidth_rad_per_s=24.0), coupling=2.1e5, drag=drag, mass=(16.0, 16.0), stiffness=(1e5, 3e6)
@@ -197,7 +197,7 @@ def gap(drag: float) -> tuple[UncertainPlant, AdmittanceController]:
     return plants, admittance(9.3, 1340.0, 0.019)
 
 
-def scanned(plants: UncertainPlant, law: Controller, count: int = 200) -> tuple[FloatArray, FloatArray]:
+def scanned(plants: PlantSet, law: Controller, count: int = 200) -> tuple[FloatArray, FloatArray]:
     low, high = plants.environment_stiffness_n_per_m
     stiffness = np.geomspace(low, high, count)
     return stiffness, radii(plants, law, [(16.0, float(k)) for k in stiffness])

@@ -9,8 +9,9 @@ from autotune.certificate import certify as certify_module
 from autotune.certificate.base_plant import fails_at
 from autotune.certificate.bounds import judge
 from autotune.certificate.certify import ProofOutcome, Verdict, certify
-from autotune.certificate.family import LAG, LATE, MASS, STIFFNESS, Family, UncertainPlant, build_families
+from autotune.certificate.family import LAG, LATE, Family, build_families
 from autotune.validation.margins import SweptMargins, sweep_margins
+from problems.design.uncertainty import MASS, STIFFNESS, PlantSet
 from problems.errors import ParameterError
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant, WrenchFilter
@@ -43,11 +44,7 @@ def of_lags(delay_s: float = 2.7 * PERIOD_S) -> Family:
 
 
 def swept(of: Family, law: AdmittanceController) -> SweptMargins:
-    plants = UncertainPlant(
-        nominal=of.nominal,
-        payload_mass_kg=of.range_of(MASS),
-        environment_stiffness_n_per_m=of.range_of(STIFFNESS),
-    )
+    plants = PlantSet(nominal=of.nominal, ranges={name: of.range_of(name) for name in (STIFFNESS, MASS)})
     others = [
         replace(plants.at(mass, stiffness), wrench_filter=WrenchFilter(time_constant_s=lag))
         for lag in of.range_of(LAG)
@@ -145,14 +142,11 @@ def test_what_holds_without_the_filter_is_refuted_with_it() -> None:
 
 def test_two_proofs_of_stability_agree_behind_a_filter() -> None:
     of = family((1.0e5, 1.1e5), (15.0, 15.5), nominal=filtered())
-    plants = UncertainPlant(
-        nominal=of.nominal, payload_mass_kg=(15.0, 15.5), environment_stiffness_n_per_m=(1.0e5, 1.1e5)
-    )
     for law in (CALM, admittance(8.0, 400.0, 0.0)):
-        for each, these in ((of, plants), (of.in_free_space(), plants.in_free_space())):
+        for each in (of, of.in_free_space()):
             expected = law is CALM
             assert certify(each, law, 0.05, work=WORK).holds == expected
-            assert lyapunov_stability(these, law, PERIOD_S).holds == expected
+            assert lyapunov_stability(each, law, PERIOD_S).holds == expected
 
 
 def test_a_late_wrench_is_proved_as_a_longer_delay_and_told_as_both() -> None:

@@ -37,7 +37,8 @@ def test_the_problem_of_a_controller_is_the_one_that_it_was_tuned_for() -> None:
 
 def test_what_is_uncertain_and_what_is_only_wished_are_kept() -> None:
     wished = replace(FAST_REQUIREMENTS, gain_margin_db=None, soft_n={"delay_margin_s": 2.0})
-    asked = replace(fast_optimized().searches["x"].problem, uncertain=FURTHER, requirements=wished)
+    solved = fast_optimized().searches["x"].problem
+    asked = replace(solved, plants=solved.plants.with_ranges(FURTHER), requirements=wished)
     controller = fast_optimized().controller
     hard = {key: value for key, value in controller.certificate.requirements.items() if not key.startswith(("g", "d"))}
     certificate = replace(
@@ -60,7 +61,7 @@ def test_the_filter_of_the_wrench_is_kept_and_nothing_reads_the_position_beside_
     gains = {"x": replace(controller.axes["x"], feedback_damping_s=0.0)}
     certificate = replace(controller.certificate, domain={"x": domain})
     problem = problem_of(replace(controller, axes=gains, certificate=certificate), "x")
-    assert problem.wrench_filter == wrench
+    assert problem.plants.nominal.wrench_filter == wrench
     assert build_domain(problem) == domain
     assert (problem.bounds["feedback_damping_s"] == (0.0, 0.0)) == (wrench.delay_s > 0.0)
 

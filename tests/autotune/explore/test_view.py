@@ -30,7 +30,7 @@ def test_a_view_is_what_single_questions_answer() -> None:
     problem = roomy_problem()
     ready = prepared(environment_stiffness_n_per_m=3e5, payload_mass_kg=12.0, coupling_stiffness_n_per_m=2e5)
     view, law = compute_view(ready, DESIGN), problem.controller(DESIGN)
-    plant = ready.scenario.plant(problem.nominal_plant())
+    plant = ready.scenario.plant(problem.plants.nominal)
     assert plant.coupling.stiffness_n_per_m == 2e5
     contact = build_sampled_plant(plant, problem.sample_time_s)
     free = build_sampled_plant(plant.in_contact_with(FREE_SPACE), problem.sample_time_s)

@@ -127,7 +127,7 @@ def predicted(gains: AxisGains, domain: AxisDomain) -> AxisPrediction:
         environment_stiffness_n_per_m=domain.environment_stiffness_n_per_m[1],
         payload_mass_kg=domain.payload_mass_kg[0],
     )
-    pair = build_sampled_contact(build_sampled_plant(stiffest.plant(domain.nominal_plant()), PERIOD_S))
+    pair = build_sampled_contact(build_sampled_plant(stiffest.plant(domain.plants.nominal), PERIOD_S))
     seen = simulate_contact(pair, law, Approach(force_n=domain.approach_force_n))
     return AxisPrediction(
         scenarios=(

@@ -39,7 +39,7 @@ def test_a_filtered_or_late_wrench_is_part_of_the_domain_and_none_is_no_entry() 
     """Files from before the entry are read as they were: no filter, and the same checksum."""
     plain = make_controller()
     assert all("wrench_filter" not in tree for tree in controller_tree(plain)["certificate"]["domain"].values())
-    assert plain.certificate.domain["x"].nominal_plant().wrench_filter == WrenchFilter()
+    assert plain.certificate.domain["x"].plants.nominal.wrench_filter == WrenchFilter()
     for wrench, told in (
         (WrenchFilter(time_constant_s=3.2e-3), {"time_constant_s": 3.2e-3}),
         (WrenchFilter(delay_s=2.4e-3), {"delay_s": 2.4e-3}),
@@ -50,7 +50,7 @@ def test_a_filtered_or_late_wrench_is_part_of_the_domain_and_none_is_no_entry() 
         tree = controller_tree(replace(plain, certificate=certificate))
         assert tree["certificate"]["domain"]["rz"]["wrench_filter"] == told
         back = parse_controller(dump_yaml(tree), "c.yaml").controller
-        assert back.certificate.domain["x"].nominal_plant().wrench_filter == wrench
+        assert back.certificate.domain["x"].plants.nominal.wrench_filter == wrench
         assert dict(back.certificate.domain["x"].uncertain or {}) == late
         assert controller_tree(back) == tree
 

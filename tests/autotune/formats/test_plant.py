@@ -79,11 +79,11 @@ def test_the_design_problem_holds_that_domain() -> None:
     source = plant().file()
     problems = build_problems(source.result, within_domain(ProblemSpec(), source.domain), DesignOptions())
     (problem,) = problems.values()
-    assert problem.payload_mass_kg == (16.0, 16.0)
-    assert problem.environment_stiffness_n_per_m == (2e4, 5e5)
-    assert set(problem.uncertain) == {"coupling_stiffness_n_per_m", "delay_s"}
-    assert problem.ellipsoid is None
-    assert problem.robot.delay_s == pytest.approx(0.0024, rel=1e-12)
+    assert problem.plants.payload_mass_kg == (16.0, 16.0)
+    assert problem.plants.environment_stiffness_n_per_m == (2e4, 5e5)
+    assert set(problem.plants.further) == {"coupling_stiffness_n_per_m", "delay_s"}
+    assert problem.plants.ellipsoid is None
+    assert problem.plants.nominal.robot.delay_s == pytest.approx(0.0024, rel=1e-12)
 
 
 def test_what_is_asked_wins_over_the_plant() -> None:

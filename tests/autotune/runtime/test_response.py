@@ -33,7 +33,7 @@ def test_the_peaks_in_closed_loop_are_those_in_the_file(tmp_path: Path) -> None:
             force_n=30.0,
             distance_m=0.02,
             duration_s=1.2,
-            plant=said.scenario().plant(domain.nominal_plant()),
+            plant=said.scenario().plant(domain.plants.nominal),
             payload=loaded.payload,
         )
         touch = int(np.flatnonzero(seen.contact_n)[0])

@@ -271,7 +271,7 @@ def test_the_peaks_that_a_file_predicts_are_met_by_the_runtime_that_loads_it(tmp
     controller = load_controller(tmp_path / "controller.yaml", sample_time_s=PERIOD_S, payload_mass_kg=16.0)
     for scenario in file.predicted["x"].scenarios:
         plant = dataclasses.replace(
-            file.certificate.domain["x"].nominal_plant(),
+            file.certificate.domain["x"].plants.nominal,
             environment=Environment(stiffness_n_per_m=scenario.environment_stiffness_n_per_m),
         )
         met = met_with(controller, 0, plant)

@@ -61,7 +61,7 @@ def test_a_slow_hand_feels_the_dampings_and_a_fast_one_more() -> None:
     slow = Requirements(free_space_admittance=AdmittanceTarget(min_m_s_per_n=1e-4, band_hz=(0.01, 0.02)))
     problem = replace(sample_problem(), requirements=slow)
     for law, evaluation in sample_evaluations(problem):
-        steady = law.damping_n_s_per_m + problem.drag_n_s_per_m
+        steady = law.damping_n_s_per_m + problem.plants.nominal.payload.drag_n_s_per_m
         assert HandForce()(law, problem, evaluation) == pytest.approx(steady, abs=150.0 * 20.0 * problem.sample_time_s)
         assert HandForce()(law, sample_problem(), evaluation) > steady
 

@@ -25,7 +25,7 @@ from identification.result import (
     VectorEstimate,
 )
 from problems.design.problem import AdmittanceTarget, DesignProblem, Requirements
-from problems.model.plant import Coupling
+from problems.design.uncertainty import PlantSet
 from problems.model.robot import RobotModel
 
 STIFFNESS = (8e4, 1.6e5)
@@ -53,11 +53,14 @@ def design_problem(
     stiffness: tuple[float, float] = STIFFNESS,
 ) -> DesignProblem:
     return DesignProblem(
-        robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=2.4e-3),
-        coupling=Coupling(stiffness_n_per_m=3e5, damping_n_s_per_m=150.0),
-        drag_n_s_per_m=330.0,
-        environment_stiffness_n_per_m=stiffness,
-        payload_mass_kg=mass,
+        plants=PlantSet.of(
+            RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=2.4e-3),
+            coupling_stiffness_n_per_m=3e5,
+            coupling_damping_n_s_per_m=150.0,
+            drag_n_s_per_m=330.0,
+            environment_stiffness_n_per_m=stiffness,
+            payload_mass_kg=mass,
+        ),
         sample_time_s=8e-4,
         bounds=bounds,
         requirements=requirements if requirements is not None else Requirements(),

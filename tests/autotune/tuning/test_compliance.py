@@ -222,9 +222,9 @@ def test_no_other_stiffness_beats_the_chosen_one(stiffness: float) -> None:
 def test_what_is_certified_is_an_ordinary_problem_over_the_tolerance(tmp_path: Path) -> None:
     found, chosen = tuned(), tuned().compliance["x"].chosen
     given = replace(SPEC, compliance=None, environment_stiffness_n_per_m=(7.2e4, 8.8e4))
-    problem = build_problems(identified_plant(), given, ONE_MASS)["x"]
-    assert found.searches["x"].problem.environment_stiffness_n_per_m == problem.environment_stiffness_n_per_m
-    assert found.searches["x"].problem.requirements == problem.requirements
+    problem, solved = build_problems(identified_plant(), given, ONE_MASS)["x"], found.searches["x"].problem
+    assert solved.plants.environment_stiffness_n_per_m == problem.plants.environment_stiffness_n_per_m
+    assert solved.requirements == problem.requirements
     assert found.controller.certificate.domain["x"].environment_stiffness_n_per_m == (7.2e4, 8.8e4)
     assert chosen.objective_n == found.searches["x"].evaluation.objective_n
     write_controller(tmp_path / "controller.yaml", found.controller)
@@ -249,7 +249,7 @@ def test_no_compliance_at_all_tells_the_nearest_and_what_would_have_to_be_eased(
     """The relaxations are those of the ordinary problem on the compliance that misses least."""
 
     def relaxations(problem: DesignProblem, **_: Any) -> tuple[Relaxation, ...]:
-        low, high = problem.environment_stiffness_n_per_m
+        low, high = problem.plants.environment_stiffness_n_per_m
         return (Relaxation(name="max_peak_force_n", asked=30.5, possible=0.5e-3 * (low + high)),)
 
     monkeypatch.setattr(optimize_module, "find_relaxations", relaxations)

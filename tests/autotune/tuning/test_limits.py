@@ -45,7 +45,7 @@ def test_the_peaks_hold_the_weight_that_may_be_left_over() -> None:
     assert controller.limits is not None
     assert told.force_n == controller.limits.rest_force_n
     force = domain.approach_force_n or 0.0
-    plant = worst.scenario().plant(domain.nominal_plant())
+    plant = worst.scenario().plant(domain.plants.nominal)
     law = admittance_controller(controller, "x")
     seen = replay_contact(plant, law, controller.sample_time_s, force + told.force_n)
     # As between a predicted contact and its replay: the touch falls between two ticks.
@@ -121,7 +121,7 @@ def test_the_command_of_the_replay_is_that_of_the_simulation() -> None:
     whole = small_controller()
     domain, law = whole.certificate.domain["x"], admittance_controller(whole, "x")
     worst = max(whole.predicted["x"].scenarios, key=lambda each: each.peak_contact_force_n)
-    plant = worst.scenario().plant(domain.nominal_plant())
+    plant = worst.scenario().plant(domain.plants.nominal)
     seen = replay_contact(plant, law, whole.sample_time_s, domain.approach_force_n or 0.0)
     speed, acceleration = largest_motion(replace(whole, axes={"x": replace(whole.axes["x"], deadband=0.0)}), "x")
     assert seen.largest_speed_m_s == pytest.approx(speed, rel=0.02)

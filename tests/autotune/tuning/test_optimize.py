@@ -51,7 +51,7 @@ def test_every_predicted_contact_is_the_exact_transient() -> None:
     problem = found.searches["x"].problem
     law = problem.controller(found.searches["x"].design)
     scenarios = found.controller.predicted["x"].scenarios
-    low, high = problem.environment_stiffness_n_per_m
+    low, high = problem.plants.environment_stiffness_n_per_m
     assert [scenarios[0].environment_stiffness_n_per_m, scenarios[-1].environment_stiffness_n_per_m] == [low, high]
     for said in scenarios:
         plant = found.searches["x"].active.pairs[0].contact.plant

@@ -13,6 +13,8 @@ from autotune.tuning.plausible import doubtful_ranges, left_out_contacts
 from autotune.tuning.problems import DesignOptions, build_problems
 from identification.result import CONTACT_UNEXPLAINED, Finding
 from problems.design.problem import DesignProblem
+from problems.design.uncertainty import STIFFNESS
+from problems.model.plant_parameters import with_values
 from tests.autotune.tuning.cases import design_problem, identified_axis, identified_plant, known, with_axis, write_plant
 
 RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -86,11 +88,16 @@ def test_through_the_command_line_nothing_is_searched(
     assert not (tmp_path / "controller.yaml").exists()
 
 
+def touching(problem: DesignProblem, stiffness: tuple[float, float]) -> DesignProblem:
+    return replace(problem, plants=problem.plants.with_ranges({STIFFNESS: stiffness}))
+
+
 def delayed(low: float, high: float) -> DesignProblem:
     """As `optimize` builds it: the nominal value moves into the range that was said."""
     problem = design_problem()
-    nominal = replace(problem.robot, delay_s=min(max(problem.robot.delay_s, low), high))
-    return replace(problem, robot=nominal, uncertain={"delay_s": (low, high)})
+    inside = min(max(problem.plants.nominal.robot.delay_s, low), high)
+    nominal = with_values(problem.plants.nominal, {"delay_s": inside})
+    return replace(problem, plants=replace(problem.plants, nominal=nominal).with_ranges({"delay_s": (low, high)}))
 
 
 @pytest.mark.parametrize(
@@ -120,10 +127,10 @@ def test_a_contact_that_a_said_range_leaves_out_is_stated() -> None:
     axis = identified_axis()
     stiff = replace(axis.environments[0], name="x2", stiffness_n_per_m=known(2e5, 1e4), peak_force_n=(75.7,))
     plant = with_axis(replace(axis, environments=(stiff,)))
-    narrow = replace(design_problem(), environment_stiffness_n_per_m=(2e4, 5e4))
+    narrow = touching(design_problem(), (2e4, 5e4))
     (line,) = left_out_contacts(narrow, plant, "x")
     assert line.startswith("axis x: surface x2, touched with up to 75.7 N in the log, has K_e = 2e+05 N/m")
-    wide = replace(narrow, environment_stiffness_n_per_m=(2e4, 5e5))
+    wide = touching(narrow, (2e4, 5e5))
     assert list(left_out_contacts(wide, plant, "x")) == []
 
 
@@ -131,7 +138,7 @@ def test_a_contact_of_unknown_stiffness_is_stated_beside_any_range() -> None:
     message = "Axis x: what was touched at 52.7 s (75.7 N) is none of the surfaces."
     finding = Finding(code=CONTACT_UNEXPLAINED, severity="error", message=message, advice="", axis="x")
     plant = replace(identified_plant(), findings=(finding,))
-    wide = replace(design_problem(), environment_stiffness_n_per_m=(2e4, 5e5))
+    wide = touching(design_problem(), (2e4, 5e5))
     (line,) = left_out_contacts(wide, plant, "x")
     assert line.startswith(message)
     assert "20000 to 500000 N/m" in line

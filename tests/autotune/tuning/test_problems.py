@@ -23,9 +23,10 @@ def test_the_plant_is_the_identified_one() -> None:
     problems = build_problems(identified_plant(), DEFAULT, NOTHING)
     assert list(problems) == ["x"]
     problem = problems["x"]
-    assert (problem.coupling.stiffness_n_per_m, problem.coupling.damping_n_s_per_m) == (3e5, 150.0)
-    assert (problem.drag_n_s_per_m, problem.sample_time_s, problem.robot.delay_s) == (330.0, 8e-4, 2.4e-3)
-    np.testing.assert_array_equal(problem.robot.denominator, [1.0, 20.0])
+    nominal = problem.plants.nominal
+    assert (nominal.coupling.stiffness_n_per_m, nominal.coupling.damping_n_s_per_m) == (3e5, 150.0)
+    assert (nominal.payload.drag_n_s_per_m, problem.sample_time_s, nominal.robot.delay_s) == (330.0, 8e-4, 2.4e-3)
+    np.testing.assert_array_equal(nominal.robot.denominator, [1.0, 20.0])
     assert problem.approach == Approach(force_n=30.0)
     assert problem.bounds == DEFAULT_BOUNDS
     assert problem.requirements == Requirements()
@@ -34,22 +35,22 @@ def test_the_plant_is_the_identified_one() -> None:
 def test_the_default_ranges_hold_the_uncertainty_and_at_least_a_daily_change() -> None:
     problem = build_problems(identified_plant(), DEFAULT, NOTHING)["x"]
     # 3 standard deviations are less than 20 % of K_e and 2 % of M_p here; rounded outwards to three digits.
-    assert problem.environment_stiffness_n_per_m == (8.8e4, 1.32e5)
-    assert problem.payload_mass_kg == (15.6, 16.4)
+    assert problem.plants.environment_stiffness_n_per_m == (8.8e4, 1.32e5)
+    assert problem.plants.payload_mass_kg == (15.6, 16.4)
 
 
 def test_a_large_uncertainty_widens_the_range() -> None:
     axis = identified_axis()
     surface = replace(axis.environments[0], stiffness_n_per_m=known(1e5, 3e4))
     problem = build_problems(with_axis(replace(axis, environments=(surface,))), DEFAULT, NOTHING)["x"]
-    low, high = problem.environment_stiffness_n_per_m
+    low, high = problem.plants.environment_stiffness_n_per_m
     assert 0.99e4 <= low <= 1e4
     assert high == pytest.approx(1.9e5)
     # However little the log tells, the range stays positive.
     unsure = replace(axis.environments[0], stiffness_n_per_m=known(1e5, 1e5))
     low, _ = build_problems(with_axis(replace(axis, environments=(unsure,))), DEFAULT, NOTHING)[
         "x"
-    ].environment_stiffness_n_per_m
+    ].plants.environment_stiffness_n_per_m
     assert 0.0 < low <= 100.0
 
 
@@ -57,7 +58,7 @@ def test_all_surfaces_are_in_the_range() -> None:
     axis = identified_axis()
     soft = replace(axis.environments[0], name="x2", stiffness_n_per_m=known(2e4, 10.0))
     problem = build_problems(with_axis(replace(axis, environments=(*axis.environments, soft))), DEFAULT, NOTHING)["x"]
-    assert problem.environment_stiffness_n_per_m == (1.6e4, 1.32e5)
+    assert problem.plants.environment_stiffness_n_per_m == (1.6e4, 1.32e5)
 
 
 def test_the_interval_of_a_weak_surface_is_in_the_range() -> None:
@@ -65,7 +66,7 @@ def test_the_interval_of_a_weak_surface_is_in_the_range() -> None:
     weak = Estimate(value=2e5, std=1e4, status=Status.WEAK, ci95=(1.5e5, 2.6e5))
     stiff = replace(axis.environments[0], name="x2", stiffness_n_per_m=weak)
     plant = with_axis(replace(axis, environments=(*axis.environments, stiff)))
-    assert build_problems(plant, DEFAULT, NOTHING)["x"].environment_stiffness_n_per_m == (8.8e4, 2.6e5)
+    assert build_problems(plant, DEFAULT, NOTHING)["x"].plants.environment_stiffness_n_per_m == (8.8e4, 2.6e5)
 
 
 def touched(axis: str) -> Identified:
@@ -78,16 +79,16 @@ def test_no_default_range_leaves_out_what_was_touched() -> None:
     with pytest.raises(EstimateError, match=r"52\.7 s \(75\.7 N\).*or say --environment-stiffness LO:HI"):
         build_problems(touched("x"), DEFAULT, NOTHING)
     said = DesignOptions(environment_stiffness_n_per_m=(2e4, 5e5))
-    assert build_problems(touched("x"), DEFAULT, said)["x"].environment_stiffness_n_per_m == (2e4, 5e5)
+    assert build_problems(touched("x"), DEFAULT, said)["x"].plants.environment_stiffness_n_per_m == (2e4, 5e5)
     # What was touched along another axis is that axis's matter.
-    assert build_problems(touched("y"), DEFAULT, NOTHING)["x"].environment_stiffness_n_per_m == (8.8e4, 1.32e5)
+    assert build_problems(touched("y"), DEFAULT, NOTHING)["x"].plants.environment_stiffness_n_per_m == (8.8e4, 1.32e5)
 
 
 @pytest.mark.parametrize("value", [0.0123456, 0.8, 16.0, 123456.0, 99.96])
 def test_rounding_is_always_outwards(value: float) -> None:
     plant = identified_plant()
     plant = replace(plant, payload=replace(plant.payload, mass_kg=known(value, 0.0)))
-    low, high = build_problems(plant, DEFAULT, NOTHING)["x"].payload_mass_kg
+    low, high = build_problems(plant, DEFAULT, NOTHING)["x"].plants.payload_mass_kg
     assert low <= 0.98 * value * (1.0 + 1e-12)
     assert high >= 1.02 * value * (1.0 - 1e-12)
     # Three digits: at most one unit of the third, a hundredth, is given away.
@@ -99,10 +100,10 @@ def test_rounding_is_always_outwards(value: float) -> None:
 def test_the_command_line_wins_over_the_problem_file_and_that_over_the_log() -> None:
     spec = ProblemSpec(payload_mass_kg=(10.0, 20.0), environment_stiffness_n_per_m=(1e4, 2e4))
     by_file = build_problems(identified_plant(), spec, NOTHING)["x"]
-    assert (by_file.payload_mass_kg, by_file.environment_stiffness_n_per_m) == ((10.0, 20.0), (1e4, 2e4))
+    assert (by_file.plants.payload_mass_kg, by_file.plants.environment_stiffness_n_per_m) == ((10.0, 20.0), (1e4, 2e4))
     options = DesignOptions(payload_mass_kg=(11.0, 12.0), environment_stiffness_n_per_m=(3e4, 4e4))
     by_hand = build_problems(identified_plant(), spec, options)["x"]
-    assert (by_hand.payload_mass_kg, by_hand.environment_stiffness_n_per_m) == ((11.0, 12.0), (3e4, 4e4))
+    assert (by_hand.plants.payload_mass_kg, by_hand.plants.environment_stiffness_n_per_m) == ((11.0, 12.0), (3e4, 4e4))
 
 
 def test_the_problem_file_sets_the_rest() -> None:
@@ -124,7 +125,7 @@ def test_the_problem_file_sets_the_rest() -> None:
 def test_a_damping_that_noise_made_negative_is_none() -> None:
     axis = identified_axis()
     axis = replace(axis, coupling=replace(axis.coupling, damping_n_s_per_m=known(-3.0, 5.0)))
-    assert build_problems(with_axis(axis), DEFAULT, NOTHING)["x"].coupling.damping_n_s_per_m == 0.0
+    assert build_problems(with_axis(axis), DEFAULT, NOTHING)["x"].plants.nominal.coupling.damping_n_s_per_m == 0.0
 
 
 def _without_stiffness(axis: AxisEstimate) -> AxisEstimate:
@@ -157,7 +158,7 @@ def test_nothing_is_tuned_on_a_guess(axis: AxisEstimate, told: str) -> None:
 def test_a_missing_environment_can_be_given() -> None:
     axis = replace(identified_axis(), environments=())
     options = DesignOptions(environment_stiffness_n_per_m=(1e4, 2e4))
-    assert build_problems(with_axis(axis), DEFAULT, options)["x"].environment_stiffness_n_per_m == (1e4, 2e4)
+    assert build_problems(with_axis(axis), DEFAULT, options)["x"].plants.environment_stiffness_n_per_m == (1e4, 2e4)
 
 
 def test_a_value_that_is_called_unidentifiable_is_not_used() -> None:
@@ -204,11 +205,11 @@ def test_a_range_that_leaves_the_identified_payload_out_is_refused() -> None:
 
 def test_masses_that_disagree_must_both_be_safe() -> None:
     moved = replace(identified_axis(), mass_kg=known(18.0, 0.01))
-    low, high = build_problems(with_axis(moved), ProblemSpec(), DesignOptions())["x"].payload_mass_kg
+    low, high = build_problems(with_axis(moved), ProblemSpec(), DesignOptions())["x"].plants.payload_mass_kg
     assert low <= 16.0 * 0.98
     assert high >= 18.0 * 1.02
     alone = build_problems(with_axis(replace(moved, mass_kg=known(16.1, 0.01))), ProblemSpec(), DesignOptions())["x"]
-    assert alone.payload_mass_kg[1] < 17.0
+    assert alone.plants.payload_mass_kg[1] < 17.0
 
 
 def test_the_noise_is_the_sensors_unless_it_is_said() -> None:

@@ -86,16 +86,16 @@ def test_what_is_said_of_rotation_counts_as_it_stands() -> None:
     )
     problem = turned(spec=ProblemSpec(rotational=said, requirements=Requirements(modulus_margin=0.4)))
     assert (problem.bounds["mass"], problem.bounds["lead_s"]) == ((0.3, 0.5), (0.0, 0.02))
-    assert (problem.approach, problem.payload_mass_kg) == (Approach(speed_m_s=0.1), (0.1, 0.2))
-    assert problem.environment_stiffness_n_per_m == (1e3, 2e3)
+    assert (problem.approach, problem.plants.payload_mass_kg) == (Approach(speed_m_s=0.1), (0.1, 0.2))
+    assert problem.plants.environment_stiffness_n_per_m == (1e3, 2e3)
     asked = Requirements(modulus_margin=0.4, max_peak_force_n=11.0, free_space_admittance=None)
     assert problem.requirements == asked
 
 
 def test_the_inertia_of_the_axis_is_what_it_moves() -> None:
-    low, high = turned(replace(turned_axis(), mass_kg=known(0.5, 0.001))).payload_mass_kg
+    low, high = turned(replace(turned_axis(), mass_kg=known(0.5, 0.001))).plants.payload_mass_kg
     assert (low, high) == (0.49, 0.51)  # 2 %, more than three deviations
-    low, high = turned(replace(turned_axis(), mass_kg=known(0.5, 0.01))).payload_mass_kg
+    low, high = turned(replace(turned_axis(), mass_kg=known(0.5, 0.01))).plants.payload_mass_kg
     assert (low, high) == pytest.approx((0.47, 0.53), abs=1.1e-3)  # three deviations, three digits rounded outwards
 
 
@@ -108,7 +108,7 @@ def test_an_inertia_that_no_motion_tells_is_asked_back(mass: object) -> None:
     with pytest.raises(EstimateError, match=r"axes\.ry\.inertia_kg_m2 is not identified"):
         turned(axis)
     given_range = ProblemSpec(rotational=RotationalSpec(payload_mass_kg=(0.6, 0.7)))
-    assert turned(axis, given_range).payload_mass_kg == (0.6, 0.7)
+    assert turned(axis, given_range).plants.payload_mass_kg == (0.6, 0.7)
 
 
 def test_missing_parameters_are_named_as_the_file_names_them() -> None:
@@ -124,10 +124,13 @@ def test_another_payload_is_refused_unless_its_inertia_is_said() -> None:
         build_problems(two_axes(), DEFAULT, heavy)
     said = ProblemSpec(rotational=RotationalSpec(payload_mass_kg=(0.6, 0.9)))
     problems = build_problems(two_axes(), said, heavy)
-    assert (problems["x"].payload_mass_kg, problems["ry"].payload_mass_kg) == ((16.0, 22.0), (0.6, 0.9))
-    assert build_problems(two_axes(), ProblemSpec(axes=("x",)), heavy)["x"].payload_mass_kg == (16.0, 22.0)
+    assert (problems["x"].plants.payload_mass_kg, problems["ry"].plants.payload_mass_kg) == ((16.0, 22.0), (0.6, 0.9))
+    assert build_problems(two_axes(), ProblemSpec(axes=("x",)), heavy)["x"].plants.payload_mass_kg == (16.0, 22.0)
     # The identified mass itself is no other payload.
-    assert turned(options=DesignOptions(payload_mass_kg=(16.0, 16.0))).payload_mass_kg == turned().payload_mass_kg
+    assert (
+        turned(options=DesignOptions(payload_mass_kg=(16.0, 16.0))).plants.payload_mass_kg
+        == turned().plants.payload_mass_kg
+    )
 
 
 def test_ranges_that_no_axis_takes_are_refused() -> None:

@@ -19,8 +19,8 @@ def test_the_nominal_design_misses_somewhere_and_the_robust_one_nowhere() -> Non
     """Uniform draws of the whole box, which are none of the search's scenarios."""
     robust = uncertain_optimized().searches["x"]
     problem, rng = robust.problem, np.random.default_rng(17)
-    nominal = solve_design(replace(problem, uncertain={}))
-    ranges = problem.uncertainty.ranges
+    nominal = solve_design(replace(problem, plants=problem.plants.only()))
+    ranges = problem.plants.ranges
     draws = [Scenario(**{name: float(rng.uniform(*pair)) for name, pair in ranges.items()}) for _ in range(300)]
     prepared = build_scenarios(problem, draws)
     seen = prepared.evaluate_exactly(problem.controller(robust.design)).evaluation
@@ -37,7 +37,7 @@ def test_the_local_search_finds_what_lies_between_the_scenarios() -> None:
     search = uncertain_optimized().searches["x"]
     problem, law = search.problem, search.problem.controller(search.design)
     found = WholeSet(problem).evaluate(law).evaluation
-    others = build_scenarios(problem, problem.uncertainty.samples(256, seed=99)).evaluate_exactly(law).evaluation
+    others = build_scenarios(problem, problem.plants.samples(256, seed=99)).evaluate_exactly(law).evaluation
     for name in ("modulus_margin", "free_space_admittance"):
         assert found.requirements[name] >= others.requirements[name] * (1.0 - 1e-3)
     assert found.objective_n >= others.objective_n * (1.0 - 1e-3)
@@ -47,7 +47,7 @@ def test_the_whole_set_is_the_grid_alone_where_nothing_else_is_uncertain() -> No
     problem = fast_optimized().searches["x"].problem
     assert WholeSet(problem).scenarios == problem.scenarios(33, 3)
     whole = WholeSet(uncertain_optimized().searches["x"].problem)
-    assert all(whole.uncertainty.contains(s) for s in whole.scenarios)
+    assert all(whole.plants.contains(s) for s in whole.scenarios)
     assert {name for s in whole.scenarios for name in s.further()} == set(FURTHER)
 
 

@@ -42,7 +42,7 @@ def peak_n(controller: Controller, mass_kg: float) -> float:
     (problem,) = build_problems(PLANT.result, FAST_SPEC, class_options(CLASSES[0], SURFACE)).values()
     law = admittance_controller(controller, "x")
     peaks = []
-    for stiffness in problem.environment_stiffness_n_per_m:
+    for stiffness in problem.plants.environment_stiffness_n_per_m:
         plant = problem.plant(Scenario(environment_stiffness_n_per_m=stiffness, payload_mass_kg=mass_kg))
         contact = build_sampled_contact(build_sampled_plant(plant, 8e-4))
         peaks.append(simulate_contact(contact, law, problem.approach).peak_contact_force_n)

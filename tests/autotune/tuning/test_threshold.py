@@ -85,7 +85,7 @@ def from_rest(controller: Controller, threshold: float, seed: int) -> NonlinearR
     scenario = worst_scenario(controller)
     contacts = contacts_of(controller, "x")
     return simulate_nonlinear(
-        scenario.plant(contacts.domain.nominal_plant()),
+        scenario.plant(contacts.domain.plants.nominal),
         contacts.law,
         contacts.approach,
         sample_time_s=contacts.sample_time_s,

@@ -10,7 +10,6 @@ from autotune.formats.problem import ProblemSpec, Uncertain
 from autotune.tuning.problems import DesignOptions, build_problems
 from autotune.tuning.record import build_domain
 from autotune.validation.margins import sweep_margins
-from autotune.validation.validate import uncertain_plant
 from identification.errors import EstimateError
 from identification.result import Estimate, Finding, Identified, Status, WrenchFilterEstimate
 from problems.design.evaluation import build_scenarios
@@ -41,8 +40,8 @@ def built(
 
 def test_without_an_entry_the_plant_is_as_it_was() -> None:
     found = built(None)
-    assert found.wrench_filter == WrenchFilter()
-    assert not {"wrench_time_constant_s", "wrench_delay_s"} & set(found.uncertain)
+    assert found.plants.nominal.wrench_filter == WrenchFilter()
+    assert not {"wrench_time_constant_s", "wrench_delay_s"} & set(found.plants.further)
     assert build_domain(found).wrench_filter is None
 
 
@@ -52,27 +51,27 @@ def test_a_filter_that_was_found_and_taken_out_of_the_file_is_asked_for() -> Non
     with pytest.raises(UsageError, match=r"no sensor\.wrench_filter, and its findings say: The wrench passes 50 Hz"):
         build_problems(cut, ProblemSpec(), DesignOptions())
     said = replace(ProblemSpec(), uncertain={"wrench_time_constant_s": (0.0, 0.0)})
-    assert build_problems(cut, said, DesignOptions())["x"].wrench_filter.is_none
-    assert not built(CORNER).wrench_filter.is_none
+    assert build_problems(cut, said, DesignOptions())["x"].plants.nominal.wrench_filter.is_none
+    assert not built(CORNER).plants.nominal.wrench_filter.is_none
 
 
 def test_a_corner_becomes_a_state_with_its_95_percent_range() -> None:
     found = built(CORNER)
-    assert found.wrench_filter.time_constant_s == pytest.approx(TAU, rel=1e-12)
-    assert found.wrench_filter.delay_s == 0.0
-    low, high = found.uncertain["wrench_time_constant_s"]
+    assert found.plants.nominal.wrench_filter.time_constant_s == pytest.approx(TAU, rel=1e-12)
+    assert found.plants.nominal.wrench_filter.delay_s == 0.0
+    low, high = found.plants.further["wrench_time_constant_s"]
     # 50 ± 0.5 Hz: two deviations, five digits, outwards.
     assert low <= 1.0 / (2.0 * math.pi * 51.0) <= low * (1.0 + 1e-4)
     assert high >= 1.0 / (2.0 * math.pi * 49.0) >= high * (1.0 - 1e-4)
     domain = build_domain(found)
-    assert domain.wrench_filter == found.wrench_filter
-    assert domain.nominal_plant().wrench_filter == found.wrench_filter
+    assert domain.wrench_filter == found.plants.nominal.wrench_filter
+    assert domain.plants.nominal.wrench_filter == found.plants.nominal.wrench_filter
 
 
 def test_a_delay_becomes_a_delay_and_leaves_the_position_alone() -> None:
     found = built(DELAY)
-    assert found.wrench_filter == WrenchFilter(delay_s=2.4e-3)
-    low, high = found.uncertain["wrench_delay_s"]
+    assert found.plants.nominal.wrench_filter == WrenchFilter(delay_s=2.4e-3)
+    low, high = found.plants.further["wrench_delay_s"]
     assert 2.3799e-3 <= low <= 2.38e-3
     assert 2.42e-3 <= high <= 2.4201e-3
     assert found.bounds["feedback_damping_s"] == (0.0, 0.0)
@@ -120,9 +119,9 @@ def test_problem_yaml_wins_and_a_weak_value_is_its_interval(
     ranges: dict[str, tuple[float, float]],
 ) -> None:
     found = built(wrench, said)
-    assert found.wrench_filter.time_constant_s == pytest.approx(nominal.time_constant_s, rel=1e-12)
-    assert found.wrench_filter.delay_s == pytest.approx(nominal.delay_s, rel=1e-12)
-    assert {name: span for name, span in found.uncertain.items() if name.startswith("wrench")} == ranges
+    assert found.plants.nominal.wrench_filter.time_constant_s == pytest.approx(nominal.time_constant_s, rel=1e-12)
+    assert found.plants.nominal.wrench_filter.delay_s == pytest.approx(nominal.delay_s, rel=1e-12)
+    assert {name: span for name, span in found.plants.further.items() if name.startswith("wrench")} == ranges
 
 
 def test_torques_pass_the_same_filter() -> None:
@@ -130,7 +129,11 @@ def test_torques_pass_the_same_filter() -> None:
     plant = two_axes()
     plant = replace(plant, sensor=replace(plant.sensor, wrench_filter=CORNER))
     found = build_problems(plant, ProblemSpec(), DesignOptions())
-    assert found["ry"].wrench_filter == found["x"].wrench_filter == built(CORNER).wrench_filter
+    assert (
+        found["ry"].plants.nominal.wrench_filter
+        == found["x"].plants.nominal.wrench_filter
+        == built(CORNER).plants.nominal.wrench_filter
+    )
     straight = admittance(6.0, 1600.0, 0.012)
     turning = replace(straight, mass_kg=6.0 * SQUARE, damping_n_s_per_m=1600.0 * SQUARE)
     moduli = []
@@ -141,7 +144,7 @@ def test_torques_pass_the_same_filter() -> None:
     assert moduli[1] == pytest.approx(moduli[0], rel=1e-6)
     said = ProblemSpec(uncertain={"wrench_time_constant_s": (1e-3, 2e-3)})
     both = build_problems(plant, said, DesignOptions())
-    assert {each.uncertain["wrench_time_constant_s"] for each in both.values()} == {(1e-3, 2e-3)}
+    assert {each.plants.further["wrench_time_constant_s"] for each in both.values()} == {(1e-3, 2e-3)}
 
 
 @pytest.mark.parametrize(
@@ -163,19 +166,19 @@ def test_a_filter_that_nobody_knows_is_refused(
 def test_margins_of_the_search_and_of_validation_hold_the_slowest_filter() -> None:
     """The filter's slow end is the worst modulus of three, and the optimizer's is the sweep's by other code."""
     problem, law = built(CORNER), admittance(6.0, 1600.0, 0.012)
-    prepared = build_scenarios(problem, problem.uncertainty.corners())
+    prepared = build_scenarios(problem, problem.plants.corners())
     by_lag: dict[float, float] = {}
     for scenario, plant in zip((*prepared.scenarios, *prepared.free_of), prepared.plants, strict=True):
         lag = scenario.wrench_time_constant_s or 0.0
         found = find_margins(plant.sampled, law).modulus
         by_lag[lag] = min(found, by_lag.get(lag, math.inf))
-    fast, slow = problem.uncertain["wrench_time_constant_s"]
+    fast, slow = problem.plants.further["wrench_time_constant_s"]
     assert by_lag[slow] < by_lag[fast]
     domain = build_domain(problem)
-    others = [scenario.plant(domain.nominal_plant()) for scenario in prepared.scenarios]
-    swept = sweep_margins(uncertain_plant(domain), law, problem.sample_time_s, stiffness=5, mass=2, others=others)
+    others = [scenario.plant(domain.plants.nominal) for scenario in prepared.scenarios]
+    swept = sweep_margins(domain.plants, law, problem.sample_time_s, stiffness=5, mass=2, others=others)
     # A grid of 6,000 points and the modes: 1e-3 of a minimum.
     assert swept.values["modulus"] <= by_lag[slow] * (1.0 + 1e-3)
     assert swept.values["modulus"] == pytest.approx(by_lag[slow], rel=2e-2)
-    plain = replace(domain.nominal_plant(), wrench_filter=WrenchFilter())
+    plain = replace(domain.plants.nominal, wrench_filter=WrenchFilter())
     assert find_margins(build_sampled_plant(plain, problem.sample_time_s), law).modulus > 1.1 * by_lag[slow]

@@ -8,8 +8,8 @@ from autotune.tuning.record import build_controller, build_domain
 from autotune.validation.axis_proof import prove_axis
 from problems.contact.transient import Approach
 from problems.design.problem import DesignProblem, Requirements
+from problems.design.uncertainty import PlantSet
 from problems.model.controller import AdmittanceController
-from problems.model.plant import Coupling
 from problems.model.robot import RobotModel
 from tests.problems.contact.test_bouncing import B_P, B_S, BOUNCY, DELAY_S, K_E, K_S, M_P, PERIOD_S, POLE
 
@@ -17,11 +17,14 @@ from tests.problems.contact.test_bouncing import B_P, B_S, BOUNCY, DELAY_S, K_E,
 def bouncing_problem(*, lead_s: tuple[float, float] = (BOUNCY.lead_s, BOUNCY.lead_s)) -> DesignProblem:
     """Return a problem whose only free variable is the lead; the largest, which is best for the peak, bounces."""
     return DesignProblem(
-        robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=POLE, delay_s=DELAY_S),
-        coupling=Coupling(stiffness_n_per_m=K_S, damping_n_s_per_m=B_S),
-        drag_n_s_per_m=B_P,
-        environment_stiffness_n_per_m=(K_E, K_E),
-        payload_mass_kg=(M_P, M_P),
+        plants=PlantSet.of(
+            RobotModel.from_bandwidth(bandwidth_rad_per_s=POLE, delay_s=DELAY_S),
+            coupling_stiffness_n_per_m=K_S,
+            coupling_damping_n_s_per_m=B_S,
+            drag_n_s_per_m=B_P,
+            environment_stiffness_n_per_m=(K_E, K_E),
+            payload_mass_kg=(M_P, M_P),
+        ),
         sample_time_s=PERIOD_S,
         approach=Approach(force_n=10.0),
         bounds={

@@ -29,7 +29,7 @@ RunCli = Callable[..., "subprocess.CompletedProcess[str]"]
 
 def test_plants_are_corners_and_samples_of_the_set_and_ratios_fill_the_range() -> None:
     domain = uncertain_optimized().controller.certificate.domain["x"]
-    plants, whole = drawn_plants(domain), domain.uncertainty()
+    plants, whole = drawn_plants(domain), domain.plants
     assert all(whole.contains(each) for each in plants)
     assert set(whole.corners()) <= set(plants)
     ratios = drawn_ratios(len(plants))

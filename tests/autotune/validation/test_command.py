@@ -34,7 +34,9 @@ DELAYS = (0.0, 5e-4, H, 2.4e-3, 2.6e-3)
 
 def plants(delay_s: float) -> tuple[Plant, ...]:
     """Return plants in contact and in free space behind a coupling with damping, all with this delay."""
-    problem = replace(design_problem(), robot=RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=delay_s))
+    problem = design_problem()
+    robot = RobotModel.from_bandwidth(bandwidth_rad_per_s=20.0, delay_s=delay_s)
+    problem = replace(problem, plants=replace(problem.plants, nominal=replace(problem.plants.nominal, robot=robot)))
     touching = [problem.plant(scenario) for scenario in problem.scenarios(3, 2)]
     return (*touching, *(plant.in_contact_with(FREE_SPACE) for plant in touching[::3]))
 

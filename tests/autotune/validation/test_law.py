@@ -7,7 +7,6 @@ import pytest
 
 from autotune.validation import law as law_module
 from autotune.validation.law import AxisTask, certify_law, prove_law, spring_share
-from autotune.validation.validate import uncertain_plant
 from problems.design.requirements import NoiseLimit, PassivityTarget
 from problems.model.controller import AdmittanceController
 from problems.model.linear_controllers import LinearController
@@ -44,9 +43,9 @@ def test_the_file_s_own_law_is_certified_as_the_controller_s_margins_say(task: A
     assert found.missed == ()
     assert found.spring_share is None
     assert found.margins is not None
-    plants = uncertain_plant(task.domain)
+    plants = task.domain.plants
     at_the_worst = find_margins(
-        build_sampled_plant(plants.at(16.0, 0.0).in_contact_with(plants.at(16.0, 0.0).environment), PERIOD_S),
+        build_sampled_plant(plants.at(16.0, 0.0), PERIOD_S),
         controller,
     )
     assert found.margins.values["modulus"] == pytest.approx(at_the_worst.modulus, rel=1e-3)
@@ -84,7 +83,7 @@ def test_an_unstable_law_has_no_margins_and_no_peak(task: AxisTask) -> None:
 
 def test_a_weak_spring_is_certified_over_a_range_of_masses(task: AxisTask) -> None:
     wide = replace(task.domain, payload_mass_kg=(15.5, 16.5))
-    found, share = prove_law(uncertain_plant(wide), sprung(2500.0, 1.0))
+    found, share = prove_law(wide.plants, sprung(2500.0, 1.0))
     assert found.holds
     assert (len(found.free_space), len(found.contact)) == (1, 1)
     assert share is not None

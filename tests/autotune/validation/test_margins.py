@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 
-from autotune.certificate.family import UncertainPlant
 from autotune.validation.margins import sweep_margins
+from problems.design.uncertainty import MASS, STIFFNESS, PlantSet
 from problems.model.controller import AdmittanceController
 from problems.model.plant import Plant
 from problems.model.robot import RobotModel
@@ -31,13 +31,10 @@ EVERY_KIND = pytest.mark.parametrize(
 )
 
 
-def only(plant: Plant) -> UncertainPlant:
+def only(plant: Plant) -> PlantSet:
     """The set of one plant."""
-    return UncertainPlant(
-        nominal=plant,
-        payload_mass_kg=(plant.payload.mass_kg,) * 2,
-        environment_stiffness_n_per_m=(plant.environment.stiffness_n_per_m,) * 2,
-    )
+    mass, stiffness = plant.payload.mass_kg, plant.environment.stiffness_n_per_m
+    return PlantSet(nominal=plant, ranges={MASS: (mass, mass), STIFFNESS: (stiffness, stiffness)})
 
 
 def by_responses(these: list[Plant], law: AdmittanceController) -> dict[str, float]:
@@ -68,7 +65,7 @@ def test_both_roads_lead_to_the_same_margins(robot: RobotModel, coupling_damping
     )
     swept = sweep_margins(set_of_one, law, PERIOD_S, stiffness=5, mass=3)
     assert swept.plants == 2  # in contact and in free space
-    these = [set_of_one.at(16.0, stiffness), set_of_one.in_free_space().at(16.0, 0.0)]
+    these = [set_of_one.at(16.0, stiffness), set_of_one.at(16.0, 0.0)]
     check_same(dict(swept.values), by_responses(these, law))
     largest = max(spectral_radius(build_loop(build_sampled_plant(plant, PERIOD_S), law)) for plant in these)
     assert swept.largest_radius == pytest.approx(largest, abs=1e-9)
@@ -79,7 +76,7 @@ def test_both_roads_lead_to_the_same_margins(robot: RobotModel, coupling_damping
 @given(plant=plants(contact=True), law=controllers())
 def test_both_roads_agree_on_random_stable_loops(plant: Plant, law: AdmittanceController) -> None:
     set_of_one = only(plant)
-    free = set_of_one.in_free_space().at(plant.payload.mass_kg, 0.0)
+    free = set_of_one.at(plant.payload.mass_kg, 0.0)
     # Next to the limit a margin is a difference of almost equal numbers, and no road is exact.
     assume(all(spectral_radius(build_loop(build_sampled_plant(p, PERIOD_S), law)) < 0.9999 for p in (plant, free)))
     expected = by_responses([plant, free], law)
@@ -92,7 +89,7 @@ def test_the_worst_plant_of_a_sweep_is_told() -> None:
     swept = sweep_margins(these, law, PERIOD_S, stiffness=7, mass=3)
     assert swept.plants == 7 * 3 + 3
     for name, (mass, stiffness) in swept.worst.items():
-        plant = these.at(mass, stiffness) if stiffness > 0.0 else these.in_free_space().at(mass, 0.0)
+        plant = these.at(mass, stiffness)
         there = getattr(find_margins(build_sampled_plant(plant, PERIOD_S), law), name)
         assert swept.values[name] == pytest.approx(there, rel=TWO_ROADS)
 

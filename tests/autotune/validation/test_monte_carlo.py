@@ -40,11 +40,11 @@ def test_the_peaks_of_the_linear_loop_are_those_of_the_exact_transient() -> None
     law, h = admittance_controller(controller, "x"), controller.sample_time_s
     exact = [
         simulate_contact(
-            build_sampled_contact(build_sampled_plant(scenario.plant(certified.nominal_plant()), h)),
+            build_sampled_contact(build_sampled_plant(scenario.plant(certified.plants.nominal), h)),
             law,
             Approach(force_n=30.0),
         )
-        for scenario in certified.uncertainty().samples(FEW, seed=1)
+        for scenario in certified.plants.samples(FEW, seed=1)
     ]
     assert found.contact is not None
     assert found.sensor is not None

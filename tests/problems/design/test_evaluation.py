@@ -17,14 +17,13 @@ from problems.design.problem import AdmittanceTarget, DesignProblem, NoiseLimit,
 from problems.design.requirements import LoopRequirement, smallest_admittance
 from problems.design.stable_design import StableDesign, StableLoop
 from problems.errors import ParameterError
-from problems.model.plant import Coupling
 from problems.model.response import free_space_admittance
 from problems.model.robot import RobotModel
 from problems.model.sampled import build_loop, build_sampled_plant, spectral_radius
 from problems.stability.margins import Margins, UnstableLoopError, find_margins
 from problems.stability.noise import predict_command_noise
 from problems.stability.passivity import check_passivity
-from tests.problems.axes import PERIOD_S, one_pole
+from tests.problems.axes import PERIOD_S, paper_problem
 
 GOOD = (15.0, 3000.0, 0.02, 0.0)
 UNSTABLE = (10.0, 300.0, 0.0, 0.0)
@@ -39,17 +38,7 @@ EASY = Requirements(
 
 
 def problem(**changes: Any) -> DesignProblem:
-    values: dict[str, Any] = {
-        "robot": one_pole(),
-        "coupling": Coupling(stiffness_n_per_m=3e5, damping_n_s_per_m=0.0),
-        "drag_n_s_per_m": 630.0,
-        "environment_stiffness_n_per_m": (2e4, 5e5),
-        "payload_mass_kg": (8.0, 16.0),
-        "sample_time_s": PERIOD_S,
-        "approach": Approach(force_n=30.0),
-        "requirements": EASY,
-    }
-    return DesignProblem(**(values | changes))
+    return paper_problem(**{"approach": Approach(force_n=30.0), "requirements": EASY, **changes})
 
 
 def prepared(**changes: Any) -> PreparedScenarios:

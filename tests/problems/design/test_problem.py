@@ -1,6 +1,5 @@
 import dataclasses
 import math
-from typing import Any
 
 import pytest
 from hypothesis import given
@@ -18,20 +17,7 @@ from problems.design.problem import (
 )
 from problems.design.uncertainty import Ellipsoid, Scenario
 from problems.errors import ParameterError
-from problems.model.plant import Coupling
-from tests.problems.axes import LAW, PERIOD_S, between, one_pole
-
-
-def problem(**changes: Any) -> DesignProblem:
-    values: dict[str, Any] = {
-        "robot": one_pole(),
-        "coupling": Coupling(stiffness_n_per_m=3e5, damping_n_s_per_m=0.0),
-        "drag_n_s_per_m": 630.0,
-        "environment_stiffness_n_per_m": (2e4, 5e5),
-        "payload_mass_kg": (8.0, 16.0),
-        "sample_time_s": PERIOD_S,
-    }
-    return DesignProblem(**(values | changes))
+from tests.problems.axes import LAW, between, paper_problem
 
 
 @pytest.mark.parametrize(
@@ -54,7 +40,7 @@ def problem(**changes: Any) -> DesignProblem:
 )
 def test_ranges_that_cannot_be_are_refused_by_name(name: str, value: object) -> None:
     with pytest.raises(ParameterError) as refusal:
-        problem(**{name: value})
+        paper_problem(**{name: value})
     assert refusal.value.name == name
 
 
@@ -73,18 +59,18 @@ def test_ranges_that_cannot_be_are_refused_by_name(name: str, value: object) -> 
 )
 def test_bounds_that_cannot_be_are_refused(bounds: dict[str, tuple[float, float]], must: str) -> None:
     with pytest.raises(ParameterError, match=must):
-        problem(bounds=bounds)
+        paper_problem(bounds=bounds)
 
 
 def test_a_bound_that_is_not_given_is_the_usual_one() -> None:
-    found = problem(bounds={"mass": (9.0, 9.0)}).bounds
+    found = paper_problem(bounds={"mass": (9.0, 9.0)}).bounds
     assert tuple(found) == VARIABLES
     assert dict(found) == dict(DEFAULT_BOUNDS) | {"mass": (9.0, 9.0)}
 
 
 def test_a_problem_cannot_be_changed_afterwards() -> None:
     bounds = {"mass": (9.0, 20.0)}
-    found = problem(bounds=bounds)
+    found = paper_problem(bounds=bounds)
     bounds["mass"] = (1.0, 2.0)
     assert found.bounds["mass"] == (9.0, 20.0)
     with pytest.raises(TypeError):
@@ -124,9 +110,9 @@ def test_the_admittance_band_lies_below_half_the_sampling_rate() -> None:
         Requirements(free_space_admittance=AdmittanceTarget(min_m_s_per_n=1e-4, band_hz=(0.1, top)))
         for top in (624.0, 625.0)
     )
-    assert problem(requirements=inside).requirements is inside
+    assert paper_problem(requirements=inside).requirements is inside
     with pytest.raises(ParameterError, match="half the sampling rate"):
-        problem(requirements=outside)
+        paper_problem(requirements=outside)
 
 
 @LAW
@@ -142,7 +128,7 @@ def test_a_grid_of_scenarios_has_the_ends_to_the_last_bit(
     low: float, ratio: float, mass: float, more: float, stiffnesses: int, masses: int
 ) -> None:
     high, heavy = low * ratio, mass + more
-    found = problem(environment_stiffness_n_per_m=(low, high), payload_mass_kg=(mass, heavy)).scenarios(
+    found = paper_problem(environment_stiffness_n_per_m=(low, high), payload_mass_kg=(mass, heavy)).scenarios(
         stiffnesses, masses
     )
     corners = {(s.environment_stiffness_n_per_m, s.payload_mass_kg) for s in found}
@@ -152,39 +138,39 @@ def test_a_grid_of_scenarios_has_the_ends_to_the_last_bit(
 
 
 def test_a_grid_has_equal_ratios_of_stiffness_and_equal_steps_of_mass() -> None:
-    found = problem(environment_stiffness_n_per_m=(1e3, 1e5), payload_mass_kg=(8.0, 16.0)).scenarios(3, 3)
+    found = paper_problem(environment_stiffness_n_per_m=(1e3, 1e5), payload_mass_kg=(8.0, 16.0)).scenarios(3, 3)
     # Rounding of two logarithms.
     assert [s.environment_stiffness_n_per_m for s in found[:3]] == pytest.approx([1e3, 1e4, 1e5], rel=1e-14)
     assert [s.payload_mass_kg for s in found[::3]] == [8.0, 12.0, 16.0]
 
 
 def test_a_range_that_is_a_point_gives_one_scenario() -> None:
-    found = problem(environment_stiffness_n_per_m=(2e4, 2e4), payload_mass_kg=(16.0, 16.0)).scenarios(5, 5)
+    found = paper_problem(environment_stiffness_n_per_m=(2e4, 2e4), payload_mass_kg=(16.0, 16.0)).scenarios(5, 5)
     assert found == (Scenario(environment_stiffness_n_per_m=2e4, payload_mass_kg=16.0),)
 
 
 def test_the_plant_of_a_scenario_is_the_problems_with_that_wall_and_mass() -> None:
-    asked = problem(environment_damping_n_s_per_m=40.0)
+    asked = paper_problem(environment_damping_n_s_per_m=40.0)
     plant = asked.plant(Scenario(environment_stiffness_n_per_m=7e4, payload_mass_kg=9.0))
     assert (plant.environment.stiffness_n_per_m, plant.environment.damping_n_s_per_m) == (7e4, 40.0)
     assert (plant.payload.mass_kg, plant.payload.drag_n_s_per_m) == (9.0, 630.0)
-    assert (plant.robot, plant.coupling) == (asked.robot, asked.coupling)
+    assert (plant.robot, plant.coupling) == (asked.plants.nominal.robot, asked.plants.nominal.coupling)
 
 
 def test_a_design_vector_is_a_controller_in_the_order_of_the_variables() -> None:
-    found = problem(velocity_filter_rad_per_s=90.0).controller([13.0, 1000.0, 0.02, 7.5e-3])
+    found = paper_problem(velocity_filter_rad_per_s=90.0).controller([13.0, 1000.0, 0.02, 7.5e-3])
     assert found.parameters().tolist() == [13.0, 1000.0, 0.02, 7.5e-3, 90.0, 200.0, 0.0]
 
 
 @pytest.mark.parametrize(("asked", "found"), [(0.0, 0.0), (9.9e-5, 0.0), (1e-4, 1e-4)])
 def test_feedback_damping_too_small_to_be_seconds_is_none(asked: float, found: float) -> None:
     """MODEL.md, erratum 2."""
-    assert problem().controller([13.0, 1000.0, 0.02, asked]).feedback_damping_s == found
+    assert paper_problem().controller([13.0, 1000.0, 0.02, asked]).feedback_damping_s == found
 
 
 def test_a_scenario_has_a_readable_name() -> None:
     assert Scenario(environment_stiffness_n_per_m=5e5, payload_mass_kg=16.0).name == "K_e 5e+05 N/m, 16 kg"
-    assert problem().approach == Approach(force_n=30.0)
+    assert paper_problem().approach == Approach(force_n=30.0)
 
 
 K_S, T_D = "coupling_stiffness_n_per_m", "delay_s"
@@ -193,15 +179,15 @@ UNCERTAIN = {K_S: (2.9e5, 3.1e5), T_D: (2.3e-3, 2.5e-3), "drag_n_s_per_m": (600.
 
 
 def uncertain_problem() -> DesignProblem:
-    return problem(uncertain=UNCERTAIN, ellipsoid=CUT, requirements=Requirements(max_peak_force_n=80.0))
+    return paper_problem(further=UNCERTAIN, ellipsoid=CUT, requirements=Requirements(max_peak_force_n=80.0))
 
 
 def test_ranges_beyond_stiffness_and_mass_belong_to_the_uncertainty() -> None:
     found = uncertain_problem()
-    assert found.uncertainty.varying == ("environment_stiffness_n_per_m", "payload_mass_kg", K_S, "drag_n_s_per_m", T_D)
-    assert problem().uncertainty.varying == ("environment_stiffness_n_per_m", "payload_mass_kg")
+    assert found.plants.varying == ("environment_stiffness_n_per_m", "payload_mass_kg", K_S, "drag_n_s_per_m", T_D)
+    assert paper_problem().plants.varying == ("environment_stiffness_n_per_m", "payload_mass_kg")
     # The grid stays at the nominal plant.
-    assert all(found.plant(s).coupling == found.coupling for s in found.scenarios(3, 3))
+    assert all(found.plant(s).coupling == found.plants.nominal.coupling for s in found.scenarios(3, 3))
 
 
 @pytest.mark.parametrize(
@@ -215,11 +201,11 @@ def test_ranges_beyond_stiffness_and_mass_belong_to_the_uncertainty() -> None:
 )
 def test_an_uncertainty_that_cannot_be_is_refused(uncertain: dict[str, tuple[float, float]], must: str) -> None:
     with pytest.raises(ParameterError, match=must):
-        problem(uncertain=uncertain)
+        paper_problem(further=uncertain)
 
 
 def wished_problem() -> DesignProblem:
-    return problem(
+    return paper_problem(
         bounds={"velocity_filter_rad_per_s": (60.0, 300.0), "compensation_mass_kg": (0.0, 16.0)},
         requirements=Requirements(
             command_noise=NoiseLimit(max_speed_rms_m_s=1e-3, force_noise_rms_n=0.2),
@@ -234,7 +220,7 @@ def test_variables_that_are_made_free_follow_the_four_in_a_fixed_order() -> None
     assert found.variables == (*VARIABLES, "velocity_filter_rad_per_s", "compensation_mass_kg")
     law = found.controller([13.0, 1000.0, 0.02, 7.5e-3, 80.0, 5.0])
     assert law.parameters().tolist() == [13.0, 1000.0, 0.02, 7.5e-3, 80.0, 200.0, 5.0]
-    assert problem().variables == VARIABLES
+    assert paper_problem().variables == VARIABLES
 
 
 @pytest.mark.parametrize(
@@ -248,7 +234,7 @@ def test_variables_that_are_made_free_follow_the_four_in_a_fixed_order() -> None
 )
 def test_variables_that_cannot_be_free_are_refused(bounds: dict[str, tuple[float, float]], must: str) -> None:
     with pytest.raises(ParameterError, match=must):
-        problem(bounds=bounds)
+        paper_problem(bounds=bounds)
 
 
 def test_wishes_and_requirements_are_told_apart_in_print() -> None:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from problems.design.uncertainty import ALWAYS_UNCERTAIN, MOST_CORNERS, UNCERTAIN, Ellipsoid, Scenario, Uncertainty
+from problems.design.uncertainty import ALWAYS_UNCERTAIN, MOST_CORNERS, UNCERTAIN, Ellipsoid, PlantSet, Scenario
 from problems.errors import ParameterError
 from problems.model.plant import Coupling, Environment, PayloadDynamics, Plant
 from problems.model.robot import RobotModel, bandwidth_hz, bandwidth_share, damping_ratio, vary_robot
@@ -27,7 +27,7 @@ NOMINAL = Plant(
     payload=PayloadDynamics(mass_kg=10.0, drag_n_s_per_m=400.0),
     environment=Environment(stiffness_n_per_m=1e5),
 )
-BOTH = Uncertainty(ranges=BOX, ellipsoid=CUT)
+BOTH = PlantSet(nominal=NOMINAL, ranges=BOX, ellipsoid=CUT)
 UNITS = st.lists(st.floats(0.0, 1.0), min_size=4, max_size=4)
 
 
@@ -61,7 +61,7 @@ def test_an_ellipsoid_of_mass_and_stiffness_cuts_them() -> None:
         covariance=((0.01, 0.0), (0.0, 1e6)),
     )
     box = {"environment_stiffness_n_per_m": (1e4, 1e6), "payload_mass_kg": (1.0, 40.0)}
-    whole = Uncertainty(ranges=box, ellipsoid=cut)
+    whole = PlantSet(nominal=NOMINAL, ranges=box, ellipsoid=cut)
     radius = math.sqrt(chi2.ppf(0.95, 2))
     for radii, is_inside in ((0.0, True), (0.99, True), (1.01, False), (24.0, False)):
         heavier = Scenario(environment_stiffness_n_per_m=1e5, payload_mass_kg=20.0 + 0.1 * radius * radii)
@@ -74,7 +74,7 @@ def test_an_ellipsoid_of_mass_and_stiffness_cuts_them() -> None:
 @LAW
 @given(UNITS)
 def test_a_box_is_the_image_of_the_cube_and_back(unit: list[float]) -> None:
-    box = Uncertainty(ranges=BOX)
+    box = PlantSet(nominal=NOMINAL, ranges=BOX)
     np.testing.assert_allclose(box.to_unit(box.from_unit(unit)), unit, atol=1e-9)
 
 
@@ -115,7 +115,7 @@ def test_the_box_of_a_damping_near_none_ends_at_none() -> None:
 
 
 def test_corners_are_all_combinations_and_samples_are_the_same_for_a_seed() -> None:
-    box = Uncertainty(ranges=BOX)
+    box = PlantSet(nominal=NOMINAL, ranges=BOX)
     corners = {tuple(getattr(s, name) for name in BOX) for s in box.corners()}
     assert len(corners) == 16
     assert all(value in BOX[name] for corner in corners for name, value in zip(BOX, corner, strict=True))
@@ -125,7 +125,12 @@ def test_corners_are_all_combinations_and_samples_are_the_same_for_a_seed() -> N
 
 def test_samples_fill_the_box_evenly() -> None:
     """Every sixteenth of K_e by ratio and of M_p by size holds its share of a Sobol' sequence of 64."""
-    units = np.array([Uncertainty(ranges=BOX).to_unit(s) for s in Uncertainty(ranges=BOX).samples(64, seed=1)])
+    units = np.array(
+        [
+            PlantSet(nominal=NOMINAL, ranges=BOX).to_unit(s)
+            for s in PlantSet(nominal=NOMINAL, ranges=BOX).samples(64, seed=1)
+        ]
+    )
     for column in units.T:
         counts, _ = np.histogram(column, bins=16, range=(0.0, 1.0))
         assert set(counts) == {4}
@@ -133,14 +138,15 @@ def test_samples_fill_the_box_evenly() -> None:
 
 def test_many_parameters_have_no_more_corners_than_are_looked_at() -> None:
     ranges = dict.fromkeys(UNCERTAIN, (1.0, 2.0))
-    corners = Uncertainty(ranges=ranges).corners()
+    two_poles = RobotModel(numerator=np.array([900.0]), denominator=np.array([1.0, 42.0, 900.0]), delay_s=1.5)
+    corners = PlantSet(nominal=replace(NOMINAL, robot=two_poles), ranges=ranges).corners()
     assert len(corners) == MOST_CORNERS
     for name in UNCERTAIN:
         assert {getattr(s, name) for s in corners} == {1.0, 2.0}
 
 
 def test_without_spread_there_is_one_point() -> None:
-    one = Uncertainty(ranges={K_E: (1e5, 1e5), M_P: (8.0, 8.0)})
+    one = PlantSet(nominal=NOMINAL, ranges={K_E: (1e5, 1e5), M_P: (8.0, 8.0)})
     assert one.corners() == one.samples(16) == (Scenario(environment_stiffness_n_per_m=1e5, payload_mass_kg=8.0),)
 
 
@@ -157,7 +163,7 @@ def test_without_spread_there_is_one_point() -> None:
 )
 def test_a_set_that_cannot_be_is_refused(ranges: Any, ellipsoid: Ellipsoid | None, must: str) -> None:
     with pytest.raises(ParameterError, match=must):
-        Uncertainty(ranges=ranges, ellipsoid=ellipsoid)
+        PlantSet(nominal=NOMINAL, ranges=ranges, ellipsoid=ellipsoid)
 
 
 @pytest.mark.parametrize(

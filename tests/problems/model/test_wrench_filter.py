@@ -23,7 +23,7 @@ from problems.design.gradients import (
 )
 from problems.design.problem import DesignProblem
 from problems.design.stable_design import Gradient
-from problems.design.uncertainty import Scenario, Uncertainty
+from problems.design.uncertainty import MASS, STIFFNESS, PlantSet, Scenario
 from problems.errors import ParameterError
 from problems.maps.loops import Designs, build_plant_loops
 from problems.model.continuous import continuous_loop
@@ -274,30 +274,20 @@ def test_a_law_that_reads_the_position_beside_a_late_wrench_is_refused(law: Admi
 
 
 def test_a_design_problem_varies_the_filter_and_refuses_what_it_cannot_hold() -> None:
-    problem = DesignProblem(
-        robot=CELL.robot,
-        coupling=CELL.coupling,
-        drag_n_s_per_m=330.0,
-        environment_stiffness_n_per_m=(1e5, 1.4e5),
-        payload_mass_kg=(16.0, 16.4),
-        sample_time_s=PERIOD_S,
-        wrench_filter=FILTER,
-        uncertain={"wrench_time_constant_s": (3.1e-3, 3.3e-3)},
+    plants = PlantSet(
+        nominal=replace(CELL, wrench_filter=FILTER),
+        ranges={STIFFNESS: (1e5, 1.4e5), MASS: (16.0, 16.4), "wrench_time_constant_s": (3.1e-3, 3.3e-3)},
     )
-    assert {each.wrench_time_constant_s for each in problem.uncertainty.corners()} == {3.1e-3, 3.3e-3}
-    assert problem.nominal()["wrench_time_constant_s"] == FILTER.time_constant_s
+    problem = DesignProblem(plants=plants, sample_time_s=PERIOD_S)
+    assert {each.wrench_time_constant_s for each in plants.corners()} == {3.1e-3, 3.3e-3}
+    assert plants.nominal_values()["wrench_time_constant_s"] == FILTER.time_constant_s
     scenario = Scenario(environment_stiffness_n_per_m=1e5, payload_mass_kg=16.0, wrench_time_constant_s=3.3e-3)
     assert problem.plant(scenario).wrench_filter == WrenchFilter(time_constant_s=3.3e-3)
+    late = replace(CELL, wrench_filter=replace(FILTER, delay_s=1e-3))
     with pytest.raises(ParameterError, match=r"bounds of feedback_damping_s must be \(0, 0\)"):
-        replace(problem, wrench_filter=replace(FILTER, delay_s=1e-3))
+        replace(problem, plants=replace(plants, nominal=late))
     with pytest.raises(ParameterError, match="wrench_time_constant_s"):
-        Uncertainty(
-            ranges={
-                "environment_stiffness_n_per_m": (1e5, 1e5),
-                "payload_mass_kg": (16.0, 16.0),
-                "wrench_time_constant_s": (0.0, 1e-3),
-            }
-        )
+        plants.with_ranges({"wrench_time_constant_s": (0.0, 1e-3)})
 
 
 @pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
