@@ -66,7 +66,7 @@ def on_curve(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[Compliance,
         asked: list[float] = []
 
         def solve(problem: Any, *, neighbour: Any, **_: int) -> Any:
-            stiffness = problem.environment_stiffness_n_per_m[1] / 1.2
+            stiffness = problem.plants.environment_stiffness_n_per_m[1] / 1.2
             if neighbour is None or not asked or asked[-1] != stiffness:
                 asked.append(stiffness)
             peak = curve(stiffness)
