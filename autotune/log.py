@@ -144,6 +144,8 @@ def read_log(
     pose_topic: str | None = None,
     command_topic: str | None = None,
     salvage: bool = False,
+    urdf: str | Path | None = None,
+    tip: str | None = None,
     start: Instant | None = None,
     stop: Instant | None = None,
 ) -> Log:
@@ -159,6 +161,9 @@ def read_log(
         Channels of wrench, measured and commanded flange pose; found by type and name unless they are said.
     salvage
         Read what a damaged log still holds.
+    urdf, tip
+        The URDF through which joint positions are a pose, where the log has no other, and the link whose pose it is
+        (extra `urdf`).
     start, stop
         The part that is read: seconds after the log's start (12.5), or with @ a stamp in seconds ("@1700000012.5").
 
@@ -192,6 +197,8 @@ def read_log(
         pose_topic=pose_topic,
         command_topic=command_topic,
         salvage=salvage,
+        urdf=None if urdf is None else str(urdf),
+        tip=tip,
         start=start,
         stop=stop,
     )

@@ -17,6 +17,7 @@ from identification.evidence import Evidence
 from identification.given import Given, check_names
 from identification.identify import identify_with_evidence
 from identification.logs import read_checked_recording
+from identification.logs.containers.formats import sha256_of
 from identification.logs.parts import separate_runs
 from identification.logs.roles.cell import Cell
 from identification.logs.roles.interpret import build_frames
@@ -27,6 +28,8 @@ from problems.frozen import freeze
 from problems.progress import no_progress
 
 _READING_SHARE = 0.25
+_ONLY_WHERE_GIVEN = ("urdf", "tip", "start", "stop")
+"""Options that a file without them was identified without."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +48,8 @@ class IdentifyOptions:
         Keep a missing parameter as unidentifiable, and a widened mean of what logs disagree on.
     salvage
         Read what a damaged log still holds.
+    urdf, tip
+        The URDF through which joint positions are a pose, where the log has no other, and the link whose pose it is.
     start, stop
         The part of the log that is read (`LogSpan`); None for its beginning and end.
     given
@@ -58,6 +63,8 @@ class IdentifyOptions:
     command_topic: str | None = None
     allow_partial: bool = False
     salvage: bool = False
+    urdf: str | None = None
+    tip: str | None = None
     start: Instant | None = None
     stop: Instant | None = None
     given: Mapping[str, Given] = field(default_factory=dict)
@@ -73,13 +80,14 @@ class IdentifyOptions:
     def declared(self) -> Cell:
         """Return what is declared of the cell, with the channels that were named."""
         cell = Cell() if self.cell is None else self.cell.cell
-        return cell.with_topics(wrench=self.wrench_topic, pose=self.pose_topic, command=self.command_topic)
+        cell = cell.with_topics(wrench=self.wrench_topic, pose=self.pose_topic, command=self.command_topic)
+        return cell.with_urdf(self.urdf, self.tip)
 
     def tree(self) -> dict[str, Any]:
         """Return the `options` of the provenance: plain data, without the cell and what was not given."""
         given = {name: [prior.value, prior.std] for name, prior in self.given.items()}
         own = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in ("cell", "given")}
-        own = {name: value for name, value in own.items() if value is not None or name not in ("start", "stop")}
+        own = {name: value for name, value in own.items() if value is not None or name not in _ONLY_WHERE_GIVEN}
         return {**own, **({"given": given} if given else {})}
 
     @classmethod
@@ -238,12 +246,13 @@ def _source(recording: Recording) -> _Source:
 def _provenance(sources: Sequence[_Source], options: IdentifyOptions) -> dict[str, Any]:
     """Return where the numbers come from; channels and clocks are those of the first recording."""
     first, spans = sources[0], [list(source.span_s) for source in sources]
-    cell = options.cell
+    cell, joints = options.cell, options.declared().joints
     logs = [(path, digest) for source in sources for path, digest in source.sha256.items()]
     return {
         "tool": f"autotune {__version__}",
         "logs": [{"path": path, "sha256": digest} for path, digest in logs],
         "cell": None if cell is None else {"path": str(cell.path), "sha256": cell.sha256},
+        **({} if joints is None else {"urdf": {"path": str(joints.urdf), "sha256": sha256_of(joints.urdf)}}),
         "channels": dict(first.channels),
         "clocks": dict(first.clocks),
         "time_span_s": spans[0],

@@ -116,6 +116,14 @@ def cell_option(function: Callable[..., Any]) -> Callable[..., Any]:
     return click.option("--cell", "cell_path", type=FilePath(*SETTINGS), help=text)(function)
 
 
+def urdf_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add `--urdf` and `--tip`: how joint positions are a pose."""
+    text = "Take the pose from joint positions through this URDF, where the log has no other."
+    tip = click.option("--tip", metavar="LINK", help="Link of the URDF whose pose it is, e.g. tool0.")
+    kind = FilePath(".urdf", ".xml")
+    return click.option("--urdf", type=kind, callback=lambda _, __, path: path and str(path), help=text)(tip(function))
+
+
 def span_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add `--from` and `--to`, handed on as `start` and `stop`: the part of a log that is read."""
     text = "seconds after its start, or @ and a stamp in seconds."

@@ -2,12 +2,21 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from ._common import Output, output_options
-from ._options import LOGS, FilePath, GroupedCommand, cell_option, output_option, salvage_option, span_options
+from ._options import (
+    LOGS,
+    FilePath,
+    GroupedCommand,
+    cell_option,
+    output_option,
+    salvage_option,
+    span_options,
+    urdf_options,
+)
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._terminal import print_message, print_table
 
@@ -25,7 +34,7 @@ Examples:
   autotune identify monday.mcap friday.mcap --given mass_kg=16.2±0.1
 """
 _GROUPS = {
-    "Settings of the cell": ("cell_path", "wrench_topic", "pose_topic", "command_topic", "given"),
+    "Settings of the cell": ("cell_path", "wrench_topic", "pose_topic", "command_topic", "urdf", "tip", "given"),
     "Parts of logs, damaged logs and missing parameters": ("start", "stop", "allow_partial", "salvage"),
 }
 
@@ -42,6 +51,7 @@ _GROUPS = {
     is_flag=True,
     help="Write the file even if a parameter is unidentifiable or logs disagree.",
 )
+@urdf_options
 @span_options
 @salvage_option
 @click.option(
@@ -54,18 +64,13 @@ _GROUPS = {
 @output_options
 def command(
     output: Output,
+    /,
     logs: tuple[Path, ...],
     out: Path,
     cell_path: Path | None,
-    wrench_topic: str | None,
-    pose_topic: str | None,
-    command_topic: str | None,
-    allow_partial: bool,
-    start: float | str | None,
-    stop: float | str | None,
-    salvage: bool,
     given: tuple[str, ...],
     report: Path | None,
+    **reading: Any,
 ) -> None:
     """Estimate payload, sensor, robot, coupling and environment from LOG, each with its uncertainty and a verdict.
 
@@ -84,15 +89,7 @@ def command(
     sources = [*logs, *([] if cell_path is None else [cell_path])]
     check_target(out, sources, kind="identified")
     check_report(report, [*sources, out])
-    options = IdentifyOptions(
-        wrench_topic=wrench_topic,
-        pose_topic=pose_topic,
-        command_topic=command_topic,
-        allow_partial=allow_partial,
-        salvage=salvage,
-        start=start,
-        stop=stop,
-    )
+    options = IdentifyOptions(**reading)
     seen = _Seen(logs=logs, options=options)
     with report_refusal(output, report, sources, seen.refused_page):
         cell = None if cell_path is None else read_cell(cell_path)
@@ -106,7 +103,7 @@ def command(
                 progress=advance,
                 with_evidence=report is not None,
             )
-        if not allow_partial:
+        if not options.allow_partial:
             found.require()
         with output.replacing(out, "identified"):
             write_identified(out, found.result, found.provenance)

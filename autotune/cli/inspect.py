@@ -9,7 +9,7 @@ import click
 from autotune.errors import UsageError
 
 from ._common import Output, output_options
-from ._options import LOGS, FilePath, GroupedCommand, cell_option, salvage_option, span_options
+from ._options import LOGS, FilePath, GroupedCommand, cell_option, salvage_option, span_options, urdf_options
 from ._terminal import print_message, print_table
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ Examples:
     help="Write a cell.yaml to complete: what was found or guessed is filled in, what is open is a question.",
 )
 @click.option("--force", is_flag=True, help="Let --write-cell replace a file.")
+@urdf_options
 @span_options
 @salvage_option
 @output_options
@@ -42,6 +43,8 @@ def command(
     cell_path: Path | None,
     start_path: Path | None,
     force: bool,
+    urdf: str | None,
+    tip: str | None,
     start: float | str | None,
     stop: float | str | None,
     salvage: bool,
@@ -54,6 +57,7 @@ def command(
     from autotune.formats.cell import check_new, read_cell, write_cell_start
     from identification.logs import inspect_log
     from identification.logs.guess import guess_cell
+    from identification.logs.roles.cell import Cell
     from identification.logs.span import LogSpan
 
     span = LogSpan(start=start, stop=stop)
@@ -61,7 +65,7 @@ def command(
         if cell_path is not None:
             raise UsageError("--write-cell begins a cell.yaml where there is none; leave out --cell.")
         check_new(start_path, force=force)
-    cell = None if cell_path is None else read_cell(cell_path).cell
+    cell = (Cell() if cell_path is None else read_cell(cell_path).cell).with_urdf(urdf, tip)
     with output.progress(f"reading {', '.join(log.name for log in logs)}", None):
         summary = inspect_log(logs, cell, salvage=salvage, span=span)
         guess = None if start_path is None else guess_cell(logs, salvage=salvage)

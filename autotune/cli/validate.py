@@ -1,6 +1,6 @@
 """`autotune validate`: verify a controller file from the file alone."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,7 @@ from autotune.formats.units import ROTATIONAL_AXES, axis_units
 
 from ._common import Output, output_options
 from ._optimized import limit_lines
-from ._options import KEYS, LOGS, SETTINGS, FilePath, GroupedCommand, cell_option, span_options
+from ._options import KEYS, LOGS, SETTINGS, FilePath, GroupedCommand, cell_option, span_options, urdf_options
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._schedule import validate_schedule
 from ._terminal import echo, painted, print_message, print_table, printable
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from autotune.validation.disturbances import Disturbances
     from autotune.validation.monte_carlo import AxisMonteCarlo
     from autotune.validation.report import ValidationReport
-    from identification.logs.span import LogSpan
 
 _EPILOG = """\b
 Examples:
@@ -38,7 +37,7 @@ Examples:
 """
 _FILE, _KEY = FilePath(*SETTINGS), FilePath(*KEYS)
 _GROUPS = {
-    "Comparison with a log": ("logs", "cell_path", "command_topic", "start", "stop"),
+    "Comparison with a log": ("logs", "cell_path", "command_topic", "urdf", "tip", "start", "stop"),
     "Simulation of the certified set": ("samples", "seed", "noise", "sensor_range", "speed_limit", "late"),
     "Signature": ("public_key", "sign"),
 }
@@ -70,6 +69,7 @@ def _pair(ctx: click.Context, param: click.Parameter, value: str | None) -> tupl
 )
 @cell_option
 @click.option("--command-topic", help="Channel of the commanded pose in the log.")
+@urdf_options
 @span_options
 @click.option(
     "--samples",
@@ -261,10 +261,7 @@ def _disturbances(options: dict[str, Any], identified: "IdentifiedFile | None") 
 def _compared(output: Output, read: "ControllerFile", options: dict[str, Any]) -> "LogComparison | None":
     if not options["logs"]:
         return None
-    from identification.logs.span import LogSpan
-
-    span = LogSpan(start=options["start"], stop=options["stop"])
-    return compare_logs(output, read.controller, options["logs"], options["cell_path"], options["command_topic"], span)
+    return compare_logs(output, read.controller, options["logs"], options)
 
 
 def checks_tree(report: "ValidationReport") -> list[dict[str, Any]]:
@@ -285,23 +282,20 @@ def _print(
 
 
 def compare_logs(
-    output: Output,
-    controller: "Controller",
-    logs: tuple[Path, ...],
-    cell_path: Path | None,
-    command_topic: str | None,
-    span: "LogSpan",
+    output: Output, controller: "Controller", logs: tuple[Path, ...], options: Mapping[str, Any]
 ) -> "LogComparison":
-    """Read the logs as the parts of one recording and compare every contact."""
+    """Read the logs as the parts of one recording, as the options of the command say, and compare every contact."""
     from autotune.formats.cell import read_cell
     from autotune.validation.against_log import compare_with_log
     from autotune.validation.log_touches import compare_touches_of_log
     from identification.logs import read_checked_recording
     from identification.logs.roles.cell import Cell
     from identification.logs.roles.interpret import build_frames
+    from identification.logs.span import LogSpan
 
-    cell = Cell() if cell_path is None else read_cell(cell_path).cell
-    cell = cell.with_topics(wrench=None, pose=None, command=command_topic)
+    cell = Cell() if options["cell_path"] is None else read_cell(options["cell_path"]).cell
+    cell = cell.with_topics(wrench=None, pose=None, command=options["command_topic"])
+    cell, span = cell.with_urdf(options["urdf"], options["tip"]), LogSpan(start=options["start"], stop=options["stop"])
     with output.progress(f"comparing with {', '.join(log.name for log in logs)}", 1.0) as advance:
         recording = read_checked_recording(logs, cell, span=span)
         # Without a command the law cannot be held against it, without the weight no contact be followed.

@@ -35,7 +35,10 @@ class CellFile:
 def read_cell(path: Path) -> CellFile:
     """Read `cell.yaml`; raises UsageError with file, line and reason for anything unknown or contradictory."""
     document = load_document(path, error=UsageError)
-    return CellFile(cell=_cell(document), path=path, sha256=document.sha256)
+    cell = _cell(document)
+    if cell.joints is not None:
+        cell = replace(cell, joints=replace(cell.joints, urdf=path.parent / cell.joints.urdf))
+    return CellFile(cell=cell, path=path, sha256=document.sha256)
 
 
 def check_cell_text(text: str, path: Path) -> Cell:

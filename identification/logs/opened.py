@@ -13,6 +13,7 @@ from ..signals.recording import StampArray
 from .containers.channel import Channel, Container
 from .containers.formats import is_table, open_container, sha256_of
 from .messages.channel_info import ChannelInfo, build_infos
+from .messages.objects import build_object_parser, messages_of, strings_block
 from .messages.read import read_series
 from .messages.series import Series, Wanted
 from .messages.transforms import list_frames, read_transform
@@ -58,6 +59,25 @@ class ContainerLog:
         found = read_transform(self._container, channel, *pair)
         self._remember()
         return found
+
+    def joint_names(self, channel: Channel) -> tuple[str, ...]:
+        """Return the names in a channel of joint states; raise LogError where they are not the same in all messages."""
+        first = next(held.first_message for held in self.survey.held if held.channel == channel)
+        names: tuple[str, ...] = tuple(getattr(build_object_parser(channel)(first), "name", ()))
+        block = strings_block(names, first, channel.encoding)
+        other = sum(
+            count
+            for _, count in self._container.read(
+                (channel,), lambda batch: sum(block not in message for message in messages_of(batch))
+            )
+        )
+        self._remember()
+        if other:
+            raise LogError(
+                f"Topic {channel.topic} of {self.path.name} must name the same joints in all messages, found others in "
+                f"{other}: several robots or a gripper publish on it; record each on a topic of its own."
+            )
+        return names
 
     def findings(self) -> tuple[Finding, ...]:
         """Report what was seen of the container and what reading left out."""
@@ -110,6 +130,15 @@ class OpenedLogs:
         """List the pairs (parent, child) of a channel of transforms."""
         pairs = {pair for part in self._having(info) for pair in part.frames(info.channel)}
         return tuple(sorted(pairs))
+
+    def joint_names(self, info: ChannelInfo) -> tuple[str, ...]:
+        """Return the names of the joints in a channel of joint states; raise LogError where they are not the same."""
+        found = {part.joint_names(info.channel) for part in self._having(info)}
+        if len(found) > 1:
+            raise LogError(
+                f"Topic {info.channel.topic} must name the same joints in each of {self.name}, found others."
+            )
+        return found.pop()
 
     def findings(self) -> tuple[Finding, ...]:
         """Report what was seen of the containers and what reading left out, each once."""

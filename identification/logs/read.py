@@ -14,6 +14,7 @@ from ..signals.repairs import without_pose_spikes
 from .checks.clocks import ChannelTimes, check_clocks
 from .checks.payload import check_payload
 from .checks.samples import joined
+from .joints import joint_findings, poses_of_joints, resolve_joints
 from .numbers import number_fields
 from .opened import OpenedLogs, digests, open_logs
 from .parts import join_recordings
@@ -99,9 +100,11 @@ def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool, span: LogS
     with open_logs(files, cell, salvage=salvage) as logs:
         cell = spelled_as_in(cell, logs.infos)
         choices = choose_all(logs.infos, cell, logs.name, logs.frames_of)
+        choices, cell, chain = resolve_joints(choices, cell, logs)
         cell, cautions = with_meanings(cell, choices.values())
         _check_fields(choices.values(), logs)
         parts = _parts(logs.read_roles(tuple(choices.values())), choices, logs)
+        poses_of_joints(parts, cell, chain)
         idle = _drop_idle_command(parts)
         clocks, about_clocks = chosen_clocks(parts, cell)
         parts, about_span = cut_roles(parts, [role_stamps(part, clocks, cell) for part in parts], span, logs.name)
@@ -114,7 +117,8 @@ def _read(paths: Path | Sequence[Path], cell: Cell, *, salvage: bool, span: LogS
         about_log = logs.findings()
         about_log = (*about_log, *_about_what_is_left(about_log, recording, logs))
         findings = (*about_log, *about_span, *chosen, *cautions, *idle, *questions, *about_clocks, *about_samples)
-        findings = (*findings, *recording.findings)
+        beside = joint_findings(choices[Role.POSE], recording, cell, chain, logs)
+        findings = (*findings, *recording.findings, *beside)
     recording = replace(recording, sha256=digests(files), findings=findings, keeps_holes=salvage)
     return _Read(recording=recording, times=times)
 

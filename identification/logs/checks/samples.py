@@ -12,20 +12,10 @@ from problems.arrays import FloatArray
 from ...result import Finding
 from ...signals.constant_runs import Runs, find_deadband, quantum, repeated_share, saturated_samples, stuck_runs
 from ...signals.recording import AXES, StampArray
-from ..roles.cell import (
-    ANGLE_RAD,
-    COLUMN_MAJOR,
-    FORCE_N,
-    LENGTH_M,
-    ROW_MAJOR,
-    TORQUE_N_M,
-    PoseSource,
-    Source,
-    WrenchSource,
-    is_rotation,
-)
+from ..roles.cell import ANGLE_RAD, FORCE_N, LENGTH_M, TORQUE_N_M, PoseSource, Source, WrenchSource
 from ..roles.choose import RoleSeries
 from ..roles.interpret import orientation_quaternion
+from ..roles.orientation import COLUMN_MAJOR, ROW_MAJOR, is_rotation
 from ..roles.registry import Role
 from .stamps import stamp_faults
 

@@ -2,6 +2,7 @@
 
 import json
 import keyword
+import struct
 from collections.abc import Callable, Sequence
 from functools import reduce
 from typing import Any
@@ -99,6 +100,19 @@ def messages_of(batch: Batch) -> list[bytes]:
         batch.data[start : start + size].tobytes()
         for start, size in zip(batch.starts.tolist(), batch.sizes.tolist(), strict=True)
     ]
+
+
+def strings_block(strings: Sequence[str], message: bytes, encoding: str) -> bytes:
+    """Return the bytes of a list of strings as they stand in a message like `message`, of ROS 1 or CDR."""
+    if encoding == "ros1":
+        return struct.pack("<I", len(strings)) + b"".join(
+            struct.pack("<I", len(text)) + text for text in (each.encode() for each in strings)
+        )
+    order = "<" if message[1:2] == b"\1" else ">"
+    block = struct.pack(f"{order}I", len(strings))
+    for text in (each.encode() + b"\0" for each in strings):
+        block += bytes(-len(block) % 4) + struct.pack(f"{order}I", len(text)) + text
+    return block
 
 
 def build_object_parser(channel: Channel) -> Callable[[bytes], object]:

@@ -5,18 +5,18 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from problems.arrays import FloatArray
 from problems.contact.nonlinearities import DeadbandType
-from problems.errors import ParameterError
+from problems.errors import ParameterError, require_extra
 from problems.frozen import freeze
 
 from ...signals.recording import AXES
 from ..tables.layout import TableLayout
+from .orientation import NORM_TOLERANCE, ROW_MAJOR, is_rotation, orientation_width
 
 FORCE_N: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605, "kgf": 9.80665}
 TORQUE_N_M: Mapping[str, float] = {
@@ -31,39 +31,9 @@ TORQUE_N_M: Mapping[str, float] = {
 }
 LENGTH_M: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
 ANGLE_RAD: Mapping[str, float] = {"rad": 1.0, "deg": 0.017453292519943295}
-_EULER = re.compile(r"euler_([xyz]{3}|[XYZ]{3})")
-_QUATERNIONS = ("quaternion_xyzw", "quaternion_wxyz")
-ROW_MAJOR, COLUMN_MAJOR = "matrix_row_major", "matrix_column_major"
 _SLICE = re.compile(r"(.*)\[(\d{1,4}):(\d{1,4})\]")
 Paths = tuple[str | None, ...]
 """Paths of the numbers of a vector in a message; None for an axis that the log does not have."""
-_NORM_TOLERANCE = 1e-3
-
-
-def orientation_width(kind: str) -> int:
-    """Count the numbers of an orientation; raise ParameterError for a kind that is not known."""
-    if kind in _QUATERNIONS:
-        return 4
-    if kind in (ROW_MAJOR, COLUMN_MAJOR):
-        return 9
-    match = _EULER.fullmatch(kind)
-    if kind == "rotation_vector" or (match and all(a != b for a, b in zip(match[1], match[1][1:], strict=False))):
-        return 3
-    must = (
-        f"quaternion_xyzw, quaternion_wxyz, rotation_vector, {ROW_MAJOR}, {COLUMN_MAJOR}, or euler_ and three axes, "
-        "no two neighbours alike "
-        "(euler_ZYZ about the moved axes, euler_xyz about the fixed ones)"
-    )
-    raise ParameterError("orientation_as", kind, must)
-
-
-def is_rotation(entries: FloatArray) -> NDArray[np.bool_]:
-    """Return which of the matrices (n, 9), in either order, are orthonormal within rounding and no mirror."""
-    matrix = entries.reshape(-1, 3, 3)
-    with np.errstate(invalid="ignore", over="ignore"):
-        off = np.abs(np.einsum("nij,nkj->nik", matrix, matrix) - np.eye(3)).max(axis=(1, 2))
-        right_handed = np.einsum("ni,ni->n", np.cross(matrix[:, 0], matrix[:, 1]), matrix[:, 2]) > 0.0
-    return np.asarray((off <= 2.0 * _NORM_TOLERANCE) & right_handed)
 
 
 def check_unit(name: str, unit: str, known: Mapping[str, float]) -> None:
@@ -347,6 +317,29 @@ class GainsSource(Source):
 
 
 @dataclass(frozen=True, kw_only=True)
+class JointsSource(Source):
+    """Joint positions [rad, m], and the URDF through which they are a pose: that of the link `tip` in `base`.
+
+    `positions` are their paths in the order from base to tip; of a JointState they are found by the joints' names.
+    `base` None is the robot's root, `angle` the unit of what turns. `command_topic` and `command_positions` are those
+    of the commanded joints.
+    """
+
+    urdf: Path
+    tip: str
+    base: str | None = None
+    positions: tuple[str, ...] = ()
+    angle: str = "rad"
+    command_topic: str | None = None
+    command_positions: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "urdf", Path(self.urdf))
+        check_unit("angle", self.angle, ANGLE_RAD)
+        _expand(self, positions=0, command_positions=0)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Mounting:
     """How the sensor sits on the flange: flange from sensor, written as `orientation_as`; () for no turn."""
 
@@ -361,7 +354,7 @@ class Mounting:
                 "orientation", list(self.orientation), f"{width} numbers, as {self.orientation_as} has"
             )
         norm = math.hypot(*self.orientation)
-        if len(self.orientation) == 4 and abs(norm - 1.0) > _NORM_TOLERANCE:
+        if len(self.orientation) == 4 and abs(norm - 1.0) > NORM_TOLERANCE:
             raise ParameterError("orientation", list(self.orientation), f"a unit quaternion (its norm is {norm:.6g})")
         if len(self.orientation) == 9 and not bool(is_rotation(np.array([self.orientation]))[0]):
             raise ParameterError("orientation", list(self.orientation), "a rotation matrix (orthonormal, no mirror)")
@@ -373,8 +366,8 @@ class Cell:
     """Everything that may be declared of a cell's logs; every entry may be left out.
 
     `gravity_direction` is in the base frame. A measured `pose` and a `displacement` (a pose relative to one that is not
-    known) exclude each other. `table` says how CSV and Parquet files are timed, `tables` the same of single files by
-    their names; `fields` name their columns.
+    known) exclude each other; `joints` give the pose where there is no other. `table` says how CSV and Parquet files
+    are timed, `tables` the same of single files by their names; `fields` name their columns.
     """
 
     gravity_direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
@@ -383,6 +376,7 @@ class Cell:
     pose: PoseSource | None = None
     displacement: PoseSource | None = None
     command: PoseSource | None = None
+    joints: JointsSource | None = None
     twist: TwistSource | None = None
     gains: GainsSource | None = None
     desired_force: DesiredForceSource | None = None
@@ -424,6 +418,27 @@ class Cell:
         elif pose is not None:
             cell = replace(cell, pose=_on(cell.pose or PoseSource(), pose))
         return cell
+
+    def with_urdf(self, urdf: Path | str | None, tip: str | None) -> "Cell":
+        """Return the cell with joints that are read through this URDF up to this link.
+
+        Raises ParameterError where one of the two is missing, MissingExtraError without pytransform3d.
+        """
+        if urdf is None and tip is None:
+            return self
+        require_urdf_reader()
+        if self.joints is None and (urdf is None or tip is None):
+            missing = "urdf" if urdf is None else "tip"
+            raise ParameterError(missing, "nothing", "named too: a pose from joints needs a URDF and its tip")
+        if self.joints is None:
+            return replace(self, joints=JointsSource(urdf=Path(str(urdf)), tip=str(tip)))
+        known = self.joints
+        return replace(self, joints=replace(known, urdf=Path(urdf or known.urdf), tip=tip or known.tip))
+
+
+def require_urdf_reader() -> None:
+    """Raise MissingExtraError where no URDF can be read."""
+    require_extra("A URDF", "pytransform3d", "urdf")
 
 
 def _on(source: _Source, topic: str) -> _Source:

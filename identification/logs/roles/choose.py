@@ -12,13 +12,14 @@ from ...signals.recording import AXES, StampArray
 from ..messages.channel_info import ChannelInfo, Infos
 from .candidates import (
     ambiguous_sentence,
+    is_command_name,
     is_processed_name,
     is_undeclared,
     missing_sentence,
     roles_of,
 )
-from .cell import Cell, DesiredForceSource, GainsSource, PoseSource, Source, WrenchSource
-from .registry import ROBOT_STATES, ROLES, TRANSFORMS, FieldPaths, Role, layout_of
+from .cell import Cell, DesiredForceSource, GainsSource, JointsSource, PoseSource, Source, WrenchSource
+from .registry import JOINT_STATE, ROBOT_STATES, ROLES, TRANSFORMS, FieldPaths, Role, layout_of
 
 FramesOf = Callable[[ChannelInfo], tuple[tuple[str, str], ...]]
 
@@ -28,7 +29,7 @@ class Choice:
     """A channel that serves a role: the paths of its numbers (None for those it lacks) and of its header.
 
     `frames` is the pair (parent, child) where a transform is read; `layout` is that of the type, None where the cell
-    declares the paths; `reason` says why it was taken.
+    declares the paths; `of_joints` says that its numbers are joint positions; `reason` says why it was taken.
     """
 
     role: Role
@@ -36,6 +37,7 @@ class Choice:
     fields: tuple[str | None, ...]
     header: str
     frames: tuple[str, str] | None = None
+    of_joints: bool = False
     layout: FieldPaths | None = None
     reason: str
 
@@ -66,7 +68,47 @@ def choose_all(infos: Infos, cell: Cell, log: str, frames_of: FramesOf) -> dict[
 
 
 def choose(role: Role, infos: Infos, cell: Cell, log: str, frames_of: FramesOf) -> Choice | None:
-    """Return the channel of one role, None where an optional one is not there; see `choose_all`."""
+    """Return the channel of one role, None where an optional one is not there; see `choose_all`.
+
+    Joints serve as pose or command where nothing else does.
+    """
+    joints = cell.joints if role in (Role.POSE, Role.COMMAND) else None
+    try:
+        found = _choose(role, infos, cell, log, frames_of)
+    except LogError:
+        if joints is None or source_of(cell, role) is not None:
+            raise
+        found = None
+    return choose_joints(role, joints, infos, log) if found is None and joints is not None else found
+
+
+def choose_joints(role: Role, joints: JointsSource, infos: Infos, log: str) -> Choice | None:
+    """Return the channel of the measured or commanded joints; there need be none of the latter."""
+    is_command = role is Role.COMMAND
+    topic = joints.command_topic if is_command else joints.topic
+    if topic is not None:
+        found = [info for info in infos if info.count and info.channel.topic == topic]
+    else:
+        columns = set(joints.command_positions if is_command else joints.positions)
+        states = [info for info in infos if info.count and info.channel.type_name == JOINT_STATE]
+        found = [info for info in states if is_command_name(info.channel.topic) == is_command]
+        found += [info for info in infos if info.columns and columns and _has_columns(info, columns)]
+    if not found and is_command and topic is None:
+        return None
+    if len(found) != 1:
+        entry = "command_topic" if is_command else "topic"
+        there = listed([str(info) for info in found or infos], empty="nothing")
+        raise LogError(
+            f"{log} must have one channel of {'commanded' if is_command else 'measured'} joint positions, found "
+            f"{len(found)}{f' called {topic}' if topic else ''}; name it with `joints: {{{entry}: …}}` in cell.yaml: "
+            f"{there}."
+        )
+    header = joints.header if joints.header is not None else ("header" if found[0].has_header else "")
+    why = f"joint positions through {joints.urdf.name} up to {joints.tip}"
+    return Choice(role=role, info=found[0], fields=(), header=header, of_joints=True, reason=why)
+
+
+def _choose(role: Role, infos: Infos, cell: Cell, log: str, frames_of: FramesOf) -> Choice | None:
     source = source_of(cell, role)
     if isinstance(source, DesiredForceSource | GainsSource) and source.is_known:
         return None

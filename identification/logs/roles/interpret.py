@@ -13,10 +13,8 @@ from ...signals.frames import Frames
 from ...signals.recording import AXES, AppliedDeadband, GainsSignal, PoseSignal, StampArray, TwistSignal, WrenchSignal
 from .cell import (
     ANGLE_RAD,
-    COLUMN_MAJOR,
     FORCE_N,
     LENGTH_M,
-    ROW_MAJOR,
     TORQUE_N_M,
     Cell,
     DeclaredDeadband,
@@ -27,6 +25,7 @@ from .cell import (
     TwistSource,
     WrenchSource,
 )
+from .orientation import COLUMN_MAJOR, ROW_MAJOR
 
 _DOWN = np.array([0.0, 0.0, -1.0])
 

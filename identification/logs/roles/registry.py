@@ -6,7 +6,8 @@ from enum import StrEnum
 
 from ...result import Finding
 from ..containers.channel import Channel
-from .cell import COLUMN_MAJOR, ExertedBy, Frame, PoseFields, PoseSource, Source, WrenchSource
+from .cell import ExertedBy, Frame, PoseFields, PoseSource, Source, WrenchSource
+from .orientation import COLUMN_MAJOR
 
 WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
 WRENCH = "geometry_msgs/msg/Wrench"

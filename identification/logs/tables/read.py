@@ -199,6 +199,11 @@ class TableLog:
         """Raise LogError: a table has no transforms."""
         raise LogError(f"{channel.topic} is a table and holds no transform of {pair[1]} in {pair[0]}.")
 
+    def joint_names(self, channel: Channel) -> tuple[str, ...]:
+        """Return no names: the columns of a table are declared."""
+        del channel
+        return ()
+
     def findings(self) -> tuple[Finding, ...]:
         """Report that checksums are missing, and the time, if it is not declared."""
         return (*_unprotected(self.path, self._logged.channel.type_name), *self._untimed(), *self._about_times())

@@ -33,6 +33,7 @@ def nothing_optional(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         (["identify", "table.csv", "--cell", "cell.yaml"], "tables"),
         (["identify", "table.parquet", "--cell", "cell.yaml"], "tables"),
+        (["identify", "joints.mcap", "--urdf", "arm.urdf", "--tip", "tool0"], "urdf"),
         (["report", "controller.yaml"], "reports"),
         (["validate", "controller.yaml", "--report", "page.html"], "reports"),
         (["explore", "controller.yaml"], "reports"),

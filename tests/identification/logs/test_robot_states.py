@@ -15,15 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from identification.errors import LogError
 from identification.logs import inspect_log, read_recording
-from identification.logs.roles.cell import (
-    COLUMN_MAJOR,
-    ROW_MAJOR,
-    Cell,
-    ExertedBy,
-    PoseFields,
-    PoseSource,
-    WrenchSource,
-)
+from identification.logs.roles.cell import Cell, ExertedBy, PoseFields, PoseSource, WrenchSource
+from identification.logs.roles.orientation import COLUMN_MAJOR, ROW_MAJOR
 from identification.logs.roles.registry import Role
 from identification.signals.recording import Recording
 

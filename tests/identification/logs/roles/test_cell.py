@@ -16,9 +16,8 @@ from identification.logs.roles.cell import (
     WrenchFields,
     WrenchSource,
     WrenchUnits,
-    is_rotation,
-    orientation_width,
 )
+from identification.logs.roles.orientation import is_rotation, orientation_width
 from problems.errors import ParameterError
 
 
