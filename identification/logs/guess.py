@@ -14,7 +14,8 @@ from .messages.series import Wanted
 from .names import Meaning, Named, NamedVector, read_names
 from .numbers import NumberFields, number_fields
 from .opened import OpenedLogs, open_logs
-from .roles.cell import COLUMN_MAJOR, ROW_MAJOR, Cell
+from .roles.cell import Cell
+from .roles.orientation import COLUMN_MAJOR, ROW_MAJOR
 from .roles.registry import JOINT_STATE, Role
 from .tables.layout import TableLayout
 from .tables.read import TableLog
