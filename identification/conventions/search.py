@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from problems.arrays import FloatArray
 
 from ..errors import EstimateError
-from ..payload.static_poses import StaticPose, group_by_orientation
+from ..payload.static_poses import SAY_COMPENSATED, SMALL_SWING_N, StaticPose, group_by_orientation
 from ..result import Finding
 from ..signals.frames import Frames
 from ..signals.recording import PoseSignal, Recording
@@ -27,6 +27,7 @@ from .weight_misfit import (
 _ALIKE_LOG_LIKELIHOOD = float(np.log(1000.0))
 _ALIKE_RATIO = 1.2
 _FEWEST_ORIENTATIONS = 4
+_FEWEST_CERTAIN = 7
 _UNEXPLAINED = 0.1
 _MOST_LISTED = 6
 _SMALLEST_ANGLE_RAD = np.radians(10.0)
@@ -184,6 +185,17 @@ class ConventionRanking:
 
     def _question(self) -> str:
         best = self.candidates[0]
+        alternative = ""
+        if self.verdict is ConventionVerdict.NONE and self.swing_rms_n < SMALL_SWING_N:
+            return (
+                "At rest the force does not follow the tool's turning: it differs by no more than "
+                f"{self.swing_rms_n:.2f} N rms between {self.orientations} orientations, of which "
+                f"{best.residual_rms_n:.2f} N are no weight under the best of {len(self.candidates)} conventions. "
+                f"Gravity seems to have been taken off before recording; {SAY_COMPENSATED}. If the wrench is raw, look "
+                "for what touched the payload, and for a sensor that is mounted at an angle (`sensor.orientation`)."
+            )
+        if self.orientations < _FEWEST_CERTAIN:
+            alternative = f" If gravity was taken off before recording, {SAY_COMPENSATED} instead."
         if self.mounting is not None:
             shown = numbers_text(np.round(self.mounting.as_quat(), 4))
             return (
@@ -191,7 +203,7 @@ class ConventionRanking:
                 f"{self.swing_rms_n:.2f} N are left under the best of {len(self.candidates)} conventions. The sensor "
                 f"seems mounted at an angle: declare `sensor.orientation: {shown}` in cell.yaml "
                 "(xyzw, flange from sensor) after checking it against the drawing, or `gravity_direction` if the base "
-                "is tilted."
+                f"is tilted.{alternative}"
             )
         if self.gravity_direction is not None:
             direction, lean = self.gravity_direction, np.degrees(self.gravity_direction.angle_rad)
@@ -200,7 +212,7 @@ class ConventionRanking:
                 f"Gravity leans by {lean:.1f} degrees from where it is assumed: that "
                 f"leaves {direction.left_n:.2f} N, the best of {len(self.candidates)} conventions "
                 f"{best.residual_rms_n:.2f} N of a swing of {self.swing_rms_n:.2f} N. If the base is mounted that way, "
-                f"declare `gravity_direction: [{components}]` in cell.yaml; else level it."
+                f"declare `gravity_direction: [{components}]` in cell.yaml; else level it.{alternative}"
             )
         if self.verdict is ConventionVerdict.NONE:
             return (
@@ -208,7 +220,7 @@ class ConventionRanking:
                 f"of {self.swing_rms_n:.2f} N under the best of {len(self.candidates)} conventions; check that wrench "
                 "and pose are of the same robot and clock, that nothing touched the payload, and declare "
                 "`sensor.orientation` in cell.yaml if the sensor is mounted at an angle that is no multiple of 90°, "
-                "`gravity_direction` if the base leans."
+                f"`gravity_direction` if the base leans. If gravity was taken off before recording, {SAY_COMPENSATED}."
             )
         alike = self.alike
         shown = "; ".join(self._text(each) for each in alike[:_MOST_LISTED])

@@ -12,7 +12,14 @@ from ..errors import EstimateError
 from ..signals.aligned import AlignedLog
 from ..signals.frames import turned_rad
 from .pose_fit import BiasStep, PoseEquations, ResidualTerm, TermKind, find_bias_step, find_terms, robust_fit
-from .static_poses import GRAVITY_B_M_S2, StaticPose, group_by_gravity, group_means
+from .static_poses import (
+    GRAVITY_B_M_S2,
+    SAY_COMPENSATED,
+    SMALL_SWING_N,
+    StaticPose,
+    group_by_gravity,
+    group_means,
+)
 
 # Gravity on the ground lies between 9.780 and 9.832 m/s²; the log does not say where it was recorded.
 LOCAL_GRAVITY_STD = 0.0015
@@ -114,7 +121,7 @@ def identify_gravity(poses: tuple[StaticPose, ...]) -> GravityFit:
         raise EstimateError(
             "Gravity identification needs at least 4 clearly different tool orientations, each at rest for 0.7 s or "
             f"more, found {len(np.unique(groups))}; record 6 to 12 poses of 1 s each, tilted 30 to 70 degrees about "
-            "two axes."
+            f"two axes.{_maybe_compensated(poses)}"
         )
     equations = PoseEquations.of(poses)
     robust = robust_fit(equations, groups)
@@ -271,14 +278,26 @@ def _check_mass(condition: float, mass_kg: float, std_kg: float) -> None:
         )
     if abs(mass_kg) < _SMALLEST_MASS_KG or abs(mass_kg) < _SIGNIFICANT_MASS * std_kg:
         raise EstimateError(
-            f"The force hardly changes with the orientation (it would be {mass_kg:.3f} ± {std_kg:.3f} kg); gravity was "
-            "already removed from this wrench, or its unit is not the newton. Record the raw wrench."
+            f"At rest the force hardly changes with the tool's orientation (it would be {mass_kg:.3f} ± {std_kg:.3f} "
+            f"kg): gravity seems to have been taken off before recording; {SAY_COMPENSATED}, or record the raw wrench. "
+            "Check the unit of the force too, if it is not the newton."
         )
     if mass_kg <= 0.0:
         raise EstimateError(
             f"The payload mass comes out as {mass_kg:.3f} kg; the sensor shows the opposite sign or the pose is not "
             "base from flange. Check the sign and the frame of the wrench."
         )
+
+
+def _maybe_compensated(poses: tuple[StaticPose, ...]) -> str:
+    """Return the hint that gravity may have been taken off, where at rest there is hardly a force."""
+    smallest = min(float(np.linalg.norm(pose.force_S_n)) for pose in poses)
+    if smallest > SMALL_SWING_N:
+        return ""
+    return (
+        f" At rest the force is as small as {smallest:.2f} N: if gravity was taken off before recording, "
+        f"{SAY_COMPENSATED}; motion and contacts can be read without it."
+    )
 
 
 def _check_com(com_m: FloatArray, std_m: FloatArray, mass_kg: float, mass_std_kg: float) -> None:

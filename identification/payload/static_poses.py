@@ -15,6 +15,10 @@ from ..signals.segments import Span
 
 GRAVITY_B_M_S2 = np.array([0.0, 0.0, -9.80665])
 
+SMALL_SWING_N = 3.0
+"""Heavy payloads change the force of each axis by more than this (rms) as the tool turns; 0.7 kg at 60 degrees does."""
+SAY_COMPENSATED = "say so with `wrench: {gravity_compensated: true}` in cell.yaml"
+
 _TRIM_S = 0.12
 _SAME_POSE_RAD = np.radians(2.0)
 _BATCHES = 8

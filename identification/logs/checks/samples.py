@@ -66,11 +66,12 @@ def wrench_faults(
         resting[1:] &= np.abs(np.diff(column)) <= _RESTING_SHARE * np.ptp(column)
     for axis, column in enumerate(columns):
         if bool(np.all(column == column[0])):
+            within = "" if column[0] else "if it stayed within a deadband, declare `deadband`, or, "
             yield Finding.error(
                 "stuck-axis",
-                f"The {WRENCH_AXES[axis]} axis of topic {topic} is {column[0]:g} in all {len(column)} samples.",
-                f"Check the sensor's cable and driver and record again, or, if the sensor does not measure this axis, "
-                f"leave it out with `wrench: {{left_out: [{AXES[axis]}]}}` in cell.yaml.",
+                f"The {WRENCH_AXES[axis]} axis of topic {topic} is {column[0] + 0.0:g} in all {len(column)} samples.",
+                f"Check the sensor's cable and driver and record again, or, {within}if the sensor does not measure "
+                f"this axis, leave it out with `wrench: {{left_out: [{AXES[axis]}]}}` in cell.yaml.",
             )
             continue
         limit = None if limits is None else limits[axis]
@@ -154,7 +155,8 @@ def _axis_faults(topic: str, name: str, column: FloatArray, since_start_s: Float
         "deadband",
         f"A {band.kind} deadband of {width} was applied to the {name} axis of topic {topic}: "
         f"{100.0 * band.zero_share:.1f} % of its samples are exactly 0.",
-        "Record the sensor's wrench before gravity compensation and deadband.",
+        "Record the sensor's wrench before gravity compensation and deadband, or declare `deadband`, and "
+        "`gravity_compensated: true` if gravity was taken off too.",
     )
 
 

@@ -253,3 +253,23 @@ def test_a_base_that_leans_is_told_with_its_direction(lean_deg: float) -> None:
     assert told is not None
     # 0.3 N / √1000 a rest over 160 N, many times.
     assert [float(each) for each in told[1].split(",")] == pytest.approx(down.tolist(), abs=1e-3)
+
+
+@pytest.mark.parametrize("count", [4, 5, 8, 12])
+@pytest.mark.parametrize("seed", range(6))
+def test_a_wrench_without_weight_is_suspected_of_compensation_and_asked_for_no_mounting(count: int, seed: int) -> None:
+    """What is left of an undeclared compensation, 1 N in any direction, is no weight however the sensor were turned."""
+    rng = np.random.default_rng(seed)
+    rests = tuple(
+        replace(pose, force_S_n=rng.normal(size=3), torque_S_n_m=0.05 * rng.normal(size=3))
+        for pose in poses_at(tilted(count, 1.0), rng, noise_n=0.3, torque_noise_n_m=0.03)
+    )
+
+    def weigh() -> None:
+        rank_conventions(rests).chosen()
+        identify_gravity(rests)
+
+    with pytest.raises(EstimateError) as caught:
+        weigh()
+    assert "gravity_compensated: true" in str(caught.value)
+    assert "seems mounted at an angle" not in str(caught.value)

@@ -263,7 +263,7 @@ def test_a_mass_that_its_own_deviation_covers_is_refused() -> None:
         replace(p, force_S_n=p.force_S_n + 8.0 * rng.standard_normal(3))
         for p in poses_at(tilted(8, 1.0), truth=Truth(mass_kg=0.3))
     )
-    with pytest.raises(EstimateError, match=r"hardly changes with the orientation \(it would be -?\d\.\d+ ± "):
+    with pytest.raises(EstimateError, match=r"hardly changes with the tool's orientation \(it would be -?\d\.\d+ ± "):
         identify_gravity(weak)
 
 
