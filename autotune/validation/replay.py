@@ -10,7 +10,7 @@ from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Coupling, PayloadDynamics, Plant, build_plant_matrices
 from problems.model.robot import RobotModel
-from problems.model.sampled import build_loop, build_sampled_plant, check_wrench_delay, hold, spectral_radius
+from problems.model.sampled import build_loop, build_sampled_plant, check_wrench_delay, hold, spectral_radius, stability_matrix
 
 _SUBSTEPS = 20
 _SHORTEST_APPROACH_S = 0.8
@@ -51,8 +51,8 @@ def replay_contact(
     At the first tick at which the force opposes the motion by more than `reset_threshold_n` the command and its
     predecessor become the one sent last (the paper's Algorithm 1).
 
-    Approach and contact each last as long as the slowest part of their loop needs to decay. The plant advances in
-    twentieths of a sample, contact begins and ends on that grid, and the delay is rounded to it.
+    Approach and contact each last as long as the slowest part of their loop needs to decay, ten seconds at most; of a
+    force that only creeps to its value at rest by then, that value counts. The plant advances in twentieths of a sample, contact begins and ends on that grid, and the delay is rounded to it.
     """
     # A wrench that is late makes the same loop as commands that are (for a law that reads nothing but the wrench).
     check_wrench_delay(plant, controller)
@@ -89,6 +89,9 @@ def replay_contact(
         # A delay of `late` substeps: what acts first is a command one period older than what acts then.
         state = step.over_sample(state, commands[-2 - late // _SUBSTEPS], commands[-1 - late // _SUBSTEPS])
         commands = commands[-(late // _SUBSTEPS + 3) :]
+    if deadband_n == 0.0 and step.touching(state) and _creeps(plant, controller, sample_time_s, after):
+        # The admittance integrates F^d + F: on a very soft surface the force is still on its way to F^d.
+        sensor, contact = max(sensor, desired_force_n), max(contact, desired_force_n)
     return Replay(
         peak_sensor_force_n=sensor,
         peak_contact_force_n=contact,
@@ -103,6 +106,16 @@ def settling_samples(plant: Plant, controller: AdmittanceController, h: float, s
     radius = spectral_radius(build_loop(build_sampled_plant(plant, h), controller))
     decay = math.ceil(_DECAY_EXPONENTS / -math.log(radius)) if radius > 0.0 else 0
     return max(round(shortest_s / h), min(decay, math.ceil(_LONGEST_S / h)))
+
+
+def _creeps(plant: Plant, controller: AdmittanceController, h: float, samples: int) -> bool:
+    """Say whether after so many samples one part of the motion in contact has not decayed, and that without swinging.
+
+    What is left of the force is then one exponential, so that it does not overshoot its value at rest.
+    """
+    poles = np.linalg.eigvals(stability_matrix(build_loop(build_sampled_plant(plant, h), controller)))
+    left = poles[np.abs(poles) ** samples > math.exp(-_DECAY_EXPONENTS)]
+    return len(left) == 1 and bool(left[0].imag == 0.0 and 0.0 < left[0].real < 1.0)
 
 
 class _Stepper:

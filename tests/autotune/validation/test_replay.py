@@ -124,3 +124,15 @@ def test_far_from_the_surface_a_sample_may_be_two_steps(delay: float, monkeypatc
     slow = replay_contact(plant, law, PERIOD_S, 30.0)
     assert quick.peak_contact_force_n == pytest.approx(slow.peak_contact_force_n, rel=1e-9)
     assert quick.peak_sensor_force_n == pytest.approx(slow.peak_sensor_force_n, rel=1e-9)
+
+
+def test_of_a_surface_on_which_the_force_creeps_the_value_at_rest_counts() -> None:
+    """B_a/K_e is 8 s, so that after 10 s of contact the force is a quarter short of F^d."""
+    plant, law = paper_plant(stiffness=250.0), admittance(13.0, 2000.0, 0.013)
+    predicted = exact(plant, law, 30.0)
+    assert not predicted.is_settled
+    assert predicted.contact_force_n[-1] < 0.8 * 30.0
+    replayed = replay_contact(plant, law, PERIOD_S, 30.0)
+    # e = F^d + F vanishes at rest, and one real pole is left.
+    assert replayed.peak_contact_force_n == replayed.peak_sensor_force_n == 30.0
+    assert predicted.peak_contact_force_n == 30.0
