@@ -18,14 +18,15 @@ if TYPE_CHECKING:
         optimize,
         predict,
     )
-    from autotune.design import Design, Validation
+    from autotune.design import Design
     from autotune.errors import AutotuneError, CertificateError, InfeasibleError, UsageError
-    from autotune.formats.plant import Plant, Robot
+    from autotune.formats.plant import Plant
     from autotune.formats.problem import ProblemSpec as Problem
     from autotune.formats.quantity import Uncertain
+    from autotune.formats.robot import Robot
     from autotune.log import Log, read_log, simulate_log
     from autotune.prediction.result import PredictedContact
-    from autotune.results import Identification
+    from autotune.results import Identification, Validation
     from autotune.validation.report import Check
     from autotune.version import __version__
     from identification.errors import EstimateError, LogError
@@ -37,14 +38,15 @@ if TYPE_CHECKING:
 
 _HOMES: dict[str, tuple[str, ...]] = {
     "autotune.api": ("from_control", "identify", "load", "optimize", "predict"),
-    "autotune.design": ("Design", "Validation"),
+    "autotune.design": ("Design",),
     "autotune.errors": ("AutotuneError", "CertificateError", "InfeasibleError", "UsageError"),
-    "autotune.formats.plant": ("Plant", "Robot"),
+    "autotune.formats.plant": ("Plant",),
+    "autotune.formats.robot": ("Robot",),
     "autotune.formats.quantity": ("Uncertain",),
     "autotune.formats.problem": ("Problem",),
     "autotune.log": ("Log", "read_log", "simulate_log"),
     "autotune.prediction.result": ("PredictedContact",),
-    "autotune.results": ("Identification",),
+    "autotune.results": ("Identification", "Validation"),
     "autotune.validation.report": ("Check",),
     "autotune.version": ("__version__",),
     "identification.errors": ("EstimateError", "LogError"),

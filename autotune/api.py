@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from autotune.design import Design
 from autotune.errors import UsageError
-from autotune.formats.plant import Plant, Robot
+from autotune.formats.plant import Plant
 from autotune.formats.quantity import Quantity, Uncertain, as_interval
+from autotune.formats.robot import Robot
 from autotune.log import Log, Paths, log_paths
 from autotune.pipeline import IdentifyOptions, identify_log
 from autotune.results import Identification
@@ -158,8 +159,7 @@ def optimize(
     """
     from autotune.formats.controller import read_controller  # noqa: PLC0415 - for who compares only
     from autotune.formats.problem import ProblemSpec, read_problem  # noqa: PLC0415
-    from autotune.tuning.design_notes import design_notes  # noqa: PLC0415 - the search compiles
-    from autotune.tuning.optimize import optimize as search  # noqa: PLC0415
+    from autotune.tuning.optimize import optimize as search  # noqa: PLC0415 - compiles
     from autotune.tuning.problems import DesignOptions  # noqa: PLC0415
 
     source = _plant_file(plant)
@@ -183,8 +183,7 @@ def optimize(
             existing=None if compare is None else read_controller(compare),
             progress=report,
         )
-    notes = tuple(design_notes(source, found, has_stiffness=environment_stiffness is not None))
-    return Design(controller=found.controller, optimized=found, notes=notes)
+    return Design(controller=found.controller, optimized=found)
 
 
 def predict(
@@ -303,7 +302,7 @@ def load(path: str | Path) -> "Design | Identification | Plant":
     """
     from autotune.formats.controller import read_controller  # noqa: PLC0415 - one of three
     from autotune.formats.identified import read_identified  # noqa: PLC0415
-    from autotune.formats.plant import parse_plant  # noqa: PLC0415
+    from autotune.formats.plant_file import parse_plant  # noqa: PLC0415
     from autotune.formats.yaml12 import kind_of_file, load_document  # noqa: PLC0415
 
     kind, path = kind_of_file(Path(path)), Path(path)
@@ -368,7 +367,7 @@ def _prior(value: float | Uncertain) -> Given:
 
 
 def _plant_file(plant: "Plant | Identification | str | Path") -> "IdentifiedFile":
-    from autotune.formats.plant import read_plant  # noqa: PLC0415 - a file only
+    from autotune.formats.plant_file import read_plant  # noqa: PLC0415 - a file only
 
     if isinstance(plant, Identification | Plant):
         return plant.file()

@@ -1,4 +1,4 @@
-"""What a design is, what it predicts, and what was verified of it."""
+"""What a design is, and what it predicts."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,8 +11,8 @@ from autotune.formats.atomic import check_target
 from autotune.formats.controller import ControllerFile, controller_tree, write_controller
 from autotune.formats.controller_record import Controller
 from autotune.formats.units import axis_units
+from autotune.results import Validation
 from autotune.shown import Progress, ResultTable, Shown, data_frame, reporting
-from autotune.validation.report import Check, ValidationReport
 from problems.design.uncertainty import Scenario
 from problems.model.axis_kind import AxisKind
 
@@ -26,47 +26,6 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Validation(Shown):
-    """What was verified of a controller, check by check.
-
-    Attributes
-    ----------
-    checks
-        Each with `axis`, `name`, `passed`, `message` and `verdict` (ok, note or FAILED).
-
-    """
-
-    checks: tuple[Check, ...]
-
-    @property
-    def passed(self) -> bool:
-        """Whether every check passed."""
-        return all(check.passed for check in self.checks)
-
-    def require(self) -> None:
-        """Raise CertificateError with the first check that failed."""
-        ValidationReport(checks=self.checks).require()
-
-    def _headline(self) -> str:
-        failed = sum(not check.passed for check in self.checks)
-        return f"Validation: {len(self.checks)} checks, " + (f"{failed} FAILED" if failed else "all passed")
-
-    def _tables(self) -> Iterator[ResultTable]:
-        rows = tuple((each.axis, each.name, each.verdict, each.message) for each in self.checks)
-        yield ResultTable(title="checks", columns=("axis", "check", "verdict", "what was found"), rows=rows)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the checks as plain data."""
-        return {"passed": self.passed, "checks": [vars(check) for check in self.checks]}
-
-    def to_pandas(self) -> Any:
-        """Return the checks as a pandas.DataFrame; raises UsageError without pandas."""
-        return data_frame({name: [getattr(each, name) for each in self.checks] for name in _CHECK_COLUMNS})
-
-
-_CHECK_COLUMNS = ("axis", "name", "verdict", "message")
-
-
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Design(Shown):
     """A controller with what it is predicted to do and what its certificate says.
@@ -75,8 +34,6 @@ class Design(Shown):
     ----------
     controller
         Everything that `controller.yaml` holds.
-    notes
-        What should not be overlooked, a sentence each.
     optimized
         The searches behind it; None for a design that was loaded from a file.
     file
@@ -85,7 +42,6 @@ class Design(Shown):
     """
 
     controller: Controller
-    notes: tuple[str, ...] = ()
     optimized: "Optimized | None" = field(default=None, compare=False)
     file: ControllerFile | None = field(default=None, compare=False)
 
@@ -166,6 +122,11 @@ class Design(Shown):
             columns=("claim", "method"),
             rows=tuple((each.claim, each.method) for each in self.controller.certificate.proved),
         )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What should not be overlooked, a sentence each, of a loaded design too."""
+        return tuple(self.controller.provenance.get("notes", ()))
 
     def _notes(self) -> Sequence[str]:
         return self.notes

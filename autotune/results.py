@@ -1,4 +1,4 @@
-"""What `identify` returns: the plant that was identified from logs."""
+"""What `identify` and `Design.validate` return: the plant of a log, and the checks of a controller."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ from autotune.formats.identified import IN_MEMORY, IdentifiedFile, identified_tr
 from autotune.formats.yaml12 import dump_yaml
 from autotune.shown import ResultTable, Shown, data_frame
 from autotune.text import parameter_rows
+from autotune.validation.report import Check, ValidationReport
 from identification.errors import EstimateError
 from identification.evidence import Evidence
 from identification.result import Finding, Identified
@@ -102,6 +103,48 @@ class Identification(Shown):
         path = self.path or IN_MEMORY
         digest = self.sha256 or sha256(dump_yaml(self.to_dict()).encode()).hexdigest()
         return IdentifiedFile(result=self.result, provenance=self.provenance, path=path, sha256=digest)
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Validation(Shown):
+    """What was verified of a controller, check by check.
+
+    Attributes
+    ----------
+    checks
+        Each with `axis`, `name`, `passed`, `message` and `verdict` (ok, note or FAILED).
+
+    """
+
+    checks: tuple[Check, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check passed."""
+        return all(check.passed for check in self.checks)
+
+    def require(self) -> None:
+        """Raise CertificateError with the first check that failed."""
+        ValidationReport(checks=self.checks).require()
+
+    def _headline(self) -> str:
+        failed = sum(not check.passed for check in self.checks)
+        return f"Validation: {len(self.checks)} checks, " + (f"{failed} FAILED" if failed else "all passed")
+
+    def _tables(self) -> Iterator[ResultTable]:
+        rows = tuple((each.axis, each.name, each.verdict, each.message) for each in self.checks)
+        yield ResultTable(title="checks", columns=("axis", "check", "verdict", "what was found"), rows=rows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the checks as plain data."""
+        return {"passed": self.passed, "checks": [vars(check) for check in self.checks]}
+
+    def to_pandas(self) -> Any:
+        """Return the checks as a pandas.DataFrame; raises UsageError without pandas."""
+        return data_frame({name: [getattr(each, name) for each in self.checks] for name in _CHECK_COLUMNS})
+
+
+_CHECK_COLUMNS = ("axis", "name", "verdict", "message")
 
 
 def _refusal(names: Sequence[str], findings: Sequence[Finding]) -> str:

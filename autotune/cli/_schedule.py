@@ -111,7 +111,7 @@ def _tune(
     **others: Any,
 ) -> None:
     _check_alone(tables, others)
-    from autotune.formats.plant import read_plant
+    from autotune.formats.plant_file import read_plant
     from autotune.formats.problem import ProblemSpec, read_problem
     from autotune.formats.schedule import check_schedule_target, write_schedule
     from autotune.processes import count_processors

@@ -136,9 +136,8 @@ def command(
     from autotune.formats.atomic import check_target
     from autotune.formats.canonical import short
     from autotune.formats.controller import controller_tree, read_controller, write_controller
-    from autotune.formats.plant import read_plant
+    from autotune.formats.plant_file import read_plant
     from autotune.formats.problem import ProblemSpec, read_problem
-    from autotune.tuning.design_notes import design_notes
     from autotune.tuning.optimize import optimize
     from autotune.tuning.problems import DesignOptions
 
@@ -165,7 +164,7 @@ def command(
         with output.replacing(out, "controller"):
             checksum = write_controller(out, found.controller)
         fronts.write(found)
-    for note in design_notes(plant, found, has_stiffness=environment_stiffness is not None):
+    for note in found.controller.provenance.get("notes", ()):
         output.note(note)
     tree = {**controller_tree(found.controller), "active": active_tree(found)}
     if existing is not None:

@@ -131,7 +131,7 @@ def _printed(found: "Shown") -> Iterator[str | list[tuple[str, ...]]]:
 
 def _predicted(identified: Path, options: dict[str, Any]) -> "PredictedContact":
     from autotune.errors import InfeasibleError
-    from autotune.formats.plant import read_plant
+    from autotune.formats.plant_file import read_plant
     from autotune.predicting import parse_gains, predict_any
     from problems.stability.margins import UnstableLoopError
 
@@ -151,7 +151,7 @@ def _predicted(identified: Path, options: dict[str, Any]) -> "PredictedContact":
 def _compared(output: Output, identified: Path, options: dict[str, Any]) -> "TouchComparison":
     from autotune.formats.cell import read_cell
     from autotune.formats.controller import read_controller
-    from autotune.formats.plant import read_plant
+    from autotune.formats.plant_file import read_plant
     from autotune.pipeline import IdentifyOptions, identify_log
     from autotune.predicting import compare_with_touches, parse_gains
 

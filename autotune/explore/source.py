@@ -12,15 +12,14 @@ from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller import ControllerFile, read_controller
 from autotune.formats.controller_record import AxisGains, Controller, RuntimePayload, admittance_controller
 from autotune.formats.limits import CollisionResponse
-from autotune.formats.plant import read_plant
+from autotune.formats.plant_file import read_plant
 from autotune.formats.problem import ProblemSpec, read_problem
 from autotune.formats.units import ROTATIONAL_AXES
 from autotune.formats.yaml12 import kind_of_file
 from autotune.tuning.bounds import Box
 from autotune.tuning.compare import start_design
-from autotune.tuning.optimize import carried_mass_kg, make_provenance
+from autotune.tuning.optimize import carried_payload, make_provenance
 from autotune.tuning.problems import DesignOptions, build_problems, within_domain
-from autotune.tuning.record import runtime_payload
 from autotune.tuning.search import SearchResult, solve_design
 from autotune.tuning.threshold import ThresholdSettings, threshold_settings
 from autotune.validation.axis_proof import ProofOptions
@@ -101,12 +100,13 @@ def _from_identified(path: Path, problem_path: Path | None, progress: Progress) 
     identified = read_plant(path)
     spec = within_domain(ProblemSpec() if problem_path is None else read_problem(problem_path), identified.domain)
     problems = build_problems(identified.result, spec, DesignOptions())
-    payload = runtime_payload(identified.result, carried_mass_kg(identified.result, problems, spec, DesignOptions()))
+    payload = carried_payload(identified.result, problems, spec, DesignOptions())
+    provenance = make_provenance(identified, problems, DesignOptions(), 0, problem_path, None, ProofOptions())
     return Exploration(
         path=path,
         axes={name: _searched(each, lambda done: progress(done / len(problems))) for name, each in problems.items()},
         payload=payload,
-        provenance=_by_hand(make_provenance(identified, DesignOptions(), 0, problem_path, None, ProofOptions())),
+        provenance=_by_hand(provenance),
         threshold=threshold_settings(identified.result, spec),
     )
 

@@ -1,13 +1,13 @@
 """A plant that a person writes, in Python or as `plant.yaml`: the few numbers that a controller is designed for."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from autotune.errors import UsageError
+from autotune.shown import ResultTable, Shown
 from identification.result import (
     AxisEstimate,
     CouplingEstimate,
@@ -23,88 +23,65 @@ from identification.result import (
     WrenchFilterEstimate,
 )
 from problems.errors import ParameterError
-from problems.model.robot import RobotModel, bandwidth_hz, bandwidth_share
+from problems.frozen import FrozenDict
+from problems.model.robot import bandwidth_hz
 
 from .atomic import check_target, write_atomic
-from .identified import IN_MEMORY, IdentifiedFile, read_identified
-from .quantity import Interval, Quantity, Uncertain, as_interval, nominal_value
-from .schema import VERSION, check_document, check_format
-from .yaml12 import Document, dump_yaml, kind_of_file, load_document
+from .identified import IN_MEMORY, IdentifiedFile
+from .quantity import Interval, Quantity, Uncertain, as_interval, as_number, as_numbers, as_quantity, nominal_value
+from .robot import LONGEST_DELAY_S, Robot
+from .schema import VERSION
+from .yaml12 import dump_yaml
 
 FORMAT = "autotune/plant"
+TAKEN_AS_EXACT = "taken-as-exact"
+"""Code of the finding that says what was given as a plain number."""
 Vector = tuple[float, float, float]
 _UNKNOWN = "not known: the plant was written by hand"
+# Of each component, as a controller file holds them.
+_MOST_OF_A_COMPONENT = {"centre_of_mass": 2.0, "force_bias": 300.0, "torque_bias": 50.0}
+_LONGEST_ARM_M, _HEAVIEST_KG, _LONGEST_PERIOD_S = 2.0, 1000.0, 0.1
+# A stiffness in N/mm or kN/m that is written as N/m is a thousandth of what it should be. Then the payload hangs far
+# down from its coupling, and a usual press goes deep into the surface.
+_GRAVITY, _USUAL_PRESS_N = 9.81, 30.0
+_IMPOSSIBLE_SAG_M, _DOUBTFUL_SAG_M = 0.1, 0.02
+_IMPOSSIBLE_DEPTH_M, _DOUBTFUL_N_PER_M = 1.0, 2e3
+_DOMAIN_NAMES: Mapping[str, str] = FrozenDict(
+    {
+        "mass": "payload_mass_kg",
+        "environment_stiffness": "environment_stiffness_n_per_m",
+        "coupling_stiffness": "coupling_stiffness_n_per_m",
+        "coupling_damping": "coupling_damping_n_s_per_m",
+        "drag": "drag_n_s_per_m",
+        "robot.bandwidth": "robot_bandwidth_hz",
+        "robot.damping_ratio": "robot_damping_ratio",
+        "robot.delay": "delay_s",
+        "wrench_delay": "wrench_delay_s",
+        "wrench_corner": "wrench_time_constant_s",
+    }
+)
+_UNITS: Mapping[str, str] = FrozenDict(
+    {
+        "mass": "kg",
+        "environment_stiffness": "N/m",
+        "coupling_stiffness": "N/m",
+        "coupling_damping": "N·s/m",
+        "drag": "N·s/m",
+        "robot.bandwidth": "Hz",
+        "robot.delay": "s",
+        "sample_time": "s",
+        "centre_of_mass": "m",
+        "force_bias": "N",
+        "torque_bias": "N·m",
+        "force_noise": "N RMS",
+        "wrench_corner": "Hz",
+        "wrench_delay": "s",
+    }
+)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Robot:
-    """A position-controlled robot: how its flange follows a commanded position, r(s) exp(-s delay) with r(0) = 1.
-
-    Parameters
-    ----------
-    bandwidth
-        Frequency at which the gain falls to 1/sqrt(2) [Hz]: a robot of one pole, or with `damping_ratio` of two.
-    delay
-        Dead time from command to motion, without the hold of one period [s].
-    damping_ratio
-        Of a robot with two poles [1].
-    numerator, denominator
-        Instead of a bandwidth: coefficients of r(s) in descending powers of s [rad/s].
-
-    Raises
-    ------
-    ParameterError
-        Neither or both of bandwidth and coefficients are given, a number is out of range, or r(s) is unstable, not
-        strictly proper, or not 1 at s = 0.
-
-    """
-
-    bandwidth: Quantity | None = None
-    delay: Quantity = 0.0
-    damping_ratio: Quantity | None = None
-    numerator: tuple[float, ...] | None = None
-    denominator: tuple[float, ...] | None = None
-
-    def __post_init__(self) -> None:
-        if (self.numerator is None) != (self.denominator is None):
-            raise ParameterError("numerator", self.numerator, "given together with the denominator")
-        if (self.bandwidth is None) == (self.numerator is None):
-            must = "given, or numerator and denominator instead, not both"
-            raise ParameterError("bandwidth", self.bandwidth, must)
-        if self.damping_ratio is not None and self.bandwidth is None:
-            raise ParameterError("damping_ratio", self.damping_ratio, "left out where coefficients are given")
-        for name in ("numerator", "denominator"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, tuple(float(each) for each in getattr(self, name)))
-        self.model()
-
-    def ranges(self) -> dict[str, Interval]:
-        """Return the lowest and highest value of bandwidth [Hz], damping ratio and delay [s], as far as given."""
-        given = {"bandwidth": self.bandwidth, "damping_ratio": self.damping_ratio, "delay": self.delay}
-        return {
-            name: as_interval(name, each, may_vanish=name == "delay")
-            for name, each in given.items()
-            if each is not None
-        }
-
-    def model(self) -> RobotModel:
-        """Return the nominal robot."""
-        nominal = {name: nominal_value(getattr(self, name), each) for name, each in self.ranges().items()}
-        if self.numerator is not None and self.denominator is not None:
-            numerator, denominator = list(self.numerator), list(self.denominator)
-        elif self.damping_ratio is None:
-            # |r| = 1/sqrt(2) of one pole is at the pole itself.
-            omega = 2.0 * math.pi * nominal["bandwidth"]
-            numerator, denominator = [omega], [1.0, omega]
-        else:
-            ratio = nominal["damping_ratio"]
-            omega = 2.0 * math.pi * nominal["bandwidth"] / bandwidth_share(ratio)
-            numerator, denominator = [omega**2], [1.0, 2.0 * ratio * omega, omega**2]
-        return RobotModel(numerator=numerator, denominator=denominator, delay_s=nominal["delay"])  # type: ignore[arg-type]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Plant:
+class Plant(Shown):
     """One straight axis of a cell as a person knows it, in SI.
 
     A plain number is **exact**: what is certified holds for that number only. A range (low, high) must all be safe, and
@@ -142,7 +119,8 @@ class Plant:
     Raises
     ------
     ParameterError
-        A number is out of the range in which the equations mean something.
+        An argument is no such number, or out of the range in which the equations mean something; a stiffness so low
+        that it must be of another unit than N/m.
 
     Notes
     -----
@@ -175,40 +153,76 @@ class Plant:
     wrench_delay: float | None = None
 
     def __post_init__(self) -> None:
-        if self.axis not in {"x", "y", "z"}:
+        if self.axis not in ("x", "y", "z"):
             raise ParameterError("axis", self.axis, "x, y or z")
-        for name in ("sample_time", "force_noise", "wrench_corner"):
-            if getattr(self, name) is not None:
-                as_interval(name, getattr(self, name), may_vanish=False)
-        if self.wrench_delay is not None:
-            as_interval("wrench_delay", self.wrench_delay, may_vanish=True)
-            if self.wrench_corner is not None:
-                raise ParameterError("wrench_delay", self.wrench_delay, "left out beside wrench_corner")
-        for name in ("centre_of_mass", "force_bias", "torque_bias"):
-            given = getattr(self, name)
-            if given is not None:
-                if len(given) != 3:
-                    raise ParameterError(name, given, "three numbers")
-                object.__setattr__(self, name, tuple(float(each) for each in given))
-                if not all(math.isfinite(each) for each in getattr(self, name)):
-                    raise ParameterError(name, given, "three finite numbers")
-        self._check_bounds()
-        self._intervals()
-
-    def _check_bounds(self) -> None:
-        if self.centre_of_mass is not None and math.hypot(*self.centre_of_mass) > 2.0:
-            raise ParameterError("centre_of_mass", self.centre_of_mass, "within 2 m of the sensor")
         if not isinstance(self.robot, Robot):
             raise ParameterError("robot", self.robot, "a Robot")
-        if isinstance(self.sample_time, tuple | list | Uncertain) or self.sample_time > 0.1:
-            raise ParameterError("sample_time", self.sample_time, "one number, at most 0.1 s")
+        for name in ("mass", "coupling_stiffness", "coupling_damping", "drag", "environment_stiffness"):
+            may_vanish = name in {"coupling_damping", "drag"}
+            object.__setattr__(self, name, as_quantity(name, getattr(self, name), may_vanish=may_vanish))
+        for name in ("sample_time", "force_noise", "wrench_corner", "wrench_delay"):
+            if name == "sample_time" or getattr(self, name) is not None:
+                object.__setattr__(self, name, as_number(name, getattr(self, name)))
+                as_interval(name, getattr(self, name), may_vanish=name == "wrench_delay")
+        for name in ("centre_of_mass", "force_bias", "torque_bias"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, as_numbers(name, getattr(self, name), 3))
+        self._check_bounds()
+        self._check_units()
+
+    def _check_bounds(self) -> None:
+        for name, most in _MOST_OF_A_COMPONENT.items():
+            given = getattr(self, name)
+            if given is not None and max(map(abs, given)) > most:
+                raise ParameterError(name, given, f"at most {most:g} {_UNITS[name]} along every axis")
+        if self.centre_of_mass is not None and math.hypot(*self.centre_of_mass) > _LONGEST_ARM_M:
+            raise ParameterError("centre_of_mass", self.centre_of_mass, f"within {_LONGEST_ARM_M:g} m of the sensor")
+        if self.sample_time > _LONGEST_PERIOD_S:
+            raise ParameterError("sample_time", self.sample_time, f"at most {_LONGEST_PERIOD_S:g} s")
+        if self._intervals()["mass"][1] > _HEAVIEST_KG:
+            raise ParameterError("mass", self.mass, f"at most {_HEAVIEST_KG:g} kg")
+        if self.wrench_delay is not None and self.wrench_corner is not None:
+            raise ParameterError("wrench_delay", self.wrench_delay, "left out beside wrench_corner")
+        if self.wrench_delay is not None and self.wrench_delay >= LONGEST_DELAY_S:
+            raise ParameterError("wrench_delay", self.wrench_delay, f"below {LONGEST_DELAY_S:g} s")
+
+    def _check_units(self) -> None:
+        """Refuse a stiffness that can only be meant in N/mm or kN/m."""
+        surface, coupling = self._intervals()["environment_stiffness"], self._intervals()["coupling_stiffness"]
+        if self._sag_m() > _IMPOSSIBLE_SAG_M:
+            must = f"in N/m: from this one the payload hangs {self._sag_m():.2g} m down{_meant(coupling)}"
+            raise ParameterError("coupling_stiffness", self.coupling_stiffness, must)
+        if surface[0] < _USUAL_PRESS_N / _IMPOSSIBLE_DEPTH_M:
+            depth = _USUAL_PRESS_N / surface[0]
+            must = f"in N/m: into this one {_USUAL_PRESS_N:g} N press {depth:.2g} m deep{_meant(surface)}"
+            raise ParameterError("environment_stiffness", self.environment_stiffness, must)
+
+    def _sag_m(self) -> float:
+        """Return how far the payload hangs down from its coupling at least, M_p g/K_s."""
+        within = self._intervals()
+        return within["mass"][0] * _GRAVITY / within["coupling_stiffness"][1]
+
+    def doubtful_units(self) -> Iterator[str]:
+        """Yield a sentence for each stiffness that is possible in N/m, and usual in N/mm or kN/m."""
+        surface, coupling = self._intervals()["environment_stiffness"], self._intervals()["coupling_stiffness"]
+        if surface[1] < _DOUBTFUL_N_PER_M:
+            least, most = (1e3 * _USUAL_PRESS_N / each for each in reversed(surface))
+            depth = f"{least:.3g}" if least == most else f"{least:.3g} to {most:.3g}"
+            yield (
+                f"An environment_stiffness of {_text(surface)} N/m is very soft: {_USUAL_PRESS_N:g} N press {depth} mm "
+                f"into it. If it was meant in N/mm or kN/m, write {_text(surface, 1e3)}."
+            )
+        if self._sag_m() > _DOUBTFUL_SAG_M or coupling[1] < _DOUBTFUL_N_PER_M:
+            yield (
+                f"A coupling_stiffness of {_text(coupling)} N/m is very soft: the payload hangs "
+                f"{1e3 * self._sag_m():.3g} mm down from it. If it was meant in N/mm or kN/m, write "
+                f"{_text(coupling, 1e3)}."
+            )
 
     def _intervals(self) -> dict[str, Interval]:
         """Return the lowest and highest value by name as written, `robot.` before those of the robot."""
-        own = {
-            name: as_interval(name, getattr(self, name), may_vanish=name in {"coupling_damping", "drag"})
-            for name in ("mass", "coupling_stiffness", "coupling_damping", "drag", "environment_stiffness")
-        }
+        names = ("mass", "coupling_stiffness", "coupling_damping", "drag", "environment_stiffness")
+        own = {name: as_interval(name, getattr(self, name), may_vanish=True) for name in names}
         return own | {f"robot.{name}": each for name, each in self.robot.ranges().items()}
 
     def exact(self) -> tuple[str, ...]:
@@ -227,19 +241,24 @@ class Plant:
 
     def domain(self) -> dict[str, Interval]:
         """Return the set that a controller must be safe for, by the names of `problem.yaml`."""
-        names = {
-            "mass": "payload_mass_kg",
-            "environment_stiffness": "environment_stiffness_n_per_m",
-            "coupling_stiffness": "coupling_stiffness_n_per_m",
-            "coupling_damping": "coupling_damping_n_s_per_m",
-            "drag": "drag_n_s_per_m",
-            "robot.bandwidth": "robot_bandwidth_hz",
-            "robot.damping_ratio": "robot_damping_ratio",
-            "robot.delay": "delay_s",
-        }
-        found = {names[name]: each for name, each in self._intervals().items()}
+        found = {_DOMAIN_NAMES[name]: each for name, each in self._intervals().items()}
         always = ("payload_mass_kg", "environment_stiffness_n_per_m")
         return {name: each for name, each in found.items() if name in always or each[0] < each[1]}
+
+    def _headline(self) -> str:
+        return f"Plant of axis {self.axis}"
+
+    def _tables(self) -> Iterator[ResultTable]:
+        written = {**_tree(self), **{f"robot.{name}": each for name, each in _tree(self.robot).items()}}
+        rows = tuple(
+            (name, *_written(value), _UNITS.get(name, ""))
+            for name, value in written.items()
+            if name not in ("robot", "axis")
+        )
+        yield ResultTable(title="parameters", columns=("parameter", "value", "taken as", "unit"), rows=rows)
+
+    def _notes(self) -> Sequence[str]:
+        return [f"{each.message} {each.advice}" for each in _findings(self)]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the tree of `plant.yaml`."""
@@ -262,6 +281,31 @@ class Plant:
         )
 
 
+def exact_within(exact: Sequence[str], ranges: Mapping[str, Interval]) -> tuple[str, ...]:
+    """Return the names of what a design takes as exact: those of the plant, but for what it was given a range of.
+
+    `ranges` are those of the design, by the names of `problem.yaml`; a plain number there is exact as well.
+    """
+    asked = {name: ranges[key] for name, key in _DOMAIN_NAMES.items() if key in ranges}
+    names = [name for name in (*_DOMAIN_NAMES, *exact) if name in exact or name in asked]
+    return tuple(name for name in dict.fromkeys(names) if name not in asked or asked[name][0] == asked[name][1])
+
+
+def exact_message(names: Sequence[str]) -> str:
+    """Return what it means that these are exact; empty where there is nothing to say."""
+    holds = "Taken as exact, so what is certified holds for these numbers only:"
+    return f"{holds} {', '.join(names)}." if names else ""
+
+
+def _text(interval: Interval, factor: float = 1.0) -> str:
+    low, high = (f"{factor * each:g}" for each in interval)
+    return low if low == high else f"{low} to {high}"
+
+
+def _meant(interval: Interval) -> str:
+    return f" (did you mean {_text(interval, 1e3)}?)"
+
+
 def _tree(record: Plant | Robot) -> dict[str, Any]:
     """Return what was said, numbers as they were written; what was left out is left out."""
     tree: dict[str, Any] = {}
@@ -272,13 +316,22 @@ def _tree(record: Plant | Robot) -> dict[str, Any]:
         if isinstance(value, Robot):
             value = _tree(value)
         elif isinstance(value, Uncertain):
-            value = {"value": float(value.value), "std": float(value.std)}
-        elif isinstance(value, tuple | list):
-            value = [float(part) for part in value]
-        elif isinstance(value, int | float):
-            value = float(value)
-        tree[each.name] = value
+            value = {"value": value.value, "std": value.std}
+        tree[each.name] = list(value) if isinstance(value, tuple) else value
     return tree
+
+
+def _written(value: Any) -> tuple[str, str]:
+    """Return a value of the tree as text, and how it is taken."""
+    if isinstance(value, Mapping):
+        return f"{value['value']:g} ± {value['std']:g}", "three deviations to each side"
+    if not isinstance(value, list):
+        return f"{value:g}", "exact"
+    return (
+        (f"{value[0]:g} to {value[1]:g}", "a range")
+        if len(value) == 2
+        else (", ".join(map("{:g}".format, value)), "exact")
+    )
 
 
 def _given(value: float | None) -> Estimate:
@@ -350,13 +403,14 @@ def _wrench_filter(plant: Plant) -> WrenchFilterEstimate | None:
 
 def _findings(plant: Plant) -> list[Finding]:
     """Say what the certificate of such a plant cannot hold for."""
-    found, exact = [], ", ".join(plant.exact())
+    found = [Finding.warning("unit-suspected", sentence, "") for sentence in plant.doubtful_units()]
+    exact = plant.exact()
     if exact:
         found.append(
             Finding(
-                code="taken-as-exact",
+                code=TAKEN_AS_EXACT,
                 severity="warning",
-                message=f"Taken as exact, so what is certified holds for these numbers only: {exact}.",
+                message=exact_message(exact),
                 advice="Give a range (low, high), or a value with its deviation, for what is not known exactly.",
             )
         )
@@ -377,45 +431,3 @@ def _findings(plant: Plant) -> list[Finding]:
             )
         )
     return found
-
-
-def read_plant(path: Path | str) -> IdentifiedFile:
-    """Read `identified.yaml`, or a `plant.yaml` that a person wrote.
-
-    Raises UsageError: the file cannot be read, is neither, or an entry is missing, unknown or out of range; the text
-    names file, line and key.
-    """
-    kind = kind_of_file(Path(path))
-    if kind == "identified":
-        return read_identified(path)
-    document = load_document(path, error=UsageError)
-    if kind != "plant":
-        found = f"autotune/{kind}" if kind else "no such key"
-        document.refuse(("format",), f"format must be autotune/identified or {FORMAT}, found {found}.")
-    return parse_plant(document).file(document.path, document.sha256)
-
-
-def parse_plant(document: Document) -> Plant:
-    """Return the plant of a file that was loaded; raises UsageError as `read_plant`."""
-    check_format(document, "plant")
-    check_document(document, "plant")
-    tree = {key: value for key, value in document.tree.items() if key not in ("format", "version")}
-    within: tuple[str, ...] = ("robot",)
-    try:
-        robot = Robot(
-            **{name: _quantity(value, (*within, name), document) for name, value in tree.pop("robot").items()}
-        )
-        within = ()
-        return Plant(robot=robot, **{name: _quantity(value, (name,), document) for name, value in tree.items()})
-    except ParameterError as error:
-        place = (*within, *error.name.split("."))
-        document.refuse(place if place in document.lines else within, str(error))
-
-
-def _quantity(value: Any, place: tuple[str, ...], document: Document) -> Any:
-    if isinstance(value, Mapping):
-        try:
-            return Uncertain(float(value["value"]), float(value["std"]))
-        except ParameterError as error:
-            document.refuse((*place, error.name), str(error))
-    return tuple(value) if isinstance(value, list) else value

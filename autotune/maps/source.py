@@ -11,7 +11,7 @@ from autotune.errors import UsageError
 from autotune.formats.certificate_record import AxisDomain
 from autotune.formats.controller import read_controller
 from autotune.formats.controller_record import Controller, admittance_controller
-from autotune.formats.plant import read_plant
+from autotune.formats.plant_file import read_plant
 from autotune.formats.units import ROTATIONAL_AXES
 from autotune.formats.yaml12 import kind_of_file
 from autotune.tuning.wrench import build_wrench

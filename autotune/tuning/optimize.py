@@ -30,6 +30,7 @@ from .compliance import (
     infeasible_message,
     settle_compliance,
 )
+from .design_notes import design_notes, exact_names
 from .limits import LimitsSettings, limits_settings, with_limits
 from .optimality_report import OptimalityReport, optimality_tree
 from .plausible import left_out_tree
@@ -52,7 +53,8 @@ class Optimized:
     """A controller that passed validation, the searches behind it, their optimality, and the checks it passed.
 
     `compared` puts it beside an existing controller, axis by axis, if one was given; `compliance` holds the stiffness
-    that was chosen for the axis, where the problem left it open.
+    that was chosen for the axis, where the problem left it open. What the user should know is in the provenance, as
+    `notes`.
     """
 
     controller: Controller
@@ -94,7 +96,7 @@ def optimize(
     if existing is not None:
         check_comparable(existing, problems)
     # Asked before the search, because it may refuse.
-    payload = runtime_payload(identified.result, carried_mass_kg(identified.result, problems, spec, options))
+    payload = carried_payload(identified.result, problems, spec, options)
     chosen = _choose(problems, spec.compliance, seed, step or no_progress, ProgressSlice(report, _COMPLIANCE_SHARE))
     if chosen:
         report = ProgressSlice(report, 1.0 - _COMPLIANCE_SHARE)
@@ -104,7 +106,7 @@ def optimize(
     settled = _settle_all(searches, asked, seed, report)
     searches = {name: each.search for name, each in settled.items()}
     optimality_reports = {name: each.optimality for name, each in settled.items()}
-    provenance = make_provenance(identified, options, seed, problem_path, existing, asked)
+    provenance = make_provenance(identified, problems, options, seed, problem_path, existing, asked)
     provenance |= _optimality_tree(optimality_reports) | _surfaces_tree(problems, identified.result, chosen)
     controller, checked = certify(
         searches, payload, provenance, asked, lambda done: report((1.0 - _SEARCH_SHARE) * done),
@@ -112,6 +114,9 @@ def optimize(
         limits=limits_settings(identified.result, spec),
         proved={name: each.proved for name, each in settled.items()},
     )  # fmt: skip
+    notes = list(design_notes(identified, controller, problems, options, has_compliance=bool(chosen)))
+    if notes:
+        controller = replace(controller, provenance={**controller.provenance, "notes": notes})
     return Optimized(
         controller=controller,
         searches=searches,
@@ -150,11 +155,13 @@ def _surfaces_tree(
     return dict(left_out_tree(problems, identified))
 
 
-def carried_mass_kg(
+def carried_payload(
     identified: Identified, problems: Mapping[str, DesignProblem], spec: ProblemSpec, options: DesignOptions
-) -> float:
-    """Return the mass that the runtime compensates; raises UsageError where ranges leave the identified one out."""
-    return runtime_mass_kg(identified, certified_mass_kg(problems) or options.payload_mass_kg or spec.payload_mass_kg)
+) -> RuntimePayload:
+    """Return the payload that the runtime compensates; raises UsageError where ranges leave the identified one out."""
+    certified = certified_mass_kg(problems) or options.payload_mass_kg or spec.payload_mass_kg
+    is_chosen = certified is not None and certified[0] == certified[1]
+    return runtime_payload(identified, runtime_mass_kg(identified, certified), is_chosen=is_chosen)
 
 
 def certify(
@@ -314,6 +321,7 @@ def _without_uncertainty(problem: DesignProblem, seed: int) -> str:
 
 def make_provenance(
     identified: IdentifiedFile,
+    problems: Mapping[str, DesignProblem],
     options: DesignOptions,
     seed: int,
     problem_path: Path | None,
@@ -321,6 +329,7 @@ def make_provenance(
     proof: ProofOptions,
 ) -> dict[str, Any]:
     """Return where a controller comes from: the tool, the identified file, and what was asked."""
+    plant = identified.provenance.get("plant")
     mass, stiffness = options.payload_mass_kg, options.environment_stiffness_n_per_m
     return {
         "tool": f"autotune {__version__}",
@@ -328,7 +337,7 @@ def make_provenance(
             "path": str(identified.path),
             "sha256": identified.sha256,
             # Of a plant that a person wrote, what was written and what of it was taken as exact.
-            **{name: identified.provenance[name] for name in ("plant", "exact") if name in identified.provenance},
+            **({} if plant is None else {"plant": plant, "exact": list(exact_names(identified, problems))}),
         },
         "options": {
             "problem": None if problem_path is None else str(problem_path),

@@ -170,10 +170,10 @@ def _check_same_payload(identified: Identified, name: str, asked: Interval | Non
 def runtime_mass_kg(identified: Identified, certified: Interval | None) -> float:
     """Return the mass that the runtime's gravity compensation takes: one that the certificate holds for.
 
-    The identified mass where the range holds it; the end of the range that lies within its deviation; else the one
-    mass that was asked for. `certified` is None where only rotational axes are tuned, whose certificates speak of
-    inertia. Raises UsageError for a range that leaves the identified mass out: nobody could say which weight to
-    compensate.
+    The identified mass where the range holds it; the end of the range that lies within its deviation, or nearest to the
+    middle of a range that a person gave; else the one mass that was asked for. `certified` is None where only
+    rotational axes are tuned, whose certificates speak of inertia. Raises UsageError for a range that leaves the
+    identified mass out: nobody could say which weight to compensate.
     """
     mass = _value(identified.payload.mass_kg, "payload.mass_kg")
     if certified is None:
@@ -182,12 +182,17 @@ def runtime_mass_kg(identified: Identified, certified: Interval | None) -> float
     if low <= mass <= high:
         return mass
     nearest = min(max(mass, low), high)
-    if low == high or is_identified_mass(identified, nearest):
+    if low == high or is_identified_mass(identified, nearest) or is_mass_range(identified):
         return nearest
     raise UsageError(
         f"The payload range {low:g} to {high:g} kg leaves out the identified payload of {mass:.4g} kg, so the weight "
         "to compensate is not known; widen the range, or name the one mass that the cell will carry."
     )
+
+
+def is_mass_range(identified: Identified) -> bool:
+    """Return whether a person gave a range of mass: a given mass without a deviation, the middle of the range."""
+    return identified.payload.mass_kg.status is Status.GIVEN and identified.payload.mass_kg.std is None
 
 
 def is_identified_mass(identified: Identified, mass_kg: float) -> bool:

@@ -37,6 +37,7 @@ from problems.design.requirements import smallest_admittance
 from problems.design.uncertainty import Scenario
 from problems.model.controller import AdmittanceController
 
+from .problems import is_mass_range
 from .search import SearchResult
 
 _DEFAULT_DEADBAND_N = 5.0
@@ -117,14 +118,13 @@ def _gains(name: str, controller: AdmittanceController) -> AxisGains:
     )
 
 
-def runtime_payload(identified: Identified, mass_kg: float) -> RuntimePayload:
+def runtime_payload(identified: Identified, mass_kg: float, *, is_chosen: bool) -> RuntimePayload:
     """Return what gravity compensation needs; raises EstimateError for a log that showed no centre of mass or bias.
 
-    Where a person wrote the plant and left them out, or gave a range of mass (a given mass without deviation) of which
-    none was chosen, the payload must be set in the cell.
+    Where a person wrote the plant and left them out, or gave a range of mass of which none was chosen (`is_chosen`),
+    the payload must be set in the cell.
     """
-    weighed = identified.payload.mass_kg
-    is_range = weighed.status is Status.GIVEN and weighed.std is None and weighed.value == mass_kg
+    is_range = is_mass_range(identified) and not is_chosen
     estimates = (identified.payload.com_m, identified.sensor.force_bias_n, identified.sensor.torque_bias_n_m)
     com, force, torque = (each.value for each in estimates)
     is_written = all(each.value is not None or each.status is Status.GIVEN for each in estimates)

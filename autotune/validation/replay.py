@@ -10,7 +10,14 @@ from problems.arrays import FloatArray
 from problems.model.controller import AdmittanceController
 from problems.model.plant import FREE_SPACE, Coupling, PayloadDynamics, Plant, build_plant_matrices
 from problems.model.robot import RobotModel
-from problems.model.sampled import build_loop, build_sampled_plant, check_wrench_delay, hold, spectral_radius, stability_matrix
+from problems.model.sampled import (
+    build_loop,
+    build_sampled_plant,
+    check_wrench_delay,
+    hold,
+    spectral_radius,
+    stability_matrix,
+)
 
 _SUBSTEPS = 20
 _SHORTEST_APPROACH_S = 0.8
@@ -52,7 +59,8 @@ def replay_contact(
     predecessor become the one sent last (the paper's Algorithm 1).
 
     Approach and contact each last as long as the slowest part of their loop needs to decay, ten seconds at most; of a
-    force that only creeps to its value at rest by then, that value counts. The plant advances in twentieths of a sample, contact begins and ends on that grid, and the delay is rounded to it.
+    force that only creeps to its value at rest by then, that value counts. The plant advances in twentieths of a
+    sample, contact begins and ends on that grid, and the delay is rounded to it.
     """
     # A wrench that is late makes the same loop as commands that are (for a law that reads nothing but the wrench).
     check_wrench_delay(plant, controller)

@@ -13,10 +13,11 @@ import pytest
 
 from autotune.formats.canonical import short
 from autotune.formats.controller import read_controller
+from autotune.formats.controller_record import Controller
 from autotune.formats.limits import ResidualPeaks
 from autotune.formats.yaml12 import load_yaml
 from autotune.tuning.design_notes import residual_notes
-from autotune.tuning.optimize import Optimized
+from problems.design.problem import DesignProblem
 from tests.autotune.tuning.cases import FAST_PROBLEM_YAML, write_plant
 from tests.autotune.tuning.turning import write_two_axes
 from tests.autotune.validation.test_validate import EVERY_CHECK
@@ -139,7 +140,7 @@ def test_a_straight_and_a_turning_axis_come_from_one_call(run_cli: RunCli, tmp_p
     ranges = ["--environment-stiffness", "1.0e5:1.2e5"]
     done = run_cli("optimize", "identified.yaml", "--problem", "problem.yaml", *ranges)
     assert done.returncode == 0
-    assert done.stderr.startswith("--environment-stiffness is in N/m and says nothing of ry")
+    assert done.stderr.startswith("The range of environment stiffness is in N/m and says nothing of ry")
     assert "axis ry: M_a 0.24 kg·m², B_a " in done.stdout
     assert "inertia [kg·m²]  peak at contact [N·m]" in done.stdout
     assert sum(line.startswith("  ok     ry: ") for line in done.stdout.splitlines()) == len(EVERY_CHECK) - 1
@@ -229,10 +230,8 @@ def test_a_limit_of_the_peak_that_the_residual_weight_breaks_is_said() -> None:
 
     def notes(limit: float | None) -> list[str]:
         problem = SimpleNamespace(requirements=SimpleNamespace(max_peak_force_n=limit))
-        found = SimpleNamespace(
-            controller=SimpleNamespace(predicted={"x": prediction}), searches={"x": SimpleNamespace(problem=problem)}
-        )
-        return list(residual_notes(cast(Optimized, found)))
+        controller = cast(Controller, SimpleNamespace(predicted={"x": prediction}))
+        return list(residual_notes(controller, {"x": cast(DesignProblem, problem)}))
 
     # 50 N asked and 49 N reached; with 1 N of weight left 50.6 N, so 50·49/50.6 = 48.4 N must be asked.
     (note,) = notes(50.0)

@@ -25,7 +25,7 @@ def small_exploration() -> Exploration:
     """Two axes of one problem with four free gains; the plants around are the ends of their ranges."""
     problem = roomy_problem()
     start = AxisStart(problem=problem, design=DESIGN, scenarios=problem.scenarios(2, 2))
-    payload = runtime_payload(identified_plant(), 16.0)
+    payload = runtime_payload(identified_plant(), 16.0, is_chosen=False)
     return Exploration(path=Path("identified.yaml"), axes={"x": start, "y": start}, payload=payload, provenance={})
 
 

@@ -4,6 +4,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,14 +12,15 @@ from hypothesis import strategies as st
 from autotune.errors import UsageError
 from autotune.explore.source import read_exploration
 from autotune.formats.controller_record import RuntimePayload
-from autotune.formats.plant import Plant, Robot, parse_plant, read_plant
+from autotune.formats.plant import Plant, exact_within
+from autotune.formats.plant_file import parse_plant, read_plant
 from autotune.formats.problem import ProblemSpec
 from autotune.formats.quantity import Uncertain
+from autotune.formats.robot import Robot
 from autotune.formats.yaml12 import load_document
 from autotune.maps.source import read_source
-from autotune.tuning.optimize import carried_mass_kg
+from autotune.tuning.optimize import carried_payload
 from autotune.tuning.problems import DesignOptions, build_problems, within_domain
-from autotune.tuning.record import runtime_payload
 from identification.result import Status
 from problems.errors import ParameterError
 from problems.model.robot import bandwidth_hz
@@ -160,6 +162,21 @@ def test_what_is_wrong_is_refused_with_file_line_and_key(
         ({"force_bias": (0.0, math.nan, 0.0)}, "force_bias"),
         ({"force_bias": (1.0, 2.0)}, "force_bias"),
         ({"wrench_corner": 50.0, "wrench_delay": 0.001}, "wrench_delay"),
+        ({"wrench_corner": (50.0, 60.0)}, "wrench_corner"),
+        ({"wrench_delay": 0.2}, "wrench_delay"),
+        ({"force_noise": [1.0, 2.0]}, "force_noise"),
+        ({"force_noise": Uncertain(1.0, 0.1)}, "force_noise"),
+        ({"force_bias": 3}, "force_bias"),
+        ({"force_bias": ("a", 1, 2)}, "force_bias"),
+        ({"force_bias": (301.0, 0.0, 0.0)}, "force_bias"),
+        ({"torque_bias": (0.0, 51.0, 0.0)}, "torque_bias"),
+        ({"mass": 1001.0}, "mass"),
+        ({"mass": np.array([10.0, 20.0, 30.0])}, "mass"),
+        ({"axis": ["x"]}, "axis"),
+        # Meant in N/mm, kN/m or N/mm again.
+        ({"coupling_stiffness": 300.0}, "coupling_stiffness"),
+        ({"environment_stiffness": (20.0, 500.0)}, "environment_stiffness"),
+        ({"environment_stiffness": 17.5}, "environment_stiffness"),
     ],
 )
 def test_a_number_out_of_range_is_refused_by_name(changes: dict[str, Any], name: str) -> None:
@@ -168,9 +185,59 @@ def test_a_number_out_of_range_is_refused_by_name(changes: dict[str, Any], name:
     assert refused.value.name == name
 
 
-def test_a_deviation_of_nothing_is_no_deviation() -> None:
-    with pytest.raises(ParameterError, match="exact"):
-        Uncertain(16.0, 0.0)
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        ({"bandwidth": 3.2, "delay": 0.1}, "delay"),
+        ({"bandwidth": 3.2, "delay": (0.002, 0.2)}, "delay"),
+        ({"bandwidth": "a"}, "bandwidth"),
+        ({"numerator": 20, "denominator": (1.0, 20.0)}, "numerator"),
+        ({"numerator": (20.0,), "denominator": "ab"}, "denominator"),
+    ],
+)
+def test_a_robot_that_is_none_is_refused_by_name(arguments: dict[str, Any], name: str) -> None:
+    with pytest.raises(ParameterError) as refused:
+        Robot(**arguments)
+    assert refused.value.name == name
+
+
+@pytest.mark.parametrize("numbers", [(1, "b"), ("a", 1), (math.nan, 1), (None, 1), (16.0, 0.0), (16.0, True)])
+def test_an_uncertain_number_is_two_finite_ones(numbers: tuple[Any, Any]) -> None:
+    with pytest.raises(ParameterError, match="exact" if numbers == (16.0, 0.0) else "number"):
+        Uncertain(*numbers)
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    made = plant(
+        mass=np.array([10, 20]), drag=np.float32(630.0), environment_stiffness=[2e4, 5e5], force_bias=np.zeros(3)
+    )
+    assert made == plant(mass=(10.0, 20.0), force_bias=(0.0, 0.0, 0.0))
+    assert hash(made) == hash(plant(mass=(10.0, 20.0), force_bias=(0.0, 0.0, 0.0)))
+
+
+def test_a_soft_surface_is_allowed_and_its_unit_asked() -> None:
+    """250 to 500 N/m is foam, or a wall in kN/m: 30 N press 60 to 120 mm into the former."""
+    (finding,) = (
+        each for each in plant(environment_stiffness=(250, 500)).file().result.findings if "unit" in each.code
+    )
+    assert "60 to 120 mm" in finding.message
+    assert "write 250000 to 500000" in finding.message
+    assert "unit-suspected" not in [each.code for each in plant().file().result.findings]
+
+
+def test_it_shows_itself_as_a_table() -> None:
+    text = str(plant(mass=(10, 22)))
+    assert "10 to 22" in text
+    assert "0.0024 ± 0.0001" in text
+    assert "taken as" in plant()._repr_html_()
+    assert eval(repr(plant()), {"Plant": Plant, "Robot": Robot, "Uncertain": Uncertain}) == plant()
+
+
+def test_what_a_design_takes_as_exact_follows_its_ranges() -> None:
+    source = plant()
+    asked = {"payload_mass_kg": (10.0, 22.0), "coupling_stiffness_n_per_m": (3e5, 3e5)}
+    assert exact_within(source.exact(), asked) == ("coupling_stiffness", "coupling_damping", "drag", "robot.bandwidth")
+    assert exact_within(source.exact(), {}) == source.exact()
 
 
 WHOLE: dict[str, Any] = {
@@ -185,7 +252,7 @@ def carried(source: Plant, **options: Any) -> RuntimePayload:
     asked = DesignOptions(**options)
     spec = within_domain(ProblemSpec(), identified.domain)
     problems = build_problems(identified.result, spec, asked)
-    return runtime_payload(identified.result, carried_mass_kg(identified.result, problems, spec, asked))
+    return carried_payload(identified.result, problems, spec, asked)
 
 
 def test_the_value_of_an_uncertain_mass_is_what_is_compensated() -> None:
@@ -204,6 +271,9 @@ def test_of_a_range_of_mass_no_mass_is_compensated_until_the_cell_says_which() -
     assert "mass is a range" in finding.message
     assert "set_in_cell" in finding.message
     assert "centre_of_mass, force_bias, torque_bias) is ignored" in finding.message
+    # A narrower range without the middle of the wide one leaves the mass to the cell all the same.
+    narrower = carried(source, payload_mass_kg=(6.0, 7.0))
+    assert (narrower.mass_kg, narrower.set_in_cell) == (7.0, True)
     chosen = carried(source, payload_mass_kg=(12.0, 12.0))
     assert (chosen.mass_kg, chosen.set_in_cell) == (12.0, False)
 
