@@ -5,16 +5,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from autotune.arguments import axis_names, count, errors_in_arguments, file_path, file_paths, interval, priors
 from autotune.design import Design
 from autotune.errors import UsageError
 from autotune.formats.plant import Plant
-from autotune.formats.quantity import Quantity, Uncertain, as_interval
+from autotune.formats.quantity import Quantity, Uncertain
 from autotune.formats.robot import Robot
-from autotune.log import Log, Paths, log_paths
+from autotune.log import Log, Paths, cell_file
 from autotune.pipeline import IdentifyOptions, identify_log
 from autotune.results import Identification
 from autotune.shown import Progress, reporting
-from identification.given import Given
 
 if TYPE_CHECKING:
     from autotune.formats.cell import CellFile
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from autotune.prediction.result import PredictedContact
 
 
+@errors_in_arguments()
 def identify(
     log: Log | Paths,
     *,
@@ -79,11 +80,9 @@ def identify(
     source = log if isinstance(log, Log) else None
     if source is not None and cell is not None:
         raise UsageError("A log that was read brings its own cell; give cell to read_log.")
-    files = log_paths(log) if not isinstance(log, Log) else log.paths
-    read = IdentifyOptions(cell=_cell_file(cell)) if source is None else source.options
-    options = replace(
-        read, allow_partial=allow_partial, given={name: _prior(value) for name, value in (given or {}).items()}
-    )
+    files = file_paths("log", log) if not isinstance(log, Log) else log.paths
+    read = IdentifyOptions(cell=cell_file(cell)) if source is None else source.options
+    options = replace(read, allow_partial=allow_partial, given=priors(given))
     with reporting(progress, f"identifying {', '.join(path.name for path in files)}") as report:
         return identify_log(
             files,
@@ -94,6 +93,7 @@ def identify(
         )
 
 
+@errors_in_arguments()
 def optimize(
     plant: "Plant | Identification | str | Path",
     *,
@@ -122,7 +122,7 @@ def optimize(
     seed
         The same seed gives the same controller.
     compare
-        A controller to put beside the new one; the search starts from it too.
+        A controller to put beside the new one: a design, or the path of a file; the search starts from it too.
     progress
         True for a bar, or a callable that takes the share of the work done since its last call.
 
@@ -157,21 +157,19 @@ def optimize(
     True
 
     """
-    from autotune.formats.controller import read_controller  # noqa: PLC0415 - for who compares only
+    from autotune.formats.controller import ControllerFile, read_controller  # noqa: PLC0415 - for who compares only
     from autotune.formats.problem import ProblemSpec, read_problem  # noqa: PLC0415
     from autotune.tuning.optimize import optimize as search  # noqa: PLC0415 - compiles
     from autotune.tuning.problems import DesignOptions  # noqa: PLC0415
 
-    source = _plant_file(plant)
-    path = Path(problem) if isinstance(problem, str | Path) else None
-    spec = ProblemSpec() if problem is None else problem if isinstance(problem, ProblemSpec) else read_problem(path)  # type: ignore[arg-type]
-    if axes is not None:
-        spec = replace(spec, axes=tuple(axes))
-    if isinstance(compare, Design):
-        raise UsageError("compare takes the path of a controller file; save the design first.")
+    source, seed, names = _plant_file(plant), count("seed", seed), axis_names(axes)
+    path = None if problem is None or isinstance(problem, ProblemSpec) else file_path("problem", problem)
+    spec = problem if isinstance(problem, ProblemSpec) else ProblemSpec() if path is None else read_problem(path)
+    spec = spec if names is None else replace(spec, axes=names)
+    existing = compare.as_file() if isinstance(compare, Design) else compare
     options = DesignOptions(
-        payload_mass_kg=_range("payload_mass", payload_mass),
-        environment_stiffness_n_per_m=_range("environment_stiffness", environment_stiffness),
+        payload_mass_kg=interval("payload_mass", payload_mass),
+        environment_stiffness_n_per_m=interval("environment_stiffness", environment_stiffness),
     )
     with reporting(progress, "searching") as report:
         found = search(
@@ -180,12 +178,15 @@ def optimize(
             options,
             seed=seed,
             problem_path=path,
-            existing=None if compare is None else read_controller(compare),
+            existing=existing
+            if existing is None or isinstance(existing, ControllerFile)
+            else read_controller(file_path("compare", existing)),
             progress=report,
         )
     return Design(controller=found.controller, optimized=found)
 
 
+@errors_in_arguments()
 def predict(
     plant: "Design | Plant | Identification | str | Path",
     *,
@@ -276,7 +277,7 @@ def load(path: str | Path) -> "Design | Identification | Plant":
     Parameters
     ----------
     path
-        The file; what it is stands in its first line.
+        The file, whose first line says what it is.
 
     Returns
     -------
@@ -305,7 +306,8 @@ def load(path: str | Path) -> "Design | Identification | Plant":
     from autotune.formats.plant_file import parse_plant  # noqa: PLC0415
     from autotune.formats.yaml12 import kind_of_file, load_document  # noqa: PLC0415
 
-    kind, path = kind_of_file(Path(path)), Path(path)
+    path = file_path("path", path)
+    kind = kind_of_file(path)
     if kind == "controller":
         read = read_controller(path)
         return Design(controller=read.controller, file=read)
@@ -354,18 +356,6 @@ def from_control(system: Any, *, delay: float | tuple[float, float] | Uncertain 
     return Robot(numerator=numerator, denominator=denominator, delay=delay)
 
 
-def _cell_file(cell: "str | Path | CellFile | None") -> "CellFile | None":
-    from autotune.formats.cell import read_cell  # noqa: PLC0415 - most logs need none
-
-    return read_cell(Path(cell)) if isinstance(cell, str | Path) else cell
-
-
-def _prior(value: float | Uncertain) -> Given:
-    if isinstance(value, Uncertain):
-        return Given(value=value.value, std=value.std)
-    return Given(value=float(value), std=0.0)
-
-
 def _plant_file(plant: "Plant | Identification | str | Path") -> "IdentifiedFile":
     from autotune.formats.plant_file import read_plant  # noqa: PLC0415 - a file only
 
@@ -374,7 +364,3 @@ def _plant_file(plant: "Plant | Identification | str | Path") -> "IdentifiedFile
     if isinstance(plant, str | Path):
         return read_plant(plant)
     raise UsageError(f"plant must be what identify returns, a Plant or a path, found {type(plant).__name__}.")
-
-
-def _range(name: str, value: Quantity | None) -> tuple[float, float] | None:
-    return None if value is None else as_interval(name, value, may_vanish=False)

@@ -3,14 +3,18 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from autotune.arguments import count, file_path
 from autotune.errors import CertificateError, UsageError
 from autotune.formats.atomic import check_target
 from autotune.formats.controller import ControllerFile, controller_tree, write_controller
 from autotune.formats.controller_record import Controller
+from autotune.formats.identified import IN_MEMORY
 from autotune.formats.units import axis_units
+from autotune.formats.yaml12 import dump_yaml
 from autotune.results import Validation
 from autotune.shown import Progress, ResultTable, Shown, data_frame, reporting
 from problems.design.uncertainty import Scenario
@@ -25,7 +29,6 @@ if TYPE_CHECKING:
     from autotune.tuning.optimize import Optimized
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Design(Shown):
     """A controller with what it is predicted to do and what its certificate says.
@@ -139,6 +142,14 @@ class Design(Shown):
         """Return the tree of `controller.yaml`."""
         return controller_tree(self.controller)
 
+    def as_file(self) -> ControllerFile:
+        """Return it as a file is handed on: the one that it was loaded from, or as `save` would write it."""
+        if self.file is not None:
+            return self.file
+        tree = self.to_dict()
+        digest = sha256(dump_yaml(tree).encode()).hexdigest()
+        return ControllerFile(controller=self.controller, checksum=tree["checksum"], path=IN_MEMORY, sha256=digest)
+
     def to_pandas(self) -> Any:
         """Return the predicted contacts of all axes as a pandas.DataFrame; raises UsageError without pandas."""
         rows = [(name, each) for name, p in self.controller.predicted.items() for each in p.scenarios]
@@ -156,11 +167,12 @@ class Design(Shown):
             The file cannot be written, or a file of another kind would be lost.
 
         """
+        target = file_path("path", path)
         source = self.optimized or self.file
         if source is not None and source.controller != self.controller:
             raise CertificateError("The controller was changed after its certificate was made; optimize it again.")
-        check_target(path, kind="controller", option="path")
-        return write_controller(path, self.controller)
+        check_target(target, kind="controller", option="path")
+        return write_controller(target, self.controller)
 
     def validate(self, *, samples: int = 256, seed: int = 1, progress: Progress = None) -> Validation:
         """Verify every claim again, by other code than the search's, as `autotune validate` does.
@@ -182,6 +194,7 @@ class Design(Shown):
         """
         from autotune.validation.verify import verify  # noqa: PLC0415 - what validates is not needed before
 
+        samples, seed = count("samples", samples), count("seed", seed)
         with reporting(progress, "validating", 2.0 if samples else 1.0) as report:
             return Validation(checks=verify(self.controller, samples=samples, seed=seed, progress=report).checks)
 
@@ -278,7 +291,7 @@ class Design(Shown):
         Parameters
         ----------
         x, y
-            Two of `mass`, `damping`, `lead` and `feedback_damping`.
+            Two of `mass`, `damping`, `lead` and `feedback_damping`; `lead_s` as in `autotune map` will do too.
         axis
             Which one; may be left out where there is one.
         ax

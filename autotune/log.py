@@ -3,11 +3,14 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from filecmp import cmp
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from autotune.arguments import count, errors_in_arguments, file_path, file_paths, in_arguments
 from autotune.errors import UsageError
 from autotune.formats.atomic import check_target
 from autotune.formats.cell import CellFile, read_cell
@@ -27,7 +30,7 @@ if TYPE_CHECKING:
 Paths = str | Path | Sequence[str | Path]
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Log(Shown):
     """A log that was read: what its channels are used for, their health, and the signals.
 
@@ -57,7 +60,7 @@ class Log(Shown):
     @property
     def missing(self) -> tuple[str, ...]:
         """One sentence for each thing that `identify` lacks."""
-        return self.summary.missing
+        return tuple(map(in_arguments, self.summary.missing))
 
     @property
     def duration(self) -> float:
@@ -136,6 +139,7 @@ class Log(Shown):
         return show(log_chart(self._signals()), ax)
 
 
+@errors_in_arguments()
 def read_log(
     paths: Paths,
     *,
@@ -190,9 +194,12 @@ def read_log(
     """
     from identification.logs import inspect_log, read_checked_recording  # noqa: PLC0415 - compiles
 
-    files = log_paths(paths)
+    files = file_paths("paths", paths)
+    for name, topic in (("wrench_topic", wrench_topic), ("pose_topic", pose_topic), ("command_topic", command_topic)):
+        if topic is not None and not isinstance(topic, str):
+            raise UsageError(f"{name} must be the name of a channel, found {topic!r}.")
     options = IdentifyOptions(
-        cell=read_cell(Path(cell)) if isinstance(cell, str | Path) else cell,
+        cell=cell_file(cell),
         wrench_topic=wrench_topic,
         pose_topic=pose_topic,
         command_topic=command_topic,
@@ -211,15 +218,19 @@ def read_log(
     return Log(paths=files, summary=summary, recording=recording, options=options)
 
 
-def simulate_log(path: str | Path, *, seed: int = 0, progress: Callable[[float], None] | None = None) -> Path:
+def simulate_log(
+    path: str | Path, *, seed: int = 0, overwrite: bool = False, progress: Callable[[float], None] | None = None
+) -> Path:
     """Simulate a cell and write its log, to try everything else on.
 
     Parameters
     ----------
     path
-        The MCAP file to write.
+        The MCAP file to write. One that this function wrote with the same seed is left as it is.
     seed
         The same seed gives the same log.
+    overwrite
+        Replace whatever file has this name.
     progress
         A callable that takes the share of the work done since its last call.
 
@@ -231,10 +242,13 @@ def simulate_log(path: str | Path, *, seed: int = 0, progress: Callable[[float],
     Raises
     ------
     UsageError
-        The file cannot be written, or the name is taken: no log is replaced.
+        The file cannot be written, or another one has the name and not `overwrite`.
 
     """
-    check_target(path, kind="simulated log", option="path")
+    target, seed = file_path("path", path), count("seed", seed)
+    is_there = target.is_file() and target.stat().st_size > 0
+    if not is_there:
+        check_target(target, kind="simulated log", option="path")
     from autotune.simulation.phases import Program  # noqa: PLC0415 - compiles
     from autotune.simulation.simulate import simulate_cell  # noqa: PLC0415
     from autotune.simulation.truth import SimulatedCell  # noqa: PLC0415
@@ -243,10 +257,18 @@ def simulate_log(path: str | Path, *, seed: int = 0, progress: Callable[[float],
     run = simulate_cell(SimulatedCell(), Program(), seed=seed)
     signals = (run.recording.wrench, run.recording.pose, run.recording.command)
     share = 1.0 / sum(len(signal.stamp_ns) for signal in signals if signal is not None)
-    write_mcap(run.recording, Path(path), progress=None if progress is None else lambda n: progress(share * n))
-    return Path(path)
+    report = None if progress is None else lambda n: progress(share * n)
+    if not is_there or overwrite:
+        write_mcap(run.recording, target, progress=report)
+        return target
+    with TemporaryDirectory() as folder:
+        again = Path(folder) / target.name
+        write_mcap(run.recording, again, progress=report)
+        if not cmp(again, target, shallow=False):
+            raise UsageError(f"{target} exists and is not replaced; name another file, or say overwrite=True.")
+    return target
 
 
-def log_paths(paths: Paths) -> tuple[Path, ...]:
-    """Return the files of one or several logs."""
-    return (Path(paths),) if isinstance(paths, str | Path) else tuple(Path(path) for path in paths)
+def cell_file(cell: "str | Path | CellFile | None") -> CellFile | None:
+    """Return a `cell.yaml` that was read, None for none; raises UsageError for anything else."""
+    return cell if cell is None or isinstance(cell, CellFile) else read_cell(file_path("cell", cell))

@@ -91,15 +91,20 @@ def parse_given(texts: Sequence[str]) -> dict[str, Given]:
         if match is None:
             raise UsageError(f"--given must be NAME=VALUE±STD (or +- for ±), found {text!r}.")
         name, value, std = match["name"], _number(text, match["value"]), _number(text, match["std"] or "0")
-        _check_name(name)
-        if std < 0.0:
-            raise UsageError(f"The deviation in --given {text} must not be negative.")
-        if value < 0.0 or (value == 0.0 and not name.endswith(_MAY_VANISH)):
-            raise UsageError(f"--given {text}: {name} must be {'at least' if value < 0.0 else 'above'} 0.")
+        check_given(name, value, std, f"--given {text}")
         if name in found:
-            raise UsageError(f"--given {name} stands there twice; give it once.")
+            raise UsageError(f"--given {name} is there twice; give it once.")
         found[name] = Given(value=value, std=std)
     return found
+
+
+def check_given(name: str, value: float, std: float, said: str) -> None:
+    """Raise UsageError for a prior of no such name or out of range; `said` is how it was given."""
+    _check_name(name)
+    if std < 0.0:
+        raise UsageError(f"The deviation in {said} must not be negative.")
+    if value < 0.0 or (value == 0.0 and not name.endswith(_MAY_VANISH)):
+        raise UsageError(f"{said}: {name} must be {'at least' if value < 0.0 else 'above'} 0.")
 
 
 def _check_name(name: str) -> None:

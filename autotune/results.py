@@ -1,16 +1,17 @@
 """What `identify` and `Design.validate` return: the plant of a log, and the checks of a controller."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from autotune.arguments import file_path, in_arguments
 from autotune.formats.atomic import check_target
 from autotune.formats.identified import IN_MEMORY, IdentifiedFile, identified_tree, write_identified
 from autotune.formats.yaml12 import dump_yaml
 from autotune.shown import ResultTable, Shown, data_frame
-from autotune.text import parameter_rows
+from autotune.text import parameter_rows, si_parameters
 from autotune.validation.report import Check, ValidationReport
 from identification.errors import EstimateError
 from identification.evidence import Evidence
@@ -27,7 +28,8 @@ _EXPLAINING = frozenset({"clock-offset", "hand-in-contact", "rests-without-sprin
 
 def finding_notes(findings: Sequence[Finding]) -> list[str]:
     """Return what should not be overlooked of findings, a sentence or two each."""
-    return [f"{each.severity}: {each.message} {each.advice}".rstrip() for each in findings if each.severity != "info"]
+    shown = [each for each in findings if each.severity != "info"]
+    return [in_arguments(f"{each.severity}: {each.message} {each.advice}".rstrip()) for each in shown]
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -53,7 +55,7 @@ class Identification(Shown):
 
     result: Identified
     provenance: Mapping[str, Any]
-    evidence: tuple[Evidence, ...] = ()
+    evidence: tuple[Evidence, ...] = field(default=(), compare=False)
     names: tuple[str, ...] = ()
     path: Path | None = None
     sha256: str | None = None
@@ -85,18 +87,30 @@ class Identification(Shown):
         return identified_tree(self.result, self.provenance)
 
     def to_pandas(self) -> Any:
-        """Return the parameters as a pandas.DataFrame, numbers as printed; raises UsageError without pandas."""
-        rows = list(parameter_rows(self.result))
-        names = ("value", "std", "unit", "verdict", "method", "note")
-        return data_frame({name: [getattr(row, name) for row in rows] for name in names}, [r.name for r in rows])
+        """Return the parameters as a pandas.DataFrame of SI numbers, NaN where there is none.
+
+        Columns are `value`, `std` (one standard deviation), `status` and `unit`; the index are the places in
+        `identified.yaml`, as in `payload.mass_kg` and `axes.x.coupling.stiffness_n_per_m`, `.x` behind that for a
+        component of a vector and `.0` for a coefficient.
+
+        Raises
+        ------
+        UsageError
+            pandas is not installed.
+
+        """
+        rows = list(si_parameters(self.to_dict()))
+        columns = {name: [getattr(row, name) for row in rows] for name in ("value", "std", "status", "unit")}
+        return data_frame(columns, [row.name for row in rows])
 
     def save(self, path: Path | str) -> None:
         """Write `identified.yaml` in one step.
 
         Raises UsageError where it cannot be written, or a file of another kind would be lost.
         """
-        check_target(path, kind="identified", option="path")
-        write_identified(path, self.result, self.provenance)
+        target = file_path("path", path)
+        check_target(target, kind="identified", option="path")
+        write_identified(target, self.result, self.provenance)
 
     def file(self) -> IdentifiedFile:
         """Return it as a file is handed on: with the digest of the bytes that `save` would write."""

@@ -58,6 +58,16 @@ class Shown:
         """Return the headline, the tables and the notes."""
         return self._headline(), tuple(self._tables()), tuple(self._notes())
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        raise NotImplementedError
+
+    def __eq__(self, other: object) -> bool:
+        return NotImplemented if type(other) is not type(self) else self.to_dict() == other.to_dict()
+
+    def __hash__(self) -> int:
+        return hash(self._headline())
+
     def __repr__(self) -> str:
         return f"<{self._headline()}>"
 
@@ -106,6 +116,8 @@ Progress = bool | Report | None
 @contextmanager
 def reporting(progress: Progress, doing: str, total: float = 1.0) -> Iterator[Report | None]:
     """Yield what takes the progress: the caller's own, a line of per cents while the block runs, or None."""
+    if not (progress is None or isinstance(progress, bool) or callable(progress)):
+        raise UsageError(f"progress must be True, False or a callable that takes a share, found {progress!r}.")
     if not isinstance(progress, bool) or not progress:
         yield None if progress is False else progress
         return

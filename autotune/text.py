@@ -1,8 +1,9 @@
 """Numbers, parameters and plants as people read them: rounded to their deviation, with symbol and unit."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from autotune.formats.units import axis_units
 from identification.result import (
@@ -162,6 +163,67 @@ def _vector_rows(name: str, estimate: VectorEstimate, unit: str, scale: float) -
             method=estimate.method,
             note=estimate.note,
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SiParameter:
+    """One number of a parameter in SI, NaN where it is not known."""
+
+    name: str
+    value: float
+    std: float
+    status: str
+    unit: str
+
+
+# Longest first: a key ends in its unit.
+_SI_UNITS = {
+    "_n_m_s_per_rad": "N·m·s/rad",
+    "_n_m_per_rad": "N·m/rad",
+    "_n_s_per_m": "N·s/m",
+    "_n_per_m": "N/m",
+    "_kg_m2": "kg·m²",
+    "_n_m": "N·m",
+    "_rad": "rad",
+    "_kg": "kg",
+    "_hz": "Hz",
+    "_n": "N",
+    "_m": "m",
+    "_s": "s",
+}
+
+
+def si_parameters(tree: Mapping[str, Any], place: tuple[str, ...] = ()) -> Iterator[SiParameter]:
+    """Yield every parameter of the tree of `identified.yaml`, a row for each component of a vector."""
+    for key, node in tree.items():
+        if isinstance(node, list):
+            named = {str(each["name"]): each for each in node if isinstance(each, Mapping) and "name" in each}
+            yield from si_parameters(named, (*place, key))
+        elif isinstance(node, Mapping) and {"value", "std", "status"} <= node.keys():
+            yield from _si_rows((*place, key), node)
+        elif isinstance(node, Mapping):
+            yield from si_parameters(node, (*place, key))
+
+
+def _si_rows(place: tuple[str, ...], node: Mapping[str, Any]) -> Iterator[SiParameter]:
+    # Components of the inertia are named behind the key that bears the unit.
+    keys = [key for key in reversed(place) if any(key.endswith(end) for end in _SI_UNITS)]
+    unit = next((unit for end, unit in _SI_UNITS.items() if keys and keys[0].endswith(end)), "")
+    values, stds = node["value"], node["std"]
+    if not isinstance(values, list):
+        yield SiParameter(
+            name=".".join(place), value=_or_nan(values), std=_or_nan(stds), status=str(node["status"]), unit=unit
+        )
+        return
+    names = "xyz" if unit else "0123456789"
+    for i, value in enumerate(values):
+        std = _or_nan(None if stds is None else stds[i])
+        name = f"{'.'.join(place)}.{names[i] if i < len(names) else i}"
+        yield SiParameter(name=name, value=float(value), std=std, status=str(node["status"]), unit=unit)
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else float(value)
 
 
 def stiffness_text(value: float, units: AxisKind) -> str:

@@ -1,6 +1,6 @@
 """Draw a chart on axes of the caller, or as a figure of its own, for scripts and notebooks."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from autotune.errors import UsageError
@@ -30,7 +30,7 @@ def show(chart: Chart, ax: "AxesLike | None" = None, *, panel: int = 0) -> "Figu
     Raises
     ------
     UsageError
-        The number of axes is neither one nor that of the panels.
+        `ax` are no axes, or their number is neither one nor that of the panels.
 
     """
     from matplotlib.axes import Axes  # noqa: PLC0415 - half a second, which only who draws pays
@@ -41,7 +41,10 @@ def show(chart: Chart, ax: "AxesLike | None" = None, *, panel: int = 0) -> "Figu
         from matplotlib import pyplot as plt  # noqa: PLC0415
 
         return draw(chart, make=plt.figure)
-    given = [ax] if isinstance(ax, Axes) else list(ax)
+    said: object = ax
+    given = [said] if isinstance(said, Axes) else list(said) if isinstance(said, Iterable) else []
+    if not given or not all(isinstance(each, Axes) for each in given):
+        raise UsageError(f"ax must be matplotlib axes, or several of them, found {ax!r}.")
     if len(given) not in {1, len(chart.panels)}:
         raise UsageError(f"{chart.title!r} takes one axes, or {len(chart.panels)} for its panels; found {len(given)}.")
     one = Chart(key=chart.key, title=chart.title, alternative=chart.alternative, panels=(chart.panels[panel],))

@@ -48,10 +48,11 @@ Examples:
 def command(output: Output, source: Path, out: Path, problem: Path | None, port: int, opens: bool | None) -> None:
     """Serve a page on this machine with sliders for the gains and the plant of FILE.
 
-    FILE is identified.yaml (the page starts at the best design) or controller.yaml. Contact transient, admittance,
-    Nyquist, requirements and the map of feasible designs follow the sliders; "save" proves and validates as optimize
-    does and writes an ordinary controller.yaml, or says why not. The page needs no network, and no other machine can
-    open it. Ctrl-C ends it with exit code 0; before the page is ready, or during a save, with 130 and nothing written.
+    FILE is identified.yaml or plant.yaml (the page starts at the best design) or controller.yaml. Contact transient,
+    admittance, Nyquist, requirements and the map of feasible designs follow the sliders; "save" proves and validates as
+    optimize does and writes an ordinary controller.yaml, or says why not. The page needs no network, and no other
+    machine can open it. Ctrl-C ends it with exit code 0; before the page is ready, or during a save, with 130 and
+    nothing written.
     """
     with _noticed_interrupts() as noticed:
         require_extra("explore", "bokeh", "reports")

@@ -7,6 +7,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from autotune.arguments import file_path
 from autotune.shown import ResultTable, Shown
 from identification.result import (
     AxisEstimate,
@@ -266,8 +267,9 @@ class Plant(Shown):
 
     def save(self, path: Path | str) -> None:
         """Write `plant.yaml` in one step; raises UsageError where it cannot, or another kind of file would be lost."""
-        check_target(path, kind="plant", option="path")
-        write_atomic(path, dump_yaml(self.to_dict()))
+        target = file_path("path", path)
+        check_target(target, kind="plant", option="path")
+        write_atomic(target, dump_yaml(self.to_dict()))
 
     def file(self, path: Path = IN_MEMORY, digest: str | None = None) -> IdentifiedFile:
         """Return the plant in the form in which a log's is handed on, every value marked as given."""

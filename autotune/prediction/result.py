@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from autotune.charts.show import AxesLike
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class PredictedContact(Shown):
     """One contact as the model predicts it.
 
@@ -49,9 +49,10 @@ class PredictedContact(Shown):
     blow
         Force of the first blow over the speed [N·s/m, N·m·s/rad], 0 where it is in the plant or not known.
     certified
-        Whether a certificate holds this contact and its peak lies below `certified_peak`.
+        Whether the contact lies in the domain of a controller file and its peak is no higher than `certified_peak`.
     certified_peak
-        The worst predicted peak over the certified domain [N, N·m]; None outside of it, or without a certificate.
+        The largest peak that the file predicts over its domain, computed on a grid and no proved bound [N, N·m]; None
+        outside of the domain, or without such a file.
 
     """
 
@@ -126,11 +127,11 @@ class PredictedContact(Shown):
     def _certificate_notes(self) -> Iterator[str]:
         if self.certified_peak is not None:
             yield (
-                f"largest predicted peak over the certified domain: {self.certified_peak:.4g} "
-                f"{axis_units(self.axis).force}"
+                f"largest peak that the controller file predicts over its domain: {self.certified_peak:.4g} "
+                f"{axis_units(self.axis).force}, computed on a grid and no proved bound"
             )
             if not self.certified:
-                yield "this peak is above the worst of the certificate, which does not hold it"
+                yield "this peak is above that, so the file does not speak of this contact"
 
     def to_dict(self) -> dict[str, Any]:
         """Return plant, series, peaks and interval as plain data, with the names and units of the fields."""

@@ -322,10 +322,14 @@ def map_chart(design: AxisDesign) -> Chart:
 
 
 def gain_map_chart(design: AxisDesign, x: str, y: str) -> Chart:
-    """Draw the same over two gains of choice; raises UsageError for another name than of `_GAINS`, or one twice."""
-    if not {x, y} <= {*_GAINS} or x == y:
+    """Draw the same over two gains of choice; raises UsageError for another name than of `_GAINS`, or one twice.
+
+    Names are those of `_GAINS` or of `autotune map`.
+    """
+    first, second = (next((key for name, key in _GAINS.items() if each in (name, key)), "") for each in (x, y))
+    if "" in (first, second) or first == second:
         raise UsageError(f"A map takes two different gains of {', '.join(_GAINS)}; found {x} and {y}.")
-    return _gain_maps(design, ((_GAINS[x], _GAINS[y]),))
+    return _gain_maps(design, ((first, second),))
 
 
 def _gain_maps(design: AxisDesign, pairs: Sequence[tuple[str, str]]) -> Chart:

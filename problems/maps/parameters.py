@@ -154,11 +154,14 @@ CONTROLLER_FIELDS = {
 
 
 def find_parameter(name: str) -> MapParameter:
-    """Return the parameter of that name or symbol (M_a, B_a, K_l …); raises ParameterError with those known."""
+    """Return the parameter of that name or symbol (M_a, B_a, K_l …); raises ParameterError with those known.
+
+    A name may leave its unit out, as `lead` for `lead_s`.
+    """
     if name in MAP_PARAMETERS:
         return MAP_PARAMETERS[name]
     for parameter in MAP_PARAMETERS.values():
-        if parameter.symbol == name:
+        if name in (parameter.symbol, parameter.name.removesuffix("_s")):
             return parameter
     raise ParameterError("parameter", name, f"one of {', '.join(MAP_PARAMETERS)}")
 

@@ -11,17 +11,17 @@ from scipy.linalg import matrix_balance
 from ..arrays import FloatArray
 from ..errors import ParameterError
 from .controller import AdmittanceController
-from .plant import Environment
-from .sampled import CutLoop, SampledPlant, build_cut_loop, translation_state
+from .plant import Environment, Plant
+from .sampled import CutLoop, SampledPlant, build_cut_loop, build_sampled_plant, translation_state
 
 Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ControlObjects:
-    """Continuous blocks and the exact sampled loop (MODEL.md, "Continuous blocks" and "What runs in the cell").
+    """Continuous blocks and the exact sampled loop of `plant` under `controller`, sampled every `sample_time_s`.
 
-    Continuous `TransferFunction`s: `robot` r(s), whose delay is told apart as `delay_s`; `coupling` C_s, `payload` P,
+    Continuous `TransferFunction`s: `robot` r(s), whose delay is apart, `delay_s`; `coupling` C_s, `payload` P,
     `environment` E, `wrench` from F to F_m, whose delay is `wrench_delay_s`, `forward` A(1 + C_ff), `feedback` C_fb,
     `acceleration` O_a, whether P̂ uses it or not. C_s, E and an ideal O_a have more zeros than poles.
 
@@ -36,6 +36,9 @@ class ControlObjects:
     Nyquist plot cannot pass a pole at z = −1, which L_x of the ideal compensation has in the Tustin form.
     """
 
+    plant: Plant
+    controller: AdmittanceController
+    sample_time_s: float
     robot: Any
     delay_s: float
     coupling: Any
@@ -50,6 +53,23 @@ class ControlObjects:
     at_command: Any
     closed_loop: Any
 
+    def __repr__(self) -> str:
+        return (
+            f"<ControlObjects: continuous {', '.join(_BLOCKS)}; sampled every {1e3 * self.sample_time_s:g} ms "
+            "at_force, at_command, closed_loop>"
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Build it anew: systems of python-control can be neither pickled nor copied."""
+        return _built, (self.plant, self.sample_time_s, self.controller)
+
+
+_BLOCKS = ("robot", "coupling", "payload", "environment", "wrench", "forward", "feedback", "acceleration")
+
+
+def _built(plant: Plant, sample_time_s: float, controller: AdmittanceController) -> ControlObjects:
+    return to_control(build_sampled_plant(plant, sample_time_s), controller)
+
 
 def to_control(sampled: SampledPlant, controller: AdmittanceController) -> ControlObjects:
     """Return the blocks and the sampled loop of one axis as python-control objects with named signals."""
@@ -57,6 +77,9 @@ def to_control(sampled: SampledPlant, controller: AdmittanceController) -> Contr
     velocity, acceleration = controller.velocity_filter_rad_per_s, controller.acceleration_filter_rad_per_s
     ideal = controller.compensation == "ideal"
     return ControlObjects(
+        plant=plant,
+        controller=controller,
+        sample_time_s=h,
         robot=_block("robot", plant.robot.numerator, plant.robot.denominator, "x_d", "x"),
         delay_s=plant.robot.delay_s,
         coupling=_block(
@@ -90,6 +113,8 @@ def polynomials_of(system: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """
     if not hasattr(system, "isctime") or not system.isctime():
         raise ParameterError("system", system, "a continuous python-control system")
+    if not isinstance(system, control.TransferFunction | control.StateSpace):
+        raise ParameterError("system", type(system).__name__, "a TransferFunction or StateSpace of python-control")
     if (system.ninputs, system.noutputs) != (1, 1):
         raise ParameterError("system", (system.ninputs, system.noutputs), "one with one input and one output")
     fraction = control.tf(system)

@@ -105,6 +105,7 @@ def test_every_result_shows_copies_and_pickles(design: at.Design, capsys: pytest
         assert len(repr(result).splitlines()) == 1
         assert repr(pickle.loads(pickle.dumps(result))) == repr(result)
         assert repr(copy.deepcopy(result)) == repr(result)
+        assert copy.deepcopy(result) == result
         assert result._repr_html_().startswith("<p>")
         assert isinstance(result.to_dict(), dict)
     assert asdict(design.controller)["axes"]["x"]["mass"] == design.gains["x"]["mass"]
@@ -125,6 +126,7 @@ def test_a_saved_design_is_loaded_and_holds(design: at.Design, tmp_path: Path) -
     loaded = at.load(path)
     assert isinstance(loaded, at.Design)
     assert loaded.controller == design.controller
+    assert loaded.notes == design.notes != ()
     checked = loaded.validate(samples=4)
     checked.require()
     assert checked.passed
@@ -158,15 +160,25 @@ def test_plots_are_figures_and_take_axes(design: at.Design) -> None:
         plt.close("all")
     with pytest.raises(at.UsageError, match="two different gains"):
         design.plot_map("damping", "stiffness")
+    with pytest.raises(at.UsageError, match="two different gains"):
+        design.plot_map("lead", "lead_s")
+    for wrong in (3, [3, 4]):
+        with pytest.raises(at.UsageError, match="ax must be matplotlib axes"):
+            design.plot_nyquist(ax=wrong)  # type: ignore[arg-type]
+    design.plot_map("damping", "lead_s")
+    plt.close("all")
 
 
 def test_python_control_takes_the_loop_and_gives_the_robot(design: at.Design) -> None:
     """The poles of the closed loop lie inside of the unit circle, and r(s) comes back as it went."""
     loop = design.to_control()
     assert np.max(np.abs(loop.closed_loop.poles())) < 1.0
-    again = at.from_control(loop.robot, delay=2.4e-3)
+    assert len(repr(loop).splitlines()) == 1
+    again = pickle.loads(pickle.dumps(loop))
+    assert np.array_equal(again.closed_loop.A, loop.closed_loop.A)
+    robot = at.from_control(loop.robot, delay=2.4e-3)
     # Coefficients pass through python-control as they are; its normalisation may round the last digits.
-    assert again.model().denominator == pytest.approx(written_plant().robot.model().denominator, rel=1e-12)
+    assert robot.model().denominator == pytest.approx(written_plant().robot.model().denominator, rel=1e-12)
 
 
 def test_the_runtime_refuses_a_payload_that_nobody_knows(design: at.Design, tmp_path: Path) -> None:
@@ -232,6 +244,17 @@ def test_tables_go_to_pandas(design: at.Design, monkeypatch: pytest.MonkeyPatch)
     assert len(taken["index"]) == len(taken["columns"]["contact_force"])
 
 
+def test_a_design_is_compared_with_one_in_memory_as_with_its_file(design: at.Design, tmp_path: Path) -> None:
+    path = tmp_path / "before.yaml"
+    checksum = design.save(path)
+    kept = design.as_file()
+    assert (kept.checksum, kept.controller) == (checksum, design.controller)
+    found = at.optimize(written_plant(), compare=design)
+    assert found.optimized is not None
+    assert found.optimized.compared["x"].old.law.damping_n_s_per_m == design.gains["x"]["damping"]
+    assert found.controller.provenance["options"]["compare"] == {"path": "(in memory)", "checksum": checksum}
+
+
 def test_what_is_no_plant_or_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(at.UsageError, match="found int"):
         at.optimize(3)  # type: ignore[arg-type]
@@ -258,7 +281,7 @@ def test_save_replaces_no_file_of_another_kind(design: at.Design, tmp_path: Path
         with pytest.raises(at.UsageError, match="not replaced"):
             result.save(path)
         assert path.read_bytes() == before
-    with pytest.raises(at.UsageError, match="not replaced"):
+    with pytest.raises(at.UsageError, match="is not replaced"):
         at.simulate_log(path)
     assert path.read_bytes() == before
 
@@ -270,14 +293,17 @@ def test_a_log_is_not_simulated_into_a_folder_that_is_not_there(tmp_path: Path) 
 
 def test_a_prediction_names_the_payload_and_the_worst_of_the_certificate() -> None:
     """With a light and a heavy end, the default is the larger of the peaks, and never certified above the worst."""
-    design = at.optimize(written_plant(mass=(14.0, 18.0)))
+    design = at.optimize(written_plant(), payload_mass=(14.0, 18.0))
+    # A range for the design: the mass of the plant is not taken as exact any more.
+    assert "mass" not in design.controller.provenance["identified"]["exact"]
+    assert not any(": mass," in note for note in design.notes)
     found = at.predict(design, environment_stiffness=8e4)
     ends = [at.predict(design, environment_stiffness=8e4, payload_mass=mass).peak_force for mass in (14.0, 18.0)]
     assert found.peak_force >= max(ends)
     assert f"payload of {found.plant.payload.mass_kg:.4g} kg" in repr(found)
     assert found.certified_peak == design.peak_force
     assert found.certified == (found.peak_force <= design.peak_force * (1.0 + 1e-9))
-    assert f"largest predicted peak over the certified domain: {design.peak_force:.4g} N" in str(found)
+    assert f"predicts over its domain: {design.peak_force:.4g} N, computed on a grid and no proved bound" in str(found)
     refused: tuple[dict[str, Any], ...] = ({"approach_speed": 5.1}, {"approach_force": 1.1e4}, {"payload_mass": 1001.0})
     for wrong in refused:
         with pytest.raises(at.ParameterError):

@@ -1,0 +1,113 @@
+"""Check the arguments of the public functions, and let errors speak of them instead of the command line's options."""
+
+import os
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from operator import index
+from pathlib import Path
+from typing import Any
+
+from autotune.errors import AutotuneError, UsageError
+from autotune.formats.quantity import Interval, Quantity, Uncertain, as_interval, as_number, as_quantity
+from autotune.quantities import check_given
+from identification.given import Given
+from problems.errors import ParameterError
+
+# In a command within backticks an option is one.
+_COMMAND = re.compile(r"`autotune [^`]*`")
+_REWORDED = (
+    # Arguments are in SI: there is no unit that could be said.
+    (re.compile(r" If it is meant, say its unit: --\S+ \S+?\.(?=\s|$)"), ""),
+    (re.compile(r"--environment-stiffness LO:HI"), "environment_stiffness=(low, high)"),
+    (re.compile(r"`?--salvage`?"), "salvage=True (an argument of read_log)"),
+    (re.compile(r"--allow-partial"), "allow_partial=True"),
+    (re.compile(r"--given ([\w.{}]+)=([A-Z]+)"), r'given={"\1": \2}'),
+    (re.compile(r"(?<![\w-])--([a-z]+(?:-[a-z]+)*)"), lambda found: found[1].replace("-", "_")),
+)
+
+
+def in_arguments(text: str) -> str:
+    """Return a sentence in which options of the command line are arguments of Python."""
+    commands = _COMMAND.findall(text)
+    parts = _COMMAND.split(text)
+    for pattern, said in _REWORDED:
+        parts = [pattern.sub(said, part) for part in parts]
+    return "".join(part + command for part, command in zip(parts, [*commands, ""], strict=True))
+
+
+@contextmanager
+def errors_in_arguments() -> Iterator[None]:
+    """Let errors of the block speak of arguments."""
+    try:
+        yield
+    except AutotuneError as error:
+        error.args = tuple(in_arguments(each) if isinstance(each, str) else each for each in error.args)
+        raise
+
+
+def file_path(name: str, given: object) -> Path:
+    """Return the path of a file; raises UsageError for what is none."""
+    if isinstance(given, str | os.PathLike) and isinstance(os.fspath(given), str):
+        return Path(os.fspath(given))
+    raise UsageError(f"{name} must be the path of a file, found {_kind(given)}.")
+
+
+def file_paths(name: str, given: object) -> tuple[Path, ...]:
+    """Return one or several paths; raises UsageError for what is none."""
+    if isinstance(given, list | tuple):
+        return tuple(file_path(f"each of {name}", each) for each in given)
+    if isinstance(given, str | os.PathLike):
+        return (file_path(name, given),)
+    raise UsageError(f"{name} must be the path of a file or several in a list, found {_kind(given)}.")
+
+
+def count(name: str, given: object) -> int:
+    """Return a whole number that is not negative; raises UsageError for anything else."""
+    try:
+        if isinstance(given, bool):
+            raise TypeError(name)
+        found = index(given)  # type: ignore[arg-type]
+    except TypeError:
+        found = -1
+    if found < 0:
+        raise UsageError(f"{name} must be a whole number of at least 0, found {given!r}.")
+    return found
+
+
+def axis_names(given: object) -> tuple[str, ...] | None:
+    """Return the names of axes, None for all; raises UsageError for an empty list and for what is no name."""
+    if given is None:
+        return None
+    names = (given,) if isinstance(given, str) else given
+    if not isinstance(names, list | tuple) or not names or not all(isinstance(each, str) for each in names):
+        raise UsageError(f'axes must be names of axes as in ["x", "rz"], or None for all; found {given!r}.')
+    return tuple(names)
+
+
+def interval(name: str, given: Quantity | None) -> Interval | None:
+    """Return the range of a quantity above 0, None for none; raises ParameterError for what is no quantity."""
+    return None if given is None else as_interval(name, as_quantity(name, given, may_vanish=False), may_vanish=False)
+
+
+def priors(given: Mapping[str, float | Uncertain] | None) -> dict[str, Given]:
+    """Return what is known from elsewhere; raises UsageError for a name or number that is none."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise UsageError(f'given must be a dictionary as in {{"mass_kg": 16.2}}, found {_kind(given)}.')
+    return {str(name): _prior(str(name), each) for name, each in given.items()}
+
+
+def _prior(name: str, given: Any) -> Given:
+    said = f"given[{name!r}]"
+    try:
+        value, std = (given.value, given.std) if isinstance(given, Uncertain) else (as_number(said, given), 0.0)
+    except ParameterError:
+        raise UsageError(f"{said} must be a finite number or Uncertain(value, std), found {given!r}.") from None
+    check_given(name, value, std, said)
+    return Given(value=value, std=std)
+
+
+def _kind(given: object) -> str:
+    return "None" if given is None else f"{given!r} of type {type(given).__name__}"

@@ -1,0 +1,119 @@
+"""Wrong arguments of the public functions end in one sentence, which speaks of arguments."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import autotune as at
+from autotune.arguments import count, in_arguments, priors
+from autotune.text import si_parameters
+from identification.given import Given
+from tests.autotune.formats.test_plant import plant
+
+WRONG: dict[str, Callable[[], Any]] = {
+    "axes must be names": lambda: at.optimize(plant(), axes=[]),
+    "axes must be": lambda: at.optimize(plant(), axes=3),  # type: ignore[arg-type]
+    "seed must be a whole number of at least 0, found 'a'": lambda: at.optimize(plant(), seed="a"),  # type: ignore[arg-type]
+    "seed must be a whole number of at least 0, found -1": lambda: at.optimize(plant(), seed=-1),
+    "problem must be the path": lambda: at.optimize(plant(), problem=3),  # type: ignore[arg-type]
+    "compare must be the path": lambda: at.optimize(plant(), compare=3),  # type: ignore[arg-type]
+    "progress must be": lambda: at.optimize(plant(), progress=3),  # type: ignore[arg-type]
+    "log must be the path": lambda: at.identify(None),  # type: ignore[arg-type]
+    "paths must be the path": lambda: at.read_log(None),  # type: ignore[arg-type]
+    "each of paths must be the path": lambda: at.read_log([3]),  # type: ignore[list-item]
+    "cell must be the path": lambda: at.read_log("run.mcap", cell=3),  # type: ignore[arg-type]
+    "wrench_topic must be the name": lambda: at.read_log("run.mcap", wrench_topic=3),  # type: ignore[arg-type]
+    "path must be the path": lambda: at.load(None),  # type: ignore[arg-type]
+    "path must be the path of a file, found 3": lambda: plant().save(3),  # type: ignore[arg-type]
+    "given must be a dictionary": lambda: at.identify("run.mcap", given=3),  # type: ignore[arg-type]
+    "must be a finite number": lambda: at.identify("run.mcap", given={"mass_kg": math.nan}),
+    "mass_kg must be at least 0": lambda: at.identify("run.mcap", given={"mass_kg": -1.0}),
+    "Nothing called massx": lambda: at.identify("run.mcap", given={"massx": 1.0}),
+}
+
+
+@pytest.mark.parametrize("sentence", WRONG)
+def test_a_wrong_argument_is_refused_in_one_sentence(sentence: str) -> None:
+    with pytest.raises(at.UsageError) as refused:
+        WRONG[sentence]()
+    assert sentence in str(refused.value)
+    assert "--" not in str(refused.value)
+
+
+def test_a_system_without_coefficients_is_no_robot() -> None:
+    import control
+
+    for system in (control.frd([1, 2, 3], [1, 2, 3]), 3):
+        with pytest.raises(at.ParameterError, match="system must be"):
+            at.from_control(system)
+
+
+def test_whole_numbers_of_numpy_are_whole() -> None:
+    assert count("seed", np.int64(3)) == 3
+    for wrong in (True, 1.5, None, "1"):
+        with pytest.raises(at.UsageError):
+            count("seed", wrong)
+
+
+def test_priors_are_exact_or_have_a_deviation() -> None:
+    assert priors({"mass_kg": 16, "x.delay_s": at.Uncertain(2e-3, 1e-4)}) == {
+        "mass_kg": Given(value=16.0, std=0.0),
+        "x.delay_s": Given(value=2e-3, std=1e-4),
+    }
+
+
+@pytest.mark.parametrize(
+    ("option", "argument"),
+    [
+        ("record contacts, or say --environment-stiffness LO:HI.", "or say environment_stiffness=(low, high)."),
+        ("or name it with --command-topic.", "or name it with command_topic."),
+        ("With --allow-partial what was found", "With allow_partial=True what was found"),
+        ("read what is left with `--salvage`.", "read what is left with salvage=True (an argument of read_log)."),
+        ("did you mean 2e4:5e5? If it is meant, say its unit: --payload-mass 16N/m.", "did you mean 2e4:5e5?"),
+        ("elsewhere, `--given x.delay_s=SECONDS`", 'elsewhere, `given={"x.delay_s": SECONDS}`'),
+        (
+            "`autotune inspect LOG --write-cell cell.yaml` begins",
+            "`autotune inspect LOG --write-cell cell.yaml` begins",
+        ),
+    ],
+)
+def test_options_are_arguments(option: str, argument: str) -> None:
+    assert in_arguments(option).endswith(argument) or in_arguments(option).startswith(argument)
+
+
+def test_an_error_speaks_of_arguments() -> None:
+    with pytest.raises(at.UsageError) as refused:
+        at.optimize(plant(mass=16.0), environment_stiffness=(2.0, 5.0))
+    assert str(refused.value).startswith("environment_stiffness asks for 2:5 N/m")
+    assert "--" not in str(refused.value)
+
+
+def test_parameters_are_si_numbers_with_their_units() -> None:
+    found = at.Identification(result=plant(mass=16.0).file().result, provenance={}, names=("a plant",))
+    rows = {row.name: row for row in si_parameters(found.to_dict())}
+    mass = rows["payload.mass_kg"]
+    assert (mass.value, mass.std, mass.status, mass.unit) == (16.0, 0.0, "given", "kg")
+    assert rows["axes.x.coupling.stiffness_n_per_m"].unit == "N/m"
+    assert rows["axes.x.environments.surface.stiffness_n_per_m"].value == pytest.approx(math.sqrt(2e4 * 5e5))
+    # One pole at ω: r(s) = ω/(s + ω).
+    assert rows["axes.x.robot.denominator.1"].value == pytest.approx(2.0 * math.pi * 3.2)
+    assert math.isnan(rows["sensor.deadband_n"].value)
+    assert rows["sensor.deadband_n"].unit == "N"
+
+
+def test_a_log_is_simulated_again_and_replaces_nothing_unasked(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    assert at.simulate_log(path) == path
+    first = path.read_bytes()
+    assert at.simulate_log(path) == path
+    assert path.read_bytes() == first
+    path.write_bytes(b"mine")
+    with pytest.raises(at.UsageError, match="overwrite=True"):
+        at.simulate_log(path)
+    assert path.read_bytes() == b"mine"
+    at.simulate_log(path, overwrite=True)
+    assert path.read_bytes() == first
