@@ -12,7 +12,7 @@ import autotune as at
 from autotune.arguments import count, in_arguments, priors
 from autotune.text import si_parameters
 from identification.given import Given
-from tests.autotune.formats.test_plant import plant
+from tests.autotune.formats.test_plant import WHOLE, plant
 
 WRONG: dict[str, Callable[[], Any]] = {
     "axes must be names": lambda: at.optimize(plant(), axes=[]),
@@ -93,7 +93,7 @@ def test_an_error_speaks_of_arguments() -> None:
 
 
 def test_parameters_are_si_numbers_with_their_units() -> None:
-    found = at.Identification(result=plant(mass=16.0).file().result, provenance={}, names=("a plant",))
+    found = at.Identification(result=plant(mass=16.0, **WHOLE).file().result, provenance={}, names=("a plant",))
     rows = {row.name: row for row in si_parameters(found.to_dict())}
     mass = rows["payload.mass_kg"]
     assert (mass.value, mass.std, mass.status, mass.unit) == (16.0, 0.0, "given", "kg")
