@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ._common import Output, output_options
-from ._options import LOGS, SETTINGS, FilePath, GroupedCommand, cell_option
+from ._options import LOGS, SETTINGS, FilePath, GroupedCommand, cell_option, span_options, urdf_options
 from ._report import check_report, print_report_path, report_option, report_refusal, write_report
 from ._terminal import print_message, print_table
 
@@ -27,7 +27,7 @@ Examples:
 """
 _GROUPS = {
     "Contact": ("surface", "approach", "axis", "payload_mass", "sample_time"),
-    "Comparison with logs": ("logs", "cell_path"),
+    "Comparison with logs": ("logs", "cell_path", "urdf", "tip", "start", "stop"),
 }
 _SOURCE = FilePath(*SETTINGS)
 
@@ -51,6 +51,8 @@ _SOURCE = FilePath(*SETTINGS)
     help="Predict every contact of this log at its own speed and desired force; may be repeated.",
 )
 @cell_option
+@urdf_options
+@span_options
 @click.option(
     "--plot", type=click.Path(path_type=Path, dir_okay=False), metavar="F.svg", help="Also draw it, .svg or .png."
 )
@@ -163,8 +165,9 @@ def _compared(output: Output, identified: Path, options: dict[str, Any]) -> "Tou
     law = None if controller is None else read_controller(controller).controller
     logs = options["logs"]
     with output.progress(f"comparing with {', '.join(log.name for log in logs)}", 2.0) as advance:
-        declared = None if cell is None else read_cell(cell)
-        found = identify_log(logs, IdentifyOptions(cell=declared, allow_partial=True), progress=advance)
+        reading = {name: options[name] for name in ("urdf", "tip", "start", "stop")}
+        declared = IdentifyOptions(cell=None if cell is None else read_cell(cell), allow_partial=True, **reading)
+        found = identify_log(logs, declared, progress=advance)
         name = ", ".join(log.name for log in logs)
         return compare_with_touches(file, [(name, found.result)], gains, law, asked, advance)
 

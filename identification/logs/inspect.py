@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import EstimateError, LogError
 from ..result import Finding
+from ..signals.recording import WEIGHT_NEEDS_ORIENTATION
 from .checks.clocks import ChannelClock, clock_findings, compare_clocks, measure_clock
 from .checks.samples import role_faults
 from .containers.channel import Channel
@@ -17,7 +18,7 @@ from .numbers import number_fields, number_findings
 from .opened import OpenedLogs, digests, open_logs
 from .read import read_checked_recording
 from .roles.candidates import is_undeclared, missing_sentence, roles_of
-from .roles.cell import Cell
+from .roles.cell import Cell, WrenchSource
 from .roles.choose import Choice, RoleSeries, candidates_of, choose, open_questions, source_of, spelled_as_in
 from .roles.registry import ROLES, TRANSFORMS, Role, layout_of
 from .span import WHOLE, LogSpan, cut_series
@@ -117,17 +118,29 @@ def _roles(logs: OpenedLogs, cell: Cell) -> tuple[tuple[RoleSummary, ...], dict[
         if choice is not None:
             choices[role] = choice
         summaries.append(_role_summary(role, choice, "", candidates))
-    wrench = cell.wrench
     if cell.rows_are_poses:
         missing = [sentence for sentence in missing if Role.WRENCH not in choices or Role.POSE not in choices]
         missing.append(
             "Each row is a pose at rest: payload and sensor are in it, robot, coupling and surfaces are not."
         )
-    if wrench is not None and wrench.gravity_compensated:
-        missing.append("cell.yaml declares that gravity is removed from the wrench; identify needs the sensor's own.")
+    without_weight = _without_weight(choices.get(Role.WRENCH), cell)
+    pose = choices.get(Role.POSE)
+    if without_weight:
+        missing.append(f"{without_weight} that gravity is removed from the wrench; identify needs the sensor's own.")
+    elif pose is not None and not pose.of_joints and (len(pose.fields) < 6 or None in pose.fields[3:]):
+        missing.append(f"Topic {pose.info.channel.topic} has no orientation, {WEIGHT_NEEDS_ORIENTATION}.")
     if cell.displacement is not None:
         missing.append("cell.yaml declares a displacement; identify needs the flange pose in the base frame.")
     return tuple(summaries), choices, tuple(dict.fromkeys(missing))
+
+
+def _without_weight(wrench: Choice | None, cell: Cell) -> str:
+    """Return who says that the weight was removed from the wrench, nothing where nobody does."""
+    if cell.wrench is not None and cell.wrench.gravity_compensated is not None:
+        return "cell.yaml declares" if cell.wrench.gravity_compensated else ""
+    meaning = None if wrench is None or wrench.layout is None else wrench.layout.meaning
+    is_removed = isinstance(meaning, WrenchSource) and meaning.gravity_compensated
+    return f"The type of {wrench.info.channel.topic} says" if wrench is not None and is_removed else ""
 
 
 def _role_summary(role: Role, choice: Choice | None, reason: str, candidates: Sequence[ChannelInfo]) -> RoleSummary:

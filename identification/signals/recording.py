@@ -15,6 +15,11 @@ from ..result import Finding
 
 StampArray = NDArray[np.int64]
 
+WEIGHT_NEEDS_ORIENTATION = (
+    "without which the weight cannot be told from the bias: record it, or take it from joint positions (`--urdf`); of "
+    "a wrench whose weight was removed before recording (`gravity_compensated: true`) robot and contacts need none"
+)
+
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 """Names of the six columns of a wrench, a twist, gains, and of what a pose has: translations, then rotations."""
 
@@ -173,17 +178,20 @@ class Recording:
                 "centre and the sensor's bias cannot be determined from it; record the sensor's wrench before gravity "
                 "compensation."
             )
-        _require_axes(f"The wrench of topic {self.wrench.topic}", self.wrench.measured_axes)
+        what = f"The wrench of topic {self.wrench.topic}"
+        advice = "record them all, or, of a wrench whose weight was removed, declare `gravity_compensated: true`"
+        _require_axes(what, self.wrench.measured_axes, AXES, advice)
         if self.pose.is_displacement:
             raise EstimateError(
                 f"Topic {self.pose.topic} shows a displacement from an unknown pose, so the direction of gravity in "
                 "the sensor frame cannot be determined from it; record the flange pose in the base frame."
             )
-        _require_axes(f"The pose of topic {self.pose.topic}", self.pose.measured_axes, AXES[3:])
+        what = f"The pose of topic {self.pose.topic}"
+        _require_axes(what, self.pose.measured_axes, AXES[3:], WEIGHT_NEEDS_ORIENTATION)
 
 
-def _require_axes(what: str, measured: tuple[str, ...], needed: tuple[str, ...] = AXES) -> None:
+def _require_axes(what: str, measured: tuple[str, ...], needed: tuple[str, ...], advice: str) -> None:
     missing = [axis for axis in needed if axis not in measured]
     if missing:
         all_of_them = "all six axes" if needed == AXES else "an orientation"
-        raise EstimateError(f"{what} must have {all_of_them}, found none for {', '.join(missing)}; record them all.")
+        raise EstimateError(f"{what} must have {all_of_them}, found none for {', '.join(missing)}; {advice}.")
