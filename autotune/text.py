@@ -11,6 +11,7 @@ from identification.result import (
     EnvironmentEstimate,
     Estimate,
     Identified,
+    Timeline,
     VectorEstimate,
     WrenchFilterEstimate,
 )
@@ -116,12 +117,43 @@ def _surface_rows(name: str, surface: EnvironmentEstimate) -> Iterator[Parameter
     told = f"{name}: {surface.name}, {surface.contacts} contact{'' if surface.contacts == 1 else 's'}"
     yield _row(f"{told}: K_e", surface.stiffness_n_per_m, stiffness, scale)
     yield _row(f"{told}: secant", surface.secant_stiffness_n_per_m, stiffness, scale)
+    if surface.relaxed_stiffness_n_per_m is not None:
+        yield _row(f"{told}: held", surface.relaxed_stiffness_n_per_m, stiffness, scale)
+    if surface.impact_n_s_per_m is not None:
+        yield _row(f"{told}: blow per speed", surface.impact_n_s_per_m, units.damping)
     yield _row(f"{told}: B_e", surface.damping_n_s_per_m, units.damping)
     yield _row(f"{told}: M_e", surface.mass_kg, units.mass)
     lowest, highest = min(surface.peak_force_n, default=None), max(surface.peak_force_n, default=None)
     if lowest is not None and highest is not None:
         peaks = f"{highest:.1f}" if lowest == highest else f"{lowest:.1f} to {highest:.1f}"
         yield ParameterRow(name=f"{told}: peak", value=peaks, unit=units.force)
+
+
+TOUCH_COLUMNS = ("touch", "cause", "from [s]", "speed", "peak", "may be", "unit", "held", "bounces", "surface")
+
+
+def touch_rows(timeline: Timeline) -> list[tuple[str, ...]]:
+    """Return a row of `TOUCH_COLUMNS` for each touch of a log, speeds in mm/s or mrad/s."""
+    rows: list[tuple[str, ...]] = []
+    for touch in timeline.touches:
+        units = axis_units(touch.axis)
+        start = touch.peak_s if touch.onset_s is None else touch.onset_s
+        low, high = touch.peak_interval or (touch.peak_force, touch.peak_force)
+        rows.append(
+            (
+                f"{'+' if touch.sign > 0 else '-'}{touch.axis}",
+                f"{touch.cause.value}{', led' if touch.is_led else ''}",
+                f"{start:.2f}",
+                "-" if touch.approach_speed is None else f"{1e3 * touch.approach_speed:.1f}",
+                f"{touch.peak_force:.1f}",
+                f"{low:.1f} to {high:.1f}",
+                units.force,
+                "-" if touch.held_force is None else f"{touch.held_force:.1f}",
+                f"{len(touch.bounces_s)}",
+                touch.surface or "-",
+            )
+        )
+    return rows
 
 
 def _filter_rows(wrench_filter: WrenchFilterEstimate) -> Iterator[ParameterRow]:

@@ -30,6 +30,7 @@ from .result import (
     PayloadEstimate,
     Status,
     Timeline,
+    Touch,
     name_surfaces,
 )
 from .robot.admittance_robot import AdmittanceRobots, identify_admittance_robots, with_compensated_force
@@ -43,6 +44,7 @@ from .timeline.contacts import find_contacts
 from .timeline.left_contacts import Accounted, ObservedAxis, account_for_contacts
 from .timeline.payload import observe_payload
 from .timeline.timeline import build_timeline
+from .timeline.touches import touches_of
 from .turn_estimate import identify_turn, unidentified_turn
 from .verdicts import missing
 
@@ -133,8 +135,8 @@ def _identify(
         turns=find_turns(recording, log, motion, gravity),
     )
     results, about_axes = _identify_axes(cell, inertia, lambda share: report(_AXES_SHARE * share))
-    accounted = _accounted(cell, results, gravity.mass_kg)
-    timeline = Timeline(phases=accounted.phases)
+    accounted, touches = _accounted(cell, results, gravity.mass_kg)
+    timeline = Timeline(phases=accounted.phases, touches=touches)
     sensor, about_sensor = describe_sensor(read, gravity, frames)
     latencies = {name: axis.fit.latency for name, axis in results.items() if axis.fit is not None}
     late, about_late = find_wrench_filter(latencies, recording.wrench_shifted_s, log.period_s)
@@ -219,8 +221,10 @@ def _identify_axes(
     return axes, [*findings, *(finding for axis in axes.values() for finding in axis.findings)]
 
 
-def _accounted(cell: CellSignals, results: Mapping[str, AxisResult], mass_kg: float) -> Accounted:
-    """Return what happened when, contacts with the names of their surfaces, and the surfaces that no fit used."""
+def _accounted(
+    cell: CellSignals, results: Mapping[str, AxisResult], mass_kg: float
+) -> tuple[Accounted, tuple[Touch, ...]]:
+    """Return what happened when, contacts with the names of their surfaces and those that no fit used, and touches."""
     contacts, period = [axis.contacts for axis in results.values()], cell.log.period_s
     payloads = [observe_payload(of, period) for of in contacts]
     pressed = [find_contacts(of, seen, cell.motion, period) for of, seen in zip(contacts, payloads, strict=True)]
@@ -240,7 +244,8 @@ def _accounted(cell: CellSignals, results: Mapping[str, AxisResult], mass_kg: fl
                 lever_m=1.0 if name in AXIS_NAMES else LEVER_M,
             )
         )
-    return account_for_contacts(phases, axes, period)
+    accounted = account_for_contacts(phases, axes, period)
+    return accounted, touches_of(cell.recording, cell.log, axes, accounted.phases)
 
 
 def _with_surfaces(axis: AxisEstimate, added: Sequence[EnvironmentEstimate]) -> AxisEstimate:

@@ -144,7 +144,7 @@ class _Seen:
 
 def print_identified(result: "Identified", out: Path) -> None:
     """Print the parameters as a table, the findings below."""
-    from autotune.text import parameter_rows
+    from autotune.text import TOUCH_COLUMNS, parameter_rows, touch_rows
 
     rows = [
         ("parameter", "value", "± std", "unit", "verdict"),
@@ -152,6 +152,8 @@ def print_identified(result: "Identified", out: Path) -> None:
     ]
     print_table(rows, left=(0, 3, 4), point=(1, 2), verdict=4)
     for timeline in result.timelines:
+        if timeline.touches:
+            print_table([TOUCH_COLUMNS, *touch_rows(timeline)], left=(0, 1, 6, 9), point=(2, 3, 4, 7))
         print_message(_timeline_line(timeline))
     for finding in result.findings:
         print_message(f"{finding.message} {finding.advice}", verdict=f"{finding.severity}: ")

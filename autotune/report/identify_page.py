@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from autotune.charts.chart import Chart
 from autotune.formats.units import axis_units
-from autotune.text import ParameterRow, parameter_rows
+from autotune.text import TOUCH_COLUMNS, ParameterRow, parameter_rows, touch_rows
 from identification.errors import LogError
 from identification.evidence import AxisEvidence, Evidence
 from identification.logs import LogSummary, inspect_log
@@ -186,6 +186,10 @@ def _log_section(result: Identified, evidence: Sequence[Evidence], summaries: Se
         timeline = result.timelines[i] if i < len(result.timelines) else None
         blocks += wrench_charts(each, timeline, f"{i + 1}")
     blocks += [_phase_table(result)] if any(timeline.phases for timeline in result.timelines) else []
+    for timeline in result.timelines:
+        if timeline.touches:
+            caption = f"Touches{f' of {timeline.log}' if timeline.log else ''} [mm/s, N; about an axis mrad/s, N·m]"
+            blocks.append(build_table(caption, TOUCH_COLUMNS, touch_rows(timeline), numbers=(2, 3, 4, 5, 7, 8)))
     return Section(key="log", title="The log", blocks=tuple(blocks))
 
 

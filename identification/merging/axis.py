@@ -140,7 +140,19 @@ class AxisRecord:
             mass_kg=self._one(f"{name}.M_e", lambda v, std: judged(v, std, method="", floor=MASS_FLOOR * mass)),
             contacts=sum(surface.contacts for surface in logs),
             peak_force_n=tuple(peak for surface in logs for peak in surface.peak_force_n),
+            relaxed_stiffness_n_per_m=self._shown(name, "relaxed stiffness", lambda s: s.relaxed_stiffness_n_per_m),
+            impact_n_s_per_m=self._shown(name, "first blow", lambda s: s.impact_n_s_per_m),
+            contact_spread=max((s.contact_spread for s in logs if s.contact_spread is not None), default=None),
         )
+
+    def _shown(self, name: str, what: str, of: Callable[[EnvironmentEstimate], Estimate | None]) -> Estimate | None:
+        """Return the mean of what the logs show of a surface beside the record, None where none does."""
+        by_log = [
+            None if axis is None else next((of(each) for each in axis.environments if each.name == name), None)
+            for axis in self.axes
+        ]
+        known = any(each is not None for each in by_log)
+        return self.merge.scalars(f"{what} of surface {name}", by_log) if known else None
 
     def _secant(self, name: str, logs: Sequence[EnvironmentEstimate]) -> Estimate:
         """Return K_s and K_e in series out of the record, else the mean of what contact traces show of it."""

@@ -288,7 +288,8 @@ def _without_settled(findings: Sequence[Finding], combined: Identified) -> list[
 def common_surfaces(results: Sequence[Identified]) -> list[dict[str, str]]:
     """Return for each log what its surfaces are called among those of all logs.
 
-    Surfaces whose secant (else K_e) agrees within three deviations are one; each log has a surface at most once.
+    Surfaces whose secant (else K_e, else first blow) agrees within three deviations are one; each log has a surface at
+    most once.
     """
     renamed: list[dict[str, str]] = [{} for _ in results]
     for axis in dict.fromkeys(name for result in results for name in result.axes):
@@ -350,6 +351,9 @@ def _alike(one: EnvironmentEstimate, other: EnvironmentEstimate) -> bool:
     first, second = one.secant_stiffness_n_per_m, other.secant_stiffness_n_per_m
     if not is_stated(first) or not is_stated(second):
         first, second = one.stiffness_n_per_m, other.stiffness_n_per_m
+    here, there = one.impact_n_s_per_m, other.impact_n_s_per_m
+    if (first.value is None or second.value is None) and here is not None and there is not None:
+        first, second = here, there
     if first.value is None or second.value is None or first.std is None or second.std is None:
         return False
     return abs(first.value - second.value) <= _SAME_SURFACE_STDS * float(np.hypot(first.std, second.std))

@@ -124,11 +124,11 @@ def _on_axis(axis: AxisSignals, free: BoolArray, *, is_contact: bool) -> AxisTou
         for span in _presses(pressing, axis.level_n, longest, swing):
             judged = _judge(axis, sign, span, free, is_contact=is_contact)
             if judged is not None:
-                touches.append(_describe(axis, sign, span, *judged))
+                touches.append(_described(axis, sign, span, *judged))
                 continue
             for part, is_still in _parts(span, speed, axis.period_s):
                 if is_still:
-                    touches.append(_describe(axis, sign, part, TouchCause.UNDETERMINED, None))
+                    touches.append(_described(axis, sign, part, TouchCause.UNDETERMINED, None))
                 elif len(part) >= swing:
                     led.append(part)
     return AxisTouches(signals=axis, touches=tuple(sorted(touches, key=lambda each: each.span.start)), led=tuple(led))
@@ -247,16 +247,22 @@ def _turned_round(axis: AxisSignals, sign: int, high: int) -> tuple[float, float
     return step / max(float(axis.time_s[high] - axis.time_s[last]), axis.period_s), step
 
 
-def _describe(axis: AxisSignals, sign: int, span: Span, cause: TouchCause, is_led: bool | None) -> FoundTouch:
+def _described(axis: AxisSignals, sign: int, span: Span, cause: TouchCause, is_led: bool | None) -> FoundTouch:
+    hold = _hold(axis, -sign * axis.force_n, span)
+    return describe_touch(axis, sign, span, hold=hold, cause=cause, is_led=is_led)
+
+
+def describe_touch(
+    axis: AxisSignals, sign: int, span: Span, *, hold: Span | None, cause: TouchCause, is_led: bool | None
+) -> FoundTouch:
+    """Return what the samples of a span show of the touch that it is."""
     pressing = -sign * axis.force_n
     inside = pressing[span.slice]
     peak = span.start + int(np.argmax(inside))
     low, high, rise = bound_peak(pressing, span.start, peak)
-    hold = _hold(axis, pressing, span)
     held = None if hold is None else float(np.median(pressing[hold.slice]))
     left = max(axis.level_n, min(_LEFT_SHARE * high, np.inf if held is None else _HELD_SHARE * held))
     apart = without_short(np.asarray(inside <= left), max(1, round(CONTACT.shortest_bounce_s / axis.period_s)))
-    bounces = tuple(float(axis.time_s[span.start + gap.start]) for gap in spans_of(apart))
     last = span.stop >= len(axis.time_s) - 1
 
     def at(values: FloatArray) -> float | None:
@@ -272,7 +278,7 @@ def _describe(axis: AxisSignals, sign: int, span: Span, cause: TouchCause, is_le
         onset_s=float(axis.time_s[span.start]),
         release_s=None if last else float(axis.time_s[span.stop]),
         hold_s=None if hold is None else (float(axis.time_s[hold.start]), float(axis.time_s[hold.stop - 1])),
-        bounces_s=bounces,
+        bounces_s=tuple(float(axis.time_s[span.start + gap.start]) for gap in spans_of(apart)),
         peak_interval=(low, high),
         rise_samples=rise,
         approach_speed=approach_speed(axis, span.start, sign),
@@ -296,10 +302,20 @@ def _hold(axis: AxisSignals, pressing: FloatArray, span: Span) -> Span | None:
     return Span(start=span.start + longest.start, stop=span.start + longest.stop)
 
 
-def _impulse(axis: AxisSignals, pressing: FloatArray, span: Span) -> float:
-    """Return ∫F dt of the first blow [N·s]: until the force has fallen to half of what it had reached."""
-    inside = np.asarray(pressing[span.slice])
-    fallen = np.flatnonzero(inside < _FALLEN_SHARE * np.maximum.accumulate(inside))
-    stop = span.start + (int(fallen[0]) if fallen.size else len(inside))
-    blow = slice(max(0, span.start - 1), stop + 1)
+def _impulse(axis: AxisSignals, pressing: FloatArray, span: Span) -> float | None:
+    """Return ∫F dt of the first blow [N·s], None where what presses does not let off."""
+    fallen = first_fall(pressing[span.slice], axis.level_n)
+    if fallen is None:
+        return None
+    blow = slice(max(0, span.start - 1), span.start + fallen + 1)
     return float(np.trapezoid(np.maximum(pressing[blow], 0.0), axis.time_s[blow]))
+
+
+def first_fall(pressing: FloatArray, level: float) -> int | None:
+    """Return the first sample at which a force (n,) has fallen to half of what it had reached, None where it does not.
+
+    What it reaches must be twice `level`: less is noise at the beginning.
+    """
+    highest = np.maximum.accumulate(pressing)
+    fallen = np.flatnonzero((pressing < _FALLEN_SHARE * highest) & (highest > 2.0 * level))
+    return int(fallen[0]) if fallen.size else None

@@ -60,7 +60,7 @@ def axis_signals(recording: Recording) -> tuple[AxisSignals, ...]:
         if not pose.is_displacement:
             force -= _offset(force, travel[:, i], time)
         noise = _noise(force)
-        mass, damping = _gains(recording.gains, stamps, i)
+        mass, damping = gains_of(recording.gains, stamps, i)
         found.append(
             AxisSignals(
                 axis=axis,
@@ -72,7 +72,7 @@ def axis_signals(recording: Recording) -> tuple[AxisSignals, ...]:
                 noise_n=noise,
                 mass_kg=mass,
                 damping_n_s_per_m=damping,
-                desired_n=_desired(recording.desired_force, stamps, i),
+                desired_n=desired_force_of(recording.desired_force, stamps, i),
             )
         )
     return tuple(found)
@@ -113,15 +113,17 @@ def _travel(pose: PoseSignal, stamps: StampArray) -> FloatArray:
     return np.column_stack([np.interp(at, time, column) for column in position.T])
 
 
-def _gains(gains: GainsSignal | None, stamps: StampArray, axis: int) -> tuple[FloatArray, FloatArray]:
+def gains_of(gains: GainsSignal | None, stamps: StampArray, axis: int) -> tuple[FloatArray, FloatArray]:
+    """Return M_a and B_a of the axis with that number as they hold at stamps (n,), NaN where they are not known."""
     if gains is None:
         return np.full(len(stamps), np.nan), np.full(len(stamps), np.nan)
     rows = np.maximum(np.searchsorted(gains.stamp_ns, stamps, side="right") - 1, 0)
     return gains.mass[rows, axis], gains.damping[rows, axis]
 
 
-def _desired(desired: WrenchSignal | None, stamps: StampArray, axis: int) -> FloatArray:
+def desired_force_of(desired: WrenchSignal | None, stamps: StampArray, axis: int) -> FloatArray:
+    """Return F^d of the axis with that number as it holds at stamps (n,), NaN where it is not known."""
     if desired is None:
         return np.full(len(stamps), np.nan)
     rows = np.maximum(np.searchsorted(desired.stamp_ns, stamps, side="right") - 1, 0)
-    return np.asarray(desired.force_n[rows, axis])
+    return np.asarray(desired.force_n[rows, axis] if axis < 3 else desired.torque_n_m[rows, axis - 3])

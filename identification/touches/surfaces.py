@@ -12,7 +12,7 @@ from ..errors import EstimateError
 from ..result import EnvironmentEstimate, Estimate, Finding, LogPhase, Timeline, Touch, TouchCause
 from ..signals.recording import Recording
 from ..verdicts import judged, missing, unidentifiable
-from .find import AxisTouches, FoundTouch, find_touches
+from .find import AxisTouches, FoundTouch, find_touches, first_fall
 from .peak import bound_peak
 from .phases import build_phases
 from .signals import AxisSignals, axis_signals
@@ -24,7 +24,6 @@ _WEAK_SHARE = 0.5
 _SAME_PLACE_M = 5e-3
 _SAME_STIFFNESS = 1.25
 _NOT_A_SPRING = 0.1
-_FALLEN_SHARE = 0.5
 _MOST_LISTED = 8
 # Of the depth: a displacement that begins no farther before the force is one since contact.
 _CONTACT_SHARE = 0.2
@@ -128,10 +127,8 @@ def _blow(axis: AxisSignals, found: FoundTouch, pressing: FloatArray) -> tuple[f
     """Return what the peak of the first blow may be, None where a hand pushed or the speed is not known."""
     if found.touch.is_led or not found.touch.approach_speed or found.touch.approach_speed <= 0.0:
         return None
-    inside = pressing[found.span.slice]
-    highest = np.maximum.accumulate(inside)
-    fallen = np.flatnonzero((inside < _FALLEN_SHARE * highest) & (highest > 2.0 * axis.level_n))
-    stop = found.span.start + (int(fallen[0]) if fallen.size else len(inside))
+    fallen = first_fall(pressing[found.span.slice], axis.level_n)
+    stop = found.span.stop if fallen is None else found.span.start + fallen
     top = found.span.start + int(np.argmax(pressing[found.span.start : stop]))
     low, high, _ = bound_peak(pressing, found.span.start, top)
     return low, high

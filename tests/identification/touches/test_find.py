@@ -1,0 +1,186 @@
+"""Touches of an admittance that drives into a wall, is stopped by a hand, or is led by one."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from identification.result import TouchCause
+from identification.signals.recording import GainsSignal, PoseSignal, Recording, WrenchSignal
+from identification.touches.find import find_touches
+from identification.touches.signals import axis_signals
+from identification.touches.surfaces import identify_touches, pooled
+from problems.arrays import FloatArray
+
+MASS_KG, DAMPING_N_S_PER_M, DESIRED_N = 10.0, 500.0, 15.0
+STEP_S = 1e-4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Program:
+    """What meets an admittance: the force on the flange, of time [s], travel [m] and speed [m/s]."""
+
+    force_n: Callable[[float, float, float], float]
+    desired_n: float = DESIRED_N
+    rate_hz: float = 1000.0
+    length_s: float = 6.0
+    start_s: float = 0.5
+
+
+def recorded(program: Program, offset_n: float = 0.0) -> Recording:
+    """Integrate M_a dv/dt + B_a v = F + F^d, with F^d from `start_s` on, and log it along z."""
+    count = int(program.length_s / STEP_S)
+    travel, force = np.zeros(count), np.zeros(count)
+    place = speed = 0.0
+    for k in range(count):
+        time = k * STEP_S
+        force[k] = program.force_n(time, place, speed)
+        travel[k] = place
+        driven = program.desired_n if time > program.start_s else 0.0
+        speed += STEP_S * (force[k] + driven - DAMPING_N_S_PER_M * speed) / MASS_KG
+        place += STEP_S * speed
+    every = round(1.0 / program.rate_hz / STEP_S)
+    return logged(travel[::every], force[::every] + offset_n, every * STEP_S, program.desired_n)
+
+
+def logged(travel: FloatArray, force: FloatArray, step_s: float, desired_n: float) -> Recording:
+    n = len(travel)
+    stamps = np.round(1e9 * step_s * np.arange(n)).astype(np.int64)
+    along = np.array([0.0, 0.0, 1.0])
+    return Recording(
+        wrench=WrenchSignal(
+            topic="w",
+            frame_id="",
+            stamp_ns=stamps,
+            force_n=force[:, None] * along,
+            torque_n_m=np.zeros((n, 3)),
+            gravity_compensated=True,
+        ),
+        pose=PoseSignal(
+            topic="p",
+            frame_id="",
+            stamp_ns=stamps,
+            position_m=travel[:, None] * along,
+            quaternion_xyzw=np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)),
+        ),
+        command=None,
+        gains=GainsSignal(
+            topic="g", stamp_ns=stamps[:1], mass=np.full((1, 6), MASS_KG), damping=np.full((1, 6), DAMPING_N_S_PER_M)
+        ),
+        desired_force=WrenchSignal(
+            topic="d",
+            frame_id="",
+            stamp_ns=stamps[:1],
+            force_n=desired_n * along[None],
+            torque_n_m=np.zeros((1, 3)),
+        ),
+    )
+
+
+def wall(stiffness: float, at_m: float, damping: float = 100.0) -> Callable[[float, float, float], float]:
+    return lambda _, x, v: -max(stiffness * (x - at_m) + damping * v, 0.0) if x > at_m else 0.0
+
+
+@given(stiffness=st.floats(3e3, 3e4), at_m=st.floats(0.02, 0.05), offset=st.sampled_from((0.0, 30.0)))
+@settings(max_examples=8, deadline=None)
+def test_a_wall_is_met_as_it_is(stiffness: float, at_m: float, offset: float) -> None:
+    """The speed is F^d/B_a, the hold F^d, the loading the spring; an offset of the sensor changes nothing."""
+    found = identify_touches(recorded(Program(force_n=wall(stiffness, at_m)), offset))
+    (touch,) = found.timeline.touches
+    assert (touch.axis, touch.sign, touch.cause, touch.is_led) == ("z", 1, TouchCause.WALL, False)
+    assert touch.onset_s == pytest.approx(
+        0.5 + MASS_KG / DAMPING_N_S_PER_M + at_m * DAMPING_N_S_PER_M / DESIRED_N, abs=0.05
+    )
+    assert touch.approach_speed == pytest.approx(DESIRED_N / DAMPING_N_S_PER_M, rel=0.02)
+    assert touch.held_force == pytest.approx(DESIRED_N, rel=0.02)
+    assert touch.desired_force == DESIRED_N
+    (surface,) = found.surfaces["z"]
+    assert touch.surface == surface.name == "z1"
+    # The wall's damping is in the loading, which lags behind by no more than 100 N·s/m times the speed.
+    secant = surface.secant_stiffness_n_per_m
+    assert secant.value is not None
+    assert secant.std is not None
+    assert abs(secant.value - stiffness) < 2.0 * secant.std
+
+
+def test_a_hand_that_drives_the_flange_back_is_no_wall() -> None:
+    def hand(time: float, _: float, __: float) -> float:
+        return -60.0 if time > 2.0 else 0.0
+
+    (touch,) = identify_touches(recorded(Program(force_n=hand))).timeline.touches
+    assert touch.cause is TouchCause.HAND
+    assert touch.surface is None
+
+
+def test_a_hand_that_leads_is_no_touch() -> None:
+    def hand(time: float, _: float, __: float) -> float:
+        return 20.0 * np.sin(np.pi * time) ** 2 if time > 1.0 else 0.0
+
+    found = identify_touches(recorded(Program(force_n=hand, desired_n=0.0)))
+    assert found.timeline.touches == ()
+    assert not found.surfaces
+
+
+def test_a_hand_that_leads_into_a_stiff_wall_cannot_turn_so_fast() -> None:
+    stop = wall(2e5, 0.05, damping=2000.0)
+
+    def both(time: float, x: float, v: float) -> float:
+        return (40.0 if time > 1.0 else 0.0) + stop(time, x, v)
+
+    touches = identify_touches(recorded(Program(force_n=both, desired_n=0.0))).timeline.touches
+    assert touches[0].cause is TouchCause.WALL
+    assert touches[0].is_led is True
+    assert touches[0].approach_speed == pytest.approx(40.0 / DAMPING_N_S_PER_M, rel=0.02)
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 200.0, 500.0])
+def test_the_peak_lies_in_its_interval_at_any_rate(rate_hz: float) -> None:
+    """The logger's samples are those of a finer log: the true peak is known."""
+    force_n = wall(2e4, 0.0301, damping=0.0)
+    (fine,) = identify_touches(recorded(Program(force_n=force_n, rate_hz=5000.0))).timeline.touches
+    (coarse,) = identify_touches(recorded(Program(force_n=force_n, rate_hz=rate_hz))).timeline.touches
+    assert coarse.peak_interval is not None
+    low, high = coarse.peak_interval
+    assert low <= fine.peak_force <= high
+
+
+def test_without_gains_or_orientation_less_is_known() -> None:
+    whole = recorded(Program(force_n=wall(2e4, 0.03)))
+    pose = PoseSignal(
+        topic="p",
+        frame_id="",
+        stamp_ns=whole.pose.stamp_ns,
+        position_m=whole.pose.position_m,
+        quaternion_xyzw=np.full((len(whole.pose.stamp_ns), 4), np.nan),
+        measured_axes=("x", "y", "z"),
+    )
+    bare = Recording(wrench=whole.wrench, pose=pose, command=None)
+    (touch,) = identify_touches(bare).timeline.touches
+    assert touch.cause is TouchCause.UNDETERMINED
+    assert touch.approach_speed is touch.damping is touch.desired_force is None
+
+
+def test_no_axis_no_touch() -> None:
+    assert find_touches(()) == ()
+    apart = recorded(Program(force_n=wall(2e4, 0.03)))
+    later = PoseSignal(
+        topic="p",
+        frame_id="",
+        stamp_ns=apart.pose.stamp_ns + 100_000_000_000,
+        position_m=apart.pose.position_m,
+        quaternion_xyzw=apart.pose.quaternion_xyzw,
+    )
+    assert axis_signals(Recording(wrench=apart.wrench, pose=later, command=None)) == ()
+
+
+@given(values=st.lists(st.floats(1e3, 1e5), min_size=1, max_size=6), share=st.floats(0.0, 0.3))
+@settings(max_examples=50, deadline=None)
+def test_the_deviation_holds_what_differs_between_contacts(values: list[float], share: float) -> None:
+    mean, std, spread = pooled(values, [share * value for value in values])
+    assert mean == pytest.approx(np.mean(values))
+    assert std >= 0.9 * float(np.std(values))
+    assert std >= 0.1 * mean / np.sqrt(len(values))
+    assert (spread is None) == (len(values) == 1)
