@@ -203,17 +203,17 @@ def _judge(
         max(1, int(np.searchsorted(axis.time_s, axis.time_s[span.start] - _SKIPPED_S))),
     )
     if window.stop > window.start and bool(np.all(free[window])):
-        return _met_free(axis, span.start, speed, into), False
+        return _met_free(axis, span.start, speed, into, float(np.median(axis.force_n[window]))), False
     cause = _met_led(axis, sign, span)
     return None if cause is None else (cause, True)
 
 
-def _met_free(axis: AxisSignals, onset: int, speed: float, into: FloatArray) -> TouchCause:
-    """Return the cause of a press that begins without any force before it; `into` (n,) is how far the flange goes."""
+def _met_free(axis: AxisSignals, onset: int, speed: float, into: FloatArray, drag_n: float) -> TouchCause:
+    """Return the cause of a press before which there is `drag_n` at most; `into` (n,) is how far the flange goes."""
     deepest = int(np.argmax(into))
     if float(into[deepest] - np.min(into[deepest:])) > _DRIVEN_M + float(into[deepest]):
         return TouchCause.HAND
-    return TouchCause.WALL if _is_driven_by_desired(axis, onset, speed) else TouchCause.UNDETERMINED
+    return TouchCause.WALL if _is_driven_by_desired(axis, onset, speed, drag_n) else TouchCause.UNDETERMINED
 
 
 def _met_led(axis: AxisSignals, sign: int, span: Span) -> TouchCause | None:
@@ -227,12 +227,12 @@ def _met_led(axis: AxisSignals, sign: int, span: Span) -> TouchCause | None:
     return TouchCause.WALL if rate > _FASTEST_HAND_N_PER_S else TouchCause.UNDETERMINED
 
 
-def _is_driven_by_desired(axis: AxisSignals, onset: int, speed: float) -> bool:
-    """Return whether the approach is as fast as F^d/B_a, true also where one of them is not known or F^d is zero."""
+def _is_driven_by_desired(axis: AxisSignals, onset: int, speed: float, drag_n: float) -> bool:
+    """Return whether the approach is as fast as (F^d + F)/B_a, true where one of them is not known or F^d is zero."""
     damping, desired = float(axis.damping_n_s_per_m[onset]), float(axis.desired_n[onset])
     if not (np.isfinite(damping) and np.isfinite(desired) and damping > 0.0) or desired == 0.0:
         return True
-    asked = abs(desired) / damping
+    asked = abs(desired + drag_n) / damping
     return abs(speed - asked) <= _SPEED_SHARE * asked
 
 

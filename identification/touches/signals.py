@@ -14,6 +14,7 @@ from ..signals.recording import AXES, GainsSignal, PoseSignal, Recording, StampA
 _NEAR_ZERO_SHARE = 0.05
 _NOISES = 6.0
 _MOVING_M_S, _CONSTANT_N = 2e-3, 1.0
+_DRAG_FACTOR, _DRAG_SCATTER = 1.25, 0.2
 _TO_DEVIATION = float(1.4826 / np.sqrt(2.0))
 _FEWEST, _FEWEST_FOR_NOISE = 4, 100
 
@@ -68,7 +69,7 @@ def axis_signals(recording: Recording) -> tuple[AxisSignals, ...]:
                 period_s=float(np.median(np.diff(time))),
                 force_n=force,
                 travel_m=travel[:, i],
-                level_n=_level(recording, force, noise),
+                level_n=max(_level(recording, force, noise), _drag(force, travel[:, i], time)),
                 noise_n=noise,
                 mass_kg=mass,
                 damping_n_s_per_m=damping,
@@ -88,6 +89,18 @@ def _level(recording: Recording, force: FloatArray, noise: float) -> float:
     if recording.pose.is_displacement:
         return max(CONTACT.trace_share * float(np.max(np.abs(force))), _NOISES * noise, 1e-9)
     return max(CONTACT.smallest_n, _NOISES * noise)
+
+
+def _drag(force: FloatArray, travel: FloatArray, time: FloatArray) -> float:
+    """Return what a level must leave to the drag: the force that opposes all motion alike, and a quarter of it."""
+    speed = np.gradient(travel, time)
+    moving = np.abs(speed) > _MOVING_M_S
+    if not np.any(moving):
+        return 0.0
+    opposing = -np.sign(speed[moving]) * force[moving]
+    usual = float(np.median(opposing))
+    is_constant = float(np.median(np.abs(opposing - usual))) <= max(_CONSTANT_N, _DRAG_SCATTER * usual)
+    return _DRAG_FACTOR * usual if usual > 0.0 and is_constant else 0.0
 
 
 def _offset(force: FloatArray, travel: FloatArray, time: FloatArray) -> float:

@@ -12,7 +12,7 @@ from autotune.simulation.simulate import simulate_cell
 from autotune.simulation.truth import SimulatedCell
 from identification.errors import EstimateError, LogError
 from identification.identify import identify_cell
-from identification.result import Estimate, Finding, Identified, Status, VectorEstimate
+from identification.result import Estimate, Finding, Identified, Status, TouchCause, VectorEstimate
 from identification.signals.recording import PoseSignal, Recording, WrenchSignal
 from problems.arrays import BoolArray
 
@@ -258,3 +258,12 @@ def test_the_time_line_names_the_surface_of_each_contact(complete: Identified) -
     assert [contact.surface for contact in contacts] == ["x1"] * Program().contact_count
     assert not any(contact.hand_suspected for contact in contacts)
     assert "hand-in-contact" not in {finding.code for finding in complete.findings}
+    assert [touch.surface for touch in line.touches] == [contact.surface for contact in contacts]
+    for touch, contact in zip(line.touches, contacts, strict=True):
+        assert touch.cause is TouchCause.WALL
+        assert (touch.onset_s, touch.release_s) == (contact.onset_s, contact.release_s)
+        assert touch.peak_force == contact.peak_force_n
+        # F^d is held until the speed is steady: F^d/(B_a + B_p).
+        cell = SimulatedCell()
+        speed = Program().contact_force_n / (cell.controller.damping_n_s_per_m + cell.drag_n_s_per_m)
+        assert touch.approach_speed == pytest.approx(speed, rel=0.05)

@@ -106,6 +106,18 @@ def test_a_wall_is_met_as_it_is(stiffness: float, at_m: float, offset: float) ->
     assert abs(secant.value - stiffness) < 2.0 * secant.std
 
 
+def test_drag_on_the_way_is_no_touch() -> None:
+    """Drag of 300 N·s/m takes 5.6 N of the 15 N: the approach is slower, and the force before it is not zero."""
+    stop = wall(2e4, 0.03)
+
+    def both(time: float, x: float, v: float) -> float:
+        return -300.0 * v + stop(time, x, v)
+
+    (touch,) = identify_touches(recorded(Program(force_n=both))).timeline.touches
+    assert touch.cause is TouchCause.WALL
+    assert touch.approach_speed == pytest.approx(DESIRED_N / (DAMPING_N_S_PER_M + 300.0), rel=0.02)
+
+
 def test_a_hand_that_drives_the_flange_back_is_no_wall() -> None:
     def hand(time: float, _: float, __: float) -> float:
         return -60.0 if time > 2.0 else 0.0
