@@ -69,7 +69,7 @@ def axis_signals(recording: Recording) -> tuple[AxisSignals, ...]:
                 period_s=float(np.median(np.diff(time))),
                 force_n=force,
                 travel_m=travel[:, i],
-                level_n=max(_level(recording, force, noise), _drag(force, travel[:, i], time)),
+                level_n=_level(recording, force, noise, _drag(force, travel[:, i], time)),
                 noise_n=noise,
                 mass_kg=mass,
                 damping_n_s_per_m=damping,
@@ -84,11 +84,11 @@ def _noise(force: FloatArray) -> float:
     return _TO_DEVIATION * float(np.median(np.abs(np.diff(force)))) if len(force) >= _FEWEST_FOR_NOISE else 0.0
 
 
-def _level(recording: Recording, force: FloatArray, noise: float) -> float:
+def _level(recording: Recording, force: FloatArray, noise: float, drag: float) -> float:
     """Return the least force that counts; a trace that is declared to be a contact begins with less."""
     if recording.pose.is_displacement:
         return max(CONTACT.trace_share * float(np.max(np.abs(force))), _NOISES * noise, 1e-9)
-    return max(CONTACT.smallest_n, _NOISES * noise)
+    return max(CONTACT.smallest_n, _NOISES * noise, drag)
 
 
 def _drag(force: FloatArray, travel: FloatArray, time: FloatArray) -> float:
