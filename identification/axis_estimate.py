@@ -47,6 +47,7 @@ _OBLIQUE_CONTACT_DEG = 10.0
 _MODEL_STD_SHARE = 0.003
 _EXACT_SHARE = 1e-6
 _LOOSEST_DELAY = 0.6
+_MOST_LAG_STDS = 3.0
 _USUAL_MASS_KG = 10.0
 _STAGES_SHARE = 0.27  # of the time that an axis takes
 
@@ -184,6 +185,8 @@ def fit_axis(cell: CellSignals, view: AxisView, progress: ProgressSlice) -> Axis
             least_noise_n=cell.noise_rms_n if cell.gravity is None else 0.0,
         )
         found = identify_joint(data, progress.part((0.5 if view.priors else 1.0) - _STAGES_SHARE))
+        if cell.gravity is None:
+            _check_lag(found, view.recording.wrench_lag_s)
         fit = view.in_units(found)
         with_priors = view.in_units(identify_joint(replace(data, priors=view.priors))) if view.priors else None
     except EstimateError as error:
@@ -200,6 +203,15 @@ def fit_axis(cell: CellSignals, view: AxisView, progress: ProgressSlice) -> Axis
     estimate, contradictions = settle_axis(axis.name, alone, both, cell.given)
     contacts = AxisContacts(axis=axis, holds=view.holds, coupling=found.values[: len(COUPLING_NAMES)])
     return AxisResult(estimate=estimate, findings=(*findings, *contradictions), contacts=contacts, fit=fit, data=data)
+
+
+def _check_lag(fit: JointFit, known_s: tuple[float, float] | None) -> None:
+    """Raise EstimateError where force and pose fit only with a lag between them that their stamps exclude."""
+    if known_s is not None and abs(fit.latency.seconds - known_s[0]) > _MOST_LAG_STDS * known_s[1]:
+        raise EstimateError(
+            "Force and pose fit one payload on one spring only if the force is stamped "
+            f"{1e3 * fit.latency.seconds:.1f} ms late, and the stamps leave {1e3 * _MOST_LAG_STDS * known_s[1]:.1f} ms; record faster, or raw."
+        )
 
 
 def axis_evidence(result: AxisResult) -> AxisEvidence:

@@ -24,6 +24,8 @@ _LONGEST_CROSSING_S = 0.1
 _SMALLEST_TRAVEL_M = 2e-3
 _LARGEST_TURN_RAD = np.radians(10.0)
 _FEWEST_NOISE_SAMPLES = 50
+# Written in one row, wrench and pose are as old as each other up to what a sensor's driver takes.
+_LAG_OF_ONE_STAMP_S = (0.0, 3e-3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,8 +87,10 @@ def _complete(recording: Recording) -> Recording:
     wrench, pose, command = recording.wrench, recording.pose, recording.command
     unknown = not np.isfinite(pose.quaternion_xyzw).all()
     level = Rotation.identity(len(pose.stamp_ns)).as_quat()
+    is_one = np.array_equal(wrench.stamp_ns, pose.stamp_ns)
     return replace(
         recording,
+        wrench_lag_s=_LAG_OF_ONE_STAMP_S if is_one and recording.wrench_lag_s is None else recording.wrench_lag_s,
         wrench=replace(wrench, force_n=np.nan_to_num(wrench.force_n), torque_n_m=np.nan_to_num(wrench.torque_n_m)),
         pose=replace(
             pose,
