@@ -208,9 +208,10 @@ def fit_axis(cell: CellSignals, view: AxisView, progress: ProgressSlice) -> Axis
 def _check_lag(fit: JointFit, known_s: tuple[float, float] | None) -> None:
     """Raise EstimateError where force and pose fit only with a lag between them that their stamps exclude."""
     if known_s is not None and abs(fit.latency.seconds - known_s[0]) > _MOST_LAG_STDS * known_s[1]:
+        late_ms, most_ms = 1e3 * fit.latency.seconds, 1e3 * _MOST_LAG_STDS * known_s[1]
         raise EstimateError(
-            "Force and pose fit one payload on one spring only if the force is stamped "
-            f"{1e3 * fit.latency.seconds:.1f} ms late, and the stamps leave {1e3 * _MOST_LAG_STDS * known_s[1]:.1f} ms; record faster, or raw."
+            f"Force and pose fit one payload on one spring only if the force is stamped {late_ms:.1f} ms late, and the "
+            f"stamps leave {most_ms:.1f} ms; record faster, or raw."
         )
 
 

@@ -46,7 +46,9 @@ def identify_compensated_axes(
     """
     if recording.command is not None:
         recording = replace(recording, command=restore_commands(recording.command))
-    recording, findings = without_spikes(recording)
+    findings: tuple[Finding, ...] = ()
+    if recording.wrench.measured_axes:
+        recording, findings = without_spikes(recording)
     try:
         complete = _complete(recording)
         log = on_one_clock(complete)

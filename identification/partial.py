@@ -21,9 +21,10 @@ from .result import (
     Status,
 )
 from .robot.admittance_robot import AdmittanceRobots, identify_admittance_robots
+from .robot.logged_command import TICK_S
 from .signals.recording import AXES, Recording
 from .touches.surfaces import identify_touches, no_contact
-from .verdicts import missing, unidentifiable, unidentifiable_robot, unidentifiable_vector
+from .verdicts import missing, unidentifiable, unidentifiable_robot, unidentifiable_vector, weak_at_best
 
 _REMOVED = "gravity was removed before recording"
 
@@ -58,19 +59,38 @@ def identify_partial(
     told = {finding.code for finding in led.findings}
     about = [f for f in found.findings if f.code != "no-contact" and (f.code != "no-command" or f.code not in told)]
     findings = [_removed(recording, mass), *led.findings, *about, *touched.findings]
-    if not any(finding.code == "coupling" for finding in about):
+    has_wrench = bool(recording.wrench.measured_axes)
+    if has_wrench and not any(finding.code == "coupling" for finding in about):
         findings[1:1] = _coupling_findings(axes)
+    if found.axes and "rx" not in recording.pose.measured_axes:
+        findings.append(_without_orientation(recording))
     if not led.robots and not touched.shows_more_than_a_hand and not any(map(_says_something, axes.values())):
         raise EstimateError(" ".join(f"{f.message} {f.advice}".strip() for f in findings if f.severity == "error"))
-    if not any(axis.environments for axis in axes.values()):
+    if has_wrench and not any(axis.environments for axis in axes.values()):
         findings.append(no_contact(touched))
     return Identified(
-        sample_time_s=sample_time_s,
+        sample_time_s=_period(sample_time_s),
         payload=PayloadEstimate(mass_kg=mass, com_m=unidentifiable_vector(_REMOVED)),
         axes=axes,
         sensor=_sensor(recording),
         findings=tuple(findings),
         timelines=(touched.timeline,),
+    )
+
+
+def _period(sample_time_s: Estimate) -> Estimate:
+    """Return the control period, weak where the log may be slower than the controller."""
+    if sample_time_s.value is None or sample_time_s.value <= TICK_S:
+        return sample_time_s
+    return weak_at_best(sample_time_s, "the log's own period, which may be longer than the controller's")
+
+
+def _without_orientation(recording: Recording) -> Finding:
+    return Finding.warning(
+        "no-orientation",
+        f"The pose of topic {recording.pose.topic} has no orientation, so it is taken as constant, and the axes are "
+        "those in which the position was logged.",
+        "Record the whole pose.",
     )
 
 
@@ -93,6 +113,13 @@ def _moving_mass(axes: Mapping[str, AxisEstimate]) -> Estimate:
 def _removed(recording: Recording, mass: Estimate) -> Finding:
     """Return what is not known without the weight: an error where the mass is not known from the motion either."""
     topic = recording.wrench.topic
+    if not recording.wrench.measured_axes:
+        return missing(
+            "no-wrench",
+            "The log has no wrench, so mass, coupling, sensor and surfaces cannot be determined; command and pose show "
+            "the robot.",
+            "Record the force/torque sensor with pose and command.",
+        )
     if mass.value is None:
         return missing(
             "gravity-removed",
@@ -142,7 +169,7 @@ def _axis(
 
 def _sensor(recording: Recording) -> SensorEstimate:
     wrench, none = recording.wrench, unidentifiable(note=_REMOVED)
-    zeros = 100.0 * float(np.nanmean(wrench.force_n == 0.0))
+    zeros = 100.0 * float(np.mean(wrench.force_n == 0.0))
     known = None if wrench.deadband is None else wrench.deadband.force_n
     deadband = (
         unidentifiable(

@@ -203,8 +203,8 @@ def _on_one_clock(read: _Read) -> Recording:
 def _times(parts: Sequence[Part], clocks: Mapping[Role, Clock]) -> list[ChannelTimes]:
     """Return the stamps of wrench, pose and command; nothing where one channel or the recorder's clock serves."""
     main = [role for role in (Role.WRENCH, Role.POSE, Role.COMMAND) if role in clocks]
-    is_one = parts[0][Role.WRENCH].choice.info.channel == parts[0][Role.POSE].choice.info.channel
-    if is_one or any(clocks[role] is Clock.LOG for role in main):
+    channels = [part.choice.info.channel for role, part in parts[0].items() if role in (Role.WRENCH, Role.POSE)]
+    if len(set(channels)) < 2 or any(clocks[role] is Clock.LOG for role in main):
         return []
     times = []
     for role in main:

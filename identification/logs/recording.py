@@ -8,7 +8,7 @@ import numpy as np
 from ..errors import LogError
 from ..result import Finding
 from ..signals.frames import Frames
-from ..signals.recording import GainsSignal, PoseSignal, Recording, StampArray, WrenchSignal
+from ..signals.recording import GainsSignal, PoseSignal, Recording, StampArray, WrenchSignal, no_wrench
 from .checks.consistency import turn_findings, twist_findings
 from .checks.samples import role_faults
 from .roles.candidates import is_processed_name
@@ -112,7 +112,9 @@ def build_recording(series: dict[Role, RoleSeries], clocks: Mapping[Role, Clock]
     is_relative = cell.displacement is not None
     source = cell.pose or cell.displacement or PoseSource()
     pose = interpret_pose(columns.pop(Role.POSE), source, frames, is_displacement=is_relative)
-    wrench, findings = _wrench(columns.pop(Role.WRENCH), cell, frames, pose)
+    wrench, findings = no_wrench(pose), list[Finding]()
+    if Role.WRENCH in columns:
+        wrench, findings = _wrench(columns.pop(Role.WRENCH), cell, frames, pose)
     command = twist = desired_force = None
     if Role.COMMAND in columns:
         source = cell.command or PoseSource()

@@ -86,7 +86,7 @@ def cut_roles(
     """
     if span.is_whole:
         return list(parts), ()
-    main = (Role.WRENCH, Role.POSE)
+    main = [role for role in (Role.WRENCH, Role.POSE) if role in parts[0]]
     zero = max(min(int(part[role][0]) for part in stamps) for role in main)
     end = max(int(part[role][-1]) for part in stamps for role in main)
     kept = []

@@ -9,7 +9,7 @@ from problems.arrays import FloatArray
 from ..errors import EstimateError
 from .position_loop import RobotFit, identify_robot
 
-_TICK_S = 1.5e-3
+TICK_S = 1.5e-3
 _SAME_PERIOD = 0.05
 _DECISIVE, _DECISIVE_SHARE = 10.0, 0.03
 # A controller of robots is hardly slower; where the log's own period is no hold, this bounds the one behind it.
@@ -46,7 +46,7 @@ def identify_logged_robot(
     as `identify_robot` does.
     """
     known = control_period_s is not None and abs(period_s / control_period_s - 1.0) < _SAME_PERIOD
-    if known or (control_period_s is None and period_s <= _TICK_S):
+    if known or (control_period_s is None and period_s <= TICK_S):
         return LoggedRobot(fit=identify_robot(command_m, position_m, period_s), is_held=True)
     held = _held(command_m, position_m, period_s) if is_uniform and control_period_s is None else None
     try:

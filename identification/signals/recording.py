@@ -82,6 +82,20 @@ class WrenchSignal:
         _freeze(self, force_n=3, torque_n_m=3)
 
 
+def no_wrench(pose: "PoseSignal") -> WrenchSignal:
+    """Return what stands for the wrench of a log without one: nothing measured, at the pose's stamps."""
+    nothing = np.full((len(pose.stamp_ns), 3), np.nan)
+    return WrenchSignal(
+        topic="",
+        frame_id="",
+        stamp_ns=pose.stamp_ns,
+        force_n=nothing,
+        torque_n_m=nothing,
+        gravity_compensated=True,
+        measured_axes=(),
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class PoseSignal:
     """A flange pose in the base frame: `position_m` (n, 3), `quaternion_xyzw` (n, 4) of base from flange.

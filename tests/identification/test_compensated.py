@@ -1,12 +1,16 @@
 """A command counts where the weight was taken off: robot, coupling and moving mass, against physics by scipy."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from identification.given import Given
 from identification.identify import identify_cell
+from identification.logs import read_recording
+from identification.logs.roles.cell import Cell, PoseFields, PoseSource
+from identification.logs.tables.layout import TableLayout
 from identification.result import Estimate, Status
 from identification.signals.recording import AppliedDeadband
 
@@ -74,6 +78,30 @@ def test_without_a_force_on_the_axis_the_robot_is_identified_all_the_same() -> N
     assert result.axes["x"].coupling.stiffness_n_per_m.value is None
     assert result.payload.mass_kg.value is None
     assert next(f for f in result.findings if f.code == "gravity-removed").severity == "error"
+
+
+def test_a_table_of_pose_and_command_alone_shows_the_robot(tmp_path: Path) -> None:
+    cell = CommandedCell(robot=(25.0,))
+    recording = logged(cell, swept(cell, 25.0), Logger(rate_hz=125.0, axis=1))
+    assert recording.command is not None
+    log = tmp_path / "run.csv"
+    time_s = (recording.pose.stamp_ns - recording.pose.stamp_ns[0]) * 1e-9
+    rows = np.column_stack([time_s, recording.pose.position_m, recording.command.position_m])
+    np.savetxt(log, rows, delimiter=",", header="t,x,y,z,cx,cy,cz", comments="", fmt="%.9f")
+    declared = Cell(
+        pose=PoseSource(fields=PoseFields(position=("x", "y", "z"))),
+        command=PoseSource(fields=PoseFields(position=("cx", "cy", "cz"))),
+        table=TableLayout(time="t"),
+    )
+    result = identify_cell(read_recording(log, declared))
+    # The tool points down and is turned by 0.4 rad: its y lies along both of the base's.
+    for name in ("x", "y"):
+        assert covers(result.axes[name].robot.bandwidth_hz, cell.bandwidth_hz)
+        assert covers(result.axes[name].robot.delay_s, cell.delay_s)
+    errors = [finding.code for finding in result.findings if finding.severity == "error"]
+    assert errors == ["no-wrench"]
+    assert "no-orientation" in {finding.code for finding in result.findings}
+    assert result.sample_time_s.status is Status.WEAK
 
 
 def test_a_subtractive_deadband_of_unknown_width_hides_the_coupling_and_not_the_robot() -> None:

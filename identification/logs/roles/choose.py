@@ -56,15 +56,27 @@ class RoleSeries:
 def choose_all(infos: Infos, cell: Cell, log: str, frames_of: FramesOf) -> dict[Role, Choice]:
     """Return the channel of each role that the log or the cell determines.
 
-    Raises LogError for a wrench, pose or command that is missing or ambiguous (a missing command is none), and for
-    anything declared that the log does not have.
+    Raises LogError for a wrench, pose or command that is missing or ambiguous (a missing command is none, as is a
+    wrench beside pose and command), and for anything declared that the log does not have.
     """
     chosen = {}
     for role in ROLES:
+        if role is Role.WRENCH and _is_without_wrench(infos, cell, log, frames_of):
+            continue
         found = choose(role, infos, cell, log, frames_of)
         if found is not None:
             chosen[role] = found
     return chosen
+
+
+def _is_without_wrench(infos: Infos, cell: Cell, log: str, frames_of: FramesOf) -> bool:
+    """Return whether nothing can be a wrench, and command and pose are there, which show the robot by themselves."""
+    if cell.wrench is not None or _candidates(Role.WRENCH, None, infos, set()):
+        return False
+    try:
+        return all(choose(role, infos, cell, log, frames_of) is not None for role in (Role.POSE, Role.COMMAND))
+    except LogError:
+        return False
 
 
 def choose(role: Role, infos: Infos, cell: Cell, log: str, frames_of: FramesOf) -> Choice | None:
